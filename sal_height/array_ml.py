@@ -1,0 +1,167 @@
+"""Maximum-likelihood elevation from all detectors of the array at once (SAL paper, section 5).
+
+A target at elevation theta gives detector m the amplitude A_k h(theta - theta_m) in look k, plus noise of variance
+sigma^2. With a = (h(theta - theta_m))_m and R = Re sum_k g_k g_k^H, profiling out the complex A_k leaves the objective
+
+    normalised:  a^T R a / a^T a     (exact)
+    numerator:   a^T R a             (the paper's, which takes a^T a as constant: biased inwards near the array's ends)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.errors import UserError
+from sal_height.estimate import ElevationEstimate, Validity
+from sal_height.looks import Looks
+from sal_height.sensor import Beams
+
+Array = npt.NDArray[np.float64]
+Objective = Callable[[Array, Array], Array]
+
+GRID_STEP = 0.05
+"""Spacing of the coarse search in beamwidths; the objective is band-limited to 1 cycle per beamwidth."""
+
+REFINEMENT_STEPS = (0.02, 0.002)
+"""Half widths in beamwidths of the parabolas that refine the peak, in turn."""
+
+MISFIT_SHARE = 0.03
+"""Share of a pixel's power that may remain unexplained before it counts as more than one scatterer."""
+
+
+def _normalised(output_power: Array, beam_power: Array) -> Array:
+    return output_power / beam_power
+
+
+def _numerator(output_power: Array, beam_power: Array) -> Array:
+    return output_power
+
+
+OBJECTIVES: dict[str, Objective] = {"normalised": _normalised, "numerator": _numerator}
+"""What is maximised over elevation, from a^T R a and a^T a; "numerator" is the paper's."""
+
+
+def ml_elevation(
+    looks: Looks, beams: Beams, squint: Array, noise_power: float, objective: Objective, min_cnr: float
+) -> ElevationEstimate:
+    """Elevation of the dominant scatterer in every pixel.
+
+    Args:
+        looks: covariance of M channels in each pixel.
+        beams: of the M detectors.
+        squint: of each column, rad, shape (cols,).
+        noise_power: E|n|^2 of one SLC pixel in one channel.
+        objective: one of OBJECTIVES.
+        min_cnr: pixels below this power ratio are LOW_CNR.
+
+    Raises:
+        UserError: fewer than two detectors, or a noise power that is not known.
+    """
+    if len(beams.boresights) < 2:
+        raise UserError(f"The sensor has {len(beams.boresights)} detector; elevation needs 2 or more.")
+    require_noise(noise_power)
+    elevation = _search(looks.covariance, beams, squint, objective)
+    for step in REFINEMENT_STEPS:
+        elevation = _refine(elevation, step * beams.beamwidth, looks.covariance, beams, squint, objective)
+    elevation = np.clip(elevation, *beams.search_domain)
+
+    response = beams.response(elevation, squint)
+    beam_power = np.sum(response**2, axis=-1)
+    explained = _output_power(looks.covariance, response) / beam_power
+    energy = (explained / noise_power - looks.count) / beam_power
+    return ElevationEstimate(
+        elevation=elevation,
+        sigma=elevation_bound(energy, looks.count, beams, elevation, squint),
+        cnr=energy / looks.count,
+        validity=_validity(looks, beams, elevation, energy, explained, noise_power, min_cnr),
+    )
+
+
+def elevation_bound(energy: Array, looks: int, beams: Beams, elevation: Array, squint: Array) -> Array:
+    """Standard deviation (rad) of an efficient elevation estimate, given the scatterer's energy in the looks at hand.
+
+    Conditional Cramer-Rao bound 1 / (2 E D), with E = sum_k |A_k|^2 / sigma^2 and D the part of |da/dtheta|^2 that a
+    change of amplitude cannot imitate, times the loss 1 + K / (E |a|^2) of not knowing the amplitudes.
+    Infinite where the energy is not positive.
+    """
+    response = beams.response(elevation, squint)
+    slope = beams.slope(elevation, squint)
+    beam_power = np.sum(response**2, axis=-1)
+    information = np.sum(slope**2, axis=-1) - np.sum(slope * response, axis=-1) ** 2 / beam_power
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = (1 + looks / (energy * beam_power)) / (2 * energy * information)
+    return np.sqrt(np.where(energy > 0, variance, np.inf))
+
+
+def require_noise(noise_power: float) -> None:
+    """Refuse an unknown noise power.
+
+    Raises:
+        UserError: it is not positive.
+    """
+    if not noise_power > 0:
+        raise UserError("The noise power of the image is not known; SensorInfo.noise_power must be greater than 0.")
+
+
+def _output_power(covariance: Array, response: Array) -> Array:
+    """a^T R a per pixel."""
+    return np.einsum("...m,...mn,...n->...", response, covariance, response, optimize=True)
+
+
+def _search(covariance: Array, beams: Beams, squint: Array, objective: Objective) -> Array:
+    """Elevation (rad) of the greatest objective on a grid over the search domain, shape (rows, cols)."""
+    first, last = beams.search_domain
+    grid = np.linspace(first, last, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))) + 1)
+    best = np.empty(covariance.shape[:2])
+    for col, angle in enumerate(squint):
+        response = beams.response(grid, np.full_like(grid, angle))
+        products = (response[:, :, None] * response[:, None, :]).reshape(len(grid), -1)
+        power = covariance[:, col].reshape(len(covariance), -1) @ products.T
+        best[:, col] = grid[np.argmax(objective(power, np.sum(response**2, axis=-1)), axis=-1)]
+    return best
+
+
+def _refine(
+    elevation: Array, half_width: float, covariance: Array, beams: Beams, squint: Array, objective: Objective
+) -> Array:
+    """Elevation (rad) of the vertex of a parabola through the objective at `elevation` and `half_width` to each side.
+
+    The move is limited to the half width plus what the coarser step left open, so that a flat objective stays put.
+    """
+    low, middle, high = (
+        objective(_output_power(covariance, response), np.sum(response**2, axis=-1))
+        for response in (beams.response(elevation + shift, squint) for shift in (-half_width, 0.0, half_width))
+    )
+    curvature = low - 2 * middle + high
+    concave = curvature < 0
+    move = np.where(concave, (low - high) / (2 * np.where(concave, curvature, -1)), 0.0)
+    limit = GRID_STEP * beams.beamwidth / half_width
+    return elevation + half_width * np.clip(move, -limit, limit)
+
+
+def _validity(
+    looks: Looks,
+    beams: Beams,
+    elevation: Array,
+    energy: Array,
+    explained: Array,
+    noise_power: float,
+    min_cnr: float,
+) -> npt.NDArray[np.uint8]:
+    """First reason that applies, or OK.
+
+    What the best single scatterer leaves of the power is noise: (M - 1) K sigma^2 with the spread of a chi-square of
+    2 (M - 1) K degrees of freedom, if there is no other scatterer.
+    """
+    degrees = (len(beams.boresights) - 1) * looks.count
+    left = (np.trace(looks.covariance, axis1=-2, axis2=-1) - explained) / noise_power
+    misfit = (left > degrees + 5 * np.sqrt(degrees)) & (left - degrees > MISFIT_SHARE * explained / noise_power)
+    first, last = beams.span
+    return np.select(
+        [~looks.finite, energy / looks.count < min_cnr, (elevation < first) | (elevation > last), misfit],
+        [Validity.MISSING_DATA, Validity.LOW_CNR, Validity.OUTSIDE_ARRAY, Validity.NOT_ONE_SCATTERER],
+        Validity.OK,
+    ).astype(np.uint8)

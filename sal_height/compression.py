@@ -1,0 +1,121 @@
+"""SAR compression: the phase history of every detector becomes its single-look complex image (SLC)."""
+
+from __future__ import annotations
+
+import finufft
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.errors import UserError
+from sal_height.geometry import Aperture, Grid, look_direction
+from sal_height.phase_history import NUFFT_TOLERANCE, PhaseHistory
+from sal_height.sensor import Sensor
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex64]
+
+
+def backproject(history: PhaseHistory, antenna: Array, sensor: Sensor, weights: Array, pixels: Array) -> ComplexArray:
+    """Time-domain backprojection: exact for any trajectory; the same filter for every detector.
+
+    image(p) = 1/(N P) sum over pulses and frequencies of w(f) samples exp(+j 4 pi f (|p - antenna| - reference) / c)
+
+    The sum over frequencies is a type-2 non-uniform FFT at the pixels' ranges, the adjoint of the simulator's.
+
+    Args:
+        history: of all detectors in a dwell.
+        antenna: position at each pulse, m, shape (pulses, 3).
+        sensor: wavelength and frequencies.
+        weights: range window w of mean 1, shape (frequencies,).
+        pixels: positions, m, shape (rows, cols, 3).
+
+    Returns:
+        Images, complex64, shape (detectors, rows, cols); NaN where a pixel leaves the range window in some pulse.
+    """
+    points = pixels.reshape(-1, 3)
+    detectors, pulses, frequencies = history.samples.shape
+    image = np.zeros((detectors, len(points)), dtype=np.complex128)
+    inside = np.ones(len(points), dtype=bool)
+    for pulse, (position, reference) in enumerate(zip(antenna, history.reference_range, strict=True)):
+        delay = np.linalg.norm(points - position, axis=-1) - reference
+        inside &= np.abs(delay) <= sensor.range_window / 2
+        spectrum = np.ascontiguousarray(history.samples[:, pulse] * weights)
+        profile = finufft.nufft1d2(sensor.wavenumber_step * delay, spectrum, isign=1, eps=NUFFT_TOLERANCE)
+        image += profile * np.exp(1j * sensor.centre_wavenumber * delay)
+    image[:, ~inside] = np.nan
+    image /= pulses * frequencies
+    return image.astype(np.complex64).reshape(detectors, *pixels.shape[:-1])
+
+
+def azimuth_resolution(sensor: Sensor, aperture: Aperture, slant_range: float) -> float:
+    """Wavelength * range / (2 * synthetic aperture length), m: also the spacing of independent azimuth cells."""
+    return sensor.wavelength * slant_range / (2 * aperture.length)
+
+
+def aim_point(sensor: Sensor, aperture: Aperture, reference_range: float) -> Array:
+    """Point (m, map) in the middle of all beams at the reference range: the middle of the image."""
+    middle = np.mean(sensor.beams.span)
+    return aperture.position + reference_range * (
+        aperture.rotation @ look_direction(middle, 0.0, sensor.look_side)
+    )
+
+
+def slant_plane_grid(
+    sensor: Sensor, aperture: Aperture, reference_range: float, rows: int, cols: int, range_broadening: float
+) -> Grid:
+    """Image in the plane of flight and line of sight, pixels at the resolution so that looks are independent.
+
+    Rows grow away from the sensor, columns along the flight. On a straight track every scatterer focuses in this
+    plane at its own range and Doppler, whatever its elevation.
+
+    Args:
+        sensor: wavelength, bandwidth and beams.
+        aperture: state of the platform.
+        reference_range: slant range of the middle of the image, m.
+        rows: pixels in range.
+        cols: pixels in azimuth.
+        range_broadening: of the range window (`windows.broadening`).
+
+    Raises:
+        UserError: a line of sight along the flight.
+    """
+    along = aperture.direction
+    sight = aim_point(sensor, aperture, reference_range) - aperture.position
+    return _centred_grid(
+        aperture.position + sight,
+        _unit(sight - (sight @ along) * along, "line of sight"),
+        along,
+        (sensor.range_resolution * range_broadening, azimuth_resolution(sensor, aperture, reference_range)),
+        (rows, cols),
+    )
+
+
+def ground_plane_grid(
+    sensor: Sensor, aperture: Aperture, reference_range: float, rows: int, cols: int, spacing: float
+) -> Grid:
+    """Image in the horizontal plane through the aim point, square pixels of `spacing` m, rows pointing away.
+
+    Raises:
+        UserError: a line of sight straight down.
+    """
+    centre = aim_point(sensor, aperture, reference_range)
+    away = (centre - aperture.position) * np.array([1.0, 1.0, 0.0])
+    row_direction = _unit(away, "horizontal line of sight")
+    along = np.cross([0.0, 0.0, 1.0], row_direction)
+    along *= np.sign(along @ aperture.direction) or 1.0
+    return _centred_grid(centre, row_direction, along, (spacing, spacing), (rows, cols))
+
+
+def _centred_grid(
+    centre: Array, row_direction: Array, col_direction: Array, spacing: tuple[float, float], shape: tuple[int, int]
+) -> Grid:
+    half = (np.array(shape) - 1) / 2 * spacing
+    origin = centre - half[0] * row_direction - half[1] * col_direction
+    return Grid(origin, row_direction, col_direction, spacing[0], spacing[1], shape[0], shape[1])
+
+
+def _unit(vector: Array, what: str) -> Array:
+    length = np.linalg.norm(vector)
+    if not length > 1e-9:
+        raise UserError(f"The {what} has no component across the flight; the sensor must look sideways.")
+    return vector / length

@@ -1,0 +1,91 @@
+"""Height images against the truth of a simulated scene: errors, bounds, and the mosaic of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.geometry import Aperture, Grid
+from sal_height.scene import VisibleSurface
+from sal_height.sensor import Beams
+
+Array = npt.NDArray[np.float64]
+
+SINGLE_SPREAD = 0.1
+"""Standard deviation of elevation in beamwidths below which a pixel counts as a single scatterer."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a height image should show; arrays of shape (rows, cols).
+
+    Attributes:
+        height: power-weighted mean height of the scatterers in the pixel, m; NaN where there are none.
+        elevation: their power-weighted mean elevation, rad.
+        power: their mean power per resolution cell; 1 for brightness 1.
+        single: True where they lie so close in elevation that they act as one.
+    """
+
+    height: Array
+    elevation: Array
+    power: Array
+    single: npt.NDArray[np.bool_]
+
+
+def truth_image(
+    surface: VisibleSurface, aperture: Aperture, grid: Grid, resolution_cell: float, beamwidth: float
+) -> Truth:
+    """Truth in the pixels of a height image, by counting the scatterers in each.
+
+    Args:
+        surface: lit scatterers.
+        aperture: from which range and Doppler are measured.
+        grid: pixels of the height image, in the slant plane.
+        resolution_cell: unweighted range resolution times azimuth resolution, m^2, to which powers refer.
+        beamwidth: rad.
+    """
+    sight = surface.positions - aperture.position
+    along = sight @ aperture.direction
+    across = np.sqrt(np.maximum(np.sum(sight**2, axis=-1) - along**2, 0.0))
+    start = grid.origin - aperture.position
+    first_along = start @ aperture.direction
+    first_across = np.sqrt(start @ start - first_along**2)
+    row = np.rint((across - first_across) / grid.row_spacing).astype(int)
+    col = np.rint((along - first_along) / grid.col_spacing).astype(int)
+    inside = (row >= 0) & (row < grid.rows) & (col >= 0) & (col < grid.cols)
+    pixel = row[inside] * grid.cols + col[inside]
+
+    def total(values: Array) -> Array:
+        return np.bincount(pixel, surface.power[inside] * values, grid.rows * grid.cols).reshape(grid.shape)
+
+    power = total(np.ones(len(pixel)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        elevation = total(surface.elevation[inside]) / power
+        mean = elevation.ravel()[pixel]
+        spread = np.sqrt(total((surface.elevation[inside] - mean) ** 2) / power)
+        height = total(surface.heights[inside]) / power
+    cells = grid.row_spacing * grid.col_spacing / resolution_cell
+    return Truth(height, elevation, power / cells, spread < SINGLE_SPREAD * beamwidth)
+
+
+def height_bound(truth: Truth, cnr: float, looks: int, beams: Beams, squint: Array, height_slope: Array) -> Array:
+    """Speckle-averaged Cramer-Rao bound of height (m) in each pixel: sqrt(1 / (2 (K - 1) C D)) |dh/dtheta|.
+
+    With C the CNR of the pixel in a detector looking straight at it. Infinite for one look, where a fluctuating
+    target has no efficient estimator.
+
+    Args:
+        truth: of the pixels.
+        cnr: power ratio of a pixel of power 1.
+        looks: number of looks K.
+        beams: of the detectors.
+        squint: of each column, rad.
+        height_slope: dh/dtheta, m/rad, shape (rows, cols).
+    """
+    response = beams.response(truth.elevation, squint)
+    slope = beams.slope(truth.elevation, squint)
+    information = np.sum(slope**2, axis=-1) - np.sum(slope * response, axis=-1) ** 2 / np.sum(response**2, axis=-1)
+    with np.errstate(divide="ignore"):
+        return np.abs(height_slope) / np.sqrt(2 * (looks - 1) * cnr * truth.power * information)

@@ -1,0 +1,97 @@
+"""Elevation becomes height: where on the ground the scatterer of each pixel lies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.estimate import ElevationEstimate, Validity
+from sal_height.geometry import Aperture, Grid, height_of, locate, squint_on_cone
+from sal_height.looks import Looks
+from sal_height.sensor import Beams
+
+Array = npt.NDArray[np.float64]
+
+SLOPE_STEP = 1e-6
+"""Half step in rad of the central difference that gives the slope of height over elevation."""
+
+
+@dataclass(frozen=True)
+class HeightField:
+    """Heights of one dwell; arrays of shape (rows, cols) of the height image.
+
+    Attributes:
+        grid: pixels of the height image.
+        height: above the sphere, m; NaN where not valid.
+        sigma: standard deviation of height, m; NaN where not valid.
+        cnr_db: carrier-to-noise ratio of one look, dB; NaN where there is no signal.
+        validity: `Validity` of each pixel, uint8.
+        positions: of the scatterers in map, m, shape (rows, cols, 3); NaN where not valid.
+    """
+
+    grid: Grid
+    height: Array
+    sigma: Array
+    cnr_db: Array
+    validity: npt.NDArray[np.uint8]
+    positions: Array
+
+
+def look_grid(grid: Grid, range_looks: int, azimuth_looks: int) -> Grid:
+    """Grid whose pixels are the blocks of looks of `grid`."""
+    return Grid(
+        origin=grid.points((range_looks - 1) / 2, (azimuth_looks - 1) / 2),
+        row_direction=grid.row_direction,
+        col_direction=grid.col_direction,
+        row_spacing=grid.row_spacing * range_looks,
+        col_spacing=grid.col_spacing * azimuth_looks,
+        rows=grid.rows // range_looks,
+        cols=grid.cols // azimuth_looks,
+    )
+
+
+def column_squint(grid: Grid, aperture: Aperture, beams: Beams, look_side: int) -> Array:
+    """Squint (rad) under which each column of `grid` is seen at the middle row and the middle of the beams, (cols,)."""
+    points = grid.points((grid.rows - 1) / 2, np.arange(grid.cols)) - aperture.position
+    cone = points @ aperture.direction / np.linalg.norm(points, axis=-1)
+    return squint_on_cone(np.mean(beams.span), cone, aperture, look_side)
+
+
+def height_field(
+    estimate: ElevationEstimate, looks: Looks, slc_grid: Grid, grid: Grid, aperture: Aperture, look_side: int
+) -> HeightField:
+    """Height, its uncertainty and the ground position of every pixel.
+
+    Range and Doppler are those of the looks' power-weighted centre; the elevation picks the point on the circle they
+    leave; sigma is that of elevation times |d height / d elevation| there.
+
+    Args:
+        estimate: elevations.
+        looks: where in the SLC each pixel's power lies.
+        slc_grid: pixels of the SLC.
+        grid: pixels of the height image (`look_grid`).
+        aperture: state of the platform.
+        look_side: +1 right, -1 left.
+    """
+    sight = slc_grid.points(looks.row, looks.col) - aperture.position
+    slant_range, along = np.linalg.norm(sight, axis=-1), sight @ aperture.direction
+    below, positions, above = (
+        locate(estimate.elevation + shift, slant_range, along, aperture, look_side)
+        for shift in (-SLOPE_STEP, 0.0, SLOPE_STEP)
+    )
+    slope = (height_of(above) - height_of(below)) / (2 * SLOPE_STEP)
+    located = np.isfinite(positions).all(axis=-1)
+    validity = np.where(located | (estimate.validity != Validity.OK), estimate.validity, Validity.OUTSIDE_ARRAY)
+    valid = validity == Validity.OK
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cnr_db = 10 * np.log10(np.where(estimate.cnr > 0, estimate.cnr, np.nan))
+    return HeightField(
+        grid=grid,
+        height=np.where(valid, height_of(positions), np.nan),
+        sigma=np.where(valid, estimate.sigma * np.abs(slope), np.nan),
+        cnr_db=cnr_db,
+        validity=validity.astype(np.uint8),
+        positions=np.where(valid[..., None], positions, np.nan),
+    )

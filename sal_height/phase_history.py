@@ -1,0 +1,32 @@
+"""Phase history: what the receiver delivers, one array for all detectors of a dwell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+NUFFT_TOLERANCE = 1e-7
+"""Relative error of the non-uniform FFTs: below the rounding of the complex64 samples they make or read."""
+
+
+@dataclass(frozen=True)
+class PhaseHistory:
+    """Deramped phase history of one dwell.
+
+    A point of amplitude A at distance R from the antenna contributes A exp(-j 4 pi f (R - reference_range) / c).
+
+    Attributes:
+        stamp_ns: time of the first pulse, ns since the epoch.
+        pulse_times: s after the stamp, shape (pulses,).
+        reference_range: range to which each pulse's phase refers, m, shape (pulses,).
+        samples: complex64, shape (detectors, pulses, frequencies).
+    """
+
+    stamp_ns: int
+    pulse_times: Array
+    reference_range: Array
+    samples: npt.NDArray[np.complex64]

@@ -1,0 +1,147 @@
+"""Presets: a sensor, its flight, a scene and how to process it, read from validated YAML."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from annotated_types import Ge, Gt, Le, Lt, MinLen
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from sal_height.errors import UserError
+from sal_height.sensor import Sensor
+
+_STRICT_KEYS = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+PositiveFloat = Annotated[float, Gt(0)]
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """The sensor as people describe it: an evenly spaced detector array around the look angle."""
+
+    __pydantic_config__ = _STRICT_KEYS
+
+    look_side: Literal["left", "right"]
+    wavelength_m: PositiveFloat
+    aperture_m: PositiveFloat
+    pattern: Literal["gaussian", "sinc", "jinc"]
+    detectors: Annotated[int, Ge(1), Le(1024)]
+    pitch_beamwidths: PositiveFloat
+    bandwidth_hz: PositiveFloat
+    frequency_count: Annotated[int, Ge(2), Le(65536)]
+    pulse_count: Annotated[int, Ge(2), Le(65536)]
+    pulse_repetition_frequency_hz: PositiveFloat
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A straight, level track eastwards, with one dwell every `dwell_spacing_m`."""
+
+    __pydantic_config__ = _STRICT_KEYS
+
+    slant_range_m: PositiveFloat
+    look_angle_rad: Annotated[float, Gt(0), Lt(np.pi / 2)]
+    speed_mps: PositiveFloat
+    dwell_spacing_m: PositiveFloat
+    odometry_rate_hz: PositiveFloat
+
+
+@dataclass(frozen=True)
+class ImageSize:
+    """Pixels of the SLC, at the resolution in range (rows) and azimuth (cols)."""
+
+    __pydantic_config__ = _STRICT_KEYS
+
+    rows: Annotated[int, Ge(1), Le(65536)]
+    cols: Annotated[int, Ge(1), Le(65536)]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """All of a run. `cnr_db` is of one detector looking straight at a resolution cell of brightness 1 in the SLC."""
+
+    __pydantic_config__ = _STRICT_KEYS
+
+    name: Annotated[str, MinLen(1)]
+    sensor: SensorSettings
+    flight: Flight
+    image: ImageSize
+    scene: Annotated[str, MinLen(1)]
+    cnr_db: Annotated[float, Ge(-60), Le(100)]
+    looks: tuple[Annotated[int, Ge(1)], Annotated[int, Ge(1)]]
+    dwells: Annotated[int, Ge(1)]
+
+    def make_sensor(self) -> Sensor:
+        """The sensor, with unit noise power.
+
+        Raises:
+            UserError: beams that leave the quarter between nadir and horizon.
+        """
+        s = self.sensor
+        steps = np.arange(s.detectors) - (s.detectors - 1) / 2
+        boresights = self.flight.look_angle_rad + steps * s.pitch_beamwidths * s.wavelength_m / s.aperture_m
+        return Sensor(
+            name=self.name,
+            look_side={"right": 1, "left": -1}[s.look_side],
+            wavelength=s.wavelength_m,
+            bandwidth=s.bandwidth_hz,
+            frequency_count=s.frequency_count,
+            pulse_count=s.pulse_count,
+            pulse_repetition_frequency=s.pulse_repetition_frequency_hz,
+            aperture=s.aperture_m,
+            pattern=s.pattern,
+            elevation_boresights=tuple(boresights.tolist()),
+            noise_power=(1.0,) * s.detectors,
+        )
+
+
+def preset_names() -> list[str]:
+    """Names of the presets that come with the package."""
+    folder = resources.files("sal_height") / "presets"
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+
+
+def load_preset(name_or_path: str) -> Preset:
+    """The preset of that name (`preset_names`), or the one in that YAML file.
+
+    Raises:
+        UserError: no such preset, not YAML, or a key that is missing, unknown or has a value out of its range.
+    """
+    if name_or_path in preset_names():
+        text = (resources.files("sal_height") / "presets" / f"{name_or_path}.yaml").read_text(encoding="utf-8")
+    else:
+        try:
+            text = Path(name_or_path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise UserError(
+                f"Preset {name_or_path!r} is neither a readable file nor one of {', '.join(preset_names())}."
+            ) from error
+    try:
+        return parse_preset(yaml.safe_load(text), name_or_path)
+    except yaml.YAMLError as error:
+        raise UserError(f"Preset {name_or_path} is not valid YAML: {' '.join(str(error).split())}.") from error
+
+
+def parse_preset(content: Any, source: str) -> Preset:
+    """The preset with that content (mappings as from YAML); `source` names it in messages.
+
+    Raises:
+        UserError: a key that is missing, unknown or has a value out of its range: the first one found.
+    """
+    try:
+        return TypeAdapter(Preset).validate_python(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the top level"
+        if first["type"] == "missing":
+            raise UserError(f"Preset {source}: {key} is missing; it is required.") from error
+        if first["type"] == "unexpected_keyword_argument":
+            raise UserError(f"Preset {source}: {key} is not a known key; remove it or correct its spelling.") from error
+        raise UserError(
+            f"Preset {source}: {key} is {first['input']!r}; {first['msg'][0].lower()}{first['msg'][1:]}."
+        ) from error

@@ -1,0 +1,189 @@
+"""The ground: terrain heights, radar brightness and point targets, and what of it an aperture sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import RegularGridInterpolator
+
+from sal_height.errors import UserError
+from sal_height.geometry import Aperture, angles_of, sphere_point
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PointTarget:
+    """A single scatterer.
+
+    Attributes:
+        east: arc distance from the map origin, m.
+        north: arc distance from the map origin, m.
+        height: above the sphere, m.
+        power: relative to a resolution cell of brightness 1.
+    """
+
+    east: float
+    north: float
+    height: float
+    power: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A terrain of heights and radar brightness on a regular grid, with point targets.
+
+    Heights are bilinear between nodes; a step between two nodes is a wall. Brightness is beta-nought: mean power per
+    slant range and azimuth, so that a cell of brightness 1 has the CNR that a simulation states, whatever its slope.
+
+    Attributes:
+        name: for people.
+        east: node arc distances from the map origin, m, increasing, shape (n_east,).
+        north: node arc distances, m, increasing, shape (n_north,).
+        height: above the sphere, m, shape (n_north, n_east).
+        brightness: relative radar brightness, shape (n_north, n_east).
+        points: point targets.
+
+    Raises:
+        UserError: fewer than 2 x 2 nodes, nodes that do not increase, or values that are not finite.
+    """
+
+    name: str
+    east: Array
+    north: Array
+    height: Array
+    brightness: Array
+    points: tuple[PointTarget, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        shape = (len(self.north), len(self.east))
+        if self.height.shape != shape or self.brightness.shape != shape or min(shape) < 2:
+            raise UserError(
+                f"Scene {self.name}: height {self.height.shape} and brightness {self.brightness.shape} must both be "
+                f"(north, east) = {shape}, 2 x 2 or more."
+            )
+        if not (np.all(np.diff(self.east) > 0) and np.all(np.diff(self.north) > 0)):
+            raise UserError(f"Scene {self.name}: east and north of the nodes must increase.")
+        if not (np.all(np.isfinite(self.height)) and np.all(np.isfinite(self.brightness) & (self.brightness >= 0))):
+            raise UserError(f"Scene {self.name}: heights must be finite, brightness finite and 0 or more.")
+
+    def heights(self, east: npt.ArrayLike, north: npt.ArrayLike) -> Array:
+        """Terrain height (m) at arc distances `east`, `north` (m); NaN outside the terrain."""
+        return self._interpolate(self.height, east, north)
+
+    def brightnesses(self, east: npt.ArrayLike, north: npt.ArrayLike) -> Array:
+        """Radar brightness at arc distances `east`, `north` (m); NaN outside the terrain."""
+        return self._interpolate(self.brightness, east, north)
+
+    def _interpolate(self, values: Array, east: npt.ArrayLike, north: npt.ArrayLike) -> Array:
+        table = RegularGridInterpolator((self.north, self.east), values, bounds_error=False, fill_value=np.nan)
+        return np.asarray(table(np.stack(np.broadcast_arrays(north, east), axis=-1)))
+
+    @property
+    def reference_height(self) -> float:
+        """Median terrain height, m: what a flight aims at."""
+        return float(np.median(self.height))
+
+
+@dataclass(frozen=True)
+class VisibleSurface:
+    """Scatterers that an aperture sees, dense enough that each resolution cell holds several.
+
+    Attributes:
+        positions: in map, m, shape (scatterers, 3).
+        heights: above the sphere, m, shape (scatterers,).
+        power: mean power relative to a resolution cell of brightness 1, shape (scatterers,).
+        slant_range: from the middle of the aperture, m.
+        elevation: rad from nadir in body axes.
+        squint: rad.
+        deterministic: True for point targets, whose amplitude does not fluctuate.
+    """
+
+    positions: Array
+    heights: Array
+    power: Array
+    slant_range: Array
+    elevation: Array
+    squint: Array
+    deterministic: npt.NDArray[np.bool_]
+
+
+SAMPLES_PER_CELL = 2
+"""Scatterers per resolution cell in range and in azimuth, each: enough for fully developed speckle."""
+
+
+def visible_surface(
+    scene: Scene,
+    aperture: Aperture,
+    look_side: int,
+    cell: tuple[float, float],
+    east_extent: tuple[float, float],
+    range_extent: tuple[float, float],
+) -> VisibleSurface:
+    """Scatterers of the terrain that are lit and lie within the given extents, plus the point targets.
+
+    Each strip of constant east is a vertical cut through the terrain. Going outwards from the sensor, a point is lit
+    when its elevation exceeds that of all points before it.
+
+    Args:
+        scene: the ground.
+        aperture: flying east or west (the strips are perpendicular to the flight).
+        look_side: +1 right, -1 left.
+        cell: resolution in slant range and azimuth, m.
+        east_extent: first and last arc distance east, m.
+        range_extent: least and greatest slant range from the middle of the aperture, m.
+
+    Raises:
+        UserError: the scene has no terrain within the extents.
+    """
+    range_cell, azimuth_cell = cell
+    strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * SAMPLES_PER_CELL))
+    strip_width = (east_extent[1] - east_extent[0]) / strips
+    east = east_extent[0] + strip_width * (np.arange(strips) + 0.5)
+    outwards = -look_side * np.sign(aperture.direction[0])
+    north = scene.north if outwards > 0 else scene.north[::-1]
+    height = scene.heights(east[:, None], north)
+    brightness = scene.brightnesses(east[:, None], north)
+    corners = sphere_point(east[:, None], north[None, :], height)
+    corner_range, corner_elevation, _ = angles_of(corners, aperture, look_side)
+
+    # Subdivide each piece of each cut so that neither range nor the arc across it steps by more than half a cell.
+    span = np.maximum(np.abs(np.diff(corner_range)), np.abs(np.diff(corner_elevation)) * corner_range[:, :-1])
+    pieces = np.ceil(np.nan_to_num(span) / range_cell * SAMPLES_PER_CELL).astype(int)
+    strip_of, node_of = np.divmod(np.repeat(np.arange(pieces.size), pieces.ravel()), pieces.shape[1])
+    first = np.cumsum(pieces.ravel()) - pieces.ravel()
+    counts = pieces[strip_of, node_of]
+    fraction = (np.arange(len(counts)) - first[strip_of * pieces.shape[1] + node_of] + 0.5) / counts
+
+    def between(values: Array) -> Array:
+        start, end = values[strip_of, node_of], values[strip_of, node_of + 1]
+        return start + (end - start) * fraction
+
+    heights = between(height)
+    positions = sphere_point(east[strip_of], between(np.broadcast_to(north, height.shape)), heights)
+    slant_range, elevation, squint = angles_of(positions, aperture, look_side)
+    horizon = np.maximum.accumulate(np.nan_to_num(elevation, nan=-np.pi) + 10.0 * strip_of) - 10.0 * strip_of
+    lit = (elevation >= horizon - 1e-12) & (slant_range >= range_extent[0]) & (slant_range <= range_extent[1])
+    if not np.any(lit):
+        raise UserError(
+            f"Scene {scene.name} has no terrain at slant ranges {range_extent[0]:.1f} to {range_extent[1]:.1f} m and "
+            f"{east_extent[0]:.1f} to {east_extent[1]:.1f} m east; fly where the scene is, or choose a larger scene."
+        )
+    range_share = np.abs(np.diff(corner_range))[strip_of, node_of] / counts / range_cell
+    power = between(brightness) * range_share * (strip_width / azimuth_cell)
+
+    points = np.array([[p.east, p.north, p.height, p.power] for p in scene.points]).reshape(-1, 4)
+    point_positions = sphere_point(points[:, 0], points[:, 1], points[:, 2])
+    point_range, point_elevation, point_squint = angles_of(point_positions, aperture, look_side)
+    return VisibleSurface(
+        positions=np.concatenate([positions[lit], point_positions]),
+        heights=np.concatenate([heights[lit], points[:, 2]]),
+        power=np.concatenate([power[lit], points[:, 3]]),
+        slant_range=np.concatenate([slant_range[lit], point_range]),
+        elevation=np.concatenate([elevation[lit], point_elevation]),
+        squint=np.concatenate([squint[lit], point_squint]),
+        deterministic=np.repeat([False, True], [np.count_nonzero(lit), len(points)]),
+    )
+

@@ -1,0 +1,171 @@
+"""The sensor: what a receiver must know to process its frames."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.constants import speed_of_light
+
+from sal_height.errors import UserError
+from sal_height.optics import Pattern, pattern_named
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Beams:
+    """The receive beams of a detector array in elevation.
+
+    Attributes:
+        pattern: amplitude pattern common to all detectors.
+        boresights: elevation of each beam in rad from nadir, shape (detectors,), increasing.
+        beamwidth: wavelength / aperture diameter in rad.
+    """
+
+    pattern: Pattern
+    boresights: Array
+    beamwidth: float
+
+    def response(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+        """Amplitude of every detector for targets at `elevation` and `squint` (rad): shape (..., detectors)."""
+        return self.pattern.amplitude(*self._offsets(elevation, squint))
+
+    def slope(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+        """Derivative of `response` with respect to elevation, per rad: shape (..., detectors)."""
+        return self.pattern.slope(*self._offsets(elevation, squint)) / self.beamwidth
+
+    def _offsets(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> tuple[Array, Array]:
+        """Offsets from each boresight in beamwidths, elevation and azimuth."""
+        e = (np.asarray(elevation)[..., None] - self.boresights) / self.beamwidth
+        a = np.asarray(squint)[..., None] / self.beamwidth
+        return e, a
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Elevations of the first and the last boresight (rad)."""
+        return float(self.boresights[0]), float(self.boresights[-1])
+
+    @property
+    def search_domain(self) -> tuple[float, float]:
+        """Elevations (rad) half a pitch beyond the outer boresights: where the array can place a target."""
+        first, last = self.span
+        half_pitch = (last - first) / (len(self.boresights) - 1) / 2
+        return first - half_pitch, last + half_pitch
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Description of a multi-detector sensor; the same content as sal_height_msgs/SensorInfo.
+
+    Attributes:
+        name: for people.
+        look_side: +1 looking right of the flight direction, -1 left.
+        wavelength: of the carrier, m.
+        bandwidth: spanned by the fast-time frequency samples, Hz.
+        frequency_count: fast-time frequency samples in a pulse.
+        pulse_count: pulses in a dwell.
+        pulse_repetition_frequency: Hz.
+        aperture: receive aperture diameter, m.
+        pattern: name of the beam pattern.
+        elevation_boresights: rad from nadir, increasing, one per detector.
+        noise_power: E|n|^2 of a phase-history sample, one per detector; 0: unknown.
+        calibration_id: calibration already applied by the sensor; empty: none.
+
+    Raises:
+        UserError: a value is out of its range.
+    """
+
+    name: str
+    look_side: int
+    wavelength: float
+    bandwidth: float
+    frequency_count: int
+    pulse_count: int
+    pulse_repetition_frequency: float
+    aperture: float
+    pattern: str
+    elevation_boresights: tuple[float, ...]
+    noise_power: tuple[float, ...]
+    calibration_id: str = ""
+
+    def __post_init__(self) -> None:
+        if self.look_side not in (-1, 1):
+            raise UserError(f"Sensor look_side is {self.look_side}; allowed are +1 (right) and -1 (left).")
+        for key in ("wavelength", "bandwidth", "pulse_repetition_frequency", "aperture"):
+            value = getattr(self, key)
+            if not (np.isfinite(value) and value > 0):
+                raise UserError(f"Sensor {key} is {value}; it must be finite and greater than 0.")
+        if self.bandwidth >= 2 * speed_of_light / self.wavelength:
+            raise UserError(f"Sensor bandwidth is {self.bandwidth} Hz; it must be less than twice the carrier frequency.")
+        for key in ("frequency_count", "pulse_count"):
+            if getattr(self, key) < 2:
+                raise UserError(f"Sensor {key} is {getattr(self, key)}; it must be 2 or more.")
+        pattern_named(self.pattern)
+        boresights = np.array(self.elevation_boresights)
+        if not (boresights.size and np.all(np.abs(boresights) < np.pi / 2) and np.all(np.diff(boresights) > 0)):
+            raise UserError(
+                "Sensor elevation_boresights must be one or more increasing angles between -pi/2 and pi/2 rad, "
+                f"not {self.elevation_boresights}."
+            )
+        noise = np.array(self.noise_power)
+        if noise.shape != boresights.shape or not np.all(np.isfinite(noise) & (noise >= 0)):
+            raise UserError(
+                f"Sensor noise_power must be {boresights.size} finite numbers of 0 or more, one per detector, "
+                f"not {self.noise_power}."
+            )
+
+    @cached_property
+    def config_hash(self) -> str:
+        """First 16 hexadecimal digits of the SHA-256 of all fields."""
+        text = json.dumps(asdict(self), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    @property
+    def detector_count(self) -> int:
+        """Number of detectors."""
+        return len(self.elevation_boresights)
+
+    @property
+    def frequency_step(self) -> float:
+        """Spacing of the fast-time frequency samples, Hz."""
+        return self.bandwidth / self.frequency_count
+
+    @property
+    def wavenumber_step(self) -> float:
+        """Two-way wavenumber between neighbouring frequency samples, 4 pi df / c, rad/m."""
+        return 4 * np.pi * self.frequency_step / speed_of_light
+
+    @property
+    def centre_wavenumber(self) -> float:
+        """Two-way wavenumber of sample frequency_count // 2, the one an FFT counts as zero, rad/m."""
+        offset = self.frequency_count // 2 - (self.frequency_count - 1) / 2
+        return 4 * np.pi / self.wavelength + offset * self.wavenumber_step
+
+    @property
+    def range_resolution(self) -> float:
+        """c / 2B, m: also the spacing of independent range cells."""
+        return speed_of_light / (2 * self.bandwidth)
+
+    @property
+    def range_window(self) -> float:
+        """Slant range that the frequency samples cover without ambiguity, m."""
+        return self.range_resolution * self.frequency_count
+
+    @property
+    def beamwidth(self) -> float:
+        """wavelength / aperture, rad."""
+        return self.wavelength / self.aperture
+
+    @cached_property
+    def beams(self) -> Beams:
+        """Beams of the detectors."""
+        return Beams(pattern_named(self.pattern), np.array(self.elevation_boresights), self.beamwidth)
+
+    def contradiction(self, other: Sensor) -> str:
+        """Names of the fields in which `other` differs, for a message; empty if none."""
+        return ", ".join(f.name for f in fields(self) if getattr(self, f.name) != getattr(other, f.name))

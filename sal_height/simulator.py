@@ -1,0 +1,64 @@
+"""Simulator: scene, sensor and trajectory become the phase history of every detector."""
+
+from __future__ import annotations
+
+import finufft
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.phase_history import NUFFT_TOLERANCE
+from sal_height.scene import VisibleSurface
+from sal_height.sensor import Sensor
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complexfloating]
+
+def draw_amplitudes(surface: VisibleSurface, cnr: float, sensor: Sensor, rng: np.random.Generator) -> ComplexArray:
+    """Complex amplitude of every scatterer: circular Gaussian (speckle), but constant for point targets.
+
+    Scaled so that a resolution cell of brightness 1 in the focused image has the carrier-to-noise power ratio `cnr`
+    in a detector that looks straight at it (compression divides the noise power by the number of samples).
+    """
+    noise = float(np.mean(sensor.noise_power)) / (sensor.pulse_count * sensor.frequency_count)
+    speckle = (rng.standard_normal(len(surface.power)) + 1j * rng.standard_normal(len(surface.power))) / np.sqrt(2)
+    return np.sqrt(surface.power * cnr * noise) * np.where(surface.deterministic, 1.0, speckle)
+
+
+def simulate_dwell(
+    sensor: Sensor, surface: VisibleSurface, amplitudes: ComplexArray, antenna: Array, reference_range: Array
+) -> ComplexArray:
+    """Noise-free phase history of every detector.
+
+    The beam is held on the scene, so that a scatterer keeps its weight in each detector's beam during the dwell.
+    The sum over scatterers at every frequency is a type-1 non-uniform FFT in range, one per pulse.
+
+    Args:
+        sensor: wavelength, frequencies and beams.
+        surface: scatterers.
+        amplitudes: of the scatterers, shape (scatterers,).
+        antenna: position at each pulse, m, shape (pulses, 3).
+        reference_range: m, shape (pulses,).
+
+    Returns:
+        Complex128 samples, shape (detectors, pulses, frequencies).
+    """
+    weighted = np.ascontiguousarray(sensor.beams.response(surface.elevation, surface.squint).T) * amplitudes
+    samples = np.empty((sensor.detector_count, len(antenna), sensor.frequency_count), dtype=np.complex128)
+    for pulse, (position, reference) in enumerate(zip(antenna, reference_range, strict=True)):
+        delay = np.linalg.norm(surface.positions - position, axis=-1) - reference
+        samples[:, pulse] = finufft.nufft1d1(
+            sensor.wavenumber_step * delay,
+            weighted * np.exp(-1j * sensor.centre_wavenumber * delay),
+            sensor.frequency_count,
+            isign=-1,
+            eps=NUFFT_TOLERANCE,
+        )
+    return samples
+
+
+def receiver_noise(sensor: Sensor, pulses: int, rng: np.random.Generator) -> npt.NDArray[np.complex64]:
+    """Circular Gaussian noise of the stated power, independent between detectors, (detectors, pulses, frequencies)."""
+    shape = (sensor.detector_count, pulses, sensor.frequency_count, 2)
+    noise = rng.standard_normal(shape, dtype=np.float32).view(np.complex64)[..., 0]
+    return noise * np.sqrt(np.array(sensor.noise_power, dtype=np.float32) / 2)[:, None, None]
+

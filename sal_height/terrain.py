@@ -1,0 +1,144 @@
+"""Scenes: a synthetic street, and terrain from elevation models."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.errors import UserError
+from sal_height.geometry import EARTH_RADIUS
+from sal_height.scene import PointTarget, Scene
+
+Array = npt.NDArray[np.float64]
+
+BUILT_IN = ("street", "jacksboro_fault")
+"""Names that `load_scene` knows besides paths."""
+
+
+def load_scene(name_or_path: str) -> Scene:
+    """The scene of that name (see BUILT_IN), or the elevation model in that file (.tif, .tiff or .npz).
+
+    Raises:
+        UserError: no such scene, or a file that cannot be used.
+    """
+    if name_or_path == "street":
+        return street()
+    if name_or_path == "jacksboro_fault":
+        return jacksboro_fault()
+    path = Path(name_or_path)
+    if not path.is_file():
+        raise UserError(
+            f"Scene {name_or_path!r} is neither a file nor one of {', '.join(BUILT_IN)}; "
+            "give an elevation model as .tif or .npz."
+        )
+    if path.suffix.lower() in (".tif", ".tiff"):
+        return _from_geotiff(path)
+    if path.suffix.lower() == ".npz":
+        return _from_npz(path)
+    raise UserError(f"Scene {path} has the suffix {path.suffix!r}; allowed are .tif, .tiff and .npz.")
+
+
+def street(length: float = 60.0) -> Scene:
+    """A street seen from the north: road with kerbs, steps, parked cars and a wall; heights 0 to 2 m, nodes 2 cm.
+
+    Args:
+        length: along the street (east), m.
+    """
+    spacing = 0.02
+    east = np.arange(-length / 2, length / 2 + spacing / 2, spacing)
+    north = np.arange(-8.0, 8.0 + spacing / 2, spacing)
+    height = np.zeros((len(north), len(east)))
+    brightness = np.ones_like(height)
+
+    def block(west: float, east_end: float, south: float, north_end: float, top: float, bright: float) -> None:
+        cells = np.ix_((north >= south) & (north < north_end), (east >= west) & (east < east_end))
+        height[cells] = top
+        brightness[cells] = bright
+
+    block(-length, length, 2.4, 8.0, 0.12, 1.0)  # near pavement, kerb of 12 cm
+    block(-length, length, -8.0, -2.4, 0.12, 1.0)  # far pavement
+    for i in range(6):  # a flight of steps rising away from the street
+        block(-length, -1.0, -8.0, -3.0 - 0.5 * i, 0.12 + 0.16 * (i + 1), 1.0)
+    block(1.5, length, -5.2, -4.9, 2.0, 1.5)  # wall
+    for start in np.arange(-length / 2 + 1.0, length / 2 - 5.0, 7.5):  # parked cars: bonnet, roof, boot
+        block(start, start + 4.2, -2.2, -0.5, 0.85, 2.0)
+        block(start + 1.0, start + 3.3, -2.05, -0.65, 1.45, 2.0)
+    posts = tuple(PointTarget(float(e), 3.0, 1.0, 30.0) for e in np.arange(-length / 2 + 4.0, length / 2, 7.5))
+    return Scene("street", east, north, height, brightness, posts)
+
+
+def jacksboro_fault() -> Scene:
+    """The Jacksboro fault, Tennessee: 3-arc-second elevation model from the sample data of matplotlib."""
+    import matplotlib.cbook
+
+    with matplotlib.cbook.get_sample_data("jacksboro_fault_dem.npz") as dem:
+        # Its ymin and ymax are exchanged: ymin is the northern edge, of the first row.
+        return _from_degrees(
+            "jacksboro_fault", dem["elevation"], float(dem["xmin"]), float(dem["ymin"]), float(dem["dx"]), float(dem["dy"])
+        )
+
+
+def _from_npz(path: Path) -> Scene:
+    """An .npz with `elevation` (m, north row first) and its western and northern edge and spacing in degrees."""
+    keys = ("elevation", "west_deg", "north_deg", "spacing_deg")
+    try:
+        with np.load(path) as dem:
+            if missing := [key for key in keys if key not in dem]:
+                raise UserError(f"Scene {path} lacks {', '.join(missing)}; needed are {', '.join(keys)}.")
+            west, north, spacing = (float(dem[key]) for key in keys[1:])
+            return _from_degrees(path.stem, dem["elevation"], west, north, spacing, spacing)
+    except (OSError, ValueError, TypeError, BadZipFile) as error:
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"Scene {path} is not a readable .npz file: {error}.") from error
+
+
+def _from_geotiff(path: Path) -> Scene:
+    """The first band of a GeoTIFF, north up, in degrees or in a projection whose unit is the metre."""
+    try:
+        import rasterio
+    except ImportError as error:
+        raise UserError(f"Reading {path} needs rasterio; install it with: pip install 'sal_height[dem]'.") from error
+    try:
+        with rasterio.open(path) as dem:
+            elevation = dem.read(1, masked=True).astype(np.float64).filled(np.nan)
+            transform, crs = dem.transform, dem.crs
+    except rasterio.errors.RasterioError as error:
+        raise UserError(f"Scene {path} is not a readable GeoTIFF: {error}.") from error
+    if crs is None or transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
+        raise UserError(f"Scene {path} must be north up with a coordinate reference system; reproject it with gdalwarp.")
+    if crs.is_geographic:
+        return _from_degrees(path.stem, elevation, transform.c, transform.f, transform.a, -transform.e)
+    unit = crs.linear_units_factor[1]
+    return _centred(path.stem, elevation, transform.a * unit, -transform.e * unit)
+
+
+def _from_degrees(name: str, elevation: npt.ArrayLike, west: float, north: float, dx: float, dy: float) -> Scene:
+    """Terrain from rows of constant latitude: `west` and `north` are the outer edges, `dx` and `dy` spacings, degrees.
+
+    The parallel through the middle keeps its length; over a few tens of kilometres the others are off by less than
+    a cell.
+    """
+    elevation = np.asarray(elevation, dtype=np.float64)
+    latitude = np.radians(north - dy * elevation.shape[0] / 2)
+    metres = np.radians(1.0) * EARTH_RADIUS
+    return _centred(name, elevation, dx * metres * float(np.cos(latitude)), dy * metres)
+
+
+def _centred(name: str, elevation: Array, dx: float, dy: float) -> Scene:
+    """Terrain of uniform brightness around the map origin, from rows that run north to south; holes are refused."""
+    if elevation.ndim != 2 or min(elevation.shape) < 2:
+        raise UserError(f"Scene {name} has elevations of shape {elevation.shape}; 2 x 2 or more are needed.")
+    if holes := int(np.count_nonzero(~np.isfinite(elevation))):
+        raise UserError(f"Scene {name} has {holes} cells without elevation; fill them first, e.g. with gdal_fillnodata.")
+    rows, cols = elevation.shape
+    return Scene(
+        name,
+        east=(np.arange(cols) - (cols - 1) / 2) * dx,
+        north=(np.arange(rows) - (rows - 1) / 2) * dy,
+        height=elevation[::-1],
+        brightness=np.ones(elevation.shape),
+    )

@@ -1,0 +1,52 @@
+"""Amplitude windows over a band of samples: sidelobe level against resolution."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import brentq
+from scipy.signal import windows
+
+from sal_height.errors import UserError
+
+Array = npt.NDArray[np.float64]
+
+WINDOWS = {
+    "rectangular": np.ones,
+    "taylor": lambda count: windows.taylor(count, nbar=5, sll=35),
+    "hamming": windows.hamming,
+}
+"""Windows by name, as functions of the number of samples."""
+
+
+def window(name: str, count: int) -> Array:
+    """Weights of `count` samples, scaled to a mean of 1 so that a point keeps its peak value.
+
+    Raises:
+        UserError: there is no window of that name.
+    """
+    if name not in WINDOWS:
+        raise UserError(f"The window is {name!r}; allowed are {', '.join(sorted(WINDOWS))}.")
+    weights = np.asarray(WINDOWS[name](count), dtype=np.float64)
+    return weights / weights.mean()
+
+
+def noise_gain(weights: Array) -> float:
+    """Factor by which a window of mean 1 raises the noise power, and that of distributed clutter: mean of its square."""
+    return float(np.mean(weights**2))
+
+
+def broadening(weights: Array) -> float:
+    """Width of the response at -3 dB over that of the unweighted band: the spacing at which cells stay independent."""
+    return _half_power_width(weights) / _half_power_width(np.ones(len(weights)))
+
+
+def _half_power_width(weights: Array) -> float:
+    """Width of the response at half its peak power, in resolution bins."""
+    position = np.arange(len(weights)) - (len(weights) - 1) / 2
+
+    def excess(bins: float) -> float:
+        response = weights @ np.cos(2 * np.pi * position * bins / len(weights)) / weights.sum()
+        return float(response**2 - 0.5)
+
+    return 2 * float(brentq(excess, 0.0, 1.0))

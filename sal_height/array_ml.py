@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, Validity
+from sal_height.estimate import ElevationEstimate, output_power, require_noise, validity_of
 from sal_height.looks import Looks
 from sal_height.sensor import Beams
 
@@ -28,15 +28,15 @@ GRID_STEP = 0.05
 REFINEMENT_STEPS = (0.02, 0.002)
 """Half widths in beamwidths of the parabolas that refine the peak, in turn."""
 
-MISFIT_SHARE = 0.03
-"""Share of a pixel's power that may remain unexplained before it counts as more than one scatterer."""
+GUARD = 3.0
+"""Beamwidths beyond the array that are searched too, so that a target out there is recognised by its sidelobes."""
 
 
 def _normalised(output_power: Array, beam_power: Array) -> Array:
     return output_power / beam_power
 
 
-def _numerator(output_power: Array, beam_power: Array) -> Array:
+def _numerator(output_power: Array, _beam_power: Array) -> Array:
     return output_power
 
 
@@ -66,17 +66,15 @@ def ml_elevation(
     elevation = _search(looks.covariance, beams, squint, objective)
     for step in REFINEMENT_STEPS:
         elevation = _refine(elevation, step * beams.beamwidth, looks.covariance, beams, squint, objective)
-    elevation = np.clip(elevation, *beams.search_domain)
 
     response = beams.response(elevation, squint)
     beam_power = np.sum(response**2, axis=-1)
-    explained = _output_power(looks.covariance, response) / beam_power
-    energy = (explained / noise_power - looks.count) / beam_power
+    energy = (output_power(looks.covariance, response) / beam_power / noise_power - looks.count) / beam_power
     return ElevationEstimate(
         elevation=elevation,
         sigma=elevation_bound(energy, looks.count, beams, elevation, squint),
         cnr=energy / looks.count,
-        validity=_validity(looks, beams, elevation, energy, explained, noise_power, min_cnr),
+        validity=validity_of(looks, beams, squint, noise_power, elevation, energy / looks.count, min_cnr),
     )
 
 
@@ -96,24 +94,9 @@ def elevation_bound(energy: Array, looks: int, beams: Beams, elevation: Array, s
     return np.sqrt(np.where(energy > 0, variance, np.inf))
 
 
-def require_noise(noise_power: float) -> None:
-    """Refuse an unknown noise power.
-
-    Raises:
-        UserError: it is not positive.
-    """
-    if not noise_power > 0:
-        raise UserError("The noise power of the image is not known; SensorInfo.noise_power must be greater than 0.")
-
-
-def _output_power(covariance: Array, response: Array) -> Array:
-    """a^T R a per pixel."""
-    return np.einsum("...m,...mn,...n->...", response, covariance, response, optimize=True)
-
-
 def _search(covariance: Array, beams: Beams, squint: Array, objective: Objective) -> Array:
-    """Elevation (rad) of the greatest objective on a grid over the search domain, shape (rows, cols)."""
-    first, last = beams.search_domain
+    """Elevation (rad) of the greatest objective on a grid over array and guard, shape (rows, cols)."""
+    first, last = beams.domain(GUARD * beams.beamwidth)
     grid = np.linspace(first, last, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))) + 1)
     best = np.empty(covariance.shape[:2])
     for col, angle in enumerate(squint):
@@ -132,7 +115,7 @@ def _refine(
     The move is limited to the half width plus what the coarser step left open, so that a flat objective stays put.
     """
     low, middle, high = (
-        objective(_output_power(covariance, response), np.sum(response**2, axis=-1))
+        objective(output_power(covariance, response), np.sum(response**2, axis=-1))
         for response in (beams.response(elevation + shift, squint) for shift in (-half_width, 0.0, half_width))
     )
     curvature = low - 2 * middle + high
@@ -140,28 +123,3 @@ def _refine(
     move = np.where(concave, (low - high) / (2 * np.where(concave, curvature, -1)), 0.0)
     limit = GRID_STEP * beams.beamwidth / half_width
     return elevation + half_width * np.clip(move, -limit, limit)
-
-
-def _validity(
-    looks: Looks,
-    beams: Beams,
-    elevation: Array,
-    energy: Array,
-    explained: Array,
-    noise_power: float,
-    min_cnr: float,
-) -> npt.NDArray[np.uint8]:
-    """First reason that applies, or OK.
-
-    What the best single scatterer leaves of the power is noise: (M - 1) K sigma^2 with the spread of a chi-square of
-    2 (M - 1) K degrees of freedom, if there is no other scatterer.
-    """
-    degrees = (len(beams.boresights) - 1) * looks.count
-    left = (np.trace(looks.covariance, axis1=-2, axis2=-1) - explained) / noise_power
-    misfit = (left > degrees + 5 * np.sqrt(degrees)) & (left - degrees > MISFIT_SHARE * explained / noise_power)
-    first, last = beams.span
-    return np.select(
-        [~looks.finite, energy / looks.count < min_cnr, (elevation < first) | (elevation > last), misfit],
-        [Validity.MISSING_DATA, Validity.LOW_CNR, Validity.OUTSIDE_ARRAY, Validity.NOT_ONE_SCATTERER],
-        Validity.OK,
-    ).astype(np.uint8)

@@ -40,7 +40,7 @@ def backproject(history: PhaseHistory, antenna: Array, sensor: Sensor, weights: 
         delay = np.linalg.norm(points - position, axis=-1) - reference
         inside &= np.abs(delay) <= sensor.range_window / 2
         spectrum = np.ascontiguousarray(history.samples[:, pulse] * weights)
-        profile = finufft.nufft1d2(sensor.wavenumber_step * delay, spectrum, isign=1, eps=NUFFT_TOLERANCE)
+        profile = finufft.nufft1d2(sensor.wavenumber_step * delay, spectrum, isign=1, eps=NUFFT_TOLERANCE, nthreads=1)
         image += profile * np.exp(1j * sensor.centre_wavenumber * delay)
     image[:, ~inside] = np.nan
     image /= pulses * frequencies
@@ -55,9 +55,7 @@ def azimuth_resolution(sensor: Sensor, aperture: Aperture, slant_range: float) -
 def aim_point(sensor: Sensor, aperture: Aperture, reference_range: float) -> Array:
     """Point (m, map) in the middle of all beams at the reference range: the middle of the image."""
     middle = np.mean(sensor.beams.span)
-    return aperture.position + reference_range * (
-        aperture.rotation @ look_direction(middle, 0.0, sensor.look_side)
-    )
+    return aperture.position + reference_range * (aperture.rotation @ look_direction(middle, 0.0, sensor.look_side))
 
 
 def slant_plane_grid(

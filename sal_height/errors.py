@@ -7,3 +7,15 @@ class UserError(ValueError):
     The text is one sentence: what is wrong, where, and what is allowed. The command line prints it and exits with
     status 2; nodes count it and carry on.
     """
+
+
+class Rejected(UserError):  # noqa: N818 (not an error of the program)
+    """A message that a node counts and leaves out.
+
+    Attributes:
+        reason: short name under which it is counted, e.g. "wrong size".
+    """
+
+    def __init__(self, reason: str, sentence: str) -> None:
+        super().__init__(sentence)
+        self.reason = reason

@@ -22,9 +22,11 @@ class Truth:
     """What a height image should show; arrays of shape (rows, cols).
 
     Attributes:
-        height: power-weighted mean height of the scatterers in the pixel, m; NaN where there are none.
-        elevation: their power-weighted mean elevation, rad.
-        power: their mean power per resolution cell; 1 for brightness 1.
+        height: mean height of the scatterers in the pixel, weighted by the power that the array receives of them, m;
+            NaN where there are none.
+        elevation: their mean elevation with the same weights, rad.
+        power: of a scatterer at that elevation from which the array would receive as much, per resolution cell;
+            1 for brightness 1.
         single: True where they lie so close in elevation that they act as one.
     """
 
@@ -34,9 +36,7 @@ class Truth:
     single: npt.NDArray[np.bool_]
 
 
-def truth_image(
-    surface: VisibleSurface, aperture: Aperture, grid: Grid, resolution_cell: float, beamwidth: float
-) -> Truth:
+def truth_image(surface: VisibleSurface, aperture: Aperture, grid: Grid, resolution_cell: float, beams: Beams) -> Truth:
     """Truth in the pixels of a height image, by counting the scatterers in each.
 
     Args:
@@ -44,7 +44,7 @@ def truth_image(
         aperture: from which range and Doppler are measured.
         grid: pixels of the height image, in the slant plane.
         resolution_cell: unweighted range resolution times azimuth resolution, m^2, to which powers refer.
-        beamwidth: rad.
+        beams: of the detectors; what lies outside them is not seen.
     """
     sight = surface.positions - aperture.position
     along = sight @ aperture.direction
@@ -56,18 +56,21 @@ def truth_image(
     col = np.rint((along - first_along) / grid.col_spacing).astype(int)
     inside = (row >= 0) & (row < grid.rows) & (col >= 0) & (col < grid.cols)
     pixel = row[inside] * grid.cols + col[inside]
+    seen_at = surface.elevation[inside]
+    gain = np.sum(beams.response(seen_at, surface.squint[inside]) ** 2, axis=-1)
+    received = surface.power[inside] * gain
 
     def total(values: Array) -> Array:
-        return np.bincount(pixel, surface.power[inside] * values, grid.rows * grid.cols).reshape(grid.shape)
+        return np.bincount(pixel, received * values, grid.rows * grid.cols).astype(np.float64).reshape(grid.shape)
 
-    power = total(np.ones(len(pixel)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        elevation = total(surface.elevation[inside]) / power
-        mean = elevation.ravel()[pixel]
-        spread = np.sqrt(total((surface.elevation[inside] - mean) ** 2) / power)
+        power = total(np.ones(len(pixel)))
+        elevation = total(seen_at) / power
+        spread = np.sqrt(total((seen_at - elevation.ravel()[pixel]) ** 2) / power)
         height = total(surface.heights[inside]) / power
+        per_gain = power / (total(gain) / power)
     cells = grid.row_spacing * grid.col_spacing / resolution_cell
-    return Truth(height, elevation, power / cells, spread < SINGLE_SPREAD * beamwidth)
+    return Truth(height, elevation, per_gain / cells, spread < SINGLE_SPREAD * beams.beamwidth)
 
 
 def height_bound(truth: Truth, cnr: float, looks: int, beams: Beams, squint: Array, height_slope: Array) -> Array:
@@ -88,4 +91,4 @@ def height_bound(truth: Truth, cnr: float, looks: int, beams: Beams, squint: Arr
     slope = beams.slope(truth.elevation, squint)
     information = np.sum(slope**2, axis=-1) - np.sum(slope * response, axis=-1) ** 2 / np.sum(response**2, axis=-1)
     with np.errstate(divide="ignore"):
-        return np.abs(height_slope) / np.sqrt(2 * (looks - 1) * cnr * truth.power * information)
+        return np.asarray(np.abs(height_slope) / np.sqrt(2 * (looks - 1) * cnr * truth.power * information))

@@ -46,7 +46,7 @@ class SimulatedFlight:
         abeam = aim - flight.slant_range_m * look_direction(flight.look_angle_rad, 0.0, self.sensor.look_side)
         start = -(self.dwells - 1) / 2 * flight.dwell_spacing_m - flight.speed_mps * self._middle_of_dwell
         along = start + flight.speed_mps * np.asarray(seconds, dtype=np.float64)
-        return abeam + along[..., None] * np.array([1.0, 0.0, 0.0])
+        return np.asarray(abeam + along[..., None] * np.array([1.0, 0.0, 0.0]))
 
     @property
     def pulse_times(self) -> Array:
@@ -67,7 +67,7 @@ class SimulatedFlight:
         margin = 2
 
         def last_sample(number: int) -> int:
-            return (self.dwell_start_ns(number) + round(self.pulse_times[-1] * 1e9)) // period_ns + margin
+            return (self.dwell_start_ns(number) + round(float(self.pulse_times[-1]) * 1e9)) // period_ns + margin
 
         first = last_sample(dwell - 1) + 1 if dwell else -margin
         stamps = [index * period_ns for index in range(first, last_sample(dwell) + 1)]

@@ -108,7 +108,7 @@ def squint_on_cone(elevation: npt.ArrayLike, cone: npt.ArrayLike, aperture: Aper
     """
     forward, left, up = aperture.direction @ aperture.rotation
     b = -look_side * left * np.sin(elevation) - up * np.cos(elevation)
-    return np.arcsin(cone / np.hypot(forward, b)) - np.arctan2(b, forward)
+    return np.asarray(np.arcsin(cone / np.hypot(forward, b)) - np.arctan2(b, forward))
 
 
 def sphere_point(east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLike) -> Array:
@@ -140,7 +140,7 @@ def height_of(points: Array) -> Array:
     """
     x, y, z = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
     radius = np.sqrt(x**2 + y**2 + (z + EARTH_RADIUS) ** 2)
-    return (x**2 + y**2 + z**2 + 2 * EARTH_RADIUS * z) / (radius + EARTH_RADIUS)
+    return np.asarray((x**2 + y**2 + z**2 + 2 * EARTH_RADIUS * z) / (radius + EARTH_RADIUS))
 
 
 def locate(

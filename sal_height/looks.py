@@ -57,7 +57,7 @@ def multilook(slc: npt.NDArray[np.complex64], range_looks: int, azimuth_looks: i
         channels, high, range_looks, wide, azimuth_looks
     )
     looks = blocks.transpose(1, 3, 0, 2, 4).reshape(high, wide, channels, -1).astype(np.complex128)
-    finite = np.isfinite(looks).all(axis=(-2, -1))
+    finite = np.asarray(np.isfinite(looks).all(axis=(-2, -1)))
     looks[~finite] = 0
     parts = np.concatenate([looks.real, looks.imag], axis=-1)
     power = np.sum(np.abs(looks) ** 2, axis=2)

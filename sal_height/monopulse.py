@@ -11,9 +11,8 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.array_ml import require_noise
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, Validity
+from sal_height.estimate import ElevationEstimate, Validity, require_noise, validity_of
 from sal_height.looks import Looks
 from sal_height.sensor import Beams
 
@@ -24,7 +23,7 @@ TABLE_NODES = 401
 """Nodes of the table that inverts the discriminant."""
 
 
-def ratio(sum_power: Array, difference_power: Array, cross_power: Array) -> Array:
+def ratio(sum_power: Array, _difference_power: Array, cross_power: Array) -> Array:
     """Power-weighted mean of Re(Delta / Sigma): Re sum Delta Sigma* / sum |Sigma|^2.
 
     Biased towards the middle of the pair by the factor CNR / (CNR + 1) for a fluctuating target, however many looks.
@@ -89,11 +88,13 @@ def monopulse_elevation(
         lower, upper = _pair_response(offset, squint, pitch, beams)
         cnr = energy * 2 / (lower + upper) ** 2 / looks.count
     middles = (beams.boresights[:-1] + beams.boresights[1:]) / 2
+    elevation = middles[pair[..., 0]] + offset
+    validity = validity_of(looks, beams, squint, noise_power, elevation, cnr, min_cnr)
     return ElevationEstimate(
-        elevation=middles[pair[..., 0]] + offset,
+        elevation=elevation,
         sigma=np.sqrt(np.where(energy > 0, variance, np.inf)),
         cnr=cnr,
-        validity=_validity(looks, beams, mu, cnr, middles[pair[..., 0]] + offset, min_cnr),
+        validity=np.where(np.isnan(offset) & looks.finite, Validity.OUTSIDE_PAIR, validity).astype(np.uint8),
     )
 
 
@@ -148,21 +149,9 @@ def _rising_middle(table: Array) -> slice:
 
 
 def _discriminant_slope(offset: Array, squint: Array, pitch: float, beams: Beams) -> Array:
-    """d mu / d offset: 2 (u' l - u l') / (u + l)^2, 1/rad."""
+    """Slope d mu / d offset: 2 (u' l - u l') / (u + l)^2, 1/rad."""
     lower, upper = _pair_response(offset, squint, pitch, beams)
     azimuth = np.asarray(squint) / beams.beamwidth
     lower_slope = beams.pattern.slope((offset + pitch / 2) / beams.beamwidth, azimuth) / beams.beamwidth
     upper_slope = beams.pattern.slope((offset - pitch / 2) / beams.beamwidth, azimuth) / beams.beamwidth
     return 2 * (upper_slope * lower - upper * lower_slope) / (upper + lower) ** 2
-
-
-def _validity(
-    looks: Looks, beams: Beams, mu: Array, cnr: Array, elevation: Array, min_cnr: float
-) -> npt.NDArray[np.uint8]:
-    """First reason that applies, or OK."""
-    first, last = beams.span
-    return np.select(
-        [~looks.finite, np.isnan(elevation) | ~(np.abs(mu) <= 1), cnr < min_cnr, (elevation < first) | (elevation > last)],
-        [Validity.MISSING_DATA, Validity.OUTSIDE_PAIR, Validity.LOW_CNR, Validity.OUTSIDE_ARRAY],
-        Validity.OK,
-    ).astype(np.uint8)

@@ -46,14 +46,15 @@ def _gaussian_slope(e: npt.ArrayLike, a: npt.ArrayLike) -> Array:
 
 def _sinc(e: npt.ArrayLike, a: npt.ArrayLike) -> Array:
     """Square aperture, sides along elevation and azimuth."""
-    return np.sinc(e) * np.sinc(a)
+    return np.asarray(np.sinc(np.asarray(e)) * np.sinc(np.asarray(a)))
 
 
 def _sinc_slope(e: npt.ArrayLike, a: npt.ArrayLike) -> Array:
     e = np.asarray(e, dtype=np.float64)
     near = np.abs(e) < 1e-4
     safe = np.where(near, 1.0, e)
-    return np.where(near, -(np.pi**2) / 3 * e, (np.cos(np.pi * safe) - np.sinc(safe)) / safe) * np.sinc(a)
+    along_e = np.where(near, -(np.pi**2) / 3 * e, (np.cos(np.pi * safe) - np.sinc(safe)) / safe)
+    return np.asarray(along_e * np.sinc(np.asarray(a)))
 
 
 def _jinc(e: npt.ArrayLike, a: npt.ArrayLike) -> Array:

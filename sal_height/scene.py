@@ -159,7 +159,7 @@ def visible_surface(
 
     def between(values: Array) -> Array:
         start, end = values[strip_of, node_of], values[strip_of, node_of + 1]
-        return start + (end - start) * fraction
+        return np.asarray(start + (end - start) * fraction)
 
     heights = between(height)
     positions = sphere_point(east[strip_of], between(np.broadcast_to(north, height.shape)), heights)
@@ -184,6 +184,5 @@ def visible_surface(
         slant_range=np.concatenate([slant_range[lit], point_range]),
         elevation=np.concatenate([elevation[lit], point_elevation]),
         squint=np.concatenate([squint[lit], point_squint]),
-        deterministic=np.repeat([False, True], [np.count_nonzero(lit), len(points)]),
+        deterministic=np.arange(np.count_nonzero(lit) + len(points)) >= np.count_nonzero(lit),
     )
-

@@ -50,12 +50,11 @@ class Beams:
         """Elevations of the first and the last boresight (rad)."""
         return float(self.boresights[0]), float(self.boresights[-1])
 
-    @property
-    def search_domain(self) -> tuple[float, float]:
-        """Elevations (rad) half a pitch beyond the outer boresights: where the array can place a target."""
+    def domain(self, guard: float) -> tuple[float, float]:
+        """Elevations (rad) from half a pitch plus `guard` (rad) below the first boresight to as much above the last."""
         first, last = self.span
-        half_pitch = (last - first) / (len(self.boresights) - 1) / 2
-        return first - half_pitch, last + half_pitch
+        margin = (last - first) / (len(self.boresights) - 1) / 2 + guard
+        return first - margin, last + margin
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,9 @@ class Sensor:
             if not (np.isfinite(value) and value > 0):
                 raise UserError(f"Sensor {key} is {value}; it must be finite and greater than 0.")
         if self.bandwidth >= 2 * speed_of_light / self.wavelength:
-            raise UserError(f"Sensor bandwidth is {self.bandwidth} Hz; it must be less than twice the carrier frequency.")
+            raise UserError(
+                f"Sensor bandwidth is {self.bandwidth} Hz; it must be less than twice the carrier frequency."
+            )
         for key in ("frequency_count", "pulse_count"):
             if getattr(self, key) < 2:
                 raise UserError(f"Sensor {key} is {getattr(self, key)}; it must be 2 or more.")
@@ -138,18 +139,18 @@ class Sensor:
     @property
     def wavenumber_step(self) -> float:
         """Two-way wavenumber between neighbouring frequency samples, 4 pi df / c, rad/m."""
-        return 4 * np.pi * self.frequency_step / speed_of_light
+        return float(4 * np.pi * self.frequency_step / speed_of_light)
 
     @property
     def centre_wavenumber(self) -> float:
         """Two-way wavenumber of sample frequency_count // 2, the one an FFT counts as zero, rad/m."""
         offset = self.frequency_count // 2 - (self.frequency_count - 1) / 2
-        return 4 * np.pi / self.wavelength + offset * self.wavenumber_step
+        return float(4 * np.pi / self.wavelength + offset * self.wavenumber_step)
 
     @property
     def range_resolution(self) -> float:
-        """c / 2B, m: also the spacing of independent range cells."""
-        return speed_of_light / (2 * self.bandwidth)
+        """Resolution c / 2B, m: also the spacing of independent range cells."""
+        return float(speed_of_light / (2 * self.bandwidth))
 
     @property
     def range_window(self) -> float:
@@ -158,7 +159,7 @@ class Sensor:
 
     @property
     def beamwidth(self) -> float:
-        """wavelength / aperture, rad."""
+        """Ratio wavelength / aperture, rad."""
         return self.wavelength / self.aperture
 
     @cached_property

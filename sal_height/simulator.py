@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import finufft
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +14,7 @@ from sal_height.sensor import Sensor
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complexfloating]
+
 
 def draw_amplitudes(surface: VisibleSurface, cnr: float, sensor: Sensor, rng: np.random.Generator) -> ComplexArray:
     """Complex amplitude of every scatterer: circular Gaussian (speckle), but constant for point targets.
@@ -43,17 +46,18 @@ def simulate_dwell(
         Complex128 samples, shape (detectors, pulses, frequencies).
     """
     weighted = np.ascontiguousarray(sensor.beams.response(surface.elevation, surface.squint).T) * amplitudes
-    samples = np.empty((sensor.detector_count, len(antenna), sensor.frequency_count), dtype=np.complex128)
-    for pulse, (position, reference) in enumerate(zip(antenna, reference_range, strict=True)):
+
+    def pulse_samples(position: Array, reference: float) -> ComplexArray:
         delay = np.linalg.norm(surface.positions - position, axis=-1) - reference
-        samples[:, pulse] = finufft.nufft1d1(
-            sensor.wavenumber_step * delay,
-            weighted * np.exp(-1j * sensor.centre_wavenumber * delay),
-            sensor.frequency_count,
-            isign=-1,
-            eps=NUFFT_TOLERANCE,
+        strengths = weighted * np.exp(-1j * sensor.centre_wavenumber * delay)
+        phase = sensor.wavenumber_step * delay
+        return np.asarray(
+            finufft.nufft1d1(phase, strengths, sensor.frequency_count, isign=-1, eps=NUFFT_TOLERANCE, nthreads=1)
         )
-    return samples
+
+    with ThreadPoolExecutor() as pool:
+        pulses = list(pool.map(pulse_samples, antenna, reference_range))
+    return np.stack(pulses, axis=1)
 
 
 def receiver_noise(sensor: Sensor, pulses: int, rng: np.random.Generator) -> npt.NDArray[np.complex64]:
@@ -61,4 +65,3 @@ def receiver_noise(sensor: Sensor, pulses: int, rng: np.random.Generator) -> npt
     shape = (sensor.detector_count, pulses, sensor.frequency_count, 2)
     noise = rng.standard_normal(shape, dtype=np.float32).view(np.complex64)[..., 0]
     return noise * np.sqrt(np.array(sensor.noise_power, dtype=np.float32) / 2)[:, None, None]
-

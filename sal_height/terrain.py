@@ -7,6 +7,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.cbook import get_sample_data
 
 from sal_height.errors import UserError
 from sal_height.geometry import EARTH_RADIUS
@@ -72,24 +73,22 @@ def street(length: float = 60.0) -> Scene:
 
 def jacksboro_fault() -> Scene:
     """The Jacksboro fault, Tennessee: 3-arc-second elevation model from the sample data of matplotlib."""
-    import matplotlib.cbook
-
-    with matplotlib.cbook.get_sample_data("jacksboro_fault_dem.npz") as dem:
-        # Its ymin and ymax are exchanged: ymin is the northern edge, of the first row.
-        return _from_degrees(
-            "jacksboro_fault", dem["elevation"], float(dem["xmin"]), float(dem["ymin"]), float(dem["dx"]), float(dem["dy"])
-        )
+    return _from_npz(Path(str(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False))))
 
 
 def _from_npz(path: Path) -> Scene:
-    """An .npz with `elevation` (m, north row first) and its western and northern edge and spacing in degrees."""
-    keys = ("elevation", "west_deg", "north_deg", "spacing_deg")
+    """An .npz with `elevation` (m, north row first) and the spacings `dx`, `dy`.
+
+    Spacings are in metres, or in degrees if the latitudes `ymin` and `ymax` of the edges are given too.
+    """
     try:
         with np.load(path) as dem:
-            if missing := [key for key in keys if key not in dem]:
-                raise UserError(f"Scene {path} lacks {', '.join(missing)}; needed are {', '.join(keys)}.")
-            west, north, spacing = (float(dem[key]) for key in keys[1:])
-            return _from_degrees(path.stem, dem["elevation"], west, north, spacing, spacing)
+            if missing := [key for key in ("elevation", "dx", "dy") if key not in dem]:
+                raise UserError(f"Scene {path} lacks {', '.join(missing)}; needed are elevation, dx and dy.")
+            elevation, dx, dy = dem["elevation"], float(dem["dx"]), float(dem["dy"])
+            if "ymin" in dem and "ymax" in dem:
+                return _from_degrees(path.stem, elevation, (float(dem["ymin"]) + float(dem["ymax"])) / 2, dx, dy)
+            return _centred(path.stem, elevation, dx, dy)
     except (OSError, ValueError, TypeError, BadZipFile) as error:
         if isinstance(error, UserError):
             raise
@@ -99,7 +98,7 @@ def _from_npz(path: Path) -> Scene:
 def _from_geotiff(path: Path) -> Scene:
     """The first band of a GeoTIFF, north up, in degrees or in a projection whose unit is the metre."""
     try:
-        import rasterio
+        import rasterio  # noqa: PLC0415 (an extra)
     except ImportError as error:
         raise UserError(f"Reading {path} needs rasterio; install it with: pip install 'sal_height[dem]'.") from error
     try:
@@ -109,31 +108,36 @@ def _from_geotiff(path: Path) -> Scene:
     except rasterio.errors.RasterioError as error:
         raise UserError(f"Scene {path} is not a readable GeoTIFF: {error}.") from error
     if crs is None or transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
-        raise UserError(f"Scene {path} must be north up with a coordinate reference system; reproject it with gdalwarp.")
+        raise UserError(
+            f"Scene {path} must be north up with a coordinate reference system; reproject it with gdalwarp."
+        )
     if crs.is_geographic:
-        return _from_degrees(path.stem, elevation, transform.c, transform.f, transform.a, -transform.e)
+        latitude = transform.f + transform.e * elevation.shape[0] / 2
+        return _from_degrees(path.stem, elevation, latitude, transform.a, -transform.e)
     unit = crs.linear_units_factor[1]
     return _centred(path.stem, elevation, transform.a * unit, -transform.e * unit)
 
 
-def _from_degrees(name: str, elevation: npt.ArrayLike, west: float, north: float, dx: float, dy: float) -> Scene:
-    """Terrain from rows of constant latitude: `west` and `north` are the outer edges, `dx` and `dy` spacings, degrees.
+def _from_degrees(name: str, elevation: npt.ArrayLike, latitude_deg: float, dx: float, dy: float) -> Scene:
+    """Terrain from rows of constant latitude, spaced `dx` and `dy` degrees, the middle one at `latitude_deg`.
 
-    The parallel through the middle keeps its length; over a few tens of kilometres the others are off by less than
-    a cell.
+    That parallel keeps its length; over a few tens of kilometres the others are off by less than a cell.
     """
-    elevation = np.asarray(elevation, dtype=np.float64)
-    latitude = np.radians(north - dy * elevation.shape[0] / 2)
-    metres = np.radians(1.0) * EARTH_RADIUS
-    return _centred(name, elevation, dx * metres * float(np.cos(latitude)), dy * metres)
+    metres = float(np.radians(1.0)) * EARTH_RADIUS
+    return _centred(name, elevation, dx * metres * float(np.cos(np.radians(latitude_deg))), dy * metres)
 
 
-def _centred(name: str, elevation: Array, dx: float, dy: float) -> Scene:
+def _centred(name: str, elevation: npt.ArrayLike, dx: float, dy: float) -> Scene:
     """Terrain of uniform brightness around the map origin, from rows that run north to south; holes are refused."""
+    elevation = np.asarray(elevation, dtype=np.float64)
+    if not (dx > 0 and dy > 0):
+        raise UserError(f"Scene {name} has cells of {dx} x {dy} m; both must be greater than 0.")
     if elevation.ndim != 2 or min(elevation.shape) < 2:
         raise UserError(f"Scene {name} has elevations of shape {elevation.shape}; 2 x 2 or more are needed.")
     if holes := int(np.count_nonzero(~np.isfinite(elevation))):
-        raise UserError(f"Scene {name} has {holes} cells without elevation; fill them first, e.g. with gdal_fillnodata.")
+        raise UserError(
+            f"Scene {name} has {holes} cells without elevation; fill them first, e.g. with gdal_fillnodata."
+        )
     rows, cols = elevation.shape
     return Scene(
         name,

@@ -52,7 +52,9 @@ class Trajectory:
         self.epoch_ns = states[0].stamp_ns
         seconds = np.array([(s.stamp_ns - self.epoch_ns) * 1e-9 for s in states])
         if not np.all(np.diff(seconds) > 0):
-            raise UserError("The odometry's times do not increase; every sample needs a later stamp than the one before.")
+            raise UserError(
+                "The odometry's times do not increase; every sample needs a later stamp than the one before."
+            )
         self._seconds = seconds
         self._position = CubicHermiteSpline(
             seconds, np.array([s.position for s in states]), np.array([s.velocity for s in states])

@@ -28,11 +28,11 @@ def window(name: str, count: int) -> Array:
     if name not in WINDOWS:
         raise UserError(f"The window is {name!r}; allowed are {', '.join(sorted(WINDOWS))}.")
     weights = np.asarray(WINDOWS[name](count), dtype=np.float64)
-    return weights / weights.mean()
+    return np.asarray(weights / weights.mean())
 
 
 def noise_gain(weights: Array) -> float:
-    """Factor by which a window of mean 1 raises the noise power, and that of distributed clutter: mean of its square."""
+    """Factor by which a window of mean 1 raises the noise power, and that of clutter: mean of its square."""
     return float(np.mean(weights**2))
 
 

@@ -1,0 +1,148 @@
+"""Compare height images value for value, as the check that a replay did what the recorded run had done."""
+
+from __future__ import annotations
+
+import itertools
+from array import array
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from sal_height_msgs.msg import HeightImage, ImageGrid
+
+from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
+
+HEIGHT_IMAGE = "sal_height_msgs/msg/HeightImage"
+
+# Height images by topic: a bag, or messages at hand.
+Heights: TypeAlias = Path | Mapping[str, Iterable[HeightImage]]
+
+# Topic, dwell, and how many images of that dwell came before on the topic (a simulator may have been restarted).
+_Key: TypeAlias = tuple[str, int, int]
+
+
+@dataclass(frozen=True)
+class HeightComparison:
+    """What one topic of a replay has in common with the recorded one.
+
+    matched: dwells with an image on both sides; missing: recorded only; extra: replayed only.
+    grids_different: matched images whose grid, looks or earth radius differ in any way.
+    pixels: pixels of the matched images; pixels_different: those where any array differs (NaN equals NaN), all pixels
+    of an image whose arrays differ in length.
+    greatest_height_difference: over the pixels that have a height on both sides [m].
+    """
+
+    matched: int = 0
+    missing: int = 0
+    extra: int = 0
+    grids_different: int = 0
+    pixels: int = 0
+    pixels_different: int = 0
+    greatest_height_difference: float = 0.0
+
+    @property
+    def equal(self) -> bool:
+        """Whether there are images, and all of them are the same on both sides."""
+        return self.matched > 0 and not (self.missing or self.extra or self.grids_different or self.pixels_different)
+
+
+def compare_heights(recorded: Heights, replayed: Heights) -> dict[str, HeightComparison]:
+    """Match images by topic and dwell and compare every decoded value; one result per topic of either side.
+
+    Provenance and stamps are not compared, nor bytes: equal messages differ in their padding.
+    UserError if a bag has no height images or cannot be read.
+    """
+    total: dict[str, HeightComparison] = {}
+    waiting: tuple[dict[_Key, HeightImage], dict[_Key, HeightImage]] = ({}, {})
+    # Both sides advance together, so that only images without a counterpart yet are held in memory.
+    for pair in itertools.zip_longest(_images(recorded), _images(replayed)):
+        for side, entry in enumerate(pair):
+            if entry is not None:
+                key, image = entry
+                waiting[side][key] = image
+                if key in waiting[1 - side]:
+                    result = _compare(waiting[0].pop(key), waiting[1].pop(key))
+                    total[key[0]] = _add(total.get(key[0]), result)
+    for topic, _, _ in waiting[0]:
+        total[topic] = _add(total.get(topic), HeightComparison(missing=1))
+    for topic, _, _ in waiting[1]:
+        total[topic] = _add(total.get(topic), HeightComparison(extra=1))
+    return total
+
+
+def _images(source: Heights) -> Iterator[tuple[_Key, HeightImage]]:
+    seen: Counter[tuple[str, int]] = Counter()
+    for topic, image in _read(source) if isinstance(source, Path) else _unfold(source):
+        yield (topic, image.dwell, seen[topic, image.dwell]), image
+        seen[topic, image.dwell] += 1
+
+
+def _read(path: Path) -> Iterator[tuple[str, HeightImage]]:
+    bag = BagReader(path)
+    topics = [topic.name for topic in bag.topics.values() if topic.type_name == HEIGHT_IMAGE and topic.count]
+    if not topics:
+        raise UserError(f"bag '{path}' has no height images; it must have a topic of type '{HEIGHT_IMAGE}'")
+    for message in bag.messages(topics):
+        yield message.topic, bag.decode(HEIGHT_IMAGE, message.cdr)
+
+
+def _unfold(images: Mapping[str, Iterable[HeightImage]]) -> Iterator[tuple[str, HeightImage]]:
+    return ((topic, image) for topic, sequence in images.items() for image in sequence)
+
+
+def _compare(recorded: HeightImage, replayed: HeightImage) -> HeightComparison:
+    ours, theirs = _arrays(recorded), _arrays(replayed)
+    # A well-formed image has rows * cols entries in every array; of others the longest array counts.
+    sizes = {values.size for values in (*ours.values(), *theirs.values())}
+    pixels = max(sizes)
+    if len(sizes) > 1:
+        different, greatest = pixels, 0.0
+    else:
+        different = int(np.count_nonzero(np.any([_differs(ours[name], theirs[name]) for name in ours], axis=0)))
+        greatest = _greatest_difference(ours["height"], theirs["height"])
+    return HeightComparison(
+        matched=1,
+        grids_different=int(_geometry(recorded) != _geometry(replayed)),
+        pixels=pixels,
+        pixels_different=different,
+        greatest_height_difference=greatest,
+    )
+
+
+def _arrays(image: HeightImage) -> dict[str, NDArray[np.generic]]:
+    """Every array field of the message, by name."""
+    values = {name: getattr(image, name) for name in image.get_fields_and_field_types()}
+    return {name: np.asarray(value) for name, value in values.items() if isinstance(value, array)}
+
+
+def _geometry(image: HeightImage) -> tuple[ImageGrid, int, int, float]:
+    return image.grid, image.range_looks, image.azimuth_looks, image.earth_radius
+
+
+def _differs(ours: NDArray[np.generic], theirs: NDArray[np.generic]) -> NDArray[np.bool_]:
+    both_nan = np.isnan(ours) & np.isnan(theirs)
+    differs: NDArray[np.bool_] = (ours != theirs) & ~both_nan
+    return differs
+
+
+def _greatest_difference(ours: NDArray[np.generic], theirs: NDArray[np.generic]) -> float:
+    difference = np.abs(ours.astype(np.float64) - theirs.astype(np.float64))
+    return float(np.nanmax(difference, initial=0.0))
+
+
+def _add(one: HeightComparison | None, other: HeightComparison) -> HeightComparison:
+    one = one or HeightComparison()
+    return HeightComparison(
+        matched=one.matched + other.matched,
+        missing=one.missing + other.missing,
+        extra=one.extra + other.extra,
+        grids_different=one.grids_different + other.grids_different,
+        pixels=one.pixels + other.pixels,
+        pixels_different=one.pixels_different + other.pixels_different,
+        greatest_height_difference=max(one.greatest_height_difference, other.greatest_height_difference),
+    )

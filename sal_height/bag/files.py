@@ -1,0 +1,79 @@
+"""The files of a bag, and what reader and salvage both refuse in them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+from mcap.records import Channel, Schema
+from mcap.writer import MCAP0_MAGIC
+from rclpy.qos import QoSProfile
+
+from sal_height.bag import qos
+from sal_height.bag.definitions import Definition
+from sal_height.errors import UserError
+
+
+def bag_files(path: Path) -> list[Path]:
+    """The .mcap files of the bag at `path` (folder or file), oldest first; UserError if there is none."""
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise UserError(f"bag '{path}' does not exist; name a bag folder or an .mcap file")
+    metadata = path / "metadata.yaml"
+    if metadata.is_file():
+        files = [path / name for name in _listed_files(metadata)]
+    else:  # the recording process was killed; "bag_2.mcap" comes before "bag_10.mcap"
+        files = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
+    if not files:
+        raise UserError(f"folder '{path}' is not a bag; it must hold an .mcap file")
+    return files
+
+
+def check_start(file: Path, start: bytes) -> None:
+    """UserError unless `start` is how an MCAP file begins; part of it will do, for the file may be cut."""
+    if not start:
+        raise UserError(f"file '{file}' is empty; name a bag folder or an .mcap file")
+    if start != MCAP0_MAGIC[: len(start)]:
+        raise UserError(f"file '{file}' is not an MCAP file; name a bag folder or an .mcap file")
+
+
+def check_profile(file: Path, profile: str) -> None:
+    """UserError unless the `profile` in the header says that the file comes from ROS 2."""
+    if profile != "ros2":
+        raise UserError(f"file '{file}' has the profile '{profile}'; only MCAP files of profile 'ros2' can be read")
+
+
+def check_encoding(file: Path, channel: Channel) -> None:
+    """UserError unless the channel holds CDR messages of a type that is described."""
+    if channel.message_encoding != "cdr" or channel.schema_id == 0:
+        raise UserError(
+            f"topic '{channel.topic}' of file '{file}' has the encoding '{channel.message_encoding}' and schema "
+            f"{channel.schema_id}; only the encoding 'cdr' with a schema (not 0) can be read"
+        )
+
+
+def recorded_definition(channel: Channel, schema: Schema) -> Definition:
+    """Definition of a channel's type as the file has it."""
+    return Definition(schema.data.decode(), channel.metadata.get("topic_type_hash", ""), schema.encoding)
+
+
+def recorded_qos(channel: Channel) -> tuple[QoSProfile, ...]:
+    """Profiles that the channel's publishers offered; empty where they were not recorded."""
+    return tuple(qos.from_yaml(channel.metadata.get("offered_qos_profiles", "")))
+
+
+def _listed_files(metadata: Path) -> list[str]:
+    try:
+        information = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        storage = information["storage_identifier"]
+        compression = str(information.get("compression_mode") or "none").lower()
+        names = [Path(name).name for name in information["relative_file_paths"]]
+    except (OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
+        raise UserError(f"file '{metadata}' cannot be read as the metadata of a bag: {error!r}") from error
+    if storage != "mcap" or compression != "none":
+        raise UserError(
+            f"bag '{metadata.parent}' has storage '{storage}' and compression mode '{compression}'; only storage "
+            f"'mcap' and mode 'none' (compression inside the MCAP file) can be read"
+        )
+    return names

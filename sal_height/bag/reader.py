@@ -1,0 +1,200 @@
+"""Read MCAP bags, our own and those of rosbag2: topics, messages in order of time, and decoded messages."""
+
+from __future__ import annotations
+
+import heapq
+import os
+import struct
+import zlib
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+from mcap.exceptions import McapError
+from mcap.reader import SeekingReader
+from mcap.records import Header, Statistics
+from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
+from mcap.writer import MCAP0_MAGIC
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+
+from sal_height.bag.definitions import Definition, installed_definition, message_class
+from sal_height.bag.files import (
+    bag_files,
+    check_encoding,
+    check_profile,
+    check_start,
+    recorded_definition,
+    recorded_qos,
+)
+from sal_height.errors import UserError
+
+# How a file ends: start of the summary, start of the summary offsets, checksum from the former up to here; magic.
+_FOOTER_TAIL = struct.Struct("<QQI8s")
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a bag.
+
+    count: number of messages. offered_qos: profile of every publisher at the time of recording, as far as known.
+    definition: text and hash of the type as recorded, which may be older than the installed one.
+    """
+
+    name: str
+    type_name: str
+    count: int
+    offered_qos: tuple[QoSProfile, ...]
+    definition: Definition
+
+
+class BagMessage(NamedTuple):
+    """A serialized message and the time it was received, in nanoseconds."""
+
+    topic: str
+    type_name: str
+    cdr: bytes
+    log_time_ns: int
+
+
+class BagReader:
+    """A bag: a folder, or one .mcap file. Nothing stays open between calls."""
+
+    def __init__(self, path: Path) -> None:
+        """Read the index of the bag at `path`; UserError with the remedy if it is not a complete bag."""
+        self.path = path
+        self._files = bag_files(path)
+        self.topics: dict[str, Topic] = {}
+        for file in self._files:
+            for topic in _read_topics(file):
+                self._add(topic)
+        self._checked_types: set[str] = set()
+
+    @property
+    def message_count(self) -> int:
+        """Number of messages in all topics."""
+        return sum(topic.count for topic in self.topics.values())
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
+        """Messages in order of log time, those of `topics` or all; holds a few chunks of the bag in memory.
+
+        UserError if a checksum or a record is found to be wrong on the way.
+        """
+        streams = (_read_messages(file, topics) for file in self._files)
+        return heapq.merge(*streams, key=lambda message: message.log_time_ns)
+
+    def decode(self, type_name: str, cdr: bytes) -> Any:
+        """Message object of the installed class.
+
+        UserError if the type is not installed, the bag has another definition of it, or `cdr` is damaged.
+        """
+        if type_name not in self._checked_types:
+            self._check_definition(type_name)
+            self._checked_types.add(type_name)
+        # rclpy's own error class is private, and a subclass of RuntimeError.
+        try:
+            return deserialize_message(cdr, message_class(type_name))
+        except RuntimeError as error:
+            raise UserError(
+                f"a message of type '{type_name}' in bag '{self.path}' cannot be decoded: {error}"
+            ) from error
+
+    def _add(self, topic: Topic) -> None:
+        known = self.topics.setdefault(topic.name, topic)
+        if known is topic:
+            return
+        if known.type_name != topic.type_name:
+            raise UserError(
+                f"topic '{topic.name}' of bag '{self.path}' has two types, '{known.type_name}' and "
+                f"'{topic.type_name}'; a topic must have one"
+            )
+        count = known.count + topic.count
+        self.topics[topic.name] = Topic(known.name, known.type_name, count, known.offered_qos, known.definition)
+
+    def _check_definition(self, type_name: str) -> None:
+        installed = installed_definition(type_name)
+        for topic in self.topics.values():
+            if topic.type_name == type_name and not topic.definition.same_layout(installed):
+                raise UserError(
+                    f"topic '{topic.name}' of bag '{self.path}' was recorded with another definition of '{type_name}' "
+                    f"({topic.definition.type_hash or 'no hash'}) than the installed one ({installed.type_hash}); "
+                    f"install the version of package '{type_name.partition('/')[0]}' it was recorded with"
+                )
+
+
+def _read_topics(file: Path) -> list[Topic]:
+    try:
+        with file.open("rb") as stream:
+            _check_complete(file, stream)
+            summary, statistics = _read_summary(file, stream)
+    except OSError as error:
+        raise UserError(f"file '{file}' cannot be read: {error.strerror}") from error
+    counts = statistics.channel_message_counts
+    topics = []
+    for channel in summary.channels.values():
+        check_encoding(file, channel)
+        schema = summary.schemas[channel.schema_id]
+        definition = recorded_definition(channel, schema)
+        topics.append(Topic(channel.topic, schema.name, counts.get(channel.id, 0), recorded_qos(channel), definition))
+    return topics
+
+
+def _check_complete(file: Path, stream: BinaryIO) -> None:
+    magic_size = len(MCAP0_MAGIC)
+    check_start(file, stream.read(magic_size))
+    stream.seek(max(magic_size, file.stat().st_size - magic_size))
+    if stream.read() != MCAP0_MAGIC:
+        raise UserError(
+            f"file '{file}' is cut off (the recording process was killed or the disk was full); "
+            f"{_salvage(file)} recovers what precedes the cut"
+        )
+
+
+def _read_summary(file: Path, stream: BinaryIO) -> tuple[Summary, Statistics]:
+    """Index of a complete file; UserError if it is of another profile, damaged or missing."""
+    try:
+        _check_summary_crc(stream)
+        stream.seek(0)
+        header = next(StreamReader(stream).records)
+        stream.seek(0)
+        summary = SeekingReader(stream).get_summary()
+    except Exception as error:  # mcap reports damage by whatever its parser stumbles over
+        raise _damaged(file, error) from error
+    check_profile(file, header.profile if isinstance(header, Header) else "")
+    statistics = summary.statistics if summary else None
+    if summary is None or statistics is None or (statistics.message_count and not summary.chunk_indexes):
+        raise UserError(f"file '{file}' has no index of its messages; {_salvage(file)} writes a copy that has one")
+    missing = {channel.schema_id for channel in summary.channels.values()} - {0, *summary.schemas}
+    if missing or not set(statistics.channel_message_counts) <= set(summary.channels):
+        raise _damaged(file, McapError("the index names topics that it does not describe"))
+    return summary, statistics
+
+
+def _check_summary_crc(stream: BinaryIO) -> None:
+    """McapError if the index is not as it was written; the mcap package does not look."""
+    crc_end = stream.seek(-_FOOTER_TAIL.size, os.SEEK_END) + 2 * 8
+    summary_start, _, crc, _ = _FOOTER_TAIL.unpack(stream.read())
+    stream.seek(summary_start)
+    if crc and zlib.crc32(stream.read(crc_end - summary_start)) != crc:
+        raise McapError("the checksum of its index is wrong")
+
+
+def _read_messages(file: Path, topics: Collection[str] | None) -> Iterator[BagMessage]:
+    try:
+        with file.open("rb") as stream:
+            records = SeekingReader(stream, validate_crcs=True).iter_messages(topics)
+            for schema, channel, message in records:
+                if schema is not None:  # always so: `check_encoding` refuses channels without
+                    yield BagMessage(channel.topic, schema.name, message.data, message.log_time)
+    except Exception as error:  # mcap reports damage by whatever its parser stumbles over
+        raise _damaged(file, error) from error
+
+
+def _damaged(file: Path, error: Exception) -> UserError:
+    return UserError(f"file '{file}' is damaged ({error or type(error).__name__}); {_salvage(file)} recovers the rest")
+
+
+def _salvage(file: Path) -> str:
+    return f"'sal-height salvage {file} --out DIR'"

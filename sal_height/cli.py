@@ -1,0 +1,165 @@
+"""The command line: sal-height run | replay | import-gotcha | salvage."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from sal_height import __version__
+from sal_height.errors import UserError
+from sal_height.preset import Preset, load_preset, parse_preset, preset_names
+
+EXAMPLES = """examples:
+  sal-height run                                    fly the lidar over a street
+  sal-height run --preset xband_relief --dwells 8   fly the radar over the Jacksboro fault
+  sal-height run --cnr-db 10 --looks 4x2 --out out/noisy
+  sal-height replay out/sal_spotlight/bag           make the heights anew and compare
+  sal-height replay out/sal_spotlight/bag --param ml_height.objective=numerator
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; 0 on success, 2 with one sentence on stderr if something given cannot be used."""
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.command(options))
+    except UserError as error:
+        print(f"sal-height: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="sal-height",
+        description="Height images from synthetic-aperture lidar and multi-beam radar, as a ROS 2 graph.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"sal_height {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="simulate a flight through the graph; leaves bag, report and picture")
+    run.add_argument(
+        "--preset",
+        default="sal_spotlight",
+        metavar="NAME|FILE",
+        help=f"{', '.join(preset_names())}, or a YAML file (default: %(default)s)",
+    )
+    run.add_argument("--scene", metavar="NAME|PATH", help="street, jacksboro_fault, or a DEM as .tif or .npz")
+    run.add_argument("--dwells", type=int, metavar="N", help="number of dwells (default: the preset's)")
+    run.add_argument("--cnr-db", type=float, metavar="X", help="CNR of one detector looking straight at the ground, dB")
+    run.add_argument("--looks", type=_looks, metavar="RxA", help="pixels averaged in range x azimuth, e.g. 2x2")
+    run.add_argument("--seed", type=_seed, default=1, metavar="S", help="of all random numbers (default: %(default)s)")
+    run.add_argument("--processes", action="store_true", help="each node in a process of its own")
+    run.set_defaults(command=_run)
+
+    replay = commands.add_parser("replay", help="play a bag through the same nodes; compares with what was recorded")
+    replay.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag")
+    replay.set_defaults(command=_replay)
+    for command in (run, replay):
+        command.add_argument("--out", type=Path, metavar="DIR", help="output folder, new or empty (default: out/…)")
+        command.add_argument(
+            "--param",
+            action="append",
+            default=[],
+            type=_parameter,
+            metavar="NODE.NAME=VALUE",
+            help="set a node's parameter; may be repeated",
+        )
+
+    gotcha = commands.add_parser("import-gotcha", help="turn AFRL Gotcha phase history into a bag")
+    gotcha.add_argument("files", type=Path, nargs="+", metavar="FILE", help="consecutive data_3dsar_*.mat files")
+    gotcha.add_argument("--out", type=Path, required=True, metavar="BAG", help="folder of the new bag")
+    gotcha.set_defaults(command=_import_gotcha)
+
+    salvage = commands.add_parser("salvage", help="save what is whole in a bag whose recording was cut off")
+    salvage.add_argument("bag", type=Path, metavar="BAG")
+    salvage.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the new bag")
+    salvage.set_defaults(command=_salvage)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    from sal_height.runs.simulate import run
+
+    preset = _changed(load_preset(options.preset), options)
+    out = options.out or Path("out") / preset.name
+    outcome = run(preset, options.seed, out, _collected(options.param), options.processes)
+    print(f"{outcome.dwells} dwells{' (interrupted)' if outcome.interrupted else ''}; see {out}/height.png, "
+          f"{out}/report.json and {out}/bag")  # fmt: skip
+    return 130 if outcome.interrupted else 0
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from sal_height.runs.replay import replay
+
+    out = options.out or Path("out") / f"replay_{options.bag.resolve().parent.name}"
+    for topic, result in replay(options.bag, out, _collected(options.param)).items():
+        verdict = "equal to the recorded ones, value for value" if result.equal else f"different: {result}"
+        print(f"{topic}: {result.matched} height images, {verdict}")
+    print(f"see {out}/report.json and {out}/bag")
+    return 0
+
+
+def _import_gotcha(options: argparse.Namespace) -> int:
+    from sal_height.runs.gotcha import import_gotcha
+
+    pulses = import_gotcha(options.files, options.out)
+    print(f"{pulses} pulses in {options.out}; focus them with: sal-height replay {options.out}")
+    return 0
+
+
+def _salvage(options: argparse.Namespace) -> int:
+    from sal_height.bag.salvage import salvage
+
+    print(f"{salvage(options.bag, options.out)} messages saved in {options.out}")
+    return 0
+
+
+def _changed(preset: Preset, options: argparse.Namespace) -> Preset:
+    """The preset with the command line's values in it, validated again."""
+    changes = {
+        key: getattr(options, key)
+        for key in ("scene", "dwells", "cnr_db", "looks")
+        if getattr(options, key) is not None
+    }
+    return parse_preset(dataclasses.asdict(preset) | changes, f"{preset.name} with the options given")
+
+
+def _collected(parameters: list[tuple[str, str, Any]]) -> dict[str, dict[str, Any]]:
+    values: dict[str, dict[str, Any]] = {}
+    for node, name, value in parameters:
+        values.setdefault(node, {})[name] = value
+    return values
+
+
+def _parameter(text: str) -> tuple[str, str, Any]:
+    match = re.fullmatch(r"(\w+)\.(\w+)=(.*)", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NODE.NAME=VALUE")
+    return match[1], match[2], yaml.safe_load(match[3])
+
+
+def _looks(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form RxA with numbers of 1 or more, e.g. 2x2")
+    return int(match[1]), int(match[2])
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal() or int(text) >= 2**31:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 to {2**31 - 1}")
+    return int(text)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

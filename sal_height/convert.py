@@ -1,0 +1,410 @@
+"""The only place that knows both messages and arrays. Sample data is viewed, not copied."""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Quaternion, Vector3
+from nav_msgs.msg import Odometry
+from sal_height_msgs import msg as messages
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import Image, PointCloud2, PointField
+from std_msgs.msg import Header
+
+from sal_height.errors import Rejected, UserError
+from sal_height.estimate import Validity
+from sal_height.geometry import EARTH_RADIUS, Aperture, Grid
+from sal_height.height import HeightField
+from sal_height.phase_history import PhaseHistory
+from sal_height.sensor import Sensor
+from sal_height.trajectory import PlatformState
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex64]
+
+MAP_FRAME = "map"
+BODY_FRAME = "base_link"
+
+
+# Time
+
+
+def to_ns(stamp: Time) -> int:
+    """Nanoseconds since the epoch."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def to_stamp(ns: int) -> Time:
+    """Time message of nanoseconds since the epoch."""
+    sec, nanosec = divmod(ns, 1_000_000_000)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+# Samples
+
+
+def to_floats(samples: npt.NDArray[np.generic]) -> array.array[float]:
+    """A float32[] field's value holding `samples` (real or complex, any shape): one block copy.
+
+    rosidl takes an array.array as it is, but converts numpy arrays element by element.
+    """
+    single = np.ascontiguousarray(samples, dtype=np.complex64 if np.iscomplexobj(samples) else np.float32)
+    floats = array.array("f")
+    floats.frombytes(single.reshape(-1).view(np.uint8).data)
+    return floats
+
+
+def to_bytes(values: npt.NDArray[np.uint8]) -> array.array[int]:
+    """A uint8[] field's value holding `values`."""
+    return array.array("B", values.tobytes())
+
+
+def complex_view(floats: Sequence[float], shape: tuple[int, ...]) -> ComplexArray:
+    """Read a float32[] field as complex samples of `shape`, without copying."""
+    return np.frombuffer(memoryview(floats), np.complex64).reshape(shape)  # type: ignore[arg-type]
+
+
+def float_view(floats: Sequence[float], shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
+    """Read a float32[] field as reals of `shape`, without copying."""
+    return np.frombuffer(memoryview(floats), np.float32).reshape(shape)  # type: ignore[arg-type]
+
+
+# Sensor
+
+
+def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
+    """SensorInfo of a sensor."""
+    return messages.SensorInfo(
+        header=Header(stamp=stamp, frame_id=BODY_FRAME),
+        name=sensor.name,
+        config_hash=sensor.config_hash,
+        calibration_id=sensor.calibration_id,
+        look_side=sensor.look_side,
+        wavelength=sensor.wavelength,
+        bandwidth=sensor.bandwidth,
+        frequency_count=sensor.frequency_count,
+        pulse_count=sensor.pulse_count,
+        pulse_repetition_frequency=sensor.pulse_repetition_frequency,
+        aperture=sensor.aperture,
+        pattern=sensor.pattern,
+        elevation_boresights=list(sensor.elevation_boresights),
+        noise_power=list(sensor.noise_power),
+    )
+
+
+def sensor_from_message(message: messages.SensorInfo) -> Sensor:
+    """The sensor a SensorInfo describes.
+
+    Raises:
+        UserError: a value out of its range, or a hash that does not belong to the values.
+    """
+    sensor = Sensor(
+        name=message.name,
+        look_side=int(message.look_side),
+        wavelength=message.wavelength,
+        bandwidth=message.bandwidth,
+        frequency_count=message.frequency_count,
+        pulse_count=message.pulse_count,
+        pulse_repetition_frequency=message.pulse_repetition_frequency,
+        aperture=message.aperture,
+        pattern=message.pattern,
+        elevation_boresights=tuple(message.elevation_boresights),
+        noise_power=tuple(message.noise_power),
+        calibration_id=message.calibration_id,
+    )
+    if message.config_hash != sensor.config_hash:
+        raise UserError(
+            f"SensorInfo {message.name!r} carries config_hash {message.config_hash!r}, but its values hash to "
+            f"{sensor.config_hash!r}; publish that."
+        )
+    return sensor
+
+
+# Platform
+
+
+def state_to_message(state: PlatformState, stamp: Time) -> Odometry:
+    """Odometry of a platform state (pose of base_link in map, twist in base_link)."""
+    message = Odometry(header=Header(stamp=stamp, frame_id=MAP_FRAME), child_frame_id=BODY_FRAME)
+    message.pose.pose.position = Point(**_xyz(state.position))
+    message.pose.pose.orientation = Quaternion(**dict(zip("xyzw", state.orientation.tolist(), strict=True)))
+    message.pose.covariance = state.covariance.ravel()
+    body_velocity = Rotation.from_quat(state.orientation).inv().apply(state.velocity)
+    message.twist.twist.linear = Vector3(**_xyz(body_velocity))
+    return message
+
+
+def state_from_message(message: Odometry) -> PlatformState:
+    """The platform state an Odometry describes.
+
+    Raises:
+        Rejected: values that are not finite, or an orientation that is no rotation.
+    """
+    pose, twist = message.pose.pose, message.twist.twist.linear
+    orientation = np.array([pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w])
+    position, body_velocity = _vector(pose.position), _vector(twist)
+    if not np.all(np.isfinite(np.concatenate([orientation, position, body_velocity]))):
+        raise Rejected("not finite", "Odometry has a value that is NaN or infinite; all must be finite.")
+    if not 0.99 < np.linalg.norm(orientation) < 1.01:
+        raise Rejected("no rotation", f"Odometry orientation {orientation} has not the norm 1 of a rotation.")
+    return PlatformState(
+        stamp_ns=to_ns(message.header.stamp),
+        position=position,
+        orientation=orientation,
+        velocity=np.asarray(Rotation.from_quat(orientation).apply(body_velocity)),
+        covariance=np.array(message.pose.covariance).reshape(6, 6),
+    )
+
+
+# Phase history
+
+
+def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp: Time) -> list[messages.DetectorFrame]:
+    """One DetectorFrame per detector."""
+    return [
+        messages.DetectorFrame(
+            header=Header(stamp=stamp, frame_id=BODY_FRAME),
+            dwell=dwell,
+            detector=detector,
+            config_hash=sensor.config_hash,
+            pulse_count=samples.shape[0],
+            frequency_count=samples.shape[1],
+            pulse_time=history.pulse_times.tolist(),
+            reference_range=history.reference_range.tolist(),
+            samples=to_floats(samples),
+        )
+        for detector, samples in enumerate(history.samples)
+    ]
+
+
+def check_frame(frame: messages.DetectorFrame, sensor: Sensor) -> None:
+    """Make sure a frame can be processed with `sensor`.
+
+    Raises:
+        Rejected: it cannot; the sentence names the field, the value and what is allowed.
+    """
+    where = f"DetectorFrame of dwell {frame.dwell}, detector {frame.detector}"
+    if frame.detector >= sensor.detector_count:
+        raise Rejected("unknown detector", f"{where}: SensorInfo has detectors 0 to {sensor.detector_count - 1}.")
+    expected = (sensor.pulse_count, sensor.frequency_count)
+    if (frame.pulse_count, frame.frequency_count) != expected:
+        raise Rejected(
+            "contradicts sensor info",
+            f"{where}: {frame.pulse_count} pulses x {frame.frequency_count} frequencies, SensorInfo says "
+            f"{expected[0]} x {expected[1]}.",
+        )
+    wanted = {"samples": 2 * expected[0] * expected[1], "pulse_time": expected[0], "reference_range": expected[0]}
+    for field, count in wanted.items():
+        if len(getattr(frame, field)) != count:
+            raise Rejected(
+                "wrong size", f"{where}: {field} has {len(getattr(frame, field))} entries instead of {count}."
+            )
+    for field in wanted:
+        if not np.all(np.isfinite(np.frombuffer(getattr(frame, field), "f4" if field == "samples" else "f8"))):
+            raise Rejected("not finite", f"{where}: {field} has NaN or infinite entries; all must be finite.")
+    if np.any(np.diff(frame.pulse_time) < 0) or frame.pulse_time[0] < 0:
+        raise Rejected("wrong pulse times", f"{where}: pulse_time must start at 0 or later and not decrease.")
+
+
+def history_from_messages(frames: Sequence[messages.DetectorFrame]) -> PhaseHistory:
+    """Phase history of the checked frames of all detectors of a dwell, in the order of detectors.
+
+    Raises:
+        Rejected: the detectors disagree on pulse times or reference ranges.
+    """
+    first = frames[0]
+    for frame in frames[1:]:
+        if frame.pulse_time != first.pulse_time or frame.reference_range != first.reference_range:
+            raise Rejected(
+                "detectors disagree",
+                f"Dwell {first.dwell}: detector {frame.detector} has other pulse times or reference ranges than "
+                f"detector {first.detector}; all must share them.",
+            )
+    shape = (first.pulse_count, first.frequency_count)
+    return PhaseHistory(
+        stamp_ns=to_ns(first.header.stamp),
+        pulse_times=np.array(first.pulse_time),
+        reference_range=np.array(first.reference_range),
+        samples=np.stack([complex_view(frame.samples, shape) for frame in frames]),
+    )
+
+
+# Images
+
+
+def slc_to_messages(
+    slc: ComplexArray,
+    grid: Grid,
+    aperture: Aperture,
+    noise_power: Sequence[float],
+    frame: messages.DetectorFrame,
+    provenance: messages.Provenance,
+) -> list[messages.ComplexImage]:
+    """One ComplexImage per detector, with the stamp and dwell of `frame`."""
+    return [
+        messages.ComplexImage(
+            header=Header(stamp=frame.header.stamp, frame_id=MAP_FRAME),
+            dwell=frame.dwell,
+            detector=detector,
+            grid=_grid_to_message(grid),
+            aperture=_aperture_to_message(aperture),
+            noise_power=noise_power[detector],
+            samples=to_floats(image),
+            provenance=provenance,
+        )
+        for detector, image in enumerate(slc)
+    ]
+
+
+def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
+    """Make sure an image can be processed with `sensor`.
+
+    Raises:
+        Rejected: it cannot; the sentence names the field, the value and what is allowed.
+    """
+    where = f"ComplexImage of dwell {image.dwell}, detector {image.detector}"
+    if image.detector >= sensor.detector_count:
+        raise Rejected("unknown detector", f"{where}: SensorInfo has detectors 0 to {sensor.detector_count - 1}.")
+    count = 2 * image.grid.rows * image.grid.cols
+    if len(image.samples) != count or count == 0:
+        raise Rejected(
+            "wrong size",
+            f"{where}: samples has {len(image.samples)} entries, {image.grid.rows} x {image.grid.cols} complex "
+            f"pixels need {count}.",
+        )
+
+
+def slc_from_messages(images: Sequence[messages.ComplexImage]) -> tuple[ComplexArray, Grid, Aperture, Array]:
+    """Images (detectors, rows, cols), grid, aperture and noise powers of the checked images of all detectors.
+
+    Raises:
+        Rejected: the detectors disagree on grid or aperture.
+    """
+    first = images[0]
+    for image in images[1:]:
+        if image.grid != first.grid or image.aperture != first.aperture:
+            raise Rejected(
+                "detectors disagree",
+                f"Dwell {first.dwell}: detector {image.detector} has another grid or aperture than detector "
+                f"{first.detector}; all must share them.",
+            )
+    grid = grid_from_message(first.grid)
+    slc = np.stack([complex_view(image.samples, grid.shape) for image in images])
+    return slc, grid, aperture_from_message(first.aperture), np.array([image.noise_power for image in images])
+
+
+def height_to_message(
+    field: HeightField,
+    aperture: Aperture,
+    looks: tuple[int, int],
+    estimator: str,
+    slc: messages.ComplexImage,
+    provenance: messages.Provenance,
+) -> messages.HeightImage:
+    """HeightImage with the stamp and dwell of `slc`."""
+    offset = field.positions - field.grid.origin
+    return messages.HeightImage(
+        header=slc.header,
+        dwell=slc.dwell,
+        estimator=estimator,
+        grid=_grid_to_message(field.grid),
+        aperture=_aperture_to_message(aperture),
+        range_looks=looks[0],
+        azimuth_looks=looks[1],
+        earth_radius=EARTH_RADIUS,
+        height=to_floats(field.height),
+        sigma=to_floats(field.sigma),
+        cnr_db=to_floats(field.cnr_db),
+        validity=to_bytes(field.validity),
+        east=to_floats(offset[..., 0]),
+        north=to_floats(offset[..., 1]),
+        provenance=provenance,
+    )
+
+
+def height_picture(image: messages.HeightImage) -> Image:
+    """The heights as a 32FC1 image, NaN where not valid: for any image viewer."""
+    return Image(
+        header=image.header,
+        height=image.grid.rows,
+        width=image.grid.cols,
+        encoding="32FC1",
+        step=4 * image.grid.cols,
+        data=array.array("B", memoryview(image.height).cast("B").tobytes()),
+    )
+
+
+def height_points(field: HeightField, image: messages.HeightImage) -> PointCloud2:
+    """The valid pixels as points x, y, z in map with height, sigma and cnr_db: for any point-cloud viewer."""
+    valid = field.validity == Validity.OK
+    columns = [*field.positions[valid].T, field.height[valid], field.sigma[valid], field.cnr_db[valid]]
+    points = np.ascontiguousarray(np.stack(columns, axis=-1), dtype=np.float32)
+    names = ("x", "y", "z", "height", "sigma", "cnr_db")
+    return PointCloud2(
+        header=image.header,
+        height=1,
+        width=len(points),
+        fields=[PointField(name=n, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, n in enumerate(names)],
+        point_step=4 * len(names),
+        row_step=4 * len(names) * len(points),
+        data=array.array("B", points.tobytes()),
+        is_dense=True,
+    )
+
+
+def grid_from_message(message: messages.ImageGrid) -> Grid:
+    """The grid an ImageGrid describes."""
+    return Grid(
+        origin=_vector(message.origin),
+        row_direction=_vector(message.row_direction),
+        col_direction=_vector(message.col_direction),
+        row_spacing=message.row_spacing,
+        col_spacing=message.col_spacing,
+        rows=message.rows,
+        cols=message.cols,
+    )
+
+
+def aperture_from_message(message: messages.Aperture) -> Aperture:
+    """The aperture an Aperture message describes."""
+    q = message.pose.pose.orientation
+    return Aperture(
+        position=_vector(message.pose.pose.position),
+        velocity=_vector(message.velocity),
+        rotation=Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(),
+        length=message.length,
+        covariance=np.array(message.pose.covariance).reshape(6, 6),
+    )
+
+
+def _grid_to_message(grid: Grid) -> messages.ImageGrid:
+    return messages.ImageGrid(
+        origin=Point(**_xyz(grid.origin)),
+        row_direction=Vector3(**_xyz(grid.row_direction)),
+        col_direction=Vector3(**_xyz(grid.col_direction)),
+        row_spacing=grid.row_spacing,
+        col_spacing=grid.col_spacing,
+        rows=grid.rows,
+        cols=grid.cols,
+    )
+
+
+def _aperture_to_message(aperture: Aperture) -> messages.Aperture:
+    message = messages.Aperture(velocity=Vector3(**_xyz(aperture.velocity)), length=aperture.length)
+    message.pose.pose.position = Point(**_xyz(aperture.position))
+    quaternion = Rotation.from_matrix(aperture.rotation).as_quat().tolist()
+    message.pose.pose.orientation = Quaternion(**dict(zip("xyzw", quaternion, strict=True)))
+    message.pose.covariance = aperture.covariance.ravel()
+    return message
+
+
+def _xyz(vector: Array) -> dict[str, float]:
+    return dict(zip("xyz", map(float, vector), strict=True))
+
+
+def _vector(message: Point | Vector3) -> Array:
+    return np.array([message.x, message.y, message.z])

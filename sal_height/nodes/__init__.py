@@ -1,0 +1,1 @@
+"""ROS 2 nodes: parameters → core call → publish. No signal processing in here."""

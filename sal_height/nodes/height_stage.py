@@ -1,0 +1,73 @@
+"""What the height nodes share: slc → <estimator>/height, image and points. A new estimator derives from this."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance
+from sensor_msgs.msg import Image, PointCloud2
+
+from sal_height import __version__, convert
+from sal_height.estimate import ElevationEstimate
+from sal_height.height import column_squint, height_field, look_grid
+from sal_height.looks import Looks, multilook
+from sal_height.nodes.dwell_stage import DwellStage
+from sal_height.nodes.parameters import as_json
+from sal_height.sensor import Beams, Sensor
+
+
+class HeightStage(DwellStage):
+    """Turns the images of all detectors of a dwell into one height image.
+
+    Its parameters have at least timeout_s, range_looks and azimuth_looks.
+    """
+
+    estimator: str
+    """Name of the estimator: prefix of the topics, HeightImage.estimator."""
+
+    def __init__(self, name: str, **node_arguments: Any) -> None:
+        """Make the node; `node_arguments` go to rclpy's Node."""
+        super().__init__(name, ComplexImage, "slc", **node_arguments)
+        self._height = self.offer(HeightImage, f"{self.estimator}/height")
+        self._image = self.offer(Image, f"{self.estimator}/image")
+        self._points = self.offer(PointCloud2, f"{self.estimator}/points")
+
+    @abstractmethod
+    def estimate(
+        self, looks: Looks, beams: Beams, squint: npt.NDArray[np.float64], noise_power: float, parameters: Any
+    ) -> ElevationEstimate:
+        """Elevation of every pixel, by the core's estimator."""
+
+    def belongs(self, message: ComplexImage, sensor: Sensor) -> bool:
+        """Whether the image was made with `sensor`."""
+        return bool(message.provenance.config_hash == sensor.config_hash)
+
+    def check(self, message: ComplexImage, sensor: Sensor) -> None:
+        """Size of an image; single bad pixels are marked as such."""
+        convert.check_slc(message, sensor)
+
+    def process(self, messages: list[ComplexImage], sensor: Sensor) -> int:
+        """Estimate the heights of a dwell and publish them."""
+        parameters = self.current_parameters()
+        slc, slc_grid, aperture, noise_power = convert.slc_from_messages(messages)
+        looks = multilook(slc, parameters.range_looks, parameters.azimuth_looks)
+        grid = look_grid(slc_grid, parameters.range_looks, parameters.azimuth_looks)
+        squint = column_squint(grid, aperture, sensor.beams, sensor.look_side)
+        estimate = self.estimate(looks, sensor.beams, squint, float(np.mean(noise_power)), parameters)
+        field = height_field(estimate, looks, slc_grid, grid, aperture, sensor.look_side)
+        before = messages[0].provenance
+        provenance = Provenance(
+            code_version=__version__,
+            config_hash=before.config_hash,
+            calibration_id=before.calibration_id,
+            parameters=as_json(self.get_name(), parameters, before.parameters),
+        )
+        number_of_looks = (parameters.range_looks, parameters.azimuth_looks)
+        image = convert.height_to_message(field, aperture, number_of_looks, self.estimator, messages[0], provenance)
+        self._image.publish(convert.height_picture(image))
+        self._points.publish(convert.height_points(field, image))
+        self._height.publish(image)
+        return 1

@@ -1,0 +1,243 @@
+"""Node that writes what is published to a bag, byte for byte."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.clock import Clock, ROSClock
+from rclpy.clock_type import ClockType
+from rclpy.exceptions import ParameterException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+
+from sal_height.bag.definitions import message_class
+from sal_height.bag.writer import BagWriter
+from sal_height.errors import UserError
+
+NEVER_BY_DEFAULT = ("/rosout", "/parameter_events")
+QUEUE_DEPTH = 1000  # messages per topic that may wait while the disk is busy
+DISCOVERY_PERIOD_S = 0.1
+DIAGNOSTICS_PERIOD_S = 0.2
+FLUSH_PERIOD_S = 1.0  # at most this much is lost when the process is killed
+
+
+class Recorder(Node):
+    """Subscribes to topics as soon as they have a publisher and writes their serialized messages to a bag.
+
+    The bag is complete once the node is destroyed or its context shut down.
+    """
+
+    def __init__(self, directory: Path | None = None, **node_arguments: Any) -> None:
+        """Record into the new folder `directory` (None: the parameter of that name).
+
+        node_arguments: passed to rclpy's Node (context, parameter_overrides, namespace, ...).
+        UserError if a parameter or the folder cannot be used.
+        """
+        super().__init__("recorder", **node_arguments)
+        try:
+            self._topics = self._declare_topics()
+            self._bag = BagWriter(self._declare_directory(directory))
+        except (ParameterException, UserError) as error:
+            super().destroy_node()
+            raise UserError(str(error)) from error
+        self._subscribed: dict[str, Subscription] = {}
+        self._refused: set[str] = set()
+        self._recorded: dict[str, int] = {}
+        self._unwritten = 0
+        self._reported = False
+        self._closed = False
+        self._lock = threading.Lock()  # the context may be shut down in another thread than the executor's
+        self.context.on_shutdown(self.close_bag)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
+        self.create_timer(DISCOVERY_PERIOD_S, self._discover, clock=steady)
+        self.create_timer(FLUSH_PERIOD_S, self._flush, clock=steady)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=steady)
+        self._discover()
+
+    @property
+    def recorded(self) -> dict[str, int]:
+        """Messages in the bag by topic; a topic appears, with 0, when it is subscribed to."""
+        return dict(self._recorded)
+
+    @property
+    def unwritten(self) -> int:
+        """Messages received that could not be written."""
+        return self._unwritten
+
+    def close_bag(self) -> None:
+        """Write what has arrived so far and complete the bag; later messages are ignored. May be called twice."""
+        with self._lock:
+            if self._closed:
+                return
+            for topic, subscription in self._subscribed.items():
+                self._drain(topic, subscription)
+            self._closed = True
+            try:
+                self._bag.close()
+            except OSError as error:
+                self._report(error)
+
+    def destroy_node(self) -> None:
+        """Complete the bag and destroy the node."""
+        self.close_bag()
+        super().destroy_node()
+
+    def _declare_directory(self, directory: Path | None) -> Path:
+        description = "Folder of the bag; it must not exist or be empty."
+        value = self.declare_parameter(
+            "directory", str(directory or ""), ParameterDescriptor(description=description, read_only=True)
+        ).value
+        if not value:
+            raise UserError("parameter 'directory' of the recorder is empty; it must name a new folder for the bag")
+        return Path(value)
+
+    def _declare_topics(self) -> list[str]:
+        description = f"Topics to record; none: every topic except {' and '.join(NEVER_BY_DEFAULT)}."
+        # Declared by type, for rclpy takes an empty list for one of bytes.
+        self.declare_parameter(
+            "topics", Parameter.Type.STRING_ARRAY, ParameterDescriptor(description=description, read_only=True)
+        )
+        names = self.get_parameter_or("topics", Parameter("topics", Parameter.Type.STRING_ARRAY, [])).value
+        return [self.resolve_topic_name(name) for name in names]
+
+    def _discover(self) -> None:
+        """Subscribe to the topics that have come to have a publisher."""
+        for name, types in self.get_topic_names_and_types():
+            wanted = name in self._topics if self._topics else name not in NEVER_BY_DEFAULT
+            if wanted and name not in self._subscribed and name not in self._refused:
+                try:
+                    self._subscribe(name, types)
+                except UserError as error:
+                    self._refused.add(name)
+                    self.get_logger().warning(f"topic '{name}' is not recorded: {error}")
+
+    def _subscribe(self, name: str, types: list[str]) -> None:
+        offered = [publisher.qos_profile for publisher in self.get_publishers_info_by_topic(name)]
+        if not offered:
+            return
+        if len(types) != 1:
+            raise UserError(f"it has the types {', '.join(types)}; a topic must have one")
+        message_type = message_class(types[0])
+        with self._lock:
+            if self._closed:
+                return
+            try:
+                self._bag.add_topic(name, types[0], offered)
+            except OSError as error:
+                self._report(error)
+            self._recorded[name] = 0
+            self._subscribed[name] = self.create_subscription(
+                message_type, name, self._writer_of(name), _matching(offered), raw=True
+            )
+
+    def _writer_of(self, topic: str) -> Callable[..., None]:
+        def received(cdr: bytes, info: dict[str, Any]) -> None:
+            with self._lock:
+                if not self._closed:
+                    self._write(topic, cdr, info)
+
+        return received
+
+    def _write(self, topic: str, cdr: bytes, info: dict[str, Any]) -> None:
+        clock = self.get_clock()
+        now_ns = clock.now().nanoseconds
+        if isinstance(clock, ROSClock) and clock.ros_time_is_active:  # the middleware's times are not of this clock
+            received_ns, published_ns = now_ns, now_ns
+        else:
+            received_ns = info["received_timestamp"] or now_ns
+            published_ns = info["source_timestamp"] or received_ns
+        try:
+            self._bag.write(topic, cdr, received_ns, published_ns)
+            self._recorded[topic] += 1
+        except OSError as error:
+            self._unwritten += 1
+            self._report(error)
+
+    def _drain(self, topic: str, subscription: Subscription) -> None:
+        """Write the messages that have arrived but not been handed out by the executor."""
+        with subscription.handle:
+            for _ in range(QUEUE_DEPTH):
+                taken = subscription.handle.take_message(subscription.msg_type, True)
+                if taken is None:
+                    return
+                self._write(topic, *taken)
+
+    def _publish_diagnostics(self) -> None:
+        """Publish how many messages of each topic are in the bag (recorded.<topic>) and how many were lost."""
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if self._unwritten else DiagnosticStatus.OK,
+            name=self.get_fully_qualified_name().lstrip("/"),
+            message=f"{self._unwritten} messages could not be written" if self._unwritten else "recording",
+            values=[KeyValue(key="unwritten", value=str(self._unwritten))]
+            + [KeyValue(key=f"recorded.{topic}", value=str(count)) for topic, count in self._recorded.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+    def _flush(self) -> None:
+        with self._lock:
+            if not self._closed:
+                try:
+                    self._bag.flush()
+                except OSError as error:
+                    self._report(error)
+
+    def _report(self, error: OSError) -> None:
+        if not self._reported:
+            self._reported = True
+            self.get_logger().error(
+                f"bag '{self._bag.directory}' cannot be written any further, messages are lost from now on: {error}; "
+                f"'sal-height salvage {self._bag.directory} --out DIR' recovers what was written before"
+            )
+
+
+def _matching(offered: list[QoSProfile]) -> QoSProfile:
+    """The strictest profile that receives from all publishers, with a deep queue."""
+    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
+    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=QUEUE_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Record until SIGINT or SIGTERM; returns 2 if the parameters cannot be used."""
+    # A signal only ends the loop, so that it can neither cut a message nor the closing of the bag.
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        recorder = Recorder()
+        executor = SingleThreadedExecutor()
+        executor.add_node(recorder)
+        while not stop.is_set():
+            executor.spin_once(timeout_sec=0.1)
+        recorder.destroy_node()
+    except UserError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    finally:
+        rclpy.shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

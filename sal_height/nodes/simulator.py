@@ -1,0 +1,95 @@
+"""Node simulator: a simulated flight → sensor_info, platform/odometry, phase_history."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from nav_msgs.msg import Odometry
+from sal_height_msgs.msg import DetectorFrame, SensorInfo
+from std_srvs.srv import Trigger
+
+from sal_height import convert
+from sal_height.flight import SimulatedFlight
+from sal_height.nodes.parameters import declare_parameters, parameter, read_parameters
+from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, Stage, run_node
+from sal_height.preset import load_preset
+from sal_height.terrain import load_scene
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the node."""
+
+    preset: str = parameter("sal_spotlight", "name of a preset, or path of its YAML file", read_only=True)
+    seed: int = parameter(1, "seed of all random numbers", minimum=0, maximum=2**31 - 1, read_only=True)
+    period_s: float = parameter(
+        1.0, "time between dwells, s; 0: only when ~/step is called", minimum=0.0, maximum=3600.0, read_only=True
+    )
+
+
+class Simulator(Stage):
+    """Publishes one dwell after the other, on a timer or at each call of ~/step, until the flight ends.
+
+    Stamps begin at the time of start; everything else follows from preset and seed alone.
+    """
+
+    def __init__(self, **node_arguments: Any) -> None:
+        """Make the node; `node_arguments` go to rclpy's Node.
+
+        Raises:
+            UserError: a preset or scene that cannot be used.
+        """
+        super().__init__("simulator", **node_arguments)
+        declare_parameters(self, Parameters)
+        parameters = read_parameters(self, Parameters)
+        preset = load_preset(parameters.preset)
+        scene = load_scene(preset.scene)
+        self.flight = SimulatedFlight(preset, preset.make_sensor(), scene, preset.dwells, parameters.seed)
+        self._next_dwell = 0
+        self._start_ns = self.get_clock().now().nanoseconds
+        self._info = self.offer(SensorInfo, "sensor_info", LATCHED_QOS)
+        self._odometry = self.offer(Odometry, "platform/odometry", ODOMETRY_QOS)
+        self._frames = self.offer(DetectorFrame, "phase_history")
+        self._info.publish(convert.sensor_to_message(self.flight.sensor, self._stamp(0)))
+        self.create_service(Trigger, "~/step", self._on_step)
+        if parameters.period_s > 0:
+            self.create_timer(parameters.period_s, self._begin_dwell)
+
+    def _stamp(self, ns_after_start: int) -> Any:
+        return convert.to_stamp(self._start_ns + ns_after_start)
+
+    def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        dwell = self._begin_dwell()
+        response.success = dwell is not None
+        response.message = f"dwell {dwell} of {self.flight.dwells}" if response.success else "the flight has ended"
+        return response
+
+    def _begin_dwell(self) -> int | None:
+        """Have the next dwell simulated; its number, or None when the flight has ended."""
+        dwell = self._next_dwell
+        if dwell >= self.flight.dwells:
+            return None
+        self._next_dwell += 1
+        self.tally.receive()
+        self.submit(1, lambda: self._publish_dwell(dwell))
+        return dwell
+
+    def _publish_dwell(self, dwell: int) -> int:
+        for state in self.flight.platform_states(dwell):
+            self._odometry.publish(convert.state_to_message(state, self._stamp(state.stamp_ns)))
+        history = self.flight.phase_history(dwell)
+        stamp = self._stamp(history.stamp_ns)
+        frames = convert.history_to_messages(history, self.flight.sensor, dwell, stamp)
+        for frame in frames:
+            self._frames.publish(frame)
+        return len(frames)
+
+
+def main() -> int:
+    """Console script."""
+    return run_node(Simulator)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,157 @@
+"""What the processing nodes share: a worker thread, accounting of every message, diagnostics, and `main`."""
+
+from __future__ import annotations
+
+import queue
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from sal_height.errors import Rejected, UserError
+from sal_height.tally import Tally
+
+FRAMES_QOS = QoSProfile(depth=256, reliability=ReliabilityPolicy.RELIABLE)
+"""Phase histories and images: nothing may be lost in the burst of frames that a dwell is."""
+
+ODOMETRY_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE)
+"""Platform state: small, but a dwell may come with thousands."""
+
+LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Sensor info: the last one reaches those who come late."""
+
+DIAGNOSTICS_PERIOD_S = 0.5
+
+QUEUED_JOBS = 8
+"""Jobs that may wait for the worker before further ones are dropped."""
+
+
+class Stage(Node):
+    """A node whose callbacks only take messages in; the work is done in order on a thread of its own."""
+
+    def __init__(self, name: str, **node_arguments: Any) -> None:
+        """Make the node; `node_arguments` go to rclpy's Node (context, parameter_overrides, ...)."""
+        super().__init__(name, **node_arguments)
+        self.tally = Tally()
+        self._last_rejection = ""
+        self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue(QUEUED_JOBS)
+        self._products: list[Publisher] = []
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self.publish_diagnostics, clock=self.steady_clock)
+        self._worker = threading.Thread(target=self._work, name=name, daemon=True)
+        self._worker.start()
+
+    def offer(self, message_type: type, topic: str, qos: QoSProfile = FRAMES_QOS) -> Publisher:
+        """A publisher whose subscribers are counted in the diagnostics."""
+        publisher = self.create_publisher(
+            message_type, topic, qos, qos_overriding_options=QoSOverridingOptions.with_default_policies()
+        )
+        self._products.append(publisher)
+        return publisher
+
+    def listen(
+        self, message_type: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile = FRAMES_QOS
+    ) -> None:
+        """Subscribe; users can adapt the QoS to a publisher of theirs by the qos_overrides parameters."""
+        self.create_subscription(
+            message_type, topic, callback, qos, qos_overriding_options=QoSOverridingOptions.with_default_policies()
+        )
+
+    def submit(self, messages: int, work: Callable[[], int]) -> None:
+        """Have `work` done on the worker; it consumes `messages` messages and returns the number it published.
+
+        What it rejects or fails at is counted, said in the log, and does not end the node.
+        """
+        arrived = time.monotonic()
+
+        def job() -> None:
+            try:
+                published = work()
+            except Rejected as error:
+                self.reject(messages, error)
+            except UserError as error:
+                self.reject(messages, Rejected("cannot be processed", str(error)))
+            except Exception as error:  # noqa: BLE001 (no message may end the node)
+                self.get_logger().error(f"Unexpected failure, please report it: {traceback.format_exc()}")
+                self.reject(messages, Rejected("internal error", repr(error)))
+            else:
+                self.tally.finish(messages, published, time.monotonic() - arrived)
+            self.publish_diagnostics()
+
+        try:
+            self._jobs.put_nowait(job)
+        except queue.Full:
+            self.reject(messages, Rejected("queue full", f"More than {QUEUED_JOBS} dwells wait; slow the sensor down."))
+
+    def reject(self, messages: int, error: Rejected) -> None:
+        """Count messages left out, and say why."""
+        self.tally.drop(messages, error.reason)
+        self._last_rejection = f"{error.reason}: {error}"
+        self.get_logger().warning(f"Dropped {messages} ({error.reason}): {error}", throttle_duration_sec=1.0)
+
+    def publish_diagnostics(self) -> None:
+        """Publish the stage's account on /diagnostics."""
+        summary = self.tally.summary()
+        dropped = sum(int(count) for name, count in summary.items() if name.startswith("dropped."))
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if dropped else DiagnosticStatus.OK,
+            name=self.get_fully_qualified_name().lstrip("/"),
+            message=f"{dropped} dropped, last for {self._last_rejection}" if dropped else "all messages processed",
+            values=[KeyValue(key=key, value=str(value)) for key, value in summary.items()]
+            + [
+                KeyValue(key=f"subscribers.{p.topic_name}", value=str(p.get_subscription_count()))
+                for p in self._products
+            ],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        if self.context.ok():
+            self._diagnostics.publish(message)
+
+    def destroy_node(self) -> None:
+        """Finish the work at hand, then end the node."""
+        if self._worker.is_alive():
+            self._jobs.put(None)
+            self._worker.join()
+        super().destroy_node()
+
+    def _work(self) -> None:
+        while job := self._jobs.get():
+            job()
+
+
+def run_node(make: Callable[[], Node]) -> int:
+    """Run one node until SIGINT or SIGTERM; the console scripts' main. Returns the exit status."""
+    rclpy.init(args=sys.argv)
+    signal.signal(signal.SIGTERM, lambda *_: rclpy.try_shutdown())
+    try:
+        node = make()
+    except UserError as error:
+        sys.stderr.write(f"{error}\n")
+        rclpy.try_shutdown()
+        return 2
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        executor.remove_node(node)
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,1 @@
+"""Whole runs of the graph: simulate, replay, import; what they leave behind."""

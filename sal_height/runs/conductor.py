@@ -1,0 +1,258 @@
+"""Running the graph in lockstep: the next dwell starts when every message of the last one is accounted for."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+from tqdm import tqdm
+
+from sal_height.errors import UserError
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.ml_height import MlHeight
+from sal_height.nodes.monopulse import Monopulse
+from sal_height.nodes.player import Player
+from sal_height.nodes.recorder import Recorder
+from sal_height.nodes.sar_compression import SarCompression
+from sal_height.nodes.simulator import Simulator
+
+NODES: dict[str, type[Node]] = {
+    "simulator": Simulator,
+    "player": Player,
+    "sar_compression": SarCompression,
+    "monopulse": Monopulse,
+    "ml_height": MlHeight,
+    "recorder": Recorder,
+}
+"""Every node by its name; a new estimator is entered here and in ESTIMATORS."""
+
+ESTIMATORS = {"monopulse": "monopulse", "ml_height": "ml"}
+"""Height nodes and the prefix of their topics."""
+
+NodeParameters = Mapping[str, Mapping[str, Any]]
+"""Parameter values by node name and parameter name."""
+
+UNWATCHED = ("diagnostics",)
+"""Recorded topics that no stage counts the subscribers of."""
+
+COMPANY_TIMEOUT_S = 0.5
+"""How long to look for other publishers of frames."""
+
+START_TIMEOUT_S = 30.0
+DWELL_TIMEOUT_S = 120.0
+"""Longest waits for the graph, and for the account of one dwell (one that misses something is dropped earlier)."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run did.
+
+    Attributes:
+        stages: account of every stage by node name (see Tally.summary).
+        dwells: dwells that were played.
+        interrupted: True if the user stopped the run.
+    """
+
+    stages: dict[str, dict[str, float]]
+    dwells: int
+    interrupted: bool
+
+
+class Conductor(Node):
+    """Watches the accounts of all stages on /diagnostics, and asks the source for dwells."""
+
+    def __init__(self, source: str, stages: list[str], recorded: list[str], **node_arguments: Any) -> None:
+        """Conduct from node `source` through `stages` (sar_compression first) to a recorder of topics `recorded`."""
+        super().__init__("conductor", **node_arguments)
+        self.accounts: dict[str, dict[str, float]] = {}
+        self._source = source
+        self._stages = stages
+        self._recorded = recorded
+        self._steps = 0
+        self._step = self.create_client(Trigger, f"{source}/step")
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+
+    def connected(self) -> bool:
+        """Whether every topic has its subscribers, as its publisher counts them: nothing will be lost."""
+        consumers = {"slc": len(self._stages) - 1, "phase_history": 1, "platform/odometry": 1}
+        counts = {
+            key.removeprefix("subscribers./"): count
+            for account in self.accounts.values()
+            for key, count in account.items()
+            if key.startswith("subscribers.")
+        }
+        topics = {*consumers, *(topic for topic in self._recorded if topic not in UNWATCHED)}
+        ready = all(counts.get(t, -1) >= consumers.get(t, 0) + (t in self._recorded) for t in topics)
+        return ready and self._step.service_is_ready() and all(name in self.accounts for name in self._stages)
+
+    def step(self, graph: Graph) -> bool:
+        """Ask for the next dwell; False when there is none.
+
+        Raises:
+            UserError: the source does not answer.
+        """
+        answer = self._step.call_async(Trigger.Request())
+        if not graph.spin_until(answer.done, START_TIMEOUT_S):
+            raise UserError(f"Node {self._source} did not answer within {START_TIMEOUT_S:.0f} s; is it still running?")
+        self._steps += answer.result().success
+        return bool(answer.result().success)
+
+    def settled(self) -> bool:
+        """Whether all that was asked for has been published, accounted for in every stage, and recorded."""
+        source, first = self.accounts[self._source], self.accounts[self._stages[0]]
+        expected = dict.fromkeys(self._stages, first["out"]) | {
+            self._source: self._steps,
+            self._stages[0]: source["out"],
+        }
+        if any(
+            self.accounts[name]["in"] != count or self.accounts[name]["waiting"] for name, count in expected.items()
+        ):
+            return False
+        outputs = {"phase_history": source["out"]} | {
+            f"{ESTIMATORS[name]}/height": self.accounts[name]["out"] for name in self._stages if name in ESTIMATORS
+        }
+        recorder = self.accounts["recorder"]
+        return all(recorder.get(f"recorded./{t}", 0) == n for t, n in outputs.items() if t in self._recorded)
+
+    def drops(self) -> str:
+        """What the stages have dropped so far, in a few words."""
+        return ", ".join(
+            f"{name} {key.removeprefix('dropped.')}: {count:.0f}"
+            for name, account in self.accounts.items()
+            for key, count in account.items()
+            if key.startswith("dropped.")
+        )
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name in NODES:
+                self.accounts[status.name] = {item.key: float(item.value) for item in status.values}
+
+
+class Ensemble:
+    """The nodes of a run, either in this process or each in its own; ends them in the order of the data flow."""
+
+    def __init__(self, graph: Graph, names: list[str], parameters: NodeParameters, processes: bool) -> None:
+        """Start the nodes `names` with their parameters.
+
+        Raises:
+            UserError: a node refuses its parameters.
+        """
+        self._graph = graph
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        for name in names:
+            values = parameters.get(name, {})
+            if processes:
+                self._processes[name] = subprocess.Popen(_command(name, values), start_new_session=True)  # noqa: S603 (our own nodes)
+            else:
+                overrides = [Parameter(key, value=value) for key, value in values.items()]
+                graph.add(NODES[name](context=graph.context, parameter_overrides=overrides))
+
+    def check(self) -> None:
+        """Make sure that all processes still run.
+
+        Raises:
+            UserError: one has ended.
+        """
+        for name, process in self._processes.items():
+            if process.poll() is not None:
+                raise UserError(f"Node {name} ended with status {process.returncode}; its message is above.")
+
+    def close(self) -> None:
+        """End all nodes; those in processes get SIGTERM and have time to finish what they hold."""
+        self._graph.close()
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.terminate()
+            try:
+                process.wait(30.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def perform(
+    source: str,
+    stages: list[str],
+    recorded: list[str],
+    bag: Path,
+    parameters: NodeParameters,
+    dwells: int,
+    processes: bool = False,
+) -> Outcome:
+    """Run the graph on all dwells of a source, in lockstep, and record it.
+
+    Args:
+        source: node name, "simulator" or "player".
+        stages: node names from sar_compression on.
+        recorded: topics to record, without leading slash.
+        bag: folder of the new bag.
+        parameters: of the nodes.
+        dwells: how many to expect, for the progress bar.
+        processes: each node in its own process.
+
+    Raises:
+        UserError: a node or the bag refuses its parameters, or the graph does not come up or stalls.
+    """
+    names = ["recorder", *reversed(stages), source]
+    values = {**parameters, "recorder": {"directory": str(bag), "topics": [f"/{topic}" for topic in recorded]}}
+    played, interrupted = 0, False
+    with Graph() as graph:
+        conductor = graph.add(Conductor(source, stages, recorded, context=graph.context))
+        _refuse_company(graph, conductor)
+        with Ensemble(graph, names, values, processes) as ensemble:
+
+            def wait(condition: Callable[[], bool], timeout_s: float, what: str) -> None:
+                def reached() -> bool:
+                    ensemble.check()
+                    return condition()
+
+                if not graph.spin_until(reached, timeout_s):
+                    raise UserError(f"Waited {timeout_s:.0f} s for {what}, in vain; the log above says why.")
+
+            with tqdm(total=dwells, unit="dwell", desc=bag.parent.name) as progress:
+                try:
+                    wait(conductor.connected, START_TIMEOUT_S, "the graph to come up")
+                    while conductor.step(graph):
+                        wait(conductor.settled, DWELL_TIMEOUT_S, f"the account of dwell {played}")
+                        played += 1
+                        progress.update()
+                        progress.set_postfix_str(conductor.drops())
+                except KeyboardInterrupt:
+                    interrupted = True
+    return Outcome({name: conductor.accounts.get(name, {}) for name in [source, *stages]}, played, interrupted)
+
+
+def _refuse_company(graph: Graph, conductor: Node) -> None:
+    """Make sure that nobody else publishes frames here: two sensors on one topic cannot be told apart.
+
+    Raises:
+        UserError: somebody does.
+    """
+    if graph.spin_until(lambda: conductor.count_publishers("phase_history") > 0, COMPANY_TIMEOUT_S):
+        raise UserError(
+            "Somebody already publishes on /phase_history in this ROS domain; stop them or set another ROS_DOMAIN_ID."
+        )
+
+
+def _command(name: str, values: Mapping[str, Any]) -> list[str]:
+    """Command line of a node in a process of its own; parameter values in YAML, of which JSON is a part."""
+    arguments = [word for key, value in values.items() for word in ("-p", f"{key}:={json.dumps(value)}")]
+    return [sys.executable, "-m", f"sal_height.nodes.{name}", "--ros-args", *arguments]

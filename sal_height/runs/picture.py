@@ -1,0 +1,113 @@
+"""Pictures of a run: true and estimated heights, their errors and the geometry, at a glance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+
+from sal_height.preset import Preset
+from sal_height.runs.report import Mosaic
+
+mpl.use("Agg")
+
+TITLES = {"monopulse": "monopulse", "ml": "array maximum likelihood"}
+
+Array = npt.NDArray[np.float64]
+
+
+def draw_heights(mosaics: Mapping[str, Mosaic], preset: Preset, path: Path) -> None:
+    """Write a PNG: the truth and each estimator's height above, the geometry and each error below.
+
+    All heights share one colour scale, all errors another, centred on zero.
+    """
+    first = next(iter(mosaics.values()))
+    low, high = np.nanpercentile(first.truth, [0.5, 99.5])
+    errors = {name: m.height - m.truth for name, m in mosaics.items()}
+    spread = {name: _s68(errors[name][m.single]) for name, m in mosaics.items()}
+    worst = 4 * max(spread.values())
+    shape = np.ptp(first.north) / np.ptp(first.east)
+    figure = Figure(figsize=(5.4 * (len(mosaics) + 1), 2.0 + 2 * max(3.2, 5.0 * shape)), layout="constrained")
+    axes = figure.subplots(2, len(mosaics) + 1, squeeze=False)
+
+    truth = _show(axes[0, 0], first, first.truth, (low, high), "terrain")
+    axes[0, 0].set_title("truth")
+    for column, (name, result) in enumerate(mosaics.items(), start=1):
+        title = TITLES.get(name, name)
+        _show(axes[0, column], result, result.height, (low, high), "terrain")
+        axes[0, column].set_title(f"height, {title}")
+        error = _show(axes[1, column], result, errors[name], (-worst, worst), "RdBu_r")
+        axes[1, column].set_title(f"error, {title}\nhalf the 16-84 % width {spread[name]:.3g} m")
+    figure.colorbar(truth, ax=axes[0], label="height above the reference sphere (m)")
+    figure.colorbar(error, ax=axes[1], label="height error (m)")
+    for axis in (*axes[0, 1:], *axes[1, 1:]):
+        axis.set(xlim=axes[0, 0].get_xlim(), ylim=axes[0, 0].get_ylim())
+    _draw_geometry(axes[1, 0], preset)
+    flight = preset.flight
+    figure.suptitle(
+        f"{preset.name}: {preset.dwells} dwells, {preset.sensor.detectors} detectors, CNR {preset.cnr_db:g} dB, "
+        f"{preset.looks[0]} x {preset.looks[1]} looks, slant range {flight.slant_range_m / 1e3:g} km. "
+        "Grey: no valid height."
+    )
+    figure.savefig(path, dpi=110)
+
+
+def _show(axis: Axes, result: Mosaic, values: Array, limits: tuple[float, float], colours: str) -> AxesImage:
+    """Draw one layer of a mosaic in ground coordinates."""
+    unit, factor = ("km", 1e-3) if np.ptp(result.east) > 3000 else ("m", 1.0)
+    axis.set(xlabel=f"east, along the flight ({unit})", ylabel=f"north ({unit})", facecolor="0.85")
+    (west, east), (south, north) = _edges(result.east * factor), _edges(result.north * factor)
+    return axis.imshow(
+        values,
+        extent=(west, east, south, north),
+        origin="lower",
+        vmin=limits[0],
+        vmax=limits[1],
+        cmap=colours,
+        interpolation="nearest",
+    )
+
+
+def _edges(centres: Array) -> tuple[float, float]:
+    """Outer edges of evenly spaced cells."""
+    half = (centres[-1] - centres[0]) / max(1, len(centres) - 1) / 2
+    return float(centres[0] - half), float(centres[-1] + half)
+
+
+def _s68(error: Array) -> float:
+    """Half the width from 16 to 84 %."""
+    return float(np.diff(np.nanpercentile(error, [16, 84]))[0] / 2) if np.any(np.isfinite(error)) else 1.0
+
+
+def _draw_geometry(axis: Axes, preset: Preset) -> None:
+    """The vertical cut across the flight: platform, line of sight, fan of beams."""
+    flight, sensor = preset.flight, preset.sensor
+    side = {"right": -1, "left": 1}[sensor.look_side]
+    across, up = np.sin(flight.look_angle_rad), np.cos(flight.look_angle_rad)
+    axis.plot([0, side * across], [up, 0], "k-", lw=1)
+    for edge in (-0.06, 0.06):
+        angle = flight.look_angle_rad + edge
+        reach = up / np.cos(angle)
+        axis.plot([0, side * reach * np.sin(angle)], [up, 0], "k--", lw=0.7)
+    axis.plot([-1.1, 1.1], [0, 0], color="saddlebrown", lw=3)
+    axis.plot([0, 0], [0, up], color="0.6", lw=0.7)
+    axis.plot(0, up, "o", color="tab:red", ms=9)
+    axis.annotate("platform, flying east", (0, up), (0.0, up + 0.07), ha="center")
+    span = sensor.detectors * sensor.pitch_beamwidths * sensor.wavelength_m / sensor.aperture_m
+    axis.annotate(
+        f"slant range {flight.slant_range_m / 1e3:g} km\n"
+        f"look angle {np.degrees(flight.look_angle_rad):.0f}° from nadir\n"
+        f"{sensor.detectors} beams span {span * 1e3:.3g} mrad\n= {span * flight.slant_range_m:.4g} m across the sight",
+        (side * across / 2, up / 2),
+        (0.08 if side < 0 else -0.08, up * 0.45),
+        ha="left" if side < 0 else "right",
+    )
+    axis.set(title="look geometry (beams not to scale)", aspect="equal", ylim=(-0.1, 0.95))
+    axis.text(side * 1.0, -0.09, "south" if side < 0 else "north", ha="center")
+    axis.axis("off")

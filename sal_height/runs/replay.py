@@ -1,0 +1,90 @@
+"""`sal-height replay`: a recorded bag through the same nodes, compared with what was recorded."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from sal_height import __version__
+from sal_height.bag.compare import HeightComparison, compare_heights
+from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
+from sal_height.runs.conductor import ESTIMATORS, NodeParameters, perform
+from sal_height.runs.report import stage_report
+from sal_height.runs.simulate import RECORDED, merged, new_folder
+
+
+def replay(bag: Path, out: Path, parameters: NodeParameters) -> dict[str, HeightComparison]:
+    """Play the phase history of `bag` through the graph and record the products in `out`/bag.
+
+    A bag of a single detector is focused only: its images (topic slc) are recorded instead of heights.
+
+    Args:
+        bag: folder of the recorded bag; the parameters.yaml in it, if any, holds the parameters it was made with.
+        out: folder; must be new or empty.
+        parameters: of nodes, on top of the recorded ones.
+
+    Returns:
+        Comparison with the recorded heights by topic; empty if none were recorded.
+
+    Raises:
+        UserError: the bag cannot be used.
+    """
+    reader = BagReader(bag)
+    detectors, dwells = _contents(reader)
+    stages = ["sar_compression", *(ESTIMATORS if detectors > 1 else ())]
+    recorded = RECORDED if detectors > 1 else [*RECORDED[:4], "slc"]
+    folder = new_folder(out)
+    values = merged(_recorded_parameters(bag), parameters)
+    outcome = perform("player", stages, recorded, folder / "bag", {**values, "player": {"bag": str(bag)}}, dwells)
+    (folder / "bag" / "parameters.yaml").write_text(yaml.safe_dump(values))
+    compared = {}
+    if any(f"/{prefix}/height" in reader.topics for prefix in ESTIMATORS.values()) and not outcome.interrupted:
+        compared = compare_heights(bag, folder / "bag")
+    report = {
+        "version": __version__,
+        "bag": bag.name,
+        "dwells": outcome.dwells,
+        "interrupted": outcome.interrupted,
+        "comparison": {topic: dataclasses.asdict(result) for topic, result in compared.items()},
+        "stages": stage_report(outcome.stages),
+    }
+    (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
+    return compared
+
+
+def _contents(reader: BagReader) -> tuple[int, int]:
+    """Number of detectors and of dwells of a bag.
+
+    Raises:
+        UserError: there is no sensor info or no phase history.
+    """
+    topics = reader.topics
+    for name in ("/sensor_info", "/phase_history"):
+        if name not in topics or not topics[name].count:
+            raise UserError(f"Bag {reader.path} has no messages on {name}; it cannot be replayed.")
+    first = next(reader.messages(["/sensor_info"]))
+    detectors = len(reader.decode(first.type_name, first.cdr).elevation_boresights)
+    return detectors, -(-topics["/phase_history"].count // max(1, detectors))
+
+
+def _recorded_parameters(bag: Path) -> dict[str, dict[str, Any]]:
+    """Node parameters that lie beside a bag.
+
+    Raises:
+        UserError: the file is not what this program writes.
+    """
+    path = (bag if bag.is_dir() else bag.parent) / "parameters.yaml"
+    if not path.is_file():
+        return {}
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise UserError(f"File {path} cannot be read: {' '.join(str(error).split())}.") from error
+    if not (isinstance(values, dict) and all(isinstance(entry, dict) for entry in values.values())):
+        raise UserError(f"File {path} must map node names to mappings of parameter names to values.")
+    return values

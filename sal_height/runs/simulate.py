@@ -1,0 +1,103 @@
+"""`sal-height run`: a simulated flight through the graph, recorded, with report and picture."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from sal_height import __version__
+from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
+from sal_height.flight import SimulatedFlight
+from sal_height.preset import Preset
+from sal_height.runs.conductor import ESTIMATORS, NodeParameters, Outcome, perform
+from sal_height.runs.picture import draw_heights
+from sal_height.runs.report import Mosaic, mosaic, stage_report, statistics
+from sal_height.terrain import load_scene
+
+RECORDED = ["sensor_info", "platform/odometry", "phase_history", "diagnostics"] + [
+    f"{prefix}/height" for prefix in ESTIMATORS.values()
+]
+"""Topics that a run records; images can be made again from the phase history."""
+
+
+def new_folder(path: Path) -> Path:
+    """Make the output folder.
+
+    Raises:
+        UserError: it exists and is not empty, or cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        if any(path.iterdir()):
+            raise UserError(f"Output folder {path} is not empty; name another with --out, or remove it.")
+    except OSError as error:
+        raise UserError(f"Output folder {path} cannot be made: {error.strerror}.") from error
+    return path
+
+
+def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, processes: bool) -> Outcome:
+    """Simulate all dwells of `preset`, leaving bag, report.json, height.png and preset.yaml in `out`.
+
+    Args:
+        preset: sensor, flight, scene and processing.
+        seed: of all random numbers.
+        out: folder; must be new or empty.
+        parameters: of nodes, on top of those that follow from the preset.
+        processes: each node in its own process.
+
+    Raises:
+        UserError: what was asked for cannot be done.
+    """
+    flight = SimulatedFlight(preset, preset.make_sensor(), load_scene(preset.scene), preset.dwells, seed)
+    flight.surface(0)  # refuses a flight beside the scene before anything is started
+    folder = new_folder(out)
+    settings = folder / "preset.yaml"
+    settings.write_text(yaml.safe_dump(json.loads(json.dumps(dataclasses.asdict(preset))), sort_keys=False))
+    looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
+    values: dict[str, dict[str, Any]] = {
+        "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols},
+        **{name: dict(looks) for name in ESTIMATORS},
+    }
+    values = merged(values, parameters)
+    simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0}
+    stages = ["sar_compression", *ESTIMATORS]
+    bag = folder / "bag"
+    outcome = perform("simulator", stages, RECORDED, bag, {**values, "simulator": simulator}, preset.dwells, processes)
+    (bag / "parameters.yaml").write_text(yaml.safe_dump(values))
+    mosaics = read_mosaics(bag, flight)
+    report = {
+        "version": __version__,
+        "preset": preset.name,
+        "seed": seed,
+        "cnr_db": preset.cnr_db,
+        "looks": list(preset.looks),
+        "dwells": outcome.dwells,
+        "interrupted": outcome.interrupted,
+        "estimators": {name: statistics(result) for name, result in mosaics.items()},
+        "stages": stage_report(outcome.stages),
+    }
+    (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
+    if mosaics:
+        draw_heights(mosaics, preset, folder / "height.png")
+    return outcome
+
+
+def read_mosaics(bag: Path, flight: SimulatedFlight) -> dict[str, Mosaic]:
+    """Mosaic of each estimator's height images in a bag; those without any valid pixel are left out."""
+    reader = BagReader(bag)
+    images: dict[str, list[Any]] = {prefix: [] for prefix in ESTIMATORS.values()}
+    for message in reader.messages([f"/{prefix}/height" for prefix in images]):
+        image = reader.decode(message.type_name, message.cdr)
+        images[image.estimator].append(image)
+    usable = {name: [i for i in found if 0 in i.validity] for name, found in images.items()}
+    return {name: mosaic(images[name], flight) for name, found in usable.items() if found}
+
+
+def merged(base: NodeParameters, changes: NodeParameters) -> dict[str, dict[str, Any]]:
+    """Node parameters of `base` with those of `changes` in their place."""
+    return {name: {**base.get(name, {}), **changes.get(name, {})} for name in {**base, **changes}}

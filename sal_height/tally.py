@@ -1,0 +1,55 @@
+"""Accounting: every message that comes in is processed or dropped for a reason."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter, deque
+
+import numpy as np
+
+
+class Tally:
+    """Counts of one stage; safe to use from several threads.
+
+    At any time: received = processed + dropped + waiting.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._received = 0
+        self._processed = 0
+        self._published = 0
+        self._dropped: Counter[str] = Counter()
+        self._latencies: deque[float] = deque(maxlen=1000)
+
+    def receive(self) -> None:
+        """A message came in."""
+        with self._lock:
+            self._received += 1
+
+    def drop(self, messages: int, reason: str) -> None:
+        """That many messages were left out."""
+        with self._lock:
+            self._dropped[reason] += messages
+
+    def finish(self, messages: int, published: int, latency_s: float) -> None:
+        """That many messages became that many products, `latency_s` after the last of them came in."""
+        with self._lock:
+            self._processed += messages
+            self._published += published
+            self._latencies.append(latency_s)
+
+    def summary(self) -> dict[str, int | float]:
+        """Counts and latencies by name; `dropped.<reason>` for each reason."""
+        with self._lock:
+            dropped = dict(self._dropped)
+            values: dict[str, int | float] = {
+                "in": self._received,
+                "processed": self._processed,
+                "out": self._published,
+                "waiting": self._received - self._processed - sum(dropped.values()),
+            }
+            if self._latencies:
+                p50, p95 = np.percentile(self._latencies, [50, 95])
+                values |= {"latency_p50_ms": round(p50 * 1e3, 3), "latency_p95_ms": round(p95 * 1e3, 3)}
+        return values | {f"dropped.{reason}": count for reason, count in sorted(dropped.items())}

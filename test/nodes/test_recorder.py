@@ -1,0 +1,358 @@
+"""The recorder among real publishers: nothing lost, nothing changed, and the bag complete however it ends."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from mcap.reader import make_reader
+from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import Log
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import Reader
+from rosgraph_msgs.msg import Clock
+from sal_height_msgs.msg import DetectorFrame
+from std_msgs.msg import String
+
+from sal_height.bag.reader import BagReader
+from sal_height.bag.salvage import salvage
+from sal_height.errors import UserError
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.recorder import Recorder
+
+TIMEOUT_S = 20.0
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+RUN_MAIN = "from sal_height.nodes.recorder import main; raise SystemExit(main())"
+
+
+@pytest.fixture
+def source(graph: Graph) -> Node:
+    """Node to publish from."""
+    return graph.add(Node("source", context=graph.context))
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """Folder for the bag, not made yet."""
+    return tmp_path / "run"
+
+
+def start(graph: Graph, bag: Path, **parameters: Any) -> Recorder:
+    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+    return graph.add(Recorder(bag, context=graph.context, parameter_overrides=overrides))
+
+
+def wait_until_matched(graph: Graph, *publishers: Publisher) -> None:
+    assert graph.spin_until(lambda: all(p.get_subscription_count() == 1 for p in publishers), TIMEOUT_S)
+
+
+def publish(graph: Graph, recorder: Recorder, publisher: Publisher, messages: list[Any]) -> None:
+    """Publish and wait until the recorder has them."""
+    topic = publisher.topic_name
+    wait_until_matched(graph, publisher)
+    goal = recorder.recorded[topic] + len(messages)
+    for message in messages:
+        publisher.publish(message)
+    assert graph.spin_until(lambda: recorder.recorded[topic] >= goal, TIMEOUT_S), recorder.recorded
+
+
+def test_every_message_is_recorded_byte_for_byte(graph: Graph, source: Node, bag: Path) -> None:
+    publisher = source.create_publisher(String, "/note", 10)
+    recorder = start(graph, bag)
+    sent = [serialize_message(String(data="x" * i)) for i in range(50)]
+    for cdr in sent:
+        publish(graph, recorder, publisher, [cdr])
+    graph.close()
+    with Reader(bag) as foreign:
+        assert [bytes(raw) for connection, _, raw in foreign.messages() if connection.topic == "/note"] == sent
+    with (bag / "run_0.mcap").open("rb") as stream:
+        times = [(m.publish_time, m.log_time) for _, _, m in make_reader(stream).iter_messages(["/note"])]
+    assert all(0 <= received - published < 10**9 for published, received in times)
+
+
+def test_bursts_of_large_frames_lose_nothing(graph: Graph, source: Node, bag: Path) -> None:
+    publisher = source.create_publisher(DetectorFrame, "/phase_history", 32)
+    recorder = start(graph, bag)
+    frames = []
+    for detector in range(16):
+        frame = DetectorFrame(detector=detector, pulse_count=512, frequency_count=512)
+        frame.samples.frombytes(bytes([detector]) * (8 * 512 * 512))
+        frames.append(serialize_message(frame))
+    for _ in range(2):
+        publish(graph, recorder, publisher, frames)
+    graph.close()
+    assert [message.cdr for message in BagReader(bag).messages(["/phase_history"])] == 2 * frames
+
+
+def test_the_hash_in_the_bag_is_the_one_that_ros_announces(graph: Graph, source: Node, bag: Path) -> None:
+    publisher = source.create_publisher(DetectorFrame, "/phase_history", 1)
+    start(graph, bag)
+    wait_until_matched(graph, publisher)
+    (announced,) = source.get_publishers_info_by_topic("/phase_history")
+    graph.close()
+    assert BagReader(bag).topics["/phase_history"].definition.type_hash == str(announced.topic_type_hash)
+
+
+def test_latched_messages_from_before_are_recorded_with_their_qos(graph: Graph, source: Node, bag: Path) -> None:
+    publisher = source.create_publisher(String, "/sensor_info", LATCHED)
+    publisher.publish(String(data="latched"))
+    recorder = start(graph, bag)
+    assert graph.spin_until(lambda: recorder.recorded.get("/sensor_info") == 1, TIMEOUT_S)
+    graph.close()
+    (profile,) = BagReader(bag).topics["/sensor_info"].offered_qos
+    assert profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert profile.reliability == ReliabilityPolicy.RELIABLE
+
+
+def test_publishers_of_different_qos_are_all_recorded(graph: Graph, source: Node, bag: Path) -> None:
+    profiles = (LATCHED, QoSProfile(depth=1), BEST_EFFORT)
+    publishers = [source.create_publisher(String, "/mixed", profile) for profile in profiles]
+    # The profile of the subscription is chosen once: all publishers must be known by then.
+    assert graph.spin_until(lambda: len(source.get_publishers_info_by_topic("/mixed")) == 3, TIMEOUT_S)
+    observer = graph.add(Node("observer", context=graph.context))
+    assert graph.spin_until(lambda: len(observer.get_publishers_info_by_topic("/mixed")) == 3, TIMEOUT_S)
+    recorder = start(graph, bag)
+    wait_until_matched(graph, *publishers)
+    for publisher in publishers:
+        publish(graph, recorder, publisher, [String()])
+    graph.close()
+    topic = BagReader(bag).topics["/mixed"]
+    assert topic.count == 3
+    assert len(topic.offered_qos) == 3
+
+
+def test_a_topic_that_comes_later_is_recorded_and_ros_own_ones_are_not(graph: Graph, source: Node, bag: Path) -> None:
+    recorder = start(graph, bag)
+    first = source.create_publisher(String, "/first", 1)
+    publish(graph, recorder, first, [String(data="1")])
+    second = source.create_publisher(Odometry, "/second", 1)
+    publish(graph, recorder, second, [Odometry()])
+    assert recorder.recorded["/first"] == recorder.recorded["/second"] == 1
+    graph.close()
+    assert set(BagReader(bag).topics) == {"/first", "/second", "/diagnostics"}
+
+
+def test_only_the_topics_asked_for_are_recorded_by_their_full_names(graph: Graph, source: Node, bag: Path) -> None:
+    wanted = [source.create_publisher(String, name, 1) for name in ("/sal/note", "/rosout_copy")]
+    source.create_publisher(String, "/other", 1)
+    recorder = graph.add(
+        Recorder(
+            bag,
+            context=graph.context,
+            namespace="sal",
+            parameter_overrides=[Parameter("topics", value=["note", "/rosout_copy"])],
+        )
+    )
+    for publisher in wanted:
+        publish(graph, recorder, publisher, [String()])
+    assert recorder.recorded == {"/sal/note": 1, "/rosout_copy": 1}
+
+
+def test_the_directory_can_be_a_parameter(graph: Graph, bag: Path) -> None:
+    recorder = Recorder(context=graph.context, parameter_overrides=[Parameter("directory", value=str(bag))])
+    for name in ("directory", "topics"):
+        descriptor = recorder.describe_parameter(name)
+        assert descriptor.description
+        assert descriptor.read_only
+    recorder.destroy_node()
+    assert BagReader(bag).message_count == 0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "sentence"),
+    [
+        ({}, "parameter 'directory' of the recorder is empty"),
+        ({"directory": 5}, "parameter 'directory' .* expecting type 'STRING'"),
+        ({"directory": "out", "topics": "/note"}, "parameter 'topics' .* expecting type 'STRING_ARRAY'"),
+        ({"directory": "/"}, "is not empty"),
+    ],
+)
+def test_unusable_parameters_are_refused(graph: Graph, parameters: dict[str, Any], sentence: str) -> None:
+    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+    with pytest.raises(UserError, match=sentence):
+        Recorder(context=graph.context, parameter_overrides=overrides)
+    assert not Path("out").exists()
+
+
+def test_simulated_time_stamps_the_log(graph: Graph, source: Node, bag: Path) -> None:
+    clock = source.create_publisher(Clock, "/clock", 1)
+    recorder = start(graph, bag, use_sim_time=True, topics=["/note"])
+    publisher = source.create_publisher(String, "/note", 1)
+    wait_until_matched(graph, publisher)  # discovery goes on although this clock stands still
+    tick = Clock()
+    tick.clock.sec = 42
+    assert graph.spin_until(lambda: clock.get_subscription_count() == 1, TIMEOUT_S)
+    clock.publish(tick)
+    assert graph.spin_until(lambda: recorder.get_clock().now().nanoseconds == 42 * 10**9, TIMEOUT_S)
+    publish(graph, recorder, publisher, [String()])
+    graph.close()
+    with (bag / "run_0.mcap").open("rb") as stream:
+        ((_, _, message),) = make_reader(stream).iter_messages()
+    assert (message.log_time, message.publish_time) == (42 * 10**9, 42 * 10**9)
+
+
+def test_messages_that_wait_in_the_queue_are_written_before_the_bag_is_closed(
+    graph: Graph, source: Node, bag: Path
+) -> None:
+    publisher = source.create_publisher(String, "/note", 100)
+    recorder = start(graph, bag)
+    wait_until_matched(graph, publisher)
+    for i in range(100):
+        publisher.publish(String(data=str(i)))
+    assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT_S))
+    assert recorder.recorded["/note"] == 0, "the executor must not have run"
+    graph.close()
+    assert BagReader(bag).topics["/note"].count == 100
+
+
+def test_shutting_the_context_down_completes_the_bag(graph: Graph, source: Node, bag: Path) -> None:
+    publisher = source.create_publisher(String, "/note", 1)
+    recorder = start(graph, bag)
+    publish(graph, recorder, publisher, [String()])
+    rclpy.shutdown(context=graph.context)
+    assert BagReader(bag).topics["/note"].count == 1
+    graph.close()
+
+
+def test_messages_after_the_bag_was_closed_are_ignored(graph: Graph, source: Node, bag: Path) -> None:
+    publisher = source.create_publisher(String, "/note", 1)
+    recorder = start(graph, bag, topics=["/note"])
+    publish(graph, recorder, publisher, [String()])
+    recorder.close_bag()
+    publisher.publish(String())
+    assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT_S))
+    handled: list[str] = []
+    source.create_timer(0.0, lambda: handled.append("later"))
+    assert graph.spin_until(lambda: len(handled) > 10, TIMEOUT_S)
+    assert recorder.recorded == {"/note": 1}
+    assert BagReader(bag).message_count == 1
+
+
+def test_what_was_recorded_can_be_salvaged_while_the_recorder_runs(
+    graph: Graph, source: Node, bag: Path, tmp_path: Path
+) -> None:
+    publisher = source.create_publisher(String, "/note", 10)
+    recorder = start(graph, bag, topics=["/note"])
+    publish(graph, recorder, publisher, [String(data=str(i)) for i in range(5)])
+    file = bag / "run_0.mcap"
+    size = file.stat().st_size
+    assert graph.spin_until(lambda: file.stat().st_size > size, TIMEOUT_S), "flushed at regular times"
+    assert salvage(bag, tmp_path / "saved") == 5
+
+
+def test_a_type_that_is_not_installed_is_left_out(
+    graph: Graph, source: Node, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    warnings = logged(graph, Log.WARN)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    source.create_publisher(String, "/note", 1)
+    recorder = start(graph, bag)
+    assert graph.spin_until(lambda: any("'/note' is not recorded" in text for text in warnings), TIMEOUT_S)
+    assert recorder.recorded == {}
+    graph.close()
+    assert BagReader(bag).topics == {}
+
+
+def test_a_full_disk_is_reported_once_and_the_node_lives_on(
+    graph: Graph, source: Node, bag: Path, tmp_path: Path
+) -> None:
+    errors = logged(graph, Log.ERROR)
+    status: dict[str, str] = {}
+    source.create_subscription(DiagnosticArray, "/diagnostics", lambda message: status.update(values(message)), 10)
+    publisher = source.create_publisher(String, "/note", 10)
+    recorder = start(graph, bag, topics=["/note"])
+    message = String(data="x" * 2**20)
+    publish(graph, recorder, publisher, [message])
+    assert graph.spin_until(lambda: status.get("recorded./note") == "1", TIMEOUT_S)
+    assert (status["unwritten"], status["level"]) == ("0", str(DiagnosticStatus.OK))
+    with file_size_limit(8 * 2**20):
+        for received in range(2, 22):
+            publisher.publish(message)
+            assert graph.spin_until(
+                lambda received=received: recorder.recorded["/note"] + recorder.unwritten == received, TIMEOUT_S
+            )
+    assert graph.spin_until(lambda: bool(errors), TIMEOUT_S)
+    graph.executor.spin_once(timeout_sec=0.1)
+    assert len(errors) == 1
+    assert "File too large" in errors[0]
+    assert recorder.unwritten >= 12
+    assert graph.spin_until(lambda: status["unwritten"] == str(recorder.unwritten), TIMEOUT_S)
+    assert status["level"] == str(DiagnosticStatus.ERROR)
+    recorded = recorder.recorded["/note"]
+    graph.close()
+    assert recorded - 1 <= salvage(bag, tmp_path / "saved") <= recorded
+
+
+def values(message: DiagnosticArray) -> dict[str, str]:
+    """Level and values of the one status in the message."""
+    (status,) = message.status
+    return {"level": str(status.level)} | {entry.key: entry.value for entry in status.values}
+
+
+@contextmanager
+def file_size_limit(size: int) -> Iterator[None]:
+    """No file may grow beyond `size` bytes: write() fails as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def logged(graph: Graph, level: int) -> list[str]:
+    """Texts that nodes of the graph log at `level` from now on."""
+    texts: list[str] = []
+    listener = graph.add(Node("listener", context=graph.context))
+    listener.create_subscription(
+        Log, "/rosout", lambda log: texts.append(log.msg) if log.level == level else None, QoSProfile(depth=100)
+    )
+    return texts
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_program_with_a_complete_bag(
+    graph: Graph, source: Node, bag: Path, domain_id: int, number: signal.Signals
+) -> None:
+    publisher = source.create_publisher(String, "/note", 100)
+    process = run_main("--ros-args", "-p", f"directory:={bag}", domain_id=domain_id)
+    wait_until_matched(graph, publisher)
+    for i in range(100):
+        publisher.publish(String(data=str(i)))
+    assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT_S))
+    process.send_signal(number)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=TIMEOUT_S)
+    assert (process.returncode, errors) == (0, "")
+    assert BagReader(bag).topics["/note"].count == 100
+
+
+def test_the_program_ends_with_status_2_and_one_sentence_without_a_directory(domain_id: int) -> None:
+    process = run_main(domain_id=domain_id)
+    _, errors = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 2
+    assert errors == "parameter 'directory' of the recorder is empty; it must name a new folder for the bag\n"
+
+
+def run_main(*arguments: str, domain_id: int) -> subprocess.Popen[str]:
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
+    command = [sys.executable, "-c", RUN_MAIN, *arguments]
+    return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)  # noqa: S603

@@ -134,7 +134,7 @@ def parse_preset(content: Any, source: str) -> Preset:
         UserError: a key that is missing, unknown or has a value out of its range: the first one found.
     """
     try:
-        return TypeAdapter(Preset).validate_python(content)
+        preset = TypeAdapter(Preset).validate_python(content)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "the top level"
@@ -145,3 +145,14 @@ def parse_preset(content: Any, source: str) -> Preset:
         raise UserError(
             f"Preset {source}: {key} is {first['input']!r}; {first['msg'][0].lower()}{first['msg'][1:]}."
         ) from error
+    size = (preset.image.rows, preset.image.cols)
+    if preset.looks[0] > size[0] or preset.looks[1] > size[1]:
+        raise UserError(f"Preset {source}: looks is {preset.looks}; they must fit in the image of {size} pixels.")
+    duration = preset.sensor.pulse_count / preset.sensor.pulse_repetition_frequency_hz
+    interval = preset.flight.dwell_spacing_m / preset.flight.speed_mps
+    if duration > interval:
+        raise UserError(
+            f"Preset {source}: flight.dwell_spacing_m is {preset.flight.dwell_spacing_m}, {interval:.3g} s of flight; "
+            f"a dwell takes {duration:.3g} s, so it must be {duration * preset.flight.speed_mps:.6g} or more."
+        )
+    return preset

@@ -20,6 +20,7 @@ class Tally:
         self._processed = 0
         self._published = 0
         self._dropped: Counter[str] = Counter()
+        self._ignored: Counter[str] = Counter()
         self._latencies: deque[float] = deque(maxlen=1000)
 
     def receive(self) -> None:
@@ -32,6 +33,11 @@ class Tally:
         with self._lock:
             self._dropped[reason] += messages
 
+    def ignore(self, reason: str) -> None:
+        """A message that is not counted as received (sensor info, odometry) could not be used."""
+        with self._lock:
+            self._ignored[reason] += 1
+
     def finish(self, messages: int, published: int, latency_s: float) -> None:
         """That many messages became that many products, `latency_s` after the last of them came in."""
         with self._lock:
@@ -40,9 +46,10 @@ class Tally:
             self._latencies.append(latency_s)
 
     def summary(self) -> dict[str, int | float]:
-        """Counts and latencies by name; `dropped.<reason>` for each reason."""
+        """Counts and latencies by name; `dropped.<reason>` and `ignored.<reason>` for each reason."""
         with self._lock:
             dropped = dict(self._dropped)
+            ignored = dict(self._ignored)
             values: dict[str, int | float] = {
                 "in": self._received,
                 "processed": self._processed,
@@ -52,4 +59,5 @@ class Tally:
             if self._latencies:
                 p50, p95 = np.percentile(self._latencies, [50, 95])
                 values |= {"latency_p50_ms": round(p50 * 1e3, 3), "latency_p95_ms": round(p95 * 1e3, 3)}
-        return values | {f"dropped.{reason}": count for reason, count in sorted(dropped.items())}
+        values |= {f"dropped.{reason}": count for reason, count in sorted(dropped.items())}
+        return values | {f"ignored.{reason}": count for reason, count in sorted(ignored.items())}

@@ -8,6 +8,7 @@ import os
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -28,11 +29,23 @@ DOMAIN_IDS = range(1, 101)  # higher ones have their ports in the range the kern
 _next_domain = itertools.count(os.getpid())
 
 
+@contextmanager
+def _free_domain() -> Iterator[int]:
+    with _locked_domain() as lock:
+        yield int(lock.name.rpartition("_")[2])
+
+
+@pytest.fixture(scope="session")
+def free_domain() -> Callable[[], AbstractContextManager[int]]:
+    """Context manager that gives a DDS domain nobody else uses meanwhile, for fixtures of a wider scope."""
+    return _free_domain
+
+
 @pytest.fixture
 def domain_id() -> Iterator[int]:
     """A DDS domain that no other test uses at the moment, in this process or another."""
-    with _locked_domain() as lock:
-        yield int(lock.name.rpartition("_")[2])
+    with _free_domain() as domain:
+        yield domain
 
 
 @pytest.fixture

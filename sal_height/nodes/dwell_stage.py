@@ -86,7 +86,7 @@ class DwellStage(Stage):
         try:
             self._sensor = convert.sensor_from_message(message)
         except UserError as error:
-            self.get_logger().error(f"Sensor info cannot be used: {error}")
+            self.ignore("sensor info", error)
             return
         self._assembler.forget_finished()
         waiting, self._early = self._early, []

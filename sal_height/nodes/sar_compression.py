@@ -98,7 +98,7 @@ class SarCompression(DwellStage):
         try:
             state = convert.state_from_message(message)
         except Rejected as error:
-            self.get_logger().warning(f"Odometry ignored ({error.reason}): {error}")
+            self.ignore("odometry", error)
             return
         states = self._states
         if states and state.stamp_ns <= states[-1].stamp_ns:

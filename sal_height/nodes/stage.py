@@ -103,14 +103,20 @@ class Stage(Node):
         self._last_rejection = f"{error.reason}: {error}"
         self.get_logger().warning(f"Dropped {messages} ({error.reason}): {error}", throttle_duration_sec=1.0)
 
+    def ignore(self, what: str, error: UserError) -> None:
+        """Count a message beside the stream of frames that cannot be used, and say why."""
+        self.tally.ignore(what)
+        self._last_rejection = f"{what}: {error}"
+        self.get_logger().warning(f"Ignored {what}: {error}", throttle_duration_sec=1.0)
+
     def publish_diagnostics(self) -> None:
         """Publish the stage's account on /diagnostics."""
         summary = self.tally.summary()
-        dropped = sum(int(count) for name, count in summary.items() if name.startswith("dropped."))
+        lost = sum(int(count) for name, count in summary.items() if name.startswith(("dropped.", "ignored.")))
         status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if dropped else DiagnosticStatus.OK,
+            level=DiagnosticStatus.WARN if lost else DiagnosticStatus.OK,
             name=self.get_fully_qualified_name().lstrip("/"),
-            message=f"{dropped} dropped, last for {self._last_rejection}" if dropped else "all messages processed",
+            message=f"{lost} dropped or ignored, last {self._last_rejection}" if lost else "all messages processed",
             values=[KeyValue(key=key, value=str(value)) for key, value in summary.items()]
             + [
                 KeyValue(key=f"subscribers.{p.topic_name}", value=str(p.get_subscription_count()))

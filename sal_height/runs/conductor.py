@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any, Self
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -26,7 +28,7 @@ from sal_height.nodes.recorder import Recorder
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.simulator import Simulator
 
-NODES: dict[str, type[Node]] = {
+NODES: dict[str, Any] = {
     "simulator": Simulator,
     "player": Player,
     "sar_compression": SarCompression,
@@ -41,6 +43,9 @@ ESTIMATORS = {"monopulse": "monopulse", "ml_height": "ml"}
 
 NodeParameters = Mapping[str, Mapping[str, Any]]
 """Parameter values by node name and parameter name."""
+
+SETTABLE = ["sar_compression", *ESTIMATORS]
+"""Nodes whose parameters users may set."""
 
 UNWATCHED = ("diagnostics",)
 """Recorded topics that no stage counts the subscribers of."""
@@ -66,6 +71,31 @@ class Outcome:
     stages: dict[str, dict[str, float]]
     dwells: int
     interrupted: bool
+
+
+class Interruption:
+    """While it is entered, SIGINT and SIGTERM wait until `check`, so that they never cut a message in two."""
+
+    def __init__(self) -> None:
+        self._asked = False
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt if a signal has come."""
+        if self._asked:
+            raise KeyboardInterrupt
+
+    def __enter__(self) -> Self:
+        self._before = {number: signal.signal(number, self._ask) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _ask(self, _number: int, _frame: FrameType | None) -> None:
+        self._asked = True
 
 
 class Conductor(Node):
@@ -188,6 +218,20 @@ class Ensemble:
         self.close()
 
 
+def check_parameters(parameters: NodeParameters) -> None:
+    """Make sure that every node and parameter named exists; the nodes themselves check the values.
+
+    Raises:
+        UserError: one does not.
+    """
+    for name, values in parameters.items():
+        if name not in SETTABLE:
+            raise UserError(f"There is no node {name!r} with parameters to set; allowed are {', '.join(SETTABLE)}.")
+        known = [field.name for field in dataclasses.fields(NODES[name].parameters)]
+        if unknown := [key for key in values if key not in known]:
+            raise UserError(f"Node {name} has no parameter {unknown[0]!r}; allowed are {', '.join(known)}.")
+
+
 def perform(
     source: str,
     stages: list[str],
@@ -217,10 +261,11 @@ def perform(
     with Graph() as graph:
         conductor = graph.add(Conductor(source, stages, recorded, context=graph.context))
         _refuse_company(graph, conductor)
-        with Ensemble(graph, names, values, processes) as ensemble:
+        with Interruption() as interruption, Ensemble(graph, names, values, processes) as ensemble:
 
             def wait(condition: Callable[[], bool], timeout_s: float, what: str) -> None:
                 def reached() -> bool:
+                    interruption.check()
                     ensemble.check()
                     return condition()
 

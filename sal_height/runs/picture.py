@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
+from sal_height.geometry import Grid
 from sal_height.preset import Preset
 from sal_height.runs.report import Mosaic
 
@@ -20,6 +21,7 @@ mpl.use("Agg")
 TITLES = {"monopulse": "monopulse", "ml": "array maximum likelihood"}
 
 Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex64]
 
 
 def draw_heights(mosaics: Mapping[str, Mosaic], preset: Preset, path: Path) -> None:
@@ -55,6 +57,20 @@ def draw_heights(mosaics: Mapping[str, Mosaic], preset: Preset, path: Path) -> N
         f"{preset.looks[0]} x {preset.looks[1]} looks, slant range {flight.slant_range_m / 1e3:g} km. "
         "Grey: no valid height."
     )
+    figure.savefig(path, dpi=110)
+
+
+def draw_image(image: ComplexArray, grid: Grid, title: str, path: Path) -> None:
+    """Write a PNG of the power of a focused image, 60 dB down from its peak, in the image plane's coordinates."""
+    power = np.abs(image) ** 2
+    with np.errstate(divide="ignore"):
+        level = 10 * np.log10(power / np.nanmax(power))
+    figure = Figure(figsize=(8.5, 7.5), layout="constrained")
+    axis = figure.subplots()
+    high, wide = grid.rows * grid.row_spacing / 2, grid.cols * grid.col_spacing / 2
+    shown = axis.imshow(level, extent=(-wide, wide, high, -high), vmin=-60, vmax=0, cmap="gray")
+    axis.set(title=title, xlabel="along the flight (m)", ylabel="away from the sensor (m)")
+    figure.colorbar(shown, label="power (dB below the peak)")
     figure.savefig(path, dpi=110)
 
 

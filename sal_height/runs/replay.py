@@ -9,11 +9,13 @@ from typing import Any
 
 import yaml
 
-from sal_height import __version__
+from sal_height import __version__, convert
 from sal_height.bag.compare import HeightComparison, compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.runs.conductor import ESTIMATORS, NodeParameters, perform
+from sal_height.impulse_response import measure_brightest
+from sal_height.runs.conductor import ESTIMATORS, NodeParameters, check_parameters, perform
+from sal_height.runs.picture import draw_image
 from sal_height.runs.report import stage_report
 from sal_height.runs.simulate import RECORDED, merged, new_folder
 
@@ -34,27 +36,53 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> dict[str, Height
     Raises:
         UserError: the bag cannot be used.
     """
+    values = merged(_recorded_parameters(bag), parameters)
+    check_parameters(values)
     reader = BagReader(bag)
     detectors, dwells = _contents(reader)
     stages = ["sar_compression", *(ESTIMATORS if detectors > 1 else ())]
     recorded = RECORDED if detectors > 1 else [*RECORDED[:4], "slc"]
     folder = new_folder(out)
-    values = merged(_recorded_parameters(bag), parameters)
     outcome = perform("player", stages, recorded, folder / "bag", {**values, "player": {"bag": str(bag)}}, dwells)
     (folder / "bag" / "parameters.yaml").write_text(yaml.safe_dump(values))
     compared = {}
     if any(f"/{prefix}/height" in reader.topics for prefix in ESTIMATORS.values()) and not outcome.interrupted:
         compared = compare_heights(bag, folder / "bag")
+    images = [] if detectors > 1 else _measure_images(folder)
     report = {
         "version": __version__,
         "bag": bag.name,
         "dwells": outcome.dwells,
         "interrupted": outcome.interrupted,
         "comparison": {topic: dataclasses.asdict(result) for topic, result in compared.items()},
+        "images": images,
         "stages": stage_report(outcome.stages),
     }
     (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
     return compared
+
+
+def _measure_images(folder: Path) -> list[dict[str, Any]]:
+    """Draw each image recorded in `folder`/bag and measure its brightest target."""
+    reader = BagReader(folder / "bag")
+    measured = []
+    for recorded in reader.messages(["/slc"]):
+        message = reader.decode(recorded.type_name, recorded.cdr)
+        grid = convert.grid_from_message(message.grid)
+        image = convert.complex_view(message.samples, grid.shape)
+        response = measure_brightest(image, grid)
+        title = f"dwell {message.dwell}: peak {response.peak_over_median_db:.1f} dB above the median"
+        draw_image(image, grid, title, folder / f"image_{message.dwell}.png")
+        measured.append(
+            {
+                "dwell": message.dwell,
+                "peak_over_median_db": response.peak_over_median_db,
+                "brightest_east_north_up_m": response.position.tolist(),
+                "row_width_3db_m": response.row_width,
+                "col_width_3db_m": response.col_width,
+            }
+        )
+    return measured
 
 
 def _contents(reader: BagReader) -> tuple[int, int]:

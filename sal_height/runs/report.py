@@ -81,17 +81,20 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight) -> Mosaic:
         )
 
 
-def statistics(result: Mosaic) -> dict[str, float | int | None]:
-    """Errors over the cells that hold a single scatterer; numbers that do not exist are None.
+def statistics(result: Mosaic | None) -> dict[str, float | int | None]:
+    """Errors over the cells that hold a single scatterer; numbers that do not exist (no valid pixel) are None.
 
     `bias_m` mean, `rms_m`, `median_m`, `s68_m` half the 16 to 84 % width, `sigma_m` mean predicted standard deviation,
     `crb_m` mean Cramer-Rao bound averaged over speckle, `within_1_sigma` share; `valid` is the share of valid pixels.
     """
+    errors = ("bias_m", "rms_m", "median_m", "s68_m", "sigma_m", "crb_m", "within_1_sigma")
+    if result is None:
+        return {"valid": 0.0, "cells": 0, "ghost_pixels": 0, **dict.fromkeys(errors)}
     chosen = result.single & np.isfinite(result.truth)
     error = (result.height - result.truth)[chosen]
     counts = {"valid": result.valid_share, "cells": len(error), "ghost_pixels": result.ghosts}
     if not len(error):
-        return counts | dict.fromkeys(("bias_m", "rms_m", "median_m", "s68_m", "sigma_m", "crb_m", "within_1_sigma"))
+        return {**counts, **dict.fromkeys(errors)}
     low, middle, high = np.percentile(error, [16, 50, 84])
     bound = float(np.mean(result.bound[chosen]))
     return counts | {
@@ -106,20 +109,23 @@ def statistics(result: Mosaic) -> dict[str, float | int | None]:
 
 
 def stage_report(accounts: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, object]]:
-    """Per stage `in`, `processed`, `out`, `dropped` by reason and latencies, from the diagnostics."""
+    """Per stage `in`, `processed`, `out`, `dropped` and `ignored` by reason and latencies, from the diagnostics."""
     return {
         name: {
             "in": int(account.get("in", 0)),
             "processed": int(account.get("processed", 0)),
             "out": int(account.get("out", 0)),
-            "dropped": {
-                key.removeprefix("dropped."): int(count) for key, count in account.items() if key.startswith("dropped.")
-            },
+            "dropped": _by_reason(account, "dropped."),
+            "ignored": _by_reason(account, "ignored."),
             "latency_p50_ms": account.get("latency_p50_ms"),
             "latency_p95_ms": account.get("latency_p95_ms"),
         }
         for name, account in accounts.items()
     }
+
+
+def _by_reason(account: Mapping[str, float], prefix: str) -> dict[str, int]:
+    return {key.removeprefix(prefix): int(count) for key, count in account.items() if key.startswith(prefix)}
 
 
 def _pixels(image: HeightImage, flight: SimulatedFlight) -> tuple[Array, ...]:

@@ -14,7 +14,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.flight import SimulatedFlight
 from sal_height.preset import Preset
-from sal_height.runs.conductor import ESTIMATORS, NodeParameters, Outcome, perform
+from sal_height.runs.conductor import ESTIMATORS, NodeParameters, Outcome, check_parameters, perform
 from sal_height.runs.picture import draw_heights
 from sal_height.runs.report import Mosaic, mosaic, stage_report, statistics
 from sal_height.terrain import load_scene
@@ -53,6 +53,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
     Raises:
         UserError: what was asked for cannot be done.
     """
+    check_parameters(parameters)
     flight = SimulatedFlight(preset, preset.make_sensor(), load_scene(preset.scene), preset.dwells, seed)
     flight.surface(0)  # refuses a flight beside the scene before anything is started
     folder = new_folder(out)
@@ -78,7 +79,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
         "looks": list(preset.looks),
         "dwells": outcome.dwells,
         "interrupted": outcome.interrupted,
-        "estimators": {name: statistics(result) for name, result in mosaics.items()},
+        "estimators": {name: statistics(mosaics.get(name)) for name in ESTIMATORS.values()},
         "stages": stage_report(outcome.stages),
     }
     (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")

@@ -1,0 +1,94 @@
+"""The processing nodes among each other, fed by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sal_height_msgs.msg import DetectorFrame, HeightImage, SensorInfo
+
+from sal_height import convert
+from sal_height.flight import SimulatedFlight
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.ml_height import MlHeight
+from sal_height.nodes.monopulse import Monopulse
+from sal_height.nodes.sar_compression import SarCompression
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+
+START_NS = 1_700_000_000_123_456_789
+TIMEOUT_S = 30.0
+
+
+class Chain:
+    """sar_compression, monopulse and ml_height in one graph; frames go in by hand, heights are collected."""
+
+    def __init__(self, graph: Graph, flight: SimulatedFlight, missing_after_s: float) -> None:
+        self.graph = graph
+        self.flight = flight
+        timeout = Parameter("timeout_s", value=missing_after_s)
+        image = [Parameter("rows", value=46), Parameter("cols", value=12)]
+        nodes = [
+            SarCompression(context=graph.context, parameter_overrides=[timeout, *image]),
+            Monopulse(context=graph.context, parameter_overrides=[timeout]),
+            MlHeight(context=graph.context, parameter_overrides=[timeout]),
+        ]
+        self.stages = {node.get_name(): graph.add(node) for node in nodes}
+        self.heights: dict[tuple[str, int], HeightImage] = {}
+        self._feeder = graph.add(Node("feeder", context=graph.context))
+        self._publishers = {
+            SensorInfo: self._feeder.create_publisher(SensorInfo, "sensor_info", LATCHED_QOS),
+            Odometry: self._feeder.create_publisher(Odometry, "platform/odometry", ODOMETRY_QOS),
+            DetectorFrame: self._feeder.create_publisher(DetectorFrame, "phase_history", FRAMES_QOS),
+        }
+        for name in ("monopulse", "ml"):
+            self._feeder.create_subscription(HeightImage, f"{name}/height", self._keep, FRAMES_QOS)
+        self.wait(lambda: all(p.get_subscription_count() for p in self._publishers.values()), "the nodes to connect")
+        self.wait(lambda: self._feeder.count_publishers("ml/height") == 1, "the height nodes to connect")
+
+    def wait(self, condition: Any, what: str) -> None:
+        assert self.graph.spin_until(condition, TIMEOUT_S), f"waited in vain for {what}: {self.accounts()}"
+
+    def publish(self, *messages: Any) -> None:
+        for message in messages:
+            self._publishers[type(message)].publish(message)
+
+    def sensor_info(self) -> SensorInfo:
+        return convert.sensor_to_message(self.flight.sensor, convert.to_stamp(START_NS))
+
+    def odometry(self, dwell: int) -> list[Odometry]:
+        return [
+            convert.state_to_message(state, convert.to_stamp(START_NS + state.stamp_ns))
+            for state in self.flight.platform_states(dwell)
+        ]
+
+    def frames(self, dwell: int) -> list[DetectorFrame]:
+        history = self.flight.phase_history(dwell)
+        stamp = convert.to_stamp(START_NS + history.stamp_ns)
+        return convert.history_to_messages(history, self.flight.sensor, dwell, stamp)
+
+    def await_heights(self, dwell: int) -> None:
+        self.wait(lambda: {("ml", dwell), ("monopulse", dwell)} <= set(self.heights), f"the heights of dwell {dwell}")
+
+    def await_drops(self, stage: str, reason: str, count: int) -> None:
+        self.wait(lambda: self.dropped(stage).get(reason) == count, f"{count} x {reason!r} in {stage}")
+
+    def dropped(self, stage: str) -> dict[str, int]:
+        summary = self.stages[stage].tally.summary()
+        return {k.removeprefix("dropped."): int(v) for k, v in summary.items() if k.startswith("dropped.")}
+
+    def accounts(self) -> dict[str, Any]:
+        return {name: stage.tally.summary() for name, stage in self.stages.items()}
+
+    def _keep(self, image: HeightImage) -> None:
+        self.heights[image.estimator, image.dwell] = image
+
+
+def same_heights(ours: HeightImage, theirs: HeightImage) -> bool:
+    """Whether two height images agree value for value."""
+    return ours.grid == theirs.grid and all(
+        np.array_equal(np.array(getattr(ours, field)), np.array(getattr(theirs, field)), equal_nan=True)
+        for field in ("height", "sigma", "cnr_db", "validity", "east", "north")
+    )

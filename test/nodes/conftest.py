@@ -1,0 +1,24 @@
+"""Fixtures for the tests of nodes."""
+
+from __future__ import annotations
+
+import pytest
+from chain_fixture import Chain
+
+from sal_height.flight import SimulatedFlight
+from sal_height.nodes.graph import Graph
+from sal_height.preset import load_preset
+from sal_height.terrain import load_scene
+
+
+@pytest.fixture(scope="session")
+def flight() -> SimulatedFlight:
+    """Three dwells of the small preset."""
+    preset = load_preset("small")
+    return SimulatedFlight(preset, preset.make_sensor(), load_scene(preset.scene), preset.dwells, seed=7)
+
+
+@pytest.fixture
+def chain(graph: Graph, flight: SimulatedFlight) -> Chain:
+    """A connected chain that drops what misses something after 0.5 s."""
+    return Chain(graph, flight, missing_after_s=0.5)

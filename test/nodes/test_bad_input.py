@@ -1,0 +1,277 @@
+"""Bad input: one clear reason, a count, and the next good dwell exactly as if nothing had happened."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from chain_fixture import Chain, same_heights
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+from sal_height_msgs.msg import ComplexImage, DetectorFrame, HeightImage, SensorInfo
+
+from sal_height import convert
+from sal_height.nodes.graph import Graph
+
+DETECTORS = 8
+
+
+@pytest.fixture(scope="module")
+def reference(flight: Any, free_domain: Any) -> dict[tuple[str, int], HeightImage]:
+    """Heights of dwells 0 and 1 when all is well."""
+    with free_domain() as domain, Graph(domain) as graph:
+        chain = Chain(graph, flight, missing_after_s=30.0)
+        chain.publish(chain.sensor_info())
+        for dwell in (0, 1):
+            chain.publish(*chain.odometry(dwell), *chain.frames(dwell))
+            chain.await_heights(dwell)
+        return dict(chain.heights)
+
+
+def next_dwell_is_exact(chain: Chain, reference: dict[tuple[str, int], HeightImage]) -> None:
+    chain.publish(*chain.odometry(1), *chain.frames(1))
+    chain.await_heights(1)
+    for name in ("ml", "monopulse"):
+        assert same_heights(chain.heights[name, 1], reference[name, 1])
+    for summary in chain.accounts().values():
+        dropped = sum(value for key, value in summary.items() if key.startswith("dropped."))
+        assert summary["in"] == summary["processed"] + dropped + summary["waiting"]
+
+
+def truncated(frame: DetectorFrame) -> None:
+    frame.samples = frame.samples[:-2]
+
+
+def not_a_number(frame: DetectorFrame) -> None:
+    frame.samples[17] = math.nan
+
+
+def infinite(frame: DetectorFrame) -> None:
+    frame.samples[0] = math.inf
+
+
+def infinite_time(frame: DetectorFrame) -> None:
+    frame.pulse_time[3] = math.inf
+
+
+def backwards_in_time(frame: DetectorFrame) -> None:
+    frame.pulse_time[3] = 0.0
+
+
+def unknown_detector(frame: DetectorFrame) -> None:
+    frame.detector = DETECTORS
+
+
+def other_shape(frame: DetectorFrame) -> None:
+    frame.pulse_count -= 1
+
+
+def too_few_ranges(frame: DetectorFrame) -> None:
+    frame.reference_range = frame.reference_range[:-1]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (truncated, "wrong size"),
+        (not_a_number, "not finite"),
+        (infinite, "not finite"),
+        (infinite_time, "not finite"),
+        (backwards_in_time, "wrong pulse times"),
+        (unknown_detector, "unknown detector"),
+        (other_shape, "contradicts sensor info"),
+        (too_few_ranges, "wrong size"),
+    ],
+)
+def test_a_bad_frame_costs_its_dwell_only(chain: Chain, reference: Any, spoil: Any, reason: str) -> None:
+    frames = chain.frames(0)
+    spoil(frames[3])
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
+    chain.await_drops("sar_compression", "incomplete dwell", DETECTORS - 1)
+    assert chain.dropped("sar_compression") == {reason: 1, "incomplete dwell": DETECTORS - 1}
+    next_dwell_is_exact(chain, reference)
+    assert ("ml", 0) not in chain.heights
+
+
+def test_frames_may_come_in_any_order(chain: Chain, reference: Any) -> None:
+    frames = [frame for pair in zip(chain.frames(1)[::-1], chain.frames(0), strict=True) for frame in pair]
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.odometry(1), *frames)
+    for dwell in (0, 1):
+        chain.await_heights(dwell)
+        assert same_heights(chain.heights["ml", dwell], reference["ml", dwell])
+
+
+def test_a_duplicate_is_counted_and_the_dwell_is_exact(chain: Chain, reference: Any) -> None:
+    frames = chain.frames(0)
+    chain.publish(chain.sensor_info(), *chain.odometry(0), frames[0], *frames[:-1], frames[-1])
+    chain.await_heights(0)
+    assert same_heights(chain.heights["ml", 0], reference["ml", 0])
+    assert chain.dropped("sar_compression") == {"duplicate": 1}
+    chain.publish(frames[0])
+    chain.await_drops("sar_compression", "late", 1)
+    next_dwell_is_exact(chain, reference)
+
+
+def test_missing_detectors_are_given_up_after_the_timeout(chain: Chain, reference: Any) -> None:
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0)[2:])
+    chain.await_drops("sar_compression", "incomplete dwell", DETECTORS - 2)
+    next_dwell_is_exact(chain, reference)
+
+
+def test_dwells_that_never_become_complete_do_not_pile_up(chain: Chain, reference: Any) -> None:
+    chain.publish(chain.sensor_info(), *chain.odometry(0))
+    frame = chain.frames(0)[0]
+    for number in range(100, 130):
+        frame.dwell = number
+        chain.publish(frame)
+    chain.wait(lambda: sum(chain.dropped("sar_compression").values()) == 30, "30 frames to be dropped")
+    next_dwell_is_exact(chain, reference)
+
+
+def test_frames_before_their_sensor_info_wait_for_it(chain: Chain, reference: Any) -> None:
+    chain.publish(*chain.odometry(0), *chain.frames(0))
+    chain.wait(lambda: chain.accounts()["sar_compression"]["in"] == DETECTORS, "the frames")
+    chain.publish(chain.sensor_info())
+    chain.await_heights(0)
+    assert same_heights(chain.heights["ml", 0], reference["ml", 0])
+
+
+def test_without_sensor_info_frames_are_dropped(chain: Chain, reference: Any) -> None:
+    chain.publish(*chain.odometry(0), *chain.frames(0))
+    chain.await_drops("sar_compression", "no sensor info", DETECTORS)
+    chain.publish(chain.sensor_info())
+    next_dwell_is_exact(chain, reference)
+
+
+def test_sensor_info_that_is_not_of_these_frames(chain: Chain, reference: Any) -> None:
+    other = chain.sensor_info()
+    other.wavelength *= 2
+    other.config_hash = convert.sensor_from_message(rehashed(other)).config_hash
+    chain.publish(other, *chain.odometry(0), *chain.frames(0))
+    chain.await_drops("sar_compression", "contradicts sensor info", DETECTORS)
+    chain.publish(chain.sensor_info())
+    next_dwell_is_exact(chain, reference)
+
+
+@pytest.mark.parametrize("field", ["wavelength", "bandwidth", "aperture", "pulse_repetition_frequency"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+def test_sensor_info_with_an_impossible_value_is_refused(field: str, value: float, flight: Any) -> None:
+    message = convert.sensor_to_message(flight.sensor, convert.to_stamp(0))
+    setattr(message, field, value)
+    with pytest.raises(ValueError, match=field):
+        convert.sensor_from_message(message)
+
+
+def test_useless_sensor_info_leaves_the_good_one_in_force(chain: Chain, reference: Any) -> None:
+    useless = chain.sensor_info()
+    useless.wavelength = math.nan
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+    chain.await_heights(0)
+    chain.publish(useless)
+    for stage in chain.stages:
+        chain.wait(lambda s=stage: chain.accounts()[s].get("ignored.sensor info") == 1, "the count")
+    next_dwell_is_exact(chain, reference)
+
+
+def test_odometry_that_ends_before_the_aperture(chain: Chain, reference: Any) -> None:
+    start = convert.to_ns(chain.frames(0)[0].header.stamp)
+    early = [message for message in chain.odometry(0) if convert.to_ns(message.header.stamp) <= start]
+    assert early
+    chain.publish(chain.sensor_info(), *early, *chain.frames(0))
+    chain.await_drops("sar_compression", "odometry gap", DETECTORS)
+    chain.publish(*chain.odometry(0))
+    next_dwell_is_exact(chain, reference)
+
+
+def test_odometry_with_nan_is_ignored(chain: Chain, reference: Any) -> None:
+    odometry = chain.odometry(0)
+    spoiled = deserialize_message(serialize_message(odometry[2]), type(odometry[2]))
+    spoiled.pose.pose.position.x = math.nan
+    turned = deserialize_message(serialize_message(odometry[2]), type(odometry[2]))
+    turned.pose.pose.orientation.w = 0.0
+    chain.publish(chain.sensor_info(), *odometry[:3], spoiled, turned, *odometry[3:], *chain.frames(0))
+    chain.await_heights(0)
+    assert chain.accounts()["sar_compression"]["ignored.odometry"] == 2
+    assert same_heights(chain.heights["ml", 0], reference["ml", 0])
+
+
+def test_detectors_that_disagree_on_pulse_times(chain: Chain, reference: Any) -> None:
+    frames = chain.frames(0)
+    frames[5].pulse_time[-1] += 1e-6
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
+    chain.await_drops("sar_compression", "detectors disagree", DETECTORS)
+    next_dwell_is_exact(chain, reference)
+
+
+def test_a_sensor_that_starts_anew_is_processed_anew(chain: Chain, reference: Any) -> None:
+    for _ in range(2):
+        chain.heights.clear()
+        chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+        chain.await_heights(0)
+        assert same_heights(chain.heights["ml", 0], reference["ml", 0])
+
+
+def test_bad_pixels_are_marked_as_missing(chain: Chain, graph: Graph) -> None:
+    """An image from somebody else's compression, with a hole of one pixel in one detector."""
+    images: list[ComplexImage] = []
+    tap = graph.add(Node("tap", context=graph.context))
+    tap.create_subscription(ComplexImage, "slc", images.append, 100)
+    chain.wait(lambda: tap.count_publishers("slc") == 1, "discovery")
+    chain.wait(lambda: chain.stages["sar_compression"]._products[0].get_subscription_count() == 3, "the tap")
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+    chain.await_heights(0)
+    chain.wait(lambda: len(images) == DETECTORS, "the images")
+    before = np.array(chain.heights["ml", 0].validity)
+    source = tap.create_publisher(ComplexImage, "slc", 100)
+    chain.wait(lambda: source.get_subscription_count() == 3, "the estimators")
+    chain.heights.clear()
+    images[2].samples[2 * (5 * images[2].grid.cols + 7)] = math.nan
+    for image in images[:DETECTORS]:
+        image.dwell = 55
+        source.publish(image)
+    chain.await_heights(55)
+    after = np.array(chain.heights["ml", 55].validity)
+    changed = np.flatnonzero(before != after)
+    assert changed.tolist() == [2 * chain.heights["ml", 55].grid.cols + 3]
+    assert after[changed] == HeightImage.MISSING_DATA
+
+
+@pytest.mark.parametrize("change", ["size", "grid", "detector"])
+def test_bad_images_are_counted_by_the_estimators(chain: Chain, reference: Any, graph: Graph, change: str) -> None:
+    images: list[ComplexImage] = []
+    tap = graph.add(Node("tap", context=graph.context))
+    tap.create_subscription(ComplexImage, "slc", images.append, 100)
+    chain.wait(lambda: chain.stages["sar_compression"]._products[0].get_subscription_count() == 3, "the tap")
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+    chain.await_heights(0)
+    chain.wait(lambda: len(images) == DETECTORS, "the images")
+    source = tap.create_publisher(ComplexImage, "slc", 100)
+    chain.wait(lambda: source.get_subscription_count() == 3, "the estimators")
+    if change == "size":
+        images[0].samples = images[0].samples[:-2]
+        expected = {"wrong size": 1, "incomplete dwell": DETECTORS - 1}
+    elif change == "grid":
+        images[0].grid.row_spacing *= 2
+        expected = {"detectors disagree": DETECTORS}
+    else:
+        images[0].detector = 99
+        expected = {"unknown detector": 1, "incomplete dwell": DETECTORS - 1}
+    for image in images[:DETECTORS]:
+        image.dwell = 55
+        source.publish(image)
+    for stage in ("monopulse", "ml_height"):
+        chain.wait(lambda s=stage: chain.dropped(s) == expected, f"{expected} in {stage}")
+    chain.publish(*chain.odometry(1), *chain.frames(1))
+    chain.await_heights(1)
+    assert same_heights(chain.heights["ml", 1], reference["ml", 1])
+
+
+def rehashed(message: SensorInfo) -> SensorInfo:
+    """The message with the hash of its values in it."""
+    try:
+        convert.sensor_from_message(message)
+    except ValueError as error:
+        message.config_hash = str(error).split("hash to '")[1][:16]
+    return message

@@ -1,0 +1,169 @@
+"""The chain on good input: what comes out, with what stamp, provenance and diagnostics."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sal_height_msgs.msg import HeightImage
+from sensor_msgs.msg import Image, PointCloud2
+
+from sal_height import convert
+from sal_height.errors import UserError
+from sal_height.evaluation import truth_image
+from sal_height.geometry import height_of
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.ml_height import MlHeight
+from sal_height.nodes.monopulse import Monopulse
+from sal_height.nodes.sar_compression import SarCompression
+
+
+@pytest.fixture
+def fed(chain: Any) -> Any:
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+    chain.await_heights(0)
+    return chain
+
+
+def test_heights_agree_with_the_terrain(fed: Any) -> None:
+    image = fed.heights["ml", 0]
+    grid, aperture = convert.grid_from_message(image.grid), convert.aperture_from_message(image.aperture)
+    sensor = fed.flight.sensor
+    cell = sensor.range_resolution * sensor.wavelength * 5000.0 / (2 * aperture.length)
+    truth = truth_image(fed.flight.surface(0), aperture, grid, cell, sensor.beams)
+    height = convert.float_view(image.height, grid.shape)
+    sigma = convert.float_view(image.sigma, grid.shape)
+    usable = np.isfinite(height) & truth.single
+    scaled = ((height - truth.height) / sigma)[usable]
+    assert usable.sum() > 50
+    # The median of n standardised errors has a standard error of 1.25 / sqrt(n).
+    assert abs(np.median(scaled)) < 4 * 1.25 / np.sqrt(usable.sum())
+    assert np.mean(np.abs(scaled) < 2) > 0.8
+
+
+def test_stamp_dwell_and_frame_are_those_of_the_input(fed: Any) -> None:
+    frame = fed.frames(0)[0]
+    for image in fed.heights.values():
+        assert image.header.stamp == frame.header.stamp
+        assert image.header.frame_id == "map"
+        assert image.dwell == frame.dwell
+
+
+def test_provenance_names_every_stage_with_its_parameters(fed: Any) -> None:
+    provenance = fed.heights["ml", 0].provenance
+    assert provenance.config_hash == fed.flight.sensor.config_hash
+    parameters = json.loads(provenance.parameters)
+    assert parameters["sar_compression"]["range_window"] == "taylor"
+    assert parameters["ml_height"]["objective"] == "normalised"
+
+
+def test_invalid_pixels_are_nan_and_valid_ones_are_not(fed: Any) -> None:
+    for image in fed.heights.values():
+        valid = np.array(image.validity) == HeightImage.OK
+        for field in ("height", "sigma", "east", "north"):
+            assert np.array_equal(np.isfinite(np.array(getattr(image, field))), valid)
+        assert np.all(np.array(image.sigma)[valid] > 0)
+
+
+def test_position_of_a_pixel_has_its_height(fed: Any, graph: Graph) -> None:
+    image = fed.heights["ml", 0]
+    origin = np.array([image.grid.origin.x, image.grid.origin.y])
+    clouds: list[PointCloud2] = []
+    pictures: list[Image] = []
+    listener = graph.add(Node("viewer", context=graph.context))
+    listener.create_subscription(PointCloud2, "ml/points", clouds.append, 10)
+    listener.create_subscription(Image, "ml/image", pictures.append, 10)
+    fed.wait(lambda: listener.count_publishers("ml/points") and listener.count_publishers("ml/image"), "discovery")
+    fed.wait(lambda: all(p.get_subscription_count() for p in fed.stages["ml_height"]._products[1:]), "the viewer")
+    fed.publish(*fed.odometry(1), *fed.frames(1))
+    fed.await_heights(1)
+    fed.wait(lambda: clouds and pictures, "points and picture")
+    image = fed.heights["ml", 1]
+    origin = np.array([image.grid.origin.x, image.grid.origin.y])
+    points = np.frombuffer(clouds[0].data, np.float32).reshape(-1, 6).astype(np.float64)
+    valid = np.array(image.validity) == HeightImage.OK
+    assert len(points) == np.count_nonzero(valid)
+    assert np.allclose(height_of(points[:, :3]), np.array(image.height)[valid], atol=1e-3)
+    assert np.allclose(points[:, 0] - origin[0], np.array(image.east)[valid], atol=1e-4)
+    picture = np.frombuffer(pictures[0].data, np.float32)
+    assert np.array_equal(picture, np.array(image.height, dtype=np.float32), equal_nan=True)
+    assert (pictures[0].encoding, pictures[0].height, pictures[0].width) == ("32FC1", image.grid.rows, image.grid.cols)
+
+
+def test_every_message_is_accounted_for_in_the_diagnostics(fed: Any, graph: Graph) -> None:
+    accounts: dict[str, dict[str, str]] = {}
+
+    def keep(message: DiagnosticArray) -> None:
+        accounts.update({s.name: {v.key: v.value for v in s.values} for s in message.status})
+
+    graph.add(Node("watcher", context=graph.context)).create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
+    fed.wait(lambda: {"sar_compression", "ml_height", "monopulse"} <= set(accounts), "diagnostics")
+    for stage, out in (("sar_compression", 8), ("ml_height", 1), ("monopulse", 1)):
+        fed.wait(lambda s=stage: accounts[s]["waiting"] == "0", "the work to end")
+        assert accounts[stage]["in"] == accounts[stage]["processed"] == "8"
+        assert accounts[stage]["out"] == str(out)
+        assert float(accounts[stage]["latency_p95_ms"]) >= float(accounts[stage]["latency_p50_ms"]) > 0
+
+
+def test_a_parameter_set_at_run_time_takes_effect_at_the_next_dwell(fed: Any) -> None:
+    before = fed.heights["ml", 0]
+    result = fed.stages["ml_height"].set_parameters([Parameter("range_looks", value=4)])
+    assert result[0].successful
+    fed.publish(*fed.odometry(1), *fed.frames(1))
+    fed.await_heights(1)
+    after = fed.heights["ml", 1]
+    assert (before.range_looks, after.range_looks) == (2, 4)
+    assert after.grid.rows == before.grid.rows // 2
+    assert json.loads(after.provenance.parameters)["ml_height"]["range_looks"] == 4
+
+
+@pytest.mark.parametrize(
+    ("node", "name", "value", "said"),
+    [
+        (MlHeight, "objective", "best", "normalised, numerator"),
+        (MlHeight, "range_looks", 0, "from 1 to 4096"),
+        (MlHeight, "range_looks", "many", "int"),
+        (Monopulse, "discriminant", "mean", "tls, ratio"),
+        (SarCompression, "range_window", "square", "hamming, rectangular, taylor"),
+        (SarCompression, "timeout_s", -1.0, "from 0.01 to 3600"),
+    ],
+)
+def test_a_wrong_parameter_is_refused_in_one_sentence(
+    graph: Graph, node: type, name: str, value: Any, said: str
+) -> None:
+    with pytest.raises(UserError) as error:
+        node(context=graph.context, parameter_overrides=[Parameter(name, value=value)])
+    assert name in str(error.value)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_wrong_parameter_at_run_time_changes_nothing(fed: Any) -> None:
+    stage = fed.stages["ml_height"]
+    for wrong in (Parameter("objective", value="best"), Parameter("range_looks", value=0)):
+        assert not stage.set_parameters([wrong])[0].successful
+    assert stage.current_parameters() == MlHeight.parameters(timeout_s=0.5)
+
+
+def test_every_node_is_a_program(tmp_path: Path) -> None:
+    import subprocess
+    import sys
+
+    for name in ("simulator", "sar_compression", "monopulse", "ml_height", "player"):
+        wrong = ["--ros-args", "-p", "no_such_thing:=1", "-p", "preset:=no_such_preset", "-p", "timeout_s:=-1.0"]
+        wrong += ["-p", f"bag:={tmp_path}"]
+        done = subprocess.run(  # noqa: S603
+            [sys.executable, "-m", f"sal_height.nodes.{name}", *wrong],
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == 2, done.stderr
+        assert "Traceback" not in done.stderr

@@ -1,0 +1,43 @@
+"""Runs to look at, made once."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import pytest
+
+from sal_height.preset import Preset, load_preset
+from sal_height.runs.simulate import run
+
+SEED = 3
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_domain(free_domain: Callable[[], AbstractContextManager[int]]) -> Iterator[None]:
+    """Programs take their DDS domain from the environment."""
+    before = os.environ.get("ROS_DOMAIN_ID")
+    with free_domain() as domain:
+        os.environ["ROS_DOMAIN_ID"] = str(domain)
+        yield
+    if before is None:
+        del os.environ["ROS_DOMAIN_ID"]
+    else:
+        os.environ["ROS_DOMAIN_ID"] = before
+
+
+@pytest.fixture(scope="session")
+def two_dwells() -> Preset:
+    """The small preset, two dwells."""
+    return dataclasses.replace(load_preset("small"), dwells=2)
+
+
+@pytest.fixture(scope="session")
+def recorded(two_dwells: Preset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output folder of a run of two dwells."""
+    out = tmp_path_factory.mktemp("runs") / "recorded"
+    run(two_dwells, SEED, out, {}, processes=False)
+    return out

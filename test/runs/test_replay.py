@@ -1,0 +1,143 @@
+"""Replay: the same heights from the same bag, and what happens to bags that are not whole."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sal_height.bag.compare import compare_heights
+from sal_height.bag.reader import BagReader
+from sal_height.bag.writer import BagWriter
+from sal_height.errors import UserError
+from sal_height.runs.gotcha import import_gotcha
+from sal_height.runs.replay import replay
+
+REFERENCE = Path(__file__).parents[2] / "bags" / "small_street"
+
+CPU_TOLERANCE_M = 1e-5
+"""Matrix products round differently on different processors; the heights' sigma is a thousand times that."""
+
+
+def test_replay_equals_the_recording_value_for_value(recorded: Path, tmp_path: Path) -> None:
+    compared = replay(recorded / "bag", tmp_path / "replay", {})
+    assert set(compared) == {"/ml/height", "/monopulse/height"}
+    for result in compared.values():
+        assert result.equal
+        assert result.matched == 2
+        assert result.pixels > 200
+
+
+def test_replay_with_another_parameter_shows_the_difference(recorded: Path, tmp_path: Path) -> None:
+    compared = replay(recorded / "bag", tmp_path / "replay", {"ml_height": {"objective": "numerator"}})
+    assert compared["/monopulse/height"].equal
+    assert not compared["/ml/height"].equal
+    assert compared["/ml/height"].pixels_different > 0
+
+
+def test_the_reference_bag_gives_the_heights_recorded_in_it(tmp_path: Path) -> None:
+    compared = replay(REFERENCE, tmp_path / "replay", {})
+    assert set(compared) == {"/ml/height", "/monopulse/height"}
+    for result in compared.values():
+        assert (result.matched, result.missing, result.extra, result.grids_different) == (2, 0, 0, 0)
+        assert result.greatest_height_difference < CPU_TOLERANCE_M
+    for topic in compared:
+        for ours, theirs in zip(validity(REFERENCE, topic), validity(tmp_path / "replay" / "bag", topic), strict=True):
+            assert np.array_equal(ours, theirs)
+
+
+def test_the_tolerance_of_the_reference_test_notices_a_wrong_range(tmp_path: Path) -> None:
+    """A reference range that is off by a tenth of a millimetre moves the heights by more than the tolerance."""
+    moved = tmp_path / "moved"
+    reader = BagReader(REFERENCE)
+    with BagWriter(moved) as bag:
+        for topic in reader.topics.values():
+            bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
+        for message in reader.messages():
+            cdr = message.cdr
+            if message.topic == "/platform/odometry":
+                cdr = lifted(reader, message)
+            bag.write(message.topic, cdr, message.log_time_ns, message.log_time_ns)
+    (moved / "parameters.yaml").write_text((REFERENCE / "parameters.yaml").read_text())
+    compared = replay(moved, tmp_path / "replay", {})
+    assert compared["/ml/height"].greatest_height_difference > 5 * CPU_TOLERANCE_M
+
+
+def test_a_dwell_that_lost_a_frame_is_counted_and_the_others_are_exact(recorded: Path, tmp_path: Path) -> None:
+    torn = tmp_path / "torn"
+    reader = BagReader(recorded / "bag")
+    frames = 0
+    with BagWriter(torn) as bag:
+        for topic in reader.topics.values():
+            bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
+        for message in reader.messages():
+            frames += message.topic == "/phase_history"
+            if not (message.topic == "/phase_history" and frames == 3):
+                bag.write(message.topic, message.cdr, message.log_time_ns, message.log_time_ns)
+    (torn / "parameters.yaml").write_text((recorded / "bag" / "parameters.yaml").read_text())
+    compared = replay(torn, tmp_path / "replay", {"sar_compression": {"timeout_s": 0.5}})
+    assert (compared["/ml/height"].matched, compared["/ml/height"].missing) == (1, 1)
+    assert compared["/ml/height"].pixels_different == 0
+    report = json.loads((tmp_path / "replay" / "report.json").read_text())
+    assert report["stages"]["sar_compression"]["dropped"] == {"incomplete dwell": 7}
+
+
+@pytest.mark.parametrize("name", ["missing", "empty", "not_a_bag"])
+def test_what_is_no_bag_is_refused_in_one_sentence(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    if name != "missing":
+        path.mkdir()
+    if name == "not_a_bag":
+        (path / "metadata.yaml").write_text("hello")
+    with pytest.raises(UserError) as error:
+        replay(path, tmp_path / "out", {})
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_bag_without_phase_history_is_refused(shared_data: Callable[[str], Path], tmp_path: Path) -> None:
+    foreign = shared_data("rosbag2_mcap") / "rosbag2_py_test_resources_mcap_talker_talker.mcap"
+    with pytest.raises(UserError, match="/sensor_info"):
+        replay(foreign, tmp_path / "out", {})
+
+
+def test_gotcha_focuses_as_well_as_published(shared_data: Callable[[str], Path], tmp_path: Path) -> None:
+    """Three files: resolution by theory .306 m in ground range, .379 m in cross-range; plain backprojection 48.9 dB."""
+    files = sorted(shared_data("afrl_gotcha").glob("*.mat"))
+    assert import_gotcha(files, tmp_path / "bag") == 352
+    replay(tmp_path / "bag", tmp_path / "out", {})
+    (image,) = json.loads((tmp_path / "out" / "report.json").read_text())["images"]
+    assert image["peak_over_median_db"] >= 48.5
+    assert np.hypot(*(np.array(image["brightest_east_north_up_m"][:2]) - (-15.6, 21.6))) < 0.3
+    assert image["row_width_3db_m"] == pytest.approx(0.306, rel=0.1)
+    assert image["col_width_3db_m"] == pytest.approx(0.379, rel=0.1)
+    assert (tmp_path / "out" / "image_0.png").stat().st_size > 10_000
+
+
+def test_what_is_not_gotcha_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.mat").write_bytes(os.urandom(500))
+    with pytest.raises(UserError, match=r"a\.mat"):
+        import_gotcha([tmp_path / "a.mat"], tmp_path / "bag")
+
+
+def test_comparison_is_of_values_not_of_bags(recorded: Path) -> None:
+    assert all(result.equal for result in compare_heights(recorded / "bag", recorded / "bag").values())
+
+
+def validity(bag: Path, topic: str) -> list[np.ndarray]:
+    reader = BagReader(bag)
+    return [np.array(reader.decode(m.type_name, m.cdr).validity) for m in reader.messages([topic])]
+
+
+def lifted(reader: BagReader, message: Any) -> bytes:
+    """The odometry with the platform 0.1 mm higher."""
+    from rclpy.serialization import serialize_message
+
+    odometry = reader.decode(message.type_name, message.cdr)
+    odometry.pose.pose.position.z += 1e-4
+    return serialize_message(odometry)

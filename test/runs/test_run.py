@@ -1,0 +1,158 @@
+"""What a run leaves behind, read by others than its writer."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from PIL import Image
+from rosbags.highlevel import AnyReader
+
+from sal_height.bag.compare import compare_heights
+from sal_height.errors import UserError
+from sal_height.nodes.graph import Graph
+from sal_height.preset import Preset, load_preset
+from sal_height.runs.simulate import RECORDED, run
+
+SEED = 3
+
+
+@pytest.fixture(scope="module")
+def report(recorded: Path) -> Any:
+    return json.loads((recorded / "report.json").read_text())
+
+
+def test_the_report_accounts_for_every_frame(report: Any) -> None:
+    frames = 2 * 8
+    stages = report["stages"]
+    assert (stages["simulator"]["in"], stages["simulator"]["out"]) == (2, frames)
+    for name, out in (("sar_compression", frames), ("monopulse", 2), ("ml_height", 2)):
+        assert stages[name]["in"] == stages[name]["processed"] == frames
+        assert stages[name]["out"] == out
+        assert stages[name]["dropped"] == {}
+        assert 0 < stages[name]["latency_p50_ms"] <= stages[name]["latency_p95_ms"]
+
+
+def test_the_report_has_the_errors_of_each_estimator(report: Any) -> None:
+    for name in ("monopulse", "ml"):
+        numbers = report["estimators"][name]
+        assert 0.3 < numbers["valid"] < 1
+        assert numbers["cells"] > 50
+        assert 0 < numbers["s68_m"] < 0.1
+        assert abs(numbers["median_m"]) < 4 * 1.25 * numbers["s68_m"] / np.sqrt(numbers["cells"])
+        assert 0 < numbers["crb_m"] < numbers["sigma_m"] * 2
+
+
+def test_the_picture_is_a_picture(recorded: Path) -> None:
+    with Image.open(recorded / "height.png") as picture:
+        pixels = np.asarray(picture.convert("L"))
+    assert min(pixels.shape) > 500
+    assert np.ptp(pixels) > 200
+
+
+def test_rosbags_reads_the_heights_by_the_schema_in_the_bag(recorded: Path) -> None:
+    with AnyReader([recorded / "bag"]) as reader:
+        assert {c.topic for c in reader.connections} == {f"/{topic}" for topic in RECORDED}
+        dwells = []
+        for connection, _, raw in reader.messages([c for c in reader.connections if c.topic == "/ml/height"]):
+            image = reader.deserialize(raw, connection.msgtype)
+            dwells.append(image.dwell)
+            assert len(image.height) == image.grid.rows * image.grid.cols
+            assert np.array_equal(np.isfinite(image.height), image.validity == 0)
+        assert dwells == [0, 1]
+
+
+def test_mcap_alone_finds_all_messages(recorded: Path) -> None:
+    with (recorded / "bag" / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        counts: dict[str, int] = {}
+        for schema, channel, _ in reader.iter_messages():
+            assert schema is not None
+            assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+            counts[channel.topic] = counts.get(channel.topic, 0) + 1
+    assert counts["/phase_history"] == 16
+    assert counts["/ml/height"] == counts["/monopulse/height"] == 2
+
+
+def test_the_same_seed_gives_the_same_heights_and_another_does_not(
+    recorded: Path, two_dwells: Preset, tmp_path: Path
+) -> None:
+    for seed, equal in ((SEED, True), (SEED + 1, False)):
+        out = tmp_path / str(seed)
+        run(two_dwells, seed, out, {}, processes=False)
+        compared = compare_heights(recorded / "bag", out / "bag")
+        assert {result.equal for result in compared.values()} == {equal}
+
+
+def test_nodes_in_processes_give_the_same_heights(recorded: Path, two_dwells: Preset, tmp_path: Path) -> None:
+    run(two_dwells, SEED, tmp_path / "run", {}, processes=True)
+    compared = compare_heights(recorded / "bag", tmp_path / "run" / "bag")
+    assert set(compared) == {"/ml/height", "/monopulse/height"}
+    assert all(result.equal for result in compared.values())
+
+
+def test_parameters_reach_their_node(recorded: Path, two_dwells: Preset, tmp_path: Path) -> None:
+    run(two_dwells, SEED, tmp_path / "run", {"ml_height": {"objective": "numerator"}}, processes=False)
+    compared = compare_heights(recorded / "bag", tmp_path / "run" / "bag")
+    assert compared["/monopulse/height"].equal
+    assert not compared["/ml/height"].equal
+
+
+@pytest.mark.parametrize("processes", [[], ["--processes"]])
+def test_interrupting_leaves_a_whole_bag(tmp_path: Path, processes: list[str]) -> None:
+    out = tmp_path / "run"
+    words = ["run", "--preset", "small", "--dwells", "90", "--out", str(out), *processes]
+    with subprocess.Popen(  # noqa: S603
+        [sys.executable, "-m", "sal_height.cli", *words], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as program:
+        deadline = time.monotonic() + 60
+        bag = out / "bag" / "bag_0.mcap"
+        while not (bag.is_file() and bag.stat().st_size > 600_000):
+            assert time.monotonic() < deadline
+            assert program.poll() is None
+        program.send_signal(signal.SIGINT)
+        output, log = program.communicate(timeout=60)
+    assert program.returncode == 130, log
+    assert "Traceback" not in log
+    assert "interrupted" in output
+    report = json.loads((out / "report.json").read_text())
+    assert report["interrupted"] is True
+    assert 1 <= report["dwells"] < 90
+    with AnyReader([out / "bag"]) as reader:
+        heights = [c for c in reader.connections if c.topic == "/ml/height"]
+        assert sum(1 for _ in reader.messages(heights)) >= report["dwells"]
+
+
+def test_a_second_sensor_in_the_domain_is_refused(two_dwells: Preset, tmp_path: Path) -> None:
+    from sal_height_msgs.msg import DetectorFrame
+
+    with Graph() as graph:
+        from rclpy.node import Node
+
+        graph.add(Node("other", context=graph.context)).create_publisher(DetectorFrame, "phase_history", 1)
+        with pytest.raises(UserError, match="ROS_DOMAIN_ID"):
+            run(two_dwells, SEED, tmp_path / "run", {}, processes=False)
+
+
+def test_the_lidar_is_as_accurate_as_theory_allows(tmp_path: Path) -> None:
+    """At 20 dB and 4 looks: half the 16-84 % width within 1.3 bounds, and well below monopulse."""
+    import dataclasses
+
+    preset = dataclasses.replace(load_preset("sal_spotlight"), dwells=3)
+    run(preset, SEED, tmp_path / "run", {}, processes=False)
+    estimators = json.loads((tmp_path / "run" / "report.json").read_text())["estimators"]
+    ml, monopulse = estimators["ml"], estimators["monopulse"]
+    assert ml["cells"] > 300
+    assert ml["s68_m"] < 1.3 * ml["crb_m"]
+    # A bound that an efficient estimator cannot beat by more than the error of a width of n samples.
+    assert ml["s68_m"] > (1 - 4 / np.sqrt(ml["cells"])) * 0.85 * ml["crb_m"]
+    assert ml["s68_m"] < 0.7 * monopulse["s68_m"]

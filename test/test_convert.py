@@ -1,0 +1,157 @@
+"""Messages and arrays: what goes in comes out, and bulk data is not copied when read."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Quaternion
+from rclpy.serialization import deserialize_message, serialize_message
+from sal_height_msgs.msg import ComplexImage, DetectorFrame, HeightImage, Provenance, SensorInfo
+
+from sal_height import convert
+from sal_height.errors import Rejected, UserError
+from sal_height.estimate import Validity
+from sal_height.geometry import Aperture, Grid
+from sal_height.height import HeightField
+from sal_height.phase_history import PhaseHistory
+from sal_height.preset import load_preset
+from sal_height.sensor import Sensor
+from sal_height.trajectory import PlatformState
+
+STAMP = Time(sec=1_700_000_000, nanosec=987_654_321)
+
+
+def through_the_wire(message):  # type: ignore[no-untyped-def]
+    return deserialize_message(serialize_message(message), type(message))
+
+
+@pytest.fixture
+def sensor() -> Sensor:
+    return load_preset("small").make_sensor()
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+@pytest.mark.parametrize("ns", [0, 1, 999_999_999, 1_000_000_000, 1_700_000_000_987_654_321])
+def test_times_keep_every_nanosecond(ns: int) -> None:
+    assert convert.to_ns(convert.to_stamp(ns)) == ns
+
+
+def test_a_sensor_survives_its_message(sensor: Sensor) -> None:
+    assert convert.sensor_from_message(through_the_wire(convert.sensor_to_message(sensor, STAMP))) == sensor
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("wavelength", 1e-6), ("look_side", -1), ("elevation_boresights", [0.1, 0.2]), ("calibration_id", "other")],
+)
+def test_a_sensor_info_whose_hash_is_not_its_own_is_refused(sensor: Sensor, field: str, value: object) -> None:
+    message = convert.sensor_to_message(sensor, STAMP)
+    setattr(message, field, value)
+    if field == "elevation_boresights":
+        message.noise_power = [1.0, 1.0]
+    with pytest.raises(UserError, match="config_hash"):
+        convert.sensor_from_message(message)
+
+
+def test_complex_samples_survive_bit_for_bit_and_reading_does_not_copy(rng: np.random.Generator) -> None:
+    samples = (rng.standard_normal((3, 5)) + 1j * rng.standard_normal((3, 5))).astype(np.complex64)
+    message = ComplexImage(samples=convert.to_floats(samples[:, ::-1]))
+    view = convert.complex_view(message.samples, (3, 5))
+    assert np.array_equal(view, samples[:, ::-1])
+    message.samples[0] = 42.0
+    assert view[0, 0].real == 42.0
+
+
+def test_phase_history_survives_its_frames(sensor: Sensor, rng: np.random.Generator) -> None:
+    shape = (sensor.detector_count, sensor.pulse_count, sensor.frequency_count)
+    samples = rng.standard_normal((*shape, 2)).astype(np.float32).view(np.complex64)[..., 0]
+    times = np.arange(shape[1]) / sensor.pulse_repetition_frequency
+    history = PhaseHistory(convert.to_ns(STAMP), times, np.linspace(4999, 5001, shape[1]), samples)
+    frames = [through_the_wire(f) for f in convert.history_to_messages(history, sensor, 7, STAMP)]
+    for frame in frames:
+        convert.check_frame(frame, sensor)
+        assert frame.dwell == 7
+    back = convert.history_from_messages(frames)
+    assert back.stamp_ns == history.stamp_ns
+    assert np.array_equal(back.samples, samples)
+    assert np.array_equal(back.pulse_times, times)
+    assert np.array_equal(back.reference_range, history.reference_range)
+
+
+def test_a_platform_state_survives_its_odometry() -> None:
+    attitude = np.array([0.1, -0.2, 0.3, 0.9])
+    state = PlatformState(
+        convert.to_ns(STAMP),
+        np.array([1e4, -2.0, 3535.534]),
+        attitude / np.linalg.norm(attitude),
+        np.array([50.0, 1.0, -0.5]),
+        np.arange(36.0).reshape(6, 6),
+    )
+    back = convert.state_from_message(through_the_wire(convert.state_to_message(state, STAMP)))
+    assert back.stamp_ns == state.stamp_ns
+    assert np.array_equal(back.position, state.position)
+    assert np.allclose(back.velocity, state.velocity, atol=1e-12)
+    assert np.array_equal(back.covariance, state.covariance)
+
+
+def test_odometry_twist_is_in_body_axes() -> None:
+    """Flying north (yaw 90 degrees) at 50 m/s: the body moves forward."""
+    quarter_turn = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+    state = PlatformState(0, np.zeros(3), quarter_turn, np.array([0.0, 50.0, 0.0]), np.zeros((6, 6)))
+    twist = convert.state_to_message(state, STAMP).twist.twist.linear
+    assert (twist.x, twist.y, twist.z) == pytest.approx((50.0, 0.0, 0.0))
+
+
+def test_odometry_without_an_orientation_is_rejected() -> None:
+    state = PlatformState(0, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.ones(3), np.zeros((6, 6)))
+    message = convert.state_to_message(state, STAMP)
+    message.pose.pose.orientation = Quaternion(x=0.0, y=0.0, z=0.0, w=0.0)
+    with pytest.raises(Rejected, match="rotation"):
+        convert.state_from_message(message)
+
+
+def test_images_grid_and_aperture_survive_their_messages(rng: np.random.Generator) -> None:
+    grid = Grid(np.array([1.0, 2.0, 3.0]), np.array([0.0, -0.6, -0.8]), np.array([1.0, 0.0, 0.0]), 0.04, 0.05, 6, 4)
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    aperture = Aperture(np.array([0.0, 1.0, 2.0]), np.array([50.0, 0.0, 0.0]), turn, 0.08, np.eye(6))
+    slc = rng.standard_normal((3, 6, 4, 2)).astype(np.float32).view(np.complex64)[..., 0]
+    frame = DetectorFrame(dwell=9)
+    frame.header.stamp = STAMP
+    messages = convert.slc_to_messages(slc, grid, aperture, [0.1, 0.2, 0.3], frame, Provenance(config_hash="x"))
+    images, back_grid, back_aperture, noise = convert.slc_from_messages([through_the_wire(m) for m in messages])
+    assert np.array_equal(images, slc)
+    assert noise.tolist() == [0.1, 0.2, 0.3]
+    assert np.array_equal(back_grid.points(2, 3), grid.points(2, 3))
+    assert np.allclose(back_aperture.rotation, turn, atol=1e-15)
+    assert np.array_equal(back_aperture.covariance, np.eye(6))
+    assert all(m.header.stamp == STAMP and m.header.frame_id == "map" and m.dwell == 9 for m in messages)
+
+
+def test_a_height_field_survives_its_message() -> None:
+    grid = Grid(np.array([10.0, 20.0, 0.0]), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, 2, 2)
+    aperture = Aperture(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
+    height = np.array([[1.0, np.nan], [2.0, 3.0]])
+    validity = np.array([[0, 1], [0, 0]], dtype=np.uint8)
+    positions = np.where(validity[..., None] == 0, grid.pixels() + [0.25, -0.5, 0.0], np.nan)
+    field = HeightField(grid, height, height / 10, height * 5, validity, positions)
+    message = convert.height_to_message(field, aperture, (2, 3), "ml", ComplexImage(dwell=4), Provenance())
+    message = through_the_wire(message)
+    assert np.array_equal(np.array(message.height), height.ravel(), equal_nan=True)
+    assert bytes(message.validity) == validity.tobytes()
+    assert message.east[2] == pytest.approx(0.25)
+    assert message.north[2] == pytest.approx(-1.5)
+    assert (message.dwell, message.range_looks, message.azimuth_looks) == (4, 2, 3)
+
+
+def test_validity_values_are_those_of_the_message() -> None:
+    for reason in Validity:
+        assert getattr(HeightImage, reason.name) == reason
+
+
+def test_look_sides_are_those_of_the_message() -> None:
+    assert (SensorInfo.RIGHT, SensorInfo.LEFT) == (1, -1)

@@ -1,0 +1,74 @@
+# The virtual environment that exists already, unless another Python is named: make setup PYTHON=python3.13
+PYTHON ?= $(if $(and $(wildcard .venv/.made-*),$(wildcard .venv/bin/python)),.venv/bin/python,python3)
+
+version := $(shell $(PYTHON) -IS -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+venv := .venv/.made-with-$(version)
+packages := .venv/.packages
+messages := .venv/.messages
+pip := .venv/bin/python -m pip --disable-pip-version-check --quiet
+headers := $(CURDIR)/.venv/headers/usr/include
+
+export PIP_CONSTRAINT = constraints.txt
+
+# A ROS installation that the calling shell has sourced stays out of the environment.
+unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+.PHONY: help setup demo test lint colcon clean
+
+help:
+	@echo 'make setup   make the virtual environment .venv: ROS 2, Python packages, our messages (minutes the first time)'
+	@echo 'make demo    set up, then simulate and process both presets into out/'
+	@echo 'make test    set up, then check style and types and run the tests'
+	@echo 'make lint    set up, then check style and types'
+	@echo 'make colcon  set up, then build and test both packages with colcon'
+	@echo 'make clean   remove all that was made, .venv too'
+
+setup: $(messages)
+	@:
+
+$(venv):
+	@tools/check_prerequisites.sh $(PYTHON)
+	@echo 'Making .venv with Python $(version)'
+	@rm -rf .venv && $(PYTHON) -m venv .venv
+	@tools/python_headers.sh .venv/bin/python $(CURDIR)/.venv/headers
+	@touch $@
+
+$(packages): $(venv) constraints.txt setup.py pyproject.toml msg_defs/pyproject.toml
+	@echo 'Installing ROS 2 and Python packages (a minute or two)'
+	@requires=$$(.venv/bin/python -c 'import tomllib; \
+		print(*tomllib.load(open("msg_defs/pyproject.toml", "rb"))["build-system"]["requires"])') && \
+		PIP_BUILD_CONSTRAINT=constraints.txt $(pip) install --use-pep517 setuptools $$requires
+	@$(pip) install --no-build-isolation -e '.[dem,test,dev]'
+	@touch $@
+
+# The compiler finds Python.h there if python3-dev is not installed.
+$(messages) colcon: export CPATH = $(headers):$(headers)/python$(version)
+$(messages) colcon: export CMAKE_INCLUDE_PATH = $(headers)/python$(version)
+
+# Compiled against the very packages it will run with, therefore without build isolation.
+$(messages): $(venv) constraints.txt $(wildcard msg_defs/*.* msg_defs/msg msg_defs/msg/*) | $(packages)
+	@echo 'Compiling the messages (half a minute)'
+	@$(pip) install --no-deps --no-build-isolation ./msg_defs
+	@touch $@
+
+demo: setup
+	@rm -rf out/sal_spotlight out/xband_relief
+	.venv/bin/sal-height run --preset sal_spotlight --out out/sal_spotlight
+	.venv/bin/sal-height run --preset xband_relief --out out/xband_relief
+
+test: lint
+	.venv/bin/pytest
+
+lint: setup
+	.venv/bin/ruff format --check
+	.venv/bin/ruff check
+	.venv/bin/mypy
+
+colcon: setup
+	. .venv/bin/activate && export AMENT_PREFIX_PATH=$$VIRTUAL_ENV CMAKE_PREFIX_PATH=$$VIRTUAL_ENV && \
+		colcon build --base-paths . msg_defs && \
+		colcon test --base-paths . msg_defs && \
+		colcon test-result --verbose
+
+clean:
+	rm -rf .venv build install log out *.egg-info .mypy_cache .pytest_cache .ruff_cache

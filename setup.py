@@ -1,0 +1,53 @@
+"""Builds sal_height, for pip and for colcon (ament_python)."""
+
+import re
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+version = re.search(r'__version__ = "(.+)"', Path("sal_height/__init__.py").read_text(encoding="utf-8"))[1]
+
+setup(
+    name="sal_height",
+    version=version,
+    description="Height images with uncertainty from airborne synthetic-aperture lidar and multi-beam radar",
+    license="Apache-2.0",
+    python_requires=">=3.11,<3.14",
+    packages=find_packages(include=["sal_height", "sal_height.*"]),
+    package_data={"sal_height": ["presets/*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/sal_height"]),
+        ("share/sal_height", ["package.xml"]),
+    ],
+    # sal_height_msgs is needed too, but is not on PyPI: pip install ./msg_defs. colcon takes it, rclpy and the standard
+    # messages from package.xml.
+    install_requires=[
+        "annotated-types",
+        "finufft",
+        "matplotlib",
+        "mcap",
+        "numpy",
+        "pydantic",
+        "pyyaml",
+        "ros-jazzy-common-interfaces",
+        "ros-jazzy-rclpy[fastrtps]",
+        "scipy",
+        "tqdm",
+    ],
+    extras_require={
+        "dem": ["rasterio"],
+        "test": ["pytest", "rosbags"],
+        "dev": ["colcon-common-extensions", "mypy", "pre-commit", "ruff", "types-PyYAML"],
+    },
+    entry_points={
+        "console_scripts": [
+            "sal-height = sal_height.cli:main",
+            "simulator = sal_height.nodes.simulator:main",
+            "sar_compression = sal_height.nodes.sar_compression:main",
+            "monopulse = sal_height.nodes.monopulse:main",
+            "ml_height = sal_height.nodes.ml_height:main",
+            "player = sal_height.nodes.player:main",
+            "recorder = sal_height.nodes.recorder:main",
+        ],
+    },
+)

@@ -14,7 +14,7 @@ from sal_height.sensor import Beams
 Array = npt.NDArray[np.float64]
 
 SINGLE_SPREAD = 0.1
-"""Standard deviation of elevation in beamwidths below which a pixel counts as a single scatterer."""
+"""Standard deviation of elevation about its regression on range, in beamwidths, up to which a scatterer is single."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,8 @@ class Truth:
         elevation: their mean elevation with the same weights, rad.
         power: of a scatterer at that elevation from which the array would receive as much, per resolution cell;
             1 for brightness 1.
-        single: True where they lie so close in elevation that they act as one.
+        single: True where they act as one scatterer: elevation is a function of range, up to SINGLE_SPREAD, as on
+            sloping ground, and unlike in layover.
     """
 
     height: Array
@@ -66,7 +67,10 @@ def truth_image(surface: VisibleSurface, aperture: Aperture, grid: Grid, resolut
     with np.errstate(divide="ignore", invalid="ignore"):
         power = total(np.ones(len(pixel)))
         elevation = total(seen_at) / power
-        spread = np.sqrt(total((seen_at - elevation.ravel()[pixel]) ** 2) / power)
+        off_elevation = seen_at - elevation.ravel()[pixel]
+        off_range = across[inside] - (total(across[inside]) / power).ravel()[pixel]
+        regression = total(off_elevation * off_range) ** 2 / np.maximum(total(off_range**2), np.finfo(float).tiny)
+        spread = np.sqrt(np.maximum(total(off_elevation**2) - regression, 0.0) / power)
         height = total(surface.heights[inside]) / power
         per_gain = power / (total(gain) / power)
     cells = grid.row_spacing * grid.col_spacing / resolution_cell

@@ -137,7 +137,7 @@ def test_a_height_field_survives_its_message() -> None:
     aperture = Aperture(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
     height = np.array([[1.0, np.nan], [2.0, 3.0]])
     validity = np.array([[0, 1], [0, 0]], dtype=np.uint8)
-    positions = np.where(validity[..., None] == 0, grid.pixels() + [0.25, -0.5, 0.0], np.nan)
+    positions = np.where(validity[..., None] == 0, grid.pixels() + np.array([0.25, -0.5, 0.0]), np.nan)
     field = HeightField(grid, height, height / 10, height * 5, validity, positions)
     message = convert.height_to_message(field, aperture, (2, 3), "ml", ComplexImage(dwell=4), Provenance())
     message = through_the_wire(message)

@@ -86,6 +86,8 @@ class Stage(Node):
             except UserError as error:
                 self.reject(messages, Rejected("cannot be processed", str(error)))
             except Exception as error:  # noqa: BLE001 (no message may end the node)
+                if not self.context.ok():
+                    return  # shutting down: nobody is left to publish to
                 self.get_logger().error(f"Unexpected failure, please report it: {traceback.format_exc()}")
                 self.reject(messages, Rejected("internal error", repr(error)))
             else:

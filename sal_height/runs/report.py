@@ -14,6 +14,7 @@ from sal_height.evaluation import Truth, height_bound, truth_image
 from sal_height.flight import SimulatedFlight
 from sal_height.geometry import Aperture, Grid, sphere_coordinates
 from sal_height.height import column_squint
+from sal_height.scene import VisibleSurface
 
 Array = npt.NDArray[np.float64]
 
@@ -49,9 +50,9 @@ class Mosaic:
     ghosts: int
 
 
-def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight) -> Mosaic:
-    """Mosaic of the height images of one estimator of a simulated flight."""
-    parts = [_pixels(image, flight) for image in images]
+def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Mosaic:
+    """Mosaic of the height images of one estimator of a simulated flight, which saw `surfaces` in its dwells."""
+    parts = [_pixels(image, flight, surfaces[image.dwell]) for image in images]
     shares = [np.mean(np.asarray(image.validity) == HeightImage.OK) for image in images]
     east, north, height, sigma, truth, bound, single = (np.concatenate(column) for column in zip(*parts, strict=True))
     grid = images[0].grid
@@ -128,10 +129,10 @@ def _by_reason(account: Mapping[str, float], prefix: str) -> dict[str, int]:
     return {key.removeprefix(prefix): int(count) for key, count in account.items() if key.startswith(prefix)}
 
 
-def _pixels(image: HeightImage, flight: SimulatedFlight) -> tuple[Array, ...]:
+def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface) -> tuple[Array, ...]:
     """Of the valid pixels: ground position east and north, height, sigma, true height, bound, single."""
     grid, aperture = convert.grid_from_message(image.grid), convert.aperture_from_message(image.aperture)
-    truth, bound = _truth(image, grid, aperture, flight)
+    truth, bound = _truth(image, grid, aperture, flight, surface)
     height, sigma, east, north = (
         convert.float_view(values, grid.shape) for values in (image.height, image.sigma, image.east, image.north)
     )
@@ -150,12 +151,14 @@ def _pixels(image: HeightImage, flight: SimulatedFlight) -> tuple[Array, ...]:
     )
 
 
-def _truth(image: HeightImage, grid: Grid, aperture: Aperture, flight: SimulatedFlight) -> tuple[Truth, Array]:
+def _truth(
+    image: HeightImage, grid: Grid, aperture: Aperture, flight: SimulatedFlight, surface: VisibleSurface
+) -> tuple[Truth, Array]:
     """True heights in the pixels of a height image, and the bound on estimating them."""
     sensor, track = flight.sensor, flight.preset.flight
     azimuth_cell = sensor.wavelength * track.slant_range_m / (2 * aperture.length)
     cell = sensor.range_resolution * azimuth_cell
-    truth = truth_image(flight.surface(image.dwell), aperture, grid, cell, sensor.beams)
+    truth = truth_image(surface, aperture, grid, cell, sensor.beams)
     squint = column_squint(grid, aperture, sensor.beams, sensor.look_side)
     slope = np.full(grid.shape, track.slant_range_m * np.sin(track.look_angle_rad))
     looks = image.range_looks * image.azimuth_looks

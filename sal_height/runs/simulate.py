@@ -96,7 +96,8 @@ def read_mosaics(bag: Path, flight: SimulatedFlight) -> dict[str, Mosaic]:
         image = reader.decode(message.type_name, message.cdr)
         images[image.estimator].append(image)
     usable = {name: [i for i in found if 0 in i.validity] for name, found in images.items()}
-    return {name: mosaic(images[name], flight) for name, found in usable.items() if found}
+    surfaces = {dwell: flight.surface(dwell) for dwell in {image.dwell for found in images.values() for image in found}}
+    return {name: mosaic(images[name], flight, surfaces) for name, found in usable.items() if found}
 
 
 def merged(base: NodeParameters, changes: NodeParameters) -> dict[str, dict[str, Any]]:

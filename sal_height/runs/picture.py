@@ -15,6 +15,7 @@ from matplotlib.image import AxesImage
 from sal_height.geometry import Grid
 from sal_height.preset import Preset
 from sal_height.runs.report import Mosaic
+from sal_height.scene import Scene
 
 mpl.use("Agg")
 
@@ -24,13 +25,14 @@ Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
 
 
-def draw_heights(mosaics: Mapping[str, Mosaic], preset: Preset, path: Path) -> None:
-    """Write a PNG: the truth and each estimator's height above, the geometry and each error below.
+def draw_heights(mosaics: Mapping[str, Mosaic], scene: Scene, preset: Preset, path: Path) -> None:
+    """Write a PNG: the terrain and each estimator's height above, the geometry and each error below.
 
     All heights share one colour scale, all errors another, centred on zero.
     """
     first = next(iter(mosaics.values()))
-    low, high = np.nanpercentile(first.truth, [0.5, 99.5])
+    terrain = scene.heights(first.east, first.north[:, None])
+    low, high = np.nanpercentile(terrain, [0.5, 99.5])
     errors = {name: m.height - m.truth for name, m in mosaics.items()}
     spread = {name: _s68(errors[name][m.single]) for name, m in mosaics.items()}
     worst = 4 * max(spread.values())
@@ -38,8 +40,8 @@ def draw_heights(mosaics: Mapping[str, Mosaic], preset: Preset, path: Path) -> N
     figure = Figure(figsize=(5.4 * (len(mosaics) + 1), 2.0 + 2 * max(3.2, 5.0 * shape)), layout="constrained")
     axes = figure.subplots(2, len(mosaics) + 1, squeeze=False)
 
-    truth = _show(axes[0, 0], first, first.truth, (low, high), "terrain")
-    axes[0, 0].set_title("truth")
+    truth = _show(axes[0, 0], first, terrain, (low, high), "terrain")
+    axes[0, 0].set_title("truth: the terrain")
     for column, (name, result) in enumerate(mosaics.items(), start=1):
         title = TITLES.get(name, name)
         _show(axes[0, column], result, result.height, (low, high), "terrain")

@@ -84,7 +84,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
     }
     (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
     if mosaics:
-        draw_heights(mosaics, preset, folder / "height.png")
+        draw_heights(mosaics, flight.scene, preset, folder / "height.png")
     return outcome
 
 

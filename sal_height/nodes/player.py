@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from nav_msgs.msg import Odometry
+from sal_height_msgs.msg import DetectorFrame, SensorInfo
 from std_srvs.srv import Trigger
 
+from sal_height import convert
 from sal_height.bag.definitions import message_class
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
@@ -17,6 +21,9 @@ from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage,
 
 INPUTS = {"sensor_info": LATCHED_QOS, "platform/odometry": ODOMETRY_QOS, "phase_history": FRAMES_QOS}
 """Topics that are played."""
+
+LONGEST_GROUP = 4
+"""Dwells after whose number of frames a group ends, even if some of its dwells miss a frame."""
 
 
 @dataclass(frozen=True)
@@ -27,13 +34,13 @@ class Parameters:
 
 
 class Player(Stage):
-    """Publishes the recorded bytes of one dwell at each call of ~/step."""
+    """Publishes the recorded bytes of one group of dwells at each call of ~/step."""
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.
 
         Raises:
-            UserError: the bag cannot be used or has no phase history.
+            UserError: the bag cannot be used or lacks a topic.
         """
         super().__init__("player", **node_arguments)
         declare_parameters(self, Parameters)
@@ -43,13 +50,13 @@ class Player(Stage):
             raise UserError(
                 f"Bag {self._reader.path} has no topic {', '.join(missing)}; needed are {', '.join(INPUTS)}."
             )
-        self._frames_topic = recorded["phase_history"].name
-        self._publishers_by_topic = {
+        self._outlets = {
             recorded[name].name: self.offer(message_class(recorded[name].type_name), name, qos)
             for name, qos in INPUTS.items()
         }
-        self._messages = self._reader.messages([recorded[name].name for name in INPUTS])
+        self._messages = self._reader.messages(list(self._outlets))
         self._next: BagMessage | None = next(self._messages, None)
+        self._detectors = 1
         self.create_service(Trigger, "~/step", self._on_step)
 
     def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -57,29 +64,47 @@ class Player(Stage):
         response.message = "next dwell" if response.success else "the bag has ended"
         if response.success:
             self.tally.receive()
-            self.submit(1, self._publish_dwell)
+            self.submit(1, self._publish_group)
         return response
 
-    def _publish_dwell(self) -> int:
-        """Publish up to the last frame of the next dwell; the number of frames."""
-        frames = 0
-        for message in self._until_next_dwell():
-            self._publishers_by_topic[message.topic].publish(message.cdr)
-            frames += message.topic == self._frames_topic
-        return frames
-
-    def _until_next_dwell(self) -> Iterator[BagMessage]:
-        """Recorded messages up to the first frame of another dwell."""
-        dwell = None
+    def _publish_group(self) -> int:
+        """Publish up to the first frame that is not of this group; the number of frames."""
+        group = _Group()
         while self._next is not None:
-            if self._next.topic == self._frames_topic:
-                frame = self._reader.decode(self._next.type_name, self._next.cdr)
-                key = (frame.dwell, frame.header.stamp.sec, frame.header.stamp.nanosec)
-                if dwell is not None and key != dwell:
-                    return
-                dwell = key
-            yield self._next
+            message = self._reader.decode(self._next.type_name, self._next.cdr)
+            if isinstance(message, SensorInfo):
+                self._detectors = max(1, len(message.elevation_boresights))
+            if isinstance(message, DetectorFrame) and group.closed(self._detectors):
+                break
+            group.add(message)
+            self._outlets[self._next.topic].publish(self._next.cdr)
             self._next = next(self._messages, None)
+        return group.frames.total()
+
+
+class _Group:
+    """Dwells that are played together: one, or several whose frames lie among each other in the bag."""
+
+    def __init__(self) -> None:
+        self.frames: Counter[tuple[int, int]] = Counter()
+        self._last_pulse_ns = 0
+        self._last_odometry_ns = 0
+
+    def add(self, message: Any) -> None:
+        """Take note of a message that is played."""
+        if isinstance(message, Odometry):
+            self._last_odometry_ns = convert.to_ns(message.header.stamp)
+        elif isinstance(message, DetectorFrame):
+            start_ns = convert.to_ns(message.header.stamp)
+            self.frames[message.dwell, start_ns] += 1
+            duration = max(filter(math.isfinite, message.pulse_time), default=0.0)
+            self._last_pulse_ns = max(self._last_pulse_ns, start_ns + round(duration * 1e9))
+
+    def closed(self, detectors: int) -> bool:
+        """Whether all frames have come, and odometry past the last pulse; or too many frames for that to happen."""
+        complete = bool(self.frames) and min(self.frames.values()) >= detectors
+        covered = self._last_odometry_ns >= self._last_pulse_ns
+        return (complete and covered) or self.frames.total() >= LONGEST_GROUP * detectors
 
 
 def main() -> int:

@@ -14,7 +14,8 @@ from sal_height.bag.compare import HeightComparison, compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.impulse_response import measure_brightest
-from sal_height.runs.conductor import ESTIMATORS, NodeParameters, check_parameters, perform
+from sal_height.runs.conductor import perform
+from sal_height.runs.ensemble import ESTIMATORS, NodeParameters, check_parameters
 from sal_height.runs.picture import draw_image
 from sal_height.runs.report import stage_report
 from sal_height.runs.simulate import RECORDED, merged, new_folder

@@ -14,7 +14,8 @@ from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.flight import SimulatedFlight
 from sal_height.preset import Preset
-from sal_height.runs.conductor import ESTIMATORS, NodeParameters, Outcome, check_parameters, perform
+from sal_height.runs.conductor import Outcome, perform
+from sal_height.runs.ensemble import ESTIMATORS, NodeParameters, check_parameters
 from sal_height.runs.picture import draw_heights
 from sal_height.runs.report import Mosaic, mosaic, stage_report, statistics
 from sal_height.terrain import load_scene

@@ -87,6 +87,26 @@ def test_a_dwell_that_lost_a_frame_is_counted_and_the_others_are_exact(recorded:
     assert report["stages"]["sar_compression"]["dropped"] == {"incomplete dwell": 7}
 
 
+def test_dwells_that_lie_among_each_other_are_exact(recorded: Path, tmp_path: Path) -> None:
+    """The frames of both dwells in turn, and the odometry last, as two slow writers would leave them."""
+    mixed = tmp_path / "mixed"
+    reader = BagReader(recorded / "bag")
+    messages = list(reader.messages())
+    frames = [m for m in messages if m.topic == "/phase_history"]
+    others = [m for m in messages if m.topic not in ("/phase_history", "/platform/odometry")]
+    odometry = [m for m in messages if m.topic == "/platform/odometry"]
+    half = len(frames) // 2
+    in_turn = [frame for pair in zip(frames[:half], frames[half:], strict=True) for frame in pair]
+    with BagWriter(mixed) as bag:
+        for topic in reader.topics.values():
+            bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
+        for time_ns, message in enumerate([*others, *in_turn, *odometry]):
+            bag.write(message.topic, message.cdr, time_ns, time_ns)
+    (mixed / "parameters.yaml").write_text((recorded / "bag" / "parameters.yaml").read_text())
+    compared = replay(mixed, tmp_path / "replay", {})
+    assert all(result.equal and result.matched == 2 for result in compared.values())
+
+
 @pytest.mark.parametrize("name", ["missing", "empty", "not_a_bag"])
 def test_what_is_no_bag_is_refused_in_one_sentence(tmp_path: Path, name: str) -> None:
     path = tmp_path / name

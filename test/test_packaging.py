@@ -1,0 +1,56 @@
+"""What stands in several places says the same in each."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import tomllib
+import xml.etree.ElementTree as ET
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import sal_height_msgs.msg as messages
+
+import sal_height
+
+ROOT = Path(__file__).parents[1]
+
+GROUPED = ("ImageGrid grid", "Aperture aperture", "Provenance provenance", "uint32 dwell")
+"""Fields whose type says it all."""
+
+
+def test_one_version() -> None:
+    manifests = [ET.parse(ROOT / folder / "package.xml").getroot() for folder in (".", "msg_defs")]  # noqa: S314
+    project = tomllib.loads((ROOT / "msg_defs" / "pyproject.toml").read_text())["project"]
+    versions = {m.findtext("version") for m in manifests} | {project["version"], sal_height.__version__}
+    assert len(versions) == 1
+
+
+def test_every_program_can_be_started() -> None:
+    programs = {e.name: e.value for e in entry_points(group="console_scripts") if e.value.startswith("sal_height.")}
+    assert {"sal-height", "simulator", "sar_compression", "monopulse", "ml_height", "recorder", "player"} == set(
+        programs
+    )
+    for value in programs.values():
+        module, function = value.split(":")
+        assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_every_message_file_is_built() -> None:
+    files = {path.stem for path in (ROOT / "msg_defs" / "msg").glob("*.msg")}
+    listed = set(re.findall(r"msg/(\w+)\.msg", (ROOT / "msg_defs" / "CMakeLists.txt").read_text()))
+    assert files == listed
+    assert all(hasattr(messages, name) for name in files)
+
+
+def test_every_message_field_is_documented() -> None:
+    """A comment stands above each field's paragraph or beside the field."""
+    for path in (ROOT / "msg_defs" / "msg").glob("*.msg"):
+        explained = False
+        for line in path.read_text().splitlines():
+            if line.startswith("#"):
+                explained = True
+            elif not line.strip():
+                explained = False
+            else:
+                assert explained or "#" in line or "=" in line or line.startswith(GROUPED), f"{path.name}: {line}"

@@ -20,7 +20,7 @@ class Looks:
         covariance: Re sum_k g_k g_k^H, shape (rows, cols, channels, channels). The imaginary part plays no role,
             because the beams are real (physics: Q(theta) = a^T Re(R) a).
         count: number of looks K.
-        row: power-weighted mean row of the looks, in SLC pixels, shape (rows, cols).
+        row: power-weighted mean row of the looks, in SLC pixels, shape (rows, cols); the middle where there is none.
         col: power-weighted mean column.
         finite: False where a sample was NaN or infinite (covariance is 0 there), shape (rows, cols).
     """
@@ -61,12 +61,13 @@ def multilook(slc: npt.NDArray[np.complex64], range_looks: int, azimuth_looks: i
     looks[~finite] = 0
     parts = np.concatenate([looks.real, looks.imag], axis=-1)
     power = np.sum(np.abs(looks) ** 2, axis=2)
-    weight = power / np.where(finite, power.sum(axis=-1), 1)[..., None]
+    power[power.sum(axis=-1) == 0] = 1
+    weight = power / power.sum(axis=-1, keepdims=True)
     down, across = np.divmod(np.arange(range_looks * azimuth_looks), azimuth_looks)
     return Looks(
         covariance=parts @ np.swapaxes(parts, -1, -2),
         count=range_looks * azimuth_looks,
-        row=np.arange(high)[:, None] * range_looks + np.where(finite, weight @ down, (range_looks - 1) / 2),
-        col=np.arange(wide)[None, :] * azimuth_looks + np.where(finite, weight @ across, (azimuth_looks - 1) / 2),
+        row=np.arange(high)[:, None] * range_looks + weight @ down,
+        col=np.arange(wide)[None, :] * azimuth_looks + weight @ across,
         finite=finite,
     )

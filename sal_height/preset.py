@@ -122,9 +122,10 @@ def load_preset(name_or_path: str) -> Preset:
                 f"Preset {name_or_path!r} is neither a readable file nor one of {', '.join(preset_names())}."
             ) from error
     try:
-        return parse_preset(yaml.safe_load(text), name_or_path)
-    except yaml.YAMLError as error:
+        content = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError) as error:
         raise UserError(f"Preset {name_or_path} is not valid YAML: {' '.join(str(error).split())}.") from error
+    return parse_preset(content, name_or_path)
 
 
 def parse_preset(content: Any, source: str) -> Preset:

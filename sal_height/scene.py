@@ -164,8 +164,7 @@ def visible_surface(
     heights = between(height)
     positions = sphere_point(east[strip_of], between(np.broadcast_to(north, height.shape)), heights)
     slant_range, elevation, squint = angles_of(positions, aperture, look_side)
-    horizon = np.maximum.accumulate(np.nan_to_num(elevation, nan=-np.pi) + 10.0 * strip_of) - 10.0 * strip_of
-    lit = (elevation >= horizon - 1e-12) & (slant_range >= range_extent[0]) & (slant_range <= range_extent[1])
+    lit = _lit(elevation, strip_of) & (slant_range >= range_extent[0]) & (slant_range <= range_extent[1])
     if not np.any(lit):
         raise UserError(
             f"Scene {scene.name} has no terrain at slant ranges {range_extent[0]:.1f} to {range_extent[1]:.1f} m and "
@@ -186,3 +185,9 @@ def visible_surface(
         squint=np.concatenate([squint[lit], point_squint]),
         deterministic=np.arange(np.count_nonzero(lit) + len(points)) >= np.count_nonzero(lit),
     )
+
+
+def _lit(elevation: Array, strip_of: npt.NDArray[np.int_]) -> npt.NDArray[np.bool_]:
+    """Whether each point of each strip, ordered outwards, is seen over all points before it."""
+    strips = np.split(np.nan_to_num(elevation, nan=-np.pi), np.flatnonzero(np.diff(strip_of)) + 1)
+    return elevation >= np.concatenate([np.maximum.accumulate(strip) for strip in strips])

@@ -108,9 +108,11 @@ class Sensor:
                 raise UserError(f"Sensor {key} is {getattr(self, key)}; it must be 2 or more.")
         pattern_named(self.pattern)
         boresights = np.array(self.elevation_boresights)
-        if not (boresights.size and np.all(np.abs(boresights) < np.pi / 2) and np.all(np.diff(boresights) > 0)):
+        if not (
+            boresights.size and np.all((boresights > 0) & (boresights < np.pi / 2)) and np.all(np.diff(boresights) > 0)
+        ):
             raise UserError(
-                "Sensor elevation_boresights must be one or more increasing angles between -pi/2 and pi/2 rad, "
+                "Sensor elevation_boresights must be one or more increasing angles between 0 (nadir) and pi/2 rad, "
                 f"not {self.elevation_boresights}."
             )
         noise = np.array(self.noise_power)

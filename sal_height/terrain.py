@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -83,16 +82,17 @@ def _from_npz(path: Path) -> Scene:
     """
     try:
         with np.load(path) as dem:
-            if missing := [key for key in ("elevation", "dx", "dy") if key not in dem]:
-                raise UserError(f"Scene {path} lacks {', '.join(missing)}; needed are elevation, dx and dy.")
-            elevation, dx, dy = dem["elevation"], float(dem["dx"]), float(dem["dy"])
-            if "ymin" in dem and "ymax" in dem:
-                return _from_degrees(path.stem, elevation, (float(dem["ymin"]) + float(dem["ymax"])) / 2, dx, dy)
-            return _centred(path.stem, elevation, dx, dy)
-    except (OSError, ValueError, TypeError, BadZipFile) as error:
-        if isinstance(error, UserError):
-            raise
-        raise UserError(f"Scene {path} is not a readable .npz file: {error}.") from error
+            missing = [key for key in ("elevation", "dx", "dy") if key not in dem]
+            elevation = np.asarray(dem.get("elevation", np.nan), dtype=np.float64)
+            numbers = {key: float(dem[key]) for key in ("dx", "dy", "ymin", "ymax") if key in dem}
+    except Exception as error:  # numpy, zipfile, zlib and the tokenizer each have their own for a damaged file
+        raise UserError(f"Scene {path} is not a readable .npz file: {' '.join(str(error).split())}.") from error
+    if missing:
+        raise UserError(f"Scene {path} lacks {', '.join(missing)}; needed are elevation, dx and dy.")
+    if {"ymin", "ymax"} <= set(numbers):
+        latitude = (numbers["ymin"] + numbers["ymax"]) / 2
+        return _from_degrees(path.stem, elevation, latitude, numbers["dx"], numbers["dy"])
+    return _centred(path.stem, elevation, numbers["dx"], numbers["dy"])
 
 
 def _from_geotiff(path: Path) -> Scene:

@@ -156,4 +156,11 @@ def parse_preset(content: Any, source: str) -> Preset:
             f"Preset {source}: flight.dwell_spacing_m is {preset.flight.dwell_spacing_m}, {interval:.3g} s of flight; "
             f"a dwell takes {duration:.3g} s, so it must be {duration * preset.flight.speed_mps:.6g} or more."
         )
+    doppler_band = 4 * preset.flight.speed_mps / preset.sensor.aperture_m
+    if preset.sensor.pulse_repetition_frequency_hz < doppler_band:
+        raise UserError(
+            f"Preset {source}: sensor.pulse_repetition_frequency_hz is "
+            f"{preset.sensor.pulse_repetition_frequency_hz:g}; the main lobe spans {doppler_band:g} Hz of Doppler "
+            "(4 speed / aperture), so it must be that or more."
+        )
     return preset

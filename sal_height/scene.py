@@ -138,6 +138,48 @@ def visible_surface(
     Raises:
         UserError: the scene has no terrain within the extents.
     """
+    terrain = _terrain_scatterers(scene, aperture, look_side, cell, east_extent)
+    points = np.array([[p.east, p.north, p.height, p.power] for p in scene.points]).reshape(-1, 4)
+    positions = np.concatenate([terrain.positions, sphere_point(points[:, 0], points[:, 1], points[:, 2])])
+    slant_range, elevation, squint = angles_of(positions, aperture, look_side)
+    point = np.arange(len(positions)) >= len(terrain.positions)
+    seen = (slant_range >= range_extent[0]) & (slant_range <= range_extent[1])
+    seen[~point] &= _lit(elevation[~point], terrain.strip)
+    seen[point] &= (points[:, 0] >= east_extent[0]) & (points[:, 0] <= east_extent[1])
+    if not np.any(seen & ~point):
+        raise UserError(
+            f"Scene {scene.name} has no terrain at slant ranges {range_extent[0]:.1f} to {range_extent[1]:.1f} m and "
+            f"{east_extent[0]:.1f} to {east_extent[1]:.1f} m east; fly where the scene is, or choose a larger scene."
+        )
+    return VisibleSurface(
+        positions=positions[seen],
+        heights=np.concatenate([terrain.heights, points[:, 2]])[seen],
+        power=np.concatenate([terrain.power, points[:, 3]])[seen],
+        slant_range=slant_range[seen],
+        elevation=elevation[seen],
+        squint=squint[seen],
+        deterministic=point[seen],
+    )
+
+
+@dataclass(frozen=True)
+class _Scatterers:
+    """Terrain scatterers, strip after strip, each ordered outwards; `strip` is the number of its strip."""
+
+    positions: Array
+    heights: Array
+    power: Array
+    strip: npt.NDArray[np.int_]
+
+
+def _terrain_scatterers(
+    scene: Scene, aperture: Aperture, look_side: int, cell: tuple[float, float], east_extent: tuple[float, float]
+) -> _Scatterers:
+    """Scatterers along vertical cuts through the terrain, lit or not, SAMPLES_PER_CELL in each resolution cell.
+
+    Between two nodes of a cut, so many that neither range nor the arc across it steps by more than their spacing;
+    each has its share of the piece's extent in range, as brightness is power per slant range.
+    """
     range_cell, azimuth_cell = cell
     strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * SAMPLES_PER_CELL))
     strip_width = (east_extent[1] - east_extent[0]) / strips
@@ -145,45 +187,27 @@ def visible_surface(
     outwards = -look_side * np.sign(aperture.direction[0])
     north = scene.north if outwards > 0 else scene.north[::-1]
     height = scene.heights(east[:, None], north)
-    brightness = scene.brightnesses(east[:, None], north)
-    corners = sphere_point(east[:, None], north[None, :], height)
-    corner_range, corner_elevation, _ = angles_of(corners, aperture, look_side)
+    nodes = sphere_point(east[:, None], north, height)
+    node_range, node_elevation, _ = angles_of(nodes, aperture, look_side)
 
-    # Subdivide each piece of each cut so that neither range nor the arc across it steps by more than half a cell.
-    span = np.maximum(np.abs(np.diff(corner_range)), np.abs(np.diff(corner_elevation)) * corner_range[:, :-1])
-    pieces = np.ceil(np.nan_to_num(span) / range_cell * SAMPLES_PER_CELL).astype(int)
-    strip_of, node_of = np.divmod(np.repeat(np.arange(pieces.size), pieces.ravel()), pieces.shape[1])
-    first = np.cumsum(pieces.ravel()) - pieces.ravel()
-    counts = pieces[strip_of, node_of]
-    fraction = (np.arange(len(counts)) - first[strip_of * pieces.shape[1] + node_of] + 0.5) / counts
+    span = np.maximum(np.abs(np.diff(node_range)), np.abs(np.diff(node_elevation)) * node_range[:, :-1])
+    pieces = np.ceil(np.nan_to_num(span) / range_cell * SAMPLES_PER_CELL).astype(int).ravel()
+    between = np.repeat(np.arange(pieces.size), pieces)
+    strip, node = np.divmod(between, len(north) - 1)
+    first = np.cumsum(pieces) - pieces
+    fraction = (np.arange(len(between)) - first[between] + 0.5) / pieces[between]
 
-    def between(values: Array) -> Array:
-        start, end = values[strip_of, node_of], values[strip_of, node_of + 1]
+    def along(values: Array) -> Array:
+        start, end = values[strip, node], values[strip, node + 1]
         return np.asarray(start + (end - start) * fraction)
 
-    heights = between(height)
-    positions = sphere_point(east[strip_of], between(np.broadcast_to(north, height.shape)), heights)
-    slant_range, elevation, squint = angles_of(positions, aperture, look_side)
-    lit = _lit(elevation, strip_of) & (slant_range >= range_extent[0]) & (slant_range <= range_extent[1])
-    if not np.any(lit):
-        raise UserError(
-            f"Scene {scene.name} has no terrain at slant ranges {range_extent[0]:.1f} to {range_extent[1]:.1f} m and "
-            f"{east_extent[0]:.1f} to {east_extent[1]:.1f} m east; fly where the scene is, or choose a larger scene."
-        )
-    range_share = np.abs(np.diff(corner_range))[strip_of, node_of] / counts / range_cell
-    power = between(brightness) * range_share * (strip_width / azimuth_cell)
-
-    points = np.array([[p.east, p.north, p.height, p.power] for p in scene.points]).reshape(-1, 4)
-    point_positions = sphere_point(points[:, 0], points[:, 1], points[:, 2])
-    point_range, point_elevation, point_squint = angles_of(point_positions, aperture, look_side)
-    return VisibleSurface(
-        positions=np.concatenate([positions[lit], point_positions]),
-        heights=np.concatenate([heights[lit], points[:, 2]]),
-        power=np.concatenate([power[lit], points[:, 3]]),
-        slant_range=np.concatenate([slant_range[lit], point_range]),
-        elevation=np.concatenate([elevation[lit], point_elevation]),
-        squint=np.concatenate([squint[lit], point_squint]),
-        deterministic=np.arange(np.count_nonzero(lit) + len(points)) >= np.count_nonzero(lit),
+    heights = along(height)
+    range_share = np.abs(np.diff(node_range))[strip, node] / pieces[between] / range_cell
+    return _Scatterers(
+        positions=sphere_point(east[strip], along(np.broadcast_to(north, height.shape)), heights),
+        heights=heights,
+        power=along(scene.brightnesses(east[:, None], north)) * range_share * (strip_width / azimuth_cell),
+        strip=strip,
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, output_power, require_noise, validity_of
+from sal_height.estimate import ElevationEstimate, output_power, validity_of
 from sal_height.looks import Looks
 from sal_height.sensor import Beams
 
@@ -29,7 +29,10 @@ REFINEMENT_STEPS = (0.02, 0.002)
 """Half widths in beamwidths of the parabolas that refine the peak, in turn."""
 
 GUARD = 3.0
-"""Beamwidths beyond the array that are searched too, so that a target out there is recognised by its sidelobes."""
+"""Beamwidths beyond the array that are searched too, so that a target out there is recognised by its sidelobes.
+
+Two detectors cannot tell: their one ratio is that of some direction inside as well, so they are searched inside only.
+"""
 
 
 def _normalised(output_power: Array, beam_power: Array) -> Array:
@@ -53,17 +56,16 @@ def ml_elevation(
         looks: covariance of M channels in each pixel.
         beams: of the M detectors.
         squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in one channel.
+        noise_power: E|n|^2 of one SLC pixel in one channel (`estimate.common_noise`).
         objective: one of OBJECTIVES.
         min_cnr: pixels below this power ratio are LOW_CNR.
 
     Raises:
-        UserError: fewer than two detectors, or a noise power that is not known.
+        UserError: fewer than two detectors.
     """
     if len(beams.boresights) < 2:
         raise UserError(f"The sensor has {len(beams.boresights)} detector; elevation needs 2 or more.")
-    require_noise(noise_power)
-    elevation = _search(looks.covariance, beams, squint, objective)
+    elevation = coarse_search(looks.covariance, beams, squint, objective)
     for step in REFINEMENT_STEPS:
         elevation = _refine(elevation, step * beams.beamwidth, looks.covariance, beams, squint, objective)
 
@@ -94,9 +96,9 @@ def elevation_bound(energy: Array, looks: int, beams: Beams, elevation: Array, s
     return np.sqrt(np.where(energy > 0, variance, np.inf))
 
 
-def _search(covariance: Array, beams: Beams, squint: Array, objective: Objective) -> Array:
+def coarse_search(covariance: Array, beams: Beams, squint: Array, objective: Objective) -> Array:
     """Elevation (rad) of the greatest objective on a grid over array and guard, shape (rows, cols)."""
-    first, last = beams.domain(GUARD * beams.beamwidth)
+    first, last = beams.domain(GUARD * beams.beamwidth if len(beams.boresights) > 2 else 0.0)
     grid = np.linspace(first, last, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))) + 1)
     best = np.empty(covariance.shape[:2])
     for col, angle in enumerate(squint):

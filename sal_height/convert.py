@@ -1,4 +1,4 @@
-"""The only place that knows both messages and arrays. Sample data is viewed, not copied."""
+"""Messages to arrays and back. Reading samples is a view; writing them costs one block copy."""
 
 from __future__ import annotations
 
@@ -28,6 +28,12 @@ ComplexArray = npt.NDArray[np.complex64]
 
 MAP_FRAME = "map"
 BODY_FRAME = "base_link"
+
+LONGEST_DWELL = 3600.0
+"""Longest time from a frame's stamp to its last pulse, s."""
+
+GREATEST_RANGE = 1e8
+"""Greatest reference range of a frame, m."""
 
 
 # Time
@@ -100,9 +106,11 @@ def sensor_from_message(message: messages.SensorInfo) -> Sensor:
     """The sensor a SensorInfo describes.
 
     Raises:
-        UserError: a value out of its range, or a hash that does not belong to the values.
+        UserError: a value out of its range, or no config_hash.
     """
-    sensor = Sensor(
+    if not message.config_hash:
+        raise UserError(f"SensorInfo {message.name!r} has no config_hash; frames and products need one to refer to.")
+    return Sensor(
         name=message.name,
         look_side=int(message.look_side),
         wavelength=message.wavelength,
@@ -115,13 +123,8 @@ def sensor_from_message(message: messages.SensorInfo) -> Sensor:
         elevation_boresights=tuple(message.elevation_boresights),
         noise_power=tuple(message.noise_power),
         calibration_id=message.calibration_id,
+        config_hash=message.config_hash,
     )
-    if message.config_hash != sensor.config_hash:
-        raise UserError(
-            f"SensorInfo {message.name!r} carries config_hash {message.config_hash!r}, but its values hash to "
-            f"{sensor.config_hash!r}; publish that."
-        )
-    return sensor
 
 
 # Platform
@@ -142,8 +145,15 @@ def state_from_message(message: Odometry) -> PlatformState:
     """The platform state an Odometry describes.
 
     Raises:
-        Rejected: values that are not finite, or an orientation that is no rotation.
+        Rejected: other frames than map and base_link, values that are not finite, or an orientation that is no
+            rotation.
     """
+    frames = (message.header.frame_id, message.child_frame_id)
+    if frames != (MAP_FRAME, BODY_FRAME):
+        raise Rejected(
+            "wrong frames",
+            f"Odometry is of {frames[1]!r} in {frames[0]!r}; it must be of {BODY_FRAME!r} in {MAP_FRAME!r} (ENU, FLU).",
+        )
     pose, twist = message.pose.pose, message.twist.twist.linear
     orientation = np.array([pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w])
     position, body_velocity = _vector(pose.position), _vector(twist)
@@ -206,8 +216,20 @@ def check_frame(frame: messages.DetectorFrame, sensor: Sensor) -> None:
     for field in wanted:
         if not np.all(np.isfinite(np.frombuffer(getattr(frame, field), "f4" if field == "samples" else "f8"))):
             raise Rejected("not finite", f"{where}: {field} has NaN or infinite entries; all must be finite.")
-    if np.any(np.diff(frame.pulse_time) < 0) or frame.pulse_time[0] < 0:
-        raise Rejected("wrong pulse times", f"{where}: pulse_time must start at 0 or later and not decrease.")
+    times = np.asarray(frame.pulse_time)
+    if np.any(np.diff(times) < 0) or times[0] < 0 or not times[0] < times[-1] <= LONGEST_DWELL:
+        raise Rejected(
+            "wrong pulse times",
+            f"{where}: pulse_time runs from {times[0]:g} to {times[-1]:g} s; it must not decrease, and lie between 0 "
+            f"and {LONGEST_DWELL:g} s.",
+        )
+    ranges = np.asarray(frame.reference_range)
+    if not np.all((ranges > 0) & (ranges <= GREATEST_RANGE)):
+        raise Rejected(
+            "wrong reference range",
+            f"{where}: reference_range runs from {ranges.min():g} to {ranges.max():g} m; it must be greater than 0 and "
+            f"at most {GREATEST_RANGE:g} m.",
+        )
 
 
 def history_from_messages(frames: Sequence[messages.DetectorFrame]) -> PhaseHistory:
@@ -276,6 +298,20 @@ def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
             f"{where}: samples has {len(image.samples)} entries, {image.grid.rows} x {image.grid.cols} complex "
             f"pixels need {count}.",
         )
+    grid, aperture = grid_from_message(image.grid), image.aperture
+    numbers = [grid.origin, grid.row_direction, grid.col_direction, _vector(aperture.pose.pose.position)]
+    numbers += [_vector(aperture.velocity), np.array([grid.row_spacing, grid.col_spacing, image.noise_power])]
+    if not np.all(np.isfinite(np.concatenate(numbers))):
+        raise Rejected("not finite", f"{where}: grid, aperture or noise_power is NaN or infinite; all must be finite.")
+    q = aperture.pose.pose.orientation
+    norms = [np.linalg.norm(v) for v in (grid.row_direction, grid.col_direction, [q.x, q.y, q.z, q.w])]
+    if not (np.allclose(norms, 1, atol=0.01) and grid.row_spacing > 0 and grid.col_spacing > 0):
+        raise Rejected(
+            "wrong geometry",
+            f"{where}: directions and orientation must have norm 1, spacings be greater than 0.",
+        )
+    if not np.linalg.norm(_vector(aperture.velocity)) > 0:
+        raise Rejected("wrong geometry", f"{where}: aperture.velocity is 0; a synthetic aperture needs motion.")
 
 
 def slc_from_messages(images: Sequence[messages.ComplexImage]) -> tuple[ComplexArray, Grid, Aperture, Array]:

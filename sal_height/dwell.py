@@ -38,10 +38,6 @@ class DwellAssembler(Generic[Item]):
         self._dwells: dict[Key, Dwell[Item]] = {}
         self._finished: deque[Key] = deque(maxlen=4 * capacity)
 
-    def __len__(self) -> int:
-        """Frames held."""
-        return sum(len(dwell.items) for dwell in self._dwells.values())
-
     def add(self, key: Key, detector: int, item: Item, now: float) -> None:
         """Take a frame in.
 

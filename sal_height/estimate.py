@@ -7,6 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import gamma
 
 from sal_height.errors import UserError
 from sal_height.looks import Looks
@@ -47,6 +48,13 @@ MISFIT_SHARE = 0.03
 """Share of a pixel's power that may remain unexplained before it counts as more than one scatterer."""
 
 
+NOISE_RATIO = 4.0
+"""Greatest ratio of the detectors' noise powers: random differences of 3 dB do no harm yet, one loud detector does."""
+
+FALSE_ALARMS = 1e-4
+"""Share of pixels of noise alone in which the strongest of M independent directions passes for a signal."""
+
+
 def validity_of(
     looks: Looks, beams: Beams, squint: Array, noise_power: float, elevation: Array, cnr: Array, min_cnr: float
 ) -> npt.NDArray[np.uint8]:
@@ -54,6 +62,8 @@ def validity_of(
 
     What one scatterer at `elevation` leaves of the power is noise: (M - 1) K sigma^2 with the spread of a chi-square
     of 2 (M - 1) K degrees of freedom. If more is left, the pixel holds another scatterer, or none where it was put.
+    Two scatterers closer than about half a beamwidth cannot be told from one. Looks in range on sloping ground differ
+    in elevation; from about 0.3 beamwidths on they count as several scatterers.
 
     Args:
         looks: covariance of M channels in each pixel.
@@ -66,15 +76,21 @@ def validity_of(
     """
     response = beams.response(elevation, squint)
     degrees = (len(beams.boresights) - 1) * looks.count
-    explained = output_power(looks.covariance, response) / np.sum(response**2, axis=-1) / noise_power
+    explained = explained_power(looks.covariance, response) / noise_power
+    detected = explained >= gamma.isf(FALSE_ALARMS / len(beams.boresights), looks.count)
     left = np.trace(looks.covariance, axis1=-2, axis2=-1) / noise_power - explained
     misfit = (left > degrees + 5 * np.sqrt(degrees)) & (left - degrees > MISFIT_SHARE * explained)
     first, last = beams.span
     return np.select(
-        [~looks.finite, ~(cnr >= min_cnr), ~((elevation >= first) & (elevation <= last)), misfit],
+        [~looks.finite, ~(detected & (cnr >= min_cnr)), ~((elevation >= first) & (elevation <= last)), misfit],
         [Validity.MISSING_DATA, Validity.LOW_CNR, Validity.OUTSIDE_ARRAY, Validity.NOT_ONE_SCATTERER],
         Validity.OK,
     ).astype(np.uint8)
+
+
+def explained_power(covariance: Array, response: Array) -> Array:
+    """Power that a single scatterer seen with amplitudes `response` explains: a^T R a / a^T a, shape (...)."""
+    return np.asarray(output_power(covariance, response) / np.sum(response**2, axis=-1))
 
 
 def output_power(covariance: Array, response: Array) -> Array:
@@ -82,11 +98,19 @@ def output_power(covariance: Array, response: Array) -> Array:
     return np.asarray(np.einsum("...m,...mn,...n->...", response, covariance, response, optimize=True))
 
 
-def require_noise(noise_power: float) -> None:
-    """Refuse an unknown noise power.
+def common_noise(noise_powers: Array) -> float:
+    """Mean of the detectors' noise powers, for estimators that take them as equal.
 
     Raises:
-        UserError: it is not positive.
+        UserError: one is not known (0), negative or not finite, or they differ by more than NOISE_RATIO.
     """
-    if not noise_power > 0:
-        raise UserError("The noise power of the image is not known; SensorInfo.noise_power must be greater than 0.")
+    if not np.all(np.isfinite(noise_powers) & (noise_powers > 0)):
+        raise UserError(
+            f"The detectors' noise powers are {noise_powers.tolist()}; all must be known, finite and greater than 0."
+        )
+    if noise_powers.max() > NOISE_RATIO * noise_powers.min():
+        raise UserError(
+            f"The detectors' noise powers lie between {noise_powers.min():.6g} and {noise_powers.max():.6g}; the "
+            f"estimators take them as equal, they may differ by a factor of {NOISE_RATIO:g} at most."
+        )
+    return float(np.mean(noise_powers))

@@ -18,7 +18,7 @@ from sal_height.trajectory import PlatformState
 Array = npt.NDArray[np.float64]
 
 LIT_BEAMWIDTHS = 1.0
-"""Ground to each side of the beam's middle, along the flight, that a dwell illuminates; in beamwidths."""
+"""Ground to each side of the beam's middle, along the flight, that a dwell lights up; in beamwidths."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class SimulatedFlight:
         )
 
     def surface(self, dwell: int) -> VisibleSurface:
-        """What the dwell illuminates: the range window, and along the flight the main lobe of the beams.
+        """What the dwell illuminates: the range window, and along the flight LIT_BEAMWIDTHS to each side.
 
         Raises:
             UserError: there is no terrain.

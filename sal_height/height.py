@@ -65,7 +65,8 @@ def height_field(
     """Height, its uncertainty and the ground position of every pixel.
 
     Range and Doppler are those of the looks' power-weighted centre; the elevation picks the point on the circle they
-    leave; sigma is that of elevation times |d height / d elevation| there.
+    leave. Sigma is that of elevation times |d height / d elevation|, and that of range times |d height / d range|:
+    within its cell the range of the speckle's centre is not known, which limits the height at high CNR.
 
     Args:
         estimate: elevations.
@@ -82,6 +83,10 @@ def height_field(
         for shift in (-SLOPE_STEP, 0.0, SLOPE_STEP)
     )
     slope = (height_of(above) - height_of(below)) / (2 * SLOPE_STEP)
+    farther = locate(estimate.elevation, slant_range + slc_grid.row_spacing, along, aperture, look_side)
+    depth = (height_of(farther) - height_of(positions)) / slc_grid.row_spacing
+    range_cell = slc_grid.row_spacing * np.abs(sight @ slc_grid.row_direction) / slant_range
+    sigma_range = range_cell / np.sqrt(12 * looks.count)
     located = np.isfinite(positions).all(axis=-1)
     validity = np.where(located | (estimate.validity != Validity.OK), estimate.validity, Validity.OUTSIDE_ARRAY)
     valid = validity == Validity.OK
@@ -90,7 +95,7 @@ def height_field(
     return HeightField(
         grid=grid,
         height=np.where(valid, height_of(positions), np.nan),
-        sigma=np.where(valid, estimate.sigma * np.abs(slope), np.nan),
+        sigma=np.where(valid, np.hypot(estimate.sigma * slope, sigma_range * depth), np.nan),
         cnr_db=cnr_db,
         validity=validity.astype(np.uint8),
         positions=np.where(valid[..., None], positions, np.nan),

@@ -11,13 +11,17 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.array_ml import OBJECTIVES, coarse_search
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, Validity, require_noise, validity_of
+from sal_height.estimate import ElevationEstimate, Validity, explained_power, validity_of
 from sal_height.looks import Looks
 from sal_height.sensor import Beams
 
 Array = npt.NDArray[np.float64]
 Discriminant = Callable[[Array, Array, Array], Array]
+
+OUTSIDE_MARGIN = 3.0
+"""Noise powers by which a direction outside the array must explain a pixel better to be believed."""
 
 TABLE_NODES = 401
 """Nodes of the table that inverts the discriminant."""
@@ -58,15 +62,14 @@ def monopulse_elevation(
         looks: covariance of M channels in each pixel.
         beams: of the M detectors, equally spaced.
         squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in one channel.
+        noise_power: E|n|^2 of one SLC pixel in one channel (`estimate.common_noise`).
         discriminant: one of DISCRIMINANTS.
         min_cnr: pixels below this power ratio are LOW_CNR.
 
     Raises:
-        UserError: fewer than two detectors, unequal pitch, or a noise power that is not known.
+        UserError: fewer than two detectors, or unequal pitch.
     """
     pitch = _pitch(beams)
-    require_noise(noise_power)
     diagonal = np.diagonal(looks.covariance, axis1=-2, axis2=-1)
     beside = np.diagonal(looks.covariance, offset=1, axis1=-2, axis2=-1)
     pair_power = diagonal[..., :-1] + diagonal[..., 1:]
@@ -90,12 +93,28 @@ def monopulse_elevation(
     middles = (beams.boresights[:-1] + beams.boresights[1:]) / 2
     elevation = middles[pair[..., 0]] + offset
     validity = validity_of(looks, beams, squint, noise_power, elevation, cnr, min_cnr)
+    outside = _better_outside(looks.covariance, beams, squint, noise_power, elevation)
+    validity = np.where((validity == Validity.OK) & outside, Validity.OUTSIDE_ARRAY, validity)
     return ElevationEstimate(
         elevation=elevation,
         sigma=np.sqrt(np.where(energy > 0, variance, np.inf)),
         cnr=cnr,
         validity=np.where(np.isnan(offset) & looks.finite, Validity.OUTSIDE_PAIR, validity).astype(np.uint8),
     )
+
+
+def _better_outside(
+    covariance: Array, beams: Beams, squint: Array, noise_power: float, elevation: Array
+) -> npt.NDArray[np.bool_]:
+    """Whether a target outside the array explains the channels better than one at `elevation`, by OUTSIDE_MARGIN.
+
+    A pair cannot see that its target is in a sidelobe; the other detectors can.
+    """
+    best = coarse_search(covariance, beams, squint, OBJECTIVES["normalised"])
+    first, last = beams.span
+    gain = explained_power(covariance, beams.response(best, squint))
+    gain -= explained_power(covariance, beams.response(np.nan_to_num(elevation, nan=first), squint))
+    return ((best < first) | (best > last)) & (gain > OUTSIDE_MARGIN * noise_power)
 
 
 def _pitch(beams: Beams) -> float:

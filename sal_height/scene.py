@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +23,8 @@ class PointTarget:
         east: arc distance from the map origin, m.
         north: arc distance from the map origin, m.
         height: above the sphere, m.
-        power: relative to a resolution cell of brightness 1.
+        power: relative to a resolution cell of brightness 1 in an unweighted image; a range window raises the cell,
+            and the noise, by its `windows.noise_gain`, and leaves the point. Terrain does not shadow it.
     """
 
     east: float
@@ -81,7 +83,7 @@ class Scene:
         table = RegularGridInterpolator((self.north, self.east), values, bounds_error=False, fill_value=np.nan)
         return np.asarray(table(np.stack(np.broadcast_arrays(north, east), axis=-1)))
 
-    @property
+    @cached_property
     def reference_height(self) -> float:
         """Median terrain height, m: what a flight aims at."""
         return float(np.median(self.height))
@@ -112,6 +114,10 @@ class VisibleSurface:
 
 SAMPLES_PER_CELL = 2
 """Scatterers per resolution cell in range and in azimuth, each: enough for fully developed speckle."""
+
+
+LONGEST_PIECE = 16
+"""Longest piece of a cut, in range cells, over which range is taken as linear."""
 
 
 def visible_surface(
@@ -185,7 +191,9 @@ def _terrain_scatterers(
     strip_width = (east_extent[1] - east_extent[0]) / strips
     east = east_extent[0] + strip_width * (np.arange(strips) + 0.5)
     outwards = -look_side * np.sign(aperture.direction[0])
-    north = scene.north if outwards > 0 else scene.north[::-1]
+    refine = int(np.ceil(np.diff(scene.north).max() / (LONGEST_PIECE * range_cell)))
+    steps = np.arange((len(scene.north) - 1) * refine + 1) / refine
+    north = np.interp(steps, np.arange(len(scene.north)), scene.north)[:: int(outwards)]
     height = scene.heights(east[:, None], north)
     nodes = sphere_point(east[:, None], north, height)
     node_range, node_elevation, _ = angles_of(nodes, aperture, look_side)

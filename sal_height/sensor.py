@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,10 @@ from sal_height.errors import UserError
 from sal_height.optics import Pattern, pattern_named
 
 Array = npt.NDArray[np.float64]
+
+
+MAX_DETECTORS = 128
+"""The estimators hold M x M numbers per pixel and direction."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,7 @@ class Sensor:
         elevation_boresights: rad from nadir, increasing, one per detector.
         noise_power: E|n|^2 of a phase-history sample, one per detector; 0: unknown.
         calibration_id: calibration already applied by the sensor; empty: none.
+        config_hash: identity of this description; empty: the first 16 hexadecimal digits of the SHA-256 of the rest.
 
     Raises:
         UserError: a value is out of its range.
@@ -91,6 +96,7 @@ class Sensor:
     elevation_boresights: tuple[float, ...]
     noise_power: tuple[float, ...]
     calibration_id: str = ""
+    config_hash: str = ""
 
     def __post_init__(self) -> None:
         if self.look_side not in (-1, 1):
@@ -107,6 +113,12 @@ class Sensor:
             if getattr(self, key) < 2:
                 raise UserError(f"Sensor {key} is {getattr(self, key)}; it must be 2 or more.")
         pattern_named(self.pattern)
+        self._check_detectors()
+        if not self.config_hash:
+            digest = hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+            object.__setattr__(self, "config_hash", digest[:16])
+
+    def _check_detectors(self) -> None:
         boresights = np.array(self.elevation_boresights)
         if not (
             boresights.size and np.all((boresights > 0) & (boresights < np.pi / 2)) and np.all(np.diff(boresights) > 0)
@@ -115,18 +127,14 @@ class Sensor:
                 "Sensor elevation_boresights must be one or more increasing angles between 0 (nadir) and pi/2 rad, "
                 f"not {self.elevation_boresights}."
             )
+        if boresights.size > MAX_DETECTORS:
+            raise UserError(f"Sensor has {boresights.size} detectors; at most {MAX_DETECTORS} are allowed.")
         noise = np.array(self.noise_power)
         if noise.shape != boresights.shape or not np.all(np.isfinite(noise) & (noise >= 0)):
             raise UserError(
                 f"Sensor noise_power must be {boresights.size} finite numbers of 0 or more, one per detector, "
                 f"not {self.noise_power}."
             )
-
-    @cached_property
-    def config_hash(self) -> str:
-        """First 16 hexadecimal digits of the SHA-256 of all fields."""
-        text = json.dumps(asdict(self), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property
     def detector_count(self) -> int:
@@ -168,7 +176,3 @@ class Sensor:
     def beams(self) -> Beams:
         """Beams of the detectors."""
         return Beams(pattern_named(self.pattern), np.array(self.elevation_boresights), self.beamwidth)
-
-    def contradiction(self, other: Sensor) -> str:
-        """Names of the fields in which `other` differs, for a message; empty if none."""
-        return ", ".join(f.name for f in fields(self) if getattr(self, f.name) != getattr(other, f.name))

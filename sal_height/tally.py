@@ -39,7 +39,7 @@ class Tally:
             self._ignored[reason] += 1
 
     def finish(self, messages: int, published: int, latency_s: float) -> None:
-        """That many messages became that many products, `latency_s` after the last of them came in."""
+        """That many messages became that many products, `latency_s` after they were complete and handed over."""
         with self._lock:
             self._processed += messages
             self._published += published
@@ -58,6 +58,6 @@ class Tally:
             }
             if self._latencies:
                 p50, p95 = np.percentile(self._latencies, [50, 95])
-                values |= {"latency_p50_ms": round(p50 * 1e3, 3), "latency_p95_ms": round(p95 * 1e3, 3)}
+                values |= {"latency_p50_ms": round(float(p50) * 1e3, 3), "latency_p95_ms": round(float(p95) * 1e3, 3)}
         values |= {f"dropped.{reason}": count for reason, count in sorted(dropped.items())}
         return values | {f"ignored.{reason}": count for reason, count in sorted(ignored.items())}

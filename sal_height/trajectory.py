@@ -45,7 +45,8 @@ class Trajectory:
         """Take two or more states of strictly increasing time.
 
         Raises:
-            UserError: fewer than two states, or times that do not increase.
+            UserError: fewer than two states, times that do not increase, or velocities that are not those of the
+                positions.
         """
         if len(states) < 2:
             raise UserError(f"The odometry has {len(states)} samples; 2 or more are needed to interpolate.")
@@ -55,6 +56,7 @@ class Trajectory:
             raise UserError(
                 "The odometry's times do not increase; every sample needs a later stamp than the one before."
             )
+        _check_velocity(states, seconds)
         self._seconds = seconds
         self._position = CubicHermiteSpline(
             seconds, np.array([s.position for s in states]), np.array([s.velocity for s in states])
@@ -103,4 +105,32 @@ class Trajectory:
             rotation=self._attitude(middle).as_matrix(),
             length=speed * float(t[-1] - t[0]) * len(t) / (len(t) - 1),
             covariance=self._covariance[nearest],
+        )
+
+
+VELOCITY_TOLERANCE = 0.1
+"""Share of the speed by which the stated velocity may differ from that of the positions."""
+
+
+def _check_velocity(states: list[PlatformState], seconds: Array) -> None:
+    """Refuse velocities that the positions contradict: zero, or in other axes than they should be.
+
+    Between two samples, the mean of their velocities must be the way over the time, up to VELOCITY_TOLERANCE and three
+    standard deviations of the positions.
+
+    Raises:
+        UserError: they differ by more.
+    """
+    positions, velocities = np.array([s.position for s in states]), np.array([s.velocity for s in states])
+    sigma = np.sqrt([np.trace(s.covariance[:3, :3]) for s in states])
+    steps = np.diff(seconds)
+    made = np.diff(positions, axis=0) / steps[:, None]
+    stated = (velocities[1:] + velocities[:-1]) / 2
+    allowed = VELOCITY_TOLERANCE * np.linalg.norm(made, axis=-1) + 3 * (sigma[1:] + sigma[:-1]) / steps
+    difference = np.linalg.norm(made - stated, axis=-1)
+    if np.any(difference > allowed):
+        worst = int(np.argmax(difference - allowed))
+        raise UserError(
+            f"The odometry's twist gives a velocity of {np.round(stated[worst], 3).tolist()} m/s in map, its positions "
+            f"{np.round(made[worst], 3).tolist()}; twist must be the velocity in base_link axes."
         )

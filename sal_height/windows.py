@@ -49,4 +49,6 @@ def _half_power_width(weights: Array) -> float:
         response = weights @ np.cos(2 * np.pi * position * bins / len(weights)) / weights.sum()
         return float(response**2 - 0.5)
 
+    if excess(1.0) >= 0:
+        raise UserError(f"A window over {len(weights)} samples has no width; the band must have more samples.")
     return 2 * float(brentq(excess, 0.0, 1.0))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from abc import abstractmethod
-from typing import Any
+from typing import Any, NamedTuple
 
 from sal_height_msgs.msg import SensorInfo
 
@@ -17,6 +18,19 @@ from sal_height.sensor import Sensor
 
 HELD_DWELLS = 8
 """Unfinished dwells held before the oldest is dropped."""
+
+HELD_MESSAGES = 256
+"""Messages held that wait for their sensor info."""
+
+HELD_SENSORS = 4
+"""Sensor descriptions held: messages made with one may come after the next."""
+
+
+class _Stream(NamedTuple):
+    """A sensor description and the unfinished dwells made with it."""
+
+    sensor: Sensor
+    assembler: DwellAssembler[Any]
 
 
 class DwellStage(Stage):
@@ -37,8 +51,8 @@ class DwellStage(Stage):
         """
         super().__init__(name, **node_arguments)
         declare_parameters(self, self.parameters)
-        self._sensor: Sensor | None = None
-        self._assembler: DwellAssembler[Any] = DwellAssembler(HELD_DWELLS, self.current_parameters().timeout_s)
+        self._timeout = self.current_parameters().timeout_s
+        self._streams: dict[str, _Stream] = {}
         self._early: list[tuple[float, Any]] = []
         self.listen(SensorInfo, "sensor_info", self._on_sensor_info, LATCHED_QOS)
         self.listen(message_type, topic, self._on_message)
@@ -56,9 +70,9 @@ class DwellStage(Stage):
     def process(self, messages: list[Any], sensor: Sensor) -> int:
         """Process the messages of all detectors (on the worker); returns the number of messages published."""
 
-    def belongs(self, message: Any, sensor: Sensor) -> bool:
-        """Whether the message was made with `sensor`; if not, it waits for another sensor info."""
-        return bool(message.config_hash == sensor.config_hash)
+    def identity(self, message: Any) -> str:
+        """The config_hash of the sensor info that a message was made with."""
+        return str(message.config_hash)
 
     def missing(self, dwell: Dwell[Any]) -> Rejected | None:  # noqa: ARG002 (subclasses use it)
         """What a dwell of all detectors still waits for, or None."""
@@ -67,65 +81,76 @@ class DwellStage(Stage):
     def advance(self) -> None:
         """Hand over what is complete; drop what has waited too long."""
         now = time.monotonic()
-        if self._sensor is not None:
-            for dwell in self._assembler.complete(self._sensor.detector_count):
+        for sensor, assembler in self._streams.values():
+            for dwell in assembler.complete(sensor.detector_count):
                 if self.missing(dwell) is None:
-                    self._hand_over(self._assembler.take(dwell), self._sensor)
-        for dwell in self._assembler.overdue(now):
-            reason = self._incomplete(dwell)
-            self.reject(len(self._assembler.take(dwell)), reason)
-        overdue = [message for began, message in self._early if now - began > self._assembler.timeout]
-        if overdue:
-            self._early = self._early[len(overdue) :]
-            self.reject(len(overdue), self._unmatched())
+                    self._hand_over(assembler.take(dwell), sensor)
+            for dwell in assembler.overdue(now):
+                reason = self._why_unfinished(dwell, sensor, now)
+                self.reject(len(assembler.take(dwell)), reason)
+        overdue = [message for began, message in self._early if now - began > self._timeout]
+        for message in overdue:
+            self.reject(1, self._unmatched(message))
+        self._early = self._early[len(overdue) :]
 
     def _hand_over(self, messages: list[Any], sensor: Sensor) -> None:
         self.submit(len(messages), lambda: self.process(messages, sensor))
 
     def _on_sensor_info(self, message: SensorInfo) -> None:
         try:
-            self._sensor = convert.sensor_from_message(message)
+            sensor = convert.sensor_from_message(message)
         except UserError as error:
             self.ignore("sensor info", error)
             return
-        self._assembler.forget_finished()
+        stream = self._streams.pop(sensor.config_hash, _Stream(sensor, DwellAssembler(HELD_DWELLS, self._timeout)))
+        stream.assembler.forget_finished()
+        self._streams[sensor.config_hash] = stream._replace(sensor=sensor)
+        if len(self._streams) > HELD_SENSORS:
+            self._give_up(self._streams.pop(next(iter(self._streams))))
         waiting, self._early = self._early, []
         for began, early in waiting:
             self._take_in(early, began)
+
+    def _give_up(self, stream: _Stream) -> None:
+        """Drop the unfinished dwells of a sensor that has been replaced."""
+        for dwell in stream.assembler.overdue(math.inf):
+            reason = self._why_unfinished(dwell, stream.sensor, math.inf)
+            self.reject(len(stream.assembler.take(dwell)), reason)
 
     def _on_message(self, message: Any) -> None:
         self.tally.receive()
         self._take_in(message, time.monotonic())
 
     def _take_in(self, message: Any, arrived: float) -> None:
-        if self._sensor is None or not self.belongs(message, self._sensor):
+        stream = self._streams.get(self.identity(message))
+        if stream is None:
             self._early.append((arrived, message))
-            limit = HELD_DWELLS * (self._sensor.detector_count if self._sensor else 16)
-            if len(self._early) > limit:
-                del self._early[0]
-                self.reject(1, self._unmatched())
+            if len(self._early) > HELD_MESSAGES:
+                self.reject(1, self._unmatched(self._early.pop(0)[1]))
             return
         key = (message.dwell, convert.to_ns(message.header.stamp))
         try:
-            self.check(message, self._sensor)
-            self._assembler.add(key, message.detector, message, arrived)
+            self.check(message, stream.sensor)
+            stream.assembler.add(key, message.detector, message, arrived)
         except Rejected as error:
             self.reject(1, error)
         self.advance()
 
-    def _incomplete(self, dwell: Dwell[Any]) -> Rejected:
-        count = self._sensor.detector_count if self._sensor else 0
-        absent = sorted(set(range(count)) - set(dwell.items))
+    def _why_unfinished(self, dwell: Dwell[Any], sensor: Sensor, now: float) -> Rejected:
+        name = f"Dwell {dwell.key[0]}"
+        if now - dwell.began <= self._timeout:
+            return Rejected("buffer full", f"{name}: more than {HELD_DWELLS} unfinished dwells; the oldest had to go.")
+        absent = sorted(set(range(sensor.detector_count)) - set(dwell.items))
         if absent:
-            return Rejected("incomplete dwell", f"Dwell {dwell.key[0]}: detectors {absent} did not come in time.")
-        return self.missing(dwell) or Rejected(
-            "buffer full", f"Dwell {dwell.key[0]}: {HELD_DWELLS} dwells wait already."
-        )
+            return Rejected("incomplete dwell", f"{name}: detectors {absent} did not come within {self._timeout:g} s.")
+        return self.missing(dwell) or Rejected("incomplete dwell", f"{name}: completed too late.")
 
-    def _unmatched(self) -> Rejected:
-        if self._sensor is None:
+    def _unmatched(self, message: Any) -> Rejected:
+        if not self._streams:
             return Rejected("no sensor info", "No usable message on sensor_info; publish one (transient local).")
+        known = ", ".join(self._streams)
         return Rejected(
             "contradicts sensor info",
-            f"The message's config_hash is not that of the sensor info in force ({self._sensor.config_hash}).",
+            f"Dwell {message.dwell}, detector {message.detector}: config_hash {self.identity(message)!r} is none of "
+            f"those on sensor_info ({known}).",
         )

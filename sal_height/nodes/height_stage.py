@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,19 +12,31 @@ from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance
 from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import __version__, convert
-from sal_height.estimate import ElevationEstimate
+from sal_height.estimate import ElevationEstimate, common_noise
 from sal_height.height import column_squint, height_field, look_grid
 from sal_height.looks import Looks, multilook
 from sal_height.nodes.dwell_stage import DwellStage
-from sal_height.nodes.parameters import as_json
+from sal_height.nodes.parameters import as_json, parameter
 from sal_height.sensor import Beams, Sensor
 
 
-class HeightStage(DwellStage):
-    """Turns the images of all detectors of a dwell into one height image.
+@dataclass(frozen=True)
+class HeightParameters:
+    """Parameters that every height node has."""
 
-    Its parameters have at least timeout_s, range_looks and azimuth_looks.
-    """
+    range_looks: int = parameter(2, "pixels averaged in range", minimum=1, maximum=4096)
+    azimuth_looks: int = parameter(2, "pixels averaged in azimuth", minimum=1, maximum=4096)
+    min_cnr_db: float = parameter(5.0, "least CNR of a valid pixel, dB", minimum=-60.0, maximum=100.0)
+    timeout_s: float = parameter(5.0, "wait for missing detectors, s", minimum=0.01, maximum=3600.0, read_only=True)
+
+    @property
+    def min_cnr(self) -> float:
+        """Least CNR of a valid pixel, power ratio."""
+        return float(10 ** (self.min_cnr_db / 10))
+
+
+class HeightStage(DwellStage):
+    """Turns the images of all detectors of a dwell into one height image; its parameters are HeightParameters."""
 
     estimator: str
     """Name of the estimator: prefix of the topics, HeightImage.estimator."""
@@ -41,9 +54,9 @@ class HeightStage(DwellStage):
     ) -> ElevationEstimate:
         """Elevation of every pixel, by the core's estimator."""
 
-    def belongs(self, message: ComplexImage, sensor: Sensor) -> bool:
-        """Whether the image was made with `sensor`."""
-        return bool(message.provenance.config_hash == sensor.config_hash)
+    def identity(self, message: ComplexImage) -> str:
+        """The config_hash of the sensor info that the image was made with."""
+        return str(message.provenance.config_hash)
 
     def check(self, message: ComplexImage, sensor: Sensor) -> None:
         """Size of an image; single bad pixels are marked as such."""
@@ -56,7 +69,7 @@ class HeightStage(DwellStage):
         looks = multilook(slc, parameters.range_looks, parameters.azimuth_looks)
         grid = look_grid(slc_grid, parameters.range_looks, parameters.azimuth_looks)
         squint = column_squint(grid, aperture, sensor.beams, sensor.look_side)
-        estimate = self.estimate(looks, sensor.beams, squint, float(np.mean(noise_power)), parameters)
+        estimate = self.estimate(looks, sensor.beams, squint, common_noise(noise_power), parameters)
         field = height_field(estimate, looks, slc_grid, grid, aperture, sensor.look_side)
         before = messages[0].provenance
         provenance = Provenance(

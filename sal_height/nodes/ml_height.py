@@ -11,25 +11,21 @@ import numpy.typing as npt
 from sal_height.array_ml import OBJECTIVES, ml_elevation
 from sal_height.estimate import ElevationEstimate
 from sal_height.looks import Looks
-from sal_height.nodes.height_stage import HeightStage
+from sal_height.nodes.height_stage import HeightParameters, HeightStage
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.stage import run_node
 from sal_height.sensor import Beams
 
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(HeightParameters):
     """Parameters of the node."""
 
-    range_looks: int = parameter(2, "pixels averaged in range", minimum=1, maximum=4096)
-    azimuth_looks: int = parameter(2, "pixels averaged in azimuth", minimum=1, maximum=4096)
     objective: str = parameter(
         "normalised",
         "what is maximised: normalised (exact) or numerator (as published; biased near the array's ends)",
         choices=tuple(OBJECTIVES),
     )
-    min_cnr_db: float = parameter(5.0, "least CNR of a valid pixel, dB", minimum=-60.0, maximum=100.0)
-    timeout_s: float = parameter(5.0, "wait for missing detectors, s", minimum=0.01, maximum=3600.0, read_only=True)
 
 
 class MlHeight(HeightStage):
@@ -46,8 +42,7 @@ class MlHeight(HeightStage):
         self, looks: Looks, beams: Beams, squint: npt.NDArray[np.float64], noise_power: float, parameters: Parameters
     ) -> ElevationEstimate:
         """Elevation of every pixel."""
-        min_cnr = 10 ** (parameters.min_cnr_db / 10)
-        return ml_elevation(looks, beams, squint, noise_power, OBJECTIVES[parameters.objective], min_cnr)
+        return ml_elevation(looks, beams, squint, noise_power, OBJECTIVES[parameters.objective], parameters.min_cnr)
 
 
 def main() -> int:

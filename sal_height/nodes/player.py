@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,7 +43,10 @@ class Player(Stage):
         """
         super().__init__("player", **node_arguments)
         declare_parameters(self, Parameters)
-        self._reader = BagReader(Path(read_parameters(self, Parameters).bag))
+        path = read_parameters(self, Parameters).bag
+        if not path:
+            raise UserError("Parameter bag is empty; it must be the path of a bag.")
+        self._reader = BagReader(Path(path))
         recorded = {name.lstrip("/"): topic for name, topic in self._reader.topics.items()}
         if missing := [name for name in INPUTS if name not in recorded]:
             raise UserError(
@@ -68,16 +70,25 @@ class Player(Stage):
         return response
 
     def _publish_group(self) -> int:
-        """Publish up to the first frame that is not of this group; the number of frames."""
+        """Publish up to the first frame that is not of this group; the number of frames.
+
+        What cannot be decoded is counted and left out.
+        """
         group = _Group()
         while self._next is not None:
-            message = self._reader.decode(self._next.type_name, self._next.cdr)
+            recorded = self._next
+            try:
+                message = self._reader.decode(recorded.type_name, recorded.cdr)
+            except Exception as error:  # noqa: BLE001 (whatever the deserializer makes of broken bytes)
+                self.ignore(f"broken {recorded.topic}", UserError(f"A message cannot be decoded: {error}"))
+                self._next = next(self._messages, None)
+                continue
             if isinstance(message, SensorInfo):
                 self._detectors = max(1, len(message.elevation_boresights))
             if isinstance(message, DetectorFrame) and group.closed(self._detectors):
                 break
             group.add(message)
-            self._outlets[self._next.topic].publish(self._next.cdr)
+            self._outlets[recorded.topic].publish(recorded.cdr)
             self._next = next(self._messages, None)
         return group.frames.total()
 
@@ -97,7 +108,7 @@ class _Group:
         elif isinstance(message, DetectorFrame):
             start_ns = convert.to_ns(message.header.stamp)
             self.frames[message.dwell, start_ns] += 1
-            duration = max(filter(math.isfinite, message.pulse_time), default=0.0)
+            duration = max((t for t in message.pulse_time if 0 < t <= convert.LONGEST_DWELL), default=0.0)
             self._last_pulse_ns = max(self._last_pulse_ns, start_ns + round(duration * 1e9))
 
     def closed(self, detectors: int) -> bool:

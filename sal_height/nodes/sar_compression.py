@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from nav_msgs.msg import Odometry
@@ -18,13 +19,10 @@ from sal_height.nodes.parameters import as_json, parameter
 from sal_height.nodes.stage import ODOMETRY_QOS, run_node
 from sal_height.sensor import Sensor
 from sal_height.trajectory import PlatformState, Trajectory
-from sal_height.windows import WINDOWS, broadening, noise_gain, window
+from sal_height.windows import WINDOWS, broadening, window
 
 HELD_STATES = 20_000
 """Odometry samples held: 100 s at 200 Hz."""
-
-NEIGHBOURS = 4
-"""Odometry samples used before and after the aperture."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +36,9 @@ class Parameters:
     cols: int = parameter(0, "pixels in azimuth; 0: one beamwidth (slant)", minimum=0, maximum=65536)
     ground_spacing_m: float = parameter(1.0, "pixel spacing in the ground plane, m", minimum=1e-6, maximum=1e6)
     range_window: str = parameter("taylor", "window over the bandwidth", choices=tuple(sorted(WINDOWS)))
+    max_odometry_gap_s: float = parameter(
+        0.5, "longest time between two odometry samples during a dwell, s", minimum=1e-6, maximum=3600.0
+    )
     timeout_s: float = parameter(
         5.0, "wait for missing detectors or odometry, s", minimum=0.01, maximum=3600.0, read_only=True
     )
@@ -60,14 +61,19 @@ class SarCompression(DwellStage):
         convert.check_frame(message, sensor)
 
     def missing(self, dwell: Dwell[DetectorFrame]) -> Rejected | None:
-        """Odometry up to the last pulse."""
+        """Odometry from before the first pulse to after the last, without gaps."""
         frame = next(iter(dwell.items.values()))
-        start = convert.to_ns(frame.header.stamp)
-        end = start + round(frame.pulse_time[-1] * 1e9)
-        if self._states and self._states[0].stamp_ns <= start and end <= self._states[-1].stamp_ns:
+        start_ns = convert.to_ns(frame.header.stamp)
+        limit = self.current_parameters().max_odometry_gap_s
+        stamps = [state.stamp_ns for state in self._states_around(start_ns, frame.pulse_time[-1])]
+        gaps = [(later - earlier) * 1e-9 for earlier, later in pairwise(stamps)]
+        if gaps and max(gaps) <= limit:
             return None
         return Rejected(
-            "odometry gap", f"Dwell {dwell.key[0]}: platform/odometry does not cover its pulses from first to last."
+            "odometry gap",
+            f"Dwell {dwell.key[0]}: platform/odometry must reach from its first pulse to its last with a sample every "
+            f"{limit:g} s (max_odometry_gap_s); "
+            + (f"there are {max(gaps):g} s between two." if gaps else "it does not (is its QoS compatible?)."),
         )
 
     def process(self, messages: list[DetectorFrame], sensor: Sensor) -> int:
@@ -81,14 +87,13 @@ class SarCompression(DwellStage):
         grid = _grid(parameters, sensor, aperture, reference, broadening(weights))
         antenna = track.positions(history.stamp_ns, history.pulse_times)
         slc = compression.backproject(history, antenna, sensor, weights, grid.pixels())
-        gain = noise_gain(weights) / (sensor.pulse_count * sensor.frequency_count)
         provenance = Provenance(
             code_version=__version__,
             config_hash=sensor.config_hash,
             calibration_id=sensor.calibration_id,
             parameters=as_json(self.get_name(), parameters),
         )
-        noise = [gain * power for power in sensor.noise_power]
+        noise = compression.slc_noise_power(sensor, weights)
         images = convert.slc_to_messages(slc, grid, aperture, noise, messages[0], provenance)
         for image in images:
             self._slc.publish(image)
@@ -103,16 +108,21 @@ class SarCompression(DwellStage):
         states = self._states
         if states and state.stamp_ns <= states[-1].stamp_ns:
             # A clock that starts anew, or a sample that comes twice: what is later than this one is obsolete.
-            states = states[: bisect.bisect_left(states, state.stamp_ns, key=lambda s: s.stamp_ns)]
+            states = states[: bisect.bisect_left(states, state.stamp_ns, key=_stamp)]
         self._states = [*states[-HELD_STATES:], state]
         self.advance()
 
     def _states_around(self, start_ns: int, seconds: float) -> list[PlatformState]:
-        """The odometry samples in an aperture and a few beyond."""
-        stamps = [state.stamp_ns for state in self._states]
-        first = bisect.bisect_right(stamps, start_ns) - NEIGHBOURS
-        last = bisect.bisect_left(stamps, start_ns + round(seconds * 1e9)) + NEIGHBOURS
-        return self._states[max(0, first) : last]
+        """The odometry samples from the last before an aperture to the first after it; none if it is not covered."""
+        states = self._states
+        end_ns = start_ns + round(seconds * 1e9)
+        first = bisect.bisect_right(states, start_ns, key=_stamp) - 1
+        last = bisect.bisect_left(states, end_ns, key=_stamp)
+        return states[first : last + 1] if 0 <= first < last < len(states) else []
+
+
+def _stamp(state: PlatformState) -> int:
+    return state.stamp_ns
 
 
 def _grid(parameters: Parameters, sensor: Sensor, aperture: Aperture, reference: float, broadened: float) -> Grid:
@@ -122,10 +132,8 @@ def _grid(parameters: Parameters, sensor: Sensor, aperture: Aperture, reference:
             raise UserError("Parameters rows and cols are 0; in the ground plane they must be given.")
         spacing = parameters.ground_spacing_m
         return compression.ground_plane_grid(sensor, aperture, reference, parameters.rows, parameters.cols, spacing)
-    beam = sensor.beamwidth * reference
-    cells = beam / compression.azimuth_resolution(sensor, aperture, reference)
-    rows = parameters.rows or max(1, int(sensor.frequency_count / broadened))
-    cols = parameters.cols or max(1, int(cells + 1e-6))
+    all_rows, all_cols = compression.slant_plane_size(sensor, aperture, reference, broadened)
+    rows, cols = parameters.rows or all_rows, parameters.cols or all_cols
     return compression.slant_plane_grid(sensor, aperture, reference, rows, cols, broadened)
 
 

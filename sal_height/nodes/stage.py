@@ -9,17 +9,19 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 
 from sal_height.errors import Rejected, UserError
 from sal_height.tally import Tally
@@ -32,6 +34,11 @@ ODOMETRY_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE)
 
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Sensor info: the last one reaches those who come late."""
+
+QOS_OVERRIDES = QoSOverridingOptions(
+    [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY]
+)
+"""Policies that users can change by the qos_overrides parameters."""
 
 DIAGNOSTICS_PERIOD_S = 0.5
 
@@ -57,9 +64,7 @@ class Stage(Node):
 
     def offer(self, message_type: type, topic: str, qos: QoSProfile = FRAMES_QOS) -> Publisher:
         """A publisher whose subscribers are counted in the diagnostics."""
-        publisher = self.create_publisher(
-            message_type, topic, qos, qos_overriding_options=QoSOverridingOptions.with_default_policies()
-        )
+        publisher = self.create_publisher(message_type, topic, qos, qos_overriding_options=QOS_OVERRIDES)
         self._products.append(publisher)
         return publisher
 
@@ -67,9 +72,15 @@ class Stage(Node):
         self, message_type: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile = FRAMES_QOS
     ) -> None:
         """Subscribe; users can adapt the QoS to a publisher of theirs by the qos_overrides parameters."""
-        self.create_subscription(
-            message_type, topic, callback, qos, qos_overriding_options=QoSOverridingOptions.with_default_policies()
-        )
+
+        def guarded(message: Any) -> None:
+            try:
+                callback(message)
+            except Exception as error:  # noqa: BLE001 (no message may end the node)
+                self.get_logger().error(f"Unexpected failure, please report it: {traceback.format_exc()}")
+                self.ignore("internal error", UserError(repr(error)))
+
+        self.create_subscription(message_type, topic, guarded, qos, qos_overriding_options=QOS_OVERRIDES)
 
     def submit(self, messages: int, work: Callable[[], int]) -> None:
         """Have `work` done on the worker; it consumes `messages` messages and returns the number it published.
@@ -127,12 +138,15 @@ class Stage(Node):
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
-        if self.context.ok():
+        with suppress(RCLError):  # the context may end meanwhile
             self._diagnostics.publish(message)
 
     def destroy_node(self) -> None:
-        """Finish the work at hand, then end the node."""
+        """Finish the job at hand, then end the node; jobs that still wait are given up."""
         if self._worker.is_alive():
+            with suppress(queue.Empty):
+                while True:
+                    self._jobs.get_nowait()
             self._jobs.put(None)
             self._worker.join()
         super().destroy_node()

@@ -33,8 +33,7 @@ def draw_heights(mosaics: Mapping[str, Mosaic], scene: Scene, preset: Preset, pa
     first = next(iter(mosaics.values()))
     terrain = scene.heights(first.east, first.north[:, None])
     low, high = np.nanpercentile(terrain, [0.5, 99.5])
-    errors = {name: m.height - m.truth for name, m in mosaics.items()}
-    spread = {name: _s68(errors[name][m.single]) for name, m in mosaics.items()}
+    spread = {name: _s68(m.error[m.single]) for name, m in mosaics.items()}
     worst = 4 * max(spread.values())
     shape = np.ptp(first.north) / np.ptp(first.east)
     figure = Figure(figsize=(5.4 * (len(mosaics) + 1), 2.0 + 2 * max(3.2, 5.0 * shape)), layout="constrained")
@@ -46,7 +45,7 @@ def draw_heights(mosaics: Mapping[str, Mosaic], scene: Scene, preset: Preset, pa
         title = TITLES.get(name, name)
         _show(axes[0, column], result, result.height, (low, high), "terrain")
         axes[0, column].set_title(f"height, {title}")
-        error = _show(axes[1, column], result, errors[name], (-worst, worst), "RdBu_r")
+        error = _show(axes[1, column], result, result.error, (-worst, worst), "RdBu_r")
         axes[1, column].set_title(f"error, {title}\nhalf the 16-84 % width {spread[name]:.3g} m")
     figure.colorbar(truth, ax=axes[0], label="height above the reference sphere (m)")
     figure.colorbar(error, ax=axes[1], label="height error (m)")

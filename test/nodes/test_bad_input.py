@@ -10,9 +10,10 @@ import pytest
 from chain_fixture import Chain, same_heights
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
-from sal_height_msgs.msg import ComplexImage, DetectorFrame, HeightImage, SensorInfo
+from sal_height_msgs.msg import ComplexImage, DetectorFrame, HeightImage
 
 from sal_height import convert
+from sal_height.errors import Rejected
 from sal_height.nodes.graph import Graph
 
 DETECTORS = 8
@@ -148,7 +149,7 @@ def test_without_sensor_info_frames_are_dropped(chain: Chain, reference: Any) ->
 def test_sensor_info_that_is_not_of_these_frames(chain: Chain, reference: Any) -> None:
     other = chain.sensor_info()
     other.wavelength *= 2
-    other.config_hash = convert.sensor_from_message(rehashed(other)).config_hash
+    other.config_hash = "another"
     chain.publish(other, *chain.odometry(0), *chain.frames(0))
     chain.await_drops("sar_compression", "contradicts sensor info", DETECTORS)
     chain.publish(chain.sensor_info())
@@ -268,10 +269,94 @@ def test_bad_images_are_counted_by_the_estimators(chain: Chain, reference: Any, 
     assert same_heights(chain.heights["ml", 1], reference["ml", 1])
 
 
-def rehashed(message: SensorInfo) -> SensorInfo:
-    """The message with the hash of its values in it."""
-    try:
-        convert.sensor_from_message(message)
-    except ValueError as error:
-        message.config_hash = str(error).split("hash to '")[1][:16]
-    return message
+def test_frames_are_processed_with_their_own_sensor_info(chain: Chain, reference: Any) -> None:
+    """Another description comes while a dwell still waits for its odometry, and while its images are on their way."""
+    other = chain.sensor_info()
+    other.elevation_boresights = [angle + 2e-4 for angle in other.elevation_boresights]
+    other.config_hash = "another"
+    chain.publish(chain.sensor_info(), *chain.frames(0))
+    chain.wait(lambda: chain.accounts()["sar_compression"]["in"] == DETECTORS, "the frames")
+    chain.publish(other, *chain.odometry(0))
+    chain.await_heights(0)
+    assert same_heights(chain.heights["ml", 0], reference["ml", 0])
+    assert chain.heights["ml", 0].provenance.config_hash == chain.flight.sensor.config_hash
+    next_dwell_is_exact(chain, reference)
+
+
+def test_odometry_is_not_interpolated_over_a_gap(chain: Chain, reference: Any) -> None:
+    far_before, far_after = chain.odometry(0)[0], chain.odometry(0)[-1]
+    start = convert.to_ns(chain.frames(0)[0].header.stamp)
+    for message, seconds in ((far_before, -5), (far_after, 5)):
+        message.header.stamp = convert.to_stamp(start + seconds * 1_000_000_000)
+        message.pose.pose.position.x = 50.0 * seconds
+    chain.publish(chain.sensor_info(), far_before, far_after, *chain.frames(0))
+    chain.await_drops("sar_compression", "odometry gap", DETECTORS)
+    chain.publish(*chain.odometry(0))
+    next_dwell_is_exact(chain, reference)
+
+
+@pytest.mark.parametrize("turned", [(0.0, 0.0, 0.0), (0.0, 50.0, 0.0)], ids=["zero", "sideways"])
+def test_odometry_whose_twist_is_not_its_motion_is_not_used(chain: Chain, turned: tuple[float, ...]) -> None:
+    odometry = chain.odometry(0)
+    for message in odometry:
+        linear = message.twist.twist.linear
+        linear.x, linear.y, linear.z = turned
+    chain.publish(chain.sensor_info(), *odometry, *chain.frames(0))
+    chain.await_drops("sar_compression", "cannot be processed", DETECTORS)
+    assert not chain.heights
+
+
+@pytest.mark.parametrize(("field", "name"), [("header", "odom"), ("child", "gps_antenna")])
+def test_odometry_of_other_frames_is_ignored(chain: Chain, reference: Any, field: str, name: str) -> None:
+    odometry = chain.odometry(0)
+    for message in odometry:
+        if field == "header":
+            message.header.frame_id = name
+        else:
+            message.child_frame_id = name
+    chain.publish(chain.sensor_info(), *odometry)
+    chain.wait(lambda: chain.accounts()["sar_compression"].get("ignored.odometry") == len(odometry), "the count")
+    chain.publish(*chain.odometry(0))
+    next_dwell_is_exact(chain, reference)
+
+
+@pytest.mark.parametrize("noise", [[0.0] + [1.0] * 7, [0.0] * 8, [9.0] + [1.0] * 7])
+def test_noise_that_is_unknown_or_too_unequal_gives_no_heights(chain: Chain, noise: list[float]) -> None:
+    info = chain.sensor_info()
+    info.noise_power = noise
+    chain.publish(info, *chain.odometry(0), *chain.frames(0))
+    for stage in ("monopulse", "ml_height"):
+        chain.await_drops(stage, "cannot be processed", DETECTORS)
+
+
+def endless(frame: DetectorFrame) -> None:
+    frame.pulse_time[-1] = 1e300
+
+
+def instantaneous(frame: DetectorFrame) -> None:
+    frame.pulse_time = [0.0] * len(frame.pulse_time)
+
+
+def touching(frame: DetectorFrame) -> None:
+    frame.reference_range[4] = 0.0
+
+
+def beyond(frame: DetectorFrame) -> None:
+    frame.reference_range[4] = 1e300
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (endless, "wrong pulse times"),
+        (instantaneous, "wrong pulse times"),
+        (touching, "wrong reference range"),
+        (beyond, "wrong reference range"),
+    ],
+)
+def test_impossible_times_and_ranges_are_rejected(chain: Chain, spoil: Any, reason: str) -> None:
+    frame = chain.frames(0)[0]
+    spoil(frame)
+    with pytest.raises(Rejected) as error:
+        convert.check_frame(frame, chain.flight.sensor)
+    assert error.value.reason == reason

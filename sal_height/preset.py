@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -10,14 +11,23 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import yaml
 from annotated_types import Ge, Gt, Le, Lt, MinLen
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
+from pydantic_core import PydanticCustomError
 
 from sal_height.errors import UserError
-from sal_height.sensor import Sensor
+from sal_height.sensor import MAX_DETECTORS, Sensor
 
 _STRICT_KEYS = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-PositiveFloat = Annotated[float, Gt(0)]
+
+def _not_boolean(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise PydanticCustomError("boolean", "input should be a number, not true or false")
+    return value
+
+
+Float = Annotated[float, BeforeValidator(_not_boolean)]
+Int = Annotated[int, BeforeValidator(_not_boolean)]
 
 
 @dataclass(frozen=True)
@@ -27,15 +37,15 @@ class SensorSettings:
     __pydantic_config__ = _STRICT_KEYS
 
     look_side: Literal["left", "right"]
-    wavelength_m: PositiveFloat
-    aperture_m: PositiveFloat
+    wavelength_m: Annotated[Float, Ge(1e-9), Le(100)]
+    aperture_m: Annotated[Float, Ge(1e-6), Le(1e4)]
     pattern: Literal["gaussian", "sinc", "jinc"]
-    detectors: Annotated[int, Ge(1), Le(1024)]
-    pitch_beamwidths: PositiveFloat
-    bandwidth_hz: PositiveFloat
-    frequency_count: Annotated[int, Ge(2), Le(65536)]
-    pulse_count: Annotated[int, Ge(2), Le(65536)]
-    pulse_repetition_frequency_hz: PositiveFloat
+    detectors: Annotated[Int, Ge(2), Le(MAX_DETECTORS)]
+    pitch_beamwidths: Annotated[Float, Ge(1e-3), Le(1e3)]
+    bandwidth_hz: Annotated[Float, Ge(1), Le(1e15)]
+    frequency_count: Annotated[Int, Ge(2), Le(65536)]
+    pulse_count: Annotated[Int, Ge(2), Le(65536)]
+    pulse_repetition_frequency_hz: Annotated[Float, Ge(1e-3), Le(1e9)]
 
 
 @dataclass(frozen=True)
@@ -44,11 +54,11 @@ class Flight:
 
     __pydantic_config__ = _STRICT_KEYS
 
-    slant_range_m: PositiveFloat
-    look_angle_rad: Annotated[float, Gt(0), Lt(np.pi / 2)]
-    speed_mps: PositiveFloat
-    dwell_spacing_m: PositiveFloat
-    odometry_rate_hz: PositiveFloat
+    slant_range_m: Annotated[Float, Ge(1), Le(1e7)]
+    look_angle_rad: Annotated[Float, Gt(0), Lt(np.pi / 2)]
+    speed_mps: Annotated[Float, Ge(0.01), Le(20000)]
+    dwell_spacing_m: Annotated[Float, Ge(1e-6), Le(1e6)]
+    odometry_rate_hz: Annotated[Float, Gt(0), Le(10000)]
 
 
 @dataclass(frozen=True)
@@ -57,8 +67,8 @@ class ImageSize:
 
     __pydantic_config__ = _STRICT_KEYS
 
-    rows: Annotated[int, Ge(1), Le(65536)]
-    cols: Annotated[int, Ge(1), Le(65536)]
+    rows: Annotated[Int, Ge(1), Le(65536)]
+    cols: Annotated[Int, Ge(1), Le(65536)]
 
 
 @dataclass(frozen=True)
@@ -72,9 +82,9 @@ class Preset:
     flight: Flight
     image: ImageSize
     scene: Annotated[str, MinLen(1)]
-    cnr_db: Annotated[float, Ge(-60), Le(100)]
-    looks: tuple[Annotated[int, Ge(1)], Annotated[int, Ge(1)]]
-    dwells: Annotated[int, Ge(1)]
+    cnr_db: Annotated[Float, Ge(-60), Le(100)]
+    looks: tuple[Annotated[Int, Ge(1)], Annotated[Int, Ge(1)]]
+    dwells: Annotated[Int, Ge(1), Le(1_000_000)]
 
     def make_sensor(self) -> Sensor:
         """The sensor, with unit noise power.
@@ -123,6 +133,8 @@ def load_preset(name_or_path: str) -> Preset:
             ) from error
     try:
         content = yaml.safe_load(text)
+    except RecursionError as error:
+        raise UserError(f"Preset {name_or_path} is nested too deeply; a preset has two levels of keys.") from error
     except (yaml.YAMLError, ValueError) as error:
         raise UserError(f"Preset {name_or_path} is not valid YAML: {' '.join(str(error).split())}.") from error
     return parse_preset(content, name_or_path)
@@ -138,14 +150,13 @@ def parse_preset(content: Any, source: str) -> Preset:
         preset = TypeAdapter(Preset).validate_python(content)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the top level"
+        key = " ".join(".".join(str(part) for part in first["loc"]).split()) or "the top level"
         if first["type"] == "missing":
             raise UserError(f"Preset {source}: {key} is missing; it is required.") from error
         if first["type"] == "unexpected_keyword_argument":
             raise UserError(f"Preset {source}: {key} is not a known key; remove it or correct its spelling.") from error
-        raise UserError(
-            f"Preset {source}: {key} is {first['input']!r}; {first['msg'][0].lower()}{first['msg'][1:]}."
-        ) from error
+        allowed = _rounded(first["msg"][0].lower() + first["msg"][1:])
+        raise UserError(f"Preset {source}: {key} is {_shown(first['input'])}; {allowed}.") from error
     size = (preset.image.rows, preset.image.cols)
     if preset.looks[0] > size[0] or preset.looks[1] > size[1]:
         raise UserError(f"Preset {source}: looks is {preset.looks}; they must fit in the image of {size} pixels.")
@@ -153,8 +164,8 @@ def parse_preset(content: Any, source: str) -> Preset:
     interval = preset.flight.dwell_spacing_m / preset.flight.speed_mps
     if duration > interval:
         raise UserError(
-            f"Preset {source}: flight.dwell_spacing_m is {preset.flight.dwell_spacing_m}, {interval:.3g} s of flight; "
-            f"a dwell takes {duration:.3g} s, so it must be {duration * preset.flight.speed_mps:.6g} or more."
+            f"Preset {source}: flight.dwell_spacing_m is {preset.flight.dwell_spacing_m:.6g}, {interval:.3g} s of "
+            f"flight; a dwell takes {duration:.3g} s, so it must be {duration * preset.flight.speed_mps:.6g} or more."
         )
     doppler_band = 4 * preset.flight.speed_mps / preset.sensor.aperture_m
     if preset.sensor.pulse_repetition_frequency_hz < doppler_band:
@@ -164,3 +175,17 @@ def parse_preset(content: Any, source: str) -> Preset:
             "(4 speed / aperture), so it must be that or more."
         )
     return preset
+
+
+def _shown(value: Any) -> str:
+    """A value for a sentence: its long numbers rounded, and cut where it is too long to read."""
+    try:
+        text = repr(value) if isinstance(value, str) else _rounded(repr(value))
+    except ValueError:  # a number of more digits than Python writes
+        return "a number of thousands of digits"
+    return text if len(text) <= 100 else f"{text[:100]} ..."
+
+
+def _rounded(text: str) -> str:
+    """The text with numbers of more than seven characters rounded to six digits."""
+    return re.sub(r"\d+(\.\d+)?(e[-+]?\d+)?", lambda n: n[0] if len(n[0]) <= 7 else f"{float(n[0]):.6g}", text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,12 @@ Array = npt.NDArray[np.float64]
 
 BUILT_IN = ("street", "jacksboro_fault")
 """Names that `load_scene` knows besides paths."""
+
+LOWEST, HIGHEST = -12000.0, 9000.0
+"""Elevations there are on Earth, m."""
+
+NO_DATA = (-9999.0, -32768.0)
+"""Elevations that stand for none where a file does not say so."""
 
 
 def load_scene(name_or_path: str) -> Scene:
@@ -83,10 +90,10 @@ def _from_npz(path: Path) -> Scene:
     try:
         with np.load(path) as dem:
             missing = [key for key in ("elevation", "dx", "dy") if key not in dem]
-            elevation = np.asarray(dem.get("elevation", np.nan), dtype=np.float64)
+            elevation = _as_float(np.asarray(dem.get("elevation", np.nan)))
             numbers = {key: float(dem[key]) for key in ("dx", "dy", "ymin", "ymax") if key in dem}
     except Exception as error:  # numpy, zipfile, zlib and the tokenizer each have their own for a damaged file
-        raise UserError(f"Scene {path} is not a readable .npz file: {' '.join(str(error).split())}.") from error
+        raise UserError(f"Scene {path} is not a readable .npz file: {_cause(error)}.") from error
     if missing:
         raise UserError(f"Scene {path} lacks {', '.join(missing)}; needed are elevation, dx and dy.")
     if {"ymin", "ymax"} <= set(numbers):
@@ -103,19 +110,35 @@ def _from_geotiff(path: Path) -> Scene:
         raise UserError(f"Reading {path} needs rasterio; install it with: pip install 'sal_height[dem]'.") from error
     try:
         with rasterio.open(path) as dem:
-            elevation = dem.read(1, masked=True).astype(np.float64).filled(np.nan)
+            elevation = _as_float(dem.read(1, masked=True)).filled(np.nan)
             transform, crs = dem.transform, dem.crs
-    except rasterio.errors.RasterioError as error:
-        raise UserError(f"Scene {path} is not a readable GeoTIFF: {error}.") from error
+        geographic = crs is not None and crs.is_geographic
+        unit = crs.linear_units_factor[1] if crs is not None and crs.is_projected else None
+    except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
+        raise UserError(f"Scene {path} is not a readable GeoTIFF: {_cause(error)}.") from error
     if crs is None or transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
         raise UserError(
             f"Scene {path} must be north up with a coordinate reference system; reproject it with gdalwarp."
         )
-    if crs.is_geographic:
+    if geographic:
         latitude = transform.f + transform.e * elevation.shape[0] / 2
         return _from_degrees(path.stem, elevation, latitude, transform.a, -transform.e)
-    unit = crs.linear_units_factor[1]
+    if unit is None:
+        raise UserError(
+            f"Scene {path} has a coordinate reference system that is neither geographic nor projected; "
+            "reproject it with gdalwarp."
+        )
     return _centred(path.stem, elevation, transform.a * unit, -transform.e * unit)
+
+
+def _cause(error: Exception) -> str:
+    """What an error of a library says, as part of a sentence."""
+    return " ".join(str(error.__cause__ or error).split()).rstrip(".") or type(error).__name__
+
+
+def _as_float(elevation: Any) -> Any:
+    """The array as float64; a complex one as it is, for `_centred` to refuse."""
+    return elevation if np.iscomplexobj(elevation) else elevation.astype(np.float64)
 
 
 def _from_degrees(name: str, elevation: npt.ArrayLike, latitude_deg: float, dx: float, dy: float) -> Scene:
@@ -123,20 +146,35 @@ def _from_degrees(name: str, elevation: npt.ArrayLike, latitude_deg: float, dx: 
 
     That parallel keeps its length; over a few tens of kilometres the others are off by less than a cell.
     """
+    if not abs(latitude_deg) < 90:
+        raise UserError(f"Scene {name} has its middle at latitude {latitude_deg:.6g}; allowed is between -90 and 90.")
     metres = float(np.radians(1.0)) * EARTH_RADIUS
     return _centred(name, elevation, dx * metres * float(np.cos(np.radians(latitude_deg))), dy * metres)
 
 
 def _centred(name: str, elevation: npt.ArrayLike, dx: float, dy: float) -> Scene:
     """Terrain of uniform brightness around the map origin, from rows that run north to south; holes are refused."""
+    if np.iscomplexobj(elevation):
+        raise UserError(f"Scene {name} has complex elevations; they must be real numbers.")
     elevation = np.asarray(elevation, dtype=np.float64)
-    if not (dx > 0 and dy > 0):
-        raise UserError(f"Scene {name} has cells of {dx} x {dy} m; both must be greater than 0.")
+    if not (0 < dx < np.inf and 0 < dy < np.inf):
+        raise UserError(f"Scene {name} has cells of {dx:.6} x {dy:.6} m; both must be greater than 0 and finite.")
     if elevation.ndim != 2 or min(elevation.shape) < 2:
         raise UserError(f"Scene {name} has elevations of shape {elevation.shape}; 2 x 2 or more are needed.")
     if holes := int(np.count_nonzero(~np.isfinite(elevation))):
         raise UserError(
             f"Scene {name} has {holes} cells without elevation; fill them first, e.g. with gdal_fillnodata."
+        )
+    for value in NO_DATA:
+        if cells := int(np.count_nonzero(elevation == value)):
+            raise UserError(
+                f"Scene {name} has {cells} cells of {value:g} m, which looks like undeclared no-data; "
+                "declare it (NaN in an .npz, gdal_edit -a_nodata for a .tif) and fill the holes."
+            )
+    low, high = float(elevation.min()), float(elevation.max())
+    if low < LOWEST or high > HIGHEST:
+        raise UserError(
+            f"Scene {name} has elevations from {low:.6g} to {high:.6g} m; allowed are {LOWEST:g} to {HIGHEST:g} m."
         )
     rows, cols = elevation.shape
     return Scene(

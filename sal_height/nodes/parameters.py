@@ -8,13 +8,15 @@ from collections.abc import Sequence
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sal_height.errors import UserError
 
 Table = TypeVar("Table")
+
+KINDS = {int: "a whole number", float: "a number", str: "a text"}
+"""How messages call the types a parameter may have."""
 
 
 def parameter(
@@ -39,24 +41,32 @@ def parameter(
 def declare_parameters(node: Node, table: type[Table]) -> None:
     """Declare every field of the dataclass `table` on `node`, and refuse values that it does not allow from now on.
 
+    A whole number is taken where the field is a float.
+
     Raises:
         UserError: an override has the wrong type, is out of range or is not one of the choices.
     """
-    fields = dataclasses.fields(table)  # type: ignore[arg-type]
-    for field in fields:
-        try:
-            node.declare_parameter(field.name, field.default, _descriptor(field))
-        except (InvalidParameterValueException, InvalidParameterTypeException) as error:
-            raise UserError(f"{str(error).rstrip('.')}; {_allowed(field)}.") from error
-        if refusal := _refusal(field, node.get_parameter(field.name).value):
+    fields = {field.name: field for field in dataclasses.fields(table)}  # type: ignore[arg-type]
+    for name, field in fields.items():
+        # Declared twice: rclpy shows an override of any type only to a parameter of any type.
+        override = node.declare_parameter(name, field.default, ParameterDescriptor(dynamic_typing=True)).value
+        node.undeclare_parameter(name)
+        value = _converted(field, override)
+        if refusal := _refusal(field, value):
             raise UserError(refusal)
-    by_name = {field.name: field for field in fields}
+        node.declare_parameter(name, value, _descriptor(field), ignore_override=True)
+
+    def convert(parameters: list[Parameter]) -> list[Parameter]:
+        return [
+            Parameter(p.name, value=_converted(fields[p.name], p.value)) if p.name in fields else p for p in parameters
+        ]
 
     def check(parameters: list[Parameter]) -> SetParametersResult:
-        refusals = [_refusal(by_name[p.name], p.value) for p in parameters if p.name in by_name]
+        refusals = [_refusal(fields[p.name], p.value) for p in parameters if p.name in fields]
         reason = next((refusal for refusal in refusals if refusal), "")
         return SetParametersResult(successful=not reason, reason=reason)
 
+    node.add_pre_set_parameters_callback(convert)
     node.add_on_set_parameters_callback(check)
 
 
@@ -83,15 +93,29 @@ def _descriptor(field: dataclasses.Field[Any]) -> ParameterDescriptor:
 
 
 def _allowed(field: dataclasses.Field[Any]) -> str:
-    kind = type(field.default).__name__
     if field.metadata["choices"]:
         return f"allowed are {', '.join(field.metadata['choices'])}"
+    kind = KINDS[type(field.default)]
     if field.metadata["range"]:
         low, high = field.metadata["range"]
-        return f"it must be a {kind} from {low:g} to {high:g}"
-    return f"it must be a {kind}"
+        return f"it must be {kind} from {low:.10g} to {high:.10g}"
+    return f"it must be {kind}"
+
+
+def _converted(field: dataclasses.Field[Any], value: Any) -> Any:
+    """The value, as a float if it is a whole number and the field a float."""
+    return float(value) if type(value) is int and isinstance(field.default, float) else value
 
 
 def _refusal(field: dataclasses.Field[Any], value: Any) -> str:
-    choices = field.metadata["choices"]
-    return f"Parameter {field.name} is {value!r}; {_allowed(field)}." if choices and value not in choices else ""
+    """Why the field does not allow the value, as a sentence; empty if it does."""
+    if value is None:
+        return f"Parameter {field.name} has no value; {_allowed(field)}."
+    given, wanted = (Parameter.Type.from_parameter_value(v) for v in (value, field.default))
+    if given != wanted:
+        types = f"{given.name.lower()}, not {wanted.name.lower()}"
+        return f"Parameter {field.name} is {value!r} ({types}); {_allowed(field)}."
+    low, high = field.metadata["range"] or (value, value)
+    if low <= value <= high and value in (field.metadata["choices"] or (value,)):
+        return ""
+    return f"Parameter {field.name} is {value!r}; {_allowed(field)}."

@@ -56,19 +56,17 @@ def import_gotcha(files: list[Path], out: Path) -> int:
     parts = [_load(path) for path in files]
     frequency = parts[0]["freq"].ravel()
     for path, part in zip(files, parts, strict=True):
-        if part["freq"].shape != parts[0]["freq"].shape or not np.allclose(part["freq"].ravel(), frequency, rtol=1e-9):
+        if part["freq"].size != frequency.size or not np.allclose(part["freq"].ravel(), frequency, rtol=1e-9):
             raise UserError(f"File {path} has other frequencies than {files[0]}; all must share them.")
-    antenna: Array = np.concatenate([np.stack([p[axis].ravel() for axis in "xyz"], axis=-1) for p in parts]).astype(
-        "f8"
-    )
+    antenna: Array = np.concatenate([np.stack([p[axis].ravel() for axis in "xyz"], axis=-1) for p in parts])
     samples = np.concatenate([p["fp"].T for p in parts]).astype(np.complex64)[None]
     steps = np.linalg.norm(np.diff(antenna, axis=0), axis=-1)
-    if not np.all(steps > 0):
-        raise UserError("Two pulses were taken at the same antenna position; name each file once.")
     times_ns = np.rint(np.concatenate([[0.0], np.cumsum(steps)]) / SPEED * 1e9).astype(np.int64)
+    if not np.all(np.diff(times_ns) > 0):
+        raise UserError("Two pulses were taken at the same antenna position; name each file once.")
     times: Array = times_ns * np.float64(1e-9)
     velocity = np.asarray(np.gradient(antenna, times, axis=0), dtype=np.float64)
-    reference = np.concatenate([p["r0"].ravel() for p in parts]).astype(np.float64)
+    reference = np.concatenate([p["r0"].ravel() for p in parts])
     sensor = _sensor(frequency, antenna, velocity, times)
     history = PhaseHistory(0, times, reference, samples)
     states = _states(times_ns, antenna, velocity, sensor.look_side)
@@ -78,13 +76,36 @@ def import_gotcha(files: list[Path], out: Path) -> int:
 
 
 def _load(path: Path) -> dict[str, Any]:
+    """The FIELDS of a file.
+
+    Raises:
+        UserError: it does not have them, or their sizes or values cannot be those of phase history.
+    """
     try:
         data = loadmat(path)["data"][0][0]
-        return {name: data[name] for name in FIELDS}
-    except (OSError, KeyError, ValueError, IndexError, TypeError, NotImplementedError) as error:
+        part = {name: np.asarray(data[name], dtype="c8" if name == "fp" else "f8") for name in FIELDS}
+    except Exception as error:  # scipy, zlib and numpy each have their own for a damaged file
         raise UserError(
             f"File {path} is not AFRL Gotcha phase history; expected is a MATLAB file with data.{', .'.join(FIELDS)}."
         ) from error
+    frequencies, pulses = part["freq"].size, part["x"].size
+    if frequencies < 2 or pulses < 2:
+        raise UserError(
+            f"File {path} has {frequencies} frequencies and {pulses} antenna positions; 2 or more of each are needed."
+        )
+    if part["fp"].shape != (frequencies, pulses):
+        raise UserError(f"File {path} has .fp of shape {part['fp'].shape}; it must be {(frequencies, pulses)}.")
+    for name in ("y", "z", "r0"):
+        if part[name].size != pulses:
+            raise UserError(f"File {path} has {part[name].size} values of .{name}; they must be {pulses}, as of .x.")
+    for name, values in part.items():
+        if not np.all(np.isfinite(values)):
+            raise UserError(f"File {path} has values of .{name} that are not finite; all must be finite numbers.")
+    frequency = part["freq"].ravel()
+    even, step = np.linspace(frequency[0], frequency[-1], frequencies, retstep=True)
+    if not (frequency[0] > 0 and step > 0 and np.abs(frequency - even).max() <= 0.01 * step):
+        raise UserError(f"File {path} has uneven .freq; it must rise from above 0 in equal steps, to 1 % of a step.")
+    return part
 
 
 def _sensor(frequency: Array, antenna: Array, velocity: Array, times: Array) -> Sensor:

@@ -24,11 +24,21 @@ EXAMPLES = """examples:
   sal-height replay out/sal_spotlight/bag --param ml_height.objective=numerator
 """
 
+EXIT_STATUS = """exit status:
+  0    done
+  1    run: not one valid height came out;
+       replay: heights differ from the recorded ones, are missing or extra, and no --param was given
+  2    something given cannot be used, or the run failed; one sentence on stderr says what
+  130  interrupted by SIGINT (Ctrl-C), SIGTERM or SIGHUP; what was done until then is on disk
+"""
+
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; 0 on success, 2 with one sentence on stderr if something given cannot be used."""
+    """Run the command line; returns the exit status, see EXIT_STATUS."""
     options = _parser().parse_args(arguments)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as nohup has it
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
     try:
         return int(options.command(options))
     except UserError as error:
@@ -42,13 +52,16 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="sal-height",
         description="Height images from synthetic-aperture lidar and multi-beam radar, as a ROS 2 graph.",
-        epilog=EXAMPLES,
+        epilog=f"{EXAMPLES}\n{EXIT_STATUS}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    shown: dict[str, Any] = {"epilog": EXIT_STATUS, "formatter_class": argparse.RawDescriptionHelpFormatter}
     parser.add_argument("--version", action="version", version=f"sal_height {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    run = commands.add_parser("run", help="simulate a flight through the graph; leaves bag, report and picture")
+    run = commands.add_parser(
+        "run", help="simulate a flight through the graph; leaves bag, report and picture", **shown
+    )
     run.add_argument(
         "--preset",
         default="sal_spotlight",
@@ -63,11 +76,18 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--processes", action="store_true", help="each node in a process of its own")
     run.set_defaults(command=_run)
 
-    replay = commands.add_parser("replay", help="play a bag through the same nodes; compares with what was recorded")
-    replay.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag")
+    replay = commands.add_parser(
+        "replay", help="play a bag through the same nodes; compares with what was recorded", **shown
+    )
+    replay.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or its .mcap file")
     replay.set_defaults(command=_replay)
-    for command in (run, replay):
-        command.add_argument("--out", type=Path, metavar="DIR", help="output folder, new or empty (default: out/…)")
+    for command, default in ((run, "out/PRESET"), (replay, "out/replay_BAG")):
+        command.add_argument(
+            "--out",
+            type=Path,
+            metavar="DIR",
+            help=f"output folder, new or empty (default: {default}, or the next free of …_2, …_3)",
+        )
         command.add_argument(
             "--param",
             action="append",
@@ -90,25 +110,42 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from sal_height.runs.simulate import run
+    from sal_height.runs.simulate import free_folder, run
 
     preset = _changed(load_preset(options.preset), options)
-    out = options.out or Path("out") / preset.name
+    out = options.out or free_folder(Path("out") / preset.name)
     outcome = run(preset, options.seed, out, _collected(options.param), options.processes)
-    print(f"{outcome.dwells} dwells{' (interrupted)' if outcome.interrupted else ''}; see {out}/height.png, "
-          f"{out}/report.json and {out}/bag")  # fmt: skip
-    return 130 if outcome.interrupted else 0
+    pictured = (out / "height.png").is_file()
+    print(f"{outcome.dwells} dwells{' (interrupted)' if outcome.interrupted else ''}; see "
+          f"{f'{out}/height.png, ' if pictured else ''}{out}/report.json and {out}/bag")  # fmt: skip
+    if outcome.interrupted:
+        return 130
+    if not pictured:
+        print(f"sal-height: Not one valid height came out; {out}/report.json says what was dropped.", file=sys.stderr)
+        return 1
+    return 0
 
 
 def _replay(options: argparse.Namespace) -> int:
     from sal_height.runs.replay import replay
+    from sal_height.runs.simulate import free_folder
 
-    out = options.out or Path("out") / f"replay_{options.bag.resolve().parent.name}"
-    for topic, result in replay(options.bag, out, _collected(options.param)).items():
+    out = options.out or free_folder(Path("out") / f"replay_{_bag_name(options.bag)}")
+    outcome, compared = replay(options.bag, out, _collected(options.param))
+    for topic, result in compared.items():
         verdict = "equal to the recorded ones, value for value" if result.equal else f"different: {result}"
         print(f"{topic}: {result.matched} height images, {verdict}")
-    print(f"see {out}/report.json and {out}/bag")
-    return 0
+    print(f"{'interrupted; ' if outcome.interrupted else ''}see {out}/report.json and {out}/bag")
+    if outcome.interrupted:
+        return 130
+    return int(not options.param and not all(result.equal for result in compared.values()))
+
+
+def _bag_name(bag: Path) -> str:
+    """Name of the folder of a bag; of the one around it where it is called just "bag"."""
+    path = bag.resolve()
+    folder = path.parent if path.suffix == ".mcap" and not path.is_dir() else path
+    return folder.parent.name if folder.name == "bag" else folder.name
 
 
 def _import_gotcha(options: argparse.Namespace) -> int:
@@ -147,7 +184,11 @@ def _parameter(text: str) -> tuple[str, str, Any]:
     match = re.fullmatch(r"(\w+)\.(\w+)=(.*)", text)
     if not match:
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form NODE.NAME=VALUE")
-    return match[1], match[2], yaml.safe_load(match[3])
+    try:
+        value = yaml.safe_load(match[3])
+    except (yaml.YAMLError, ValueError):
+        value = match[3]  # a text, which is refused where none is allowed
+    return match[1], match[2], value
 
 
 def _looks(text: str) -> tuple[int, int]:

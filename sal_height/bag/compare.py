@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from sal_height_msgs.msg import HeightImage, ImageGrid
 
 from sal_height.bag.reader import BagReader
-from sal_height.errors import UserError
 
 HEIGHT_IMAGE = "sal_height_msgs/msg/HeightImage"
 
@@ -54,8 +53,8 @@ class HeightComparison:
 def compare_heights(recorded: Heights, replayed: Heights) -> dict[str, HeightComparison]:
     """Match images by topic and dwell and compare every decoded value; one result per topic of either side.
 
-    Provenance and stamps are not compared, nor bytes: equal messages differ in their padding.
-    UserError if a bag has no height images or cannot be read.
+    Provenance and stamps are not compared, nor bytes: equal messages differ in their padding. All images are missing
+    from a side that has none. UserError if a bag cannot be read.
     """
     total: dict[str, HeightComparison] = {}
     waiting: tuple[dict[_Key, HeightImage], dict[_Key, HeightImage]] = ({}, {})
@@ -85,9 +84,7 @@ def _images(source: Heights) -> Iterator[tuple[_Key, HeightImage]]:
 def _read(path: Path) -> Iterator[tuple[str, HeightImage]]:
     bag = BagReader(path)
     topics = [topic.name for topic in bag.topics.values() if topic.type_name == HEIGHT_IMAGE and topic.count]
-    if not topics:
-        raise UserError(f"bag '{path}' has no height images; it must have a topic of type '{HEIGHT_IMAGE}'")
-    for message in bag.messages(topics):
+    for message in bag.messages(topics) if topics else ():
         yield message.topic, bag.decode(HEIGHT_IMAGE, message.cdr)
 
 

@@ -13,7 +13,7 @@ from sal_height.looks import Looks
 from sal_height.monopulse import DISCRIMINANTS, monopulse_elevation
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
 from sal_height.nodes.parameters import parameter
-from sal_height.nodes.stage import run_node
+from sal_height.nodes.program import run_node
 from sal_height.sensor import Beams
 
 

@@ -51,10 +51,7 @@ def declare_parameters(node: Node, table: type[Table]) -> None:
         # Declared twice: rclpy shows an override of any type only to a parameter of any type.
         override = node.declare_parameter(name, field.default, ParameterDescriptor(dynamic_typing=True)).value
         node.undeclare_parameter(name)
-        value = _converted(field, override)
-        if refusal := _refusal(field, value):
-            raise UserError(refusal)
-        node.declare_parameter(name, value, _descriptor(field), ignore_override=True)
+        node.declare_parameter(name, accepted(field, override), _descriptor(field), ignore_override=True)
 
     def convert(parameters: list[Parameter]) -> list[Parameter]:
         return [
@@ -76,8 +73,17 @@ def read_parameters(node: Node, table: type[Table]) -> Table:
 
 
 def as_json(stage: str, values: Any, before: str = "{}") -> str:
-    """Provenance.parameters: the object `before` with the parameters of `stage` added."""
-    return json.dumps(json.loads(before or "{}") | {stage: dataclasses.asdict(values)}, sort_keys=True)
+    """Provenance.parameters: the object `before` with the parameters of `stage` added.
+
+    What is no JSON object (somebody else's words) is kept under "before".
+    """
+    try:
+        stages = json.loads(before or "{}")
+    except ValueError:
+        stages = before
+    if not isinstance(stages, dict):
+        stages = {"before": stages}
+    return json.dumps(stages | {stage: dataclasses.asdict(values)}, sort_keys=True)
 
 
 def _descriptor(field: dataclasses.Field[Any]) -> ParameterDescriptor:
@@ -102,6 +108,26 @@ def _allowed(field: dataclasses.Field[Any]) -> str:
     return f"it must be {kind}"
 
 
+def accepted(field: dataclasses.Field[Any], value: Any) -> Any:
+    """A value for a field of a parameter dataclass in the field's type: a whole number is taken for a float, too.
+
+    Raises:
+        UserError: it is not allowed.
+    """
+    value = _converted(field, value)
+    if refusal := _refusal(field, value):
+        raise UserError(refusal)
+    return value
+
+
+def _type_name(value: Any) -> str:
+    """What ROS calls the type of a value; Python's name if it is none of ROS."""
+    try:
+        return str(Parameter.Type.from_parameter_value(value).name).lower()
+    except TypeError:
+        return type(value).__name__
+
+
 def _converted(field: dataclasses.Field[Any], value: Any) -> Any:
     """The value, as a float if it is a whole number and the field a float."""
     return float(value) if type(value) is int and isinstance(field.default, float) else value
@@ -111,10 +137,9 @@ def _refusal(field: dataclasses.Field[Any], value: Any) -> str:
     """Why the field does not allow the value, as a sentence; empty if it does."""
     if value is None:
         return f"Parameter {field.name} has no value; {_allowed(field)}."
-    given, wanted = (Parameter.Type.from_parameter_value(v) for v in (value, field.default))
+    given, wanted = _type_name(value), _type_name(field.default)
     if given != wanted:
-        types = f"{given.name.lower()}, not {wanted.name.lower()}"
-        return f"Parameter {field.name} is {value!r} ({types}); {_allowed(field)}."
+        return f"Parameter {field.name} is {value!r} ({given}, not {wanted}); {_allowed(field)}."
     low, high = field.metadata["range"] or (value, value)
     if low <= value <= high and value in (field.metadata["choices"] or (value,)):
         return ""

@@ -16,7 +16,8 @@ from sal_height.bag.definitions import message_class
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
 from sal_height.nodes.parameters import declare_parameters, parameter, read_parameters
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage, run_node
+from sal_height.nodes.program import run_node
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage
 
 INPUTS = {"sensor_info": LATCHED_QOS, "platform/odometry": ODOMETRY_QOS, "phase_history": FRAMES_QOS}
 """Topics that are played."""

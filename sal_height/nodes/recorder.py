@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import signal
-import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
 from sal_height.bag.definitions import message_class
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.nodes.program import run_node
 
 NEVER_BY_DEFAULT = ("/rosout", "/parameter_events")
 QUEUE_DEPTH = 1000  # messages per topic that may wait while the disk is busy
@@ -217,26 +213,9 @@ def _matching(offered: list[QoSProfile]) -> QoSProfile:
     )
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Record until SIGINT or SIGTERM; returns 2 if the parameters cannot be used."""
-    # A signal only ends the loop, so that it can neither cut a message nor the closing of the bag.
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        recorder = Recorder()
-        executor = SingleThreadedExecutor()
-        executor.add_node(recorder)
-        while not stop.is_set():
-            executor.spin_once(timeout_sec=0.1)
-        recorder.destroy_node()
-    except UserError as error:
-        sys.stderr.write(f"{error}\n")
-        return 2
-    finally:
-        rclpy.shutdown()
-    return 0
+def main() -> int:
+    """Console script: record until SIGINT or SIGTERM."""
+    return run_node(Recorder)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,8 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Aperture, Grid
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import as_json, parameter
-from sal_height.nodes.stage import ODOMETRY_QOS, run_node
+from sal_height.nodes.program import run_node
+from sal_height.nodes.stage import ODOMETRY_QOS
 from sal_height.sensor import Sensor
 from sal_height.trajectory import PlatformState, Trajectory
 from sal_height.windows import WINDOWS, broadening, window

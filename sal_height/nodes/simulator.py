@@ -12,7 +12,8 @@ from std_srvs.srv import Trigger
 from sal_height import convert
 from sal_height.flight import SimulatedFlight
 from sal_height.nodes.parameters import declare_parameters, parameter, read_parameters
-from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, Stage, run_node
+from sal_height.nodes.program import run_node
+from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, Stage
 from sal_height.preset import load_preset
 from sal_height.terrain import load_scene
 

@@ -1,10 +1,8 @@
-"""What the processing nodes share: a worker thread, accounting of every message, diagnostics, and `main`."""
+"""What the processing nodes share: a worker thread, accounting of every message, diagnostics."""
 
 from __future__ import annotations
 
 import queue
-import signal
-import sys
 import threading
 import time
 import traceback
@@ -12,12 +10,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -154,26 +150,3 @@ class Stage(Node):
     def _work(self) -> None:
         while job := self._jobs.get():
             job()
-
-
-def run_node(make: Callable[[], Node]) -> int:
-    """Run one node until SIGINT or SIGTERM; the console scripts' main. Returns the exit status."""
-    rclpy.init(args=sys.argv)
-    signal.signal(signal.SIGTERM, lambda *_: rclpy.try_shutdown())
-    try:
-        node = make()
-    except UserError as error:
-        sys.stderr.write(f"{error}\n")
-        rclpy.try_shutdown()
-        return 2
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        executor.remove_node(node)
-        node.destroy_node()
-        rclpy.try_shutdown()
-    return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,17 +17,25 @@ from tqdm import tqdm
 
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
-from sal_height.runs.ensemble import ESTIMATORS, NODES, Ensemble, NodeParameters
+from sal_height.nodes.player import INPUTS
+from sal_height.runs.ensemble import ESTIMATORS, Ensemble, NodeParameters
 
 UNWATCHED = ("diagnostics",)
 """Recorded topics that no stage counts the subscribers of."""
 
 COMPANY_TIMEOUT_S = 0.5
-"""How long to look for other publishers of frames."""
+"""How long to look for other sensors before anything is started."""
 
 START_TIMEOUT_S = 30.0
 DWELL_TIMEOUT_S = 120.0
 """Longest waits for the graph, and for the account of one dwell (one that misses something is dropped earlier)."""
+
+STAGE_KEYS = ("in", "out", "waiting")
+RECORDER_KEYS = ("unwritten",)
+"""What the status of a stage and of the recorder have at least; one without is not ours."""
+
+Wait = Callable[[Callable[[], bool], float, str], None]
+"""Waits until a condition holds, at most that many seconds, for what the words say; UserError if in vain."""
 
 
 @dataclass(frozen=True)
@@ -37,15 +46,20 @@ class Outcome:
         stages: account of every stage by node name (see Tally.summary).
         dwells: dwells that were played.
         interrupted: True if the user stopped the run.
+        failure: why the run ended early, if not for the user.
     """
 
     stages: dict[str, dict[str, float]]
     dwells: int
     interrupted: bool
+    failure: UserError | None = None
 
 
 class Interruption:
-    """While it is entered, SIGINT and SIGTERM wait until `check`, so that they never cut a message in two."""
+    """While it is entered, SIGINT, SIGTERM and SIGHUP wait until `check`, so that they never cut a message in two.
+
+    SIGHUP stays ignored where the caller wants it so (nohup).
+    """
 
     def __init__(self) -> None:
         self._asked = False
@@ -56,7 +70,10 @@ class Interruption:
             raise KeyboardInterrupt
 
     def __enter__(self) -> Self:
-        self._before = {number: signal.signal(number, self._ask) for number in (signal.SIGINT, signal.SIGTERM)}
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+            numbers.append(signal.SIGHUP)
+        self._before = {number: signal.signal(number, self._ask) for number in numbers}
         return self
 
     def __exit__(
@@ -78,6 +95,7 @@ class Conductor(Node):
         self.accounts: dict[str, dict[str, float]] = {}
         self._source = source
         self._stages = stages
+        self._watched = {source, *stages, "recorder"}
         self._recorded = recorded
         self._steps = 0
         self._step = self.create_client(Trigger, f"{source}/step")
@@ -94,17 +112,41 @@ class Conductor(Node):
         }
         topics = {*consumers, *(topic for topic in self._recorded if topic not in UNWATCHED)}
         ready = all(counts.get(t, -1) >= consumers.get(t, 0) + (t in self._recorded) for t in topics)
-        return ready and self._step.service_is_ready() and all(name in self.accounts for name in self._stages)
+        sole = all(self.count_publishers(topic) == 1 for topic in INPUTS)
+        return ready and sole and self._step.service_is_ready() and self._watched <= self.accounts.keys()
 
-    def step(self, graph: Graph) -> bool:
+    def check(self) -> None:
+        """Make sure that the bag takes what comes, and that it comes from our source alone.
+
+        Raises:
+            UserError: messages could not be written, or somebody else publishes.
+        """
+        if lost := self.accounts.get("recorder", {}).get("unwritten"):
+            raise UserError(f"{lost:.0f} messages could not be written to the bag; make room on its disk.")
+        self.refuse_company(own=1)
+
+    def refuse_company(self, own: int) -> None:
+        """Make sure that nobody else publishes what a sensor does: two on one topic cannot be told apart.
+
+        Args:
+            own: how many publishers of each topic are ours.
+
+        Raises:
+            UserError: somebody does.
+        """
+        for topic in INPUTS:
+            if self.count_publishers(topic) > own:
+                whose = f"Somebody already publishes on /{topic} in this ROS domain"
+                raise UserError(f"{whose}; stop them or set another ROS_DOMAIN_ID.")
+
+    def step(self, wait: Wait) -> bool:
         """Ask for the next dwell; False when there is none.
 
         Raises:
             UserError: the source does not answer.
         """
         answer = self._step.call_async(Trigger.Request())
-        if not graph.spin_until(answer.done, START_TIMEOUT_S):
-            raise UserError(f"Node {self._source} did not answer within {START_TIMEOUT_S:.0f} s; is it still running?")
+        wait(answer.done, START_TIMEOUT_S, f"an answer of node {self._source}")
         self._steps += answer.result().success
         return bool(answer.result().success)
 
@@ -136,8 +178,11 @@ class Conductor(Node):
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name in NODES:
-                self.accounts[status.name] = {item.key: float(item.value) for item in status.values}
+            numbers = {item.key: _number(item.value) for item in status.values}
+            account = {key: number for key, number in numbers.items() if number is not None}
+            expected = RECORDER_KEYS if status.name == "recorder" else STAGE_KEYS
+            if status.name in self._watched and account.keys() >= set(expected):
+                self.accounts[status.name] = account
 
 
 def perform(
@@ -151,6 +196,8 @@ def perform(
 ) -> Outcome:
     """Run the graph on all dwells of a source, in lockstep, and record it.
 
+    What goes wrong once all nodes are started is in the outcome, together with the accounts up to then.
+
     Args:
         source: node name, "simulator" or "player".
         stages: node names from sar_compression on.
@@ -161,11 +208,12 @@ def perform(
         processes: each node in its own process.
 
     Raises:
-        UserError: a node or the bag refuses its parameters, or the graph does not come up or stalls.
+        UserError: a node or the bag refuses its parameters, or somebody else publishes frames.
     """
     names = ["recorder", *reversed(stages), source]
     values = {**parameters, "recorder": {"directory": str(bag), "topics": [f"/{topic}" for topic in recorded]}}
     played, interrupted = 0, False
+    failure: UserError | None = None
     with Graph() as graph:
         conductor = graph.add(Conductor(source, stages, recorded, context=graph.context))
         _refuse_company(graph, conductor)
@@ -175,6 +223,7 @@ def perform(
                 def reached() -> bool:
                     interruption.check()
                     ensemble.check()
+                    conductor.check()
                     return condition()
 
                 if not graph.spin_until(reached, timeout_s):
@@ -183,23 +232,36 @@ def perform(
             with tqdm(total=dwells, unit="dwell", desc=bag.parent.name) as progress:
                 try:
                     wait(conductor.connected, START_TIMEOUT_S, "the graph to come up")
-                    while conductor.step(graph):
+                    while conductor.step(wait):
                         wait(conductor.settled, DWELL_TIMEOUT_S, f"the account of dwell {played}")
                         played += 1
                         progress.update()
                         progress.set_postfix_str(conductor.drops())
                 except KeyboardInterrupt:
                     interrupted = True
-    return Outcome({name: conductor.accounts.get(name, {}) for name in [source, *stages]}, played, interrupted)
+                except UserError as error:
+                    failure = error
+    return Outcome({name: conductor.accounts.get(name, {}) for name in [source, *stages]}, played, interrupted, failure)
 
 
-def _refuse_company(graph: Graph, conductor: Node) -> None:
-    """Make sure that nobody else publishes frames here: two sensors on one topic cannot be told apart.
+def _refuse_company(graph: Graph, conductor: Conductor) -> None:
+    """Look for other sensors as long as it takes to discover them.
 
     Raises:
-        UserError: somebody does.
+        UserError: there is one.
     """
-    if graph.spin_until(lambda: conductor.count_publishers("phase_history") > 0, COMPANY_TIMEOUT_S):
-        raise UserError(
-            "Somebody already publishes on /phase_history in this ROS domain; stop them or set another ROS_DOMAIN_ID."
-        )
+
+    def found() -> bool:
+        conductor.refuse_company(own=0)
+        return False
+
+    graph.spin_until(found, COMPANY_TIMEOUT_S)
+
+
+def _number(text: str) -> float | None:
+    """The finite number that a text stands for, if any."""
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None

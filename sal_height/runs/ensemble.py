@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import json
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self
 
@@ -16,6 +20,7 @@ from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ml_height import MlHeight
 from sal_height.nodes.monopulse import Monopulse
+from sal_height.nodes.parameters import accepted
 from sal_height.nodes.player import Player
 from sal_height.nodes.recorder import Recorder
 from sal_height.nodes.sar_compression import SarCompression
@@ -41,38 +46,39 @@ SETTABLE = ["sar_compression", *ESTIMATORS]
 """Nodes whose parameters users may set."""
 
 
-def check_parameters(parameters: NodeParameters) -> None:
-    """Make sure that every node and parameter named exists; the nodes themselves check the values.
+PR_SET_PDEATHSIG = 1
+"""Option of prctl: the signal that a process gets when the one that started it ends (Linux)."""
+
+
+def check_parameters(parameters: NodeParameters) -> dict[str, dict[str, Any]]:
+    """The parameters in the types that their nodes declare: a whole number is taken for a float, too.
 
     Raises:
-        UserError: one does not.
+        UserError: a node or parameter does not exist, or a value is not allowed.
     """
+    checked: dict[str, dict[str, Any]] = {}
     for name, values in parameters.items():
         if name not in SETTABLE:
             raise UserError(f"There is no node {name!r} with parameters to set; allowed are {', '.join(SETTABLE)}.")
-        known = [field.name for field in dataclasses.fields(NODES[name].parameters)]
+        known = {field.name: field for field in dataclasses.fields(NODES[name].parameters)}
         if unknown := [key for key in values if key not in known]:
             raise UserError(f"Node {name} has no parameter {unknown[0]!r}; allowed are {', '.join(known)}.")
+        try:
+            checked[name] = {key: accepted(known[key], value) for key, value in values.items()}
+        except UserError as error:
+            raise UserError(f"Node {name}: {error}") from error
+    return checked
 
 
 class Ensemble:
     """The nodes of a run, either in this process or each in its own; ends them in the order of the data flow."""
 
     def __init__(self, graph: Graph, names: list[str], parameters: NodeParameters, processes: bool) -> None:
-        """Start the nodes `names` with their parameters.
-
-        Raises:
-            UserError: a node refuses its parameters.
-        """
+        """Choose the nodes `names` and their parameters; they are started on entering."""
         self._graph = graph
+        self._parameters = {name: parameters.get(name, {}) for name in names}
+        self._separate = processes
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        for name in names:
-            values = parameters.get(name, {})
-            if processes:
-                self._processes[name] = subprocess.Popen(_command(name, values), start_new_session=True)  # noqa: S603 (our own nodes)
-            else:
-                overrides = [Parameter(key, value=value) for key, value in values.items()]
-                graph.add(NODES[name](context=graph.context, parameter_overrides=overrides))
 
     def check(self) -> None:
         """Make sure that all processes still run.
@@ -96,6 +102,16 @@ class Ensemble:
                 process.kill()
 
     def __enter__(self) -> Self:
+        """Start the nodes; if one cannot be, none is left.
+
+        Raises:
+            UserError: a node refuses its parameters, or its process cannot be started.
+        """
+        with ExitStack() as on_failure:
+            on_failure.callback(self.close)
+            for name, values in self._parameters.items():
+                self._start(name, values)
+            on_failure.pop_all()
         return self
 
     def __exit__(
@@ -103,8 +119,34 @@ class Ensemble:
     ) -> None:
         self.close()
 
+    def _start(self, name: str, values: Mapping[str, Any]) -> None:
+        if not self._separate:
+            overrides = [Parameter(key, value=value) for key, value in values.items()]
+            self._graph.add(NODES[name](context=self._graph.context, parameter_overrides=overrides))
+            return
+        try:
+            self._processes[name] = subprocess.Popen(_command(name, values), start_new_session=True)  # noqa: S603 (our own nodes)
+        except OSError as error:
+            raise UserError(f"Node {name} cannot be started in a process of its own: {error.strerror}.") from error
+
 
 def _command(name: str, values: Mapping[str, Any]) -> list[str]:
     """Command line of a node in a process of its own; parameter values in YAML, of which JSON is a part."""
     arguments = [word for key, value in values.items() for word in ("-p", f"{key}:={json.dumps(value)}")]
-    return [sys.executable, "-m", f"sal_height.nodes.{name}", "--ros-args", *arguments]
+    return [sys.executable, "-m", __name__, name, str(os.getpid()), "--ros-args", *arguments]
+
+
+def main() -> int:
+    """Be the node argv[1] for as long as process argv[2], which started this one, lives, however that one ends.
+
+    The recorder then completes its bag; the others hold nothing that anybody waits for.
+    """
+    name, parent = sys.argv[1], int(sys.argv[2])
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM if name == "recorder" else signal.SIGKILL)
+    if os.getppid() != parent:  # it has ended already
+        return 1
+    return int(sys.modules[NODES[name].__module__].main())
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

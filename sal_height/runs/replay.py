@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from sal_height import __version__, convert
+from sal_height import convert
 from sal_height.bag.compare import HeightComparison, compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.impulse_response import measure_brightest
-from sal_height.runs.conductor import perform
+from sal_height.runs.conductor import Outcome, perform
 from sal_height.runs.ensemble import ESTIMATORS, NodeParameters, check_parameters
 from sal_height.runs.picture import draw_image
-from sal_height.runs.report import stage_report
-from sal_height.runs.simulate import RECORDED, merged, new_folder
+from sal_height.runs.simulate import RECORDED, conclude, merged, new_folder, reporting, writing
 
 
-def replay(bag: Path, out: Path, parameters: NodeParameters) -> dict[str, HeightComparison]:
+def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, dict[str, HeightComparison]]:
     """Play the phase history of `bag` through the graph and record the products in `out`/bag.
 
     A bag of a single detector is focused only: its images (topic slc) are recorded instead of heights.
@@ -32,35 +30,28 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> dict[str, Height
         parameters: of nodes, on top of the recorded ones.
 
     Returns:
-        Comparison with the recorded heights by topic; empty if none were recorded.
+        What the replay did, and the comparison with the recorded heights by topic; empty if none were recorded or the
+        replay was interrupted.
 
     Raises:
         UserError: the bag cannot be used.
     """
-    values = merged(_recorded_parameters(bag), parameters)
-    check_parameters(values)
+    values = check_parameters(merged(_recorded_parameters(bag), parameters))
     reader = BagReader(bag)
     detectors, dwells = _contents(reader)
     stages = ["sar_compression", *(ESTIMATORS if detectors > 1 else ())]
     recorded = RECORDED if detectors > 1 else [*RECORDED[:4], "slc"]
     folder = new_folder(out)
-    outcome = perform("player", stages, recorded, folder / "bag", {**values, "player": {"bag": str(bag)}}, dwells)
-    (folder / "bag" / "parameters.yaml").write_text(yaml.safe_dump(values))
-    compared = {}
-    if any(f"/{prefix}/height" in reader.topics for prefix in ESTIMATORS.values()) and not outcome.interrupted:
-        compared = compare_heights(bag, folder / "bag")
-    images = [] if detectors > 1 else _measure_images(folder)
-    report = {
-        "version": __version__,
-        "bag": bag.name,
-        "dwells": outcome.dwells,
-        "interrupted": outcome.interrupted,
-        "comparison": {topic: dataclasses.asdict(result) for topic, result in compared.items()},
-        "images": images,
-        "stages": stage_report(outcome.stages),
-    }
-    (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
-    return compared
+    made = folder / "bag"
+    with reporting(folder, {"bag": bag.name}) as report:
+        outcome = perform("player", stages, recorded, made, {**values, "player": {"bag": str(bag)}}, dwells)
+        conclude(outcome, made, values, report)
+        compared = {}
+        if any(f"/{prefix}/height" in reader.topics for prefix in ESTIMATORS.values()) and not outcome.interrupted:
+            compared = compare_heights(bag, made)
+        report["comparison"] = {topic: dataclasses.asdict(result) for topic, result in compared.items()}
+        report["images"] = [] if detectors > 1 else _measure_images(folder)
+    return outcome, compared
 
 
 def _measure_images(folder: Path) -> list[dict[str, Any]]:
@@ -73,7 +64,8 @@ def _measure_images(folder: Path) -> list[dict[str, Any]]:
         image = convert.complex_view(message.samples, grid.shape)
         response = measure_brightest(image, grid)
         title = f"dwell {message.dwell}: peak {response.peak_over_median_db:.1f} dB above the median"
-        draw_image(image, grid, title, folder / f"image_{message.dwell}.png")
+        with writing(folder / f"image_{message.dwell}.png"):
+            draw_image(image, grid, title, folder / f"image_{message.dwell}.png")
         measured.append(
             {
                 "dwell": message.dwell,
@@ -112,7 +104,7 @@ def _recorded_parameters(bag: Path) -> dict[str, dict[str, Any]]:
         return {}
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, yaml.YAMLError) as error:
         raise UserError(f"File {path} cannot be read: {' '.join(str(error).split())}.") from error
     if not (isinstance(values, dict) and all(isinstance(entry, dict) for entry in values.values())):
         raise UserError(f"File {path} must map node names to mappings of parameter names to values.")

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +44,79 @@ def new_folder(path: Path) -> Path:
     return path
 
 
+def free_folder(base: Path) -> Path:
+    """`base`, or else the first of base_2, base_3, … that does not exist or is empty.
+
+    Raises:
+        UserError: it cannot be told.
+    """
+    names = (base if number == 1 else base.with_name(f"{base.name}_{number}") for number in itertools.count(1))
+    try:
+        return next(path for path in names if not path.exists() or (path.is_dir() and not any(path.iterdir())))
+    except OSError as error:
+        raise UserError(f"Output folder {base} cannot be made: {error.strerror}; name another with --out.") from error
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """While it is entered, what the disk refuses becomes a UserError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"File {path} cannot be written: {error.strerror or error}.") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a small file.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    with writing(path):
+        path.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def reporting(folder: Path, known: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """A report that begins with what is `known`; left in `folder`/report.json even after a failure, which it names.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    report = {"version": __version__, **known}
+
+    def write() -> None:
+        write_text(folder / "report.json", json.dumps(report, indent=2) + "\n")
+
+    try:
+        yield report
+    except BaseException as error:
+        report["failed"] = str(error) or type(error).__name__
+        with suppress(UserError):  # the first failure is the one to tell
+            write()
+        raise
+    write()
+
+
+def conclude(outcome: Outcome, bag: Path, values: NodeParameters, report: dict[str, Any]) -> None:
+    """Put the outcome into the report, and the nodes' parameters beside the bag.
+
+    Raises:
+        UserError: the run has failed.
+    """
+    report["dwells"] = outcome.dwells
+    report["interrupted"] = outcome.interrupted
+    report["stages"] = stage_report(outcome.stages)
+    if bag.is_dir():
+        write_text(bag / "parameters.yaml", yaml.safe_dump(values))
+    if outcome.failure:
+        raise outcome.failure
+
+
 def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, processes: bool) -> Outcome:
     """Simulate all dwells of `preset`, leaving bag, report.json, height.png and preset.yaml in `out`.
+
+    Without one valid height there is no height.png.
 
     Args:
         preset: sensor, flight, scene and processing.
@@ -54,12 +128,11 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
     Raises:
         UserError: what was asked for cannot be done.
     """
-    check_parameters(parameters)
+    parameters = check_parameters(parameters)
     flight = SimulatedFlight(preset, preset.make_sensor(), load_scene(preset.scene), preset.dwells, seed)
     flight.surface(0)  # refuses a flight beside the scene before anything is started
     folder = new_folder(out)
     settings = folder / "preset.yaml"
-    settings.write_text(yaml.safe_dump(json.loads(json.dumps(dataclasses.asdict(preset))), sort_keys=False))
     looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
     values: dict[str, dict[str, Any]] = {
         "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols},
@@ -69,23 +142,17 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
     simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0}
     stages = ["sar_compression", *ESTIMATORS]
     bag = folder / "bag"
-    outcome = perform("simulator", stages, RECORDED, bag, {**values, "simulator": simulator}, preset.dwells, processes)
-    (bag / "parameters.yaml").write_text(yaml.safe_dump(values))
-    mosaics = read_mosaics(bag, flight)
-    report = {
-        "version": __version__,
-        "preset": preset.name,
-        "seed": seed,
-        "cnr_db": preset.cnr_db,
-        "looks": list(preset.looks),
-        "dwells": outcome.dwells,
-        "interrupted": outcome.interrupted,
-        "estimators": {name: statistics(mosaics.get(name)) for name in ESTIMATORS.values()},
-        "stages": stage_report(outcome.stages),
-    }
-    (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
+    known = {"preset": preset.name, "seed": seed, "cnr_db": preset.cnr_db, "looks": list(preset.looks)}
+    with reporting(folder, known) as report:
+        write_text(settings, yaml.safe_dump(json.loads(json.dumps(dataclasses.asdict(preset))), sort_keys=False))
+        nodes = {**values, "simulator": simulator}
+        outcome = perform("simulator", stages, RECORDED, bag, nodes, preset.dwells, processes)
+        conclude(outcome, bag, values, report)
+        mosaics = read_mosaics(bag, flight)
+        report["estimators"] = {name: statistics(mosaics.get(name)) for name in ESTIMATORS.values()}
     if mosaics:
-        draw_heights(mosaics, flight.scene, preset, folder / "height.png")
+        with writing(folder / "height.png"):
+            draw_heights(mosaics, flight.scene, preset, folder / "height.png")
     return outcome
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import serialize_message
 from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.compare import HEIGHT_IMAGE, HeightComparison, compare_heights
 from sal_height.bag.writer import BagWriter
-from sal_height.errors import UserError
 
 ROWS, COLS = 3, 4
 FLOAT_FIELDS = ("height", "sigma", "cnr_db", "east", "north")
@@ -143,8 +143,12 @@ def test_nothing_is_not_equal_to_nothing() -> None:
     assert not HeightComparison().equal
 
 
-def test_a_bag_without_height_images_is_refused(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "run") as writer:
-        writer.add_topic("/ml/height", HEIGHT_IMAGE)
-    with pytest.raises(UserError, match="has no height images"):
-        compare_heights(tmp_path / "run", tmp_path / "run")
+def test_from_a_bag_without_height_images_all_are_missing(tmp_path: Path) -> None:
+    recorded = write_bag(tmp_path / "recorded", {"/ml/height": [image(0), image(1)]})
+    empty = write_bag(tmp_path / "empty", {"/ml/height": []})
+    with BagWriter(tmp_path / "foreign") as writer:
+        writer.add_topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+        writer.write("/diagnostics", serialize_message(DiagnosticArray()), 0, 0)
+    for replayed in (empty, tmp_path / "foreign"):
+        assert compare_heights(recorded, replayed) == {"/ml/height": HeightComparison(missing=2)}
+        assert compare_heights(replayed, recorded) == {"/ml/height": HeightComparison(extra=2)}

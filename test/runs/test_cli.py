@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sal_height.cli import main
+from sal_height.cli import _bag_name, main
+from sal_height.runs.ensemble import check_parameters
 
 
 @pytest.mark.parametrize(
@@ -22,6 +23,18 @@ from sal_height.cli import main
         (["run", "--param", "nobody.x=1"], "nobody"),
         (["run", "--param", "ml_height.loks=1"], "loks"),
         (["run", "--preset", "small", "--param", "ml_height.objective=best"], "normalised, numerator"),
+        (
+            ["run", "--param", "ml_height.range_looks=[1,"],
+            "Node ml_height: Parameter range_looks is '[1,'; it must be a whole number",
+        ),
+        (["run", "--param", "ml_height.range_looks=[1,a]"], "it must be a whole number from 1"),
+        (["run", "--param", "ml_height.range_looks=true"], "it must be a whole number from 1"),
+        (["run", "--param", "ml_height.range_looks=0"], "it must be a whole number from 1"),
+        (["run", "--param", "ml_height.min_cnr_db="], "it must be a number from -60 to 100"),
+        (["run", "--param", "ml_height.min_cnr_db=.nan"], "it must be a number from -60 to 100"),
+        (["run", "--param", "ml_height.min_cnr_db=2020-01-01"], "Node ml_height: Parameter min_cnr_db"),
+        (["run", "--param", "ml_height.min_cnr_db=2020-13-01"], "Node ml_height: Parameter min_cnr_db"),
+        (["run", "--param", "ml_height.objective={a: 1}"], "normalised, numerator"),
         (["run", "--preset", "xband_relief", "--dwells", "500"], "terrain"),
         (["replay", "no_such_bag"], "no_such_bag"),
         (["salvage", "no_such_bag"], "no_such_bag"),
@@ -59,6 +72,59 @@ def test_options_change_the_preset(tmp_path: Path) -> None:
     assert main(["run", "--preset", "small", *words, "--out", str(out)]) == 0
     report = json.loads((out / "report.json").read_text())
     assert (report["dwells"], report["cnr_db"], report["looks"], report["seed"]) == (1, 12.0, [4, 1], 9)
+
+
+def test_a_whole_number_is_taken_for_a_float() -> None:
+    checked = check_parameters({"ml_height": {"min_cnr_db": 3, "range_looks": 4, "objective": "numerator"}})
+    assert checked == {"ml_height": {"min_cnr_db": 3.0, "range_looks": 4, "objective": "numerator"}}
+    assert type(checked["ml_height"]["min_cnr_db"]) is float
+
+
+def test_a_run_without_a_valid_height_ends_with_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--dwells", "1", "--param", "ml_height.min_cnr_db=100", "--param", "monopulse.min_cnr_db=100"]
+    assert main(["run", "--preset", "small", *words, "--out", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr()
+    assert "Not one valid height" in said.err
+    assert "height.png" not in said.out
+    assert not (tmp_path / "out" / "height.png").exists()
+
+
+def test_without_out_the_next_free_folder_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for number in ("", "_2"):
+        assert main(["run", "--preset", "small", "--dwells", "1"]) == 0
+        assert (tmp_path / "out" / f"small{number}" / "height.png").is_file()
+    for bag, name in {
+        "out/small/bag/": "replay_small",
+        "out/small_2/bag/bag_0.mcap": "replay_small_2",
+        "out/small/bag": "replay_small_3",
+    }.items():
+        assert main(["replay", bag]) == 0
+        assert (tmp_path / "out" / name / "report.json").is_file()
+    assert "out/replay_small_3/report.json" in capsys.readouterr().out
+    assert main(["run", "--preset", "small", "--out", "out/small"]) == 2
+    assert "not empty" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("bag", "name"),
+    [("trip/bag", "trip"), ("trip/bag/", "trip"), ("trip/bag/bag_0.mcap", "trip"), ("trip/", "trip"), ("a.mcap", "x")],
+)
+def test_a_replay_is_named_after_its_bag(bag: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "x").mkdir()
+    monkeypatch.chdir(tmp_path / "x")
+    assert _bag_name(Path(bag)) == name
+
+
+@pytest.mark.parametrize("command", [[], ["run"], ["replay"]])
+def test_help_states_the_exit_status(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([*command, "--help"])
+    said = capsys.readouterr().out
+    assert "exit status:" in said
+    assert "130  interrupted" in said
 
 
 def test_help_shows_how(capsys: pytest.CaptureFixture[str]) -> None:

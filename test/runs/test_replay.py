@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import pytest
 from sal_height.bag.compare import compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
+from sal_height.cli import main
 from sal_height.errors import UserError
 from sal_height.runs.gotcha import import_gotcha
 from sal_height.runs.replay import replay
@@ -25,7 +27,7 @@ CPU_TOLERANCE_M = 1e-5
 
 
 def test_replay_equals_the_recording_value_for_value(recorded: Path, tmp_path: Path) -> None:
-    compared = replay(recorded / "bag", tmp_path / "replay", {})
+    _, compared = replay(recorded / "bag", tmp_path / "replay", {})
     assert set(compared) == {"/ml/height", "/monopulse/height"}
     for result in compared.values():
         assert result.equal
@@ -34,17 +36,17 @@ def test_replay_equals_the_recording_value_for_value(recorded: Path, tmp_path: P
 
 
 def test_replay_with_another_parameter_shows_the_difference(recorded: Path, tmp_path: Path) -> None:
-    compared = replay(recorded / "bag", tmp_path / "replay", {"ml_height": {"objective": "numerator"}})
+    _, compared = replay(recorded / "bag", tmp_path / "replay", {"ml_height": {"objective": "numerator"}})
     assert compared["/monopulse/height"].equal
     assert not compared["/ml/height"].equal
     assert compared["/ml/height"].pixels_different > 0
 
 
 def test_the_reference_bag_gives_the_heights_recorded_in_it(tmp_path: Path) -> None:
-    compared = replay(REFERENCE, tmp_path / "replay", {})
+    _, compared = replay(REFERENCE, tmp_path / "replay", {})
     assert set(compared) == {"/ml/height", "/monopulse/height"}
     for result in compared.values():
-        assert (result.matched, result.missing, result.extra, result.grids_different) == (2, 0, 0, 0)
+        assert (result.matched, result.missing, result.extra) == (2, 0, 0)
         assert result.greatest_height_difference < CPU_TOLERANCE_M
     for topic in compared:
         for ours, theirs in zip(validity(REFERENCE, topic), validity(tmp_path / "replay" / "bag", topic), strict=True):
@@ -64,7 +66,7 @@ def test_the_tolerance_of_the_reference_test_notices_a_wrong_range(tmp_path: Pat
                 cdr = lifted(reader, message)
             bag.write(message.topic, cdr, message.log_time_ns, message.log_time_ns)
     (moved / "parameters.yaml").write_text((REFERENCE / "parameters.yaml").read_text())
-    compared = replay(moved, tmp_path / "replay", {})
+    _, compared = replay(moved, tmp_path / "replay", {})
     assert compared["/ml/height"].greatest_height_difference > 5 * CPU_TOLERANCE_M
 
 
@@ -80,7 +82,7 @@ def test_a_dwell_that_lost_a_frame_is_counted_and_the_others_are_exact(recorded:
             if not (message.topic == "/phase_history" and frames == 3):
                 bag.write(message.topic, message.cdr, message.log_time_ns, message.log_time_ns)
     (torn / "parameters.yaml").write_text((recorded / "bag" / "parameters.yaml").read_text())
-    compared = replay(torn, tmp_path / "replay", {"sar_compression": {"timeout_s": 0.5}})
+    _, compared = replay(torn, tmp_path / "replay", {"sar_compression": {"timeout_s": 0.5}})
     assert (compared["/ml/height"].matched, compared["/ml/height"].missing) == (1, 1)
     assert compared["/ml/height"].pixels_different == 0
     report = json.loads((tmp_path / "replay" / "report.json").read_text())
@@ -103,8 +105,51 @@ def test_dwells_that_lie_among_each_other_are_exact(recorded: Path, tmp_path: Pa
         for time_ns, message in enumerate([*others, *in_turn, *odometry]):
             bag.write(message.topic, message.cdr, time_ns, time_ns)
     (mixed / "parameters.yaml").write_text((recorded / "bag" / "parameters.yaml").read_text())
-    compared = replay(mixed, tmp_path / "replay", {})
+    _, compared = replay(mixed, tmp_path / "replay", {})
     assert all(result.equal and result.matched == 2 for result in compared.values())
+
+
+def test_a_replay_that_drops_everything_says_that_all_is_missing(recorded: Path, tmp_path: Path) -> None:
+    """Without odometry no frame can be focused."""
+    without = copy_without(recorded / "bag", tmp_path / "without", "/platform/odometry")
+    out = tmp_path / "replay"
+    (without / "parameters.yaml").write_text("sar_compression: {timeout_s: 0.5}")
+    _, compared = replay(without, out, {})
+    assert {topic: (r.matched, r.missing) for topic, r in compared.items()} == {
+        "/ml/height": (0, 2),
+        "/monopulse/height": (0, 2),
+    }
+    report = json.loads((out / "report.json").read_text())
+    assert report["comparison"]["/ml/height"]["missing"] == 2
+    assert report["stages"]["sar_compression"]["dropped"] == {"odometry gap": 16}
+    assert main(["replay", str(without), "--out", str(tmp_path / "again")]) == 1
+    changed = ["--param", "sar_compression.timeout_s=1"]
+    assert main(["replay", str(without), "--out", str(tmp_path / "changed"), *changed]) == 0
+
+
+def test_a_failure_is_in_the_report(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise UserError("The disk is gone.")
+
+    monkeypatch.setattr("sal_height.runs.replay.perform", fail)
+    with pytest.raises(UserError, match="disk is gone"):
+        replay(recorded / "bag", tmp_path / "out", {})
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert (report["bag"], report["failed"]) == ("bag", "The disk is gone.")
+
+
+def test_values_beside_a_bag_are_checked(recorded: Path, tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    shutil.copytree(recorded / "bag", bag)
+    for text, said in {
+        "ml_height: {min_cnr_db: 2020-01-01}": "Node ml_height: Parameter min_cnr_db",
+        "ml_height: {min_cnr_db: 2020-13-01}": "cannot be read",
+        "ml_height: {range_looks: }": "it must be a whole number from 1",
+    }.items():
+        (bag / "parameters.yaml").write_text(text)
+        with pytest.raises(UserError, match=said):
+            replay(bag, tmp_path / "out", {})
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("name", ["missing", "empty", "not_a_bag"])
@@ -152,6 +197,18 @@ def test_comparison_is_of_values_not_of_bags(recorded: Path) -> None:
 def validity(bag: Path, topic: str) -> list[np.ndarray]:
     reader = BagReader(bag)
     return [np.array(reader.decode(m.type_name, m.cdr).validity) for m in reader.messages([topic])]
+
+
+def copy_without(bag: Path, copy: Path, topic: str) -> Path:
+    """A copy of a bag in which a topic has no messages."""
+    reader = BagReader(bag)
+    with BagWriter(copy) as writer:
+        for known in reader.topics.values():
+            writer.add_topic(known.name, known.type_name, known.offered_qos)
+        for message in reader.messages([name for name in reader.topics if name != topic]):
+            writer.write(message.topic, message.cdr, message.log_time_ns, message.log_time_ns)
+    shutil.copy(bag / "parameters.yaml", copy)
+    return copy
 
 
 def lifted(reader: BagReader, message: Any) -> bytes:

@@ -1,0 +1,44 @@
+"""A node as a program of its own: what the console scripts run."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable
+
+import rclpy
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from sal_height.errors import UserError
+
+
+def run_node(make: Callable[[], Node]) -> int:
+    """Run one node until SIGINT or SIGTERM.
+
+    A signal only ends the loop, so that it can cut neither a message nor the node's end.
+
+    Returns:
+        The exit status: 0, or 2 with one sentence on stderr if the arguments cannot be used.
+    """
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+        node = make()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while not stop.is_set():
+            executor.spin_once(timeout_sec=0.1)
+        executor.remove_node(node)
+        node.destroy_node()
+    except (UserError, RCLError) as error:
+        sys.stderr.write(f"{' '.join(str(error).split())}\n")
+        return 2
+    finally:
+        rclpy.try_shutdown()
+    return 0

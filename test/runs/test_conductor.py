@@ -1,0 +1,192 @@
+"""The conductor: whom it believes, what it does not wait for, and whom it does not play beside."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import json
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from sal_height_msgs.msg import DetectorFrame, SensorInfo
+
+from sal_height.bag.writer import BagWriter
+from sal_height.errors import UserError
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.simulator import Simulator
+from sal_height.preset import Preset
+from sal_height.runs import conductor
+from sal_height.runs.conductor import Conductor
+from sal_height.runs.ensemble import NODES, Ensemble
+from sal_height.runs.simulate import run
+
+SEED = 3
+INPUTS = {"phase_history": DetectorFrame, "sensor_info": SensorInfo, "platform/odometry": Odometry}
+
+
+@pytest.fixture
+def long(two_dwells: Preset) -> Preset:
+    """More dwells than any test here plays."""
+    return dataclasses.replace(two_dwells, dwells=90)
+
+
+@pytest.fixture
+def company() -> Iterator[Graph]:
+    """A graph of somebody else in the domain of the run."""
+    with Graph() as graph:
+        yield graph
+
+
+def status(name: str, **values: object) -> DiagnosticStatus:
+    return DiagnosticStatus(name=name, values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
+
+
+def test_diagnostics_of_others_are_ignored(graph: Graph) -> None:
+    watching = graph.add(Conductor("simulator", ["monopulse"], [], context=graph.context))
+    publisher = graph.add(Node("stages", context=graph.context)).create_publisher(DiagnosticArray, "/diagnostics", 10)
+    assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, 10)
+    ours = [status("recorder", unwritten=0), status("simulator", **{"in": 1, "out": 8, "waiting": 0, "note": "slow"})]
+    foreign = [
+        status("recorder", state="recording"),
+        status("simulator", state="ok", temperature=40),
+        status("player", **{"in": 1, "out": 1, "waiting": 0}),
+    ]
+    end = status("monopulse", **{"in": 8, "out": 1, "waiting": 0, "latency_p50_ms": "nan"})
+    publisher.publish(DiagnosticArray(status=[*ours, *foreign, end]))
+    assert graph.spin_until(lambda: "monopulse" in watching.accounts, 10)
+    assert watching.accounts == {
+        "recorder": {"unwritten": 0.0},
+        "simulator": {"in": 1.0, "out": 8.0, "waiting": 0.0},
+        "monopulse": {"in": 8.0, "out": 1.0, "waiting": 0.0},
+    }
+
+
+def test_a_full_disk_ends_the_run_at_once(long: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(self: BagWriter, topic: str, *_: Any) -> None:  # noqa: ARG001
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(conductor, "START_TIMEOUT_S", 10.0)
+    monkeypatch.setattr(conductor, "DWELL_TIMEOUT_S", 10.0)
+    monkeypatch.setattr(BagWriter, "write", refuse)
+    with pytest.raises(UserError, match="could not be written to the bag"):
+        run(long, SEED, tmp_path / "run", {}, processes=False)
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert "could not be written" in report["failed"]
+    assert "sar_compression" in report["stages"]
+
+
+@pytest.mark.parametrize("name", ["preset.yaml", "parameters.yaml", "report.json", "height.png"])
+def test_a_file_that_cannot_be_written_is_named(
+    name: str, two_dwells: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder of that name is in the way."""
+    real = conductor.perform
+
+    def perform(*arguments: Any, **keywords: Any) -> conductor.Outcome:
+        outcome = real(*arguments, **keywords)
+        ((tmp_path / "run" / "bag" if name == "parameters.yaml" else tmp_path / "run") / name).mkdir()
+        return outcome
+
+    def new_folder(path: Path) -> Path:
+        (path / name).mkdir(parents=True)
+        return path
+
+    if name == "preset.yaml":
+        monkeypatch.setattr("sal_height.runs.simulate.new_folder", new_folder)
+    else:
+        monkeypatch.setattr("sal_height.runs.simulate.perform", perform)
+    preset = dataclasses.replace(two_dwells, dwells=1)
+    with pytest.raises(UserError, match=rf"{name} cannot be written: Is a directory\."):
+        run(preset, SEED, tmp_path / "run", {}, processes=False)
+
+
+class Mute(Simulator):
+    """A simulator whose step service never answers, for nobody spins the node it is of."""
+
+    def __init__(self, **node_arguments: Any) -> None:
+        self.deaf = Node("deaf", context=node_arguments["context"])
+        super().__init__(**node_arguments)
+
+    def create_service(self, kind: Any, name: str, callback: Any, **keywords: Any) -> Any:
+        deaf = name == "~/step"
+        return (
+            self.deaf.create_service(kind, "simulator/step", callback)
+            if deaf
+            else super().create_service(kind, name, callback, **keywords)
+        )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_the_wait_for_a_step(
+    number: signal.Signals, two_dwells: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step = Conductor.step
+
+    def interrupted_step(self: Conductor, wait: conductor.Wait) -> bool:
+        signal.raise_signal(number)
+        return step(self, wait)
+
+    monkeypatch.setitem(NODES, "simulator", Mute)
+    monkeypatch.setattr(Conductor, "step", interrupted_step)
+    outcome = run(two_dwells, SEED, tmp_path / "run", {}, processes=False)
+    assert outcome.interrupted
+    assert outcome.dwells == 0
+
+
+def test_a_dead_node_ends_the_wait_for_a_step(
+    two_dwells: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step, dead = Conductor.step, []
+
+    def step_of_the_dead(self: Conductor, wait: conductor.Wait) -> bool:
+        dead.append("simulator")
+        return step(self, wait)
+
+    def check(self: Ensemble) -> None:  # noqa: ARG001
+        if dead:
+            raise UserError("Node simulator ended.")
+
+    monkeypatch.setitem(NODES, "simulator", Mute)
+    monkeypatch.setattr(Conductor, "step", step_of_the_dead)
+    monkeypatch.setattr(Ensemble, "check", check)
+    with pytest.raises(UserError, match="simulator ended"):
+        run(two_dwells, SEED, tmp_path / "run", {}, processes=False)
+
+
+@pytest.mark.parametrize("topic", INPUTS)
+def test_a_publisher_of_any_input_is_refused(topic: str, company: Graph, two_dwells: Preset, tmp_path: Path) -> None:
+    company.add(Node("other", context=company.context)).create_publisher(INPUTS[topic], topic, 1)
+    with pytest.raises(UserError, match=f"on /{topic} in this ROS domain; .* ROS_DOMAIN_ID"):
+        run(two_dwells, SEED, tmp_path / "run", {}, processes=False)
+
+
+def test_a_simulator_that_idles_is_refused(company: Graph, two_dwells: Preset, tmp_path: Path) -> None:
+    company.add(Simulator(context=company.context))
+    with pytest.raises(UserError, match="ROS_DOMAIN_ID"):
+        run(two_dwells, SEED, tmp_path / "run", {}, processes=False)
+
+
+@pytest.mark.parametrize("moment", ["connected", "step"])
+def test_a_sensor_that_comes_later_is_refused(
+    moment: str, company: Graph, long: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when two runs start together: neither sees the other at first."""
+    original, publishers = getattr(Conductor, moment), []
+
+    def with_company(self: Conductor, *arguments: Any) -> Any:
+        if not publishers:
+            node = company.add(Node("other", context=company.context))
+            publishers.append(node.create_publisher(DetectorFrame, "phase_history", 1))
+        return original(self, *arguments)
+
+    monkeypatch.setattr(Conductor, moment, with_company)
+    with pytest.raises(UserError, match="ROS_DOMAIN_ID"):
+        run(long, SEED, tmp_path / "run", {}, processes=False)
+    assert "ROS_DOMAIN_ID" in json.loads((tmp_path / "run" / "report.json").read_text())["failed"]

@@ -34,6 +34,10 @@ class PlatformState:
     covariance: Array
 
 
+ROUNDING_S = 1e-9
+"""Stamps are rounded to whole nanoseconds, pulse times are not."""
+
+
 class Trajectory:
     """Platform states in the order of time, interpolated with cubic Hermite splines (position) and slerp (attitude).
 
@@ -71,7 +75,7 @@ class Trajectory:
             UserError: a time lies outside the track.
         """
         t = (stamp_ns - self.epoch_ns) * 1e-9 + seconds_after
-        if t[0] < self._seconds[0] or t[-1] > self._seconds[-1]:
+        if t[0] < self._seconds[0] - ROUNDING_S or t[-1] > self._seconds[-1] + ROUNDING_S:
             raise UserError(
                 f"The odometry covers {self._seconds[0]:.6f} to {self._seconds[-1]:.6f} s, the aperture "
                 f"{t[0]:.6f} to {t[-1]:.6f} s of the same clock; the odometry must cover the whole aperture."
@@ -93,7 +97,7 @@ class Trajectory:
             UserError: a time lies outside the track, or the platform stands still.
         """
         t = self._offsets(stamp_ns, pulse_times)
-        middle = (t[0] + t[-1]) / 2
+        middle = float(np.clip((t[0] + t[-1]) / 2, self._seconds[0], self._seconds[-1]))
         velocity = np.asarray(self._position(middle, 1))
         speed = float(np.linalg.norm(velocity))
         if not speed > 0:

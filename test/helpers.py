@@ -1,0 +1,148 @@
+"""What several tests of the core share: beams, targets, apertures, and a phase history summed up the slow way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.constants import speed_of_light
+from scipy.spatial.transform import Rotation
+
+from sal_height.geometry import Aperture
+from sal_height.looks import Looks
+from sal_height.optics import pattern_named
+from sal_height.scene import Scene
+from sal_height.sensor import Beams, Sensor
+
+Array = npt.NDArray[np.float64]
+
+BEAMWIDTH = 1.55e-4
+"""Beamwidth of the SAL presets, rad: estimators are tested with it, so that a mixed-up unit shows."""
+
+
+def make_beams(pattern: str = "sinc", count: int = 16, pitch: float = 0.5) -> Beams:
+    """Detectors `pitch` beamwidths apart around an elevation of 45 degrees."""
+    steps = (np.arange(count) - (count - 1) / 2) * pitch
+    return Beams(pattern_named(pattern), np.pi / 4 + steps * BEAMWIDTH, BEAMWIDTH)
+
+
+def elevation_at(offset: npt.ArrayLike) -> Array:
+    """Elevation (rad) that many beamwidths above the middle of `make_beams`."""
+    return np.pi / 4 + np.asarray(offset) * BEAMWIDTH
+
+
+def offset_of(elevation: npt.ArrayLike) -> Array:
+    """Beamwidths above the middle of `make_beams`."""
+    return (np.asarray(elevation) - np.pi / 4) / BEAMWIDTH
+
+
+def make_sensor(**changes: object) -> Sensor:
+    """A lidar of three detectors looking right at 45 degrees."""
+    values = {
+        "name": "test",
+        "look_side": 1,
+        "wavelength": 1.55e-6,
+        "bandwidth": 2e9,
+        "frequency_count": 64,
+        "pulse_count": 48,
+        "pulse_repetition_frequency": 30e3,
+        "aperture": 0.01,
+        "pattern": "jinc",
+        "elevation_boresights": tuple(np.pi / 4 + np.array([-0.5, 0.0, 0.5]) * BEAMWIDTH),
+        "noise_power": (1.0, 1.0, 1.0),
+    }
+    return Sensor(**{**values, **changes})
+
+
+def make_aperture(
+    height: float = 5000 * np.cos(np.pi / 4),
+    angles: Sequence[float] = (0.0, 0.0, 0.0),
+    velocity: Sequence[float] = (50.0, 0.0, 0.0),
+    length: float = 0.08,
+) -> Aperture:
+    """A platform above the map origin, turned by roll, pitch and yaw (rad)."""
+    return Aperture(
+        position=np.array([0.0, 0.0, height]),
+        velocity=np.array(velocity),
+        rotation=Rotation.from_euler("ZYX", angles[::-1]).as_matrix(),
+        length=length,
+        covariance=np.zeros((6, 6)),
+    )
+
+
+def flat_scene(height: float = 0.0, north: float = 0.0, half: float = 40.0) -> Scene:
+    """Level ground of brightness 1 around (0, `north`)."""
+    nodes = np.linspace(-half, half, 161)
+    level = np.full((len(nodes), len(nodes)), height)
+    return Scene("flat", nodes, north + nodes, level, np.ones_like(level))
+
+
+def target_slc(
+    beams: Beams,
+    offset: npt.ArrayLike,
+    pixels: int,
+    looks: int,
+    cnr: float,
+    rng: np.random.Generator,
+    squint: float = 0,
+) -> npt.NDArray[np.complex128]:
+    """Images (channels, pixels, looks) of a fluctuating target in unit noise.
+
+    Args:
+        beams: of the channels.
+        offset: of the target, beamwidths; broadcasts with (pixels, looks).
+        pixels: rows of the image, independent trials.
+        looks: columns of the image.
+        cnr: mean power ratio in a detector that looks straight at it.
+        rng: of amplitudes and noise.
+        squint: of the target, rad.
+    """
+    response = beams.response(elevation_at(np.broadcast_to(offset, (pixels, looks))), squint)
+    amplitude = np.sqrt(cnr) * circular(rng, (pixels, looks))
+    return np.moveaxis(response * amplitude[..., None], -1, 0) + circular(rng, (len(beams.boresights), pixels, looks))
+
+
+def circular(rng: np.random.Generator, shape: tuple[int, ...]) -> npt.NDArray[np.complex128]:
+    """Circular complex Gaussian numbers of mean power 1."""
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
+
+
+def noise_free_looks(beams: Beams, offset: Array, squint: float = 0.0, count: int = 1, energy: float = 1e6) -> Looks:
+    """Exact covariance of a target at each of `offset` (beamwidths, shape (pixels,)), one column."""
+    response = beams.response(elevation_at(offset), squint)
+    pixels = len(offset)
+    return Looks(
+        covariance=energy * (response[:, None, :, None] * response[:, None, None, :]),
+        count=count,
+        row=np.arange(pixels, dtype=np.float64)[:, None],
+        col=np.zeros((pixels, 1)),
+        finite=np.ones((pixels, 1), dtype=bool),
+    )
+
+
+def sample_frequencies(sensor: Sensor) -> Array:
+    """Frequencies of the fast-time samples, Hz: the carrier is their mean."""
+    steps = np.arange(sensor.frequency_count) - (sensor.frequency_count - 1) / 2
+    return speed_of_light / sensor.wavelength + steps * sensor.bandwidth / sensor.frequency_count
+
+
+def direct_history(
+    sensor: Sensor, positions: Array, amplitudes: npt.ArrayLike, antenna: Array, reference: Array
+) -> npt.NDArray[np.complex128]:
+    """Sum over scatterers of A exp(-j 4 pi f (R - reference) / c): (..., pulses, frequencies).
+
+    `amplitudes` has the shape (..., scatterers).
+    """
+    delay = np.linalg.norm(positions - antenna[:, None, :], axis=-1) - reference[:, None]
+    phase = 4 * np.pi / speed_of_light * sample_frequencies(sensor) * delay[..., None]
+    return np.einsum("...s,psf->...pf", np.asarray(amplitudes), np.exp(-1j * phase))
+
+
+def assert_one_sentence(text: str, *parts: str) -> None:
+    """Assert that a message for the user is one line that begins and ends as a sentence and holds all `parts`."""
+    assert "\n" not in text
+    assert text[0].isupper()
+    assert text.endswith(".")
+    for part in parts:
+        assert part in text

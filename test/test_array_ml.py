@@ -1,0 +1,268 @@
+"""Array maximum likelihood: exact without noise, at its bound with it, and honest about pixels it cannot use."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import BEAMWIDTH, assert_one_sentence, elevation_at, make_beams, noise_free_looks, offset_of, target_slc
+
+from sal_height.array_ml import GRID_STEP, OBJECTIVES, elevation_bound, ml_elevation
+from sal_height.errors import UserError
+from sal_height.estimate import ElevationEstimate, Validity, common_noise
+from sal_height.looks import Looks, multilook
+from sal_height.monopulse import DISCRIMINANTS, monopulse_elevation
+from sal_height.optics import PATTERNS
+from sal_height.sensor import Beams
+
+MIN_CNR = 10**0.5
+PATTERN_NAMES = pytest.mark.parametrize("pattern", sorted(PATTERNS))
+
+
+def estimate(looks: Looks, beams: Beams, squint: float = 0.0, objective: str = "normalised") -> ElevationEstimate:
+    return ml_elevation(looks, beams, np.array([squint]), 1.0, OBJECTIVES[objective], MIN_CNR)
+
+
+def offsets_of(result: ElevationEstimate) -> np.ndarray:
+    return offset_of(result.elevation[:, 0])
+
+
+def standard_error_of_rms(error: np.ndarray) -> float:
+    """Of the root mean square of `error`, from the spread of its squares."""
+    return float(np.std(error**2) / np.sqrt(len(error)) / (2 * np.sqrt(np.mean(error**2))))
+
+
+@PATTERN_NAMES
+@pytest.mark.parametrize("squint", [0.0, 0.4 * BEAMWIDTH, 0.9 * BEAMWIDTH])
+def test_elevation_is_exact_without_noise(pattern: str, squint: float) -> None:
+    beams, offsets = make_beams(pattern), np.linspace(-3.745, 3.745, 200)
+    result = estimate(noise_free_looks(beams, offsets, squint), beams, squint)
+    np.testing.assert_allclose(offsets_of(result), offsets, atol=1e-5)
+    assert np.all(result.validity == Validity.OK)
+    np.testing.assert_allclose(result.cnr[:, 0], 1e6, rtol=1e-4)  # less one look's noise over the beams' power
+
+
+def test_every_column_has_its_own_squint() -> None:
+    beams, offsets, squints = make_beams("jinc"), np.linspace(-3.7, 3.7, 20), np.array([-0.9, 0.0, 0.3]) * BEAMWIDTH
+    covariance = np.concatenate([noise_free_looks(beams, offsets, s).covariance for s in squints], axis=1)
+    there = np.zeros(covariance.shape[:2])
+    result = ml_elevation(
+        Looks(covariance, 1, there, there, there == 0), beams, squints, 1.0, OBJECTIVES["normalised"], 1
+    )
+    np.testing.assert_allclose(offset_of(result.elevation), np.repeat(offsets[:, None], 3, axis=1), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "offset", "bias", "precision"),
+    [
+        ("sinc", 1.75, -0.002, 1e-3),
+        ("sinc", 3.0, 0.004, 6e-4),
+        ("sinc", 3.5, -0.067, 6e-4),
+        ("sinc", 3.75, -0.166, 6e-4),
+        ("sinc", 4.0, -0.279, 6e-4),
+        ("jinc", 3.25, -0.041, 6e-4),
+        ("jinc", 3.75, -0.239, 6e-4),
+        ("jinc", 4.0, -0.373, 6e-4),
+    ],
+)
+def test_numerator_alone_is_biased_inwards_at_the_ends(
+    pattern: str, offset: float, bias: float, precision: float
+) -> None:
+    """And for ever: the covariance here is the limit of infinite CNR. The normalised objective has no bias."""
+    beams, ends = make_beams(pattern), np.array([offset, -offset])
+    looks = noise_free_looks(beams, ends)
+    error = offsets_of(estimate(looks, beams, objective="numerator")) - ends
+    np.testing.assert_allclose(error, [bias, -bias], atol=precision)
+    np.testing.assert_allclose(offsets_of(estimate(looks, beams)), ends, atol=1e-5)
+
+
+def test_estimate_is_the_highest_point_of_the_objective() -> None:
+    beams, rng = make_beams("jinc"), np.random.default_rng(12)
+    looks = multilook(target_slc(beams, 0.6, 200, 4, 10.0, rng), 1, 4)
+    fine = np.arange(-7, 7, 0.002)
+    response = beams.response(elevation_at(fine), 0.0)
+    q = np.einsum("tm,pmn,tn->pt", response, looks.covariance[:, 0], response, optimize=True)
+    highest = fine[np.argmax(q / np.sum(response**2, axis=1), axis=1)]
+    inside = np.abs(highest) < 6.9  # of what is searched
+    assert np.count_nonzero(inside) > 190
+    np.testing.assert_allclose(offsets_of(estimate(looks, beams))[inside], highest[inside], atol=0.0015)
+
+
+def test_objective_that_flattens_out_does_not_carry_the_estimate_away() -> None:
+    """Towards a target far outside two Gaussian beams it rises for ever, ever less: half a beamwidth is searched."""
+    beams = make_beams("gaussian", count=2)
+    offsets = offsets_of(estimate(noise_free_looks(beams, np.array([-6.0, 6.0])), beams))
+    np.testing.assert_allclose(offsets, [-0.5, 0.5], atol=2.01 * GRID_STEP)
+
+
+@pytest.mark.parametrize(
+    ("looks", "cnr_db", "rms", "bound"),
+    [(16, 10, 0.0244, 0.0234), (4, 20, 0.0170, 0.0145)],
+)
+def test_error_of_a_fluctuating_target_is_as_published(looks: int, cnr_db: int, rms: float, bound: float) -> None:
+    """SAL paper, figure 10, recomputed (physics, section 6): sinc, 16 channels, target at 1.75 beamwidths.
+
+    Given the energy x of K looks, errors are normal with variance 1 / x; over speckle x has a gamma distribution.
+    Hence the kurtosis 3 (K - 1) / (K - 2) of the error, and a SE of its rms of 0.8 % (16 looks) and 1.0 % (4 looks),
+    with 1.1 times that for the published value's own. Outliers, when all looks fade, are no part of it.
+    """
+    beams, cnr, trials = make_beams("sinc"), 10 ** (cnr_db / 10), 8000
+    slc = target_slc(beams, 1.75, trials, looks, cnr, np.random.default_rng(13))
+    error = offsets_of(estimate(multilook(slc, 1, looks), beams)) - 1.75
+    inlying = np.abs(error) < 0.5
+    assert np.mean(inlying) > 0.999
+    observed = np.sqrt(np.mean(error[inlying] ** 2))
+    tolerance = 3.5 * 1.1 * np.sqrt((3 * (looks - 1) / (looks - 2) - 1) / (4 * trials))
+    assert observed == pytest.approx(rms, rel=tolerance)
+    assert abs(np.mean(error[inlying])) < 3.5 * rms / np.sqrt(trials)
+    crb = elevation_bound(np.array(looks * cnr), looks, beams, elevation_at(1.75), np.array(0.0)) / BEAMWIDTH
+    assert crb == pytest.approx(bound, abs=5e-5)
+    assert observed == pytest.approx(crb * np.sqrt(looks / (looks - 1)), rel=tolerance)
+
+
+@pytest.mark.parametrize(("looks", "cnr"), [(16, 10.0), (4, 100.0)])
+def test_sigma_predicts_the_spread(looks: int, cnr: float) -> None:
+    """Each pixel's error over its own sigma has variance 1."""
+    beams = make_beams("jinc")
+    slc = target_slc(beams, 0.6, 6000, looks, cnr, np.random.default_rng(14))
+    result = estimate(multilook(slc, 1, looks), beams)
+    normal = (offsets_of(result) - 0.6) * BEAMWIDTH / result.sigma[:, 0]
+    # SE of the rms 0.9 %; sigma takes the energy from the same samples, good to 1 / sqrt(2 K C |a|^2), 4 % at most.
+    assert np.sqrt(np.mean(normal**2)) == pytest.approx(1, abs=3.5 * standard_error_of_rms(normal) + 0.02)
+    assert np.mean(result.cnr) == pytest.approx(cnr, rel=3.5 / np.sqrt(6000 * looks) + 0.005)
+
+
+@PATTERN_NAMES
+@pytest.mark.parametrize("squint", [0.0, 0.4 * BEAMWIDTH])
+@pytest.mark.parametrize(("offset", "cnr"), [(0.0, 100.0), (1.75, 3.0), (3.6, 0.5)])
+def test_bound_is_the_inverse_fisher_information(pattern: str, squint: float, offset: float, cnr: float) -> None:
+    """Slepian-Bangs for Gaussian channels with covariance P a a^T + s I, unknown elevation, P and s."""
+    beams, looks, step = make_beams(pattern), 4, 1e-3
+
+    def covariance(parameters: np.ndarray) -> np.ndarray:
+        a = beams.response(elevation_at(parameters[0]), squint)
+        return parameters[1] * np.outer(a, a) + parameters[2] * np.eye(len(a))
+
+    point = np.array([offset, cnr, 1.0])
+    inverse = np.linalg.inv(covariance(point))
+    slopes = [
+        inverse @ (covariance(point + step * unit) - covariance(point - step * unit)) / (2 * step) for unit in np.eye(3)
+    ]
+    information = looks * np.array([[np.trace(first @ second) for second in slopes] for first in slopes])
+    expected = np.sqrt(np.linalg.inv(information)[0, 0])
+    bound = elevation_bound(np.array(looks * cnr), looks, beams, elevation_at(offset), np.array(squint))
+    # The central difference is good to step^2 / 6 * |a'''| / |a'|, 1e-5.
+    assert bound / BEAMWIDTH == pytest.approx(expected, rel=2e-5)
+
+
+def test_bound_is_infinite_without_energy() -> None:
+    beams = make_beams()
+    bound = elevation_bound(np.array([0.0, -1.0, 1.0]), 4, beams, elevation_at(np.zeros(3)), np.zeros(3))
+    np.testing.assert_array_equal(np.isinf(bound), [True, True, False])
+
+
+def test_two_channels_give_the_total_least_squares_of_monopulse() -> None:
+    """Gaussian beams: with any others a second direction, in the sidelobes, has the same discriminant."""
+    beams = make_beams("gaussian", count=2)
+    looks = multilook(target_slc(beams, 0.1, 500, 4, 30.0, np.random.default_rng(15)), 1, 4)
+    monopulse = monopulse_elevation(looks, beams, np.zeros(1), 1.0, DISCRIMINANTS["tls"], MIN_CNR)
+    inside = np.isfinite(monopulse.elevation)
+    assert np.mean(inside) > 0.9
+    result = estimate(looks, beams)
+    np.testing.assert_allclose(offset_of(result.elevation[inside]), offset_of(monopulse.elevation[inside]), atol=1e-4)
+
+
+def validity_counts(beams: Beams, slc: np.ndarray) -> np.ndarray:
+    """Share of the pixels (one row each) with every `Validity`."""
+    result = estimate(multilook(slc, 1, slc.shape[2]), beams)
+    return np.bincount(result.validity.ravel(), minlength=len(Validity)) / result.validity.size
+
+
+@PATTERN_NAMES
+def test_target_in_the_array_is_ok(pattern: str) -> None:
+    beams = make_beams(pattern)
+    shares = validity_counts(beams, target_slc(beams, 1.2, 500, 4, 100.0, np.random.default_rng(16)))
+    assert shares[Validity.OK] > 0.99
+
+
+@pytest.mark.parametrize("offset", [4.75, -4.75])
+def test_target_a_beamwidth_beyond_the_array_is_outside(offset: float) -> None:
+    beams = make_beams("jinc")
+    shares = validity_counts(beams, target_slc(beams, offset, 500, 16, 100.0, np.random.default_rng(17)))
+    assert shares[Validity.OUTSIDE_ARRAY] > 0.99
+    assert shares[Validity.OK] == 0
+
+
+@pytest.mark.parametrize("looks", [1, 4, 16])
+def test_noise_alone_has_low_cnr(looks: int) -> None:
+    """Even if no CNR is asked for, and wherever it peaks: beyond the array, little power makes a great CNR."""
+    beams = make_beams("jinc")
+    noise = target_slc(beams, 0.0, 3000, looks, 0.0, np.random.default_rng(18))
+    zeros = np.zeros(1)
+    result = ml_elevation(multilook(noise, 1, looks), beams, zeros, 1.0, OBJECTIVES["normalised"], -np.inf)
+    missed = np.count_nonzero(result.validity != Validity.LOW_CNR)
+    # One in 10 000 passes for a signal if the objective has 16 independent directions; searched are about 30.
+    assert missed <= 3
+
+
+def test_two_scatterers_two_beamwidths_apart_are_not_one() -> None:
+    beams, rng = make_beams("jinc"), np.random.default_rng(19)
+    slc = target_slc(beams, -1.0, 500, 16, 100.0, rng) + target_slc(beams, 1.0, 500, 16, 100.0, rng)
+    assert validity_counts(beams, slc)[Validity.NOT_ONE_SCATTERER] > 0.99
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"), [(0.02, Validity.OK), (0.04, Validity.NOT_ONE_SCATTERER)], ids=["2 %", "4 %"]
+)
+def test_rest_counts_as_another_scatterer_from_3_percent_of_the_power_on(share: float, expected: Validity) -> None:
+    """Beside the noise: 240 times its power is the mean of what 16 looks leave in 15 channels, with a spread of 15."""
+    beams, looks, energy = make_beams("sinc"), 16, 5000.0
+    a = beams.response(elevation_at(0.6), 0.0)
+    b = beams.response(elevation_at(3.0), 0.0)
+    b -= a * (a @ b) / (a @ a)
+    covariance = energy * (np.outer(a, a) / (a @ a) + share * np.outer(b, b) / (b @ b)) + looks * np.eye(16)
+    there = np.zeros((1, 1))
+    result = estimate(Looks(covariance[None, None], looks, there, there, there == 0), beams)
+    assert offsets_of(result)[0] == pytest.approx(0.6, abs=0.01)
+    assert result.validity[0, 0] == expected
+
+
+def test_missing_sample_is_missing_data_and_spares_the_neighbours() -> None:
+    beams = make_beams("jinc")
+    slc = target_slc(beams, 0.5, 20, 4, 1000.0, np.random.default_rng(20))
+    slc[3, 7, 2] = np.nan
+    validity = estimate(multilook(slc, 1, 4), beams).validity[:, 0]
+    assert validity[7] == Validity.MISSING_DATA
+    assert np.all(np.delete(validity, 7) == Validity.OK)
+
+
+def test_one_detector_is_refused() -> None:
+    beams = make_beams(count=1)
+    with pytest.raises(UserError) as refusal:
+        estimate(noise_free_looks(beams, np.zeros(1)), beams)
+    assert_one_sentence(str(refusal.value), "1 detector", "2 or more")
+
+
+def test_noise_power_is_the_mean_of_the_detectors() -> None:
+    assert common_noise(np.array([1.0, 2.0, 3.0])) == 2.0
+    assert common_noise(np.array([1.0, 3.99])) == pytest.approx(2.495)
+
+
+@pytest.mark.parametrize(
+    ("powers", "complaint"),
+    [
+        ([1.0, 0.0], "[1.0, 0.0]; all must be known, finite and greater than 0"),
+        ([1.0, float("nan")], "finite and greater than 0"),
+        ([1.0, float("inf")], "finite and greater than 0"),
+        ([-1.0, 1.0], "finite and greater than 0"),
+        ([1.0, 4.01], "between 1 and 4.01; the estimators take them as equal"),
+    ],
+)
+def test_unknown_or_unequal_noise_powers_are_refused(powers: list[float], complaint: str) -> None:
+    with pytest.raises(UserError) as refusal:
+        common_noise(np.array(powers))
+    assert_one_sentence(str(refusal.value), "noise powers", complaint)
+
+
+def test_coarse_search_is_finer_than_the_objective_varies() -> None:
+    """Its band ends at 1 cycle per beamwidth; a twentieth of the shortest period never misses a peak."""
+    assert GRID_STEP <= 0.05

@@ -1,0 +1,308 @@
+"""Presets: those that come with the package make sense, and a wrong one gets one sentence."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from helpers import assert_one_sentence
+
+from sal_height.compression import slant_plane_grid
+from sal_height.errors import UserError
+from sal_height.flight import SimulatedFlight
+from sal_height.preset import load_preset, parse_preset, preset_names
+from sal_height.terrain import load_scene
+from sal_height.windows import broadening, window
+
+SMALL = Path(__file__).parents[1] / "sal_height" / "presets" / "small.yaml"
+SHIPPED = ("sal_spotlight", "small", "xband_relief")
+
+
+def content_with(key: str, value: Any) -> dict[str, Any]:
+    """Content of the small preset with another value at a dotted key."""
+    content = yaml.safe_load(SMALL.read_text())
+    *parents, last = key.split(".")
+    inner = content
+    for parent in parents:
+        inner = inner[parent]
+    inner[last] = value
+    return content
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "allowed"),
+    [
+        ("name", "", "at least 1 character"),
+        ("name", 5, "valid string"),
+        ("scene", None, "valid string"),
+        ("cnr_db", "loud", "valid number"),
+        ("cnr_db", 101, "less than or equal to 100"),
+        ("cnr_db", -61, "greater than or equal to -60"),
+        ("cnr_db", float("nan"), "finite"),
+        ("dwells", 0, "greater than or equal to 1"),
+        ("dwells", 2.5, "valid integer"),
+        ("looks", 2, "valid tuple"),
+        ("looks", [2, 2, 2], "at most 2 items"),
+        ("sensor", 3, "dictionary"),
+        ("sensor", None, "dictionary"),
+        ("sensor.look_side", "up", "'left' or 'right'"),
+        ("sensor.wavelength_m", 0, "greater than "),
+        ("sensor.wavelength_m", float("inf"), "finite"),
+        ("sensor.wavelength_m", "red", "valid number"),
+        ("sensor.aperture_m", -1.0, "greater than "),
+        ("sensor.pattern", "cosine", "'gaussian', 'sinc' or 'jinc'"),
+        ("sensor.detectors", 0, "greater than or equal to "),
+        ("sensor.detectors", 129, "less than or equal to 128"),
+        ("sensor.detectors", [8], "valid integer"),
+        ("sensor.pitch_beamwidths", 0.0, "greater than "),
+        ("sensor.bandwidth_hz", float("-inf"), "finite"),
+        ("sensor.frequency_count", 1, "greater than or equal to 2"),
+        ("sensor.frequency_count", 65537, "less than or equal to 65536"),
+        ("sensor.pulse_count", 1, "greater than or equal to 2"),
+        ("sensor.pulse_repetition_frequency_hz", 0, "greater than "),
+        ("flight.slant_range_m", 0, "greater than "),
+        ("flight.look_angle_rad", 0, "greater than 0"),
+        ("flight.look_angle_rad", 1.6, "less than 1.57"),
+        ("flight.speed_mps", -50, "greater than "),
+        ("flight.dwell_spacing_m", "far", "valid number"),
+        ("flight.odometry_rate_hz", 0, "greater than "),
+        ("image.rows", 0, "greater than or equal to 1"),
+        ("image.cols", "many", "valid integer"),
+    ],
+)
+def test_wrong_value_is_refused_naming_key_value_and_what_is_allowed(key: str, value: Any, allowed: str) -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with(key, value), "mine.yaml")
+    assert_one_sentence(str(refusal.value), "Preset mine.yaml: ", f"{key} is {value!r}; ", allowed)
+
+
+def test_wrong_item_of_a_list_is_named_by_its_number() -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with("looks", [2, 0]), "mine.yaml")
+    assert_one_sentence(str(refusal.value), "looks.1 is 0; ", "greater than or equal to 1")
+
+
+@pytest.mark.parametrize("looks", [[47, 1], [1, 13]], ids=["range", "azimuth"])
+def test_looks_larger_than_the_image_are_refused(looks: list[int]) -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with("looks", looks), "mine.yaml")
+    assert_one_sentence(str(refusal.value), f"looks is ({looks[0]}, {looks[1]})", "image of (46, 12) pixels")
+
+
+def test_dwells_that_would_overlap_are_refused_with_the_least_spacing() -> None:
+    """48 pulses at 30 kHz and 50 m/s: 8 cm."""
+    parse_preset(content_with("flight.dwell_spacing_m", 0.0801), "mine.yaml")
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with("flight.dwell_spacing_m", 0.0799), "mine.yaml")
+    assert_one_sentence(str(refusal.value), "flight.dwell_spacing_m is 0.0799", "must be 0.08 or more")
+
+
+def test_prf_below_the_doppler_band_of_the_main_lobe_is_refused() -> None:
+    """4 * 50 m/s / 1 cm = 20 kHz."""
+    parse_preset(content_with("sensor.pulse_repetition_frequency_hz", 20.1e3), "mine.yaml")
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with("sensor.pulse_repetition_frequency_hz", 19.9e3), "mine.yaml")
+    assert_one_sentence(str(refusal.value), "sensor.pulse_repetition_frequency_hz is 19900", "spans 20000 Hz")
+
+
+def all_keys(content: dict[str, Any], prefix: str = "") -> list[str]:
+    keys = []
+    for key, value in content.items():
+        keys += [prefix + key] + (all_keys(value, f"{prefix}{key}.") if isinstance(value, dict) else [])
+    return keys
+
+
+@pytest.mark.parametrize("key", all_keys(yaml.safe_load(SMALL.read_text())))
+def test_missing_key_is_refused_by_its_name(key: str) -> None:
+    content = copy.deepcopy(yaml.safe_load(SMALL.read_text()))
+    *parents, last = key.split(".")
+    inner = content
+    for parent in parents:
+        inner = inner[parent]
+    del inner[last]
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content, "mine.yaml")
+    assert_one_sentence(str(refusal.value), f"Preset mine.yaml: {key} is missing")
+
+
+@pytest.mark.parametrize("key", ["colour", "sensor.aperture", "flight.altitude_m", "image.depth"])
+def test_unknown_key_is_refused_by_its_name(key: str) -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with(key, 1.0), "mine.yaml")
+    assert_one_sentence(str(refusal.value), f"Preset mine.yaml: {key} is not a known key")
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "the top level is None; input should be a dictionary"),
+        ("- name: small\n", "the top level is [{'name': 'small'}]; input should be a dictionary"),
+        ("just words", "the top level is 'just words'; input should be a dictionary"),
+        ("name: [small\nsensor:", "is not valid YAML"),
+        ("name: small\n\tsensor: 1", "is not valid YAML"),
+        ("name: !!python/object:os.system {}", "is not valid YAML"),
+        ("scene: 2026-02-31", "is not valid YAML"),
+    ],
+    ids=["empty", "list", "words", "open list", "tab", "object", "impossible date"],
+)
+def test_file_without_a_mapping_is_refused_in_one_sentence(tmp_path: Path, text: str, complaint: str) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(UserError) as refusal:
+        load_preset(str(path))
+    assert_one_sentence(str(refusal.value), "mine.yaml", complaint)
+
+
+def test_file_that_cannot_be_read_is_refused_with_the_presets_there_are(tmp_path: Path) -> None:
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\xfd")
+    for name in ("no_such_preset", str(tmp_path), str(binary)):
+        with pytest.raises(UserError) as refusal:
+            load_preset(name)
+        assert_one_sentence(str(refusal.value), repr(name), ", ".join(SHIPPED))
+
+
+def test_preset_in_a_file_equals_the_one_by_name() -> None:
+    assert load_preset(str(SMALL)) == load_preset("small")
+
+
+def test_sensor_of_a_preset_has_its_beams_evenly_around_the_look_angle() -> None:
+    preset = parse_preset(content_with("sensor.look_side", "left"), "mine.yaml")
+    sensor = preset.make_sensor()
+    assert sensor.look_side == -1
+    assert load_preset("small").make_sensor().look_side == 1
+    assert sensor.detector_count == 8
+    np.testing.assert_allclose(np.diff(sensor.elevation_boresights), 0.5 * 1.55e-4, rtol=1e-9)
+    assert np.mean(sensor.elevation_boresights) == pytest.approx(np.pi / 4, abs=1e-12)
+    assert sensor.noise_power == (1.0,) * 8
+
+
+@pytest.mark.parametrize("look_angle", [1e-4, 1.5707], ids=["nadir", "horizon"])
+def test_beams_beyond_nadir_or_horizon_are_refused(look_angle: float) -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with("flight.look_angle_rad", look_angle), "mine.yaml").make_sensor()
+    assert_one_sentence(str(refusal.value), "elevation_boresights", "between 0 (nadir) and pi/2 rad")
+
+
+def test_presets_that_come_with_the_package() -> None:
+    assert tuple(preset_names()) == SHIPPED
+    assert all(load_preset(name).name == name for name in SHIPPED)
+
+
+@pytest.fixture(scope="module", params=SHIPPED)
+def flight(request: pytest.FixtureRequest) -> SimulatedFlight:
+    preset = load_preset(request.param)
+    return SimulatedFlight(preset, preset.make_sensor(), load_scene(preset.scene), preset.dwells, seed=0)
+
+
+def test_pulses_sample_the_doppler_of_all_ground_that_is_lit(flight: SimulatedFlight) -> None:
+    sensor = flight.sensor
+    for dwell in (0, flight.dwells - 1):
+        surface = flight.surface(dwell)
+        sine = np.sin(surface.squint[~surface.deterministic])
+        doppler = 2 * flight.preset.flight.speed_mps * np.ptp(sine) / sensor.wavelength
+        assert doppler < sensor.pulse_repetition_frequency
+
+
+def test_image_lies_within_the_range_window_in_every_pulse(flight: SimulatedFlight) -> None:
+    sensor, image, reach = flight.sensor, flight.preset.image, flight.preset.flight.slant_range_m
+    widened = broadening(window("taylor", sensor.frequency_count))
+    grid = slant_plane_grid(sensor, flight.aperture(0), reach, image.rows, image.cols, widened)
+    antenna = flight.position(flight.dwell_start_ns(0) * 1e-9 + flight.pulse_times[[0, -1]])
+    delay = np.linalg.norm(grid.pixels() - antenna[:, None, None, :], axis=-1) - reach
+    assert np.abs(delay).max() <= sensor.range_window / 2
+
+
+def test_images_of_successive_dwells_join(flight: SimulatedFlight) -> None:
+    preset = flight.preset
+    grid = slant_plane_grid(
+        flight.sensor, flight.aperture(0), preset.flight.slant_range_m, preset.image.rows, preset.image.cols, 1.0
+    )
+    assert preset.flight.dwell_spacing_m == pytest.approx(grid.cols * grid.col_spacing, rel=0.01)
+
+
+def test_looks_fit_in_the_image_and_range_is_mostly_seen_by_the_beams(flight: SimulatedFlight) -> None:
+    preset, sensor = flight.preset, flight.sensor
+    assert preset.image.rows >= preset.looks[0]
+    assert preset.image.cols >= preset.looks[1]
+    first, last = sensor.beams.span
+    # Level ground from the first to the last boresight, and not much more, in slant range.
+    reach, angle = preset.flight.slant_range_m, preset.flight.look_angle_rad
+    swath = (last - first) * reach * np.tan(angle)
+    assert 0.5 * swath < sensor.range_window < 2 * swath
+
+
+NUMBERS = [
+    *(f"sensor.{key}" for key in ("wavelength_m", "aperture_m", "detectors", "pitch_beamwidths", "bandwidth_hz")),
+    *(f"sensor.{key}" for key in ("frequency_count", "pulse_count", "pulse_repetition_frequency_hz")),
+    *(f"flight.{key}" for key in ("slant_range_m", "look_angle_rad", "speed_mps", "dwell_spacing_m")),
+    *("flight.odometry_rate_hz", "image.rows", "image.cols", "cnr_db", "dwells"),
+]
+
+
+@pytest.mark.parametrize("key", NUMBERS)
+def test_boolean_is_no_number(key: str) -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with(key, True), "mine.yaml")
+    assert_one_sentence(str(refusal.value), f"{key} is True; input should be a number, not true or false")
+
+
+def test_boolean_in_a_list_is_no_number() -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with("looks", [2, True]), "mine.yaml")
+    assert_one_sentence(str(refusal.value), "looks.1 is True; input should be a number")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("sensor.wavelength_m", 1e-10, "is 1e-10; input should be greater than or equal to 1e-09"),
+        ("sensor.wavelength_m", 1e300, "is 1e+300; input should be less than or equal to 100"),
+        ("sensor.aperture_m", 2e4, "less than or equal to 10000"),
+        ("sensor.bandwidth_hz", 0.5, "greater than or equal to 1"),
+        ("sensor.bandwidth_hz", 1e16, "less than or equal to 1e+15"),
+        ("sensor.pitch_beamwidths", 1e4, "less than or equal to 1000"),
+        ("sensor.pulse_repetition_frequency_hz", 2e9, "less than or equal to 1e+09"),
+        ("flight.slant_range_m", 2e7, "less than or equal to 1e+07"),
+        ("flight.look_angle_rad", 1.5707963267948966, "is 1.5708; input should be less than 1.5708"),
+        ("flight.speed_mps", 0.001, "greater than or equal to 0.01"),
+        ("flight.speed_mps", 20001, "less than or equal to 20000"),
+        ("flight.dwell_spacing_m", 1e-7, "greater than or equal to 1e-06"),
+        ("flight.dwell_spacing_m", 2e6, "less than or equal to 1000000"),
+        ("flight.odometry_rate_hz", 10001, "less than or equal to 10000"),
+        ("dwells", 1_000_001, "less than or equal to 1000000"),
+        ("cnr_db", 100.00000123456, "is 100; "),
+        ("dwells", 2.000000123456, "is 2; "),
+        pytest.param("dwells", 16**6000, "dwells is a number of thousands of digits; ", id="huge"),
+        ("dwells", list(range(10**4)), "is [0, 1, 2, 3"),
+    ],
+)
+def test_physical_numbers_are_bounded_and_shown_short(key: str, value: Any, said: str) -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with(key, value), "mine.yaml")
+    assert_one_sentence(str(refusal.value), key, said)
+    assert len(str(refusal.value)) < 250
+
+
+def test_spacing_is_shown_with_six_digits() -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with("flight.dwell_spacing_m", 0.1 * 0.3 + 1e-17), "mine.yaml")
+    assert_one_sentence(str(refusal.value), "flight.dwell_spacing_m is 0.03, ")
+
+
+def test_deeply_nested_file_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("name: " + "[" * 5000)
+    with pytest.raises(UserError) as refusal:
+        load_preset(str(path))
+    assert_one_sentence(str(refusal.value), "mine.yaml", "nested too deeply")
+
+
+def test_unknown_key_of_two_lines_is_refused_in_one() -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with("two\nlines", 1), "mine.yaml")
+    assert_one_sentence(str(refusal.value), "two lines is not a known key")

@@ -1,0 +1,132 @@
+"""The sensor description: derived quantities, beams, and refusal of values that make no sense."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from helpers import BEAMWIDTH, assert_one_sentence, elevation_at, make_beams, make_sensor, sample_frequencies
+from scipy.constants import speed_of_light
+
+from sal_height.errors import UserError
+from sal_height.optics import PATTERNS
+from sal_height.sensor import MAX_DETECTORS
+
+
+@pytest.mark.parametrize("count", [64, 65])
+def test_wavenumbers_are_two_way_and_centred_on_the_carrier(count: int) -> None:
+    sensor = make_sensor(frequency_count=count)
+    order = np.arange(count) - count // 2  # as an FFT counts
+    np.testing.assert_allclose(
+        sensor.centre_wavenumber + order * sensor.wavenumber_step,
+        4 * np.pi * sample_frequencies(sensor) / speed_of_light,
+        rtol=1e-14,
+    )
+
+
+def test_resolution_window_and_beamwidth() -> None:
+    sensor = make_sensor(bandwidth=5e9, frequency_count=256)
+    assert sensor.range_resolution == pytest.approx(speed_of_light / 2 / 5e9, rel=1e-15)
+    assert sensor.range_window == pytest.approx(256 * speed_of_light / 2 / 5e9, rel=1e-15)
+    # The window is where the phase between neighbouring frequencies goes through a full turn.
+    assert sensor.range_window * sensor.wavenumber_step == pytest.approx(2 * np.pi, rel=1e-14)
+    assert sensor.beamwidth == pytest.approx(1.55e-4, rel=1e-14)
+    assert sensor.detector_count == 3
+
+
+def test_response_is_the_pattern_seen_from_each_boresight() -> None:
+    sensor = make_sensor()
+    elevation, squint = elevation_at([0.3, -0.1]), 0.2 * BEAMWIDTH
+    response = sensor.beams.response(elevation, squint)
+    assert response.shape == (2, 3)
+    expected = PATTERNS["jinc"].amplitude(np.array([[0.8, 0.3, -0.2], [0.4, -0.1, -0.6]]), 0.2)
+    np.testing.assert_allclose(response, expected, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", sorted(PATTERNS))
+def test_slope_of_the_response_is_per_radian(name: str) -> None:
+    beams = make_beams(name, count=4)
+    elevation, squint, step = elevation_at([-0.6, 0.1, 0.7]), 0.3 * BEAMWIDTH, 1e-4 * BEAMWIDTH
+    difference = (beams.response(elevation + step, squint) - beams.response(elevation - step, squint)) / (2 * step)
+    # Angles near 45 degrees are good to 1e-16 rad, hence responses to 1e-12 and the difference to 1e-8 per beamwidth.
+    np.testing.assert_allclose(beams.slope(elevation, squint) * BEAMWIDTH, difference * BEAMWIDTH, atol=3e-8)
+
+
+def test_domain_reaches_half_a_pitch_and_the_guard_beyond_the_boresights() -> None:
+    beams = make_beams(count=16, pitch=0.5)
+    assert beams.span == pytest.approx(tuple(elevation_at([-3.75, 3.75])), abs=1e-15)
+    assert beams.domain(3 * BEAMWIDTH) == pytest.approx(tuple(elevation_at([-7.0, 7.0])), abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "allowed"),
+    [
+        ("look_side", 0, "+1 (right) and -1 (left)"),
+        ("wavelength", 0.0, "greater than 0"),
+        ("wavelength", float("nan"), "finite"),
+        ("bandwidth", -1.0, "greater than 0"),
+        ("bandwidth", 4e14, "less than twice the carrier frequency"),
+        ("pulse_repetition_frequency", float("inf"), "finite"),
+        ("aperture", -0.01, "greater than 0"),
+        ("frequency_count", 1, "2 or more"),
+        ("pulse_count", 1, "2 or more"),
+        ("elevation_boresights", (0.1, 0.1, 0.2), "increasing"),
+        ("elevation_boresights", (), "one or more"),
+        ("elevation_boresights", (0.1, 0.2, 1.6), "between 0 (nadir) and pi/2"),
+        ("elevation_boresights", (0.0, 0.1, 0.2), "between 0 (nadir) and pi/2"),
+        ("elevation_boresights", (0.1, float("nan"), 0.3), "increasing"),
+        ("noise_power", (1.0, 1.0), "3 finite numbers of 0 or more"),
+        ("noise_power", (1.0, -1.0, 1.0), "3 finite numbers of 0 or more"),
+        ("noise_power", (1.0, float("nan"), 1.0), "3 finite numbers of 0 or more"),
+        ("noise_power", (1.0, float("inf"), 1.0), "3 finite numbers of 0 or more"),
+    ],
+)
+def test_value_out_of_range_is_refused_in_one_sentence(key: str, value: object, allowed: str) -> None:
+    with pytest.raises(UserError) as refusal:
+        make_sensor(**{key: value})
+    shown = f"{value:.6g}" if isinstance(value, float) and value > 1e6 else str(value)
+    assert_one_sentence(str(refusal.value), key, shown.split("e+")[0], allowed)
+
+
+def test_unknown_pattern_is_refused() -> None:
+    with pytest.raises(UserError, match="'cosine'"):
+        make_sensor(pattern="cosine")
+
+
+OTHER_VALUES = {
+    "name": "other",
+    "look_side": -1,
+    "wavelength": 1.5e-6,
+    "bandwidth": 1e9,
+    "frequency_count": 65,
+    "pulse_count": 49,
+    "pulse_repetition_frequency": 31e3,
+    "aperture": 0.02,
+    "pattern": "sinc",
+    "elevation_boresights": (0.1, 0.2, 0.3),
+    "noise_power": (1.0, 2.0, 1.0),
+    "calibration_id": "2026-01",
+}
+
+
+@pytest.mark.parametrize("key", OTHER_VALUES)
+def test_any_other_value_gives_another_hash(key: str) -> None:
+    assert make_sensor(**{key: OTHER_VALUES[key]}).config_hash != make_sensor().config_hash
+
+
+def test_every_field_has_been_varied_and_equal_sensors_agree() -> None:
+    assert {*OTHER_VALUES, "config_hash"} == {field.name for field in dataclasses.fields(make_sensor())}
+    assert make_sensor().config_hash == make_sensor().config_hash
+    assert len(make_sensor().config_hash) == 16
+
+
+def test_stated_hash_is_kept() -> None:
+    assert make_sensor(config_hash="of the driver").config_hash == "of the driver"
+
+
+def test_too_many_detectors_are_refused() -> None:
+    count = MAX_DETECTORS + 1
+    with pytest.raises(UserError) as refusal:
+        make_sensor(elevation_boresights=tuple(np.linspace(0.1, 0.2, count)), noise_power=(1.0,) * count)
+    assert_one_sentence(str(refusal.value), f"{count} detectors", f"at most {MAX_DETECTORS}")

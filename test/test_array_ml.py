@@ -192,6 +192,17 @@ def test_target_a_beamwidth_beyond_the_array_is_outside(offset: float) -> None:
     assert shares[Validity.OK] == 0
 
 
+@pytest.mark.parametrize(("min_cnr", "expected"), [(19.0, Validity.OK), (21.0, Validity.LOW_CNR)])
+def test_least_cnr_is_asked_of_every_look(min_cnr: float, expected: Validity) -> None:
+    """A target of CNR 20 in four looks."""
+    beams = make_beams("jinc")
+    exact = noise_free_looks(beams, np.array([0.6]), count=4, energy=4 * 20.0)
+    noisy = Looks(exact.covariance + 4 * np.eye(16), 4, exact.row, exact.col, exact.finite)
+    result = ml_elevation(noisy, beams, np.zeros(1), 1.0, OBJECTIVES["normalised"], min_cnr)
+    assert result.cnr[0, 0] == pytest.approx(20.0, rel=1e-6)
+    assert result.validity[0, 0] == expected
+
+
 @pytest.mark.parametrize("looks", [1, 4, 16])
 def test_noise_alone_has_low_cnr(looks: int) -> None:
     """Even if no CNR is asked for, and wherever it peaks: beyond the array, little power makes a great CNR."""

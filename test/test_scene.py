@@ -57,10 +57,11 @@ def test_ground_of_brightness_one_has_power_one_per_resolution_cell(slope: float
 
 
 def test_terrain_of_few_nodes_is_as_even() -> None:
-    """Between nodes 700 m apart range is no linear function of distance."""
-    surface, _ = see(profile_scene(np.zeros(3), DISTANCE + np.array([-700.0, 0.0, 700.0]), -1))
+    """Between nodes 3 km apart range is no linear function of distance."""
+    scene, cell = profile_scene(np.zeros(3), DISTANCE + np.array([-3000.0, 0.0, 3000.0]), -1), (CELL[0], 5.0)
+    surface = visible_surface(scene, make_aperture(PLATFORM_HEIGHT), 1, cell, EAST, (4985.0, 5015.0))
     per_metre, _ = np.histogram(surface.slant_range, np.arange(4986, 5015), weights=surface.power)
-    np.testing.assert_allclose(per_metre, 1 / CELL[0] * (EAST[1] - EAST[0]) / CELL[1], rtol=0.06)
+    np.testing.assert_allclose(per_metre, 1 / cell[0] * (EAST[1] - EAST[0]) / cell[1], rtol=0.06)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.9], ids=["level", "nearly across the line of sight"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -27,6 +28,14 @@ def own_domain(free_domain: Callable[[], AbstractContextManager[int]]) -> Iterat
         del os.environ["ROS_DOMAIN_ID"]
     else:
         os.environ["ROS_DOMAIN_ID"] = before
+
+
+@pytest.fixture(scope="session", autouse=True)
+def hang_ups_end_programs() -> Iterator[None]:
+    """Programs leave SIGHUP ignored where it is, and it is where the tests themselves are run under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 @pytest.fixture(scope="session")

@@ -127,7 +127,7 @@ def load_preset(name_or_path: str) -> Preset:
     else:
         try:
             text = Path(name_or_path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
+        except (OSError, ValueError) as error:
             raise UserError(
                 f"Preset {name_or_path!r} is neither a readable file nor one of {', '.join(preset_names())}."
             ) from error

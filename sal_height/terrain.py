@@ -36,7 +36,7 @@ def load_scene(name_or_path: str) -> Scene:
     if name_or_path == "jacksboro_fault":
         return jacksboro_fault()
     path = Path(name_or_path)
-    if not path.is_file():
+    if not _is_file(path):
         raise UserError(
             f"Scene {name_or_path!r} is neither a file nor one of {', '.join(BUILT_IN)}; "
             "give an elevation model as .tif or .npz."
@@ -46,6 +46,14 @@ def load_scene(name_or_path: str) -> Scene:
     if path.suffix.lower() == ".npz":
         return _from_npz(path)
     raise UserError(f"Scene {path} has the suffix {path.suffix!r}; allowed are .tif, .tiff and .npz.")
+
+
+def _is_file(path: Path) -> bool:
+    """Whether a path names a file; one that no file can have (too long, a zero in it) does not."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def street(length: float = 60.0) -> Scene:

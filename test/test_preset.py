@@ -306,3 +306,9 @@ def test_unknown_key_of_two_lines_is_refused_in_one() -> None:
     with pytest.raises(UserError) as refusal:
         parse_preset(content_with("two\nlines", 1), "mine.yaml")
     assert_one_sentence(str(refusal.value), "two lines is not a known key")
+
+
+@pytest.mark.parametrize("name", ["a" * 5000, "a\0b"], ids=["too long", "zero"])
+def test_preset_name_that_no_file_can_have_is_refused(name: str) -> None:
+    with pytest.raises(UserError, match="neither a readable file nor one of"):
+        load_preset(name)

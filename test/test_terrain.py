@@ -272,3 +272,9 @@ def test_npz_without_arrays_and_cells_without_end_are_refused(tmp_path: Path) ->
     with pytest.raises(UserError) as refusal:
         load_scene(write_npz(tmp_path / "wide.npz", elevation=ELEVATION, dx=np.inf, dy=1 / 3))
     assert_one_sentence(str(refusal.value), "cells of inf x 0.333333 m; both must be greater than 0 and finite")
+
+
+@pytest.mark.parametrize("name", ["a" * 5000, "a\0b"], ids=["too long", "zero"])
+def test_scene_name_that_no_file_can_have_is_refused(name: str) -> None:
+    with pytest.raises(UserError, match="neither a file nor one of"):
+        load_scene(name)

@@ -184,7 +184,10 @@ def test_the_directory_can_be_a_parameter(graph: Graph, bag: Path) -> None:
         ({"directory": "/"}, "is not empty"),
     ],
 )
-def test_unusable_parameters_are_refused(graph: Graph, parameters: dict[str, Any], sentence: str) -> None:
+def test_unusable_parameters_are_refused(
+    graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, parameters: dict[str, Any], sentence: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
     with pytest.raises(UserError, match=sentence):
         Recorder(context=graph.context, parameter_overrides=overrides)

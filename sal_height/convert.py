@@ -198,8 +198,7 @@ def check_frame(frame: messages.DetectorFrame, sensor: Sensor) -> None:
         Rejected: it cannot; the sentence names the field, the value and what is allowed.
     """
     where = f"DetectorFrame of dwell {frame.dwell}, detector {frame.detector}"
-    if frame.detector >= sensor.detector_count:
-        raise Rejected("unknown detector", f"{where}: SensorInfo has detectors 0 to {sensor.detector_count - 1}.")
+    _check_detector(frame.detector, sensor, where)
     expected = (sensor.pulse_count, sensor.frequency_count)
     if (frame.pulse_count, frame.frequency_count) != expected:
         raise Rejected(
@@ -289,8 +288,7 @@ def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
         Rejected: it cannot; the sentence names the field, the value and what is allowed.
     """
     where = f"ComplexImage of dwell {image.dwell}, detector {image.detector}"
-    if image.detector >= sensor.detector_count:
-        raise Rejected("unknown detector", f"{where}: SensorInfo has detectors 0 to {sensor.detector_count - 1}.")
+    _check_detector(image.detector, sensor, where)
     count = 2 * image.grid.rows * image.grid.cols
     if len(image.samples) != count or count == 0:
         raise Rejected(
@@ -444,3 +442,8 @@ def _xyz(vector: Array) -> dict[str, float]:
 
 def _vector(message: Point | Vector3) -> Array:
     return np.array([message.x, message.y, message.z])
+
+
+def _check_detector(detector: int, sensor: Sensor, where: str) -> None:
+    if detector >= sensor.detector_count:
+        raise Rejected("unknown detector", f"{where}: SensorInfo has detectors 0 to {sensor.detector_count - 1}.")

@@ -59,7 +59,7 @@ def azimuth_resolution(sensor: Sensor, aperture: Aperture, slant_range: float) -
 
 def slc_noise_power(sensor: Sensor, weights: Array) -> list[float]:
     """E|n|^2 of an SLC pixel of each detector: that of a sample, averaged over all, raised by the range window."""
-    gain = noise_gain(weights) / (sensor.pulse_count * sensor.frequency_count)
+    gain = noise_gain(weights) / (sensor.pulse_count * sensor.sample_count)
     return [gain * power for power in sensor.noise_power]
 
 
@@ -68,7 +68,7 @@ def slant_plane_size(
 ) -> tuple[int, int]:
     """Rows and columns of a slant-plane image that covers the range window and one beamwidth along the flight."""
     cells = sensor.beamwidth * reference_range / azimuth_resolution(sensor, aperture, reference_range)
-    return max(1, int(sensor.frequency_count / range_broadening)), max(1, int(cells + 1e-6))
+    return max(1, int(sensor.sample_count / range_broadening)), max(1, int(cells + 1e-6))
 
 
 def aim_point(sensor: Sensor, aperture: Aperture, reference_range: float) -> Array:

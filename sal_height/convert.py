@@ -90,9 +90,14 @@ def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
         config_hash=sensor.config_hash,
         calibration_id=sensor.calibration_id,
         look_side=sensor.look_side,
+        mode=sensor.mode,
+        waveform=sensor.waveform,
+        chirp_rate=sensor.chirp_rate,
+        pulse_duration=sensor.pulse_duration,
+        sampling_rate=sensor.sampling_rate,
         wavelength=sensor.wavelength,
         bandwidth=sensor.bandwidth,
-        frequency_count=sensor.frequency_count,
+        sample_count=sensor.sample_count,
         pulse_count=sensor.pulse_count,
         pulse_repetition_frequency=sensor.pulse_repetition_frequency,
         aperture=sensor.aperture,
@@ -113,9 +118,14 @@ def sensor_from_message(message: messages.SensorInfo) -> Sensor:
     return Sensor(
         name=message.name,
         look_side=int(message.look_side),
+        mode=message.mode,
+        waveform=message.waveform,
+        chirp_rate=message.chirp_rate,
+        pulse_duration=message.pulse_duration,
+        sampling_rate=message.sampling_rate,
         wavelength=message.wavelength,
         bandwidth=message.bandwidth,
-        frequency_count=message.frequency_count,
+        sample_count=message.sample_count,
         pulse_count=message.pulse_count,
         pulse_repetition_frequency=message.pulse_repetition_frequency,
         aperture=message.aperture,
@@ -182,7 +192,7 @@ def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp
             detector=detector,
             config_hash=sensor.config_hash,
             pulse_count=samples.shape[0],
-            frequency_count=samples.shape[1],
+            sample_count=samples.shape[1],
             pulse_time=history.pulse_times.tolist(),
             reference_range=history.reference_range.tolist(),
             samples=to_floats(samples),
@@ -199,11 +209,11 @@ def check_frame(frame: messages.DetectorFrame, sensor: Sensor) -> None:
     """
     where = f"DetectorFrame of dwell {frame.dwell}, detector {frame.detector}"
     _check_detector(frame.detector, sensor, where)
-    expected = (sensor.pulse_count, sensor.frequency_count)
-    if (frame.pulse_count, frame.frequency_count) != expected:
+    expected = (sensor.pulse_count, sensor.sample_count)
+    if (frame.pulse_count, frame.sample_count) != expected:
         raise Rejected(
             "contradicts sensor info",
-            f"{where}: {frame.pulse_count} pulses x {frame.frequency_count} frequencies, SensorInfo says "
+            f"{where}: {frame.pulse_count} pulses x {frame.sample_count} frequencies, SensorInfo says "
             f"{expected[0]} x {expected[1]}.",
         )
     wanted = {"samples": 2 * expected[0] * expected[1], "pulse_time": expected[0], "reference_range": expected[0]}
@@ -245,7 +255,7 @@ def history_from_messages(frames: Sequence[messages.DetectorFrame]) -> PhaseHist
                 f"Dwell {first.dwell}: detector {frame.detector} has other pulse times or reference ranges than "
                 f"detector {first.detector}; all must share them.",
             )
-    shape = (first.pulse_count, first.frequency_count)
+    shape = (first.pulse_count, first.sample_count)
     return PhaseHistory(
         stamp_ns=to_ns(first.header.stamp),
         pulse_times=np.array(first.pulse_time),
@@ -412,6 +422,7 @@ def aperture_from_message(message: messages.Aperture) -> Aperture:
         rotation=Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(),
         length=message.length,
         covariance=np.array(message.pose.covariance).reshape(6, 6),
+        sliding=message.sliding,
     )
 
 
@@ -429,6 +440,7 @@ def _grid_to_message(grid: Grid) -> messages.ImageGrid:
 
 def _aperture_to_message(aperture: Aperture) -> messages.Aperture:
     message = messages.Aperture(velocity=Vector3(**_xyz(aperture.velocity)), length=aperture.length)
+    message.sliding = aperture.sliding
     message.pose.pose.position = Point(**_xyz(aperture.position))
     quaternion = Rotation.from_matrix(aperture.rotation).as_quat().tolist()
     message.pose.pose.orientation = Quaternion(**dict(zip("xyzw", quaternion, strict=True)))

@@ -43,7 +43,7 @@ class SensorSettings:
     detectors: Annotated[Int, Ge(2), Le(MAX_DETECTORS)]
     pitch_beamwidths: Annotated[Float, Ge(1e-3), Le(1e3)]
     bandwidth_hz: Annotated[Float, Ge(1), Le(1e15)]
-    frequency_count: Annotated[Int, Ge(2), Le(65536)]
+    sample_count: Annotated[Int, Ge(2), Le(65536)]
     pulse_count: Annotated[Int, Ge(2), Le(65536)]
     pulse_repetition_frequency_hz: Annotated[Float, Ge(1e-3), Le(1e9)]
 
@@ -100,7 +100,7 @@ class Preset:
             look_side={"right": 1, "left": -1}[s.look_side],
             wavelength=s.wavelength_m,
             bandwidth=s.bandwidth_hz,
-            frequency_count=s.frequency_count,
+            sample_count=s.sample_count,
             pulse_count=s.pulse_count,
             pulse_repetition_frequency=s.pulse_repetition_frequency_hz,
             aperture=s.aperture_m,

@@ -21,6 +21,13 @@ MAX_DETECTORS = 128
 """The estimators hold M x M numbers per pixel and direction."""
 
 
+MODES = ("spotlight", "stripmap")
+"""Ways of steering the antenna: held on the scene during a dwell, or fixed to the body."""
+
+WAVEFORMS = ("spectrum", "chirp", "deramped")
+"""What fast-time samples can be: frequencies, the echo of a linear FM pulse in time, or that mixed with a replica."""
+
+
 @dataclass(frozen=True)
 class Beams:
     """The receive beams of a detector array in elevation.
@@ -69,14 +76,19 @@ class Sensor:
         name: for people.
         look_side: +1 looking right of the flight direction, -1 left.
         wavelength: of the carrier, m.
-        bandwidth: spanned by the fast-time frequency samples, Hz.
-        frequency_count: fast-time frequency samples in a pulse.
+        bandwidth: of the pulse; with waveform "spectrum", that spanned by the fast-time frequency samples, Hz.
+        sample_count: fast-time samples in a pulse.
         pulse_count: pulses in a dwell.
         pulse_repetition_frequency: Hz.
         aperture: receive aperture diameter, m.
         pattern: name of the beam pattern.
         elevation_boresights: rad from nadir, increasing, one per detector.
         noise_power: E|n|^2 of a phase-history sample, one per detector; 0: unknown.
+        mode: one of MODES.
+        waveform: one of WAVEFORMS: what the fast-time samples are.
+        chirp_rate: of the linear FM, Hz/s, negative for a falling one; 0 for "spectrum".
+        pulse_duration: of the linear FM, s; 0 for "spectrum".
+        sampling_rate: of the fast-time samples, Hz; 0 for "spectrum".
         calibration_id: calibration already applied by the sensor; empty: none.
         config_hash: identity of this description; empty: the first 16 hexadecimal digits of the SHA-256 of the rest.
 
@@ -88,19 +100,27 @@ class Sensor:
     look_side: int
     wavelength: float
     bandwidth: float
-    frequency_count: int
+    sample_count: int
     pulse_count: int
     pulse_repetition_frequency: float
     aperture: float
     pattern: str
     elevation_boresights: tuple[float, ...]
     noise_power: tuple[float, ...]
+    mode: str = "spotlight"
+    waveform: str = "spectrum"
+    chirp_rate: float = 0.0
+    pulse_duration: float = 0.0
+    sampling_rate: float = 0.0
     calibration_id: str = ""
     config_hash: str = ""
 
     def __post_init__(self) -> None:
         if self.look_side not in (-1, 1):
             raise UserError(f"Sensor look_side is {self.look_side}; allowed are +1 (right) and -1 (left).")
+        for key, allowed in (("mode", MODES), ("waveform", WAVEFORMS)):
+            if getattr(self, key) not in allowed:
+                raise UserError(f"Sensor {key} is {getattr(self, key)!r}; allowed are {', '.join(allowed)}.")
         for key in ("wavelength", "bandwidth", "pulse_repetition_frequency", "aperture"):
             value = getattr(self, key)
             if not (np.isfinite(value) and value > 0):
@@ -109,7 +129,7 @@ class Sensor:
             raise UserError(
                 f"Sensor bandwidth is {self.bandwidth} Hz; it must be less than twice the carrier frequency."
             )
-        for key in ("frequency_count", "pulse_count"):
+        for key in ("sample_count", "pulse_count"):
             if getattr(self, key) < 2:
                 raise UserError(f"Sensor {key} is {getattr(self, key)}; it must be 2 or more.")
         pattern_named(self.pattern)
@@ -144,7 +164,7 @@ class Sensor:
     @property
     def frequency_step(self) -> float:
         """Spacing of the fast-time frequency samples, Hz."""
-        return self.bandwidth / self.frequency_count
+        return self.bandwidth / self.sample_count
 
     @property
     def wavenumber_step(self) -> float:
@@ -153,8 +173,8 @@ class Sensor:
 
     @property
     def centre_wavenumber(self) -> float:
-        """Two-way wavenumber of sample frequency_count // 2, the one an FFT counts as zero, rad/m."""
-        offset = self.frequency_count // 2 - (self.frequency_count - 1) / 2
+        """Two-way wavenumber of sample sample_count // 2, the one an FFT counts as zero, rad/m."""
+        offset = self.sample_count // 2 - (self.sample_count - 1) / 2
         return float(4 * np.pi / self.wavelength + offset * self.wavenumber_step)
 
     @property
@@ -165,7 +185,7 @@ class Sensor:
     @property
     def range_window(self) -> float:
         """Slant range that the frequency samples cover without ambiguity, m."""
-        return self.range_resolution * self.frequency_count
+        return self.range_resolution * self.sample_count
 
     @property
     def beamwidth(self) -> float:

@@ -22,7 +22,7 @@ def draw_amplitudes(surface: VisibleSurface, cnr: float, sensor: Sensor, rng: np
     Scaled so that a resolution cell of brightness 1 in the focused image has the carrier-to-noise power ratio `cnr`
     in a detector that looks straight at it (compression divides the noise power by the number of samples).
     """
-    noise = float(np.mean(sensor.noise_power)) / (sensor.pulse_count * sensor.frequency_count)
+    noise = float(np.mean(sensor.noise_power)) / (sensor.pulse_count * sensor.sample_count)
     speckle = (rng.standard_normal(len(surface.power)) + 1j * rng.standard_normal(len(surface.power))) / np.sqrt(2)
     return np.sqrt(surface.power * cnr * noise) * np.where(surface.deterministic, 1.0, speckle)
 
@@ -52,7 +52,7 @@ def simulate_dwell(
         strengths = weighted * np.exp(-1j * sensor.centre_wavenumber * delay)
         phase = sensor.wavenumber_step * delay
         return np.asarray(
-            finufft.nufft1d1(phase, strengths, sensor.frequency_count, isign=-1, eps=NUFFT_TOLERANCE, nthreads=1)
+            finufft.nufft1d1(phase, strengths, sensor.sample_count, isign=-1, eps=NUFFT_TOLERANCE, nthreads=1)
         )
 
     with ThreadPoolExecutor() as pool:
@@ -62,6 +62,6 @@ def simulate_dwell(
 
 def receiver_noise(sensor: Sensor, pulses: int, rng: np.random.Generator) -> npt.NDArray[np.complex64]:
     """Circular Gaussian noise of the stated power, independent between detectors, (detectors, pulses, frequencies)."""
-    shape = (sensor.detector_count, pulses, sensor.frequency_count, 2)
+    shape = (sensor.detector_count, pulses, sensor.sample_count, 2)
     noise = rng.standard_normal(shape, dtype=np.float32).view(np.complex64)[..., 0]
     return noise * np.sqrt(np.array(sensor.noise_power, dtype=np.float32) / 2)[:, None, None]

@@ -44,7 +44,7 @@ def make_sensor(**changes: object) -> Sensor:
         "look_side": 1,
         "wavelength": 1.55e-6,
         "bandwidth": 2e9,
-        "frequency_count": 64,
+        "sample_count": 64,
         "pulse_count": 48,
         "pulse_repetition_frequency": 30e3,
         "aperture": 0.01,
@@ -123,8 +123,8 @@ def noise_free_looks(beams: Beams, offset: Array, squint: float = 0.0, count: in
 
 def sample_frequencies(sensor: Sensor) -> Array:
     """Frequencies of the fast-time samples, Hz: the carrier is their mean."""
-    steps = np.arange(sensor.frequency_count) - (sensor.frequency_count - 1) / 2
-    return speed_of_light / sensor.wavelength + steps * sensor.bandwidth / sensor.frequency_count
+    steps = np.arange(sensor.sample_count) - (sensor.sample_count - 1) / 2
+    return speed_of_light / sensor.wavelength + steps * sensor.bandwidth / sensor.sample_count
 
 
 def direct_history(

@@ -22,7 +22,7 @@ from sal_height.phase_history import PhaseHistory
 from sal_height.windows import broadening, window
 
 SENSOR = make_sensor()
-RECTANGULAR = np.ones(SENSOR.frequency_count)
+RECTANGULAR = np.ones(SENSOR.sample_count)
 REFERENCE = np.full(SENSOR.pulse_count, 5000.0)
 ALONG = (np.arange(SENSOR.pulse_count) - (SENSOR.pulse_count - 1) / 2) * 50 / SENSOR.pulse_repetition_frequency
 ANTENNA = make_aperture().position + ALONG[:, None] * np.array([1.0, 0.0, 0.0])
@@ -74,10 +74,10 @@ def test_point_focuses_at_its_pixel_with_its_amplitude(offset: float, slant_rang
 
 @pytest.mark.parametrize("name", ["rectangular", "taylor"])
 def test_image_is_the_matched_filter_written_out(name: str) -> None:
-    weights = window(name, SENSOR.frequency_count)
+    weights = window(name, SENSOR.sample_count)
     rng = np.random.default_rng(11)
     reference = REFERENCE + rng.uniform(-0.2, 0.2, len(REFERENCE))
-    samples = circular(rng, (2, SENSOR.pulse_count, SENSOR.frequency_count)).astype(np.complex64)
+    samples = circular(rng, (2, SENSOR.pulse_count, SENSOR.sample_count)).astype(np.complex64)
     pixels = grid_with().points(rng.uniform(0, 40, (2, 3)), rng.uniform(0, 30, (2, 3)))
     delay = np.linalg.norm(pixels[..., None, :] - ANTENNA, axis=-1) - reference
     phase = 4 * np.pi / speed_of_light * sample_frequencies(SENSOR) * delay[..., None]
@@ -98,7 +98,7 @@ def peak_sidelobe_db(power: np.ndarray) -> float:
 
 @pytest.mark.parametrize(("name", "level"), [("rectangular", -13.26), ("taylor", -35.0)])
 def test_peak_sidelobe_in_range(name: str, level: float) -> None:
-    point, weights, grid = point_at(0.0, 5000.0, 0.0), window(name, SENSOR.frequency_count), grid_with()
+    point, weights, grid = point_at(0.0, 5000.0, 0.0), window(name, SENSOR.sample_count), grid_with()
     history = history_of(direct_history(SENSOR, point[None], [1.0], ANTENNA, REFERENCE))
     row, col = pixel_of(point, grid)
     steps = np.arange(-12, 12, 1 / 32)
@@ -150,9 +150,9 @@ def test_curved_track_focuses_as_well_as_a_straight_one() -> None:
 
 
 def test_pixels_beyond_the_range_window_are_nan_in_every_detector() -> None:
-    rows = SENSOR.frequency_count + 8
+    rows = SENSOR.sample_count + 8
     grid = grid_with(rows=rows, cols=3)
-    samples = np.ones((2, SENSOR.pulse_count, SENSOR.frequency_count))
+    samples = np.ones((2, SENSOR.pulse_count, SENSOR.sample_count))
     image = backproject(history_of(samples), ANTENNA, SENSOR, RECTANGULAR, grid.pixels())
     slant_range = np.linalg.norm(grid.pixels() - make_aperture().position, axis=-1)
     beyond = np.abs(slant_range - 5000.0) > SENSOR.range_window / 2
@@ -164,7 +164,7 @@ def test_one_pulse_that_does_not_reach_a_pixel_is_enough_for_nan() -> None:
     reference = REFERENCE.copy()
     reference[7] += SENSOR.range_window / 4
     grid = grid_with(rows=63, cols=1)
-    samples = np.ones((1, SENSOR.pulse_count, SENSOR.frequency_count))
+    samples = np.ones((1, SENSOR.pulse_count, SENSOR.sample_count))
     image = backproject(history_of(samples, reference), ANTENNA, SENSOR, RECTANGULAR, grid.pixels())
     assert np.isnan(image[0, :15, 0]).all()
     assert np.isfinite(image[0, 16:, 0]).all()
@@ -209,7 +209,7 @@ def test_full_image_covers_the_range_window_and_a_beamwidth() -> None:
 
 
 def test_noise_of_a_pixel_is_that_of_a_sample_over_their_number_times_the_gain_of_the_window() -> None:
-    weights = window("hamming", SENSOR.frequency_count)
+    weights = window("hamming", SENSOR.sample_count)
     sensor = make_sensor(noise_power=(1.0, 4.0, 0.25))
     expected = np.array([1.0, 4.0, 0.25]) * np.mean(weights**2) / (48 * 64)
     np.testing.assert_allclose(slc_noise_power(sensor, weights), expected, rtol=1e-12)

@@ -68,7 +68,7 @@ def test_complex_samples_survive_bit_for_bit_and_reading_does_not_copy(rng: np.r
 
 
 def test_phase_history_survives_its_frames(sensor: Sensor, rng: np.random.Generator) -> None:
-    shape = (sensor.detector_count, sensor.pulse_count, sensor.frequency_count)
+    shape = (sensor.detector_count, sensor.pulse_count, sensor.sample_count)
     samples = rng.standard_normal((*shape, 2)).astype(np.float32).view(np.complex64)[..., 0]
     times = np.arange(shape[1]) / sensor.pulse_repetition_frequency
     history = PhaseHistory(convert.to_ns(STAMP), times, np.linspace(4999, 5001, shape[1]), samples)

@@ -142,8 +142,8 @@ def chain() -> Chain:
     preset = load_preset("small")
     sensor = preset.make_sensor()
     flight = SimulatedFlight(preset, sensor, flat_scene(HEIGHT), dwells=6, seed=0)
-    weights = window("taylor", sensor.frequency_count)
-    noise_power = noise_gain(weights) / (sensor.pulse_count * sensor.frequency_count)
+    weights = window("taylor", sensor.sample_count)
+    noise_power = noise_gain(weights) / (sensor.pulse_count * sensor.sample_count)
     rng = np.random.default_rng(29)
     fields: dict[bool, list[HeightField]] = {True: [], False: []}
     for dwell in range(flight.dwells):

@@ -60,8 +60,8 @@ def content_with(key: str, value: Any) -> dict[str, Any]:
         ("sensor.detectors", [8], "valid integer"),
         ("sensor.pitch_beamwidths", 0.0, "greater than "),
         ("sensor.bandwidth_hz", float("-inf"), "finite"),
-        ("sensor.frequency_count", 1, "greater than or equal to 2"),
-        ("sensor.frequency_count", 65537, "less than or equal to 65536"),
+        ("sensor.sample_count", 1, "greater than or equal to 2"),
+        ("sensor.sample_count", 65537, "less than or equal to 65536"),
         ("sensor.pulse_count", 1, "greater than or equal to 2"),
         ("sensor.pulse_repetition_frequency_hz", 0, "greater than "),
         ("flight.slant_range_m", 0, "greater than "),
@@ -210,7 +210,7 @@ def test_pulses_sample_the_doppler_of_all_ground_that_is_lit(flight: SimulatedFl
 
 def test_image_lies_within_the_range_window_in_every_pulse(flight: SimulatedFlight) -> None:
     sensor, image, reach = flight.sensor, flight.preset.image, flight.preset.flight.slant_range_m
-    widened = broadening(window("taylor", sensor.frequency_count))
+    widened = broadening(window("taylor", sensor.sample_count))
     grid = slant_plane_grid(sensor, flight.aperture(0), reach, image.rows, image.cols, widened)
     antenna = flight.position(flight.dwell_start_ns(0) * 1e-9 + flight.pulse_times[[0, -1]])
     delay = np.linalg.norm(grid.pixels() - antenna[:, None, None, :], axis=-1) - reach
@@ -238,7 +238,7 @@ def test_looks_fit_in_the_image_and_range_is_mostly_seen_by_the_beams(flight: Si
 
 NUMBERS = [
     *(f"sensor.{key}" for key in ("wavelength_m", "aperture_m", "detectors", "pitch_beamwidths", "bandwidth_hz")),
-    *(f"sensor.{key}" for key in ("frequency_count", "pulse_count", "pulse_repetition_frequency_hz")),
+    *(f"sensor.{key}" for key in ("sample_count", "pulse_count", "pulse_repetition_frequency_hz")),
     *(f"flight.{key}" for key in ("slant_range_m", "look_angle_rad", "speed_mps", "dwell_spacing_m")),
     *("flight.odometry_rate_hz", "image.rows", "image.cols", "cnr_db", "dwells"),
 ]

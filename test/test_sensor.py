@@ -16,7 +16,7 @@ from sal_height.sensor import MAX_DETECTORS
 
 @pytest.mark.parametrize("count", [64, 65])
 def test_wavenumbers_are_two_way_and_centred_on_the_carrier(count: int) -> None:
-    sensor = make_sensor(frequency_count=count)
+    sensor = make_sensor(sample_count=count)
     order = np.arange(count) - count // 2  # as an FFT counts
     np.testing.assert_allclose(
         sensor.centre_wavenumber + order * sensor.wavenumber_step,
@@ -26,7 +26,7 @@ def test_wavenumbers_are_two_way_and_centred_on_the_carrier(count: int) -> None:
 
 
 def test_resolution_window_and_beamwidth() -> None:
-    sensor = make_sensor(bandwidth=5e9, frequency_count=256)
+    sensor = make_sensor(bandwidth=5e9, sample_count=256)
     assert sensor.range_resolution == pytest.approx(speed_of_light / 2 / 5e9, rel=1e-15)
     assert sensor.range_window == pytest.approx(256 * speed_of_light / 2 / 5e9, rel=1e-15)
     # The window is where the phase between neighbouring frequencies goes through a full turn.
@@ -69,7 +69,7 @@ def test_domain_reaches_half_a_pitch_and_the_guard_beyond_the_boresights() -> No
         ("bandwidth", 4e14, "less than twice the carrier frequency"),
         ("pulse_repetition_frequency", float("inf"), "finite"),
         ("aperture", -0.01, "greater than 0"),
-        ("frequency_count", 1, "2 or more"),
+        ("sample_count", 1, "2 or more"),
         ("pulse_count", 1, "2 or more"),
         ("elevation_boresights", (0.1, 0.1, 0.2), "increasing"),
         ("elevation_boresights", (), "one or more"),
@@ -99,13 +99,18 @@ OTHER_VALUES = {
     "look_side": -1,
     "wavelength": 1.5e-6,
     "bandwidth": 1e9,
-    "frequency_count": 65,
+    "sample_count": 65,
     "pulse_count": 49,
     "pulse_repetition_frequency": 31e3,
     "aperture": 0.02,
     "pattern": "sinc",
     "elevation_boresights": (0.1, 0.2, 0.3),
     "noise_power": (1.0, 2.0, 1.0),
+    "mode": "stripmap",
+    "waveform": "chirp",
+    "chirp_rate": 1e15,
+    "pulse_duration": 1e-6,
+    "sampling_rate": 1e6,
     "calibration_id": "2026-01",
 }
 

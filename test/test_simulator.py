@@ -32,7 +32,7 @@ def straight_track(sensor: Sensor) -> np.ndarray:
 
 @pytest.mark.parametrize("frequencies", [16, 17])
 def test_phase_history_is_the_sum_over_scatterers_written_out(frequencies: int) -> None:
-    sensor = make_sensor(frequency_count=frequencies, pulse_count=6)
+    sensor = make_sensor(sample_count=frequencies, pulse_count=6)
     rng = np.random.default_rng(5)
     offsets, squints = rng.uniform(-0.7, 0.7, 5), rng.uniform(-0.5, 0.5, 5) * BEAMWIDTH
     ranges = 5000 + rng.uniform(-0.5, 0.5, 5)
@@ -77,7 +77,7 @@ def test_speckle_fluctuates_and_point_targets_do_not() -> None:
 
 
 def focused(sensor: Sensor, samples: np.ndarray, name: str) -> np.ndarray:
-    weights = window(name, sensor.frequency_count)
+    weights = window(name, sensor.sample_count)
     aperture = make_aperture()
     grid = slant_plane_grid(sensor, aperture, 5000.0, 63, 48, 1.0)
     reference = np.full(sensor.pulse_count, 5000.0)
@@ -117,8 +117,8 @@ def test_focused_level_ground_has_the_stated_cnr(name: str) -> None:
         reference = np.full(sensor.pulse_count, 5000.0)
         samples = simulate_dwell(sensor, surface, amplitudes, straight_track(sensor), reference)
         powers.append(np.mean(np.abs(focused(sensor, samples, name)) ** 2))
-    weights = window(name, sensor.frequency_count)
-    noise = 3.0 * noise_gain(weights) / (sensor.pulse_count * sensor.frequency_count)
+    weights = window(name, sensor.sample_count)
+    noise = 3.0 * noise_gain(weights) / (sensor.pulse_count * sensor.sample_count)
     standard_error = standard_error_of_power(weights, dwells * 63 * 48)  # 0.7 and 0.9 %
     assert np.mean(powers) / noise == pytest.approx(cnr, rel=3.5 * standard_error)
 
@@ -128,8 +128,8 @@ def test_noise_in_the_image_is_that_of_a_sample_over_their_number_times_the_wind
     sensor = make_sensor(noise_power=(1.0, 4.0, 0.25))
     samples = receiver_noise(sensor, sensor.pulse_count, np.random.default_rng(9))
     power = np.mean(np.abs(focused(sensor, samples, name)) ** 2, axis=(1, 2))
-    weights = window(name, sensor.frequency_count)
-    expected = noise_gain(weights) * np.array(sensor.noise_power) / (sensor.pulse_count * sensor.frequency_count)
+    weights = window(name, sensor.sample_count)
+    expected = noise_gain(weights) * np.array(sensor.noise_power) / (sensor.pulse_count * sensor.sample_count)
     np.testing.assert_allclose(power, expected, rtol=3.5 * standard_error_of_power(weights, 63 * 48))  # 6 and 8 %
 
 

@@ -83,7 +83,7 @@ class SarCompression(DwellStage):
         history = convert.history_from_messages(messages)
         track = Trajectory(self._states_around(history.stamp_ns, float(history.pulse_times[-1])))
         aperture = track.aperture(history.stamp_ns, history.pulse_times)
-        weights = window(parameters.range_window, sensor.frequency_count)
+        weights = window(parameters.range_window, sensor.sample_count)
         reference = float(history.reference_range[len(history.reference_range) // 2])
         grid = _grid(parameters, sensor, aperture, reference, broadening(weights))
         antenna = track.positions(history.stamp_ns, history.pulse_times)

@@ -119,7 +119,7 @@ def _sensor(frequency: Array, antenna: Array, velocity: Array, times: Array) -> 
         look_side=-1 if turn > 0 else 1,
         wavelength=wavelength,
         bandwidth=float(frequency[-1] - frequency[0]) * len(frequency) / (len(frequency) - 1),
-        frequency_count=len(frequency),
+        sample_count=len(frequency),
         pulse_count=len(antenna),
         pulse_repetition_frequency=(len(times) - 1) / float(times[-1]),
         aperture=wavelength / BEAM,

@@ -92,7 +92,7 @@ def test_bursts_of_large_frames_lose_nothing(graph: Graph, source: Node, bag: Pa
     recorder = start(graph, bag)
     frames = []
     for detector in range(16):
-        frame = DetectorFrame(detector=detector, pulse_count=512, frequency_count=512)
+        frame = DetectorFrame(detector=detector, pulse_count=512, sample_count=512)
         frame.samples.frombytes(bytes([detector]) * (8 * 512 * 512))
         frames.append(serialize_message(frame))
     for _ in range(2):

@@ -26,6 +26,7 @@ setup(
         "finufft",
         "matplotlib",
         "mcap",
+        "numba",
         "numpy",
         "pydantic",
         "pyyaml",

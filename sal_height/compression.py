@@ -1,55 +1,21 @@
-"""SAR compression: the phase history of every detector becomes its single-look complex image (SLC)."""
+"""SAR images: their pixels and their noise."""
 
 from __future__ import annotations
 
-import finufft
 import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
 from sal_height.geometry import Aperture, Grid, look_direction
-from sal_height.phase_history import NUFFT_TOLERANCE, PhaseHistory
+from sal_height.processing import Processing
 from sal_height.sensor import Sensor
 from sal_height.windows import noise_gain
 
 Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 
 MAX_PIXELS = 2**24
 """Largest image: what a message can hold and a machine can process."""
-
-
-def backproject(history: PhaseHistory, antenna: Array, sensor: Sensor, weights: Array, pixels: Array) -> ComplexArray:
-    """Time-domain backprojection: exact for any trajectory; the same filter for every detector.
-
-    image(p) = 1/(N P) sum over pulses and frequencies of w(f) samples exp(+j 4 pi f (|p - antenna| - reference) / c)
-
-    The sum over frequencies is a type-2 non-uniform FFT at the pixels' ranges, the adjoint of the simulator's.
-
-    Args:
-        history: of all detectors in a dwell.
-        antenna: position at each pulse, m, shape (pulses, 3).
-        sensor: wavelength and frequencies.
-        weights: range window w of mean 1, shape (frequencies,).
-        pixels: positions, m, shape (rows, cols, 3).
-
-    Returns:
-        Images, complex64, shape (detectors, rows, cols); NaN where a pixel leaves the range window in some pulse.
-    """
-    points = pixels.reshape(-1, 3)
-    detectors, pulses, frequencies = history.samples.shape
-    image = np.zeros((detectors, len(points)), dtype=np.complex128)
-    inside = np.ones(len(points), dtype=bool)
-    for pulse, (position, reference) in enumerate(zip(antenna, history.reference_range, strict=True)):
-        delay = np.linalg.norm(points - position, axis=-1) - reference
-        inside &= np.abs(delay) <= sensor.range_window / 2
-        spectrum = np.ascontiguousarray(history.samples[:, pulse] * weights)
-        profile = finufft.nufft1d2(sensor.wavenumber_step * delay, spectrum, isign=1, eps=NUFFT_TOLERANCE, nthreads=1)
-        image += profile * np.exp(1j * sensor.centre_wavenumber * delay)
-    image[:, ~inside] = np.nan
-    image /= pulses * frequencies
-    return image.astype(np.complex64).reshape(detectors, *pixels.shape[:-1])
 
 
 def azimuth_resolution(sensor: Sensor, aperture: Aperture, slant_range: float) -> float:
@@ -57,10 +23,16 @@ def azimuth_resolution(sensor: Sensor, aperture: Aperture, slant_range: float) -
     return sensor.wavelength * slant_range / (2 * aperture.length)
 
 
-def slc_noise_power(sensor: Sensor, weights: Array) -> list[float]:
-    """E|n|^2 of an SLC pixel of each detector: that of a sample, averaged over all, raised by the range window."""
-    gain = noise_gain(weights) / (sensor.pulse_count * sensor.sample_count)
-    return [gain * power for power in sensor.noise_power]
+def slc_noise_power(sensor: Sensor, processing: Processing, pulses: int) -> list[float]:
+    """E|n|^2 of an SLC pixel of each detector: that of a sample, averaged over all, raised by the windows.
+
+    Args:
+        sensor: noise powers and frequencies.
+        processing: windows.
+        pulses: that a pixel is made of.
+    """
+    gain = noise_gain(processing.range_weights(sensor.sample_count)) * noise_gain(processing.azimuth_weights(pulses))
+    return [gain / (pulses * sensor.sample_count) * power for power in sensor.noise_power]
 
 
 def slant_plane_size(

@@ -9,7 +9,8 @@ import pytest
 from helpers import flat_scene, make_aperture, make_beams, make_sensor
 
 from sal_height.array_ml import OBJECTIVES, ml_elevation
-from sal_height.compression import backproject, slant_plane_grid
+from sal_height.backprojection import backproject
+from sal_height.compression import slant_plane_grid
 from sal_height.estimate import ElevationEstimate, Validity
 from sal_height.flight import SimulatedFlight
 from sal_height.geometry import EARTH_RADIUS, Aperture, Grid, angles_of, height_of, locate, sphere_point
@@ -17,6 +18,7 @@ from sal_height.height import HeightField, column_squint, height_field, look_gri
 from sal_height.looks import Looks, multilook
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import load_preset
+from sal_height.processing import Processing
 from sal_height.simulator import draw_amplitudes, simulate_dwell
 from sal_height.windows import broadening, noise_gain, window
 
@@ -153,7 +155,7 @@ def chain() -> Chain:
         samples = simulate_dwell(sensor, surface, draw_amplitudes(surface, CNR, sensor, rng), antenna, reference)
         history = PhaseHistory(0, flight.pulse_times, reference, samples.astype(np.complex64))
         grid = slant_plane_grid(sensor, aperture, 5000.0, preset.image.rows, preset.image.cols, broadening(weights))
-        looks = multilook(backproject(history, antenna, sensor, weights, grid.pixels()), 2, 2)
+        looks = multilook(backproject(history, antenna, sensor, Processing("taylor"), grid), 2, 2)
         coarse = look_grid(grid, 2, 2)
         squint = column_squint(coarse, aperture, sensor.beams, sensor.look_side)
         estimate = ml_elevation(looks, sensor.beams, squint, noise_power, OBJECTIVES["normalised"], 10**0.5)

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from helpers import BEAMWIDTH, direct_history, elevation_at, flat_scene, make_aperture, make_sensor
 
-from sal_height.compression import aim_point, azimuth_resolution, backproject, slant_plane_grid
+from sal_height.backprojection import backproject
+from sal_height.compression import aim_point, azimuth_resolution, slant_plane_grid
 from sal_height.flight import SimulatedFlight
 from sal_height.geometry import angles_of, height_of, look_direction
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import load_preset
+from sal_height.processing import Processing
 from sal_height.scene import VisibleSurface, visible_surface
 from sal_height.sensor import Sensor
 from sal_height.simulator import draw_amplitudes, receiver_noise, simulate_dwell
@@ -77,12 +79,11 @@ def test_speckle_fluctuates_and_point_targets_do_not() -> None:
 
 
 def focused(sensor: Sensor, samples: np.ndarray, name: str) -> np.ndarray:
-    weights = window(name, sensor.sample_count)
     aperture = make_aperture()
     grid = slant_plane_grid(sensor, aperture, 5000.0, 63, 48, 1.0)
     reference = np.full(sensor.pulse_count, 5000.0)
     history = PhaseHistory(0, np.zeros(sensor.pulse_count), reference, samples.astype(np.complex64))
-    return backproject(history, straight_track(sensor), sensor, weights, grid.pixels())
+    return backproject(history, straight_track(sensor), sensor, Processing(name), grid)
 
 
 def standard_error_of_power(weights: np.ndarray, pixels: int) -> float:

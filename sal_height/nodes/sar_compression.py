@@ -11,6 +11,7 @@ from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import ComplexImage, DetectorFrame, Provenance
 
 from sal_height import __version__, compression, convert
+from sal_height.backprojection import backproject
 from sal_height.dwell import Dwell
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Aperture, Grid
@@ -18,9 +19,10 @@ from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import as_json, parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import ODOMETRY_QOS
+from sal_height.processing import Processing
 from sal_height.sensor import Sensor
 from sal_height.trajectory import PlatformState, Trajectory
-from sal_height.windows import WINDOWS, broadening, window
+from sal_height.windows import WINDOWS, broadening
 
 HELD_STATES = 20_000
 """Odometry samples held: 100 s at 200 Hz."""
@@ -37,6 +39,7 @@ class Parameters:
     cols: int = parameter(0, "pixels in azimuth; 0: one beamwidth (slant)", minimum=0, maximum=65536)
     ground_spacing_m: float = parameter(1.0, "pixel spacing in the ground plane, m", minimum=1e-6, maximum=1e6)
     range_window: str = parameter("taylor", "window over the bandwidth", choices=tuple(sorted(WINDOWS)))
+    azimuth_window: str = parameter("rectangular", "window over the aperture", choices=tuple(sorted(WINDOWS)))
     max_odometry_gap_s: float = parameter(
         0.5, "longest time between two odometry samples during a dwell, s", minimum=1e-6, maximum=3600.0
     )
@@ -83,18 +86,18 @@ class SarCompression(DwellStage):
         history = convert.history_from_messages(messages)
         track = Trajectory(self._states_around(history.stamp_ns, float(history.pulse_times[-1])))
         aperture = track.aperture(history.stamp_ns, history.pulse_times)
-        weights = window(parameters.range_window, sensor.sample_count)
+        processing = Processing(parameters.range_window, parameters.azimuth_window)
         reference = float(history.reference_range[len(history.reference_range) // 2])
-        grid = _grid(parameters, sensor, aperture, reference, broadening(weights))
+        grid = _grid(parameters, sensor, aperture, reference, broadening(processing.range_weights(sensor.sample_count)))
         antenna = track.positions(history.stamp_ns, history.pulse_times)
-        slc = compression.backproject(history, antenna, sensor, weights, grid.pixels())
+        slc = backproject(history, antenna, sensor, processing, grid)
         provenance = Provenance(
             code_version=__version__,
             config_hash=sensor.config_hash,
             calibration_id=sensor.calibration_id,
             parameters=as_json(self.get_name(), parameters),
         )
-        noise = compression.slc_noise_power(sensor, weights)
+        noise = compression.slc_noise_power(sensor, processing, len(antenna))
         images = convert.slc_to_messages(slc, grid, aperture, noise, messages[0], provenance)
         for image in images:
             self._slc.publish(image)

@@ -1,0 +1,293 @@
+"""Time-domain backprojection: exact for any trajectory and any pixels; the reference for the fast image formers."""
+
+from __future__ import annotations
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from sal_height.geometry import Grid
+from sal_height.interpolation import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials
+from sal_height.phase_history import PhaseHistory
+from sal_height.processing import Processing
+from sal_height.sensor import Sensor
+
+Array = npt.NDArray[np.float64]
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int32]
+BoolArray = npt.NDArray[np.bool_]
+ComplexArray = npt.NDArray[np.complex64]
+
+WORKERS = len(os.sched_getaffinity(0))
+
+PULSES_AT_ONCE = 16
+"""Pulses whose dense profiles are held at a time: a few megabytes."""
+
+PIXELS_AT_ONCE = 4096
+"""Pixels whose geometry is held at a time: what fits into a processor's cache."""
+
+
+def backproject(
+    history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid
+) -> ComplexArray:
+    """Images of all detectors at the pixels of `grid`, (detectors, rows, cols); see `backproject_points`."""
+    points = grid.pixels().reshape(-1, 3)
+    image = backproject_points(history, antenna, sensor, processing, points, grid.col_direction)
+    return image.reshape(-1, *grid.shape)
+
+
+def backproject_points(
+    history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, points: Array, direction: Array
+) -> ComplexArray:
+    """Value of every detector's image at some points, by the same filter.
+
+    image(p) = sum over pulses and frequencies of w(f) a(p) samples exp(+j 4 pi f (|p - antenna| - reference) / c), over
+    the sum of the weights w and a. In stripmap a is the azimuth window over the angle to the pulse, and 0 beyond the
+    processed angle; in spotlight it is the window over all pulses.
+
+    Distances and phases are float64 until the phase has been reduced to one turn; from there on float32 does, as the
+    samples have no more digits (`make bench` measures the error). Geometry is computed once for all detectors.
+
+    Args:
+        history: of all detectors in a dwell, as fast-time frequencies.
+        antenna: position at each pulse, m, shape (pulses, 3).
+        sensor: wavelength and frequencies.
+        processing: windows, and the processed angle in stripmap.
+        points: positions, m, shape (points, 3).
+        direction: unit vector of flight, shape (3,); matters in stripmap only.
+
+    Returns:
+        Complex64, shape (detectors, points); NaN where a point leaves the range window in some pulse, and in stripmap
+        where the pulses do not fill the processed angle.
+    """
+    along = points @ direction
+    points = np.ascontiguousarray(points.T)
+    detectors, pulses, frequencies = history.samples.shape
+    image = np.zeros((points.shape[1], 2, detectors), dtype=np.float32)
+    weight, valid = np.zeros(points.shape[1]), np.ones(points.shape[1], dtype=np.bool_)
+    range_weights = processing.range_weights(frequencies)
+    azimuth_weights, taper = processing.azimuth_weights(pulses), processing.taper()
+    track = np.column_stack([antenna, history.reference_range, antenna @ direction, azimuth_weights])
+    taps = tap_polynomials()
+    scales = np.array(
+        [
+            OVERSAMPLING * frequencies / sensor.range_window,
+            (OVERSAMPLING * frequencies) // 2,
+            sensor.centre_wavenumber / (2 * np.pi),
+            sensor.range_window / 2,
+            1 / processing.angle if processing.angle else 0.0,
+        ]
+    )
+    size = int(np.clip(math.ceil(points.shape[1] / WORKERS), 64, PIXELS_AT_ONCE))
+    pieces = [slice(first, first + size) for first in range(0, points.shape[1], size)]
+    with ThreadPoolExecutor(WORKERS) as pool:
+        for first in range(0, pulses, PULSES_AT_ONCE):
+            block = slice(first, first + PULSES_AT_ONCE)
+            profiles = dense_profiles(history.samples[:, block], range_weights)
+
+            def add(piece: slice, profiles: FloatArray = profiles, block: slice = block) -> None:
+                _add_pulses(
+                    points[:, piece].copy(), along[piece], track[block], profiles, taps, taper, scales,
+                    image[piece], weight[piece], valid[piece],
+                )  # fmt: skip
+
+            list(pool.map(add, pieces))
+    valid &= weight > 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        image /= np.where(valid, weight * frequencies, np.nan)[:, None, None].astype(np.float32)
+    return _as_complex(image)
+
+
+def _as_complex(image: FloatArray) -> ComplexArray:
+    """(pixels, 2, detectors) reals to (detectors, pixels) complex."""
+    result = np.empty((image.shape[2], image.shape[0]), dtype=np.complex64)
+    result.real, result.imag = image[:, 0].T, image[:, 1].T
+    return result
+
+
+# The loops below are compiled. Each does one thing over all pixels of a piece, so that the compiler can vectorise it.
+
+_compiled = njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+
+
+@_compiled
+def _add_pulses(
+    points: Array,
+    along: Array,
+    track: Array,
+    profiles: FloatArray,
+    taps: FloatArray,
+    taper: FloatArray,
+    scales: Array,
+    image: FloatArray,
+    weight: Array,
+    valid: BoolArray,
+) -> None:
+    """Add pulses to the image at some pixels.
+
+    Args:
+        points: x, y, z of the pixels, m, shape (3, pixels).
+        along: place of the pixels along the flight, m, shape (pixels,).
+        track: x, y, z of the antenna, reference range, place along the flight (m) and weight, shape (pulses, 6).
+        profiles: of `dense_profiles`.
+        taps: of `tap_polynomials`.
+        taper: azimuth window over the processed angle in stripmap.
+        scales: dense samples per m; dense sample of delay 0; turns per m; half the range window, m; 1 / processed
+            angle, 0 in spotlight.
+        image: to add to, shape (pixels, 2, detectors).
+        weight: sum of the azimuth weights, to add to, shape (pixels,).
+        valid: set False where the profile does not reach, or the first or last pulse of the aperture is missing.
+    """
+    count = points.shape[1]
+    delay, gain = np.empty(count), np.empty(count, np.float32)
+    sample, fraction = np.empty(count, np.int32), np.empty(count, np.float32)
+    cosine, sine = np.empty(count, np.float32), np.empty(count, np.float32)
+    tap = np.empty((TAPS, count), np.float32)
+    for pulse in range(track.shape[0]):
+        x, y, z, reference, place, pulse_weight = track[pulse]
+        _delays(points[0], points[1], points[2], x, y, z, reference, delay)
+        if scales[4] > 0:
+            _angle_weights(delay, along, place, reference, scales[4], taper, gain)
+        else:
+            gain[:] = pulse_weight
+        _within(delay, gain, scales[3], weight, valid)
+        _samples(delay, scales[0], scales[1], scales[3], sample, fraction)
+        _phasors(delay, scales[2], gain, cosine, sine)
+        for index in range(TAPS):
+            _polynomial(fraction, taps[index], tap[index])
+        if image.shape[2] == 1:
+            _add_one(sample, tap, cosine, sine, profiles[pulse], image)
+        else:
+            _add_all(sample, tap, cosine, sine, profiles[pulse], image)
+
+
+@_compiled
+def _delays(px: Array, py: Array, pz: Array, x: float, y: float, z: float, reference: float, delay: Array) -> None:
+    for i in range(delay.size):
+        dx, dy, dz = px[i] - x, py[i] - y, pz[i] - z
+        delay[i] = math.sqrt(dx * dx + dy * dy + dz * dz) - reference
+
+
+@_compiled
+def _angle_weights(
+    delay: Array, along: Array, place: float, reference: float, per_angle: float, taper: FloatArray, gain: FloatArray
+) -> None:
+    """Weight of the pulse by the sine of the angle, seen from the pixel, between abeam and the antenna."""
+    last = taper.size - 1
+    for i in range(delay.size):
+        position = ((place - along[i]) / (delay[i] + reference) * per_angle + 0.5) * last
+        node = min(max(int(position), 0), last - 1)
+        inside = (position >= 0) and (position <= last)
+        part = np.float32(position - node)
+        gain[i] = (taper[node] + part * (taper[node + 1] - taper[node])) if inside else np.float32(0)
+
+
+@_compiled
+def _within(delay: Array, gain: FloatArray, half_window: float, weight: Array, valid: BoolArray) -> None:
+    for i in range(delay.size):
+        weight[i] += gain[i]
+        valid[i] &= (abs(delay[i]) <= half_window) or (gain[i] == 0)
+
+
+@_compiled
+def _samples(
+    delay: Array, per_metre: float, middle: float, half_window: float, sample: IntArray, fraction: FloatArray
+) -> None:
+    """Index of the first tap, and the fraction of a sample by which the delay lies past its sample."""
+    for i in range(delay.size):
+        position = min(max(delay[i], -half_window), half_window) * per_metre + middle
+        before = np.floor(position)
+        sample[i] = np.int32(before) + 1
+        fraction[i] = np.float32(position - before)
+
+
+@_compiled
+def _phasors(delay: Array, turns_per_metre: float, gain: FloatArray, cosine: FloatArray, sine: FloatArray) -> None:
+    """Gain times cosine and sine: Taylor series of the half angle, which is within a quarter turn."""
+    for i in range(delay.size):
+        turns = delay[i] * turns_per_metre
+        y = np.float32(turns - np.floor(turns + 0.5))
+        q = y * y
+        s = y * (
+            np.float32(3.14159265359)
+            + q
+            * (
+                np.float32(-5.16771278005)
+                + q
+                * (
+                    np.float32(2.55016403988)
+                    + q
+                    * (
+                        np.float32(-0.599264529321)
+                        + q * (np.float32(0.0821458866111) - q * np.float32(0.00737043094571))
+                    )
+                )
+            )
+        )
+        c = np.float32(1) + q * (
+            np.float32(-4.93480220054)
+            + q
+            * (
+                np.float32(4.05871212642)
+                + q
+                * (
+                    np.float32(-1.33526276885)
+                    + q
+                    * (
+                        np.float32(0.235330630359)
+                        + q * (np.float32(-0.0258068913900) + q * np.float32(0.00192957430940))
+                    )
+                )
+            )
+        )
+        sine[i] = gain[i] * np.float32(2) * s * c
+        cosine[i] = gain[i] * (np.float32(1) - np.float32(2) * s * s)
+
+
+@_compiled
+def _polynomial(x: FloatArray, p: FloatArray, value: FloatArray) -> None:
+    """Horner's rule; the degree is that of `tap_polynomials`, written out so that it is vectorised."""
+    for i in range(x.size):
+        t = x[i]
+        high = p[6] + t * (p[7] + t * (p[8] + t * (p[9] + t * p[10])))
+        value[i] = p[0] + t * (p[1] + t * (p[2] + t * (p[3] + t * (p[4] + t * (p[5] + t * high)))))
+
+
+@_compiled
+def _add_one(
+    sample: IntArray, tap: FloatArray, cosine: FloatArray, sine: FloatArray, profile: FloatArray, image: FloatArray
+) -> None:
+    """Add a pulse of a single detector."""
+    for i in range(sample.size):
+        first = sample[i]
+        real, imaginary = np.float32(0), np.float32(0)
+        for j in range(TAPS):
+            real += tap[j, i] * profile[first + j, 0, 0]
+            imaginary += tap[j, i] * profile[first + j, 1, 0]
+        image[i, 0, 0] += real * cosine[i] - imaginary * sine[i]
+        image[i, 1, 0] += real * sine[i] + imaginary * cosine[i]
+
+
+@_compiled
+def _add_all(
+    sample: IntArray, tap: FloatArray, cosine: FloatArray, sine: FloatArray, profile: FloatArray, image: FloatArray
+) -> None:
+    """Add a pulse of many detectors: first interpolate all real and imaginary parts, then turn them."""
+    detectors = image.shape[2]
+    flat_profile, flat_image = profile.reshape(-1, 2 * detectors), image.reshape(-1, 2 * detectors)
+    value = np.empty(2 * detectors, np.float32)
+    for i in range(sample.size):
+        first = sample[i]
+        a, b, c = flat_profile[first], flat_profile[first + 1], flat_profile[first + 2]
+        d, e, f = flat_profile[first + 3], flat_profile[first + 4], flat_profile[first + 5]
+        ta, tb, tc, td, te, tf = tap[0, i], tap[1, i], tap[2, i], tap[3, i], tap[4, i], tap[5, i]
+        for k in range(2 * detectors):
+            value[k] = ta * a[k] + tb * b[k] + tc * c[k] + td * d[k] + te * e[k] + tf * f[k]
+        total, turn, lift = flat_image[i], cosine[i], sine[i]
+        for k in range(detectors):
+            total[k] += value[k] * turn - value[detectors + k] * lift
+            total[detectors + k] += value[k] * lift + value[detectors + k] * turn

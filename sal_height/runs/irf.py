@@ -53,7 +53,7 @@ def irf(
         try:
             response = measure_brightest(image.pixels, near)
         except UserError as error:
-            raise UserError(f"{image.name}: {error}") from error
+            raise UserError(f"Image {image.name}: {error}") from error
         entries.append(_entry(image, response))
         if len(targets) < MOST_DRAWN:
             chip = chip_around(image.pixels, round(response.row), round(response.col))

@@ -1,4 +1,4 @@
-"""The command line: sal-height run | replay | import-gotcha | salvage."""
+"""The command line: sal-height run | replay | irf | import-gotcha | salvage."""
 
 from __future__ import annotations
 
@@ -22,6 +22,30 @@ EXAMPLES = """examples:
   sal-height run --cnr-db 10 --looks 4x2 --out out/noisy
   sal-height replay out/sal_spotlight/bag           make the heights anew and compare
   sal-height replay out/sal_spotlight/bag --param ml_height.objective=numerator
+  sal-height irf out/replay_gotcha/bag              width and sidelobes of the brightest target
+"""
+
+IRF = """An image is one of
+  .npy, .npz   the complex array in it: (rows, cols) or (detectors, rows, cols)
+  bag          folder or .mcap file: every ComplexImage in it (topic slc), with its sensor_info, by which the phase of
+               range is removed first; adds positions and widths in m
+
+Measured are, in the cuts through the target's peak (32 samples per pixel):
+  width        at -3 dB
+  PSLR         greatest sidelobe over the peak
+  ISLR         energy of the sidelobes, up to 10 widths from the peak, over that of the main lobe
+  peak         brightest pixel over the median of the image
+  entropy      of the shares of energy of all pixels
+A dash, null in irf.json, stands for what an image does not show: it is too small, or the target too near its edge.
+The pixels must be closer than the resolution. Those of the default images, in the slant plane, are not in range: focus
+in the ground plane for a measurement.
+
+A replay records images of single detectors only. To have those of several, record while they are made:
+  .venv/bin/recorder --ros-args -p directory:=my_slc -p topics:=[/slc,/sensor_info] &
+  sal-height replay BAG --param sar_compression.image_plane=ground --param sar_compression.ground_spacing_m=0.02 \\
+    --param sar_compression.rows=300 --param sar_compression.cols=60
+  kill -INT %1
+  sal-height irf my_slc --detector 4
 """
 
 EXIT_STATUS = """exit status:
@@ -82,12 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or its .mcap file")
     replay.set_defaults(command=_replay)
     for command, default in ((run, "out/PRESET"), (replay, "out/replay_BAG")):
-        command.add_argument(
-            "--out",
-            type=Path,
-            metavar="DIR",
-            help=f"output folder, new or empty (default: {default}, or the next free of …_2, …_3)",
-        )
+        _add_out(command, default)
         command.add_argument(
             "--param",
             action="append",
@@ -96,6 +115,29 @@ def _parser() -> argparse.ArgumentParser:
             metavar="NODE.NAME=VALUE",
             help="set a node's parameter; may be repeated",
         )
+
+    irf = commands.add_parser(
+        "irf",
+        help="measure a target's impulse response in images; leaves irf.json and irf.png",
+        description=IRF,
+        **shown,
+    )
+    irf.add_argument("images", type=Path, nargs="*", metavar="IMAGE", help=".npy or .npz file, or bag")
+    irf.add_argument(
+        "--near", type=_pixel, metavar="ROW,COL", help="measure the brightest target within 8 pixels of it"
+    )
+    irf.add_argument("--dwell", type=int, metavar="N", help="only images of this dwell")
+    irf.add_argument("--detector", type=int, metavar="N", help="only images of this detector")
+    irf.add_argument(
+        "--azimuth-axis",
+        type=int,
+        choices=(0, 1),
+        default=1,
+        help="in .npy and .npz: 1 if columns follow each other along the flight, 0 if rows do (default: %(default)s)",
+    )
+    irf.add_argument("--windows", action="store_true", help="show what this program's windows cost and gain instead")
+    _add_out(irf, "out/irf")
+    irf.set_defaults(command=_irf)
 
     gotcha = commands.add_parser("import-gotcha", help="turn AFRL Gotcha phase history into a bag")
     gotcha.add_argument("files", type=Path, nargs="+", metavar="FILE", help="consecutive data_3dsar_*.mat files")
@@ -107,6 +149,15 @@ def _parser() -> argparse.ArgumentParser:
     salvage.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the new bag")
     salvage.set_defaults(command=_salvage)
     return parser
+
+
+def _add_out(command: argparse.ArgumentParser, default: str) -> None:
+    command.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help=f"output folder, new or empty (default: {default}, or the next free of …_2, …_3)",
+    )
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -146,6 +197,22 @@ def _bag_name(bag: Path) -> str:
     path = bag.resolve()
     folder = path.parent if path.suffix == ".mcap" and not path.is_dir() else path
     return folder.parent.name if folder.name == "bag" else folder.name
+
+
+def _irf(options: argparse.Namespace) -> int:
+    from sal_height.runs.irf import irf, response_table, window_table
+    from sal_height.runs.simulate import free_folder
+
+    if options.windows == bool(options.images):
+        raise UserError("Nothing to do, or two things; name images to measure, or give --windows.")
+    if options.windows:
+        print(window_table())
+        return 0
+    out = options.out or free_folder(Path("out") / "irf")
+    entries = irf(options.images, out, options.near, options.dwell, options.detector, options.azimuth_axis)
+    print(response_table(entries))
+    print(f"see {out}/irf.json and {out}/irf.png")
+    return 0
 
 
 def _import_gotcha(options: argparse.Namespace) -> int:
@@ -195,6 +262,13 @@ def _looks(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", text)
     if not match:
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form RxA with numbers of 1 or more, e.g. 2x2")
+    return int(match[1]), int(match[2])
+
+
+def _pixel(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+),(\d+)", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form ROW,COL with whole numbers, e.g. 120,45")
     return int(match[1]), int(match[2])
 
 

@@ -8,14 +8,15 @@ from typing import Any
 
 import yaml
 
-from sal_height import convert
 from sal_height.bag.compare import HeightComparison, compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.impulse_response import measure_brightest
 from sal_height.runs.conductor import Outcome, perform
 from sal_height.runs.ensemble import ESTIMATORS, NodeParameters, check_parameters
+from sal_height.runs.images import recorded_slc
 from sal_height.runs.picture import draw_image
+from sal_height.runs.report import or_null
 from sal_height.runs.simulate import RECORDED, conclude, merged, new_folder, reporting, writing
 
 
@@ -56,23 +57,19 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, d
 
 def _measure_images(folder: Path) -> list[dict[str, Any]]:
     """Draw each image recorded in `folder`/bag and measure its brightest target."""
-    reader = BagReader(folder / "bag")
     measured = []
-    for recorded in reader.messages(["/slc"]):
-        message = reader.decode(recorded.type_name, recorded.cdr)
-        grid = convert.grid_from_message(message.grid)
-        image = convert.complex_view(message.samples, grid.shape)
-        response = measure_brightest(image, grid)
+    for _, message, image, grid in recorded_slc(folder / "bag"):
+        response = measure_brightest(image)
         title = f"dwell {message.dwell}: peak {response.peak_over_median_db:.1f} dB above the median"
         with writing(folder / f"image_{message.dwell}.png"):
             draw_image(image, grid, title, folder / f"image_{message.dwell}.png")
         measured.append(
             {
                 "dwell": message.dwell,
-                "peak_over_median_db": response.peak_over_median_db,
-                "brightest_east_north_up_m": response.position.tolist(),
-                "row_width_3db_m": response.row_width,
-                "col_width_3db_m": response.col_width,
+                "peak_over_median_db": or_null(response.peak_over_median_db),
+                "brightest_east_north_up_m": grid.points(response.row, response.col).tolist(),
+                "row_width_3db_m": or_null(response.row_cut.width * grid.row_spacing),
+                "col_width_3db_m": or_null(response.col_cut.width * grid.col_spacing),
             }
         )
     return measured

@@ -147,7 +147,7 @@ def _errors(result: Mosaic, chosen: npt.NDArray[np.bool_]) -> dict[str, Any]:
         "median_m": float(middle),
         "s68_m": float(high - low) / 2,
         "sigma_m": float(np.mean(sigma)),
-        "crb_m": bound if np.isfinite(bound) else None,
+        "crb_m": or_null(bound),
         "within_1_sigma": float(np.mean(np.abs(error) < sigma)),
         "beyond_5_sigma": float(np.mean(np.abs(error) > 5 * sigma)),
     }
@@ -194,3 +194,8 @@ def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface
     return _Pixels(
         ground_east, ground_north, height[valid], sigma[valid], truth.height[valid], bound[valid], truth.single[valid]
     )
+
+
+def or_null(value: float) -> float | None:
+    """The number as JSON has it: None where it does not exist."""
+    return value if np.isfinite(value) else None

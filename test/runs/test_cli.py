@@ -118,7 +118,7 @@ def test_a_replay_is_named_after_its_bag(bag: str, name: str, tmp_path: Path, mo
     assert _bag_name(Path(bag)) == name
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["replay"]])
+@pytest.mark.parametrize("command", [[], ["run"], ["replay"], ["irf"]])
 def test_help_states_the_exit_status(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main([*command, "--help"])

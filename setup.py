@@ -36,7 +36,7 @@ setup(
     ],
     extras_require={
         "dem": ["rasterio"],
-        "test": ["pytest", "rosbags"],
+        "test": ["h5py", "pytest", "rosbags"],
         "dev": ["colcon-common-extensions", "mypy", "pre-commit", "ruff", "types-PyYAML"],
     },
     entry_points={

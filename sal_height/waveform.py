@@ -9,7 +9,10 @@ reference contributes A exp(-j 2 pi f d) at the fast-time frequency f. Three sen
 
 "chirp" is compressed by the matched filter: correlation with the pulse s(t), at the delays at which the whole pulse
 lies in the record, and a Fourier transform. The amplitude over frequency is that of |S(f)|^2, with its Fresnel
-ripples and soft edges; it is scaled to a mean of 1 in the band, so that an unweighted image shows A.
+ripples and soft edges; it is scaled to a mean of 1 in the band, so that an unweighted image shows A. A
+weighted one stresses the middle of the band: at a time-bandwidth product of 200 and with a Taylor window a point
+comes out 1.3 % too high and noise power 2 % above the stated one. Clutter, coloured twice by the band, stands 0.2 dB
+higher above the noise, coloured once, than over a flat band.
 
 "deramped" samples are frequencies already, f_c + chirp_rate t for a point at the reference. A point at d is late by d
 and carries the residual video phase exp(j pi chirp_rate d^2). Its beat frequency is -chirp_rate d, so that one
@@ -34,7 +37,7 @@ from sal_height.sensor import Sensor
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complexfloating]
 
-BLOCK_SAMPLES = 2**20
+BLOCK_SAMPLES = 2**18
 """Samples transformed at a time, in complex128."""
 
 

@@ -99,13 +99,13 @@ def test_echo_of_a_chirp_focuses_at_its_place_with_its_amplitude(sign: int, reco
     assert cut[24] == pytest.approx(1.0, abs=0.01)
 
 
-def test_sidelobes_of_the_matched_filter_are_those_of_a_band_with_soft_edges() -> None:
-    """-13.3 dB is a sharp band's; the edges of |S|^2 lower it by what their rounding takes off."""
+def test_sidelobes_of_the_matched_filter_are_those_of_the_band_of_the_pulse() -> None:
+    """-13.3 dB is a flat band's; ripples and edges of |S|^2 change it to -13.1, as the band written out says."""
     steps = np.arange(-10, 10, 1 / 32)
     power = np.abs(range_cut(chirp_sensor(), 0.0, steps)) ** 2
     beyond_null = np.abs(steps) > 1.0
     level = 10 * np.log10(power[beyond_null].max() / power.max())
-    # The band of |S|^2 in Fresnel integrals, transformed: the same figure without any of our code.
+    # |S|^2 summed up and transformed without any of our code.
     time = np.arange(-250, 250) / 500 * 100e-9 + 1e-10
     frequency = np.linspace(-1e9, 1e9, 401)
     pulse = np.exp(1j * np.pi * BANDWIDTH / 100e-9 * time**2)

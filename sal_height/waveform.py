@@ -16,8 +16,8 @@ higher above the noise, coloured once, than over a flat band.
 
 "deramped" samples are frequencies already, f_c + chirp_rate t for a point at the reference. A point at d is late by d
 and carries the residual video phase exp(j pi chirp_rate d^2). Its beat frequency is -chirp_rate d, so that one
-all-pass filter, exp(-j pi f^2 / chirp_rate), takes back both (Carrara, Goodman, Majewski: Spotlight Synthetic Aperture
-Radar, 1995, section 10.2).
+all-pass filter, exp(-j pi f^2 / chirp_rate), takes back both ("range deskew": Carrara, Goodman, Majewski, Spotlight
+Synthetic Aperture Radar, 1995).
 """
 
 from __future__ import annotations

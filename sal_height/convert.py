@@ -213,7 +213,7 @@ def check_frame(frame: messages.DetectorFrame, sensor: Sensor) -> None:
     if (frame.pulse_count, frame.sample_count) != expected:
         raise Rejected(
             "contradicts sensor info",
-            f"{where}: {frame.pulse_count} pulses x {frame.sample_count} frequencies, SensorInfo says "
+            f"{where}: {frame.pulse_count} pulses x {frame.sample_count} samples, SensorInfo says "
             f"{expected[0]} x {expected[1]}.",
         )
     wanted = {"samples": 2 * expected[0] * expected[1], "pulse_time": expected[0], "reference_range": expected[0]}

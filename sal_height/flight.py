@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ from sal_height.scene import Scene, VisibleSurface, visible_surface
 from sal_height.sensor import Sensor
 from sal_height.simulator import draw_amplitudes, receiver_noise, simulate_dwell
 from sal_height.trajectory import PlatformState
+from sal_height.waveform import echo_sensor, from_spectrum, spectrum_sensor
 
 Array = npt.NDArray[np.float64]
 
@@ -47,6 +49,11 @@ class SimulatedFlight:
         start = -(self.dwells - 1) / 2 * flight.dwell_spacing_m - flight.speed_mps * self._middle_of_dwell
         along = start + flight.speed_mps * np.asarray(seconds, dtype=np.float64)
         return np.asarray(abeam + along[..., None] * np.array([1.0, 0.0, 0.0]))
+
+    @cached_property
+    def spectrum(self) -> Sensor:
+        """The sensor after range compression: whose range window and resolution the images have."""
+        return spectrum_sensor(self.sensor)
 
     @property
     def pulse_times(self) -> Array:
@@ -95,29 +102,31 @@ class SimulatedFlight:
         aperture = self.aperture(dwell)
         reach = self.preset.flight.slant_range_m
         half_width = LIT_BEAMWIDTHS * self.sensor.beamwidth * reach
-        half_window = self.sensor.range_window / 2
+        half_window = self.spectrum.range_window / 2
         azimuth_cell = self.sensor.wavelength * reach / (2 * aperture.length)
         return visible_surface(
             self.scene,
             aperture,
             self.sensor.look_side,
-            (self.sensor.range_resolution, azimuth_cell),
+            (self.spectrum.range_resolution, azimuth_cell),
             (aperture.position[0] - half_width, aperture.position[0] + half_width),
             (reach - half_window, reach + half_window),
         )
 
     def phase_history(self, dwell: int) -> PhaseHistory:
-        """Frames of all detectors in a dwell, stamped after the start of the first; reproducible for (seed, dwell).
+        """Frames of all detectors in a dwell, in the sensor's waveform, stamped after the start of the first.
+
+        They are reproducible for (seed, dwell).
 
         Raises:
             UserError: there is no terrain.
         """
         rng = np.random.default_rng([self.seed, dwell])
         surface = self.surface(dwell)
-        amplitudes = draw_amplitudes(surface, 10 ** (self.preset.cnr_db / 10), self.sensor, rng)
+        amplitudes = draw_amplitudes(surface, 10 ** (self.preset.cnr_db / 10), self.spectrum, rng)
         start_ns = self.dwell_start_ns(dwell)
         antenna = self.position(start_ns * 1e-9 + self.pulse_times)
         reference = np.full(self.sensor.pulse_count, self.preset.flight.slant_range_m)
-        clean = simulate_dwell(self.sensor, surface, amplitudes, antenna, reference)
-        samples = clean.astype(np.complex64) + receiver_noise(self.sensor, self.sensor.pulse_count, rng)
+        clean = simulate_dwell(echo_sensor(self.sensor), surface, amplitudes, antenna, reference)
+        samples = from_spectrum(clean, self.sensor) + receiver_noise(self.sensor, self.sensor.pulse_count, rng)
         return PhaseHistory(start_ns, self.pulse_times, reference, samples)

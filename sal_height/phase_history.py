@@ -15,15 +15,16 @@ NUFFT_TOLERANCE = 1e-7
 
 @dataclass(frozen=True)
 class PhaseHistory:
-    """Deramped phase history of one dwell.
+    """Phase history of one dwell.
 
-    A point of amplitude A at distance R from the antenna contributes A exp(-j 4 pi f (R - reference_range) / c).
+    With waveform "spectrum", a point of amplitude A at distance R from the antenna contributes
+    A exp(-j 4 pi f (R - reference_range) / c); for the others see sal_height_msgs/DetectorFrame.
 
     Attributes:
         stamp_ns: time of the first pulse, ns since the epoch.
         pulse_times: s after the stamp, shape (pulses,).
         reference_range: range to which each pulse's phase refers, m, shape (pulses,).
-        samples: complex64, shape (detectors, pulses, frequencies).
+        samples: complex64, shape (detectors, pulses, samples).
     """
 
     stamp_ns: int

@@ -32,7 +32,10 @@ Int = Annotated[int, BeforeValidator(_not_boolean)]
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """The sensor as people describe it: an evenly spaced detector array around the look angle."""
+    """The sensor as people describe it: an evenly spaced detector array around the look angle.
+
+    With waveform chirp or deramped, `sample_count` is that of the record: it holds the pulse and the range window.
+    """
 
     __pydantic_config__ = _STRICT_KEYS
 
@@ -46,6 +49,9 @@ class SensorSettings:
     sample_count: Annotated[Int, Ge(2), Le(65536)]
     pulse_count: Annotated[Int, Ge(2), Le(65536)]
     pulse_repetition_frequency_hz: Annotated[Float, Ge(1e-3), Le(1e9)]
+    waveform: Literal["spectrum", "chirp", "deramped"] = "spectrum"
+    pulse_duration_s: Annotated[Float, Ge(0), Le(1e3)] = 0.0
+    sampling_rate_hz: Annotated[Float, Ge(0), Le(1e15)] = 0.0
 
 
 @dataclass(frozen=True)
@@ -87,10 +93,10 @@ class Preset:
     dwells: Annotated[Int, Ge(1), Le(1_000_000)]
 
     def make_sensor(self) -> Sensor:
-        """The sensor, with unit noise power.
+        """The sensor, with unit noise power; a linear FM pulse rises.
 
         Raises:
-            UserError: beams that leave the quarter between nadir and horizon.
+            UserError: beams that leave the quarter between nadir and horizon, or a pulse that does not fit the record.
         """
         s = self.sensor
         steps = np.arange(s.detectors) - (s.detectors - 1) / 2
@@ -107,6 +113,10 @@ class Preset:
             pattern=s.pattern,
             elevation_boresights=tuple(boresights.tolist()),
             noise_power=(1.0,) * s.detectors,
+            waveform=s.waveform,
+            chirp_rate=s.bandwidth_hz / s.pulse_duration_s if s.pulse_duration_s else 0.0,
+            pulse_duration=s.pulse_duration_s,
+            sampling_rate=s.sampling_rate_hz,
         )
 
 

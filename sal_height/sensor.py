@@ -27,6 +27,9 @@ MODES = ("spotlight", "stripmap")
 WAVEFORMS = ("spectrum", "chirp", "deramped")
 """What fast-time samples can be: frequencies, the echo of a linear FM pulse in time, or that mixed with a replica."""
 
+BANDWIDTH_TOLERANCE = 0.01
+"""Relative difference between the bandwidth of a linear FM pulse and |chirp_rate| * pulse_duration that is allowed."""
+
 
 @dataclass(frozen=True)
 class Beams:
@@ -71,6 +74,9 @@ class Beams:
 @dataclass(frozen=True)
 class Sensor:
     """Description of a multi-detector sensor; the same content as sal_height_msgs/SensorInfo.
+
+    What follows from the fast-time frequencies (`frequency_step` to `range_window`) only a sensor with waveform
+    "spectrum" has: `waveform.spectrum_sensor` gives it for the others.
 
     Attributes:
         name: for people.
@@ -134,6 +140,7 @@ class Sensor:
                 raise UserError(f"Sensor {key} is {getattr(self, key)}; it must be 2 or more.")
         pattern_named(self.pattern)
         self._check_detectors()
+        self._check_waveform()
         if not self.config_hash:
             digest = hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
             object.__setattr__(self, "config_hash", digest[:16])
@@ -156,6 +163,40 @@ class Sensor:
                 f"not {self.noise_power}."
             )
 
+    def _check_waveform(self) -> None:
+        keys = ("chirp_rate", "pulse_duration", "sampling_rate")
+        if self.waveform == "spectrum":
+            for key in keys:
+                if getattr(self, key) != 0:
+                    raise UserError(f"Sensor {key} is {getattr(self, key):g}; with waveform 'spectrum' it must be 0.")
+            return
+        rate, duration, sampling = self.chirp_rate, self.pulse_duration, self.sampling_rate
+        if not (np.isfinite(rate) and rate != 0):
+            raise UserError(
+                f"Sensor chirp_rate is {rate}; with waveform {self.waveform!r} it must be finite and not 0."
+            )
+        for key in keys[1:]:
+            if not (np.isfinite(getattr(self, key)) and getattr(self, key) > 0):
+                raise UserError(
+                    f"Sensor {key} is {getattr(self, key)}; with waveform {self.waveform!r} it must be finite and "
+                    "greater than 0."
+                )
+        if not abs(abs(rate) * duration / self.bandwidth - 1) <= BANDWIDTH_TOLERANCE:
+            raise UserError(
+                f"Sensor bandwidth is {self.bandwidth:g} Hz; it must be |chirp_rate| * pulse_duration = "
+                f"{abs(rate) * duration:g} Hz within 1 %."
+            )
+        least = self.bandwidth if self.waveform == "chirp" else 3 / duration
+        if sampling < least:
+            raise UserError(f"Sensor sampling_rate is {sampling:g} Hz; it must be {least:g} Hz or more.")
+        window = 2 / self.bandwidth if self.waveform == "chirp" else sampling / abs(rate)
+        samples = (duration + window) * sampling
+        if self.sample_count < samples * (1 - 1e-9):
+            raise UserError(
+                f"Sensor sample_count is {self.sample_count}; to hold the pulse of {duration:g} s and a range window "
+                f"of {window:g} s it must be {np.ceil(samples):.0f} or more."
+            )
+
     @property
     def detector_count(self) -> int:
         """Number of detectors."""
@@ -163,7 +204,13 @@ class Sensor:
 
     @property
     def frequency_step(self) -> float:
-        """Spacing of the fast-time frequency samples, Hz."""
+        """Spacing of the fast-time frequency samples, Hz.
+
+        Raises:
+            ValueError: the samples are not frequencies.
+        """
+        if self.waveform != "spectrum":
+            raise ValueError(f"Samples of waveform {self.waveform!r} are no frequencies: ask its spectrum_sensor.")
         return self.bandwidth / self.sample_count
 
     @property
@@ -184,7 +231,13 @@ class Sensor:
 
     @property
     def range_window(self) -> float:
-        """Slant range that the frequency samples cover without ambiguity, m."""
+        """Slant range that the frequency samples cover without ambiguity, m.
+
+        Raises:
+            ValueError: the samples are not frequencies.
+        """
+        if self.waveform != "spectrum":
+            raise ValueError(f"Samples of waveform {self.waveform!r} are no frequencies: ask its spectrum_sensor.")
         return self.range_resolution * self.sample_count
 
     @property

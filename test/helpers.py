@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from sal_height.geometry import Aperture
 from sal_height.looks import Looks
 from sal_height.optics import pattern_named
+from sal_height.preset import Preset
 from sal_height.scene import Scene
 from sal_height.sensor import Beams, Sensor
 
@@ -53,6 +55,21 @@ def make_sensor(**changes: object) -> Sensor:
         "noise_power": (1.0, 1.0, 1.0),
     }
     return Sensor(**{**values, **changes})
+
+
+RAW_SETTINGS: dict[str, dict[str, float]] = {
+    "spectrum": {},
+    "chirp": {"pulse_duration_s": 100e-9, "sampling_rate_hz": 2.5e9, "sample_count": 329},
+    "deramped": {"pulse_duration_s": 1e-6, "sampling_rate_hz": 64e6, "sample_count": 68},
+}
+"""Settings with which the small preset flies with another waveform and keeps its 64 resolution cells."""
+
+RAW_WAVEFORMS = ("chirp", "deramped")
+
+
+def with_waveform(preset: Preset, waveform: str) -> Preset:
+    """The small preset with another waveform."""
+    return replace(preset, sensor=replace(preset.sensor, waveform=waveform, **RAW_SETTINGS[waveform]))
 
 
 def make_aperture(

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from helpers import assert_one_sentence
+from helpers import RAW_SETTINGS, RAW_WAVEFORMS, assert_one_sentence, with_waveform
 
 from sal_height.compression import slant_plane_grid
 from sal_height.errors import UserError
 from sal_height.flight import SimulatedFlight
 from sal_height.preset import load_preset, parse_preset, preset_names
 from sal_height.terrain import load_scene
+from sal_height.waveform import spectrum_sensor
 from sal_height.windows import broadening, window
 
 SMALL = Path(__file__).parents[1] / "sal_height" / "presets" / "small.yaml"
@@ -60,6 +61,10 @@ def content_with(key: str, value: Any) -> dict[str, Any]:
         ("sensor.detectors", [8], "valid integer"),
         ("sensor.pitch_beamwidths", 0.0, "greater than "),
         ("sensor.bandwidth_hz", float("-inf"), "finite"),
+        ("sensor.waveform", "noise", "'spectrum', 'chirp' or 'deramped'"),
+        ("sensor.pulse_duration_s", -1e-6, "greater than or equal to 0"),
+        ("sensor.pulse_duration_s", 1001, "less than or equal to 1000"),
+        ("sensor.sampling_rate_hz", -1.0, "greater than or equal to 0"),
         ("sensor.sample_count", 1, "greater than or equal to 2"),
         ("sensor.sample_count", 65537, "less than or equal to 65536"),
         ("sensor.pulse_count", 1, "greater than or equal to 2"),
@@ -181,6 +186,31 @@ def test_sensor_of_a_preset_has_its_beams_evenly_around_the_look_angle() -> None
     assert sensor.noise_power == (1.0,) * 8
 
 
+@pytest.mark.parametrize("waveform", RAW_WAVEFORMS)
+def test_sensor_of_a_preset_with_a_pulse(waveform: str) -> None:
+    content = yaml.safe_load(SMALL.read_text())
+    content["sensor"] |= {"waveform": waveform, **RAW_SETTINGS[waveform]}
+    preset = parse_preset(content, "mine.yaml")
+    assert preset == with_waveform(load_preset("small"), waveform)
+    sensor = preset.make_sensor()
+    settings = preset.sensor
+    assert (sensor.waveform, sensor.bandwidth) == (waveform, 2e9)
+    assert (sensor.pulse_duration, sensor.sampling_rate) == (settings.pulse_duration_s, settings.sampling_rate_hz)
+    assert sensor.chirp_rate == pytest.approx(2e9 / settings.pulse_duration_s, rel=1e-14)
+    assert spectrum_sensor(sensor).sample_count == 64
+
+
+@pytest.mark.parametrize("key", ["pulse_duration_s", "sampling_rate_hz"])
+@pytest.mark.parametrize("waveform", RAW_WAVEFORMS)
+def test_pulse_without_all_that_describes_it_is_refused(waveform: str, key: str) -> None:
+    settings = {"waveform": waveform, **RAW_SETTINGS[waveform], key: 0.0}
+    content = yaml.safe_load(SMALL.read_text())
+    content["sensor"] |= settings
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content, "mine.yaml").make_sensor()
+    assert_one_sentence(str(refusal.value), "Sensor ", f"with waveform {waveform!r} it must be")
+
+
 @pytest.mark.parametrize("look_angle", [1e-4, 1.5707], ids=["nadir", "horizon"])
 def test_beams_beyond_nadir_or_horizon_are_refused(look_angle: float) -> None:
     with pytest.raises(UserError) as refusal:
@@ -240,6 +270,7 @@ NUMBERS = [
     *(f"sensor.{key}" for key in ("wavelength_m", "aperture_m", "detectors", "pitch_beamwidths", "bandwidth_hz")),
     *(f"sensor.{key}" for key in ("sample_count", "pulse_count", "pulse_repetition_frequency_hz")),
     *(f"flight.{key}" for key in ("slant_range_m", "look_angle_rad", "speed_mps", "dwell_spacing_m")),
+    *("sensor.pulse_duration_s", "sensor.sampling_rate_hz"),
     *("flight.odometry_rate_hz", "image.rows", "image.cols", "cnr_db", "dwells"),
 ]
 
@@ -265,6 +296,7 @@ def test_boolean_in_a_list_is_no_number() -> None:
         ("sensor.aperture_m", 2e4, "less than or equal to 10000"),
         ("sensor.bandwidth_hz", 0.5, "greater than or equal to 1"),
         ("sensor.bandwidth_hz", 1e16, "less than or equal to 1e+15"),
+        ("sensor.sampling_rate_hz", 2e15, "is 2e+15; input should be less than or equal to 1e+15"),
         ("sensor.pitch_beamwidths", 1e4, "less than or equal to 1000"),
         ("sensor.pulse_repetition_frequency_hz", 2e9, "less than or equal to 1e+09"),
         ("flight.slant_range_m", 2e7, "less than or equal to 1e+07"),

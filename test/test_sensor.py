@@ -94,6 +94,65 @@ def test_unknown_pattern_is_refused() -> None:
         make_sensor(pattern="cosine")
 
 
+CHIRP = {"waveform": "chirp", "chirp_rate": -2e15, "pulse_duration": 1e-6, "sampling_rate": 2.5e9, "sample_count": 2600}
+DERAMPED = CHIRP | {"waveform": "deramped", "sampling_rate": 64e6, "sample_count": 67}
+
+
+@pytest.mark.parametrize("pulse", [CHIRP, DERAMPED], ids=["chirp", "deramped"])
+@pytest.mark.parametrize(
+    ("key", "value", "allowed"),
+    [
+        ("chirp_rate", 0.0, "finite and not 0"),
+        ("chirp_rate", float("nan"), "finite and not 0"),
+        ("pulse_duration", 0.0, "greater than 0"),
+        ("pulse_duration", float("inf"), "finite"),
+        ("sampling_rate", 0.0, "greater than 0"),
+        ("sampling_rate", -1e9, "greater than 0"),
+        ("sampling_rate", float("nan"), "finite"),
+        ("bandwidth", 2.03e9, "|chirp_rate| * pulse_duration = 2e+09 Hz within 1 %"),
+        ("bandwidth", 1.97e9, "|chirp_rate| * pulse_duration = 2e+09 Hz within 1 %"),
+        ("sampling_rate", 2.9e6, " Hz or more"),
+        ("sample_count", 66, " or more"),
+    ],
+)
+def test_pulse_that_makes_no_sense_is_refused_in_one_sentence(
+    pulse: dict[str, object], key: str, value: object, allowed: str
+) -> None:
+    make_sensor(**pulse)
+    with pytest.raises(UserError) as refusal:
+        make_sensor(**pulse | {key: value})
+    assert_one_sentence(str(refusal.value), f"Sensor {key} is ", allowed)
+
+
+def test_chirp_sampled_below_its_bandwidth_is_refused() -> None:
+    with pytest.raises(UserError) as refusal:
+        make_sensor(**CHIRP | {"sampling_rate": 1.99e9})
+    assert_one_sentence(str(refusal.value), "sampling_rate is 1.99e+09 Hz", "must be 2e+09 Hz or more")
+
+
+@pytest.mark.parametrize(("pulse", "least"), [(CHIRP, 2503), (DERAMPED, 67)], ids=["chirp", "deramped"])
+def test_record_must_hold_the_pulse_and_a_window(pulse: dict[str, object], least: int) -> None:
+    """2500 samples of pulse and two resolution cells; 64 samples and 32 ns."""
+    make_sensor(**pulse | {"sample_count": least})
+    with pytest.raises(UserError) as refusal:
+        make_sensor(**pulse | {"sample_count": least - 1})
+    assert_one_sentence(str(refusal.value), f"sample_count is {least - 1}", f"must be {least} or more")
+
+
+@pytest.mark.parametrize("key", ["chirp_rate", "pulse_duration", "sampling_rate"])
+def test_frequencies_have_no_pulse(key: str) -> None:
+    with pytest.raises(UserError) as refusal:
+        make_sensor(**{key: 1.0})
+    assert_one_sentence(str(refusal.value), f"{key} is 1; with waveform 'spectrum' it must be 0")
+
+
+@pytest.mark.parametrize("derived", ["frequency_step", "wavenumber_step", "centre_wavenumber", "range_window"])
+def test_samples_in_time_have_no_frequencies(derived: str) -> None:
+    assert make_sensor(**CHIRP).range_resolution == make_sensor().range_resolution
+    with pytest.raises(ValueError, match="ask its spectrum_sensor"):
+        getattr(make_sensor(**CHIRP), derived)
+
+
 OTHER_VALUES = {
     "name": "other",
     "look_side": -1,
@@ -107,11 +166,13 @@ OTHER_VALUES = {
     "elevation_boresights": (0.1, 0.2, 0.3),
     "noise_power": (1.0, 2.0, 1.0),
     "mode": "stripmap",
-    "waveform": "chirp",
-    "chirp_rate": 1e15,
-    "pulse_duration": 1e-6,
-    "sampling_rate": 1e6,
     "calibration_id": "2026-01",
+}
+OTHER_PULSE = {
+    "waveform": "deramped",
+    "chirp_rate": 2e15,
+    "pulse_duration": 1.001e-6,
+    "sampling_rate": 2.6e9,
 }
 
 
@@ -120,8 +181,14 @@ def test_any_other_value_gives_another_hash(key: str) -> None:
     assert make_sensor(**{key: OTHER_VALUES[key]}).config_hash != make_sensor().config_hash
 
 
+@pytest.mark.parametrize("key", OTHER_PULSE)
+def test_any_other_pulse_gives_another_hash(key: str) -> None:
+    pulse = CHIRP | {"sample_count": 6000}
+    assert make_sensor(**pulse | {key: OTHER_PULSE[key]}).config_hash != make_sensor(**pulse).config_hash
+
+
 def test_every_field_has_been_varied_and_equal_sensors_agree() -> None:
-    assert {*OTHER_VALUES, "config_hash"} == {field.name for field in dataclasses.fields(make_sensor())}
+    assert {*OTHER_VALUES, *OTHER_PULSE, "config_hash"} == {field.name for field in dataclasses.fields(make_sensor())}
     assert make_sensor().config_hash == make_sensor().config_hash
     assert len(make_sensor().config_hash) == 16
 

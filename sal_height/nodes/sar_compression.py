@@ -22,6 +22,7 @@ from sal_height.nodes.stage import ODOMETRY_QOS
 from sal_height.processing import Processing
 from sal_height.sensor import Sensor
 from sal_height.trajectory import PlatformState, Trajectory
+from sal_height.waveform import range_compressed
 from sal_height.windows import WINDOWS, broadening
 
 HELD_STATES = 20_000
@@ -84,6 +85,7 @@ class SarCompression(DwellStage):
         """Compress a dwell and publish the image of each detector."""
         parameters = self.current_parameters()
         history = convert.history_from_messages(messages)
+        history, sensor = range_compressed(history, sensor)
         track = Trajectory(self._states_around(history.stamp_ns, float(history.pulse_times[-1])))
         aperture = track.aperture(history.stamp_ns, history.pulse_times)
         processing = Processing(parameters.range_window, parameters.azimuth_window)

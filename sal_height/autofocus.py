@@ -1,0 +1,315 @@
+"""Autofocus: the phase error that all detectors share, estimated from what all of them saw, taken off all alike.
+
+An error of path length common to the detectors - atmosphere, vibration, navigation - turns the phase of a whole pulse.
+Each detector and range cell tells what that pulse's phase did, so the maximum-likelihood phase-gradient kernel
+(Wahl, Eichel, Ghiglia & Jakowatz, IEEE Trans. AES 30, 1994; Jakowatz & Wahl, JOSA A 10, 1993)
+
+    phase(t+1) - phase(t) = arg of the sum over detectors and range cells of conj(g(t)) g(t+1)
+
+adds over both. What g is depends on the scene:
+
+* Speckle in a beam so narrow that neighbouring pulses see almost the same (lidar): g is the response at the beam's
+  middle, with nothing windowed, and errors of any size can be followed. `phase_linking` then uses all pairs of pulses.
+* Bright targets in a wide scene (radar): g is the response around each target, centred and windowed in azimuth, in
+  iterations with shrinking windows.
+
+All of it needs only the responses of pulses at points, so it holds for any trajectory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import finufft
+import numpy as np
+import numpy.typing as npt
+from scipy.constants import speed_of_light
+
+from sal_height.compression import azimuth_resolution
+from sal_height.errors import UserError
+from sal_height.geometry import Aperture, Grid
+from sal_height.phase_error import detrended, without_shift
+from sal_height.phase_history import NUFFT_TOLERANCE, PhaseHistory
+from sal_height.phase_linking import beam_coherence, covariances, link_phases, signal_modes
+from sal_height.sensor import Sensor
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+TRUSTED_ERROR = 0.5
+"""Greatest standard error, rad, at which a phase is worth applying: it leaves 0.8 of a point's peak power."""
+
+SHARPNESS_LOSS = 0.05
+"""Share of the sharpness that a correction may cost: a phase of standard error 0.1 rad costs 0.02."""
+
+BRIGHT_TARGET = 10**1.5
+"""Power of a target over the median of the picture: 15 dB, which the brightest of 10^5 speckles does not reach."""
+
+WINDOW_SHRINKS = 0.7
+"""Ratio of the azimuth windows of successive iterations."""
+
+NARROWEST_WINDOW = 5
+"""Azimuth cells: a focused target and its first sidelobes."""
+
+TARGET_ITERATIONS = 30
+
+TARGET_CHANGE = 0.05
+"""Rms change, rad, below which iteration on targets ends."""
+
+
+@dataclass(frozen=True)
+class Focus:
+    """A phase error as autofocus sees it.
+
+    Attributes:
+        phase: estimated error, rad, shape (pulses,); 0 where there is nothing to focus on.
+        method: "speckle", "targets", or "none" where there is nothing to focus on.
+        standard_error: rms over the pulses that the estimate's own statistics predict, rad; infinite if "none".
+        coherence: of neighbouring pulses after correction, over all responses, 0 to 1.
+        sharpness_gain: sum of squared powers in the picture after correction over that before.
+        iterations: number of them.
+        last_change: rms change of the phase in the last iteration, rad.
+    """
+
+    phase: Array
+    method: str
+    standard_error: float
+    coherence: float
+    sharpness_gain: float
+    iterations: int
+    last_change: float
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the phase should be applied: known to TRUSTED_ERROR, and the picture does not lose by it."""
+        return self.standard_error <= TRUSTED_ERROR and self.sharpness_gain >= 1 - SHARPNESS_LOSS
+
+
+def autofocus(history: PhaseHistory, antenna: Array, sensor: Sensor, weights: Array, patches: Array) -> Focus:
+    """Estimate the phase error of a dwell; ask the result whether it is to be trusted.
+
+    Args:
+        history: of all detectors in a spotlight dwell.
+        antenna: position at each pulse, m, shape (pulses, 3).
+        sensor: wavelength, frequencies, beams and noise power.
+        weights: range window of mean 1, shape (frequencies,).
+        patches: points (m) at whose azimuths the scene is looked at, shape (rows, patches, 3) (`patch_centres`).
+
+    Raises:
+        UserError: a stripmap sensor.
+    """
+    if sensor.mode != "spotlight":
+        raise UserError(f"The sensor's mode is {sensor.mode}; autofocus needs spotlight, one aperture for all pixels.")
+    responses = pulse_responses(history, antenna, sensor, weights, patches.reshape(-1, 3))
+    half = patch_half_width(sensor)
+    focus = None
+    if _sees_whole_beam(sensor, antenna) and min(sensor.noise_power) > 0:
+        middle = responses.reshape(len(responses), *patches.shape[:2], -1)[:, :, patches.shape[1] // 2]
+        centre = patches[len(patches) // 2, patches.shape[1] // 2]
+        noise = np.array(sensor.noise_power) * np.sum(weights**2)
+        focus = focus_speckle(middle, noise, beam_coherence(sensor, antenna, centre))
+    if focus is None or focus.standard_error > TRUSTED_ERROR:
+        focus = focus_targets(responses, half)
+    return replace(
+        focus,
+        phase=without_shift(focus.phase),
+        coherence=neighbour_coherence(_turned(responses, focus.phase)),
+        sharpness_gain=_sharpness(_turned(responses, focus.phase), half) / _sharpness(responses, half),
+    )
+
+
+def apply_phase(history: PhaseHistory, phase: Array) -> PhaseHistory:
+    """The history with exp(-j phase) on every pulse, the same for every detector and frequency.
+
+    Args:
+        history: of all detectors.
+        phase: rad, shape (pulses,).
+    """
+    turn = np.exp(-1j * phase).astype(np.complex64)
+    return replace(history, samples=history.samples * turn[:, None])
+
+
+def pulse_responses(
+    history: PhaseHistory, antenna: Array, sensor: Sensor, weights: Array, points: Array
+) -> ComplexArray:
+    """What each pulse contributes to points: backprojection without the sum over pulses.
+
+    response(p, t) = sum over frequencies of w(f) samples(t, f) exp(+j 4 pi f (|p - antenna| - reference) / c)
+
+    Args:
+        history: of all detectors in a dwell.
+        antenna: position at each pulse, m, shape (pulses, 3).
+        sensor: wavelength and frequencies.
+        weights: range window w of mean 1, shape (frequencies,).
+        points: m, shape (points, 3).
+
+    Returns:
+        Shape (detectors, points, pulses); 0 where a point is outside the range window.
+    """
+    detectors, pulses, _ = history.samples.shape
+    responses = np.empty((detectors, len(points), pulses), dtype=np.complex128)
+    for pulse, (position, reference) in enumerate(zip(antenna, history.reference_range, strict=True)):
+        delay = np.linalg.norm(points - position, axis=-1) - reference
+        spectrum = np.ascontiguousarray(history.samples[:, pulse] * weights)
+        profile = finufft.nufft1d2(sensor.wavenumber_step * delay, spectrum, isign=1, eps=NUFFT_TOLERANCE, nthreads=1)
+        inside = np.abs(delay) <= sensor.range_window / 2
+        responses[..., pulse] = profile * (inside * np.exp(1j * sensor.centre_wavenumber * delay))
+    return responses
+
+
+def phase_gradient(responses: ComplexArray) -> Array:
+    """Phase error by the maximum-likelihood kernel of neighbouring pulses, integrated from 0, rad, shape (pulses,).
+
+    Args:
+        responses: of detectors and range cells, shape (..., pulses).
+    """
+    steps = np.angle(_neighbour_products(responses))
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def neighbour_coherence(responses: ComplexArray) -> float:
+    """Magnitude of the kernel's sums over that of perfectly coherent responses, over all pulses: 0 to 1.
+
+    Noise alone gives about 1 / sqrt(responses). Weighted with the powers, so that dark cells do not count.
+    """
+    power = np.sum(np.abs(responses.reshape(-1, responses.shape[-1])) ** 2, axis=0)
+    return float(np.sum(np.abs(_neighbour_products(responses))) / np.sum(np.sqrt(power[1:] * power[:-1])))
+
+
+def focus_speckle(responses: ComplexArray, noise_power: Array, coherence: ComplexArray) -> Focus:
+    """Phase error from all that the beam lights: gradient of neighbours, then all pairs of pulses.
+
+    Args:
+        responses: at the beam's middle in every range cell, shape (detectors, rows, pulses).
+        noise_power: of each detector's responses, shape (detectors,).
+        coherence: that speckle in the beam would have, shape (pulses, pulses).
+    """
+    modes, snr = signal_modes(responses, noise_power)
+    if not len(modes):
+        return _nothing(responses.shape[-1])
+    linked = link_phases(covariances(modes, snr), coherence, phase_gradient(modes))
+    return Focus(
+        linked.phase, "speckle", linked.standard_error, np.nan, np.nan, linked.iterations, linked.last_change
+    )
+
+
+def focus_targets(responses: ComplexArray, half_width: int) -> Focus:
+    """Phase error from bright targets: phase-gradient autofocus on the pictures around points.
+
+    Each iteration looks at the present picture of every point, an FFT over its pulses, within `half_width` cells,
+    takes those whose brightest cell is a target, moves that to the middle, and windows it in azimuth.
+
+    Args:
+        responses: shape (detectors, points, pulses).
+        half_width: azimuth cells to each side of a point that its picture shows.
+    """
+    phase, change, iteration = np.zeros(responses.shape[-1]), np.inf, 0
+    width, error = float(2 * half_width + 1), np.inf
+    while iteration < TARGET_ITERATIONS and (change > TARGET_CHANGE or width > NARROWEST_WINDOW):
+        targets = _centred_targets(_turned(responses, phase), half_width)
+        if not targets.shape[1]:
+            return _nothing(len(phase))
+        step = detrended(phase_gradient(_windowed(targets, width)))
+        error = _kernel_error(targets, _windowed(targets, NARROWEST_WINDOW))
+        phase += step
+        change, iteration = float(np.sqrt(np.mean(step**2))), iteration + 1
+        width = max(width * WINDOW_SHRINKS, NARROWEST_WINDOW)
+    return Focus(phase, "targets", error, np.nan, np.nan, iteration, change)
+
+
+def patch_half_width(sensor: Sensor) -> int:
+    """Azimuth cells to each side of a point within which a target stays in the point's range cell: carrier / bandwidth.
+
+    At most as many as the pulses can tell apart.
+    """
+    return min(int(speed_of_light / (sensor.wavelength * sensor.bandwidth)), (sensor.pulse_count - 1) // 2)
+
+
+def patch_centres(sensor: Sensor, aperture: Aperture, grid: Grid) -> Array:
+    """Points for `autofocus`: a row of patches for every range cell of an image, side by side across its columns.
+
+    Args:
+        sensor: wavelength and bandwidth.
+        aperture: state of the platform.
+        grid: the image.
+
+    Returns:
+        m, shape (rows, patches, 3).
+    """
+    sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
+    slant_range = float(np.linalg.norm(sight))
+    row_step = sensor.range_resolution / abs(grid.row_direction @ sight / slant_range)
+    width = 2 * patch_half_width(sensor) * azimuth_resolution(sensor, aperture, slant_range)
+    rows = _spread(grid.rows, max(1, round(grid.rows * grid.row_spacing / row_step)))
+    patches = _spread(grid.cols, int(np.ceil(grid.cols * grid.col_spacing / width)))
+    return grid.points(rows[:, None], patches)
+
+
+def _spread(pixels: int, count: int) -> Array:
+    """Middles of `count` equal parts of a row of pixels, as fractional indices."""
+    return (np.arange(count) + 0.5) * pixels / count - 0.5
+
+
+def _sees_whole_beam(sensor: Sensor, antenna: Array) -> bool:
+    """Whether all that the beam lights stays in its range cell during the dwell."""
+    half_beam = 2 * np.linalg.norm(antenna[-1] - antenna[0]) * sensor.beamwidth / sensor.wavelength
+    return bool(half_beam <= patch_half_width(sensor))
+
+
+def _nothing(pulses: int) -> Focus:
+    return Focus(np.zeros(pulses), "none", np.inf, 0.0, 1.0, 0, 0.0)
+
+
+def _turned(responses: ComplexArray, phase: Array) -> ComplexArray:
+    return np.asarray(responses * np.exp(-1j * phase))
+
+
+def _neighbour_products(responses: ComplexArray) -> ComplexArray:
+    """Sum over all but the pulses of conj(g(t)) g(t+1), shape (pulses - 1,)."""
+    flat = responses.reshape(-1, responses.shape[-1])
+    return np.asarray(np.einsum("gt,gt->t", flat[:, :-1].conj(), flat[:, 1:]))
+
+
+def _picture(responses: ComplexArray, half_width: int) -> Array:
+    """Power of the azimuth cells around points, summed over the detectors, shape (points, 2 half_width + 1)."""
+    power = np.sum(np.abs(np.fft.fft(responses)) ** 2, axis=0)
+    return np.roll(power, half_width, axis=-1)[:, : 2 * half_width + 1]
+
+
+def _sharpness(responses: ComplexArray, half_width: int) -> float:
+    """Sum of squared powers over the square of their sum."""
+    picture = _picture(responses, half_width)
+    return float(np.sum(picture**2) / np.sum(picture) ** 2)
+
+
+def _centred_targets(responses: ComplexArray, half_width: int) -> ComplexArray:
+    """Responses of the points whose picture holds a bright target, which a linear phase moves to the middle."""
+    picture = _picture(responses, half_width)
+    bright = picture.max(axis=-1) > BRIGHT_TARGET * np.median(picture)
+    cell = picture[bright].argmax(axis=-1) - half_width
+    pulses = responses.shape[-1]
+    return np.asarray(responses[:, bright] * np.exp(-2j * np.pi / pulses * cell[:, None] * np.arange(pulses)))
+
+
+def _windowed(responses: ComplexArray, width: float) -> ComplexArray:
+    """Responses of what lies within `width` azimuth cells around the middle."""
+    pulses = responses.shape[-1]
+    near = np.abs(np.fft.fftfreq(pulses, 1 / pulses)) <= width / 2
+    return np.asarray(np.fft.ifft(np.fft.fft(responses) * near))
+
+
+def _kernel_error(responses: ComplexArray, windowed: ComplexArray) -> float:
+    """Standard error (rms over the pulses) of each pulse's phase against what the others say of the targets.
+
+    The products of a pulse with what the window makes of the others scatter from target to target; that scatter of
+    their imaginary parts, over the sum of their real parts, is the error of the sum's angle.
+    """
+    pulses = responses.shape[-1]
+    own_share = np.count_nonzero(np.abs(np.fft.fftfreq(pulses, 1 / pulses)) <= NARROWEST_WINDOW / 2) / pulses
+    others = windowed - own_share * responses
+    product = np.einsum("mpt,mpt->pt", others.conj(), responses)
+    total = product.sum(axis=0)
+    across = (product * np.exp(-1j * np.angle(total))).imag
+    return float(np.sqrt(np.mean(np.sum(across**2, axis=0) / np.abs(total) ** 2)))
+
+

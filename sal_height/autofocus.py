@@ -39,8 +39,8 @@ ComplexArray = npt.NDArray[np.complex128]
 TRUSTED_ERROR = 0.5
 """Greatest standard error, rad, at which a phase is worth applying: it leaves 0.8 of a point's peak power."""
 
-SHARPNESS_LOSS = 0.05
-"""Share of the sharpness that a correction may cost: a phase of standard error 0.1 rad costs 0.02."""
+SHARPNESS_LOSS = 0.1
+"""Share of the sharpness that a correction may cost: 0.2 rad off cost 0.04, and speckle has its own."""
 
 BRIGHT_TARGET = 10**1.5
 """Power of a target over the median of the picture: 15 dB, which the brightest of 10^5 speckles does not reach."""
@@ -85,14 +85,15 @@ class Focus:
         return self.standard_error <= TRUSTED_ERROR and self.sharpness_gain >= 1 - SHARPNESS_LOSS
 
 
-def autofocus(history: PhaseHistory, antenna: Array, sensor: Sensor, weights: Array, patches: Array) -> Focus:
+def autofocus(history: PhaseHistory, antenna: Array, sensor: Sensor, patches: Array) -> Focus:
     """Estimate the phase error of a dwell; ask the result whether it is to be trusted.
+
+    The band is used without a window: it has more independent range cells so, and sidelobes share the phase error.
 
     Args:
         history: of all detectors in a spotlight dwell.
         antenna: position at each pulse, m, shape (pulses, 3).
         sensor: wavelength, frequencies, beams and noise power.
-        weights: range window of mean 1, shape (frequencies,).
         patches: points (m) at whose azimuths the scene is looked at, shape (rows, patches, 3) (`patch_centres`).
 
     Raises:
@@ -100,21 +101,23 @@ def autofocus(history: PhaseHistory, antenna: Array, sensor: Sensor, weights: Ar
     """
     if sensor.mode != "spotlight":
         raise UserError(f"The sensor's mode is {sensor.mode}; autofocus needs spotlight, one aperture for all pixels.")
-    responses = pulse_responses(history, antenna, sensor, weights, patches.reshape(-1, 3))
+    responses = pulse_responses(history, antenna, sensor, np.ones(sensor.sample_count), patches.reshape(-1, 3))
     half = patch_half_width(sensor)
-    focus = None
+    focus = _nothing(sensor.pulse_count)
     if _sees_whole_beam(sensor, antenna) and min(sensor.noise_power) > 0:
-        middle = responses.reshape(len(responses), *patches.shape[:2], -1)[:, :, patches.shape[1] // 2]
-        centre = patches[len(patches) // 2, patches.shape[1] // 2]
-        noise = np.array(sensor.noise_power) * np.sum(weights**2)
-        focus = focus_speckle(middle, noise, beam_coherence(sensor, antenna, centre))
-    if focus is None or focus.standard_error > TRUSTED_ERROR:
+        middle = len(patches) // 2, patches.shape[1] // 2
+        lit = responses.reshape(len(responses), *patches.shape[:2], -1)[:, :, middle[1]]
+        noise = np.array(sensor.noise_power) * sensor.sample_count
+        focus = focus_speckle(lit, noise, beam_coherence(sensor, antenna, patches[middle]))
+    if focus.standard_error > TRUSTED_ERROR:
         focus = focus_targets(responses, half)
+    phase = without_shift(focus.phase)
+    corrected = _turned(responses, phase)
     return replace(
         focus,
-        phase=without_shift(focus.phase),
-        coherence=neighbour_coherence(_turned(responses, focus.phase)),
-        sharpness_gain=_sharpness(_turned(responses, focus.phase), half) / _sharpness(responses, half),
+        phase=phase,
+        coherence=neighbour_coherence(corrected),
+        sharpness_gain=_sharpness(corrected, half) / _sharpness(responses, half),
     )
 
 
@@ -188,9 +191,7 @@ def focus_speckle(responses: ComplexArray, noise_power: Array, coherence: Comple
     if not len(modes):
         return _nothing(responses.shape[-1])
     linked = link_phases(covariances(modes, snr), coherence, phase_gradient(modes))
-    return Focus(
-        linked.phase, "speckle", linked.standard_error, np.nan, np.nan, linked.iterations, linked.last_change
-    )
+    return Focus(linked.phase, "speckle", linked.standard_error, np.nan, np.nan, linked.iterations, linked.last_change)
 
 
 def focus_targets(responses: ComplexArray, half_width: int) -> Focus:
@@ -238,11 +239,11 @@ def patch_centres(sensor: Sensor, aperture: Aperture, grid: Grid) -> Array:
     """
     sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
     slant_range = float(np.linalg.norm(sight))
-    row_step = sensor.range_resolution / abs(grid.row_direction @ sight / slant_range)
+    row_step = sensor.range_resolution / abs(float(grid.row_direction @ sight) / slant_range)
     width = 2 * patch_half_width(sensor) * azimuth_resolution(sensor, aperture, slant_range)
     rows = _spread(grid.rows, max(1, round(grid.rows * grid.row_spacing / row_step)))
     patches = _spread(grid.cols, int(np.ceil(grid.cols * grid.col_spacing / width)))
-    return grid.points(rows[:, None], patches)
+    return np.asarray(grid.points(rows[:, None], patches))
 
 
 def _spread(pixels: int, count: int) -> Array:
@@ -277,8 +278,10 @@ def _picture(responses: ComplexArray, half_width: int) -> Array:
 
 
 def _sharpness(responses: ComplexArray, half_width: int) -> float:
-    """Sum of squared powers over the square of their sum."""
+    """Sum of squared powers over the square of their sum; 1 for nothing at all."""
     picture = _picture(responses, half_width)
+    if not np.any(picture):
+        return 1.0
     return float(np.sum(picture**2) / np.sum(picture) ** 2)
 
 
@@ -311,5 +314,3 @@ def _kernel_error(responses: ComplexArray, windowed: ComplexArray) -> float:
     total = product.sum(axis=0)
     across = (product * np.exp(-1j * np.angle(total))).imag
     return float(np.sqrt(np.mean(np.sum(across**2, axis=0) / np.abs(total) ** 2)))
-
-

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
 
 from sal_height.sensor import Sensor
 
@@ -26,6 +27,17 @@ ComplexArray = npt.NDArray[np.complex128]
 
 LIT_BEAMWIDTHS = 1.0
 """Extent of the lit scene to each side of the beam's middle, in beamwidths: about the first null."""
+
+WEAKEST_MODE = 0.1
+"""Least share of the strongest mode's signal-to-noise ratio in a range cell: weaker ones, what the others leave of a
+beam that is round and not a product, are not spread in azimuth like the beam."""
+
+LIKE_ROWS = 5
+"""Range cells over which the covariance between detectors is averaged: terrain takes more to cross a beam."""
+
+NOISE_MARGIN = 1.1
+"""Factor on the greatest eigenvalue of noise, which holds for many samples: for a few hundred, noise exceeds it so in
+less than a hundredth of the range cells."""
 
 CLASS_RATIO = 2.0
 """Ratio of the greatest to the least signal-to-noise ratio of responses that share one covariance."""
@@ -100,8 +112,8 @@ def signal_modes(responses: ComplexArray, noise_power: Array) -> tuple[ComplexAr
     """Combinations of the detectors that hold more than noise.
 
     A common phase leaves the covariance between the detectors of a range cell as it is. Its eigenvectors whose values
-    exceed those of noise alone (Marchenko & Pastur: (1 + sqrt(detectors / pulses))^2) are the detectors' beams towards
-    what lies there; the rest is left out.
+    exceed those of noise alone (Marchenko & Pastur: (1 + sqrt(detectors / samples))^2), and WEAKEST_MODE, are the
+    detectors' beams towards what lies there; the rest is left out.
 
     Args:
         responses: shape (detectors, points, pulses).
@@ -112,11 +124,13 @@ def signal_modes(responses: ComplexArray, noise_power: Array) -> tuple[ComplexAr
     """
     detectors, _, pulses = responses.shape
     white = responses / np.sqrt(noise_power)[:, None, None]
-    between = np.einsum("mpt,npt->pmn", white, white.conj()) / pulses
+    between = uniform_filter1d(np.einsum("mpt,npt->pmn", white, white.conj()) / pulses, LIKE_ROWS, axis=0)
     values, vectors = np.linalg.eigh(between)
     combined = np.einsum("pmk,mpt->pkt", vectors.conj(), white)
-    signal = values > (1 + np.sqrt(detectors / pulses)) ** 2
-    return combined[signal], values[signal] - 1
+    snr = values - 1
+    noise_edge = (1 + np.sqrt(detectors / (LIKE_ROWS * pulses))) ** 2
+    seen = (values > NOISE_MARGIN * noise_edge) & (snr >= WEAKEST_MODE * snr[:, -1:])
+    return combined[seen], snr[seen]
 
 
 def covariances(modes: ComplexArray, snr: Array) -> list[Covariance]:

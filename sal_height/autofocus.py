@@ -198,23 +198,29 @@ def focus_targets(responses: ComplexArray, half_width: int) -> Focus:
     """Phase error from bright targets: phase-gradient autofocus on the pictures around points.
 
     Each iteration looks at the present picture of every point, an FFT over its pulses, within `half_width` cells,
-    takes those whose brightest cell is a target, moves that to the middle, and windows it in azimuth.
+    takes those whose brightest cell is a target, moves that to the middle, and windows it in azimuth. While the window
+    shrinks, the gradient follows what the window holds; in the narrowest, each pulse is held against all others, so
+    that phases are seen which change from pulse to pulse.
 
     Args:
         responses: shape (detectors, points, pulses).
         half_width: azimuth cells to each side of a point that its picture shows.
     """
-    phase, change, iteration = np.zeros(responses.shape[-1]), np.inf, 0
-    width, error = float(2 * half_width + 1), np.inf
-    while iteration < TARGET_ITERATIONS and (change > TARGET_CHANGE or width > NARROWEST_WINDOW):
+    phase, change, error, iteration = np.zeros(responses.shape[-1]), np.inf, np.inf, 0
+    width = float(2 * half_width + 1)
+    while change > TARGET_CHANGE and iteration < TARGET_ITERATIONS:
         targets = _centred_targets(_turned(responses, phase), half_width)
         if not targets.shape[1]:
             return _nothing(len(phase))
-        step = detrended(phase_gradient(_windowed(targets, width)))
-        error = _kernel_error(targets, _windowed(targets, NARROWEST_WINDOW))
+        if width > NARROWEST_WINDOW:
+            step = detrended(phase_gradient(_windowed(targets, width)))
+            width = max(width * WINDOW_SHRINKS, NARROWEST_WINDOW)
+        else:
+            against_others, error = _against_others(targets)
+            step = detrended(against_others)
+            change = float(np.sqrt(np.mean(step**2)))
         phase += step
-        change, iteration = float(np.sqrt(np.mean(step**2))), iteration + 1
-        width = max(width * WINDOW_SHRINKS, NARROWEST_WINDOW)
+        iteration += 1
     return Focus(phase, "targets", error, np.nan, np.nan, iteration, change)
 
 
@@ -274,7 +280,7 @@ def _neighbour_products(responses: ComplexArray) -> ComplexArray:
 def _picture(responses: ComplexArray, half_width: int) -> Array:
     """Power of the azimuth cells around points, summed over the detectors, shape (points, 2 half_width + 1)."""
     power = np.sum(np.abs(np.fft.fft(responses)) ** 2, axis=0)
-    return np.roll(power, half_width, axis=-1)[:, : 2 * half_width + 1]
+    return np.asarray(np.roll(power, half_width, axis=-1)[:, : 2 * half_width + 1])
 
 
 def _sharpness(responses: ComplexArray, half_width: int) -> float:
@@ -301,16 +307,17 @@ def _windowed(responses: ComplexArray, width: float) -> ComplexArray:
     return np.asarray(np.fft.ifft(np.fft.fft(responses) * near))
 
 
-def _kernel_error(responses: ComplexArray, windowed: ComplexArray) -> float:
-    """Standard error (rms over the pulses) of each pulse's phase against what the others say of the targets.
+def _against_others(targets: ComplexArray) -> tuple[Array, float]:
+    """Phase of each pulse against what the others say of the targets, and its standard error (rms), rad.
 
-    The products of a pulse with what the window makes of the others scatter from target to target; that scatter of
-    their imaginary parts, over the sum of their real parts, is the error of the sum's angle.
+    The others' say is the response in the narrowest window less the pulse's own share in it. The products with it
+    scatter from target to target; that of their imaginary parts, over the sum of their real parts, is the error.
     """
-    pulses = responses.shape[-1]
-    own_share = np.count_nonzero(np.abs(np.fft.fftfreq(pulses, 1 / pulses)) <= NARROWEST_WINDOW / 2) / pulses
-    others = windowed - own_share * responses
-    product = np.einsum("mpt,mpt->pt", others.conj(), responses)
+    pulses = targets.shape[-1]
+    own_share = (2 * (NARROWEST_WINDOW // 2) + 1) / pulses
+    others = _windowed(targets, NARROWEST_WINDOW) - own_share * targets
+    product = np.einsum("mpt,mpt->pt", others.conj(), targets)
     total = product.sum(axis=0)
-    across = (product * np.exp(-1j * np.angle(total))).imag
-    return float(np.sqrt(np.mean(np.sum(across**2, axis=0) / np.abs(total) ** 2)))
+    phase = np.angle(total)
+    across = (product * np.exp(-1j * phase)).imag
+    return phase, float(np.sqrt(np.mean(np.sum(across**2, axis=0) / np.abs(total) ** 2)))

@@ -45,7 +45,7 @@ SHARPNESS_LOSS = 0.1
 BRIGHT_TARGET = 10**1.5
 """Power of a target over the median of the picture: 15 dB, which the brightest of 10^5 speckles does not reach."""
 
-WINDOW_SHRINKS = 0.7
+WINDOW_SHRINKS = 0.85
 """Ratio of the azimuth windows of successive iterations."""
 
 NARROWEST_WINDOW = 5

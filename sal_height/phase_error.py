@@ -29,14 +29,15 @@ def detrended(phase: Array) -> Array:
 
 
 def without_shift(phase: Array) -> Array:
-    """The phase without what cannot or must not be corrected: its mean, and a shift in azimuth where it has one.
+    """The phase, unwrapped, without what cannot or must not be corrected: its mean, and a shift where it has one.
 
     A linear trend moves the image along the flight, which navigation knows better than an image does. Where the phase
     steps by more than SMOOTH_STEP (rms), its course is known only modulo 2 pi, and so is no trend of it: there only the
     mean is taken off, and the image stays where the beams' middle puts it.
     """
-    step = np.diff(phase)
-    return detrended(phase) if np.sqrt(np.mean(step**2)) <= SMOOTH_STEP else phase - phase.mean()
+    course = np.unwrap(phase)
+    smooth = np.sqrt(np.mean(np.diff(course) ** 2)) <= SMOOTH_STEP
+    return detrended(course) if smooth else course - course.mean()
 
 
 def white_phase(pulses: int, rms: float, rng: np.random.Generator) -> Array:

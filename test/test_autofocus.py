@@ -275,6 +275,16 @@ def test_bright_targets_focus_in_every_place() -> None:
     assert focus.standard_error < 0.1
 
 
+def test_white_phases_come_off_bright_targets() -> None:
+    """A window of a few cells would not let them through."""
+    rng = np.random.default_rng(13)
+    error = white_phase(128, 0.8, rng)
+    cells = rng.uniform(-12, 12, (40, 1))
+    seen = np.concatenate([10 * np.exp(2j * np.pi * cells * np.arange(128) / 128), np.zeros((160, 128))])
+    focus = focus_targets((seen + circular(rng, (2, 200, 128))) * np.exp(1j * error), 20)
+    assert rms(residual_phase(focus.phase, error)) < 0.1
+
+
 def test_patches_cover_the_image_one_row_for_every_range_cell() -> None:
     dwell = dwell_of("small", 1)
     np.testing.assert_allclose(dwell.patches.mean(axis=(0, 1)), dwell.grid.points(22.5, 5.5), atol=1e-6)
@@ -318,14 +328,14 @@ def load_gotcha(files: list[Path]) -> tuple[PhaseHistory, np.ndarray, Sensor, Gr
 
 
 def test_gotcha_with_three_cycles_of_quadratic_phase_is_sharp_again(shared_data: Callable[[str], Path]) -> None:
-    """Peak over median within 1 dB of the image as recorded, 13 dB of which the error had cost."""
+    """Peak over median: 49.7 dB as recorded, 36.1 with the error, 50.2 after autofocus; 1 dB less would do."""
     history, antenna, sensor, grid, patches = load_gotcha(sorted(shared_data("afrl_gotcha").glob("*.mat")))
     error = 2 * np.pi * 3 * np.linspace(-1, 1, len(antenna)) ** 2
     bad = apply_phase(history, -error)
     focus = autofocus(bad, antenna, sensor, patches)
     assert focus.method == "targets"
     assert focus.trusted
-    assert rms(residual_phase(focus.phase, error)) < 0.4
+    assert rms(residual_phase(focus.phase, error)) < 0.3  # of which 0.21 are the recording's own
 
     def peak_over_median(shown: PhaseHistory) -> float:
         image = backproject(shown, antenna, sensor, np.ones(sensor.sample_count), grid.pixels())

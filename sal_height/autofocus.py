@@ -52,9 +52,12 @@ NARROWEST_WINDOW = 5
 """Azimuth cells: a focused target and its first sidelobes."""
 
 TARGET_ITERATIONS = 30
+"""Most iterations in a round on targets."""
+
+TARGET_ROUNDS = 5
 
 TARGET_CHANGE = 0.05
-"""Rms change, rad, below which iteration on targets ends."""
+"""Rms change, rad, below which iteration on targets ends, and so do the rounds."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ class Focus:
         coherence: of neighbouring pulses after correction, over all responses, 0 to 1.
         sharpness_gain: sum of squared powers in the picture after correction over that before.
         iterations: number of them.
-        last_change: rms change of the phase in the last iteration, rad.
+        last_change: rms change of the phase in the last iteration, or in the last round on targets, rad.
     """
 
     phase: Array
@@ -197,31 +200,47 @@ def focus_speckle(responses: ComplexArray, noise_power: Array, coherence: Comple
 def focus_targets(responses: ComplexArray, half_width: int) -> Focus:
     """Phase error from bright targets: phase-gradient autofocus on the pictures around points.
 
-    Each iteration looks at the present picture of every point, an FFT over its pulses, within `half_width` cells,
-    takes those whose brightest cell is a target, moves that to the middle, and windows it in azimuth. While the window
-    shrinks, the gradient follows what the window holds; in the narrowest, each pulse is held against all others, so
-    that phases are seen which change from pulse to pulse.
+    In rounds, each from wide to narrow windows, until one finds nothing new: a blur that is wider than the pictures
+    takes several. What the last round still found counts as error.
 
     Args:
         responses: shape (detectors, points, pulses).
         half_width: azimuth cells to each side of a point that its picture shows.
+    """
+    phase, change, error, iterations, rounds = np.zeros(responses.shape[-1]), np.inf, np.inf, 0, 0
+    while change > TARGET_CHANGE and rounds < TARGET_ROUNDS:
+        found, error, count = _round(_turned(responses, phase), half_width)
+        if not count:
+            return _nothing(len(phase))
+        phase += found
+        change, iterations, rounds = _rms(detrended(np.unwrap(found))), iterations + count, rounds + 1
+    return Focus(phase, "targets", float(np.hypot(error, change)), np.nan, np.nan, iterations, change)
+
+
+def _round(responses: ComplexArray, half_width: int) -> tuple[Array, float, int]:
+    """Phase error, its standard error, rad, and the number of iterations; that is 0 where there is no target.
+
+    Each iteration looks at the present picture of every point, an FFT over its pulses, within `half_width` cells,
+    takes those whose brightest cell is a target, moves that to the middle, and windows it in azimuth. While the window
+    shrinks, the gradient follows what the window holds; in the narrowest, each pulse is held against all others, so
+    that phases are seen which change from pulse to pulse.
     """
     phase, change, error, iteration = np.zeros(responses.shape[-1]), np.inf, np.inf, 0
     width = float(2 * half_width + 1)
     while change > TARGET_CHANGE and iteration < TARGET_ITERATIONS:
         targets = _centred_targets(_turned(responses, phase), half_width)
         if not targets.shape[1]:
-            return _nothing(len(phase))
+            return phase, np.inf, 0
         if width > NARROWEST_WINDOW:
             step = detrended(phase_gradient(_windowed(targets, width)))
             width = max(width * WINDOW_SHRINKS, NARROWEST_WINDOW)
         else:
             against_others, error = _against_others(targets)
             step = detrended(against_others)
-            change = float(np.sqrt(np.mean(step**2)))
+            change = _rms(step)
         phase += step
         iteration += 1
-    return Focus(phase, "targets", error, np.nan, np.nan, iteration, change)
+    return phase, error, iteration
 
 
 def patch_half_width(sensor: Sensor) -> int:
@@ -265,6 +284,10 @@ def _sees_whole_beam(sensor: Sensor, antenna: Array) -> bool:
 
 def _nothing(pulses: int) -> Focus:
     return Focus(np.zeros(pulses), "none", np.inf, 0.0, 1.0, 0, 0.0)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _turned(responses: ComplexArray, phase: Array) -> ComplexArray:
@@ -320,4 +343,4 @@ def _against_others(targets: ComplexArray) -> tuple[Array, float]:
     total = product.sum(axis=0)
     phase = np.angle(total)
     across = (product * np.exp(-1j * phase)).imag
-    return phase, float(np.sqrt(np.mean(np.sum(across**2, axis=0) / np.abs(total) ** 2)))
+    return phase, _rms(np.sqrt(np.sum(across**2, axis=0)) / np.abs(total))

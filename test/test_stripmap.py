@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, direct_history, elevation_at, flat_scene, make_aperture, make_sensor
+from helpers import BEAMWIDTH, bare_scatterers, direct_history, elevation_at, flat_scene, make_aperture, make_sensor
 from scipy.spatial.transform import Rotation
 
 from sal_height.backprojection import backproject_points
@@ -40,12 +40,6 @@ def at(slant_range: np.ndarray, along: np.ndarray, offset: float = 0.0) -> np.nd
     return make_aperture().position + abeam + np.asarray(along)[..., None] * FORWARD
 
 
-def scatterers(positions: np.ndarray, power: np.ndarray, deterministic: bool) -> VisibleSurface:
-    """Scatterers of which only the positions and powers are asked."""
-    unused = np.full(len(positions), np.nan)
-    return VisibleSurface(positions, unused, power, unused, unused, unused, np.full(len(positions), deterministic))
-
-
 def history_of(sensor: Sensor, surface: VisibleSurface, amplitudes: np.ndarray, antenna: np.ndarray) -> PhaseHistory:
     level = np.broadcast_to(np.eye(3), (len(antenna), 3, 3))
     reference = np.full(len(antenna), REACH)
@@ -76,7 +70,7 @@ def test_every_pulse_weighs_a_scatterer_by_where_the_body_sees_it_then(pattern: 
         _, elevation, squint = angles_of(positions, state, 1)
         weighted = sensor.beams.response(elevation, squint).T * amplitudes
         expected[:, p] = direct_history(sensor, positions, weighted, antenna[[p]], reference[[p]])[:, 0]
-    surface = scatterers(positions, np.ones(6), deterministic=True)
+    surface = bare_scatterers(positions, np.ones(6), deterministic=True)
     samples = simulate_block(sensor, surface, amplitudes, antenna, rotation, reference)
     np.testing.assert_allclose(samples, expected, atol=1e-5 * np.abs(expected).max())
 
@@ -91,7 +85,7 @@ def test_pulse_lights_a_beamwidth_before_and_behind_where_its_beam_is() -> None:
     for rotation in (np.eye(3), yawed):
         powers = [
             np.sum(np.abs(simulate_block(
-                sensor, scatterers(at(np.array([REACH]), np.array([x])), np.ones(1), deterministic=True),
+                sensor, bare_scatterers(at(np.array([REACH]), np.array([x])), np.ones(1), deterministic=True),
                 np.ones(1), track(1), rotation[None], np.array([REACH]),
             )) ** 2)
             for x in along
@@ -115,7 +109,7 @@ def test_focused_level_ground_has_the_stated_cnr() -> None:
     ranges = REACH + (np.arange(32) - 15.5) * cell[0] / 2
     places = (np.arange(1400) - 699.5) * cell[1] / 2
     positions = at(*(grid.ravel() for grid in np.meshgrid(ranges, places)))
-    surface = scatterers(positions, np.full(len(positions), 0.25), deterministic=False)
+    surface = bare_scatterers(positions, np.full(len(positions), 0.25), deterministic=False)
     rows, cols = REACH + (np.arange(16) - 7.5) * cell[0], (np.arange(columns) - columns / 2) * cell[1]
     pixels = at(*np.meshgrid(rows, cols))
     rng, antenna, trials = np.random.default_rng(41), track(pulses), 3
@@ -147,7 +141,7 @@ def test_point_keeps_its_elevation_ratios_and_has_the_peak_of_the_mean_gain(offs
     """A separable pattern: the beam's passage is one factor of all detectors, (2 / pi) Si(pi / 2)."""
     sensor, antenna = strip_sensor(), track(640)
     point = at(np.array([REACH + 0.1]), np.array([0.123]), offset)
-    history = history_of(sensor, scatterers(point, np.ones(1), deterministic=True), np.ones(1), antenna)
+    history = history_of(sensor, bare_scatterers(point, np.ones(1), deterministic=True), np.ones(1), antenna)
     peak = focused(sensor, history, antenna, point)[:, 0]
     np.testing.assert_allclose(np.abs(peak), 0.8726 * np.abs(np.sinc(offset - np.array([-0.5, 0, 0.5]))), rtol=1e-3)
     np.testing.assert_allclose((peak / peak[1]).imag, 0, atol=1e-4)

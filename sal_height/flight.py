@@ -30,9 +30,6 @@ LIT_BEAMWIDTHS = 1.0
 STRIP_BEAMWIDTHS = 1.5
 """Ground before and behind a stripmap block, in beamwidths: what its pulses light up, should the body turn a little."""
 
-HELD_TILES = 16
-"""Tiles of ground that are held, as neighbouring blocks need the same."""
-
 GROUND, GUST = 0, 1
 """Random numbers that do not belong to a dwell: keys of their streams."""
 
@@ -153,8 +150,8 @@ class SimulatedFlight:
 
     @cached_property
     def _ground(self) -> Callable[[int], tuple[VisibleSurface, ComplexArray]]:
-        """The tile of that number and its scatterers' amplitudes, the same for all blocks."""
-        return lru_cache(HELD_TILES)(self._make_ground)
+        """The tile of that number and its scatterers' amplitudes, the same for all blocks; a block's are held."""
+        return lru_cache(len(self._tiles(0)))(self._make_ground)
 
     def _make_ground(self, tile: int) -> tuple[VisibleSurface, ComplexArray]:
         edges = (tile - self.dwells / 2 + np.arange(2)) * self.preset.dwell_spacing_m

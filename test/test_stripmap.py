@@ -72,7 +72,7 @@ def test_every_pulse_weighs_a_scatterer_by_where_the_body_sees_it_then(pattern: 
         expected[:, p] = direct_history(sensor, positions, weighted, antenna[[p]], reference[[p]])[:, 0]
     surface = bare_scatterers(positions, np.ones(6), deterministic=True)
     samples = simulate_block(sensor, surface, amplitudes, antenna, rotation, reference)
-    np.testing.assert_allclose(samples, expected, atol=1e-5 * np.abs(expected).max())
+    np.testing.assert_allclose(samples, expected, atol=3e-5 * np.abs(expected).max())
 
 
 def test_pulse_lights_a_beamwidth_before_and_behind_where_its_beam_is() -> None:
@@ -170,6 +170,8 @@ def test_ground_of_two_blocks_is_the_same_and_has_the_same_speckle(flight: Simul
         assert len(np.unique(position, axis=0)) == len(position)  # nothing twice
     clean = replace(flight, preset=replace(flight.preset, cnr_db=100.0))
     halves = [clean.phase_history(dwell).samples for dwell in (3, 4)]
+    ends = np.unique(np.round(first.positions[:, 0], 6))  # no gap between tiles, and no overlap
+    np.testing.assert_allclose(np.diff(ends), 0.005, atol=1e-5)
     again = replace(clean)
     np.testing.assert_array_equal(again.phase_history(4).samples, halves[1])
     # Neighbouring pulses see all but the same: their correlation does not break at the seam between two blocks.

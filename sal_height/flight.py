@@ -87,9 +87,8 @@ class SimulatedFlight:
 
     @property
     def _middle_of_flight(self) -> float:
-        return (
-            self.dwells - 1
-        ) / 2 * self.preset.dwell_spacing_m / self.preset.flight.speed_mps + self._middle_of_dwell
+        last_dwell = (self.dwells - 1) * self.preset.dwell_spacing_m / self.preset.flight.speed_mps
+        return last_dwell / 2 + self._middle_of_dwell
 
     def dwell_start_ns(self, dwell: int) -> int:
         """Start of a dwell after the start of the first, ns."""
@@ -143,10 +142,11 @@ class SimulatedFlight:
         return self._visible(aperture, (aperture.position[0] - half_width, aperture.position[0] + half_width))
 
     def _tiles(self, dwell: int) -> range:
-        """The tiles of ground that a stripmap block lights up; tile n is what lies abeam of block n."""
+        """The tiles of ground that a stripmap block lights up; tile n is what lies abeam of block n without gusts."""
         reach = STRIP_BEAMWIDTHS * self.sensor.beamwidth * self.preset.flight.slant_range_m
         neighbours = math.ceil(reach / self.preset.dwell_spacing_m)
-        return range(dwell - neighbours, dwell + neighbours + 1)
+        abeam = math.floor(self.aperture(dwell).position[0] / self.preset.dwell_spacing_m + self.dwells / 2)
+        return range(abeam - neighbours, abeam + neighbours + 1)
 
     @cached_property
     def _ground(self) -> Callable[[int], tuple[VisibleSurface, ComplexArray]]:
@@ -156,7 +156,7 @@ class SimulatedFlight:
     def _make_ground(self, tile: int) -> tuple[VisibleSurface, ComplexArray]:
         edges = (tile - self.dwells / 2 + np.arange(2)) * self.preset.dwell_spacing_m
         ground = self._visible(self.aperture(tile), (float(edges[0]), float(edges[1])), strips_per_cell=1)
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GROUND, tile - self._tiles(0)[0])))
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GROUND, abs(tile), int(tile < 0))))
         flight = self.preset.flight
         power = cell_power(10 ** (self.preset.cnr_db / 10), self.sensor, flight.slant_range_m, flight.speed_mps)
         return ground, scatterer_amplitudes(ground, power, rng)

@@ -190,3 +190,18 @@ def test_surface_of_a_block_is_seen_from_abeam_and_reaches_as_far_as_its_pulses_
     reach = BEAMWIDTH * REACH + 64 * SPEED / PRF / 2
     assert along.min() < -reach
     assert along.max() > reach
+
+
+def test_ground_follows_a_platform_that_gusts_have_carried_ahead_or_back(flight: SimulatedFlight) -> None:
+    """Over a long flight by more than what a block lights up."""
+    preset = replace(flight.preset, flight=replace(flight.preset.flight, gust_mps=20.0), dwells=2000)
+    long = replace(flight, preset=preset, dwells=2000, scene=flat_scene(half=400.0))
+    reach = BEAMWIDTH * REACH + 64 * SPEED / PRF / 2
+    drift = []
+    for dwell in (0, 700, 1999):
+        middle = long.aperture(dwell).position[0]
+        drift.append(abs(middle - (dwell - 999.5) * 0.16))
+        along = long.surface(dwell).positions[:, 0] - middle
+        assert along.min() < -reach
+        assert along.max() > reach
+    assert max(drift) > 2 * reach

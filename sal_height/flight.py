@@ -1,31 +1,47 @@
-"""A simulated flight: straight and level eastwards past the middle of the scene, one dwell after the other."""
+"""A simulated flight: level and eastwards past the middle of the scene, one dwell after the other."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from sal_height.geometry import Aperture, look_direction, sphere_point
+from sal_height.gust import GustMotion, gust_motion
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import Preset
-from sal_height.scene import Scene, VisibleSurface, visible_surface
+from sal_height.scene import SAMPLES_PER_CELL, Scene, VisibleSurface, visible_surface
 from sal_height.sensor import Sensor
-from sal_height.simulator import draw_amplitudes, receiver_noise, simulate_dwell
+from sal_height.simulator import draw_amplitudes, receiver_noise, scatterer_amplitudes, simulate_dwell
+from sal_height.stripmap import aperture_length, cell_power, simulate_block
 from sal_height.trajectory import PlatformState
 from sal_height.waveform import echo_sensor, from_spectrum, spectrum_sensor
 
 Array = npt.NDArray[np.float64]
 
+ComplexArray = npt.NDArray[np.complexfloating]
+
 LIT_BEAMWIDTHS = 1.0
-"""Ground to each side of the beam's middle, along the flight, that a dwell lights up; in beamwidths."""
+"""Ground to each side of the beam's middle, along the flight, that a spotlight dwell lights up; in beamwidths."""
+
+STRIP_BEAMWIDTHS = 1.5
+"""Ground before and behind a stripmap block, in beamwidths: what its pulses light up, should the body turn a little."""
+
+GROUND, GUST = 0, 1
+"""Random numbers that do not belong to a dwell: keys of their streams."""
 
 
 @dataclass(frozen=True)
 class SimulatedFlight:
     """Everything a simulated run is made of; each dwell follows from it and a seed alone.
+
+    base_link are the axes of the antenna's stabilised mount. In spotlight the beams are held on the scene: during a
+    dwell every scatterer keeps the direction in which base_link sees it in the middle of the dwell. In stripmap they
+    are fixed to base_link, and dwells are blocks of one sequence of pulses.
 
     Attributes:
         preset: sensor, flight and CNR.
@@ -46,9 +62,20 @@ class SimulatedFlight:
         flight = self.preset.flight
         aim = sphere_point(0.0, 0.0, self.scene.reference_height)
         abeam = aim - flight.slant_range_m * look_direction(flight.look_angle_rad, 0.0, self.sensor.look_side)
-        start = -(self.dwells - 1) / 2 * flight.dwell_spacing_m - flight.speed_mps * self._middle_of_dwell
-        along = start + flight.speed_mps * np.asarray(seconds, dtype=np.float64)
-        return np.asarray(abeam + along[..., None] * np.array([1.0, 0.0, 0.0]))
+        start = -(self.dwells - 1) / 2 * self.preset.dwell_spacing_m - flight.speed_mps * self._middle_of_dwell
+        seconds = np.asarray(seconds, dtype=np.float64)
+        along = start + flight.speed_mps * seconds
+        straight = abeam + along[..., None] * np.array([1.0, 0.0, 0.0])
+        return np.asarray(straight + self._gust.displacement(seconds) - self._gust.displacement(self._middle_of_flight))
+
+    def velocity(self, seconds: npt.ArrayLike) -> Array:
+        """Platform velocity (m/s, map) at times (s) after the start of the first dwell, shape (..., 3)."""
+        return np.array([self.preset.flight.speed_mps, 0.0, 0.0]) + self._gust.velocity(seconds)
+
+    @cached_property
+    def _gust(self) -> GustMotion:
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GUST,)))
+        return gust_motion(self.preset.flight.gust_mps, self.preset.flight.speed_mps, rng)
 
     @cached_property
     def spectrum(self) -> Sensor:
@@ -64,9 +91,14 @@ class SimulatedFlight:
     def _middle_of_dwell(self) -> float:
         return float(self.pulse_times[-1]) / 2
 
+    @property
+    def _middle_of_flight(self) -> float:
+        last_dwell = (self.dwells - 1) * self.preset.dwell_spacing_m / self.preset.flight.speed_mps
+        return last_dwell / 2 + self._middle_of_dwell
+
     def dwell_start_ns(self, dwell: int) -> int:
         """Start of a dwell after the start of the first, ns."""
-        return round(dwell * self.preset.flight.dwell_spacing_m / self.preset.flight.speed_mps * 1e9)
+        return round(dwell * self.preset.dwell_spacing_m / self.preset.flight.speed_mps * 1e9)
 
     def platform_states(self, dwell: int) -> list[PlatformState]:
         """Odometry samples that a dwell adds, at the preset's rate, up to one past its end; stamps after the start."""
@@ -78,30 +110,68 @@ class SimulatedFlight:
 
         first = last_sample(dwell - 1) + 1 if dwell else -margin
         stamps = [index * period_ns for index in range(first, last_sample(dwell) + 1)]
-        velocity = np.array([self.preset.flight.speed_mps, 0.0, 0.0])
-        level = np.array([0.0, 0.0, 0.0, 1.0])
-        return [PlatformState(s, self.position(s * 1e-9), level, velocity, np.zeros((6, 6))) for s in stamps]
+        return [self._state(stamp_ns) for stamp_ns in stamps]
+
+    def _state(self, stamp_ns: int) -> PlatformState:
+        seconds = stamp_ns * 1e-9
+        attitude = self._gust.rotation(seconds).as_quat()
+        return PlatformState(stamp_ns, self.position(seconds), attitude, self.velocity(seconds), np.zeros((6, 6)))
 
     def aperture(self, dwell: int) -> Aperture:
-        """State in the middle of a dwell's aperture."""
-        speed = self.preset.flight.speed_mps
+        """State in the middle of a dwell; in stripmap of the aperture that slides with the ground abeam of it."""
+        middle = self.dwell_start_ns(dwell) * 1e-9 + self._middle_of_dwell
+        velocity = self.velocity(middle)
+        sliding = self.sensor.mode == "stripmap"
+        spotlight = float(np.linalg.norm(velocity)) * self.sensor.pulse_count / self.sensor.pulse_repetition_frequency
         return Aperture(
-            position=self.position(self.dwell_start_ns(dwell) * 1e-9 + self._middle_of_dwell),
-            velocity=np.array([speed, 0.0, 0.0]),
-            rotation=np.eye(3),
-            length=speed * self.sensor.pulse_count / self.sensor.pulse_repetition_frequency,
+            position=self.position(middle),
+            velocity=velocity,
+            rotation=self._gust.rotation(middle).as_matrix(),
+            length=aperture_length(self.sensor, self.preset.flight.slant_range_m) if sliding else spotlight,
             covariance=np.zeros((6, 6)),
+            sliding=sliding,
         )
 
     def surface(self, dwell: int) -> VisibleSurface:
-        """What the dwell illuminates: the range window, and along the flight LIT_BEAMWIDTHS to each side.
+        """What the dwell illuminates, in the range window.
+
+        In spotlight that is LIT_BEAMWIDTHS along the flight to each side. In stripmap it is the ground abeam of the
+        block and STRIP_BEAMWIDTHS before and behind it, each scatterer as it is seen from abeam.
 
         Raises:
             UserError: there is no terrain.
         """
+        if self.sensor.mode == "stripmap":
+            return _joined([self._ground(tile)[0] for tile in self._tiles(dwell)])
         aperture = self.aperture(dwell)
+        half_width = LIT_BEAMWIDTHS * self.sensor.beamwidth * self.preset.flight.slant_range_m
+        return self._visible(aperture, (aperture.position[0] - half_width, aperture.position[0] + half_width))
+
+    def _tiles(self, dwell: int) -> range:
+        """The tiles of ground that a stripmap block lights up; tile n is what lies abeam of block n without gusts."""
+        reach = STRIP_BEAMWIDTHS * self.sensor.beamwidth * self.preset.flight.slant_range_m
+        neighbours = math.ceil(reach / self.preset.dwell_spacing_m)
+        abeam = math.floor(self.aperture(dwell).position[0] / self.preset.dwell_spacing_m + self.dwells / 2)
+        return range(abeam - neighbours, abeam + neighbours + 1)
+
+    @cached_property
+    def _ground(self) -> Callable[[int], tuple[VisibleSurface, ComplexArray]]:
+        """The tile of that number and its scatterers' amplitudes, the same for all blocks; a block's are held."""
+        return lru_cache(len(self._tiles(0)))(self._make_ground)
+
+    def _make_ground(self, tile: int) -> tuple[VisibleSurface, ComplexArray]:
+        edges = (tile - self.dwells / 2 + np.arange(2)) * self.preset.dwell_spacing_m
+        ground = self._visible(self.aperture(tile), (float(edges[0]), float(edges[1])), strips_per_cell=1)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GROUND, abs(tile), int(tile < 0))))
+        flight = self.preset.flight
+        power = cell_power(10 ** (self.preset.cnr_db / 10), self.spectrum, flight.slant_range_m, flight.speed_mps)
+        return ground, scatterer_amplitudes(ground, power, rng)
+
+    def _visible(
+        self, aperture: Aperture, east_extent: tuple[float, float], strips_per_cell: int = SAMPLES_PER_CELL
+    ) -> VisibleSurface:
+        """What an aperture sees in the range window between two arc distances east (m)."""
         reach = self.preset.flight.slant_range_m
-        half_width = LIT_BEAMWIDTHS * self.sensor.beamwidth * reach
         half_window = self.spectrum.range_window / 2
         azimuth_cell = self.sensor.wavelength * reach / (2 * aperture.length)
         return visible_surface(
@@ -109,8 +179,9 @@ class SimulatedFlight:
             aperture,
             self.sensor.look_side,
             (self.spectrum.range_resolution, azimuth_cell),
-            (aperture.position[0] - half_width, aperture.position[0] + half_width),
+            east_extent,
             (reach - half_window, reach + half_window),
+            strips_per_cell,
         )
 
     def phase_history(self, dwell: int) -> PhaseHistory:
@@ -122,11 +193,29 @@ class SimulatedFlight:
             UserError: there is no terrain.
         """
         rng = np.random.default_rng([self.seed, dwell])
-        surface = self.surface(dwell)
-        amplitudes = draw_amplitudes(surface, 10 ** (self.preset.cnr_db / 10), self.spectrum, rng)
         start_ns = self.dwell_start_ns(dwell)
         antenna = self.position(start_ns * 1e-9 + self.pulse_times)
         reference = np.full(self.sensor.pulse_count, self.preset.flight.slant_range_m)
-        clean = simulate_dwell(echo_sensor(self.sensor), surface, amplitudes, antenna, reference)
+        if self.sensor.mode == "stripmap":
+            clean = self._block(dwell, antenna, reference)
+        else:
+            surface = self.surface(dwell)
+            amplitudes = draw_amplitudes(surface, 10 ** (self.preset.cnr_db / 10), self.spectrum, rng)
+            clean = simulate_dwell(echo_sensor(self.sensor), surface, amplitudes, antenna, reference)
         samples = from_spectrum(clean, self.sensor) + receiver_noise(self.sensor, self.sensor.pulse_count, rng)
         return PhaseHistory(start_ns, self.pulse_times, reference, samples)
+
+    def _block(self, dwell: int, antenna: Array, reference: Array) -> ComplexArray:
+        """Noise-free phase history of a stripmap block."""
+        tiles = [self._ground(tile) for tile in self._tiles(dwell)]
+        surface = _joined([ground for ground, _ in tiles])
+        amplitudes = np.concatenate([amplitudes for _, amplitudes in tiles])
+        rotation = self._gust.rotation(self.dwell_start_ns(dwell) * 1e-9 + self.pulse_times).as_matrix()
+        return simulate_block(echo_sensor(self.sensor), surface, amplitudes, antenna, rotation, reference)
+
+
+def _joined(surfaces: list[VisibleSurface]) -> VisibleSurface:
+    """All scatterers of some surfaces."""
+    return VisibleSurface(
+        *(np.concatenate([getattr(surface, field.name) for surface in surfaces]) for field in fields(VisibleSurface))
+    )

@@ -7,7 +7,7 @@ towards the direction of flight; all angles in rad.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,7 @@ class Aperture:
     """State of the platform in the middle of a synthetic aperture.
 
     Attributes:
-        position: of base_link in map, m, shape (3,).
+        position: of base_link in map, m, shape (3,); of many points' apertures (`aperture_at`), shape (..., 3).
         velocity: in map axes, m/s, shape (3,).
         rotation: matrix that turns body into map axes, shape (3, 3).
         length: of the synthetic aperture, m.
@@ -43,6 +43,11 @@ class Aperture:
     def direction(self) -> Array:
         """Unit vector of flight in map axes."""
         return self.velocity / np.linalg.norm(self.velocity)
+
+    @property
+    def forward(self) -> Array:
+        """Unit vector of the body's x axis in map axes: the beams lie in the plane square to it."""
+        return self.rotation[:, 0]
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,18 @@ def angles_of(points: Array, aperture: Aperture, look_side: int) -> tuple[Array,
     return slant_range, np.arctan2(-look_side * body[..., 1], -body[..., 2]), np.arcsin(body[..., 0] / slant_range)
 
 
+def aperture_at(points: Array, aperture: Aperture) -> Aperture:
+    """The aperture from which an image shows `points` of shape (..., 3).
+
+    That is `aperture`; a sliding one has come, at its velocity, to where each point is abeam of the body (squint 0):
+    its position has the shape of the points, and it slides no more.
+    """
+    if not aperture.sliding:
+        return aperture
+    seconds = (points - aperture.position) @ aperture.forward / (aperture.velocity @ aperture.forward)
+    return replace(aperture, position=aperture.position + seconds[..., None] * aperture.velocity, sliding=False)
+
+
 def squint_on_cone(elevation: npt.ArrayLike, cone: npt.ArrayLike, aperture: Aperture, look_side: int) -> Array:
     """Squint (rad) of the direction at `elevation` (rad) whose component along the flight is `cone`.
 
@@ -155,7 +172,7 @@ def locate(
         elevation: in body axes, rad.
         slant_range: distance from the middle of the aperture, m.
         along: component of that distance along the flight, m.
-        aperture: state of the platform.
+        aperture: state of the platform, not sliding (`aperture_at`).
         look_side: +1 right, -1 left.
 
     Returns:

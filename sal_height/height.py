@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.estimate import ElevationEstimate, Validity
-from sal_height.geometry import Aperture, Grid, height_of, locate, squint_on_cone
+from sal_height.geometry import Aperture, Grid, aperture_at, height_of, locate, squint_on_cone
 from sal_height.looks import Looks
 from sal_height.sensor import Beams
 
@@ -54,8 +54,9 @@ def look_grid(grid: Grid, range_looks: int, azimuth_looks: int) -> Grid:
 
 def column_squint(grid: Grid, aperture: Aperture, beams: Beams, look_side: int) -> Array:
     """Squint (rad) under which each column of `grid` is seen at the middle row and the middle of the beams, (cols,)."""
-    points = grid.points((grid.rows - 1) / 2, np.arange(grid.cols)) - aperture.position
-    cone = points @ aperture.direction / np.linalg.norm(points, axis=-1)
+    points = grid.points((grid.rows - 1) / 2, np.arange(grid.cols))
+    sight = points - aperture_at(points, aperture).position
+    cone = sight @ aperture.direction / np.linalg.norm(sight, axis=-1)
     return squint_on_cone(np.mean(beams.span), cone, aperture, look_side)
 
 
@@ -76,7 +77,9 @@ def height_field(
         aperture: state of the platform.
         look_side: +1 right, -1 left.
     """
-    sight = slc_grid.points(looks.row, looks.col) - aperture.position
+    points = slc_grid.points(looks.row, looks.col)
+    aperture = aperture_at(points, aperture)
+    sight = points - aperture.position
     slant_range, along = np.linalg.norm(sight, axis=-1), sight @ aperture.direction
     below, positions, above = (
         locate(estimate.elevation + shift, slant_range, along, aperture, look_side)

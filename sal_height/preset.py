@@ -52,19 +52,24 @@ class SensorSettings:
     waveform: Literal["spectrum", "chirp", "deramped"] = "spectrum"
     pulse_duration_s: Annotated[Float, Ge(0), Le(1e3)] = 0.0
     sampling_rate_hz: Annotated[Float, Ge(0), Le(1e15)] = 0.0
+    mode: Literal["spotlight", "stripmap"] = "spotlight"
 
 
 @dataclass(frozen=True)
 class Flight:
-    """A straight, level track eastwards, with one dwell every `dwell_spacing_m`."""
+    """A level track eastwards, with one dwell every `dwell_spacing_m`; in stripmap dwells follow without a gap.
+
+    It is straight but for what gusts of `gust_mps` (rms, in each axis) do to it, see `gust`.
+    """
 
     __pydantic_config__ = _STRICT_KEYS
 
     slant_range_m: Annotated[Float, Ge(1), Le(1e7)]
     look_angle_rad: Annotated[Float, Gt(0), Lt(np.pi / 2)]
     speed_mps: Annotated[Float, Ge(0.01), Le(20000)]
-    dwell_spacing_m: Annotated[Float, Ge(1e-6), Le(1e6)]
     odometry_rate_hz: Annotated[Float, Gt(0), Le(10000)]
+    dwell_spacing_m: Annotated[Float, Ge(1e-6), Le(1e6)] | None = None
+    gust_mps: Annotated[Float, Ge(0), Le(20)] = 0.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,10 @@ class ImageSize:
 
 @dataclass(frozen=True)
 class Preset:
-    """All of a run. `cnr_db` is of one detector looking straight at a resolution cell of brightness 1 in the SLC."""
+    """All of a run. `cnr_db` is of one detector looking straight at a resolution cell of brightness 1 in the SLC.
+
+    In stripmap it looks straight at the cell in elevation; what its beam loses over the aperture is made good.
+    """
 
     __pydantic_config__ = _STRICT_KEYS
 
@@ -91,6 +99,13 @@ class Preset:
     cnr_db: Annotated[Float, Ge(-60), Le(100)]
     looks: tuple[Annotated[Int, Ge(1)], Annotated[Int, Ge(1)]]
     dwells: Annotated[Int, Ge(1), Le(1_000_000)]
+
+    @property
+    def dwell_spacing_m(self) -> float:
+        """Way from one dwell to the next, m; in stripmap that of a dwell's pulses."""
+        if self.flight.dwell_spacing_m is not None:
+            return self.flight.dwell_spacing_m
+        return self.flight.speed_mps * self.sensor.pulse_count / self.sensor.pulse_repetition_frequency_hz
 
     def make_sensor(self) -> Sensor:
         """The sensor, with unit noise power; a linear FM pulse rises.
@@ -117,6 +132,7 @@ class Preset:
             chirp_rate=s.bandwidth_hz / s.pulse_duration_s if s.pulse_duration_s else 0.0,
             pulse_duration=s.pulse_duration_s,
             sampling_rate=s.sampling_rate_hz,
+            mode=s.mode,
         )
 
 
@@ -170,13 +186,7 @@ def parse_preset(content: Any, source: str) -> Preset:
     size = (preset.image.rows, preset.image.cols)
     if preset.looks[0] > size[0] or preset.looks[1] > size[1]:
         raise UserError(f"Preset {source}: looks is {preset.looks}; they must fit in the image of {size} pixels.")
-    duration = preset.sensor.pulse_count / preset.sensor.pulse_repetition_frequency_hz
-    interval = preset.flight.dwell_spacing_m / preset.flight.speed_mps
-    if duration > interval:
-        raise UserError(
-            f"Preset {source}: flight.dwell_spacing_m is {preset.flight.dwell_spacing_m:.6g}, {interval:.3g} s of "
-            f"flight; a dwell takes {duration:.3g} s, so it must be {duration * preset.flight.speed_mps:.6g} or more."
-        )
+    _check_dwell_spacing(preset, source)
     doppler_band = 4 * preset.flight.speed_mps / preset.sensor.aperture_m
     if preset.sensor.pulse_repetition_frequency_hz < doppler_band:
         raise UserError(
@@ -185,6 +195,29 @@ def parse_preset(content: Any, source: str) -> Preset:
             "(4 speed / aperture), so it must be that or more."
         )
     return preset
+
+
+def _check_dwell_spacing(preset: Preset, source: str) -> None:
+    """Spotlight dwells must not overlap; stripmap dwells have no spacing of their own.
+
+    Raises:
+        UserError: they do, or it is missing or given.
+    """
+    spacing, speed = preset.flight.dwell_spacing_m, preset.flight.speed_mps
+    duration = preset.sensor.pulse_count / preset.sensor.pulse_repetition_frequency_hz
+    if preset.sensor.mode == "stripmap":
+        if spacing is not None:
+            raise UserError(
+                f"Preset {source}: flight.dwell_spacing_m is {spacing:.6g}; in stripmap dwells follow each other "
+                f"without a gap, here every {duration * speed:.6g} m, so leave it out."
+            )
+    elif spacing is None:
+        raise UserError(f"Preset {source}: flight.dwell_spacing_m is missing; it is required.")
+    elif duration > spacing / speed:
+        raise UserError(
+            f"Preset {source}: flight.dwell_spacing_m is {spacing:.6g}, {spacing / speed:.3g} s of "
+            f"flight; a dwell takes {duration:.3g} s, so it must be {duration * speed:.6g} or more."
+        )
 
 
 def _shown(value: Any) -> str:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.interpolate import RegularGridInterpolator
 
 from sal_height.errors import UserError
-from sal_height.geometry import Aperture, angles_of, sphere_point
+from sal_height.geometry import Aperture, angles_of, aperture_at, sphere_point
 
 Array = npt.NDArray[np.float64]
 
@@ -97,8 +97,8 @@ class VisibleSurface:
         positions: in map, m, shape (scatterers, 3).
         heights: above the sphere, m, shape (scatterers,).
         power: mean power relative to a resolution cell of brightness 1, shape (scatterers,).
-        slant_range: from the middle of the aperture, m.
-        elevation: rad from nadir in body axes.
+        slant_range: from the middle of the aperture, in stripmap from abeam, m.
+        elevation: rad from nadir in body axes, from there.
         squint: rad.
         deterministic: True for point targets, whose amplitude does not fluctuate.
     """
@@ -113,7 +113,11 @@ class VisibleSurface:
 
 
 SAMPLES_PER_CELL = 2
-"""Scatterers per resolution cell in range and in azimuth, each: enough for fully developed speckle."""
+"""Scatterers per resolution cell in range and in azimuth, each: enough for fully developed speckle.
+
+One in azimuth does where time matters: amplitudes are Gaussian one by one, and the power of an unweighted image stays
+even with strips as far apart as its resolution.
+"""
 
 
 LONGEST_PIECE = 16
@@ -127,6 +131,7 @@ def visible_surface(
     cell: tuple[float, float],
     east_extent: tuple[float, float],
     range_extent: tuple[float, float],
+    strips_per_cell: int = SAMPLES_PER_CELL,
 ) -> VisibleSurface:
     """Scatterers of the terrain that are lit and lie within the given extents, plus the point targets.
 
@@ -138,20 +143,21 @@ def visible_surface(
         aperture: flying east or west (the strips are perpendicular to the flight).
         look_side: +1 right, -1 left.
         cell: resolution in slant range and azimuth, m.
-        east_extent: first and last arc distance east, m.
+        east_extent: first arc distance east and the one where the next extent begins, m.
         range_extent: least and greatest slant range from the middle of the aperture, m.
+        strips_per_cell: strips of scatterers in a resolution cell in azimuth.
 
     Raises:
         UserError: the scene has no terrain within the extents.
     """
-    terrain = _terrain_scatterers(scene, aperture, look_side, cell, east_extent)
+    terrain = _terrain_scatterers(scene, aperture, look_side, cell, east_extent, strips_per_cell)
     points = np.array([[p.east, p.north, p.height, p.power] for p in scene.points]).reshape(-1, 4)
     positions = np.concatenate([terrain.positions, sphere_point(points[:, 0], points[:, 1], points[:, 2])])
-    slant_range, elevation, squint = angles_of(positions, aperture, look_side)
+    slant_range, elevation, squint = angles_of(positions, aperture_at(positions, aperture), look_side)
     point = np.arange(len(positions)) >= len(terrain.positions)
     seen = (slant_range >= range_extent[0]) & (slant_range <= range_extent[1])
     seen[~point] &= _lit(elevation[~point], terrain.strip)
-    seen[point] &= (points[:, 0] >= east_extent[0]) & (points[:, 0] <= east_extent[1])
+    seen[point] &= (points[:, 0] >= east_extent[0]) & (points[:, 0] < east_extent[1])
     if not np.any(seen & ~point):
         raise UserError(
             f"Scene {scene.name} has no terrain at slant ranges {range_extent[0]:.1f} to {range_extent[1]:.1f} m and "
@@ -179,15 +185,20 @@ class _Scatterers:
 
 
 def _terrain_scatterers(
-    scene: Scene, aperture: Aperture, look_side: int, cell: tuple[float, float], east_extent: tuple[float, float]
+    scene: Scene,
+    aperture: Aperture,
+    look_side: int,
+    cell: tuple[float, float],
+    east_extent: tuple[float, float],
+    strips_per_cell: int,
 ) -> _Scatterers:
-    """Scatterers along vertical cuts through the terrain, lit or not, SAMPLES_PER_CELL in each resolution cell.
+    """Scatterers along vertical cuts through the terrain, lit or not, SAMPLES_PER_CELL in each cell of a cut.
 
     Between two nodes of a cut, so many that neither range nor the arc across it steps by more than their spacing;
     each has its share of the piece's extent in range, as brightness is power per slant range.
     """
     range_cell, azimuth_cell = cell
-    strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * SAMPLES_PER_CELL))
+    strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * strips_per_cell))
     strip_width = (east_extent[1] - east_extent[0]) / strips
     east = east_extent[0] + strip_width * (np.arange(strips) + 0.5)
     outwards = -look_side * np.sign(aperture.direction[0])
@@ -196,7 +207,7 @@ def _terrain_scatterers(
     north = np.interp(steps, np.arange(len(scene.north)), scene.north)[:: int(outwards)]
     height = scene.heights(east[:, None], north)
     nodes = sphere_point(east[:, None], north, height)
-    node_range, node_elevation, _ = angles_of(nodes, aperture, look_side)
+    node_range, node_elevation, _ = angles_of(nodes, aperture_at(nodes, aperture), look_side)
 
     span = np.maximum(np.abs(np.diff(node_range)), np.abs(np.diff(node_elevation)) * node_range[:, :-1])
     pieces = np.ceil(np.nan_to_num(span) / range_cell * SAMPLES_PER_CELL).astype(int).ravel()

@@ -23,8 +23,13 @@ def draw_amplitudes(surface: VisibleSurface, cnr: float, sensor: Sensor, rng: np
     in a detector that looks straight at it (compression divides the noise power by the number of samples).
     """
     noise = float(np.mean(sensor.noise_power)) / (sensor.pulse_count * sensor.sample_count)
+    return scatterer_amplitudes(surface, cnr * noise, rng)
+
+
+def scatterer_amplitudes(surface: VisibleSurface, cell_power: float, rng: np.random.Generator) -> ComplexArray:
+    """Complex amplitude of every scatterer, where a resolution cell of brightness 1 has the power `cell_power`."""
     speckle = (rng.standard_normal(len(surface.power)) + 1j * rng.standard_normal(len(surface.power))) / np.sqrt(2)
-    return np.sqrt(surface.power * cnr * noise) * np.where(surface.deterministic, 1.0, speckle)
+    return np.sqrt(surface.power * cell_power) * np.where(surface.deterministic, 1.0, speckle)
 
 
 def simulate_dwell(

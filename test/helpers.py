@@ -14,7 +14,7 @@ from sal_height.geometry import Aperture
 from sal_height.looks import Looks
 from sal_height.optics import pattern_named
 from sal_height.preset import Preset
-from sal_height.scene import Scene
+from sal_height.scene import Scene, VisibleSurface
 from sal_height.sensor import Beams, Sensor
 
 Array = npt.NDArray[np.float64]
@@ -93,6 +93,12 @@ def flat_scene(height: float = 0.0, north: float = 0.0, half: float = 40.0) -> S
     nodes = np.linspace(-half, half, 161)
     level = np.full((len(nodes), len(nodes)), height)
     return Scene("flat", nodes, north + nodes, level, np.ones_like(level))
+
+
+def bare_scatterers(positions: Array, power: Array, deterministic: bool) -> VisibleSurface:
+    """Scatterers of which only positions and powers matter; how they are seen is NaN."""
+    unused = np.full(len(positions), np.nan)
+    return VisibleSurface(positions, unused, power, unused, unused, unused, np.full(len(positions), deterministic))
 
 
 def target_slc(

@@ -11,6 +11,7 @@ import pytest
 import yaml
 from helpers import RAW_SETTINGS, RAW_WAVEFORMS, assert_one_sentence, with_waveform
 
+from sal_height import stripmap
 from sal_height.compression import slant_plane_grid
 from sal_height.errors import UserError
 from sal_height.flight import SimulatedFlight
@@ -20,7 +21,7 @@ from sal_height.waveform import spectrum_sensor
 from sal_height.windows import broadening, window
 
 SMALL = Path(__file__).parents[1] / "sal_height" / "presets" / "small.yaml"
-SHIPPED = ("sal_spotlight", "small", "xband_relief")
+SHIPPED = ("sal_spotlight", "sal_stripmap", "small", "xband_relief")
 
 
 def content_with(key: str, value: Any) -> dict[str, Any]:
@@ -75,6 +76,9 @@ def content_with(key: str, value: Any) -> dict[str, Any]:
         ("flight.speed_mps", -50, "greater than "),
         ("flight.dwell_spacing_m", "far", "valid number"),
         ("flight.odometry_rate_hz", 0, "greater than "),
+        ("flight.gust_mps", -0.1, "greater than or equal to 0"),
+        ("flight.gust_mps", 20.1, "less than or equal to 20"),
+        ("sensor.mode", "scan", "'spotlight' or 'stripmap'"),
         ("image.rows", 0, "greater than or equal to 1"),
         ("image.cols", "many", "valid integer"),
     ],
@@ -104,6 +108,20 @@ def test_dwells_that_would_overlap_are_refused_with_the_least_spacing() -> None:
     with pytest.raises(UserError) as refusal:
         parse_preset(content_with("flight.dwell_spacing_m", 0.0799), "mine.yaml")
     assert_one_sentence(str(refusal.value), "flight.dwell_spacing_m is 0.0799", "must be 0.08 or more")
+
+
+def test_stripmap_dwells_follow_without_a_gap_and_have_no_spacing_of_their_own() -> None:
+    """48 pulses at 30 kHz and 50 m/s: 8 cm."""
+    content = content_with("sensor.mode", "stripmap")
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content, "mine.yaml")
+    assert_one_sentence(str(refusal.value), "flight.dwell_spacing_m is 0.58125", "every 0.08 m", "leave it out")
+    del content["flight"]["dwell_spacing_m"]
+    preset = parse_preset(content, "mine.yaml")
+    assert preset.dwell_spacing_m == pytest.approx(0.08, rel=1e-12)
+    assert preset.make_sensor().mode == "stripmap"
+    assert load_preset("small").dwell_spacing_m == 0.58125
+    assert load_preset("small").make_sensor().mode == "spotlight"
 
 
 def test_prf_below_the_doppler_band_of_the_main_lobe_is_refused() -> None:
@@ -231,6 +249,10 @@ def flight(request: pytest.FixtureRequest) -> SimulatedFlight:
 
 def test_pulses_sample_the_doppler_of_all_ground_that_is_lit(flight: SimulatedFlight) -> None:
     sensor = flight.sensor
+    if sensor.mode == "stripmap":  # each pulse lights its own ground
+        doppler = 4 * flight.preset.flight.speed_mps * np.sin(stripmap.LIT_BEAMWIDTHS * sensor.beamwidth)
+        assert doppler / sensor.wavelength <= sensor.pulse_repetition_frequency * (1 + 1e-9)
+        return
     for dwell in (0, flight.dwells - 1):
         surface = flight.surface(dwell)
         sine = np.sin(surface.squint[~surface.deterministic])
@@ -252,7 +274,7 @@ def test_images_of_successive_dwells_join(flight: SimulatedFlight) -> None:
     grid = slant_plane_grid(
         flight.sensor, flight.aperture(0), preset.flight.slant_range_m, preset.image.rows, preset.image.cols, 1.0
     )
-    assert preset.flight.dwell_spacing_m == pytest.approx(grid.cols * grid.col_spacing, rel=0.01)
+    assert preset.dwell_spacing_m == pytest.approx(grid.cols * grid.col_spacing, rel=0.01)
 
 
 def test_looks_fit_in_the_image_and_range_is_mostly_seen_by_the_beams(flight: SimulatedFlight) -> None:

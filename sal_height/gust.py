@@ -1,0 +1,108 @@
+"""How gusts move the platform about its track, and what of it the antenna's mount lets through.
+
+Gusts have the Dryden spectra of MIL-F-8785C for medium and high altitude, as strong in all axes. The aircraft follows
+them with a lag, and its autopilot brings it back to the track. The motion is a sum of harmonics of random phases, so
+that position, velocity and attitude are known exactly at any time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.constants import g
+from scipy.spatial.transform import Rotation
+
+Array = npt.NDArray[np.float64]
+
+SCALE_LENGTH = 533.4
+"""Scale of the turbulence in all axes above 2000 ft, m: 1750 ft."""
+
+RESPONSE_TIME = 0.5
+"""Lag with which the aircraft takes on the velocity of the air, s."""
+
+TRACK_BANDWIDTH = 0.3
+"""Natural frequency of the autopilot that holds the track, rad/s; damping 0.7."""
+
+DAMPING = 0.7
+
+MOUNT_RESIDUAL = 2e-4
+"""Share of the aircraft's turns that remains behind the stabilised mount of the antenna, whose axes are base_link."""
+
+SLOWEST, FASTEST = 0.02, 60.0
+"""Angular frequencies of the harmonics, rad/s: below, the autopilot leaves nothing; above, the airframe's inertia."""
+
+HARMONICS = 150
+
+
+def gust_spectra(omega: Array, speed: float) -> Array:
+    """Dryden spectra of a gust of 1 m/s rms along, left and up, (m/s)^2 per rad/s over omega > 0, (..., 3)."""
+    x = SCALE_LENGTH / speed * omega
+    along = 2 / (1 + x**2)
+    across = (1 + 3 * x**2) / (1 + x**2) ** 2
+    return SCALE_LENGTH / (np.pi * speed) * np.stack([along, across, across], axis=-1)
+
+
+def response(omega: Array) -> Array:
+    """Amplitude of the aircraft's velocity over that of the gust."""
+    lag = 1 / np.hypot(1, RESPONSE_TIME * omega)
+    held = omega**2 / np.hypot(TRACK_BANDWIDTH**2 - omega**2, 2 * DAMPING * TRACK_BANDWIDTH * omega)
+    return np.asarray(lag * held)
+
+
+@dataclass(frozen=True)
+class GustMotion:
+    """Motion about the track, on top of level flight eastwards.
+
+    Attributes:
+        speed: of the flight, m/s.
+        omega: angular frequencies of the harmonics, rad/s, shape (harmonics,).
+        amplitude: of the velocity along, left and up, m/s, shape (harmonics, 3).
+        phase: rad, shape (harmonics, 3).
+    """
+
+    speed: float
+    omega: Array
+    amplitude: Array
+    phase: Array
+
+    def displacement(self, seconds: npt.ArrayLike) -> Array:
+        """East, north and up (m) at times in s, shape (..., 3)."""
+        return self._sum(seconds, -1, -np.pi / 2)
+
+    def velocity(self, seconds: npt.ArrayLike) -> Array:
+        """Derivative of `displacement`, m/s."""
+        return self._sum(seconds, 0, 0.0)
+
+    def acceleration(self, seconds: npt.ArrayLike) -> Array:
+        """Derivative of `velocity`, m/s^2."""
+        return self._sum(seconds, 1, np.pi / 2)
+
+    def rotation(self, seconds: npt.ArrayLike) -> Rotation:
+        """Attitude of base_link: level and eastwards, but for the share that the mount lets through.
+
+        The aircraft banks by the acceleration to its right over g, and pitches and yaws with the direction of flight.
+        """
+        velocity, sideways = self.velocity(seconds), self.acceleration(seconds)[..., 1]
+        yaw, pitch, roll = velocity[..., 1] / self.speed, -velocity[..., 2] / self.speed, -sideways / g
+        return Rotation.from_euler("ZYX", MOUNT_RESIDUAL * np.stack([yaw, pitch, roll], axis=-1))
+
+    def _sum(self, seconds: npt.ArrayLike, power: int, lead: float) -> Array:
+        """Sum of harmonics whose amplitudes are multiplied by a power of omega, `lead` rad ahead of the velocity's."""
+        turn = np.asarray(seconds, dtype=np.float64)[..., None] * self.omega
+        wave = np.cos(turn[..., None] + self.phase + lead)
+        return np.asarray(np.einsum("...ha,ha->...a", wave, self.amplitude * self.omega[:, None] ** float(power)))
+
+
+def gust_motion(gust: float, speed: float, rng: np.random.Generator) -> GustMotion:
+    """Motion in gusts of `gust` (m/s rms in each axis) at `speed` (m/s)."""
+    edges = np.geomspace(SLOWEST, FASTEST, HARMONICS + 1)
+    omega = np.sqrt(edges[1:] * edges[:-1])
+    spectra = gust_spectra(omega, speed) * response(omega)[:, None] ** 2
+    return GustMotion(
+        speed=speed,
+        omega=omega,
+        amplitude=gust * np.sqrt(2 * spectra * np.diff(edges)[:, None]),
+        phase=rng.uniform(0, 2 * np.pi, (HARMONICS, 3)),
+    )

@@ -1,0 +1,191 @@
+"""Stripmap: the antenna is fixed to the body, and every point of the ground has the aperture in which beams pass it."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from sal_height.geometry import look_direction
+from sal_height.interpolation import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials
+from sal_height.optics import Pattern
+from sal_height.scene import VisibleSurface
+from sal_height.sensor import Sensor
+
+Array = npt.NDArray[np.float64]
+FloatArray = npt.NDArray[np.float32]
+ComplexArray = npt.NDArray[np.complex64]
+
+LIT_BEAMWIDTHS = 1.0
+"""Ground to each side of the beam's middle, along the flight, that a pulse lights up; in beamwidths.
+
+That is the main lobe of the square aperture. A pulse repetition frequency of 4 speed / aperture, which presets demand,
+samples its Doppler; what lies beyond would appear as ambiguities.
+"""
+
+
+def processed_angle(sensor: Sensor) -> float:
+    """Angle over which a target is processed, rad: one beamwidth, which gives a resolution of half the aperture."""
+    return sensor.beamwidth
+
+
+def aperture_length(sensor: Sensor, slant_range: float) -> float:
+    """Length of the synthetic aperture of a target at `slant_range` (m), m."""
+    return processed_angle(sensor) * slant_range
+
+
+def mean_square_gain(pattern: Pattern) -> float:
+    """Mean square over the processed angle of the pattern in azimuth, for a target at the boresight's elevation.
+
+    A focused pixel is the mean of its pulses. Noise has the power of a sample over their number; the cells of level
+    ground have, by Parseval, that of a beam that is even over the aperture, times this gain. (A point has at its peak
+    the square of the mean of the pattern instead: for the square aperture 0.07 dB less.)
+    """
+    nodes = (np.arange(1000) + 0.5) / 1000 - 0.5
+    return float(np.mean(pattern.amplitude(0.0, nodes) ** 2))
+
+
+def cell_power(cnr: float, sensor: Sensor, slant_range: float, speed: float) -> float:
+    """Power of a resolution cell of brightness 1 so that it has the carrier-to-noise ratio `cnr` in the image.
+
+    In the image of a detector that looks straight at its elevation, processed over one beamwidth without weights. The
+    pulses of the aperture, as many as are sent on its length, share the noise; the beam's gain over them is made good.
+
+    Args:
+        cnr: power ratio.
+        sensor: beams, noise and pulse repetition frequency.
+        slant_range: m.
+        speed: of the platform, m/s.
+    """
+    pulses = aperture_length(sensor, slant_range) * sensor.pulse_repetition_frequency / speed
+    noise = float(np.mean(sensor.noise_power)) / (pulses * sensor.sample_count)
+    return cnr * noise / mean_square_gain(sensor.beams.pattern)
+
+
+def simulate_block(
+    sensor: Sensor,
+    surface: VisibleSurface,
+    amplitudes: npt.NDArray[np.complexfloating],
+    antenna: Array,
+    rotation: Array,
+    reference_range: Array,
+) -> ComplexArray:
+    """Noise-free phase history of every detector with the antenna fixed to the body.
+
+    A scatterer has in each pulse the weight of the direction in which the body sees it then, and none when it is more
+    than LIT_BEAMWIDTHS, along the flight, from where the beams meet the ground at the reference range. As in
+    `simulate_dwell` that is the weight of the receiving beam.
+
+    The sum over scatterers at every frequency is the adjoint of reading a range profile at their delays: each is spread
+    with the interpolator's kernel onto a dense profile, which then goes through the transposed matrix.
+
+    Angles are measured from the middle of the beams, and phases reduced to a turn, in float64; what follows is float32,
+    which has as many digits as the samples need, and is several times faster.
+
+    Args:
+        sensor: wavelength, frequencies and beams.
+        surface: scatterers; where they are, not how they were seen.
+        amplitudes: of the scatterers, shape (scatterers,).
+        antenna: position at each pulse on a flight eastwards, m, shape (pulses, 3).
+        rotation: matrix that turns body into map axes at each pulse, shape (pulses, 3, 3).
+        reference_range: m, shape (pulses,).
+
+    Returns:
+        Complex64 samples, shape (detectors, pulses, frequencies).
+    """
+    order = np.argsort(surface.positions[:, 0], kind="stable")
+    positions, strengths = surface.positions[order], amplitudes[order].astype(np.complex64)
+    east = positions[:, 0].copy()
+    middle = float(np.mean(sensor.beams.span))
+    boresights = (sensor.beams.boresights - middle).astype(np.float32)
+    boresight = look_direction(middle, 0.0, sensor.look_side)
+    outwards = look_direction(middle + np.pi / 2, 0.0, sensor.look_side)
+    taps, dense = tap_polynomials(), OVERSAMPLING * sensor.sample_count
+    axes = np.stack([np.array([1.0, 0.0, 0.0]), outwards, boresight], axis=-1)
+
+    def pulse_profile(position: Array, rotation: Array, reference: float) -> FloatArray:
+        reach = LIT_BEAMWIDTHS * sensor.beamwidth * reference
+        aim = position[0] + reference * (rotation @ boresight)[0]
+        lit = slice(*np.searchsorted(east, (aim - reach, aim + reach)))
+        sight = np.einsum("si,ij->js", positions[lit] - position, rotation @ axes)  # no BLAS: its threads would wait
+        distance = np.sqrt(np.einsum("is,is->s", sight, sight))
+        delay = distance - reference
+        elevation = np.arctan2(sight[1].astype(np.float32), sight[2].astype(np.float32))
+        squint = np.arcsin((sight[0] / distance).astype(np.float32))
+        response = _response(sensor, elevation[:, None] - boresights, squint[:, None])
+        phasors = strengths[lit] * _phasors(delay * (sensor.centre_wavenumber / (2 * np.pi)))
+        place = np.mod(delay * (dense / sensor.range_window) + dense // 2, dense)
+        before = np.floor(place).astype(np.int32)
+        profile = np.zeros((dense + TAPS, 2 * sensor.detector_count), dtype=np.float32)
+        weights = _tap_weights((place - before).astype(np.float32), taps)
+        _spread(before + 1, weights, phasors, response, profile)
+        return profile
+
+    with ThreadPoolExecutor() as pool:
+        profiles = np.stack(list(pool.map(pulse_profile, antenna, rotation, reference_range)))
+    real, imaginary = np.split(profiles, 2, axis=-1)
+    spectra = np.einsum("fi,pid->dpf", _spectrum_of_profile(sensor.sample_count), real + 1j * imaginary, optimize=True)
+    return np.ascontiguousarray(spectra, dtype=np.complex64)
+
+
+def _response(sensor: Sensor, elevation: FloatArray, squint: FloatArray) -> FloatArray:
+    """Amplitude pattern at angles (rad) from each boresight, in float32."""
+    beamwidth = np.float32(sensor.beamwidth)
+    return sensor.beams.pattern.amplitude(elevation / beamwidth, squint / beamwidth).astype(np.float32)
+
+
+def _phasors(turns: Array) -> ComplexArray:
+    """exp(-2 pi j turns)."""
+    angle = (-2 * np.pi * (turns - np.rint(turns))).astype(np.float32)
+    result = np.empty(len(turns), dtype=np.complex64)
+    result.real, result.imag = np.cos(angle), np.sin(angle)
+    return result
+
+
+def _spectrum_of_profile(count: int) -> ComplexArray:
+    """Matrix from dense range profiles to `count` frequencies: the adjoint of `dense_profiles`."""
+    profiles = dense_profiles(np.eye(count, dtype=np.complex64)[None], np.ones(count))[..., 0]
+    return np.asarray(profiles[:, :, 0] - 1j * profiles[:, :, 1], dtype=np.complex64)
+
+
+_compiled = njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+
+
+@_compiled
+def _tap_weights(fraction: FloatArray, taps: FloatArray) -> FloatArray:
+    """Values of `tap_polynomials` at each fraction, (taps, fractions); written out so that it is vectorised."""
+    weights = np.empty((taps.shape[0], fraction.size), np.float32)
+    for j in range(taps.shape[0]):
+        p, weight = taps[j], weights[j]
+        for i in range(fraction.size):
+            t = fraction[i]
+            high = p[6] + t * (p[7] + t * (p[8] + t * (p[9] + t * p[10])))
+            weight[i] = p[0] + t * (p[1] + t * (p[2] + t * (p[3] + t * (p[4] + t * (p[5] + t * high)))))
+    return weights
+
+
+@_compiled
+def _spread(
+    first: npt.NDArray[np.int32], weights: FloatArray, phasors: ComplexArray, response: FloatArray, profile: FloatArray
+) -> None:
+    """Add scatterers to the dense range profiles of all detectors.
+
+    Args:
+        first: row of each scatterer's first tap, shape (scatterers,).
+        weights: of its taps, shape (taps, scatterers).
+        phasors: amplitude and phase of its echo.
+        response: of each detector to it, shape (scatterers, detectors).
+        profile: to add to; real parts of all detectors, then imaginary parts, shape (rows, 2 * detectors).
+    """
+    detectors = response.shape[1]
+    value = np.empty(2 * detectors, np.float32)
+    for i in range(first.size):
+        for k in range(detectors):
+            value[k] = response[i, k] * phasors[i].real
+            value[detectors + k] = response[i, k] * phasors[i].imag
+        for j in range(weights.shape[0]):
+            row, weight = profile[first[i] + j], weights[j, i]
+            for k in range(2 * detectors):
+                row[k] += weight * value[k]

@@ -1,0 +1,84 @@
+"""The report of a stripmap run: its heights against the truth of the strip."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance
+
+from sal_height import convert
+from sal_height.compression import azimuth_resolution, slant_plane_grid
+from sal_height.errors import UserError
+from sal_height.evaluation import truth_image
+from sal_height.flight import SimulatedFlight
+from sal_height.geometry import aperture_at, locate
+from sal_height.height import HeightField, look_grid
+from sal_height.preset import load_preset
+from sal_height.runs.report import mosaic, statistics
+from sal_height.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def flight() -> SimulatedFlight:
+    preset = load_preset("sal_stripmap")
+    nodes = np.linspace(-20, 20, 81)
+    scene = Scene("level", nodes, nodes, np.full((81, 81), 0.4), np.ones((81, 81)))
+    return SimulatedFlight(preset, preset.make_sensor(), scene, preset.dwells, seed=1)
+
+
+def exact_image(flight: SimulatedFlight, dwell: int, error: float) -> HeightImage:
+    """The height image that shows the truth plus `error` (m)."""
+    sensor, aperture, preset = flight.sensor, flight.aperture(dwell), flight.preset
+    slc_grid = slant_plane_grid(sensor, aperture, 5000.0, preset.image.rows, preset.image.cols, 1.19)
+    grid = look_grid(slc_grid, *preset.looks)
+    cell = sensor.range_resolution * azimuth_resolution(sensor, aperture, 5000.0)
+    truth = truth_image(flight.surface(dwell), aperture, grid, cell, sensor.beams)
+    first, last = sensor.beams.span
+    seen = (truth.elevation > first) & (truth.elevation < last)
+    points = grid.pixels()
+    there = aperture_at(points, aperture)
+    sight = points - there.position
+    slant_range = np.linalg.norm(sight, axis=-1)
+    positions = locate(truth.elevation, slant_range, sight @ there.direction, there, sensor.look_side)
+    height, sigma = np.where(seen, truth.height + error, np.nan), np.where(seen, 0.01, np.nan)
+    positions = np.where(seen[..., None], positions, np.nan)
+    field = HeightField(grid, height, sigma, 0 * sigma, np.where(seen, 0, 1).astype(np.uint8), positions)
+    slc = ComplexImage(dwell=dwell)
+    return convert.height_to_message(field, aperture, preset.looks, "ml", slc, Provenance())
+
+
+def test_exact_heights_of_a_strip_have_the_error_that_was_added_and_join(flight: SimulatedFlight) -> None:
+    dwells = (3, 4, 5)
+    images = [exact_image(flight, dwell, 0.25) for dwell in dwells]
+    assert all(image.aperture.sliding for image in images)
+    result = mosaic(images, flight, {dwell: flight.surface(dwell) for dwell in dwells})
+    numbers = statistics(result)
+    assert numbers["bias_m"] == pytest.approx(0.25, abs=1e-5)
+    assert numbers["rms_m"] == pytest.approx(0.25, abs=1e-5)
+    assert numbers["cells"] > 200
+    assert numbers["ghost_pixels"] == 0
+    assert np.ptp(result.east) == pytest.approx(3 * 0.64, abs=0.15)
+    whole = np.isfinite(result.height).mean(axis=1) > 0
+    assert np.isfinite(result.height[whole][1:-1]).all()  # no seam between two images
+
+
+def test_bound_of_a_strip_knows_that_every_column_is_seen_from_abeam(flight: SimulatedFlight) -> None:
+    """From the middle of the image its sides lie 0.38 beamwidths off, where the amplitude is sinc(0.38) = 0.78."""
+    image = exact_image(flight, 4, 0.0)
+    bounds = []
+    for sliding in (True, False):
+        image.aperture.sliding = sliding
+        bounds.append(mosaic([image], flight, {4: flight.surface(4)}).bound)
+    ratio = bounds[1] / bounds[0]
+    row = ratio[np.isfinite(ratio).all(axis=1)]
+    assert len(row) > 5
+    np.testing.assert_allclose(row[:, [0, -1]], 1 / np.sinc(0.36), rtol=0.07)
+    np.testing.assert_allclose(row[:, row.shape[1] // 2], 1, rtol=0.03)
+
+
+def test_a_flight_beside_the_scene_is_refused_at_its_first_dwell(flight: SimulatedFlight) -> None:
+    far = replace(flight, scene=replace(flight.scene, east=flight.scene.east + 500))
+    with pytest.raises(UserError, match="no terrain"):
+        far.surface(0)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from sal_height.compiled import WORKERS, compiled
 from sal_height.geometry import Grid
-from sal_height.interpolation import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials
+from sal_height.interpolation import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
 from sal_height.phase_history import PhaseHistory
+from sal_height.phasors import cosine_and_sine
 from sal_height.processing import Processing
 from sal_height.sensor import Sensor
 
@@ -21,8 +21,6 @@ FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int32]
 BoolArray = npt.NDArray[np.bool_]
 ComplexArray = npt.NDArray[np.complex64]
-
-WORKERS = len(os.sched_getaffinity(0))
 
 PULSES_AT_ONCE = 16
 """Pulses whose dense profiles are held at a time: a few megabytes."""
@@ -79,7 +77,8 @@ def backproject_points(
             (OVERSAMPLING * frequencies) // 2,
             sensor.centre_wavenumber / (2 * np.pi),
             sensor.range_window / 2,
-            1 / processing.angle if processing.angle else 0.0,
+            processing.angle,
+            abs(float((antenna[-1] - antenna[0]) @ direction)) / max(1, pulses - 1),
         ]
     )
     size = int(np.clip(math.ceil(points.shape[1] / WORKERS), 64, PIXELS_AT_ONCE))
@@ -96,10 +95,18 @@ def backproject_points(
                 )  # fmt: skip
 
             list(pool.map(add, pieces))
-    valid &= weight > 0
+    valid &= (weight > 0) & filled_apertures(points.T, antenna, direction, processing.angle)
     with np.errstate(divide="ignore", invalid="ignore"):
         image /= np.where(valid, weight * frequencies, np.nan)[:, None, None].astype(np.float32)
     return _as_complex(image)
+
+
+def filled_apertures(points: Array, antenna: Array, direction: Array, angle: float) -> BoolArray:
+    """Whether the pulses reach from end to end of the processed angle of each point; (points,)."""
+    ends = [
+        (position - points) @ direction / np.linalg.norm(position - points, axis=-1) for position in antenna[[0, -1]]
+    ]
+    return np.asarray((np.minimum(*ends) <= -angle / 2) & (np.maximum(*ends) >= angle / 2)) if angle else np.array(True)
 
 
 def _as_complex(image: FloatArray) -> ComplexArray:
@@ -111,10 +118,8 @@ def _as_complex(image: FloatArray) -> ComplexArray:
 
 # The loops below are compiled. Each does one thing over all pixels of a piece, so that the compiler can vectorise it.
 
-_compiled = njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 
-
-@_compiled
+@compiled
 def _add_pulses(
     points: Array,
     along: Array,
@@ -136,64 +141,71 @@ def _add_pulses(
         profiles: of `dense_profiles`.
         taps: of `tap_polynomials`.
         taper: azimuth window over the processed angle in stripmap.
-        scales: dense samples per m; dense sample of delay 0; turns per m; half the range window, m; 1 / processed
-            angle, 0 in spotlight.
+        scales: dense samples per m; dense sample of delay 0; turns per m; half the range window, m; processed angle,
+            0 in spotlight; way from pulse to pulse, m.
         image: to add to, shape (pixels, 2, detectors).
         weight: sum of the azimuth weights, to add to, shape (pixels,).
-        valid: set False where the profile does not reach, or the first or last pulse of the aperture is missing.
+        valid: set False where a profile does not reach.
     """
     count = points.shape[1]
     delay, gain = np.empty(count), np.empty(count, np.float32)
     sample, fraction = np.empty(count, np.int32), np.empty(count, np.float32)
     cosine, sine = np.empty(count, np.float32), np.empty(count, np.float32)
-    tap = np.empty((TAPS, count), np.float32)
     for pulse in range(track.shape[0]):
         x, y, z, reference, place, pulse_weight = track[pulse]
         _delays(points[0], points[1], points[2], x, y, z, reference, delay)
         if scales[4] > 0:
-            _angle_weights(delay, along, place, reference, scales[4], taper, gain)
+            _angle_weights(delay, along, place, reference, scales[4], scales[5], taper, gain)
         else:
             gain[:] = pulse_weight
         _within(delay, gain, scales[3], weight, valid)
         _samples(delay, scales[0], scales[1], scales[3], sample, fraction)
         _phasors(delay, scales[2], gain, cosine, sine)
-        for index in range(TAPS):
-            _polynomial(fraction, taps[index], tap[index])
+        tap = tap_weights(fraction, taps)
         if image.shape[2] == 1:
             _add_one(sample, tap, cosine, sine, profiles[pulse], image)
         else:
             _add_all(sample, tap, cosine, sine, profiles[pulse], image)
 
 
-@_compiled
+@compiled
 def _delays(px: Array, py: Array, pz: Array, x: float, y: float, z: float, reference: float, delay: Array) -> None:
     for i in range(delay.size):
         dx, dy, dz = px[i] - x, py[i] - y, pz[i] - z
         delay[i] = math.sqrt(dx * dx + dy * dy + dz * dz) - reference
 
 
-@_compiled
+@compiled
 def _angle_weights(
-    delay: Array, along: Array, place: float, reference: float, per_angle: float, taper: FloatArray, gain: FloatArray
+    delay: Array,
+    along: Array,
+    place: float,
+    reference: float,
+    angle: float,
+    spacing: float,
+    taper: FloatArray,
+    gain: FloatArray,
 ) -> None:
-    """Weight of the pulse by the sine of the angle, seen from the pixel, between abeam and the antenna."""
+    """As `Processing.angle_weights`, for the pulse at `place` along the flight."""
     last = taper.size - 1
     for i in range(delay.size):
-        position = ((place - along[i]) / (delay[i] + reference) * per_angle + 0.5) * last
-        node = min(max(int(position), 0), last - 1)
-        inside = (position >= 0) and (position <= last)
+        distance = delay[i] + reference
+        sine = (place - along[i]) / distance
+        position = min(max((sine / angle + 0.5) * last, 0.0), float(last))
+        node = min(int(position), last - 1)
         part = np.float32(position - node)
-        gain[i] = (taper[node] + part * (taper[node + 1] - taper[node])) if inside else np.float32(0)
+        share = min(max((angle / 2 - abs(sine)) * distance / spacing + 0.5, 0.0), 1.0)
+        gain[i] = np.float32(share) * (taper[node] + part * (taper[node + 1] - taper[node]))
 
 
-@_compiled
+@compiled
 def _within(delay: Array, gain: FloatArray, half_window: float, weight: Array, valid: BoolArray) -> None:
     for i in range(delay.size):
         weight[i] += gain[i]
         valid[i] &= (abs(delay[i]) <= half_window) or (gain[i] == 0)
 
 
-@_compiled
+@compiled
 def _samples(
     delay: Array, per_metre: float, middle: float, half_window: float, sample: IntArray, fraction: FloatArray
 ) -> None:
@@ -205,59 +217,14 @@ def _samples(
         fraction[i] = np.float32(position - before)
 
 
-@_compiled
+@compiled
 def _phasors(delay: Array, turns_per_metre: float, gain: FloatArray, cosine: FloatArray, sine: FloatArray) -> None:
-    """Gain times cosine and sine: Taylor series of the half angle, which is within a quarter turn."""
     for i in range(delay.size):
-        turns = delay[i] * turns_per_metre
-        y = np.float32(turns - np.floor(turns + 0.5))
-        q = y * y
-        s = y * (
-            np.float32(3.14159265359)
-            + q
-            * (
-                np.float32(-5.16771278005)
-                + q
-                * (
-                    np.float32(2.55016403988)
-                    + q
-                    * (
-                        np.float32(-0.599264529321)
-                        + q * (np.float32(0.0821458866111) - q * np.float32(0.00737043094571))
-                    )
-                )
-            )
-        )
-        c = np.float32(1) + q * (
-            np.float32(-4.93480220054)
-            + q
-            * (
-                np.float32(4.05871212642)
-                + q
-                * (
-                    np.float32(-1.33526276885)
-                    + q
-                    * (
-                        np.float32(0.235330630359)
-                        + q * (np.float32(-0.0258068913900) + q * np.float32(0.00192957430940))
-                    )
-                )
-            )
-        )
-        sine[i] = gain[i] * np.float32(2) * s * c
-        cosine[i] = gain[i] * (np.float32(1) - np.float32(2) * s * s)
+        c, s = cosine_and_sine(delay[i] * turns_per_metre)
+        cosine[i], sine[i] = gain[i] * c, gain[i] * s
 
 
-@_compiled
-def _polynomial(x: FloatArray, p: FloatArray, value: FloatArray) -> None:
-    """Horner's rule; the degree is that of `tap_polynomials`, written out so that it is vectorised."""
-    for i in range(x.size):
-        t = x[i]
-        high = p[6] + t * (p[7] + t * (p[8] + t * (p[9] + t * p[10])))
-        value[i] = p[0] + t * (p[1] + t * (p[2] + t * (p[3] + t * (p[4] + t * (p[5] + t * high)))))
-
-
-@_compiled
+@compiled
 def _add_one(
     sample: IntArray, tap: FloatArray, cosine: FloatArray, sine: FloatArray, profile: FloatArray, image: FloatArray
 ) -> None:
@@ -272,7 +239,7 @@ def _add_one(
         image[i, 1, 0] += real * sine[i] + imaginary * cosine[i]
 
 
-@_compiled
+@compiled
 def _add_all(
     sample: IntArray, tap: FloatArray, cosine: FloatArray, sine: FloatArray, profile: FloatArray, image: FloatArray
 ) -> None:

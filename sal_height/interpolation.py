@@ -11,6 +11,8 @@ import numpy.typing as npt
 import scipy.fft
 from scipy.special import i0
 
+from sal_height.compiled import compiled
+
 Array = npt.NDArray[np.float64]
 FloatArray = npt.NDArray[np.float32]
 ComplexArray = npt.NDArray[np.complex64]
@@ -68,3 +70,16 @@ def dense_profiles(spectra: ComplexArray, weights: Array) -> FloatArray:
     ready[:, : TAPS // 2] = ready[:, dense : dense + TAPS // 2]
     ready[:, -(TAPS // 2) :] = ready[:, TAPS // 2 : TAPS]
     return ready
+
+
+@compiled
+def tap_weights(fraction: FloatArray, taps: FloatArray) -> FloatArray:
+    """Values of `tap_polynomials` at each fraction, shape (TAPS, fractions); written out so that it is vectorised."""
+    weights = np.empty((taps.shape[0], fraction.size), np.float32)
+    for j in range(taps.shape[0]):
+        p, weight = taps[j], weights[j]
+        for i in range(fraction.size):
+            t = fraction[i]
+            high = p[6] + t * (p[7] + t * (p[8] + t * (p[9] + t * p[10])))
+            weight[i] = p[0] + t * (p[1] + t * (p[2] + t * (p[3] + t * (p[4] + t * (p[5] + t * high)))))
+    return weights

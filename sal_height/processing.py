@@ -38,6 +38,17 @@ class Processing:
         """Weights of the pulses of a spotlight aperture, of mean 1."""
         return window(self.azimuth_window, pulses)
 
+    def angle_weights(self, sine: Array, spacing: Array) -> Array:
+        """Weights of pulses in stripmap, that of a pulse halfway over the edge of the aperture by its share within.
+
+        Args:
+            sine: of the angle between abeam and the antenna, seen from a target.
+            spacing: of neighbouring pulses, in that sine.
+        """
+        share = np.clip((self.angle / 2 - np.abs(sine)) / spacing + 0.5, 0.0, 1.0)
+        nodes = np.linspace(-self.angle / 2, self.angle / 2, TAPER_NODES)
+        return np.asarray(share * np.interp(sine, nodes, self.taper().astype(np.float64)))
+
     def taper(self) -> npt.NDArray[np.float32]:
         """The azimuth window over the processed angle, at TAPER_NODES even sines from end to end."""
         return window(self.azimuth_window, TAPER_NODES).astype(np.float32)

@@ -6,11 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from sal_height.compiled import compiled
 from sal_height.geometry import look_direction
-from sal_height.interpolation import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials
+from sal_height.interpolation import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
 from sal_height.optics import Pattern
+from sal_height.phasors import phasors
 from sal_height.scene import VisibleSurface
 from sal_height.sensor import Sensor
 
@@ -115,12 +116,12 @@ def simulate_block(
         elevation = np.arctan2(sight[1].astype(np.float32), sight[2].astype(np.float32))
         squint = np.arcsin((sight[0] / distance).astype(np.float32))
         response = _response(sensor, elevation[:, None] - boresights, squint[:, None])
-        phasors = strengths[lit] * _phasors(delay * (sensor.centre_wavenumber / (2 * np.pi)))
+        echoes = strengths[lit] * phasors(-sensor.centre_wavenumber * delay)
         place = np.mod(delay * (dense / sensor.range_window) + dense // 2, dense)
         before = np.floor(place).astype(np.int32)
         profile = np.zeros((dense + TAPS, 2 * sensor.detector_count), dtype=np.float32)
-        weights = _tap_weights((place - before).astype(np.float32), taps)
-        _spread(before + 1, weights, phasors, response, profile)
+        weights = tap_weights((place - before).astype(np.float32), taps)
+        _spread(before + 1, weights, echoes, response, profile)
         return profile
 
     with ThreadPoolExecutor() as pool:
@@ -136,46 +137,22 @@ def _response(sensor: Sensor, elevation: FloatArray, squint: FloatArray) -> Floa
     return sensor.beams.pattern.amplitude(elevation / beamwidth, squint / beamwidth).astype(np.float32)
 
 
-def _phasors(turns: Array) -> ComplexArray:
-    """exp(-2 pi j turns)."""
-    angle = (-2 * np.pi * (turns - np.rint(turns))).astype(np.float32)
-    result = np.empty(len(turns), dtype=np.complex64)
-    result.real, result.imag = np.cos(angle), np.sin(angle)
-    return result
-
-
 def _spectrum_of_profile(count: int) -> ComplexArray:
     """Matrix from dense range profiles to `count` frequencies: the adjoint of `dense_profiles`."""
     profiles = dense_profiles(np.eye(count, dtype=np.complex64)[None], np.ones(count))[..., 0]
     return np.asarray(profiles[:, :, 0] - 1j * profiles[:, :, 1], dtype=np.complex64)
 
 
-_compiled = njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
-
-
-@_compiled
-def _tap_weights(fraction: FloatArray, taps: FloatArray) -> FloatArray:
-    """Values of `tap_polynomials` at each fraction, (taps, fractions); written out so that it is vectorised."""
-    weights = np.empty((taps.shape[0], fraction.size), np.float32)
-    for j in range(taps.shape[0]):
-        p, weight = taps[j], weights[j]
-        for i in range(fraction.size):
-            t = fraction[i]
-            high = p[6] + t * (p[7] + t * (p[8] + t * (p[9] + t * p[10])))
-            weight[i] = p[0] + t * (p[1] + t * (p[2] + t * (p[3] + t * (p[4] + t * (p[5] + t * high)))))
-    return weights
-
-
-@_compiled
+@compiled
 def _spread(
-    first: npt.NDArray[np.int32], weights: FloatArray, phasors: ComplexArray, response: FloatArray, profile: FloatArray
+    first: npt.NDArray[np.int32], weights: FloatArray, echoes: ComplexArray, response: FloatArray, profile: FloatArray
 ) -> None:
     """Add scatterers to the dense range profiles of all detectors.
 
     Args:
         first: row of each scatterer's first tap, shape (scatterers,).
         weights: of its taps, shape (taps, scatterers).
-        phasors: amplitude and phase of its echo.
+        echoes: amplitude and phase of its echo.
         response: of each detector to it, shape (scatterers, detectors).
         profile: to add to; real parts of all detectors, then imaginary parts, shape (rows, 2 * detectors).
     """
@@ -183,8 +160,8 @@ def _spread(
     value = np.empty(2 * detectors, np.float32)
     for i in range(first.size):
         for k in range(detectors):
-            value[k] = response[i, k] * phasors[i].real
-            value[detectors + k] = response[i, k] * phasors[i].imag
+            value[k] = response[i, k] * echoes[i].real
+            value[detectors + k] = response[i, k] * echoes[i].imag
         for j in range(weights.shape[0]):
             row, weight = profile[first[i] + j], weights[j, i]
             for k in range(2 * detectors):

@@ -13,7 +13,8 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
-from sal_height.compression import backproject, ground_plane_grid
+from sal_height.backprojection import backproject
+from sal_height.compression import ground_plane_grid
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
 from sal_height.impulse_response import (
@@ -25,6 +26,7 @@ from sal_height.impulse_response import (
     without_range_phase,
 )
 from sal_height.phase_history import PhaseHistory
+from sal_height.processing import Processing
 from sal_height.windows import window
 
 ROWS, COLS = 90, 120
@@ -233,7 +235,7 @@ def test_phase_of_range_is_removed_so_that_a_focused_point_can_be_interpolated()
     reference = np.full(len(antenna), 5000.0)
     samples = direct_history(sensor, point[None], [1.0], antenna, reference)[None].astype(np.complex64)
     history = PhaseHistory(0, times, reference, samples)
-    image = backproject(history, antenna, sensor, window("taylor", sensor.sample_count), grid.pixels())[0]
+    image = backproject(history, antenna, sensor, Processing("taylor"), grid)[0]
     measured = measure_brightest(without_range_phase(image, grid, aperture, sensor.wavelength))
     assert_allclose(grid.points(measured.row, measured.col), point, atol=2e-3)
     known = measure_windows()

@@ -22,10 +22,12 @@ from helpers import (
 from scipy.constants import speed_of_light
 
 from sal_height import waveform
-from sal_height.compression import backproject, slant_plane_grid, slc_noise_power
+from sal_height.backprojection import backproject, backproject_points
+from sal_height.compression import slant_plane_grid, slc_noise_power
 from sal_height.flight import SimulatedFlight
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import load_preset
+from sal_height.processing import Processing
 from sal_height.sensor import Sensor
 from sal_height.waveform import echo_sensor, from_spectrum, range_compressed, spectrum_sensor, to_spectrum
 from sal_height.windows import broadening, window
@@ -69,6 +71,7 @@ def compressed(sensor: Sensor, delay: float, video_sign: int = 1) -> np.ndarray:
 ALONG = (np.arange(48) - 23.5) * 50 / 30e3
 ANTENNA = make_aperture().position + ALONG[:, None] * np.array([1.0, 0.0, 0.0])
 REFERENCE = np.full(48, 5000.0)
+FORWARD = np.array([1.0, 0.0, 0.0])
 SIGHT = np.array([0.0, -1.0, -1.0]) / np.sqrt(2)
 
 
@@ -79,7 +82,7 @@ def range_cut(sensor: Sensor, beyond: float, steps: np.ndarray) -> np.ndarray:
     raw = raw_echo(sensor, delay)[None].astype(np.complex64)
     history, focusing = range_compressed(PhaseHistory(0, np.zeros(48), REFERENCE, raw), sensor)
     pixels = point + steps[:, None] * focusing.range_resolution * SIGHT
-    return backproject(history, ANTENNA, focusing, np.ones(focusing.sample_count), pixels[None])[0, 0]
+    return backproject_points(history, ANTENNA, focusing, Processing("rectangular"), pixels, FORWARD)[0]
 
 
 def peak_of(power: np.ndarray, steps: np.ndarray) -> float:
@@ -270,8 +273,9 @@ def image() -> Callable[[str, str], np.ndarray]:
         weights = window(window_name, sensor.sample_count)
         grid = slant_plane_grid(sensor, flight.aperture(1), 5000.0, 46, 12, broadening(weights))
         antenna = flight.position(flight.dwell_start_ns(1) * 1e-9 + flight.pulse_times)
-        noise = np.sqrt(slc_noise_power(sensor, weights))[:, None, None]
-        return backproject(history, antenna, sensor, weights, grid.pixels()) / noise
+        processing = Processing(window_name)
+        noise = np.sqrt(slc_noise_power(sensor, processing, len(antenna)))[:, None, None]
+        return backproject(history, antenna, sensor, processing, grid) / noise
 
     return focus
 

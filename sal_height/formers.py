@@ -1,0 +1,57 @@
+"""The image formers behind one interface, and the choice between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.backprojection import backproject
+from sal_height.errors import UserError
+from sal_height.geometry import Grid
+from sal_height.phase_history import PhaseHistory
+from sal_height.processing import Processing
+from sal_height.range_doppler import focus_stripmap
+from sal_height.sensor import Sensor
+from sal_height.specan import ALLOWED_ERROR, expected_error, focus_spotlight
+
+Array = npt.NDArray[np.float64]
+Former = Callable[[PhaseHistory, Array, Sensor, Processing, Grid], npt.NDArray[np.complex64]]
+"""From phase history, antenna positions, sensor, weights and pixels to the images of all detectors."""
+
+FORMERS: dict[str, Former] = {
+    "backprojection": backproject,
+    "specan": focus_spotlight,
+    "range_doppler": focus_stripmap,
+}
+"""Image formers by name: the reference for any track, and a fast one for each mode on pixels in the slant plane."""
+
+FAST = {"spotlight": "specan", "stripmap": "range_doppler"}
+"""The fast former of each mode."""
+
+FEW_PIXELS = 10_000
+"""Images that backprojection forms in about the same time."""
+
+
+def choose_former(name: str, antenna: Array, sensor: Sensor, grid: Grid) -> Former:
+    """The former of that name; for "auto", the fast one if it is as good as backprojection and worth it.
+
+    Args:
+        name: of FORMERS, or "auto".
+        antenna: position at each pulse, m, shape (pulses, 3).
+        sensor: its mode, and what the expected error of a fast former follows from.
+        grid: pixels.
+
+    Raises:
+        UserError: a fast former that is not for the sensor's mode.
+    """
+    if name in FAST.values() and name != FAST[sensor.mode]:
+        raise UserError(
+            f"The former {name} does not work in {sensor.mode}; allowed are {FAST[sensor.mode]} and backprojection."
+        )
+    if name == "auto":
+        wide = grid.rows * grid.cols > FEW_PIXELS
+        fits = sensor.mode == "stripmap" or expected_error(antenna, sensor, grid) <= ALLOWED_ERROR
+        name = FAST[sensor.mode] if wide and fits else "backprojection"
+    return FORMERS[name]

@@ -70,15 +70,42 @@ def slant_plane_grid(
     Raises:
         UserError: a line of sight along the flight, or too many pixels.
     """
-    along = aperture.direction
-    sight = aim_point(sensor, aperture, reference_range) - aperture.position
-    return _centred_grid(
-        aperture.position + sight,
-        _unit(sight - (sight @ along) * along, "line of sight"),
-        along,
-        (sensor.range_resolution * range_broadening, azimuth_resolution(sensor, aperture, reference_range)),
-        (rows, cols),
-    )
+    spacing = (sensor.range_resolution * range_broadening, azimuth_resolution(sensor, aperture, reference_range))
+    return _slant_plane(sensor, aperture, reference_range, aperture.direction, spacing, (rows, cols))
+
+
+def strip_grid(
+    sensor: Sensor, aperture: Aperture, reference_range: float, shape: tuple[int, int], spacing: tuple[float, float]
+) -> Grid:
+    """Stripmap image abeam of an aperture: as `slant_plane_grid`, but with columns along the body's forward axis.
+
+    The antenna is fixed to the body and looks abeam of that axis, whichever way the wind drifts the platform.
+
+    Args:
+        sensor: beams.
+        aperture: state of the platform.
+        reference_range: slant range of the middle of the image, m.
+        shape: pixels in range and azimuth.
+        spacing: of rows and of columns, m.
+
+    Raises:
+        UserError: too many pixels.
+    """
+    return _slant_plane(sensor, aperture, reference_range, aperture.forward, spacing, shape)
+
+
+def _slant_plane(
+    sensor: Sensor,
+    aperture: Aperture,
+    reference_range: float,
+    along: Array,
+    spacing: tuple[float, float],
+    shape: tuple[int, int],
+) -> Grid:
+    centre = aim_point(sensor, aperture, reference_range)
+    sight = centre - aperture.position
+    across = _unit(sight - (sight @ along) * along, "line of sight")
+    return _centred_grid(centre, across, along, spacing, shape)
 
 
 def ground_plane_grid(

@@ -17,6 +17,7 @@ from std_msgs.msg import Header
 
 from sal_height.errors import Rejected, UserError
 from sal_height.estimate import Validity
+from sal_height.focusing import Slc
 from sal_height.geometry import EARTH_RADIUS, Aperture, Grid
 from sal_height.height import HeightField
 from sal_height.phase_history import PhaseHistory
@@ -268,12 +269,7 @@ def history_from_messages(frames: Sequence[messages.DetectorFrame]) -> PhaseHist
 
 
 def slc_to_messages(
-    slc: ComplexArray,
-    grid: Grid,
-    aperture: Aperture,
-    noise_power: Sequence[float],
-    frame: messages.DetectorFrame,
-    provenance: messages.Provenance,
+    slc: Slc, frame: messages.DetectorFrame, provenance: messages.Provenance
 ) -> list[messages.ComplexImage]:
     """One ComplexImage per detector, with the stamp and dwell of `frame`."""
     return [
@@ -281,13 +277,13 @@ def slc_to_messages(
             header=Header(stamp=frame.header.stamp, frame_id=MAP_FRAME),
             dwell=frame.dwell,
             detector=detector,
-            grid=_grid_to_message(grid),
-            aperture=_aperture_to_message(aperture),
-            noise_power=noise_power[detector],
+            grid=_grid_to_message(slc.grid),
+            aperture=_aperture_to_message(slc.aperture),
+            noise_power=slc.noise_power[detector],
             samples=to_floats(image),
             provenance=provenance,
         )
-        for detector, image in enumerate(slc)
+        for detector, image in enumerate(slc.images)
     ]
 
 

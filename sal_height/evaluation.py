@@ -50,11 +50,7 @@ def truth_image(surface: VisibleSurface, aperture: Aperture, grid: Grid, resolut
     sight = surface.positions - aperture.position
     along = sight @ aperture.direction
     across = np.sqrt(np.maximum(np.sum(sight**2, axis=-1) - along**2, 0.0))
-    start = grid.origin - aperture.position
-    first_along = start @ aperture.direction
-    first_across = np.sqrt(start @ start - first_along**2)
-    row = np.rint((across - first_across) / grid.row_spacing).astype(int)
-    col = np.rint((along - first_along) / grid.col_spacing).astype(int)
+    row, col = (np.rint(index).astype(int) for index in pixels_at(across, along, aperture, grid))
     inside = (row >= 0) & (row < grid.rows) & (col >= 0) & (col < grid.cols)
     pixel = row[inside] * grid.cols + col[inside]
     seen_at = surface.elevation[inside]
@@ -75,6 +71,22 @@ def truth_image(surface: VisibleSurface, aperture: Aperture, grid: Grid, resolut
         per_gain = power / (total(gain) / power)
     cells = grid.row_spacing * grid.col_spacing / resolution_cell
     return Truth(height, elevation, per_gain / cells, spread < SINGLE_SPREAD * beams.beamwidth)
+
+
+def pixels_at(across: Array, along: Array, aperture: Aperture, grid: Grid) -> tuple[Array, Array]:
+    """Fractional rows and columns of a grid that have the distances `across` from and `along` the track (m).
+
+    The columns of a strip need not run along the track: `along` picks a line of pixels, which crosses the range once.
+    """
+    start, down = grid.origin - aperture.position, grid.row_spacing * grid.row_direction
+    side = grid.col_spacing * grid.col_direction
+    skew = float(down @ aperture.direction) / float(side @ aperture.direction)
+    col_at_first_row = (along - start @ aperture.direction) / (side @ aperture.direction)
+    line = down - skew * side
+    square, slope = line @ line, start @ line + col_at_first_row * (side @ line)
+    beyond = start @ start + col_at_first_row * (2 * start @ side + col_at_first_row * (side @ side))
+    row = (np.sqrt(slope**2 - square * (beyond - across**2 - along**2)) - slope) / square
+    return row, col_at_first_row - skew * row
 
 
 def height_bound(truth: Truth, cnr: float, looks: int, beams: Beams, squint: Array, height_slope: Array) -> Array:

@@ -12,6 +12,7 @@ from sal_height_msgs.msg import ComplexImage, DetectorFrame, HeightImage, Proven
 from sal_height import convert
 from sal_height.errors import Rejected, UserError
 from sal_height.estimate import Validity
+from sal_height.focusing import Slc
 from sal_height.geometry import Aperture, Grid
 from sal_height.height import HeightField
 from sal_height.phase_history import PhaseHistory
@@ -122,7 +123,7 @@ def test_images_grid_and_aperture_survive_their_messages(rng: np.random.Generato
     slc = rng.standard_normal((3, 6, 4, 2)).astype(np.float32).view(np.complex64)[..., 0]
     frame = DetectorFrame(dwell=9)
     frame.header.stamp = STAMP
-    messages = convert.slc_to_messages(slc, grid, aperture, [0.1, 0.2, 0.3], frame, Provenance(config_hash="x"))
+    messages = convert.slc_to_messages(Slc(slc, grid, aperture, [0.1, 0.2, 0.3]), frame, Provenance(config_hash="x"))
     images, back_grid, back_aperture, noise = convert.slc_from_messages([through_the_wire(m) for m in messages])
     assert np.array_equal(images, slc)
     assert noise.tolist() == [0.1, 0.2, 0.3]

@@ -15,7 +15,7 @@ from sal_height.errors import UserError
 
 Table = TypeVar("Table")
 
-KINDS = {int: "a whole number", float: "a number", str: "a text"}
+KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 """How messages call the types a parameter may have."""
 
 

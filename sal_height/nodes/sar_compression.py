@@ -10,43 +10,67 @@ from typing import Any
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import ComplexImage, DetectorFrame, Provenance
 
-from sal_height import __version__, compression, convert
-from sal_height.backprojection import backproject
+from sal_height import __version__, convert
 from sal_height.dwell import Dwell
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import Aperture, Grid
+from sal_height.focusing import Settings, Slc, StripFocuser, focus_dwell
+from sal_height.formers import FORMERS
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import as_json, parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import ODOMETRY_QOS
-from sal_height.processing import Processing
+from sal_height.phase_history import PhaseHistory
 from sal_height.sensor import Sensor
 from sal_height.trajectory import PlatformState, Trajectory
 from sal_height.waveform import range_compressed
-from sal_height.windows import WINDOWS, broadening
+from sal_height.windows import WINDOWS
 
 HELD_STATES = 20_000
 """Odometry samples held: 100 s at 200 Hz."""
+
+NOT_TRUSTED = "autofocus found nothing that it could trust, the image is as navigation focuses it."
 
 
 @dataclass(frozen=True)
 class Parameters:
     """Parameters of the node."""
 
+    former: str = parameter(
+        "auto", "image former; auto: the fast one where it is as good as backprojection", choices=("auto", *FORMERS)
+    )
     image_plane: str = parameter(
-        "slant", "plane of the image: slant (range and Doppler) or ground (horizontal)", choices=("slant", "ground")
+        "slant",
+        "plane of the image: slant (range and Doppler) or ground (horizontal, spotlight only)",
+        choices=("slant", "ground"),
     )
     rows: int = parameter(0, "pixels in range; 0: all of the range window (slant)", minimum=0, maximum=65536)
-    cols: int = parameter(0, "pixels in azimuth; 0: one beamwidth (slant)", minimum=0, maximum=65536)
+    cols: int = parameter(
+        0, "pixels in azimuth; 0: one beamwidth (spotlight) or a block's way (stripmap)", minimum=0, maximum=65536
+    )
     ground_spacing_m: float = parameter(1.0, "pixel spacing in the ground plane, m", minimum=1e-6, maximum=1e6)
     range_window: str = parameter("taylor", "window over the bandwidth", choices=tuple(sorted(WINDOWS)))
     azimuth_window: str = parameter("rectangular", "window over the aperture", choices=tuple(sorted(WINDOWS)))
+    autofocus: bool = parameter(False, "take off the phase error that all detectors share (spotlight only)")
     max_odometry_gap_s: float = parameter(
         0.5, "longest time between two odometry samples during a dwell, s", minimum=1e-6, maximum=3600.0
     )
     timeout_s: float = parameter(
         5.0, "wait for missing detectors or odometry, s", minimum=0.01, maximum=3600.0, read_only=True
     )
+
+    @property
+    def settings(self) -> Settings:
+        """Those that say what image is wanted."""
+        return Settings(
+            former=self.former,
+            image_plane=self.image_plane,
+            rows=self.rows,
+            cols=self.cols,
+            ground_spacing=self.ground_spacing_m,
+            range_window=self.range_window,
+            azimuth_window=self.azimuth_window,
+            autofocus=self.autofocus,
+        )
 
 
 class SarCompression(DwellStage):
@@ -58,6 +82,7 @@ class SarCompression(DwellStage):
         """Make the node; `node_arguments` go to rclpy's Node."""
         super().__init__("sar_compression", DetectorFrame, "phase_history", **node_arguments)
         self._states: list[PlatformState] = []
+        self._strip = ("", StripFocuser())
         self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS)
         self._slc = self.offer(ComplexImage, "slc")
 
@@ -82,28 +107,39 @@ class SarCompression(DwellStage):
         )
 
     def process(self, messages: list[DetectorFrame], sensor: Sensor) -> int:
-        """Compress a dwell and publish the image of each detector."""
+        """Compress a dwell, or what a block completes of a strip, and publish the image of each detector."""
         parameters = self.current_parameters()
-        history = convert.history_from_messages(messages)
-        history, sensor = range_compressed(history, sensor)
-        track = Trajectory(self._states_around(history.stamp_ns, float(history.pulse_times[-1])))
-        aperture = track.aperture(history.stamp_ns, history.pulse_times)
-        processing = Processing(parameters.range_window, parameters.azimuth_window)
-        reference = float(history.reference_range[len(history.reference_range) // 2])
-        grid = _grid(parameters, sensor, aperture, reference, broadening(processing.range_weights(sensor.sample_count)))
-        antenna = track.positions(history.stamp_ns, history.pulse_times)
-        slc = backproject(history, antenna, sensor, processing, grid)
+        history, spectrum = range_compressed(convert.history_from_messages(messages), sensor)
+        slc = self._focus(history, spectrum, parameters.settings)
+        if slc is None:
+            return 0
+        if slc.focus and not slc.focus.trusted:
+            self.ignore("autofocus", UserError(f"Dwell {messages[0].dwell}: {NOT_TRUSTED}"))
         provenance = Provenance(
             code_version=__version__,
             config_hash=sensor.config_hash,
             calibration_id=sensor.calibration_id,
             parameters=as_json(self.get_name(), parameters),
+            autofocus_phase=slc.autofocus_phase.tolist(),
         )
-        noise = compression.slc_noise_power(sensor, processing, len(antenna))
-        images = convert.slc_to_messages(slc, grid, aperture, noise, messages[0], provenance)
+        images = convert.slc_to_messages(slc, messages[0], provenance)
         for image in images:
             self._slc.publish(image)
         return len(images)
+
+    def _focus(self, history: PhaseHistory, sensor: Sensor, settings: Settings) -> Slc | None:
+        end_ns = history.stamp_ns + round(float(history.pulse_times[-1]) * 1e9)
+        if sensor.mode == "spotlight":
+            return focus_dwell(history, self._track(history.stamp_ns, end_ns), sensor, settings)
+        of, strip = self._strip
+        if of != sensor.config_hash:
+            strip = StripFocuser()
+            self._strip = (sensor.config_hash, strip)
+        begins_at = min(history.stamp_ns, strip.begins_at or history.stamp_ns)
+        return strip.focus_block(history, self._track(begins_at, end_ns), sensor, settings)
+
+    def _track(self, start_ns: int, end_ns: int) -> Trajectory:
+        return Trajectory(self._states_around(start_ns, (end_ns - start_ns) * 1e-9))
 
     def _on_odometry(self, message: Odometry) -> None:
         try:
@@ -129,18 +165,6 @@ class SarCompression(DwellStage):
 
 def _stamp(state: PlatformState) -> int:
     return state.stamp_ns
-
-
-def _grid(parameters: Parameters, sensor: Sensor, aperture: Aperture, reference: float, broadened: float) -> Grid:
-    """Pixels of the image that the parameters ask for."""
-    if parameters.image_plane == "ground":
-        if not (parameters.rows and parameters.cols):
-            raise UserError("Parameters rows and cols are 0; in the ground plane they must be given.")
-        spacing = parameters.ground_spacing_m
-        return compression.ground_plane_grid(sensor, aperture, reference, parameters.rows, parameters.cols, spacing)
-    all_rows, all_cols = compression.slant_plane_size(sensor, aperture, reference, broadened)
-    rows, cols = parameters.rows or all_rows, parameters.cols or all_cols
-    return compression.slant_plane_grid(sensor, aperture, reference, rows, cols, broadened)
 
 
 def main() -> int:

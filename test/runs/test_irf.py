@@ -17,6 +17,7 @@ from sal_height_msgs.msg import DetectorFrame, Provenance
 from sal_height import convert
 from sal_height.bag.writer import BagWriter
 from sal_height.cli import main
+from sal_height.focusing import Slc
 from sal_height.geometry import Grid
 from sal_height.runs import irf as irf_module
 
@@ -56,7 +57,7 @@ def write_bag(path: Path, dwells: int = 2, info: bool = True, **changes: Any) ->
             bag.write("/sensor_info", serialize_message(convert.sensor_to_message(sensor, stamp)), 0, 0)
         for dwell in range(dwells):
             frame, provenance = DetectorFrame(dwell=dwell), Provenance(config_hash=sensor.config_hash)
-            for message in convert.slc_to_messages(slc, GRID, aperture, [0.0] * 3, frame, provenance):
+            for message in convert.slc_to_messages(Slc(slc, GRID, aperture, [0.0] * 3), frame, provenance):
                 for name, value in changes.items():
                     setattr(message, name, value)
                 bag.write("/slc", serialize_message(message), dwell + 1, dwell + 1)

@@ -1,0 +1,173 @@
+"""The strip: pulses of consecutive stripmap blocks, held until the apertures of targets are complete, and its pixels.
+
+All images of a strip lie on one lattice of pixels, so that they join without seam or gap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.backprojection import filled_apertures
+from sal_height.compression import strip_grid
+from sal_height.geometry import Aperture, Grid
+from sal_height.phase_history import PhaseHistory
+from sal_height.processing import Processing
+from sal_height.sensor import Sensor
+from sal_height.windows import broadening
+
+Array = npt.NDArray[np.float64]
+
+WIDEST_GAP = 1.5
+"""Pulse intervals from one block to the next, beyond which pulses are missing."""
+
+GREATEST_DRIFT = 0.1
+"""Share of the range window by which the middle row may leave the reference range before the lattice is laid anew."""
+
+SPARE_PULSES = 16
+"""Pulses held beyond the aperture of the next column, from which others are interpolated."""
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Pulses held, and the pixels that come next.
+
+    Attributes:
+        history: pulses held; times count from its stamp.
+        antenna: position at each pulse held, m, shape (pulses, 3).
+        lattice: pixels from the next column on, as many as one image has.
+    """
+
+    history: PhaseHistory
+    antenna: Array
+    lattice: Grid
+
+
+def lay_lattice(
+    sensor: Sensor,
+    processing: Processing,
+    aperture: Aperture,
+    antenna: Array,
+    reference_range: float,
+    shape: tuple[int, int],
+) -> Grid:
+    """Pixels abeam of an aperture, a whole number of pulses apart along the flight, and not finer than resolved.
+
+    Args:
+        sensor: wavelength, bandwidth and beams.
+        processing: windows and processed angle.
+        aperture: state of the platform.
+        antenna: position at each pulse, m, shape (pulses, 3).
+        reference_range: slant range of the middle row, m.
+        shape: rows (0: all of the range window) and columns of an image (0: as long as the pulses' way).
+
+    Raises:
+        UserError: too many pixels.
+    """
+    way = float((antenna[-1] - antenna[0]) @ aperture.forward) / (len(antenna) - 1)
+    broad = [broadening(processing.range_weights(sensor.sample_count)), broadening(processing.azimuth_weights(1024))]
+    resolved = sensor.wavelength / (2 * processing.angle) * broad[1]
+    steps = max(1, int(resolved / way + 1e-6))
+    spacing = (sensor.range_resolution * broad[0], steps * way)
+    rows, cols = shape
+    rows = rows or max(1, int(sensor.sample_count / broad[0]))
+    return strip_grid(sensor, aperture, reference_range, (rows, cols or max(1, len(antenna) // steps)), spacing)
+
+
+def begin_strip(history: PhaseHistory, antenna: Array, lattice: Grid, processing: Processing) -> Strip:
+    """A strip of the pulses of its first block, whose first column is the first that they can fill.
+
+    Args:
+        history: of the block.
+        antenna: position at each pulse, m, shape (pulses, 3).
+        lattice: of pixels abeam of the block (`lay_lattice`).
+        processing: the processed angle.
+    """
+    first = float((antenna[0] - lattice.origin) @ lattice.col_direction) + _reach(lattice, antenna, processing)
+    return Strip(history, antenna, _moved(lattice, np.ceil(first / lattice.col_spacing)))
+
+
+def follows(history: PhaseHistory, strip: Strip, sensor: Sensor) -> bool:
+    """Whether the first pulse of a block is the next after those that the strip holds."""
+    since = (history.stamp_ns - strip.history.stamp_ns) * 1e-9 + history.pulse_times[0]
+    interval = (since - strip.history.pulse_times[-1]) * sensor.pulse_repetition_frequency
+    return bool(0 < interval < WIDEST_GAP)
+
+
+def extend_strip(strip: Strip, history: PhaseHistory, antenna: Array) -> Strip:
+    """The strip with the pulses of the next block."""
+    held = strip.history
+    later = (history.stamp_ns - held.stamp_ns) * 1e-9 + history.pulse_times
+    return replace(
+        strip,
+        history=PhaseHistory(
+            stamp_ns=held.stamp_ns,
+            pulse_times=np.concatenate([held.pulse_times, later]),
+            reference_range=np.concatenate([held.reference_range, history.reference_range]),
+            samples=np.concatenate([held.samples, history.samples], axis=1),
+        ),
+        antenna=np.concatenate([strip.antenna, antenna]),
+    )
+
+
+def drift(strip: Strip) -> float:
+    """Distance (m) by which the middle row, abeam of the last pulse, is off the reference range."""
+    lattice = strip.lattice
+    middle = lattice.points((lattice.rows - 1) / 2, 0.0)
+    sight = middle - strip.antenna[-1]
+    sight -= (sight @ lattice.col_direction) * lattice.col_direction
+    return float(np.linalg.norm(sight) - strip.history.reference_range[-1])
+
+
+def lay_anew(strip: Strip, lattice: Grid) -> Strip:
+    """The strip on another lattice, which goes on where the old one ends."""
+    first = float((strip.lattice.origin - lattice.origin) @ lattice.col_direction)
+    return replace(strip, lattice=_moved(lattice, first / lattice.col_spacing))
+
+
+def complete_columns(strip: Strip, processing: Processing) -> int:
+    """Number of columns, from the next one on, whose apertures the pulses held fill."""
+    lattice = strip.lattice
+    last = float((strip.antenna[-1] - lattice.origin) @ lattice.col_direction)
+    count = int((last - _reach(lattice, strip.antenna, processing)) / lattice.col_spacing) + 1
+    while count > 0:
+        ends = lattice.points(np.array([0.0, lattice.rows - 1.0]), np.full(2, count - 1.0))
+        if filled_apertures(ends, strip.antenna, lattice.col_direction, processing.angle).all():
+            return count
+        count -= 1
+    return 0
+
+
+def next_image(strip: Strip, cols: int, processing: Processing) -> tuple[Grid, Strip]:
+    """The pixels of the next `cols` columns, and the strip beyond them with the pulses that it still needs."""
+    grid, lattice = replace(strip.lattice, cols=cols), _moved(strip.lattice, cols)
+    needed = float(lattice.origin @ lattice.col_direction) - _reach(lattice, strip.antenna, processing)
+    first = int(np.searchsorted(strip.antenna @ lattice.col_direction, needed)) - SPARE_PULSES
+    held = slice(max(0, first), None)
+    history = replace(
+        strip.history,
+        pulse_times=strip.history.pulse_times[held],
+        reference_range=strip.history.reference_range[held],
+        samples=strip.history.samples[:, held].copy(),
+    )
+    return grid, Strip(history, strip.antenna[held], lattice)
+
+
+def abeam_time(strip: Strip, grid: Grid) -> float:
+    """Time (s after the stamp of the history held) at which the antenna is abeam of the middle column of `grid`."""
+    middle = float(grid.points(0.0, (grid.cols - 1) / 2) @ grid.col_direction)
+    return float(np.interp(middle, strip.antenna @ grid.col_direction, strip.history.pulse_times))
+
+
+def _reach(lattice: Grid, antenna: Array, processing: Processing) -> float:
+    """Half the aperture of the farthest row, m."""
+    far = lattice.points(lattice.rows - 1.0, 0.0) - antenna[-1]
+    across = far - (far @ lattice.col_direction) * lattice.col_direction
+    return float(np.linalg.norm(across) * np.tan(processing.angle / 2))
+
+
+def _moved(lattice: Grid, columns: float) -> Grid:
+    """The lattice from another column on."""
+    return replace(lattice, origin=lattice.points(0.0, columns))

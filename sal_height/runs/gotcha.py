@@ -29,10 +29,8 @@ FIELDS = ("fp", "freq", "x", "y", "z", "r0")
 SPEED = 100.0
 """Speed of flight (m/s) from which pulse times are made; the files have positions only."""
 
-BEAM = 0.01
-"""Beamwidth (rad) put into the sensor info; the files do not state the antenna, and focusing does not need it.
-
-This one lights the 100 m scene."""
+BEAM = 0.0145
+"""Beamwidth (rad) put into the sensor info; the files do not state the antenna. As wide as the pulses sample: 147 m."""
 
 FOCUSING = {
     "sar_compression": {

@@ -49,7 +49,7 @@ class Stage(Node):
         """Make the node; `node_arguments` go to rclpy's Node (context, parameter_overrides, ...)."""
         super().__init__(name, **node_arguments)
         self.tally = Tally()
-        self._last_rejection = ""
+        self.last_rejection = ""
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue(QUEUED_JOBS)
         self._products: list[Publisher] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -109,13 +109,13 @@ class Stage(Node):
     def reject(self, messages: int, error: Rejected) -> None:
         """Count messages left out, and say why."""
         self.tally.drop(messages, error.reason)
-        self._last_rejection = f"{error.reason}: {error}"
+        self.last_rejection = f"{error.reason}: {error}"
         self.get_logger().warning(f"Dropped {messages} ({error.reason}): {error}", throttle_duration_sec=1.0)
 
     def ignore(self, what: str, error: UserError) -> None:
         """Count a message beside the stream of frames that cannot be used, and say why."""
         self.tally.ignore(what)
-        self._last_rejection = f"{what}: {error}"
+        self.last_rejection = f"{what}: {error}"
         self.get_logger().warning(f"Ignored {what}: {error}", throttle_duration_sec=1.0)
 
     def publish_diagnostics(self) -> None:
@@ -125,7 +125,7 @@ class Stage(Node):
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if lost else DiagnosticStatus.OK,
             name=self.get_fully_qualified_name().lstrip("/"),
-            message=f"{lost} dropped or ignored, last {self._last_rejection}" if lost else "all messages processed",
+            message=f"{lost} dropped or ignored, last {self.last_rejection}" if lost else "all messages processed",
             values=[KeyValue(key=key, value=str(value)) for key, value in summary.items()]
             + [
                 KeyValue(key=f"subscribers.{p.topic_name}", value=str(p.get_subscription_count()))

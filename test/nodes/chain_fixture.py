@@ -21,6 +21,8 @@ from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 START_NS = 1_700_000_000_123_456_789
 TIMEOUT_S = 30.0
 
+DETECTORS = 8
+
 
 class Chain:
     """sar_compression, monopulse and ml_height in one graph; frames go in by hand, heights are collected."""
@@ -84,6 +86,16 @@ class Chain:
 
     def _keep(self, image: HeightImage) -> None:
         self.heights[image.estimator, image.dwell] = image
+
+
+def next_dwell_is_exact(chain: Chain, reference: dict[tuple[str, int], HeightImage]) -> None:
+    chain.publish(*chain.odometry(1), *chain.frames(1))
+    chain.await_heights(1)
+    for name in ("ml", "monopulse"):
+        assert same_heights(chain.heights[name, 1], reference[name, 1])
+    for summary in chain.accounts().values():
+        dropped = sum(value for key, value in summary.items() if key.startswith("dropped."))
+        assert summary["in"] == summary["processed"] + dropped + summary["waiting"]
 
 
 def same_heights(ours: HeightImage, theirs: HeightImage) -> bool:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+
 import pytest
 from chain_fixture import Chain
+from sal_height_msgs.msg import HeightImage
 
 from sal_height.flight import SimulatedFlight
 from sal_height.nodes.graph import Graph
@@ -22,3 +26,17 @@ def flight() -> SimulatedFlight:
 def chain(graph: Graph, flight: SimulatedFlight) -> Chain:
     """A connected chain that drops what misses something after 0.5 s."""
     return Chain(graph, flight, missing_after_s=0.5)
+
+
+@pytest.fixture(scope="session")
+def reference(
+    flight: SimulatedFlight, free_domain: Callable[[], AbstractContextManager[int]]
+) -> dict[tuple[str, int], HeightImage]:
+    """Heights of dwells 0 and 1 when all is well."""
+    with free_domain() as domain, Graph(domain) as graph:
+        chain = Chain(graph, flight, missing_after_s=30.0)
+        chain.publish(chain.sensor_info())
+        for dwell in (0, 1):
+            chain.publish(*chain.odometry(dwell), *chain.frames(dwell))
+            chain.await_heights(dwell)
+        return dict(chain.heights)

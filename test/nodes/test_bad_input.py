@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chain_fixture import Chain, same_heights
+from chain_fixture import DETECTORS, Chain, next_dwell_is_exact, same_heights
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sal_height_msgs.msg import ComplexImage, DetectorFrame, HeightImage
@@ -15,30 +15,6 @@ from sal_height_msgs.msg import ComplexImage, DetectorFrame, HeightImage
 from sal_height import convert
 from sal_height.errors import Rejected
 from sal_height.nodes.graph import Graph
-
-DETECTORS = 8
-
-
-@pytest.fixture(scope="module")
-def reference(flight: Any, free_domain: Any) -> dict[tuple[str, int], HeightImage]:
-    """Heights of dwells 0 and 1 when all is well."""
-    with free_domain() as domain, Graph(domain) as graph:
-        chain = Chain(graph, flight, missing_after_s=30.0)
-        chain.publish(chain.sensor_info())
-        for dwell in (0, 1):
-            chain.publish(*chain.odometry(dwell), *chain.frames(dwell))
-            chain.await_heights(dwell)
-        return dict(chain.heights)
-
-
-def next_dwell_is_exact(chain: Chain, reference: dict[tuple[str, int], HeightImage]) -> None:
-    chain.publish(*chain.odometry(1), *chain.frames(1))
-    chain.await_heights(1)
-    for name in ("ml", "monopulse"):
-        assert same_heights(chain.heights[name, 1], reference[name, 1])
-    for summary in chain.accounts().values():
-        dropped = sum(value for key, value in summary.items() if key.startswith("dropped."))
-        assert summary["in"] == summary["processed"] + dropped + summary["waiting"]
 
 
 def truncated(frame: DetectorFrame) -> None:

@@ -17,7 +17,7 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHO
 
 help:
 	@echo 'make setup   make the virtual environment .venv: ROS 2, Python packages, our messages (minutes the first time)'
-	@echo 'make demo    set up, then simulate and process both presets into out/'
+	@echo 'make demo    set up, then simulate and process three presets into out/'
 	@echo 'make test    set up, then check style and types and run the tests'
 	@echo 'make lint    set up, then check style and types'
 	@echo 'make colcon  set up, then build and test both packages with colcon'
@@ -52,8 +52,9 @@ $(messages): $(venv) constraints.txt $(wildcard msg_defs/*.* msg_defs/msg msg_de
 	@touch $@
 
 demo: setup
-	@rm -rf out/sal_spotlight out/xband_relief
+	@rm -rf out/sal_spotlight out/sal_stripmap out/xband_relief
 	.venv/bin/sal-height run --preset sal_spotlight --out out/sal_spotlight
+	.venv/bin/sal-height run --preset sal_stripmap --out out/sal_stripmap
 	.venv/bin/sal-height run --preset xband_relief --out out/xband_relief
 
 test: lint

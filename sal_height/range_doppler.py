@@ -17,12 +17,12 @@ import scipy.fft
 
 from sal_height.backprojection import filled_apertures
 from sal_height.chirp_z import ChirpZ, chirp_z
-from sal_height.compiled import WORKERS
+from sal_height.compiled import WORKERS, in_parallel
 from sal_height.errors import UserError
-from sal_height.fft import Rows
+from sal_height.fft import Rows, fast_length
 from sal_height.geometry import Grid
 from sal_height.phase_history import PhaseHistory
-from sal_height.phasors import phasors
+from sal_height.phasors import outer_phasors, phasors
 from sal_height.processing import Processing
 from sal_height.sensor import Sensor
 from sal_height.straight_track import Resampling, resampling, straight_track
@@ -36,6 +36,9 @@ ROWS_AT_ONCE = 32
 EVEN_PHASE = 0.003
 """Greatest phase (rad) that a pulse off its even place may make at the edge of the aperture, without resampling."""
 
+SMALL_PHASE = 0.001
+"""Greatest phase (rad) by which Dopplers may differ, in migration or in the scale of range, and be treated alike."""
+
 
 @dataclass(frozen=True)
 class _Filters:
@@ -46,7 +49,7 @@ class _Filters:
         resampling: to even steps; None: they are even.
         places: number of even places.
         range: from frequency to rows, for each Doppler: `before` of shape (length, frequencies).
-        azimuth: matched filter of each row over Doppler, (rows, length).
+        azimuth: matched filter of each row over Doppler, with what comes after `range`, (rows, length).
         fold: Doppler spectra that fall together where columns are that many steps apart.
     """
 
@@ -82,15 +85,16 @@ def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detect
     rows, cols = image.shape[1:]
     frequencies, length = samples.shape[2], filters.azimuth.shape[1]
     along, across = Rows(ROWS_AT_ONCE, length), Rows(ROWS_AT_ONCE, filters.range.length)
-    folded = Rows(ROWS_AT_ONCE, length // filters.fold)
+    width = length // filters.fold
+    folded = Rows(ROWS_AT_ONCE, width)
     doppler = np.empty((length, frequencies), dtype=np.complex64)
     compressed = np.empty((rows, length), dtype=np.complex64)
     for detector in detectors:
-        pulses = samples[detector] * filters.compensation
-        if filters.resampling:
-            pulses = filters.resampling.apply(pulses)
         for block in _blocks(frequencies):
-            along.data[: block.stop - block.start, : filters.places] = pulses[:, block].T
+            pulses = samples[detector, :, block] * filters.compensation[:, block]
+            if filters.resampling:
+                pulses = filters.resampling.apply(pulses)
+            along.data[: block.stop - block.start, : filters.places] = pulses.T
             along.data[:, filters.places :] = 0
             along.forward()
             doppler[:, block] = along.data[: block.stop - block.start].T
@@ -101,13 +105,13 @@ def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detect
             across.forward()
             lines *= filters.range.spectrum[block]
             across.backward()
-            lines[:, :rows] *= filters.range.after[block]
             compressed[:, block] = lines[:, :rows].T
         for block in _blocks(rows):
-            spectrum = compressed[block] * filters.azimuth[block]
-            np.sum(
-                spectrum.reshape(len(spectrum), filters.fold, -1), axis=1, out=folded.data[: block.stop - block.start]
-            )
+            lines = folded.data[: block.stop - block.start]
+            np.multiply(compressed[block, :width], filters.azimuth[block, :width], out=lines)
+            for first in range(width, length, width):
+                part = slice(first, first + width)
+                lines += compressed[block, part] * filters.azimuth[block, part]
             folded.backward()
             image[detector, block] = folded.data[: block.stop - block.start, :cols]
 
@@ -136,7 +140,7 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     aim = track.middle + track.places[:, None] * track.direction + across[0] / distance[0] * middle
     delay = np.linalg.norm(aim - antenna, axis=-1) - history.reference_range
     wavenumber = sensor.centre_wavenumber + sensor.wavenumber_step * (np.arange(frequencies) - frequencies // 2)
-    compensation = phasors(delay[:, None] * wavenumber)
+    compensation = outer_phasors(delay, wavenumber)
     compensation *= (processing.range_weights(frequencies) / frequencies).astype(np.float32)
     # Even steps, on which columns fall, and as many as a transform without wrap-around takes.
     begin = track.places.min()
@@ -144,21 +148,23 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     wanted = begin + step * np.arange(places)
     off = np.abs(wanted[:pulses] - track.places[: len(wanted)]).max() if places == pulses else np.inf
     even = off * sensor.centre_wavenumber * processing.angle / 2 < EVEN_PHASE
-    length = fold * int(scipy.fft.next_fast_len(int(np.ceil((places + half_aperture / step) / fold))))
+    length = fold * fast_length(int(np.ceil((places + half_aperture / step) / fold)))
     doppler = 2 * np.pi * scipy.fft.fftfreq(length, step)
     # Two-dimensional spectrum of the middle range, less its phase without migration (stationary phase).
     root = np.sqrt(wavenumber**2 - doppler[:, None] ** 2)
     migration = -middle * doppler[:, None] ** 2 / (wavenumber + root)
-    central = migration[:, frequencies // 2]
-    stretch = sensor.centre_wavenumber / root[:, frequencies // 2]
+    migration -= migration[:, frequencies // 2, None]
     row_step = (distance[-1] - distance[0]) / max(1, grid.rows - 1)
-    scaled = chirp_z(
-        sensor.wavenumber_step * row_step * stretch, frequencies, frequencies // 2, grid.rows, (grid.rows - 1) / 2
-    )
-    scaled.before[...] *= phasors(migration)
+    scale = sensor.wavenumber_step * row_step * sensor.centre_wavenumber / root[:, frequencies // 2]
+    if np.ptp(scale) * frequencies / 2 * grid.rows / 2 < SMALL_PHASE:
+        scale = scale[:1]
+    scaled = chirp_z(scale, frequencies, frequencies // 2, grid.rows, (grid.rows - 1) / 2)
+    before = scaled.before if np.abs(migration).max() < SMALL_PHASE else scaled.before * phasors(migration)
+    before, spectrum = (np.broadcast_to(lines, (length, lines.shape[1])) for lines in (before, scaled.spectrum))
     azimuth = _azimuth_filters(sensor, processing, distance, middle, step, length)
-    azimuth *= phasors(doppler * (first_column - begin) - central)
-    return _Filters(compensation, None if even else resampling(track.places, wanted), places, scaled, azimuth, fold)
+    azimuth *= phasors(doppler * (first_column - begin))
+    azimuth *= scaled.after.T
+    return _Filters(compensation, None if even else resampling(track.places, wanted), places, ChirpZ(before, spectrum, scaled.after), azimuth, fold)
 
 
 def _azimuth_filters(
@@ -169,8 +175,14 @@ def _azimuth_filters(
     Made in time, with the weight that backprojection gives to each angle, so that both filters are the same.
     """
     place = step * length * scipy.fft.fftfreq(length)
-    slant = np.sqrt(distance[:, None] ** 2 + place**2)
-    weight = processing.angle_weights(place / slant, step / slant)
-    replica = phasors(-sensor.centre_wavenumber * (slant - middle))
-    replica *= (weight / (weight.sum(axis=-1, keepdims=True) * length)).astype(np.float32)
+    near = np.flatnonzero(np.abs(place) <= processing.angle / 2 * distance.max() * 1.01 + step)
+    replica = np.zeros((len(distance), length), dtype=np.complex64)
+
+    def fill(block: slice) -> None:
+        slant = np.sqrt(distance[block, None] ** 2 + place[near] ** 2)
+        weight = processing.angle_weights(place[near] / slant, step / slant)
+        weight /= weight.sum(axis=-1, keepdims=True) * length
+        replica[block, near] = weight.astype(np.float32) * phasors(-sensor.centre_wavenumber * (slant - middle))
+
+    in_parallel(fill, len(distance), ROWS_AT_ONCE)
     return np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()

@@ -53,7 +53,7 @@ class Case:
 
 def spotlight(detectors: int, pulses: int, frequencies: int, rows: int, cols: int) -> Case:
     """The lidar of preset sal_spotlight at 2.5 GHz, one pulse every 1.25 mm; samples are noise."""
-    sensor = _sensor("sal_spotlight", detectors, pulses, frequencies, bandwidth=2.5e9)
+    sensor = replace(_sensor("sal_spotlight", detectors, pulses, frequencies), bandwidth=2.5e9, config_hash="")
     antenna = _track(pulses, 1.25e-3)
     col_spacing = sensor.wavelength * SLANT_RANGE / (2 * pulses * 1.25e-3)
     grid = _slant_plane(sensor, rows, cols, col_spacing)
@@ -82,7 +82,7 @@ def with_targets(case: Case, count: int = 50) -> Case:
     return replace(case, history=replace(case.history, samples=samples))
 
 
-def _sensor(preset: str, detectors: int, pulses: int, frequencies: int, **changes: float) -> Sensor:
+def _sensor(preset: str, detectors: int, pulses: int, frequencies: int) -> Sensor:
     sensor = load_preset(preset).make_sensor()
     boresights = LOOK_ANGLE + (np.arange(detectors) - (detectors - 1) / 2) * sensor.beamwidth / 2
     return replace(
@@ -92,7 +92,6 @@ def _sensor(preset: str, detectors: int, pulses: int, frequencies: int, **change
         elevation_boresights=tuple(boresights),
         noise_power=(1.0,) * detectors,
         config_hash="",
-        **changes,
     )
 
 

@@ -55,7 +55,9 @@ def chirp_z(steps: Array, inputs: int, n0: float, outputs: int, m0: float) -> Ch
     index[outputs:] -= length
     chirp = outer_phasors(-half, (index - m0 + n0) ** 2)
     spectrum = scipy.fft.fft(chirp, axis=-1, overwrite_x=True, workers=WORKERS)
-    spectrum /= np.float32(length)
+    spectrum *= np.float32(1 / length)
     return ChirpZ(
-        outer_phasors(half, (np.arange(inputs) - n0) ** 2), spectrum, outer_phasors(half, (np.arange(outputs) - m0) ** 2)
+        outer_phasors(half, (np.arange(inputs, dtype=np.float64) - n0) ** 2),
+        spectrum,
+        outer_phasors(half, (np.arange(outputs, dtype=np.float64) - m0) ** 2),
     )

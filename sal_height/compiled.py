@@ -23,11 +23,12 @@ def compiled(function: Function) -> Function:
     return cast("Function", njit(nogil=True, fastmath=True, error_model="numpy", cache=True)(function))
 
 
-def in_parallel(work: Callable[[slice], object], count: int, size: int) -> None:
-    """Do `work` on the slices of `size` items that make up `count`, on all processors at a time."""
+def in_parallel(work: Callable[[slice], object], count: int, least: int = 1) -> None:
+    """Do `work` on slices that make up `count` items, one for each processor but of `least` items or more."""
+    size = max(least, -(-count // WORKERS))
     pieces = [slice(first, min(first + size, count)) for first in range(0, count, size)]
     if len(pieces) == 1:
         work(pieces[0])
-    else:
+    elif pieces:
         with ThreadPoolExecutor(WORKERS) as pool:
             list(pool.map(work, pieces))

@@ -13,15 +13,15 @@ Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
 
 
-AT_ONCE = 2**15
-"""Numbers that a thread makes at a time."""
+SMALL = 2**15
+"""Numbers that are not worth a thread."""
 
 
 def phasors(phase: Array) -> ComplexArray:
     """exp(j phase), complex64 and of the shape of `phase` (rad); its error is the rounding of complex64."""
     result = np.empty(phase.shape, dtype=np.complex64)
     flat, numbers = np.ascontiguousarray(phase).reshape(-1), result.reshape(-1).view(np.float32)
-    in_parallel(lambda part: _fill(flat[part], numbers[2 * part.start : 2 * part.stop]), flat.size, AT_ONCE)
+    in_parallel(lambda part: _fill(flat[part], numbers[2 * part.start : 2 * part.stop]), flat.size, SMALL)
     return result
 
 
@@ -29,7 +29,7 @@ def outer_phasors(rows: Array, cols: Array) -> ComplexArray:
     """exp(j rows[i] cols[j]) as of `phasors`, complex64, shape (rows, cols); the phases are held nowhere."""
     result = np.empty((rows.size, cols.size), dtype=np.complex64)
     numbers = result.view(np.float32)
-    in_parallel(lambda part: _fill_outer(rows[part], cols, numbers[part]), rows.size, max(1, AT_ONCE // cols.size))
+    in_parallel(lambda part: _fill_outer(rows[part], cols, numbers[part]), rows.size, max(1, SMALL // cols.size))
     return result
 
 
@@ -50,7 +50,7 @@ def distance_phasors(wavenumber: float, points: Array, positions: Array, referen
     in_parallel(
         lambda part: _fill_distances(wavenumber, points[part], x, y, z, references, numbers[part]),
         len(points),
-        max(1, AT_ONCE // len(positions)),
+        max(1, SMALL // len(positions)),
     )
     return result
 

@@ -17,7 +17,7 @@ import scipy.fft
 
 from sal_height.backprojection import filled_apertures
 from sal_height.chirp_z import ChirpZ, chirp_z
-from sal_height.compiled import WORKERS, in_parallel
+from sal_height.compiled import WORKERS, compiled
 from sal_height.errors import UserError
 from sal_height.fft import Rows, fast_length
 from sal_height.geometry import Grid
@@ -30,7 +30,7 @@ from sal_height.straight_track import Resampling, resampling, straight_track
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
 
-ROWS_AT_ONCE = 32
+ROWS_AT_ONCE = 64
 """Rows that are transformed at a time: what fits into a processor's cache."""
 
 EVEN_PHASE = 0.003
@@ -91,13 +91,15 @@ def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detect
     compressed = np.empty((rows, length), dtype=np.complex64)
     for detector in detectors:
         for block in _blocks(frequencies):
-            pulses = samples[detector, :, block] * filters.compensation[:, block]
+            lines = along.data[: block.stop - block.start]
             if filters.resampling:
-                pulses = filters.resampling.apply(pulses)
-            along.data[: block.stop - block.start, : filters.places] = pulses.T
-            along.data[:, filters.places :] = 0
+                pulses = samples[detector, :, block] * filters.compensation[:, block]
+                lines[:, : filters.places] = filters.resampling.apply(pulses).T
+            else:
+                _multiply_transposed(samples[detector, :, block], filters.compensation[:, block], lines)
+            lines[:, filters.places :] = 0
             along.forward()
-            doppler[:, block] = along.data[: block.stop - block.start].T
+            doppler[:, block] = lines.T
         for block in _blocks(length):
             lines = across.data[: block.stop - block.start]
             np.multiply(doppler[block], filters.range.before[block], out=lines[:, :frequencies])
@@ -114,6 +116,16 @@ def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detect
                 lines += compressed[block, part] * filters.azimuth[block, part]
             folded.backward()
             image[detector, block] = folded.data[: block.stop - block.start, :cols]
+
+
+@compiled
+def _multiply_transposed(data: ComplexArray, factor: ComplexArray, result: ComplexArray) -> None:
+    """The transpose of data * factor to the beginning of the rows of `result`."""
+    for first in range(0, data.shape[0], 8):
+        for j in range(data.shape[1]):
+            line = result[j]
+            for i in range(first, min(first + 8, data.shape[0])):
+                line[i] = data[i, j] * factor[i, j]
 
 
 def _blocks(count: int) -> list[slice]:
@@ -151,20 +163,38 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     length = fold * fast_length(int(np.ceil((places + half_aperture / step) / fold)))
     doppler = 2 * np.pi * scipy.fft.fftfreq(length, step)
     # Two-dimensional spectrum of the middle range, less its phase without migration (stationary phase).
-    root = np.sqrt(wavenumber**2 - doppler[:, None] ** 2)
-    migration = -middle * doppler[:, None] ** 2 / (wavenumber + root)
-    migration -= migration[:, frequencies // 2, None]
     row_step = (distance[-1] - distance[0]) / max(1, grid.rows - 1)
-    scale = sensor.wavenumber_step * row_step * sensor.centre_wavenumber / root[:, frequencies // 2]
+    stretch = sensor.centre_wavenumber / np.sqrt(sensor.centre_wavenumber**2 - doppler**2)
+    scale = sensor.wavenumber_step * row_step * stretch
     if np.ptp(scale) * frequencies / 2 * grid.rows / 2 < SMALL_PHASE:
         scale = scale[:1]
     scaled = chirp_z(scale, frequencies, frequencies // 2, grid.rows, (grid.rows - 1) / 2)
-    before = scaled.before if np.abs(migration).max() < SMALL_PHASE else scaled.before * phasors(migration)
+    edges = _migration(middle, doppler, wavenumber[[0, -1]], sensor.centre_wavenumber)
+    before = scaled.before
+    if np.abs(edges).max() >= SMALL_PHASE:
+        before = before * phasors(_migration(middle, doppler, wavenumber, sensor.centre_wavenumber))
     before, spectrum = (np.broadcast_to(lines, (length, lines.shape[1])) for lines in (before, scaled.spectrum))
     azimuth = _azimuth_filters(sensor, processing, distance, middle, step, length)
     azimuth *= phasors(doppler * (first_column - begin))
     azimuth *= scaled.after.T
-    return _Filters(compensation, None if even else resampling(track.places, wanted), places, ChirpZ(before, spectrum, scaled.after), azimuth, fold)
+    return _Filters(
+        compensation,
+        None if even else resampling(track.places, wanted),
+        places,
+        ChirpZ(before, spectrum, scaled.after),
+        azimuth,
+        fold,
+    )
+
+
+def _migration(distance: float, doppler: Array, wavenumber: Array, central: float) -> Array:
+    """Phase (rad) of the matched filter of migration at `distance` (m), less that at the `central` wavenumber.
+
+    Shape (doppler, wavenumber); all of them in rad/m.
+    """
+    square = doppler[:, None] ** 2
+    phase = square / (wavenumber + np.sqrt(wavenumber**2 - square)) - square / (central + np.sqrt(central**2 - square))
+    return np.asarray(-distance * phase)
 
 
 def _azimuth_filters(
@@ -184,5 +214,6 @@ def _azimuth_filters(
         weight /= weight.sum(axis=-1, keepdims=True) * length
         replica[block, near] = weight.astype(np.float32) * phasors(-sensor.centre_wavenumber * (slant - middle))
 
-    in_parallel(fill, len(distance), ROWS_AT_ONCE)
+    with ThreadPoolExecutor(WORKERS) as pool:
+        list(pool.map(fill, _blocks(len(distance))))
     return np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()

@@ -8,14 +8,15 @@ second into columns. What that leaves out is known before anything is computed: 
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from sal_height.chirp_z import ChirpZ, chirp_z
-from sal_height.compiled import WORKERS, in_parallel
+from sal_height.compiled import WORKERS, compiled
 from sal_height.errors import UserError
 from sal_height.fft import Rows
 from sal_height.geometry import Grid
@@ -31,7 +32,7 @@ ComplexArray = npt.NDArray[np.complex64]
 ALLOWED_ERROR = 1e-4
 """Greatest expected error power, over that of the image."""
 
-ROWS_AT_ONCE = 32
+ROWS_AT_ONCE = 64
 """Rows that are transformed at a time: what fits into a processor's cache."""
 
 
@@ -133,7 +134,7 @@ def _factors(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     row_phase *= by_range.after[0][:, None]
     # A row bows: over its columns, the range from the middle of the track is not that of its middle.
     row_middle = np.linalg.norm(middles - track.middle, axis=-1)
-    columns = (np.arange(grid.cols) - middle[1])[:, None] * grid.col_spacing * grid.col_direction
+    columns = _columns(grid)
     after = distance_phasors(sensor.centre_wavenumber, middles, track.middle - columns, np.zeros(grid.cols))
     after *= by_azimuth.after
     after *= phasors(-sensor.centre_wavenumber * row_middle)[:, None]
@@ -193,12 +194,30 @@ def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:
 def _within_window(history: PhaseHistory, antenna: Array, sensor: Sensor, grid: Grid) -> npt.NDArray[np.bool_]:
     """Where a pixel is within the range window at the first, middle and last pulse, (rows, cols)."""
     within = np.ones(grid.shape, dtype=np.bool_)
-
-    def mark(block: slice) -> None:
-        part = replace(grid, origin=grid.points(block.start, 0), rows=block.stop - block.start)
-        for pulse in (0, len(antenna) // 2, -1):
-            delay = part.distances(antenna[pulse]) - history.reference_range[pulse]
-            within[block] &= np.abs(delay, out=delay) <= sensor.range_window / 2
-
-    in_parallel(mark, grid.rows, ROWS_AT_ONCE)
+    middles = grid.points(np.arange(grid.rows), np.full(grid.rows, (grid.cols - 1) / 2))
+    for pulse in (0, len(antenna) // 2, -1):
+        seen_from = antenna[pulse] - _columns(grid)
+        reference = float(history.reference_range[pulse])
+        _mark(middles, seen_from, reference - sensor.range_window / 2, reference + sensor.range_window / 2, within)
     return within
+
+
+def _columns(grid: Grid) -> Array:
+    """Way from the middle of a row to each column, m, (cols, 3).
+
+    A column is as far from a position as the middle of its row is from that position less this.
+    """
+    return (np.arange(grid.cols) - (grid.cols - 1) / 2)[:, None] * grid.col_spacing * grid.col_direction
+
+
+@compiled
+def _mark(points: Array, positions: Array, nearest: float, farthest: float, within: npt.NDArray[np.bool_]) -> None:
+    """Leave True only what pairs of points and positions are that far apart; `nearest` and `farthest` in m."""
+    x, y, z = positions[:, 0].copy(), positions[:, 1].copy(), positions[:, 2].copy()
+    for i in range(len(points)):
+        px, py, pz = points[i]
+        line = within[i]
+        for j in range(x.size):
+            dx, dy, dz = px - x[j], py - y[j], pz - z[j]
+            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+            line[j] &= (distance >= nearest) & (distance <= farthest)

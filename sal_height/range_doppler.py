@@ -8,6 +8,7 @@ inverse FFT.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -71,16 +72,16 @@ def focus_stripmap(
     """
     filters = _filters(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
-    parts = [range(first, len(image), WORKERS) for first in range(min(WORKERS, len(image)))]
     with ThreadPoolExecutor(WORKERS) as pool:
-        list(pool.map(lambda detectors: _focus(history.samples, filters, image, detectors), parts))
+        detectors = iter(range(len(image)))  # of which each worker takes the next
+        list(pool.map(lambda _: _focus(history.samples, filters, image, detectors), range(WORKERS)))
     edges = grid.points(np.array([0, grid.rows - 1])[:, None], np.arange(grid.cols)).reshape(-1, 3)
     complete = filled_apertures(edges, antenna, grid.col_direction, processing.angle).reshape(2, -1).all(axis=0)
     image[:, :, ~complete] = np.nan
     return image
 
 
-def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detectors: range) -> None:
+def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detectors: Iterator[int]) -> None:
     """Focus some detectors, one after the other."""
     rows, cols = image.shape[1:]
     frequencies, length = samples.shape[2], filters.azimuth.shape[1]

@@ -9,6 +9,7 @@ second into columns. What that leaves out is known before anything is computed: 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -67,16 +68,12 @@ def focus_spotlight(
     factors = _factors(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
     with ThreadPoolExecutor(WORKERS) as pool:
-        list(pool.map(lambda part: _focus(history.samples, factors, image, part), _parts(len(image))))
+        detectors = iter(range(len(image)))  # of which each worker takes the next
+        list(pool.map(lambda _: _focus(history.samples, factors, image, detectors), range(WORKERS)))
     return image
 
 
-def _parts(count: int) -> list[range]:
-    """Detectors of each worker."""
-    return [range(first, count, WORKERS) for first in range(min(WORKERS, count))]
-
-
-def _focus(samples: ComplexArray, factors: _Factors, image: ComplexArray, detectors: range) -> None:
+def _focus(samples: ComplexArray, factors: _Factors, image: ComplexArray, detectors: Iterator[int]) -> None:
     """Focus some detectors, one after the other: range, corner turn, azimuth."""
     rows, cols = image.shape[1:]
     pulses, frequencies = samples.shape[1:]

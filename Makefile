@@ -13,13 +13,14 @@ export PIP_CONSTRAINT = constraints.txt
 # A ROS installation that the calling shell has sourced stays out of the environment.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup demo test lint colcon clean
+.PHONY: help setup demo test lint bench colcon clean
 
 help:
 	@echo 'make setup   make the virtual environment .venv: ROS 2, Python packages, our messages (minutes the first time)'
 	@echo 'make demo    set up, then simulate and process three presets into out/'
 	@echo 'make test    set up, then check style and types and run the tests'
 	@echo 'make lint    set up, then check style and types'
+	@echo 'make bench   set up, then measure speed, memory and accuracy against their targets; writes bench.json'
 	@echo 'make colcon  set up, then build and test both packages with colcon'
 	@echo 'make clean   remove all that was made, .venv too'
 
@@ -38,7 +39,7 @@ $(packages): $(venv) constraints.txt setup.py pyproject.toml msg_defs/pyproject.
 	@requires=$$(.venv/bin/python -c 'import tomllib; \
 		print(*tomllib.load(open("msg_defs/pyproject.toml", "rb"))["build-system"]["requires"])') && \
 		PIP_BUILD_CONSTRAINT=constraints.txt $(pip) install --use-pep517 setuptools $$requires
-	@$(pip) install --no-build-isolation -e '.[dem,test,dev]'
+	@$(pip) install --no-build-isolation -e '.[dem,test,dev,fast]'
 	@touch $@
 
 # The compiler finds Python.h there if python3-dev is not installed.
@@ -64,6 +65,9 @@ lint: setup
 	.venv/bin/ruff format --check
 	.venv/bin/ruff check
 	.venv/bin/mypy
+
+bench: setup
+	.venv/bin/python -m benchmarks
 
 colcon: setup
 	. .venv/bin/activate && export AMENT_PREFIX_PATH=$$VIRTUAL_ENV CMAKE_PREFIX_PATH=$$VIRTUAL_ENV && \

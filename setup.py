@@ -38,6 +38,7 @@ setup(
     extras_require={
         "dem": ["rasterio"],
         "test": ["h5py", "pytest", "rosbags"],
+        "fast": ["pyfftw"],
         "dev": ["colcon-common-extensions", "mypy", "pre-commit", "ruff", "types-PyYAML"],
     },
     entry_points={

@@ -25,6 +25,9 @@ ComplexArray = npt.NDArray[np.complex64]
 PULSES_AT_ONCE = 16
 """Pulses whose dense profiles are held at a time: a few megabytes."""
 
+PIXELS_OF_IMAGE = 3 * 2**15
+"""Pixels that are summed up at a time, over all pulses: bounds the memory beside history and image."""
+
 PIXELS_AT_ONCE = 4096
 """Pixels whose geometry is held at a time: what fits into a processor's cache."""
 
@@ -33,9 +36,14 @@ def backproject(
     history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid
 ) -> ComplexArray:
     """Images of all detectors at the pixels of `grid`, (detectors, rows, cols); see `backproject_points`."""
-    points = grid.pixels().reshape(-1, 3)
-    image = backproject_points(history, antenna, sensor, processing, points, grid.col_direction)
-    return image.reshape(-1, *grid.shape)
+    image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
+    rows = max(1, PIXELS_OF_IMAGE // grid.cols)
+    for first in range(0, grid.rows, rows):
+        block = np.arange(first, min(first + rows, grid.rows))
+        points = grid.points(block[:, None], np.arange(grid.cols)).reshape(-1, 3)
+        values = backproject_points(history, antenna, sensor, processing, points, grid.col_direction)
+        image[:, block] = values.reshape(-1, len(block), grid.cols)
+    return image
 
 
 def backproject_points(

@@ -9,7 +9,8 @@ import numpy.typing as npt
 import scipy.fft
 
 from sal_height.compiled import WORKERS
-from sal_height.phasors import phasors
+from sal_height.fft import fast_length
+from sal_height.phasors import outer_phasors
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
@@ -48,13 +49,15 @@ def chirp_z(steps: Array, inputs: int, n0: float, outputs: int, m0: float) -> Ch
         outputs: numbers out.
         m0: index out that has no phase.
     """
-    length = scipy.fft.next_fast_len(inputs + outputs - 1)
-    half = steps[:, None] / 2
+    length = fast_length(inputs + outputs - 1)
+    half = steps / 2
     index = np.arange(length, dtype=np.float64)
     index[outputs:] -= length
-    chirp = phasors(-half * (index - m0 + n0) ** 2)
+    chirp = outer_phasors(-half, (index - m0 + n0) ** 2)
     spectrum = scipy.fft.fft(chirp, axis=-1, overwrite_x=True, workers=WORKERS)
-    spectrum /= np.float32(length)
+    spectrum *= np.float32(1 / length)
     return ChirpZ(
-        phasors(half * (np.arange(inputs) - n0) ** 2), spectrum, phasors(half * (np.arange(outputs) - m0) ** 2)
+        outer_phasors(half, (np.arange(inputs, dtype=np.float64) - n0) ** 2),
+        spectrum,
+        outer_phasors(half, (np.arange(outputs, dtype=np.float64) - m0) ** 2),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar, cast
 
 from numba import njit
@@ -20,3 +21,14 @@ def compiled(function: Function) -> Function:
     Sums may be reordered, and numbers are taken to be finite. Works fastest on one simple loop.
     """
     return cast("Function", njit(nogil=True, fastmath=True, error_model="numpy", cache=True)(function))
+
+
+def in_parallel(work: Callable[[slice], object], count: int, least: int = 1) -> None:
+    """Do `work` on slices that make up `count` items, one for each processor but of `least` items or more."""
+    size = max(least, -(-count // WORKERS))
+    pieces = [slice(first, min(first + size, count)) for first in range(0, count, size)]
+    if len(pieces) == 1:
+        work(pieces[0])
+    elif pieces:
+        with ThreadPoolExecutor(WORKERS) as pool:
+            list(pool.map(work, pieces))

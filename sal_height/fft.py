@@ -15,6 +15,11 @@ ComplexArray = npt.NDArray[np.complex64]
 BACKEND = "pyfftw" if find_spec("pyfftw") else "scipy"
 
 
+def fast_length(least: int) -> int:
+    """Smallest length from `least` on that suits FFTs and vector units: a multiple of 16, with factors 2, 3 and 5."""
+    return 16 * int(scipy.fft.next_fast_len(-(-least // 16), real=True))
+
+
 class Rows:
     """A buffer of rows, small enough for a processor's cache, and the transforms of its rows; for one thread.
 

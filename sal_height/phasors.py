@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+import math
 
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.compiled import WORKERS, compiled
+from sal_height.compiled import compiled, in_parallel
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
 
 
-SMALL = 2**16
+SMALL = 2**15
 """Numbers that are not worth a thread."""
 
 
@@ -21,13 +21,37 @@ def phasors(phase: Array) -> ComplexArray:
     """exp(j phase), complex64 and of the shape of `phase` (rad); its error is the rounding of complex64."""
     result = np.empty(phase.shape, dtype=np.complex64)
     flat, numbers = np.ascontiguousarray(phase).reshape(-1), result.reshape(-1).view(np.float32)
-    share = max(SMALL, -(-flat.size // WORKERS))
-    pieces = [slice(first, first + share) for first in range(0, flat.size, share)]
-    if len(pieces) == 1:
-        _fill(flat, numbers)
-    elif pieces:
-        with ThreadPoolExecutor(len(pieces)) as pool:
-            list(pool.map(lambda piece: _fill(flat[piece], numbers[2 * piece.start : 2 * piece.stop]), pieces))
+    in_parallel(lambda part: _fill(flat[part], numbers[2 * part.start : 2 * part.stop]), flat.size, SMALL)
+    return result
+
+
+def outer_phasors(rows: Array, cols: Array) -> ComplexArray:
+    """exp(j rows[i] cols[j]) as of `phasors`, complex64, shape (rows, cols); the phases are held nowhere."""
+    result = np.empty((rows.size, cols.size), dtype=np.complex64)
+    numbers = result.view(np.float32)
+    in_parallel(lambda part: _fill_outer(rows[part], cols, numbers[part]), rows.size, max(1, SMALL // cols.size))
+    return result
+
+
+def distance_phasors(wavenumber: float, points: Array, positions: Array, references: Array) -> ComplexArray:
+    """exp(j wavenumber (|points[i] - positions[j]| - references[j])) as of `phasors`.
+
+    Args:
+        wavenumber: rad/m.
+        points: m, shape (points, 3).
+        positions: m, shape (positions, 3).
+        references: m, shape (positions,).
+
+    Returns:
+        Complex64, shape (points, positions).
+    """
+    result = np.empty((len(points), len(positions)), dtype=np.complex64)
+    numbers, (x, y, z) = result.view(np.float32), np.ascontiguousarray(positions.T)
+    in_parallel(
+        lambda part: _fill_distances(wavenumber, points[part], x, y, z, references, numbers[part]),
+        len(points),
+        max(1, SMALL // len(positions)),
+    )
     return result
 
 
@@ -50,3 +74,28 @@ def _fill(phase: Array, result: npt.NDArray[np.float32]) -> None:
         cosine, sine = cosine_and_sine(phase[i] * 0.15915494309189535)
         result[2 * i] = cosine
         result[2 * i + 1] = sine
+
+
+@compiled
+def _fill_outer(rows: Array, cols: Array, result: npt.NDArray[np.float32]) -> None:
+    for i in range(rows.size):
+        turns, line = rows[i] * 0.15915494309189535, result[i]
+        for j in range(cols.size):
+            cosine, sine = cosine_and_sine(turns * cols[j])
+            line[2 * j] = cosine
+            line[2 * j + 1] = sine
+
+
+@compiled
+def _fill_distances(
+    wavenumber: float, points: Array, x: Array, y: Array, z: Array, references: Array, result: npt.NDArray[np.float32]
+) -> None:
+    turns = wavenumber * 0.15915494309189535
+    for i in range(len(points)):
+        px, py, pz = points[i]
+        line = result[i]
+        for j in range(x.size):
+            dx, dy, dz = px - x[j], py - y[j], pz - z[j]
+            cosine, sine = cosine_and_sine(turns * (math.sqrt(dx * dx + dy * dy + dz * dz) - references[j]))
+            line[2 * j] = cosine
+            line[2 * j + 1] = sine

@@ -8,6 +8,7 @@ inverse FFT.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -17,12 +18,12 @@ import scipy.fft
 
 from sal_height.backprojection import filled_apertures
 from sal_height.chirp_z import ChirpZ, chirp_z
-from sal_height.compiled import WORKERS
+from sal_height.compiled import WORKERS, compiled
 from sal_height.errors import UserError
-from sal_height.fft import Rows
+from sal_height.fft import Rows, fast_length
 from sal_height.geometry import Grid
 from sal_height.phase_history import PhaseHistory
-from sal_height.phasors import phasors
+from sal_height.phasors import outer_phasors, phasors
 from sal_height.processing import Processing
 from sal_height.sensor import Sensor
 from sal_height.straight_track import Resampling, resampling, straight_track
@@ -30,11 +31,14 @@ from sal_height.straight_track import Resampling, resampling, straight_track
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
 
-ROWS_AT_ONCE = 32
+ROWS_AT_ONCE = 64
 """Rows that are transformed at a time: what fits into a processor's cache."""
 
 EVEN_PHASE = 0.003
 """Greatest phase (rad) that a pulse off its even place may make at the edge of the aperture, without resampling."""
+
+SMALL_PHASE = 0.001
+"""Greatest phase (rad) by which Dopplers may differ, in migration or in the scale of range, and be treated alike."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class _Filters:
         resampling: to even steps; None: they are even.
         places: number of even places.
         range: from frequency to rows, for each Doppler: `before` of shape (length, frequencies).
-        azimuth: matched filter of each row over Doppler, (rows, length).
+        azimuth: matched filter of each row over Doppler, with what comes after `range`, (rows, length).
         fold: Doppler spectra that fall together where columns are that many steps apart.
     """
 
@@ -68,32 +72,35 @@ def focus_stripmap(
     """
     filters = _filters(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
-    parts = [range(first, len(image), WORKERS) for first in range(min(WORKERS, len(image)))]
     with ThreadPoolExecutor(WORKERS) as pool:
-        list(pool.map(lambda detectors: _focus(history.samples, filters, image, detectors), parts))
+        detectors = iter(range(len(image)))  # of which each worker takes the next
+        list(pool.map(lambda _: _focus(history.samples, filters, image, detectors), range(WORKERS)))
     edges = grid.points(np.array([0, grid.rows - 1])[:, None], np.arange(grid.cols)).reshape(-1, 3)
     complete = filled_apertures(edges, antenna, grid.col_direction, processing.angle).reshape(2, -1).all(axis=0)
     image[:, :, ~complete] = np.nan
     return image
 
 
-def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detectors: range) -> None:
+def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detectors: Iterator[int]) -> None:
     """Focus some detectors, one after the other."""
     rows, cols = image.shape[1:]
     frequencies, length = samples.shape[2], filters.azimuth.shape[1]
     along, across = Rows(ROWS_AT_ONCE, length), Rows(ROWS_AT_ONCE, filters.range.length)
-    folded = Rows(ROWS_AT_ONCE, length // filters.fold)
+    width = length // filters.fold
+    folded = Rows(ROWS_AT_ONCE, width)
     doppler = np.empty((length, frequencies), dtype=np.complex64)
     compressed = np.empty((rows, length), dtype=np.complex64)
     for detector in detectors:
-        pulses = samples[detector] * filters.compensation
-        if filters.resampling:
-            pulses = filters.resampling.apply(pulses)
         for block in _blocks(frequencies):
-            along.data[: block.stop - block.start, : filters.places] = pulses[:, block].T
-            along.data[:, filters.places :] = 0
+            lines = along.data[: block.stop - block.start]
+            if filters.resampling:
+                pulses = samples[detector, :, block] * filters.compensation[:, block]
+                lines[:, : filters.places] = filters.resampling.apply(pulses).T
+            else:
+                _multiply_transposed(samples[detector, :, block], filters.compensation[:, block], lines)
+            lines[:, filters.places :] = 0
             along.forward()
-            doppler[:, block] = along.data[: block.stop - block.start].T
+            doppler[:, block] = lines.T
         for block in _blocks(length):
             lines = across.data[: block.stop - block.start]
             np.multiply(doppler[block], filters.range.before[block], out=lines[:, :frequencies])
@@ -101,15 +108,25 @@ def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detect
             across.forward()
             lines *= filters.range.spectrum[block]
             across.backward()
-            lines[:, :rows] *= filters.range.after[block]
             compressed[:, block] = lines[:, :rows].T
         for block in _blocks(rows):
-            spectrum = compressed[block] * filters.azimuth[block]
-            np.sum(
-                spectrum.reshape(len(spectrum), filters.fold, -1), axis=1, out=folded.data[: block.stop - block.start]
-            )
+            lines = folded.data[: block.stop - block.start]
+            np.multiply(compressed[block, :width], filters.azimuth[block, :width], out=lines)
+            for first in range(width, length, width):
+                part = slice(first, first + width)
+                lines += compressed[block, part] * filters.azimuth[block, part]
             folded.backward()
             image[detector, block] = folded.data[: block.stop - block.start, :cols]
+
+
+@compiled
+def _multiply_transposed(data: ComplexArray, factor: ComplexArray, result: ComplexArray) -> None:
+    """The transpose of data * factor to the beginning of the rows of `result`."""
+    for first in range(0, data.shape[0], 8):
+        for j in range(data.shape[1]):
+            line = result[j]
+            for i in range(first, min(first + 8, data.shape[0])):
+                line[i] = data[i, j] * factor[i, j]
 
 
 def _blocks(count: int) -> list[slice]:
@@ -136,7 +153,7 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     aim = track.middle + track.places[:, None] * track.direction + across[0] / distance[0] * middle
     delay = np.linalg.norm(aim - antenna, axis=-1) - history.reference_range
     wavenumber = sensor.centre_wavenumber + sensor.wavenumber_step * (np.arange(frequencies) - frequencies // 2)
-    compensation = phasors(delay[:, None] * wavenumber)
+    compensation = outer_phasors(delay, wavenumber)
     compensation *= (processing.range_weights(frequencies) / frequencies).astype(np.float32)
     # Even steps, on which columns fall, and as many as a transform without wrap-around takes.
     begin = track.places.min()
@@ -144,21 +161,41 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     wanted = begin + step * np.arange(places)
     off = np.abs(wanted[:pulses] - track.places[: len(wanted)]).max() if places == pulses else np.inf
     even = off * sensor.centre_wavenumber * processing.angle / 2 < EVEN_PHASE
-    length = fold * int(scipy.fft.next_fast_len(int(np.ceil((places + half_aperture / step) / fold))))
+    length = fold * fast_length(int(np.ceil((places + half_aperture / step) / fold)))
     doppler = 2 * np.pi * scipy.fft.fftfreq(length, step)
     # Two-dimensional spectrum of the middle range, less its phase without migration (stationary phase).
-    root = np.sqrt(wavenumber**2 - doppler[:, None] ** 2)
-    migration = -middle * doppler[:, None] ** 2 / (wavenumber + root)
-    central = migration[:, frequencies // 2]
-    stretch = sensor.centre_wavenumber / root[:, frequencies // 2]
     row_step = (distance[-1] - distance[0]) / max(1, grid.rows - 1)
-    scaled = chirp_z(
-        sensor.wavenumber_step * row_step * stretch, frequencies, frequencies // 2, grid.rows, (grid.rows - 1) / 2
-    )
-    scaled.before[...] *= phasors(migration)
+    stretch = sensor.centre_wavenumber / np.sqrt(sensor.centre_wavenumber**2 - doppler**2)
+    scale = sensor.wavenumber_step * row_step * stretch
+    if np.ptp(scale) * frequencies / 2 * grid.rows / 2 < SMALL_PHASE:
+        scale = scale[:1]
+    scaled = chirp_z(scale, frequencies, frequencies // 2, grid.rows, (grid.rows - 1) / 2)
+    edges = _migration(middle, doppler, wavenumber[[0, -1]], sensor.centre_wavenumber)
+    before = scaled.before
+    if np.abs(edges).max() >= SMALL_PHASE:
+        before = before * phasors(_migration(middle, doppler, wavenumber, sensor.centre_wavenumber))
+    before, spectrum = (np.broadcast_to(lines, (length, lines.shape[1])) for lines in (before, scaled.spectrum))
     azimuth = _azimuth_filters(sensor, processing, distance, middle, step, length)
-    azimuth *= phasors(doppler * (first_column - begin) - central)
-    return _Filters(compensation, None if even else resampling(track.places, wanted), places, scaled, azimuth, fold)
+    azimuth *= phasors(doppler * (first_column - begin))
+    azimuth *= scaled.after.T
+    return _Filters(
+        compensation,
+        None if even else resampling(track.places, wanted),
+        places,
+        ChirpZ(before, spectrum, scaled.after),
+        azimuth,
+        fold,
+    )
+
+
+def _migration(distance: float, doppler: Array, wavenumber: Array, central: float) -> Array:
+    """Phase (rad) of the matched filter of migration at `distance` (m), less that at the `central` wavenumber.
+
+    Shape (doppler, wavenumber); all of them in rad/m.
+    """
+    square = doppler[:, None] ** 2
+    phase = square / (wavenumber + np.sqrt(wavenumber**2 - square)) - square / (central + np.sqrt(central**2 - square))
+    return np.asarray(-distance * phase)
 
 
 def _azimuth_filters(
@@ -169,8 +206,15 @@ def _azimuth_filters(
     Made in time, with the weight that backprojection gives to each angle, so that both filters are the same.
     """
     place = step * length * scipy.fft.fftfreq(length)
-    slant = np.sqrt(distance[:, None] ** 2 + place**2)
-    weight = processing.angle_weights(place / slant, step / slant)
-    replica = phasors(-sensor.centre_wavenumber * (slant - middle))
-    replica *= (weight / (weight.sum(axis=-1, keepdims=True) * length)).astype(np.float32)
+    near = np.flatnonzero(np.abs(place) <= processing.angle / 2 * distance.max() * 1.01 + step)
+    replica = np.zeros((len(distance), length), dtype=np.complex64)
+
+    def fill(block: slice) -> None:
+        slant = np.sqrt(distance[block, None] ** 2 + place[near] ** 2)
+        weight = processing.angle_weights(place[near] / slant, step / slant)
+        weight /= weight.sum(axis=-1, keepdims=True) * length
+        replica[block, near] = weight.astype(np.float32) * phasors(-sensor.centre_wavenumber * (slant - middle))
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        list(pool.map(fill, _blocks(len(distance))))
     return np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()

@@ -8,6 +8,8 @@ second into columns. What that leaves out is known before anything is computed: 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -15,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.chirp_z import ChirpZ, chirp_z
-from sal_height.compiled import WORKERS
+from sal_height.compiled import WORKERS, compiled
 from sal_height.errors import UserError
 from sal_height.fft import Rows
 from sal_height.geometry import Grid
 from sal_height.phase_history import PhaseHistory
-from sal_height.phasors import phasors
+from sal_height.phasors import distance_phasors, outer_phasors, phasors
 from sal_height.processing import Processing
 from sal_height.sensor import Sensor
 from sal_height.straight_track import straight_track
@@ -31,7 +33,7 @@ ComplexArray = npt.NDArray[np.complex64]
 ALLOWED_ERROR = 1e-4
 """Greatest expected error power, over that of the image."""
 
-ROWS_AT_ONCE = 32
+ROWS_AT_ONCE = 64
 """Rows that are transformed at a time: what fits into a processor's cache."""
 
 
@@ -40,8 +42,9 @@ class _Factors:
     """What is multiplied into the data of every detector alike.
 
     Attributes:
-        range: transform of the pulses, with `before` of shape (pulses, frequencies).
-        azimuth: transform of the rows, with `before` of shape (rows, pulses) and `after` of shape (rows, cols).
+        range: transform of the pulses, with `before` of shape (pulses, frequencies); what comes after is in `azimuth`.
+        azimuth: transform of the rows, with `before` of shape (rows, pulses) and `after` of shape (rows, cols), NaN
+            outside the range window.
     """
 
     range: ChirpZ
@@ -65,17 +68,12 @@ def focus_spotlight(
     factors = _factors(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
     with ThreadPoolExecutor(WORKERS) as pool:
-        list(pool.map(lambda part: _focus(history.samples, factors, image, part), _parts(len(image))))
-    image[:, ~_within_window(history, antenna, sensor, grid)] = np.nan
+        detectors = iter(range(len(image)))  # of which each worker takes the next
+        list(pool.map(lambda _: _focus(history.samples, factors, image, detectors), range(WORKERS)))
     return image
 
 
-def _parts(count: int) -> list[range]:
-    """Detectors of each worker."""
-    return [range(first, count, WORKERS) for first in range(min(WORKERS, count))]
-
-
-def _focus(samples: ComplexArray, factors: _Factors, image: ComplexArray, detectors: range) -> None:
+def _focus(samples: ComplexArray, factors: _Factors, image: ComplexArray, detectors: Iterator[int]) -> None:
     """Focus some detectors, one after the other: range, corner turn, azimuth."""
     rows, cols = image.shape[1:]
     pulses, frequencies = samples.shape[1:]
@@ -114,11 +112,9 @@ def _factors(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     row_range, scale = _rows(antenna, grid)
     step = (row_range[-1] - row_range[0]) / max(1, grid.rows - 1)
     by_range = chirp_z(np.array([sensor.wavenumber_step * step]), frequencies, frequencies // 2, grid.rows, middle[0])
-    weights = np.outer(
-        processing.azimuth_weights(pulses), processing.range_weights(frequencies) / (pulses * frequencies)
-    ).astype(np.float32)
-    dechirp = phasors(delay[:, None] * wavenumber) * by_range.before
-    dechirp *= weights
+    dechirp = outer_phasors(delay, wavenumber)
+    dechirp *= by_range.before * processing.range_weights(frequencies).astype(np.float32)
+    dechirp *= (processing.azimuth_weights(pulses) / (pulses * frequencies)).astype(np.float32)[:, None]
     # Azimuth: the middle of each row keeps its phase, then columns lie at even steps of the row's own scale.
     track = straight_track(antenna, grid.col_direction)
     by_azimuth = chirp_z(
@@ -129,14 +125,17 @@ def _factors(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
         middle[1],
     )
     middles = grid.points(np.arange(grid.rows), np.full(grid.rows, middle[1]))
-    to_row = _distances(middles, antenna) - to_centre
-    bow = grid.distances(track.middle) - np.linalg.norm(middles - track.middle, axis=-1)[:, None]
-    row_phase = phasors(sensor.centre_wavenumber * to_row)
+    row_phase = distance_phasors(sensor.centre_wavenumber, middles, antenna, to_centre)
     row_phase *= by_azimuth.before
-    after = phasors(sensor.centre_wavenumber * bow)
-    after *= by_azimuth.after
     # The chirp over rows that ends the range transform is the same for all pulses: it goes with the rows.
     row_phase *= by_range.after[0][:, None]
+    # A row bows: over its columns, the range from the middle of the track is not that of its middle.
+    row_middle = np.linalg.norm(middles - track.middle, axis=-1)
+    columns = _columns(grid)
+    after = distance_phasors(sensor.centre_wavenumber, middles, track.middle - columns, np.zeros(grid.cols))
+    after *= by_azimuth.after
+    after *= phasors(-sensor.centre_wavenumber * row_middle)[:, None]
+    after[~_within_window(history, antenna, sensor, grid)] = np.nan
     return _Factors(ChirpZ(dechirp, by_range.spectrum, by_range.after), ChirpZ(row_phase, by_azimuth.spectrum, after))
 
 
@@ -192,7 +191,30 @@ def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:
 def _within_window(history: PhaseHistory, antenna: Array, sensor: Sensor, grid: Grid) -> npt.NDArray[np.bool_]:
     """Where a pixel is within the range window at the first, middle and last pulse, (rows, cols)."""
     within = np.ones(grid.shape, dtype=np.bool_)
+    middles = grid.points(np.arange(grid.rows), np.full(grid.rows, (grid.cols - 1) / 2))
     for pulse in (0, len(antenna) // 2, -1):
-        delay = grid.distances(antenna[pulse]) - history.reference_range[pulse]
-        within &= np.abs(delay, out=delay) <= sensor.range_window / 2
+        seen_from = antenna[pulse] - _columns(grid)
+        reference = float(history.reference_range[pulse])
+        _mark(middles, seen_from, reference - sensor.range_window / 2, reference + sensor.range_window / 2, within)
     return within
+
+
+def _columns(grid: Grid) -> Array:
+    """Way from the middle of a row to each column, m, (cols, 3).
+
+    A column is as far from a position as the middle of its row is from that position less this.
+    """
+    return (np.arange(grid.cols) - (grid.cols - 1) / 2)[:, None] * grid.col_spacing * grid.col_direction
+
+
+@compiled
+def _mark(points: Array, positions: Array, nearest: float, farthest: float, within: npt.NDArray[np.bool_]) -> None:
+    """Leave True only what pairs of points and positions are that far apart; `nearest` and `farthest` in m."""
+    x, y, z = positions[:, 0].copy(), positions[:, 1].copy(), positions[:, 2].copy()
+    for i in range(len(points)):
+        px, py, pz = points[i]
+        line = within[i]
+        for j in range(x.size):
+            dx, dy, dz = px - x[j], py - y[j], pz - z[j]
+            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+            line[j] &= (distance >= nearest) & (distance <= farthest)

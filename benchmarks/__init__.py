@@ -1,0 +1,1 @@
+"""What the package promises of speed, memory and accuracy, measured: `make bench`."""

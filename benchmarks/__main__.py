@@ -1,0 +1,82 @@
+"""Measures all rows, prints them and writes bench.json; status 1 if one misses its target.
+
+`python -m benchmarks WORD…` measures only the groups whose name holds a word, and leaves bench.json alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable, Iterator
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from benchmarks import backprojection, fast_formers, memory
+from benchmarks.row import REPEATS, Row
+from sal_height.compiled import WORKERS
+
+GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
+    "fast-formers": fast_formers.against_fft,
+    "backprojection": backprojection.throughput,
+    "memory": memory.peak_memory,
+    "accuracy-backprojection": backprojection.accuracy,
+    "accuracy-fast-formers": fast_formers.against_backprojection,
+}
+"""All benchmarks: functions that measure rows. Add one here."""
+
+RESULT = Path("bench.json")
+
+
+def main(words: list[str]) -> int:
+    """Measure, print, write; the exit status."""
+    _print(machine())
+    rows: list[Row] = []
+    for name, measure in GROUPS.items():
+        if not words or any(word in name for word in words):
+            for row in measure():
+                _print(line(row))
+                rows.append(row)
+    missed = sum(not row.ok for row in rows)
+    _print(f"{len(rows) - missed} of {len(rows)} targets met{f', {missed} MISSED' if missed else ''}")
+    if not words:
+        RESULT.write_text(json.dumps([row.as_json() for row in rows], indent=1, ensure_ascii=False) + "\n", "utf-8")
+        _print(f"wrote {RESULT}")
+    return 1 if missed else 0
+
+
+def line(row: Row) -> str:
+    """The row as a line of the table, with what it refers to below."""
+    unit = "" if row.unit == "1" else f" {row.unit}"
+    verdict = "ok" if row.ok else "MISSED"
+    return f"{row.name:55} {row.value:9.2f}{unit:15}  {row.target:>8}  {verdict}\n    {row.reference}"
+
+
+def machine() -> str:
+    """What it is measured on, and what else the machine has to do."""
+    info = Path("/proc/cpuinfo")
+    text = info.read_text(encoding="utf-8") if info.exists() else ""
+    models = [entry.partition(":")[2].strip() for entry in text.splitlines() if entry.startswith("model name")]
+    libraries = " ".join(_versions("numpy", "scipy", "numba", "pyfftw", "ducc0", "mkl_fft"))
+    return (
+        f"{models[0] if models else platform.machine()}, {WORKERS} processors, load {os.getloadavg()[0]:.1f}\n"
+        f"Python {platform.python_version()}, {libraries}; medians of {REPEATS}, measured in turn"
+    )
+
+
+def _versions(*packages: str) -> Iterator[str]:
+    for package in packages:
+        try:
+            yield f"{package} {version(package)}"
+        except PackageNotFoundError:
+            continue
+
+
+def _print(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

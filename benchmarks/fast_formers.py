@@ -1,0 +1,98 @@
+"""The fast image formers against the FFT passes that they contain, and against backprojection."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.bare_fft import Pass, candidates
+from benchmarks.cases import Case, spotlight, stripmap, with_targets
+from benchmarks.row import Row, medians
+from sal_height import range_doppler, specan
+from sal_height.backprojection import backproject
+from sal_height.formers import Former
+
+ComplexArray = npt.NDArray[np.complex64]
+
+DETECTORS, PULSES, FREQUENCIES = 16, 512, 1024
+ROWS, COLS = 1024, 512
+
+
+def against_fft() -> Iterator[Row]:
+    """Whole compression of a dwell over the time of its FFT passes.
+
+    What a pass is: every FFT that the former makes of the samples, at its true length (with the zeros that a chirp
+    z-transform or a linear convolution needs), as one transform of a whole array of all detectors, along the axis in
+    which the data lie: [detector][pulse][frequency] or [detector][row][column]. The FFTs of filters do not count; what
+    it takes to make the filters counts as part of the compression.
+    """
+    case = spotlight(DETECTORS, PULSES, FREQUENCIES, ROWS, COLS)
+    yield _compare("specan", specan.focus_spotlight, case, specan_passes(case))
+    case = stripmap(DETECTORS, PULSES, FREQUENCIES, ROWS)
+    yield _compare("range_doppler", range_doppler.focus_stripmap, case, range_doppler_passes(case))
+
+
+def specan_passes(case: Case) -> list[Pass]:
+    """Chirp z-transforms of pulses to rows, and of rows to columns: forward and backward each."""
+    factors = specan._factors(case.history, case.antenna, case.sensor, case.processing, case.grid)
+    detectors, pulses, _ = case.history.samples.shape
+    return [
+        Pass((detectors, pulses, factors.range.length), 2, count=2),
+        Pass((detectors, case.grid.rows, factors.azimuth.length), 2, count=2),
+    ]
+
+
+def range_doppler_passes(case: Case) -> list[Pass]:
+    """Pulses to Doppler; chirp z-transform of frequencies to rows, forward and backward; Doppler to columns."""
+    filters = range_doppler._filters(case.history, case.antenna, case.sensor, case.processing, case.grid)
+    detectors, _, frequencies = case.history.samples.shape
+    length = filters.azimuth.shape[1]
+    return [
+        Pass((detectors, length, frequencies), 1),
+        Pass((detectors, length, filters.range.length), 2, count=2),
+        Pass((detectors, case.grid.rows, length // filters.fold), 2),
+    ]
+
+
+def _compare(name: str, former: Former, case: Case, passes: list[Pass]) -> Row:
+    """The former and all passes by all libraries in turn; of each pass the fastest library counts."""
+    libraries = [candidates(one) for one in passes]
+    functions: list[Callable[[], object]] = [lambda: case.form(former)]
+    functions += [function for library in libraries for function in library.values()]
+    whole, *parts = medians(*functions)
+    bare, winners = 0.0, []
+    for one, library in zip(passes, libraries, strict=True):
+        times = dict(zip(library, parts, strict=False))
+        parts = parts[len(library) :]
+        best = min(times, key=times.__getitem__)
+        bare += one.count * times[best]
+        others = ", ".join(f"{other} {1e3 * time:.0f}" for other, time in times.items() if other != best)
+        winners.append(f"{one} {best} {1e3 * times[best]:.0f} ms ({others})")
+    return Row(
+        f"{name}, {DETECTORS} × {PULSES} × {FREQUENCIES}, whole compression",
+        whole / bare,
+        "1",
+        "<= 1.5",
+        f"{1e3 * whole:.0f} ms over {1e3 * bare:.0f} ms of bare FFTs: {'; '.join(winners)}",
+    )
+
+
+def against_backprojection() -> Iterator[Row]:
+    """Error power of the images over that of backprojection's, where both are finite."""
+    cases: list[tuple[str, Former, Case]] = [
+        ("specan", specan.focus_spotlight, spotlight(1, PULSES, FREQUENCIES, ROWS, 64)),
+        ("range_doppler", range_doppler.focus_stripmap, with_targets(stripmap(1, PULSES, FREQUENCIES // 4, 200))),
+    ]
+    for name, former, case in cases:
+        fast, exact = case.form(former), case.form(backproject)
+        finite = np.isfinite(fast) & np.isfinite(exact)
+        error = np.sum(np.abs(fast - exact)[finite] ** 2) / np.sum(np.abs(exact)[finite] ** 2)
+        yield Row(
+            f"{name}, error power",
+            10 * float(np.log10(error)),
+            "dB",
+            "<= -40",
+            f"backprojection at {np.mean(finite):.0%} of {case.grid.rows} × {case.grid.cols} pixels",
+        )

@@ -1,0 +1,54 @@
+"""Peak memory of a compression, measured in a process of its own: `python -m benchmarks.memory FORMER` prints it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from benchmarks.cases import Case, spotlight, stripmap
+from benchmarks.row import Row
+from sal_height.formers import FORMERS
+
+DETECTORS, PULSES, FREQUENCIES, ROWS, COLS = 16, 512, 1024, 1024, 512
+
+
+def peak_memory() -> Iterator[Row]:
+    """Phase history and all that its compression adds to the resident memory, image included, over the history."""
+    for former in FORMERS:
+        command = [sys.executable, "-m", "benchmarks.memory", former]
+        result = subprocess.run(command, check=True, capture_output=True, text=True)  # noqa: S603 (our own module)
+        history, growth = map(int, result.stdout.split())
+        yield Row(
+            f"{former}, peak memory",
+            (history + growth) / history,
+            "1",
+            "<= 3",
+            f"phase history of {history / 1e6:.0f} MB; growth of the resident memory (VmHWM) {growth / 1e6:.0f} MB",
+        )
+
+
+def _case(former: str, detectors: int, pulses: int, frequencies: int, rows: int) -> Case:
+    if former == "range_doppler":
+        return stripmap(detectors, pulses, frequencies, rows)
+    return spotlight(detectors, pulses, frequencies, rows, COLS)
+
+
+def _measure(former: str) -> None:
+    """Print the bytes of the phase history, and those by which the peak lies above what was resident before."""
+    _case(former, 2, PULSES, 64, 64).form(FORMERS[former])  # so that code and libraries are loaded
+    case = _case(former, DETECTORS, PULSES, FREQUENCIES, ROWS)
+    before = _resident("VmRSS")
+    case.form(FORMERS[former])
+    sys.stdout.write(f"{case.history.samples.nbytes} {_resident('VmHWM') - before}\n")
+
+
+def _resident(key: str) -> int:
+    """Resident memory of this process, bytes: VmRSS now, VmHWM at its highest (ru_maxrss knows the parent's, too)."""
+    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(f"{key}:"))
+
+
+if __name__ == "__main__":
+    _measure(sys.argv[1])

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from sal_height.backprojection import filled_apertures
+from sal_height.backprojection import valid_pixels
 from sal_height.chirp_z import ChirpZ, chirp_z
 from sal_height.compiled import WORKERS
 from sal_height.errors import UserError
@@ -35,6 +35,9 @@ ROWS_AT_ONCE = 32
 
 EVEN_PHASE = 0.003
 """Greatest phase (rad) that a pulse off its even place may make at the edge of the aperture, without resampling."""
+
+COARSER = 1.02
+"""Greatest even step over the pulse spacing: what the pulses sample and steps do not would appear as ambiguities."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +74,7 @@ def focus_stripmap(
     parts = [range(first, len(image), WORKERS) for first in range(min(WORKERS, len(image)))]
     with ThreadPoolExecutor(WORKERS) as pool:
         list(pool.map(lambda detectors: _focus(history.samples, filters, image, detectors), parts))
-    edges = grid.points(np.array([0, grid.rows - 1])[:, None], np.arange(grid.cols)).reshape(-1, 3)
-    complete = filled_apertures(edges, antenna, grid.col_direction, processing.angle).reshape(2, -1).all(axis=0)
-    image[:, :, ~complete] = np.nan
+    image[:, ~valid_pixels(history, antenna, sensor, processing.angle, grid)] = np.nan
     return image
 
 
@@ -119,7 +120,7 @@ def _blocks(count: int) -> list[slice]:
 def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid) -> _Filters:
     pulses, frequencies = history.samples.shape[1:]
     track = straight_track(antenna, grid.col_direction)
-    fold = max(1, round(grid.col_spacing / track.spacing))
+    fold = max(1, int(np.ceil(grid.col_spacing / (COARSER * track.spacing))))
     step = grid.col_spacing / fold
     across = grid.points(np.arange(grid.rows), np.zeros(grid.rows)) - track.middle
     first_column = float(across[0] @ track.direction)
@@ -144,7 +145,7 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     wanted = begin + step * np.arange(places)
     off = np.abs(wanted[:pulses] - track.places[: len(wanted)]).max() if places == pulses else np.inf
     even = off * sensor.centre_wavenumber * processing.angle / 2 < EVEN_PHASE
-    length = fold * int(scipy.fft.next_fast_len(int(np.ceil((places + half_aperture / step) / fold))))
+    length = fold * int(scipy.fft.next_fast_len(max(grid.cols, int(np.ceil((places + half_aperture / step) / fold)))))
     doppler = 2 * np.pi * scipy.fft.fftfreq(length, step)
     # Two-dimensional spectrum of the middle range, less its phase without migration (stationary phase).
     root = np.sqrt(wavenumber**2 - doppler[:, None] ** 2)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.backprojection import valid_pixels
 from sal_height.chirp_z import ChirpZ, chirp_z
 from sal_height.compiled import WORKERS
 from sal_height.errors import UserError
@@ -66,7 +67,7 @@ def focus_spotlight(
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
     with ThreadPoolExecutor(WORKERS) as pool:
         list(pool.map(lambda part: _focus(history.samples, factors, image, part), _parts(len(image))))
-    image[:, ~_within_window(history, antenna, sensor, grid)] = np.nan
+    image[:, ~valid_pixels(history, antenna, sensor, 0.0, grid)] = np.nan
     return image
 
 
@@ -187,12 +188,3 @@ def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:
     to_centre = np.linalg.norm(grid.points((grid.rows - 1) / 2, middle) - antenna, axis=-1)
     migration = (distance - to_centre - row_range[:, None, None]) / sensor.range_resolution
     return float(np.max(np.mean(phase**2 + (np.pi * migration) ** 2 / 3, axis=-1)))
-
-
-def _within_window(history: PhaseHistory, antenna: Array, sensor: Sensor, grid: Grid) -> npt.NDArray[np.bool_]:
-    """Where a pixel is within the range window at the first, middle and last pulse, (rows, cols)."""
-    within = np.ones(grid.shape, dtype=np.bool_)
-    for pulse in (0, len(antenna) // 2, -1):
-        delay = grid.distances(antenna[pulse]) - history.reference_range[pulse]
-        within &= np.abs(delay, out=delay) <= sensor.range_window / 2
-    return within

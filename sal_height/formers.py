@@ -44,8 +44,10 @@ def choose_former(name: str, antenna: Array, sensor: Sensor, grid: Grid) -> Form
         grid: pixels.
 
     Raises:
-        UserError: a fast former that is not for the sensor's mode.
+        UserError: there is no former of that name, or it is a fast one that is not for the sensor's mode.
     """
+    if name != "auto" and name not in FORMERS:
+        raise UserError(f"The former is {name!r}; allowed are auto, {', '.join(FORMERS)}.")
     if name in FAST.values() and name != FAST[sensor.mode]:
         raise UserError(
             f"The former {name} does not work in {sensor.mode}; allowed are {FAST[sensor.mode]} and backprojection."

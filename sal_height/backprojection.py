@@ -255,7 +255,7 @@ def _samples(
     """Index of the first tap, and the fraction of a sample by which the delay lies past its sample."""
     for i in range(delay.size):
         position = min(max(delay[i], -half_window), half_window) * per_metre + middle
-        before = np.floor(position)
+        before = min(np.floor(position), 2 * middle - 1)  # the end of the window is the last sample's, not one beyond
         sample[i] = np.int32(before) + 1
         fraction[i] = np.float32(position - before)
 

@@ -25,7 +25,9 @@ from sal_height.phase_history import PhaseHistory
 from sal_height.phasors import phasors
 from sal_height.processing import Processing
 from sal_height.sensor import Sensor
+from sal_height.specan import ALLOWED_ERROR
 from sal_height.straight_track import Resampling, resampling, straight_track
+from sal_height.stripmap import processed_angle
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
@@ -67,8 +69,16 @@ def focus_stripmap(
     """Images of all detectors, (detectors, rows, cols); parameters and result as of `backprojection.backproject`.
 
     Raises:
-        UserError: columns so close that the pulses do not sample them.
+        UserError: pulses so far apart that they do not sample the processed aperture, or the image would differ from
+            backprojection's by more than ALLOWED_ERROR, by geometry.
     """
+    error = expected_error(antenna, sensor, grid)
+    if error > ALLOWED_ERROR:
+        raise UserError(
+            f"The former range_doppler would err by {10 * np.log10(error):.1f} dB on this strip, whose track is too "
+            "uneven or whose rows are not at even steps of range; at most "
+            f"{10 * np.log10(ALLOWED_ERROR):.0f} dB are allowed; use backprojection."
+        )
     filters = _filters(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
     parts = [range(first, len(image), WORKERS) for first in range(min(WORKERS, len(image)))]
@@ -175,3 +185,36 @@ def _azimuth_filters(
     replica = phasors(-sensor.centre_wavenumber * (slant - middle))
     replica *= (weight / (weight.sum(axis=-1, keepdims=True) * length)).astype(np.float32)
     return np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()
+
+
+def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:
+    """Power of the difference to backprojection over that of the image, by geometry; the worst of 25 pixels.
+
+    As of `specan.expected_error`: what the compensation of motion leaves of the pulses in a pixel's aperture, by how
+    much rows are not at even steps of range, and pulses not at even steps of the track. Sidelobes far along the track,
+    which lie elsewhere where targets migrate by cells, add -40 dB if the azimuth window has low ones and -25 dB if it
+    is rectangular.
+    """
+    angle = processed_angle(sensor)
+    track = straight_track(antenna, grid.col_direction)
+    rows, cols = (np.linspace(0, n - 1, 5) for n in grid.shape)
+    pixels = grid.points(rows[:, None], cols)[:, :, None]
+    across = grid.points(np.array([0, *rows, grid.rows - 1]), np.zeros(7)) - track.middle
+    across -= (across @ track.direction)[:, None] * track.direction
+    first, *distance, last = np.linalg.norm(across, axis=-1)
+    middle = (first + last) / 2
+    aim = track.middle + track.places[:, None] * track.direction + across[0] / first * middle
+    seen = np.linalg.norm(pixels - antenna, axis=-1)
+    along = (pixels - track.middle) @ track.direction - track.places
+    straight = np.hypot(np.array(distance)[:, None, None], along)
+    left = seen - (np.linalg.norm(aim - antenna, axis=-1) - middle) - straight
+    off = np.array(distance) - np.linspace(first, last, 5)
+    error = (sensor.centre_wavenumber * left) ** 2
+    error += (np.pi / sensor.range_resolution * (left + off[:, None, None])) ** 2 / 3
+    within = np.abs(along) <= angle / 2 * seen
+    count = np.maximum(1, np.sum(within, axis=-1, keepdims=True))
+    # Even steps weigh a pulse by its distance to the next; backprojection weighs all pulses alike.
+    steps = np.gradient(track.places) * np.ones_like(seen)
+    mean_step = np.sum(steps * within, axis=-1, keepdims=True) / count
+    error += (steps / np.where(mean_step, mean_step, np.inf) - 1) ** 2
+    return float(np.max(np.sum(error * within, axis=-1, keepdims=True) / count))

@@ -60,7 +60,7 @@ def focus_spotlight(
     error = expected_error(antenna, sensor, grid)
     if error > ALLOWED_ERROR:
         raise UserError(
-            f"The former specan would err by {10 * np.log10(error):.0f} dB on this dwell, which is too wide or uneven; "
+            f"The former specan would err by {10 * np.log10(error):.1f} dB on this dwell, which is too wide or uneven; "
             f"at most {10 * np.log10(ALLOWED_ERROR):.0f} dB are allowed; use backprojection."
         )
     factors = _factors(history, antenna, sensor, processing, grid)
@@ -161,7 +161,8 @@ def _rows(antenna: Array, grid: Grid) -> tuple[Array, Array]:
 def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:
     """Power of the difference to backprojection over that of the image, by geometry; the worst of 25 pixels.
 
-    A phase error p (rad) of a pulse adds p^2, a range error of x cells (pi x)^2 / 3; a phase that is constant is none.
+    A phase error p (rad) of a pulse adds p^2, also one that is the same in all pulses, and a range error of x cells
+    (pi x)^2 / 3.
     """
     rows, cols = (np.linspace(0, n - 1, 5) for n in grid.shape)
     middle = (grid.cols - 1) / 2

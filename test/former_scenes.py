@@ -143,6 +143,7 @@ def strip(
     offset: float = 0.3,
     gust: float = 0.0,
     drift: float = 0.0,
+    crab: float = 0.0,
     look_side: int = 1,
     processing: Processing = TAPERED,
     row_spacing: float = 1.3,
@@ -166,6 +167,7 @@ def strip(
         offset: of the columns from the pulses, in pulses.
         gust: m/s rms at a speed of 50 m/s.
         drift: share by which the speed changes from the first to the last pulse.
+        crab: way to the left and half of it up over that along the columns, which are square to the beams.
         look_side: 1 right, -1 left.
         processing: windows; the angle is the beamwidth.
         row_spacing: over the resolution.
@@ -182,7 +184,7 @@ def strip(
     )  # fmt: skip
     index = np.arange(pulses) - (pulses - 1) / 2
     steps = spacing * (index + drift * (index**2 / pulses - pulses / 12))
-    antenna = np.array([0.0, 0.0, reach * np.cos(LOOK)]) + steps[:, None] * EAST
+    antenna = np.array([0.0, 0.0, reach * np.cos(LOOK)]) + steps[:, None] * np.array([1.0, crab, crab / 2])
     direction = EAST
     if gust:
         antenna, direction = gusty_track(antenna, index * spacing / 50.0, gust, rng)
@@ -217,3 +219,14 @@ def echoes(case: Case, positions: Array, amplitudes: npt.ArrayLike) -> PhaseHist
             clean = direct_history(case.sensor, position[None], [1.0], case.antenna[lit], reference[lit])
             samples[:, lit] += amplitude[:, None, None] * np.sinc(turn[lit, None]) * clean
     return replace(case.history, samples=samples.astype(np.complex64))
+
+
+def on_the_ground(case: Case, rng: np.random.Generator) -> Case:
+    """A strip's pixels and new targets in the horizontal plane through its middle."""
+    grid = case.grid
+    outwards = np.array([0.0, np.sign(grid.row_direction[1]), 0.0])
+    middle, spacing = grid.points((grid.rows - 1) / 2, 0), grid.row_spacing / np.sin(LOOK)
+    origin = middle - (grid.rows - 1) / 2 * spacing * outwards
+    case = replace(case, grid=replace(grid, origin=origin, row_direction=outwards, row_spacing=spacing))
+    targets = case.grid.points(rng.uniform(0, grid.rows - 1, 20), rng.uniform(0, grid.cols - 1, 20))
+    return case.with_targets(targets, circular(rng, (len(case.history.samples), 20)))

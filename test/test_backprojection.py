@@ -11,6 +11,7 @@ from sal_height import backprojection
 from sal_height.backprojection import backproject, backproject_points, valid_pixels
 from sal_height.compression import slant_plane_grid, slc_noise_power
 from sal_height.geometry import Grid, look_direction
+from sal_height.interpolation import TAPS, dense_profiles
 from sal_height.phase_history import PhaseHistory
 from sal_height.processing import Processing
 from sal_height.sensor import Sensor
@@ -285,3 +286,14 @@ def test_strip_is_nan_where_the_aperture_is_not_filled_or_a_pulse_of_it_does_not
     assert 0.2 < np.mean(filled & reached) < 0.6
     np.testing.assert_array_equal(np.isfinite(image), filled & reached)
     np.testing.assert_array_equal(valid_pixels(history, antenna, STRIP, angle, grid), filled & reached)
+
+
+def test_point_at_the_very_end_of_the_window_reads_no_sample_beyond_it() -> None:
+    """A pulse that does not reach a point is read at the end of its profile, which must not be past the array."""
+    delay = np.array([-9.0, -2.0, 0.1, 2.0, 9.0])
+    sample, fraction = np.empty(5, np.int32), np.empty(5, np.float32)
+    backprojection._samples(delay, 16.0, 32.0, 2.0, sample, fraction)
+    np.testing.assert_array_equal(sample, [1, 1, 34, 64, 64])
+    np.testing.assert_allclose(fraction, [0, 0, 0.6, 1, 1], atol=1e-6)
+    profile = dense_profiles(np.ones((1, 1, 32), np.complex64), np.ones(32))
+    assert sample.max() + TAPS - 1 < profile.shape[1]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from former_scenes import EAST, SAL, Case, dwell, strip
+from former_scenes import EAST, SAL, XBAND, Case, dwell, on_the_ground, strip
 from helpers import assert_one_sentence
 
 from sal_height.backprojection import backproject
@@ -55,6 +55,17 @@ def test_strips_are_formed_by_range_doppler(lidar_strip: Case) -> None:
     assert lidar_strip.grid.rows * lidar_strip.grid.cols > FEW_PIXELS
     assert chosen(lidar_strip) is focus_stripmap
     assert chosen(lidar_strip, rows=4) is backproject
+
+
+def test_a_strip_on_which_range_doppler_errs_is_formed_by_backprojection() -> None:
+    """Of a radar in gusts that move it by metres; of any on the ground, where rows are at uneven steps of range."""
+    rng = np.random.default_rng(82)
+    radar = {**XBAND, "pulses": 1000, "targets": 1, "rows": 50, "fold": 0.5, "gains": (1.0,)}
+    calm, rough = strip(rng, **radar), strip(rng, **radar, gust=10.0)
+    assert min(case.grid.rows * case.grid.cols for case in (calm, rough)) > FEW_PIXELS
+    assert chosen(calm) is focus_stripmap
+    assert chosen(rough) is backproject
+    assert chosen(on_the_ground(calm, rng)) is backproject
 
 
 def test_a_former_is_given_by_its_name(lidar: Case, lidar_strip: Case) -> None:

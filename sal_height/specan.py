@@ -8,7 +8,6 @@ second into columns. What that leaves out is known before anything is computed: 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.backprojection import valid_pixels
 from sal_height.chirp_z import ChirpZ, chirp_z
-from sal_height.compiled import WORKERS, compiled
+from sal_height.compiled import WORKERS
 from sal_height.errors import UserError
 from sal_height.fft import Rows
 from sal_height.geometry import Grid
@@ -62,7 +62,7 @@ def focus_spotlight(
     error = expected_error(antenna, sensor, grid)
     if error > ALLOWED_ERROR:
         raise UserError(
-            f"The former specan would err by {10 * np.log10(error):.0f} dB on this dwell, which is too wide or uneven; "
+            f"The former specan would err by {10 * np.log10(error):.1f} dB on this dwell, which is too wide or uneven; "
             f"at most {10 * np.log10(ALLOWED_ERROR):.0f} dB are allowed; use backprojection."
         )
     factors = _factors(history, antenna, sensor, processing, grid)
@@ -70,6 +70,7 @@ def focus_spotlight(
     with ThreadPoolExecutor(WORKERS) as pool:
         detectors = iter(range(len(image)))  # of which each worker takes the next
         list(pool.map(lambda _: _focus(history.samples, factors, image, detectors), range(WORKERS)))
+    image[:, ~valid_pixels(history, antenna, sensor, 0.0, grid)] = np.nan
     return image
 
 
@@ -135,7 +136,6 @@ def _factors(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     after = distance_phasors(sensor.centre_wavenumber, middles, track.middle - columns, np.zeros(grid.cols))
     after *= by_azimuth.after
     after *= phasors(-sensor.centre_wavenumber * row_middle)[:, None]
-    after[~_within_window(history, antenna, sensor, grid)] = np.nan
     return _Factors(ChirpZ(dechirp, by_range.spectrum, by_range.after), ChirpZ(row_phase, by_azimuth.spectrum, after))
 
 
@@ -159,7 +159,8 @@ def _rows(antenna: Array, grid: Grid) -> tuple[Array, Array]:
 def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:
     """Power of the difference to backprojection over that of the image, by geometry; the worst of 25 pixels.
 
-    A phase error p (rad) of a pulse adds p^2, a range error of x cells (pi x)^2 / 3; a phase that is constant is none.
+    A phase error p (rad) of a pulse adds p^2, also one that is the same in all pulses, and a range error of x cells
+    (pi x)^2 / 3.
     """
     rows, cols = (np.linspace(0, n - 1, 5) for n in grid.shape)
     middle = (grid.cols - 1) / 2
@@ -188,33 +189,9 @@ def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:
     return float(np.max(np.mean(phase**2 + (np.pi * migration) ** 2 / 3, axis=-1)))
 
 
-def _within_window(history: PhaseHistory, antenna: Array, sensor: Sensor, grid: Grid) -> npt.NDArray[np.bool_]:
-    """Where a pixel is within the range window at the first, middle and last pulse, (rows, cols)."""
-    within = np.ones(grid.shape, dtype=np.bool_)
-    middles = grid.points(np.arange(grid.rows), np.full(grid.rows, (grid.cols - 1) / 2))
-    for pulse in (0, len(antenna) // 2, -1):
-        seen_from = antenna[pulse] - _columns(grid)
-        reference = float(history.reference_range[pulse])
-        _mark(middles, seen_from, reference - sensor.range_window / 2, reference + sensor.range_window / 2, within)
-    return within
-
-
 def _columns(grid: Grid) -> Array:
     """Way from the middle of a row to each column, m, (cols, 3).
 
     A column is as far from a position as the middle of its row is from that position less this.
     """
     return (np.arange(grid.cols) - (grid.cols - 1) / 2)[:, None] * grid.col_spacing * grid.col_direction
-
-
-@compiled
-def _mark(points: Array, positions: Array, nearest: float, farthest: float, within: npt.NDArray[np.bool_]) -> None:
-    """Leave True only what pairs of points and positions are that far apart; `nearest` and `farthest` in m."""
-    x, y, z = positions[:, 0].copy(), positions[:, 1].copy(), positions[:, 2].copy()
-    for i in range(len(points)):
-        px, py, pz = points[i]
-        line = within[i]
-        for j in range(x.size):
-            dx, dy, dz = px - x[j], py - y[j], pz - z[j]
-            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-            line[j] &= (distance >= nearest) & (distance <= farthest)

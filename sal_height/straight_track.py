@@ -15,7 +15,7 @@ ComplexArray = npt.NDArray[np.complex64]
 TAPS = 8
 """Pulses from which one at an even step is interpolated."""
 
-SHAPE = 4.5
+SHAPE = 6.2
 """Of the Kaiser window over them: 60 dB over half of the band that the pulses sample."""
 
 

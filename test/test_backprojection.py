@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import circular, direct_history, make_aperture, make_sensor, sample_frequencies
+from helpers import BEAMWIDTH, circular, direct_history, make_aperture, make_sensor, sample_frequencies
 from scipy.constants import speed_of_light
 
-from sal_height.backprojection import backproject_points
-from sal_height.compression import slant_plane_grid
+from sal_height import backprojection
+from sal_height.backprojection import backproject, backproject_points, valid_pixels
+from sal_height.compression import slant_plane_grid, slc_noise_power
 from sal_height.geometry import Grid, look_direction
+from sal_height.interpolation import TAPS, dense_profiles
 from sal_height.phase_history import PhaseHistory
 from sal_height.processing import Processing
 from sal_height.sensor import Sensor
@@ -169,3 +171,129 @@ def test_one_pulse_that_does_not_reach_a_pixel_is_enough_for_nan() -> None:
     image = image_at(history_of(samples, reference), ANTENNA, SENSOR, "rectangular", grid.pixels())
     assert np.isnan(image[0, :15, 0]).all()
     assert np.isfinite(image[0, 16:, 0]).all()
+
+
+@pytest.mark.parametrize(("pulses", "frequencies"), [(48, 64), (33, 51)])
+@pytest.mark.parametrize("detectors", [1, 2, 3, 16])
+def test_detectors_together_are_each_alone(detectors: int, pulses: int, frequencies: int) -> None:
+    """One detector has a loop of its own; the pulses are no multiple of what is added at once."""
+    rng = np.random.default_rng(12)
+    sensor = make_sensor(sample_count=frequencies, pulse_count=pulses)
+    samples = circular(rng, (detectors, pulses, frequencies))
+    antenna = ANTENNA[:pulses]
+    pixels = grid_with().points(rng.uniform(5, 35, 130), rng.uniform(0, 30, 130))
+    together = image_at(history_of(samples, REFERENCE[:pulses]), antenna, sensor, "taylor", pixels)
+    for detector in range(detectors):
+        alone = image_at(history_of(samples[detector], REFERENCE[:pulses]), antenna, sensor, "taylor", pixels)
+        np.testing.assert_allclose(alone[0], together[detector], atol=1e-6 * np.abs(together).max())
+
+
+@pytest.mark.parametrize("workers", [1, 2, 7])
+def test_image_does_not_depend_on_how_many_work_on_it(workers: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(13)
+    history = history_of(circular(rng, (2, SENSOR.pulse_count, SENSOR.sample_count)))
+    images = []
+    for pieces in (workers, 3):
+        monkeypatch.setattr(backprojection, "WORKERS", pieces)
+        images.append(backproject(history, ANTENNA, SENSOR, Processing(), grid_with(rows=39, cols=31)))
+    # The remainder of a piece, which is not vectorised, is rounded a little differently.
+    np.testing.assert_allclose(images[0], images[1], atol=1e-6 * np.nanmax(np.abs(images[1])))
+
+
+@pytest.mark.parametrize(("name", "level"), [("taylor", -35.0), ("rectangular", -13.26)])
+def test_peak_sidelobe_in_azimuth_is_that_of_the_azimuth_window(name: str, level: float) -> None:
+    point, grid = point_at(0.0, 5000.0, 0.0), grid_with()
+    history = history_of(direct_history(SENSOR, point[None], [1.0], ANTENNA, REFERENCE))
+    row, col = pixel_of(point, grid)
+    steps = np.arange(-12, 12, 1 / 32)
+    pixels = grid.points(np.full_like(steps, row), col + steps)
+    cut = backproject_points(history, ANTENNA, SENSOR, Processing("hamming", name), pixels, np.array([1.0, 0, 0]))
+    assert peak_sidelobe_db(np.abs(cut[0]) ** 2) == pytest.approx(level, abs=0.3)
+
+
+@pytest.mark.parametrize("range_window", ["rectangular", "taylor", "hamming"])
+@pytest.mark.parametrize("azimuth_window", ["rectangular", "taylor", "hamming"])
+def test_noise_has_the_power_that_is_stated_for_both_windows(range_window: str, azimuth_window: str) -> None:
+    """Monte Carlo: pixels a resolution apart, of which windows make 1.36 times fewer independent in each direction."""
+    rng, processing = np.random.default_rng(14), Processing(range_window, azimuth_window)
+    detectors, power = 12, 2.5
+    sensor = make_sensor(
+        elevation_boresights=tuple(0.78 + 1e-4 * np.arange(detectors)), noise_power=(power,) * detectors
+    )
+    samples = np.sqrt(power) * circular(rng, (detectors, SENSOR.pulse_count, SENSOR.sample_count))
+    image = backproject(history_of(samples), ANTENNA, sensor, processing, grid_with(rows=60, cols=40))
+    standard_error = np.sqrt(1.36**2 / image.size)  # 0.8 %
+    expected = slc_noise_power(sensor, processing, SENSOR.pulse_count)[0]
+    assert np.mean(np.abs(image) ** 2) / expected == pytest.approx(1, abs=3.5 * standard_error)
+
+
+STRIP = make_sensor(mode="stripmap", sample_count=24, pulse_count=401, pattern="sinc", pulse_repetition_frequency=20e3)
+EVEN = (np.arange(401) - 200) * 2.5e-3
+
+
+def strip_antenna(rng: np.random.Generator) -> np.ndarray:
+    """A metre of track, a little uneven and bent."""
+    return make_aperture().position + EVEN[:, None] * np.array([1.0, 0, 0]) + 2e-4 * rng.standard_normal((401, 3))
+
+
+@pytest.mark.parametrize("name", ["rectangular", "taylor"])
+@pytest.mark.parametrize("direction", [[1.0, 0.0, 0.0], [1.0, 2e-5, -1e-5]])
+def test_strip_is_the_matched_filter_written_out(name: str, direction: list[float]) -> None:
+    """Float64: the window over the sine of the angle, and of a pulse at the edge the share that lies within."""
+    rng, angle = np.random.default_rng(15), 0.6 * BEAMWIDTH
+    unit = np.array(direction) / np.linalg.norm(direction)
+    antenna, reference = strip_antenna(rng), 5000 + rng.uniform(-0.1, 0.1, 401)
+    samples = circular(rng, (2, 401, 24)).astype(np.complex64)
+    places = rng.uniform(-0.2, 0.2, 40)
+    points = np.array([point_at(rng.uniform(-1, 1) * BEAMWIDTH, 5000 + rng.uniform(-0.5, 0.5), x) for x in places])
+    sight = antenna - points[:, None]
+    distance = np.linalg.norm(sight, axis=-1)
+    sine = sight @ unit / distance
+    pulse_width = abs((antenna[-1] - antenna[0]) @ unit) / 400 / distance
+    left = np.clip(sine - pulse_width / 2, -angle / 2, angle / 2)
+    share = (np.clip(sine + pulse_width / 2, -angle / 2, angle / 2) - left) / pulse_width
+    assert np.any((share > 0.01) & (share < 0.99))
+    taper = np.interp(sine / angle, np.linspace(-0.5, 0.5, 1025), window(name, 1025))
+    phase = 4 * np.pi / speed_of_light * sample_frequencies(STRIP) * (distance - reference)[..., None]
+    total = np.einsum("f,np,mpf,npf->mn", window("taylor", 24), share * taper, samples, np.exp(1j * phase))
+    expected = total / (24 * np.sum(share * taper, axis=-1))
+    filled = (sine[:, 0] <= -angle / 2) & (sine[:, -1] >= angle / 2)
+    assert np.all(filled)
+    history = PhaseHistory(0, np.zeros(401), reference, samples)
+    image = backproject_points(history, antenna, STRIP, Processing("taylor", name, angle), points, unit)
+    np.testing.assert_allclose(image, expected, atol=1.5e-5 * np.abs(expected).max())
+
+
+def test_strip_is_nan_where_the_aperture_is_not_filled_or_a_pulse_of_it_does_not_reach() -> None:
+    """Along the track half an aperture from its ends; in range half a window from the reference, that of its pulses."""
+    angle, rng = 0.6 * BEAMWIDTH, np.random.default_rng(16)
+    antenna = make_aperture().position + EVEN[:, None] * np.array([1.0, 0, 0])
+    reference = np.full(401, 5000.0)
+    reference[:101] += 3 * STRIP.range_resolution
+    history = PhaseHistory(0, np.zeros(401), reference, circular(rng, (1, 401, 24)).astype(np.complex64))
+    grid = Grid(
+        point_at(0, 5000 - 15.3 * STRIP.range_resolution, -0.498), grid_with().row_direction, grid_with().col_direction,
+        STRIP.range_resolution, 0.004, 31, 250,
+    )  # fmt: skip
+    processing = Processing(angle=angle)
+    image = backproject(history, antenna, STRIP, processing, grid)[0]
+    x, cells = -0.498 + 0.004 * np.arange(250), np.arange(31) - 15.3
+    half = angle * (5000 + cells * STRIP.range_resolution) / 2
+    filled = np.abs(x) <= 0.5 - half[:, None]
+    late = x - half[:, None] - 0.00125 < EVEN[100]
+    early = x + half[:, None] + 0.00125 > EVEN[101]
+    reached = (~late | (np.abs(cells - 3) <= 12)[:, None]) & (~early | (np.abs(cells) <= 12)[:, None])
+    assert 0.2 < np.mean(filled & reached) < 0.6
+    np.testing.assert_array_equal(np.isfinite(image), filled & reached)
+    np.testing.assert_array_equal(valid_pixels(history, antenna, STRIP, angle, grid), filled & reached)
+
+
+def test_point_at_the_very_end_of_the_window_reads_no_sample_beyond_it() -> None:
+    """A pulse that does not reach a point is read at the end of its profile, which must not be past the array."""
+    delay = np.array([-9.0, -2.0, 0.1, 2.0, 9.0])
+    sample, fraction = np.empty(5, np.int32), np.empty(5, np.float32)
+    backprojection._samples(delay, 16.0, 32.0, 2.0, sample, fraction)
+    np.testing.assert_array_equal(sample, [1, 1, 34, 64, 64])
+    np.testing.assert_allclose(fraction, [0, 0, 0.6, 1, 1], atol=1e-6)
+    profile = dense_profiles(np.ones((1, 1, 32), np.complex64), np.ones(32))
+    assert sample.max() + TAPS - 1 < profile.shape[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ def test_strip_images_join_and_their_heights_are_right(tmp_path: Path, gust_mps:
     # Pulses held: DWELLS blocks of 256, less an aperture of 310; two pulses a column, columns in multiples of 64.
     assert sum(image.grid.cols for image in images) == (DWELLS * 256 - 310) // 2 // 64 * 4
     grids = [convert.grid_from_message(image.grid) for image in images]
-    for one, other in zip(grids[:-1], grids[1:], strict=True):
+    for one, other in pairwise(grids):
         end = one.points(0.0, one.cols - 1 + 0.5 + 0.5 * other.col_spacing / one.col_spacing)
         np.testing.assert_allclose(end, other.origin, atol=1e-6 * one.col_spacing)
     errors = report["estimators"]["ml"]

@@ -28,7 +28,7 @@ class Rows:
     """
 
     def __init__(self, rows: int, length: int) -> None:
-        """Plan the transforms of `rows` rows of `length` numbers."""
+        """Plan the transforms of `rows` rows of `length` numbers; by rule, so that every process has the same."""
         self.data: ComplexArray
         if BACKEND == "pyfftw":
             fftw: Any = import_module("pyfftw")

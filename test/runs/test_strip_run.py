@@ -13,6 +13,7 @@ import pytest
 from sal_height import convert
 from sal_height.bag.reader import BagReader
 from sal_height.preset import load_preset
+from sal_height.runs.replay import replay
 from sal_height.runs.simulate import run
 
 DWELLS = 4
@@ -43,3 +44,5 @@ def test_strip_images_join_and_their_heights_are_right(tmp_path: Path, gust_mps:
     assert errors["valid"] > 0.6
     assert abs(errors["bias_m"]) < 3 * errors["sigma_m"] / np.sqrt(errors["cells"])
     assert errors["rms_m"] < 2 * errors["crb_m"]
+    _, compared = replay(tmp_path / "run" / "bag", tmp_path / "again", {})
+    assert [result.equal for result in compared.values()] == [True, True]

@@ -1,4 +1,4 @@
-"""FFTs of rows in place, as fast as the machine has them: FFTW where pyfftw is installed, scipy's otherwise."""
+"""FFTs of rows, as fast as the machine has them: FFTW where pyfftw is installed, scipy's otherwise."""
 
 from __future__ import annotations
 
@@ -21,37 +21,39 @@ def fast_length(least: int) -> int:
 
 
 class Rows:
-    """A buffer of rows, small enough for a processor's cache, and the transforms of its rows; for one thread.
+    """Two buffers of rows, small enough for a processor's cache, and the transforms between them; for one thread.
+
+    Two, because the plans that FFTW makes by rule are fast from one buffer to another, and slow in place. By rule,
+    because plans chosen by timing differ from process to process, and with them the last digits of images.
 
     Attributes:
         data: complex64, shape (rows, length).
+        spectrum: complex64, shape (rows, length).
     """
 
     def __init__(self, rows: int, length: int) -> None:
-        """Plan the transforms of `rows` rows of `length` numbers; by rule, so that every process has the same."""
+        """Plan the transforms of `rows` rows of `length` numbers."""
         self.data: ComplexArray
+        self.spectrum: ComplexArray
         if BACKEND == "pyfftw":
             fftw: Any = import_module("pyfftw")
-            self.data = fftw.zeros_aligned((rows, length), dtype="complex64")
-            plans = [
-                fftw.FFTW(self.data, self.data, direction=f"FFTW_{way}", flags=("FFTW_ESTIMATE",))
-                for way in ("FORWARD", "BACKWARD")
-            ]
-            self._forward, self._backward = (plan.execute for plan in plans)
-            self.data[:] = 0
+            self.data, self.spectrum = (fftw.zeros_aligned((rows, length), dtype="complex64") for _ in range(2))
+            rule = ("FFTW_ESTIMATE",)
+            self._forward = fftw.FFTW(self.data, self.spectrum, direction="FFTW_FORWARD", flags=rule).execute
+            self._backward = fftw.FFTW(self.spectrum, self.data, direction="FFTW_BACKWARD", flags=rule).execute
         else:
-            self.data = np.zeros((rows, length), dtype=np.complex64)
+            self.data, self.spectrum = (np.zeros((rows, length), dtype=np.complex64) for _ in range(2))
 
     def forward(self) -> None:
-        """FFT of every row, exp(-j 2 pi k n / length), not scaled."""
+        """Put the FFT of every row of `data`, exp(-j 2 pi k n / length), not scaled, into `spectrum`."""
         if BACKEND == "pyfftw":
             self._forward()
         else:
-            self.data[:] = scipy.fft.fft(self.data, axis=-1, overwrite_x=True)
+            self.spectrum[:] = scipy.fft.fft(self.data, axis=-1)
 
     def backward(self) -> None:
-        """FFT of every row with exp(+j 2 pi k n / length), not scaled."""
+        """Put the FFT of every row of `spectrum` with exp(+j 2 pi k n / length), not scaled, into `data`."""
         if BACKEND == "pyfftw":
             self._backward()
         else:
-            self.data[:] = scipy.fft.ifft(self.data, axis=-1, norm="forward", overwrite_x=True)
+            self.data[:] = scipy.fft.ifft(self.spectrum, axis=-1, norm="forward")

@@ -33,7 +33,7 @@ from sal_height.stripmap import processed_angle
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
 
-ROWS_AT_ONCE = 64
+ROWS_AT_ONCE = 32
 """Rows that are transformed at a time: what fits into a processor's cache."""
 
 EVEN_PHASE = 0.003
@@ -111,23 +111,23 @@ def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detect
                 _multiply_transposed(samples[detector, :, block], filters.compensation[:, block], lines)
             lines[:, filters.places :] = 0
             along.forward()
-            doppler[:, block] = lines.T
+            doppler[:, block] = along.spectrum[: len(lines)].T
         for block in _blocks(length):
             lines = across.data[: block.stop - block.start]
             np.multiply(doppler[block], filters.range.before[block], out=lines[:, :frequencies])
             across.data[:, frequencies:] = 0
             across.forward()
-            lines *= filters.range.spectrum[block]
+            across.spectrum[: len(lines)] *= filters.range.spectrum[block]
             across.backward()
             compressed[:, block] = lines[:, :rows].T
         for block in _blocks(rows):
-            lines = folded.data[: block.stop - block.start]
+            lines = folded.spectrum[: block.stop - block.start]
             np.multiply(compressed[block, :width], filters.azimuth[block, :width], out=lines)
             for first in range(width, length, width):
                 part = slice(first, first + width)
                 lines += compressed[block, part] * filters.azimuth[block, part]
             folded.backward()
-            image[detector, block] = folded.data[: block.stop - block.start, :cols]
+            image[detector, block] = folded.data[: len(lines), :cols]
 
 
 @compiled

@@ -33,7 +33,7 @@ ComplexArray = npt.NDArray[np.complex64]
 ALLOWED_ERROR = 1e-4
 """Greatest expected error power, over that of the image."""
 
-ROWS_AT_ONCE = 64
+ROWS_AT_ONCE = 32
 """Rows that are transformed at a time: what fits into a processor's cache."""
 
 
@@ -87,7 +87,7 @@ def _focus(samples: ComplexArray, factors: _Factors, image: ComplexArray, detect
             np.multiply(samples[detector, block], factors.range.before[block], out=by_pulse.data[:lines, :frequencies])
             by_pulse.data[:, frequencies:] = 0
             by_pulse.forward()
-            by_pulse.data *= factors.range.spectrum
+            by_pulse.spectrum *= factors.range.spectrum
             by_pulse.backward()
             compressed[:, block] = by_pulse.data[:lines, :rows].T
         for first in range(0, rows, ROWS_AT_ONCE):
@@ -96,7 +96,7 @@ def _focus(samples: ComplexArray, factors: _Factors, image: ComplexArray, detect
             np.multiply(compressed[block], factors.azimuth.before[block], out=by_row.data[:lines, :pulses])
             by_row.data[:, pulses:] = 0
             by_row.forward()
-            by_row.data[:lines] *= factors.azimuth.spectrum[block]
+            by_row.spectrum[:lines] *= factors.azimuth.spectrum[block]
             by_row.backward()
             np.multiply(by_row.data[:lines, :cols], factors.azimuth.after[block], out=image[detector, block])
 

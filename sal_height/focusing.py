@@ -25,6 +25,7 @@ from sal_height.strip import (
     drift,
     extend_strip,
     follows,
+    is_later,
     lay_anew,
     lay_lattice,
     next_image,
@@ -135,10 +136,13 @@ class StripFocuser:
         """Begin without a strip."""
         self._strip: Strip | None = None
 
-    @property
-    def begins_at(self) -> int | None:
-        """Stamp of the first pulse held, ns; None: there is none."""
-        return self._strip.history.stamp_ns if self._strip else None
+    def needs_track_from(self, history: PhaseHistory, sensor: Sensor) -> int:
+        """Stamp (ns) of the first pulse that is needed with a block: the first held if the block goes on, or its own.
+
+        What is held of an earlier strip may be so old that its odometry is gone.
+        """
+        strip = self._strip
+        return strip.history.stamp_ns if strip and follows(history, strip, sensor) else history.stamp_ns
 
     def focus_block(self, history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: Settings) -> Slc | None:
         """Images of the columns that a block completes, a multiple of the settings' `cols`; None: not that many yet.
@@ -147,7 +151,7 @@ class StripFocuser:
 
         Args:
             history: of all detectors, as fast-time frequencies.
-            track: of the platform, from the first pulse held (`begins_at`) to the block's last.
+            track: of the platform, from the first pulse needed (`needs_track_from`) to the block's last.
             sensor: with waveform "spectrum".
             settings: what image is wanted.
 
@@ -169,9 +173,9 @@ class StripFocuser:
         shape = settings.rows, settings.cols
         lattice = lay_lattice(sensor, processing, aperture, antenna, reference, shape)
         strip = self._strip
-        if strip and history.stamp_ns < strip.history.stamp_ns:
+        if strip and not is_later(history, strip):
             raise Rejected(
-                "out of order", "A block of the strip is older than the last one; blocks must come in order."
+                "out of order", "A block of the strip is not later than the last one; blocks must come in order."
             )
         if strip and strip.lattice.shape == lattice.shape and follows(history, strip, sensor):
             strip = extend_strip(strip, history, antenna)

@@ -89,11 +89,20 @@ def begin_strip(history: PhaseHistory, antenna: Array, lattice: Grid, processing
     return Strip(history, antenna, _moved(lattice, np.ceil(first / lattice.col_spacing)))
 
 
+def is_later(history: PhaseHistory, strip: Strip) -> bool:
+    """Whether the first pulse of a block comes after those that the strip holds."""
+    return _pause(history, strip) > 0
+
+
 def follows(history: PhaseHistory, strip: Strip, sensor: Sensor) -> bool:
     """Whether the first pulse of a block is the next after those that the strip holds."""
+    return 0 < _pause(history, strip) * sensor.pulse_repetition_frequency < WIDEST_GAP
+
+
+def _pause(history: PhaseHistory, strip: Strip) -> float:
+    """Time (s) from the last pulse that the strip holds to the first of a block."""
     since = (history.stamp_ns - strip.history.stamp_ns) * 1e-9 + history.pulse_times[0]
-    interval = (since - strip.history.pulse_times[-1]) * sensor.pulse_repetition_frequency
-    return bool(0 < interval < WIDEST_GAP)
+    return float(since - strip.history.pulse_times[-1])
 
 
 def extend_strip(strip: Strip, history: PhaseHistory, antenna: Array) -> Strip:
@@ -146,9 +155,11 @@ def next_image(strip: Strip, cols: int, processing: Processing) -> tuple[Grid, S
     needed = float(lattice.origin @ lattice.col_direction) - _reach(lattice, strip.antenna, processing)
     first = int(np.searchsorted(strip.antenna @ lattice.col_direction, needed)) - SPARE_PULSES
     held = slice(max(0, first), None)
+    dropped_ns = int(strip.history.pulse_times[held][0] * 1e9)
     history = replace(
         strip.history,
-        pulse_times=strip.history.pulse_times[held],
+        stamp_ns=strip.history.stamp_ns + dropped_ns,
+        pulse_times=strip.history.pulse_times[held] - dropped_ns * 1e-9,
         reference_range=strip.history.reference_range[held],
         samples=strip.history.samples[:, held].copy(),
     )

@@ -135,6 +135,7 @@ class StripFocuser:
     def __init__(self) -> None:
         """Begin without a strip."""
         self._strip: Strip | None = None
+        self._settings = Settings()
 
     def needs_track_from(self, history: PhaseHistory, sensor: Sensor) -> int:
         """Stamp (ns) of the first pulse that is needed with a block: the first held if the block goes on, or its own.
@@ -147,7 +148,7 @@ class StripFocuser:
     def focus_block(self, history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: Settings) -> Slc | None:
         """Images of the columns that a block completes, a multiple of the settings' `cols`; None: not that many yet.
 
-        A block that does not follow the last one begins a new strip.
+        A block that does not follow the last one, or of which another image is wanted, begins a new strip.
 
         Args:
             history: of all detectors, as fast-time frequencies.
@@ -177,13 +178,17 @@ class StripFocuser:
             raise Rejected(
                 "out of order", "A block of the strip is not later than the last one; blocks must come in order."
             )
-        if strip and strip.lattice.shape == lattice.shape and follows(history, strip, sensor):
+        if (
+            strip
+            and replace(settings, former=self._settings.former) == self._settings
+            and follows(history, strip, sensor)
+        ):
             strip = extend_strip(strip, history, antenna)
         else:
             strip = begin_strip(history, antenna, lattice, processing)
         if abs(drift(strip)) > GREATEST_DRIFT * sensor.range_window:
             strip = lay_anew(strip, lattice)
-        self._strip = strip
+        self._strip, self._settings = strip, settings
         cols = complete_columns(strip, processing) // lattice.cols * lattice.cols
         if not cols:
             return None

@@ -53,7 +53,9 @@ def lay_lattice(
     reference_range: float,
     shape: tuple[int, int],
 ) -> Grid:
-    """Pixels abeam of an aperture, a whole number of pulses apart along the flight, and not finer than resolved.
+    """Pixels abeam of an aperture, as many whole pulses apart along the flight as come nearest to the resolution.
+
+    Nearest, so that a gust that spreads the pulses by a little does not halve the spacing.
 
     Args:
         sensor: wavelength, bandwidth and beams.
@@ -69,7 +71,7 @@ def lay_lattice(
     way = float((antenna[-1] - antenna[0]) @ aperture.forward) / (len(antenna) - 1)
     broad = [broadening(processing.range_weights(sensor.sample_count)), broadening(processing.azimuth_weights(1024))]
     resolved = sensor.wavelength / (2 * processing.angle) * broad[1]
-    steps = max(1, int(resolved / way + 1e-6))
+    steps = max(1, round(resolved / way))
     spacing = (sensor.range_resolution * broad[0], steps * way)
     rows, cols = shape
     rows = rows or max(1, int(sensor.sample_count / broad[0]))

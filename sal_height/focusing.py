@@ -18,6 +18,7 @@ from sal_height.sampling import check_doppler_centroid, check_pulses, check_rang
 from sal_height.sensor import Sensor
 from sal_height.strip import (
     GREATEST_DRIFT,
+    GREATEST_TURN,
     Strip,
     abeam_time,
     begin_strip,
@@ -29,6 +30,7 @@ from sal_height.strip import (
     lay_anew,
     lay_lattice,
     next_image,
+    turn,
 )
 from sal_height.stripmap import aperture_length, processed_angle
 from sal_height.trajectory import Trajectory
@@ -186,8 +188,9 @@ class StripFocuser:
             strip = extend_strip(strip, history, antenna)
         else:
             strip = begin_strip(history, antenna, lattice, processing)
-        if abs(drift(strip)) > GREATEST_DRIFT * sensor.range_window:
-            strip = lay_anew(strip, lattice)
+        drifted = abs(drift(strip)) > GREATEST_DRIFT * sensor.range_window
+        if drifted or abs(turn(strip, sensor, aperture)) > GREATEST_TURN * sensor.beamwidth:
+            strip = lay_anew(strip, lattice, processing)
         self._strip, self._settings = strip, settings
         cols = complete_columns(strip, processing) // lattice.cols * lattice.cols
         if not cols:

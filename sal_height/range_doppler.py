@@ -156,19 +156,23 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
         sensor.wavenumber_step * row_step * stretch, frequencies, frequencies // 2, grid.rows, (grid.rows - 1) / 2
     )
     scaled.before[...] *= phasors(migration)
-    azimuth = _azimuth_filters(sensor, processing, distance, middle, step, length)
-    azimuth *= phasors(doppler * (first_column - begin) - central)
+    # By whole steps the replica is shifted in its spectrum, by the rest where it is made: its ends are sharp.
+    whole = step * round((first_column - begin) / step)
+    azimuth = _azimuth_filters(sensor, processing, distance, middle, step, length, begin + whole - first_column)
+    azimuth *= phasors(doppler * whole - central)
     return _Filters(compensation, None if even else resampling(track.places, wanted), places, scaled, azimuth, fold)
 
 
 def _azimuth_filters(
-    sensor: Sensor, processing: Processing, distance: Array, middle: float, step: float, length: int
+    sensor: Sensor, processing: Processing, distance: Array, middle: float, step: float, length: int, shift: float
 ) -> ComplexArray:
     """Spectra of the matched filters in azimuth for rows at `distance` (m), over the sum of their weights.
 
+    Their samples are `shift` (m) off whole steps from the target.
+
     Made in time, with the weight that backprojection gives to each angle, so that both filters are the same.
     """
-    place = step * length * scipy.fft.fftfreq(length)
+    place = step * length * scipy.fft.fftfreq(length) + shift
     slant = np.sqrt(distance[:, None] ** 2 + place**2)
     weight = processing.angle_weights(place / slant, step / slant)
     replica = phasors(-sensor.centre_wavenumber * (slant - middle))

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from helpers import assert_one_sentence, direct_history
 
-from sal_height.autofocus import apply_phase, autofocus, patch_centres
+from sal_height import focusing
+from sal_height.autofocus import Focus, apply_phase, autofocus, patch_centres
 from sal_height.backprojection import backproject
 from sal_height.compression import slc_noise_power
 from sal_height.errors import UserError
@@ -196,6 +197,22 @@ def test_autofocus_of_noise_is_not_trusted_and_leaves_the_image() -> None:
     assert on.autofocus_phase.size == 0
     np.testing.assert_array_equal(on.images, off.images)
     assert flight.sensor.pulse_count == len(on.focus.phase)
+
+
+@pytest.mark.parametrize(
+    ("standard_error", "gain", "applied"), [(0.4, 1.0, True), (0.6, 1.0, False), (0.4, 0.8, False)]
+)
+def test_only_a_trusted_phase_is_taken_off(
+    monkeypatch: pytest.MonkeyPatch, standard_error: float, gain: float, applied: bool
+) -> None:
+    phase = np.linspace(-1, 1, 48) ** 2
+    found = Focus(phase, "targets", standard_error, 0.9, gain, 3, 0.01)
+    monkeypatch.setattr(focusing, "autofocus", lambda *_: found)
+    size = {"rows": 8, "cols": 8}
+    slc = focused("small", autofocus=True, **size)
+    expected = apply_phase(dwell_of("small"), phase) if applied else dwell_of("small")
+    np.testing.assert_array_equal(slc.images, focused("small", expected, **size).images)
+    np.testing.assert_array_equal(slc.autofocus_phase, phase if applied else np.zeros(0))
 
 
 @pytest.mark.parametrize("former", [*SPOTLIGHT_FORMERS, "auto"])

@@ -50,9 +50,11 @@ def test_pulses_may_be_half_the_antenna_apart_and_no_farther() -> None:
 
 
 def test_stated_pulse_repetition_frequency_is_enough_at_any_speed() -> None:
+    """And anywhere: 15 m from the origin, positions are rounded by more than in it."""
     for speed in np.random.default_rng(80).uniform(10, 300, 50):
         rate = 2 * speed / 0.01
-        check_pulses(make_sensor(), antenna_of(99, 98 * speed / rate), make_aperture(velocity=(speed, 0, 0)))
+        antenna = make_aperture().position + (15 + speed / rate * np.arange(99))[:, None] * np.array([1.0, 0.0, 0.0])
+        check_pulses(make_sensor(), antenna, make_aperture(velocity=(speed, 0, 0)))
 
 
 def test_aperture_must_be_longer_than_half_the_antenna() -> None:
@@ -120,24 +122,29 @@ def grid_of(sensor: Sensor, cols: int) -> Grid:
     return slant_plane_grid(sensor, make_aperture(), REACH, 4, cols, 1.0)
 
 
-def test_stated_centroid_is_that_of_a_point() -> None:
-    """A point x m ahead of the beams' middle: 2 v x / (wavelength * range), the sign that of an approaching target."""
-    sensor, antenna = make_sensor(), antenna_of(48, 47 * SPEED / 30e3)
-    middle = make_aperture().position + REACH * np.array([0, -np.sin(np.pi / 4), -np.cos(np.pi / 4)])
+@pytest.mark.parametrize("yaw", [0.0, 0.9 * BEAMWIDTH])
+def test_stated_centroid_is_that_of_a_point(yaw: float) -> None:
+    """A point x m ahead of the beams' middle: 2 v x / (wavelength * range), the sign that of an approaching target.
+
+    The beams' middle need not be abeam of the flight.
+    """
+    sensor, antenna, aperture = make_sensor(), antenna_of(48, 47 * SPEED / 30e3), make_aperture(angles=(0, 0, yaw))
+    look = np.array([0, -np.sin(np.pi / 4), -np.cos(np.pi / 4)])
+    middle = aperture.position + REACH * aperture.rotation @ look
     for ahead, inside in ((0.38, True), (-0.38, True), (0.4, False), (-0.4, False)):
         delay = np.linalg.norm(middle + np.array([ahead, 0, 0]) - antenna, axis=-1) - REACH
         samples = np.exp(-1j * (sensor.centre_wavenumber * delay))[None, :, None] * np.ones((3, 1, 64))
         history = PhaseHistory(0, np.arange(48) / 30e3, np.full(48, REACH), samples.astype(np.complex64))
         grid = grid_of(sensor, 4)
         if inside:
-            check_doppler_centroid(history, antenna, sensor, make_aperture(), grid)
+            check_doppler_centroid(history, antenna, sensor, aperture, grid)
             continue
         centroid = 2 * SPEED * ahead / (sensor.wavelength * REACH)
         with refusal("Doppler centroid outside the band", f"{centroid:+.4g} Hz", "5000 Hz"):
-            check_doppler_centroid(history, antenna, sensor, make_aperture(), grid)
+            check_doppler_centroid(history, antenna, sensor, aperture, grid)
         wide = grid_of(sensor, 20)  # 0.97 m: the image is what matters
         assert wide.cols * wide.col_spacing > 0.9
-        check_doppler_centroid(history, antenna, sensor, make_aperture(), wide)
+        check_doppler_centroid(history, antenna, sensor, aperture, wide)
 
 
 def test_noise_has_no_centroid_to_refuse() -> None:

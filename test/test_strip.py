@@ -19,7 +19,7 @@ from sal_height.gust import gust_motion
 from sal_height.phase_history import PhaseHistory
 from sal_height.processing import Processing
 from sal_height.sensor import Sensor
-from sal_height.strip import GREATEST_DRIFT, GREATEST_TURN, SPARE_PULSES, SPARE_SHARE
+from sal_height.strip import GREATEST_DRIFT, SPARE_PULSES, SPARE_SHARE
 from sal_height.stripmap import processed_angle, simulate_block
 from sal_height.trajectory import PlatformState, Trajectory
 
@@ -210,7 +210,7 @@ def test_pulses_that_no_column_needs_are_dropped_with_their_times() -> None:
     most = (1 + SPARE_SHARE) * aperture + SPARE_PULSES + 2 * (cols + 1)
     assert max(held[10:]) <= most
     assert max(begins) * 1e-9 <= most / PRF
-    assert min(held[10:]) >= aperture
+    assert min(held[10:]) >= (1 + SPARE_SHARE) * aperture + SPARE_PULSES - 3
     assert min(begins[10:]) * 1e-9 >= aperture / PRF
 
 
@@ -334,7 +334,7 @@ def test_body_that_turns_takes_the_lattice_with_it_without_a_gap() -> None:
     for slc in slcs:
         middle = slc.grid.points((slc.grid.rows - 1) / 2, (slc.grid.cols - 1) / 2)
         ahead = (middle - slc.aperture.position) @ slc.aperture.forward / REACH
-        assert abs(ahead) < (GREATEST_TURN + 0.25) * BEAMWIDTH
+        assert abs(ahead) < 0.35 * BEAMWIDTH  # a tenth, and the turn in a block and half an aperture
     turned = slcs[-1].aperture.forward @ np.array([0.0, 1.0, 0.0]) - slcs[0].aperture.forward @ np.array(
         [0.0, 1.0, 0.0]
     )

@@ -74,7 +74,26 @@ def focus_stripmap(
     edges = grid.points(np.array([0, grid.rows - 1])[:, None], np.arange(grid.cols)).reshape(-1, 3)
     complete = filled_apertures(edges, antenna, grid.col_direction, processing.angle).reshape(2, -1).all(axis=0)
     image[:, :, ~complete] = np.nan
+    image[:, ~_within_window(history, antenna, sensor, processing, grid)] = np.nan
     return image
+
+
+def _within_window(
+    history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid
+) -> npt.NDArray[np.bool_]:
+    """Where a pixel is within the range window at the ends and in the middle of its aperture, (rows, cols)."""
+    track = np.column_stack([antenna, history.reference_range])
+    first_row = grid.points(0.0, np.arange(grid.cols))
+    down = (grid.row_spacing * np.arange(grid.rows))[:, None]
+    reach = processing.angle / 2 * float(np.linalg.norm(grid.points(grid.rows - 1.0, 0.0) - antenna.mean(axis=0)))
+    within = np.ones(grid.shape, dtype=np.bool_)
+    for ahead in (-reach, 0.0, reach):
+        places = first_row @ grid.col_direction + ahead
+        there = np.stack([np.interp(places, antenna @ grid.col_direction, axis) for axis in track.T], axis=-1)
+        sight = first_row - there[:, :3]
+        distance = np.sqrt(np.sum(sight**2, axis=-1) + down * (down + 2 * (sight @ grid.row_direction)))
+        within &= np.abs(distance - there[:, 3]) <= sensor.range_window / 2
+    return within
 
 
 def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detectors: range) -> None:

@@ -324,6 +324,18 @@ def test_drift_out_of_the_range_window_lays_the_lattice_anew_without_a_gap() -> 
         assert abs(off) < GREATEST_DRIFT * window + 16 * np.sqrt(0.5) * (300 + APERTURE / WAY) / PRF
 
 
+def test_rows_that_drift_out_of_the_range_window_are_empty_whatever_the_former() -> None:
+    """Rows that fill the window: those at its edges leave it, and must not show what lies at the other edge."""
+    flown = noisy(1800, wind=8.0)
+    slow, fast = (flown.images(300, Settings(former=name, cols=20)) for name in ("backprojection", "range_doppler"))
+    (reference, grid), (image, _) = joined(slow), joined(fast)
+    assert grid.rows == 23
+    empty = np.isnan(reference).all(axis=0)
+    assert 0.01 < empty.mean() < 0.12
+    assert not empty[2:-2].any()
+    assert np.mean(np.isnan(image).all(axis=0) != empty) < 1e-3
+
+
 def test_body_that_turns_takes_the_lattice_with_it_without_a_gap() -> None:
     """By two beamwidths in 0.15 s, a fifth of one per aperture."""
     flown = noisy(3000, yaw_rate=2e-3)

@@ -18,6 +18,7 @@ from sal_height.sampling import check_doppler_centroid, check_pulses, check_rang
 from sal_height.sensor import Sensor
 from sal_height.strip import (
     GREATEST_DRIFT,
+    GREATEST_TURN,
     Strip,
     abeam_time,
     begin_strip,
@@ -25,9 +26,11 @@ from sal_height.strip import (
     drift,
     extend_strip,
     follows,
+    is_later,
     lay_anew,
     lay_lattice,
     next_image,
+    turn,
 )
 from sal_height.stripmap import aperture_length, processed_angle
 from sal_height.trajectory import Trajectory
@@ -134,20 +137,24 @@ class StripFocuser:
     def __init__(self) -> None:
         """Begin without a strip."""
         self._strip: Strip | None = None
+        self._settings = Settings()
 
-    @property
-    def begins_at(self) -> int | None:
-        """Stamp of the first pulse held, ns; None: there is none."""
-        return self._strip.history.stamp_ns if self._strip else None
+    def needs_track_from(self, history: PhaseHistory, sensor: Sensor) -> int:
+        """Stamp (ns) of the first pulse that is needed with a block: the first held if the block goes on, or its own.
+
+        What is held of an earlier strip may be so old that its odometry is gone.
+        """
+        strip = self._strip
+        return strip.history.stamp_ns if strip and follows(history, strip, sensor) else history.stamp_ns
 
     def focus_block(self, history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: Settings) -> Slc | None:
         """Images of the columns that a block completes, a multiple of the settings' `cols`; None: not that many yet.
 
-        A block that does not follow the last one begins a new strip.
+        A block that does not follow the last one, or of which another image is wanted, begins a new strip.
 
         Args:
             history: of all detectors, as fast-time frequencies.
-            track: of the platform, from the first pulse held (`begins_at`) to the block's last.
+            track: of the platform, from the first pulse needed (`needs_track_from`) to the block's last.
             sensor: with waveform "spectrum".
             settings: what image is wanted.
 
@@ -169,17 +176,22 @@ class StripFocuser:
         shape = settings.rows, settings.cols
         lattice = lay_lattice(sensor, processing, aperture, antenna, reference, shape)
         strip = self._strip
-        if strip and history.stamp_ns < strip.history.stamp_ns:
+        if strip and not is_later(history, strip):
             raise Rejected(
-                "out of order", "A block of the strip is older than the last one; blocks must come in order."
+                "out of order", "A block of the strip is not later than the last one; blocks must come in order."
             )
-        if strip and strip.lattice.shape == lattice.shape and follows(history, strip, sensor):
+        if (
+            strip
+            and replace(settings, former=self._settings.former) == self._settings
+            and follows(history, strip, sensor)
+        ):
             strip = extend_strip(strip, history, antenna)
         else:
             strip = begin_strip(history, antenna, lattice, processing)
-        if abs(drift(strip)) > GREATEST_DRIFT * sensor.range_window:
-            strip = lay_anew(strip, lattice)
-        self._strip = strip
+        drifted = abs(drift(strip)) > GREATEST_DRIFT * sensor.range_window
+        if drifted or abs(turn(strip, sensor, aperture)) > GREATEST_TURN * sensor.beamwidth:
+            strip = lay_anew(strip, lattice, processing)
+        self._strip, self._settings = strip, settings
         cols = complete_columns(strip, processing) // lattice.cols * lattice.cols
         if not cols:
             return None

@@ -186,8 +186,10 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     if np.abs(edges).max() >= SMALL_PHASE:
         before = before * phasors(_migration(middle, doppler, wavenumber, sensor.centre_wavenumber))
     before, spectrum = (np.broadcast_to(lines, (length, lines.shape[1])) for lines in (before, scaled.spectrum))
-    azimuth = _azimuth_filters(sensor, processing, distance, middle, step, length)
-    azimuth *= phasors(doppler * (first_column - begin))
+    # By whole steps the replica is shifted in its spectrum, by the rest where it is made: its ends are sharp.
+    whole = step * round((first_column - begin) / step)
+    azimuth = _azimuth_filters(sensor, processing, distance, middle, step, length, begin + whole - first_column)
+    azimuth *= phasors(doppler * whole)
     azimuth *= scaled.after.T
     return _Filters(
         compensation,
@@ -210,13 +212,15 @@ def _migration(distance: float, doppler: Array, wavenumber: Array, central: floa
 
 
 def _azimuth_filters(
-    sensor: Sensor, processing: Processing, distance: Array, middle: float, step: float, length: int
+    sensor: Sensor, processing: Processing, distance: Array, middle: float, step: float, length: int, shift: float
 ) -> ComplexArray:
     """Spectra of the matched filters in azimuth for rows at `distance` (m), over the sum of their weights.
 
+    Their samples are `shift` (m) off whole steps from the target.
+
     Made in time, with the weight that backprojection gives to each angle, so that both filters are the same.
     """
-    place = step * length * scipy.fft.fftfreq(length)
+    place = step * length * scipy.fft.fftfreq(length) + shift
     near = np.flatnonzero(np.abs(place) <= processing.angle / 2 * distance.max() * 1.01 + step)
     replica = np.zeros((len(distance), length), dtype=np.complex64)
 

@@ -17,6 +17,10 @@ COHERENT = 0.5
 """Share of the products of neighbouring pulses that must agree, for the dwell to have one Doppler centroid."""
 
 
+ROUNDING = 1e-6
+"""Share by which a limit may be passed: who keeps to the number that a sentence states is within."""
+
+
 def check_pulses(sensor: Sensor, antenna: Array, aperture: Aperture) -> None:
     """Make sure that the pulses are close enough for the beams, and reach far enough to resolve more than they do.
 
@@ -31,13 +35,13 @@ def check_pulses(sensor: Sensor, antenna: Array, aperture: Aperture) -> None:
     way = float(np.linalg.norm(antenna[-1] - antenna[0]))
     step = way / (len(antenna) - 1)
     speed = float(np.linalg.norm(aperture.velocity))
-    if step > sensor.aperture / 2:
+    if step > sensor.aperture / 2 * (1 + ROUNDING):
         raise Rejected(
             "aliased in azimuth",
             f"Pulses are {step:.3g} m apart at {speed:.4g} m/s; an antenna of {sensor.aperture:.3g} m needs one every "
             f"{sensor.aperture / 2:.3g} m, a pulse repetition frequency of {2 * speed / sensor.aperture:.4g} Hz.",
         )
-    if way < sensor.aperture / 2:
+    if way < sensor.aperture / 2 * (1 - ROUNDING):
         raise Rejected(
             "too few pulses",
             f"The {len(antenna)} pulses reach over {way:.3g} m; a synthetic aperture must be longer than half the "
@@ -57,7 +61,7 @@ def check_range_window(sensor: Sensor, reference_range: float) -> None:
     """
     first, last = sensor.beams.span
     lit = reference_range * (last - first) * np.tan((first + last) / 2)
-    if lit > sensor.range_window:
+    if lit > sensor.range_window * (1 + ROUNDING):
         raise Rejected(
             "aliased in range",
             f"The beams meet level ground over {lit:.4g} m of slant range, the frequencies tell "

@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from sal_height.backprojection import filled_apertures
 from sal_height.compression import strip_grid
-from sal_height.geometry import Aperture, Grid
+from sal_height.errors import Rejected
+from sal_height.geometry import Aperture, Grid, look_direction
 from sal_height.phase_history import PhaseHistory
 from sal_height.processing import Processing
 from sal_height.sensor import Sensor
@@ -26,8 +27,21 @@ WIDEST_GAP = 1.5
 GREATEST_DRIFT = 0.1
 """Share of the range window by which the middle row may leave the reference range before the lattice is laid anew."""
 
+GREATEST_TURN = 0.1
+"""Beamwidths by which the beams may point ahead of or behind abeam of the lattice before that is laid anew."""
+
 SPARE_PULSES = 16
 """Pulses held beyond the aperture of the next column, from which others are interpolated."""
+
+SPARE_SHARE = 0.25
+"""Share of an aperture that is held beyond those: the pulses that a lattice laid anew in another direction needs."""
+
+GREATEST_CRAB = np.pi / 3
+"""Greatest angle between the flight and the body's forward axis, to which columns run and beams are square, rad."""
+
+
+ROUNDING = 1e-6
+"""Columns by which an aperture is longer than it is, so that its ends are filled in spite of rounding."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +67,9 @@ def lay_lattice(
     reference_range: float,
     shape: tuple[int, int],
 ) -> Grid:
-    """Pixels abeam of an aperture, a whole number of pulses apart along the flight, and not finer than resolved.
+    """Pixels abeam of an aperture, as many whole pulses apart along the flight as come nearest to the resolution.
+
+    Nearest, so that a gust that spreads the pulses by a little does not halve the spacing.
 
     Args:
         sensor: wavelength, bandwidth and beams.
@@ -64,12 +80,21 @@ def lay_lattice(
         shape: rows (0: all of the range window) and columns of an image (0: as long as the pulses' way).
 
     Raises:
+        Rejected: the platform flies sideways or backwards.
         UserError: too many pixels.
     """
-    way = float((antenna[-1] - antenna[0]) @ aperture.forward) / (len(antenna) - 1)
+    flown = antenna[-1] - antenna[0]
+    way = float(flown @ aperture.forward) / (len(antenna) - 1)
+    crab = float(np.arccos(np.clip(flown @ aperture.forward / np.linalg.norm(flown), -1.0, 1.0)))
+    if crab > GREATEST_CRAB:
+        raise Rejected(
+            "flight not forward",
+            f"The platform flies {crab:.3g} rad off the forward axis of base_link; stripmap allows "
+            f"{GREATEST_CRAB:.3g} rad.",
+        )
     broad = [broadening(processing.range_weights(sensor.sample_count)), broadening(processing.azimuth_weights(1024))]
     resolved = sensor.wavelength / (2 * processing.angle) * broad[1]
-    steps = max(1, int(resolved / way + 1e-6))
+    steps = max(1, round(resolved / way))
     spacing = (sensor.range_resolution * broad[0], steps * way)
     rows, cols = shape
     rows = rows or max(1, int(sensor.sample_count / broad[0]))
@@ -85,15 +110,23 @@ def begin_strip(history: PhaseHistory, antenna: Array, lattice: Grid, processing
         lattice: of pixels abeam of the block (`lay_lattice`).
         processing: the processed angle.
     """
-    first = float((antenna[0] - lattice.origin) @ lattice.col_direction) + _reach(lattice, antenna, processing)
-    return Strip(history, antenna, _moved(lattice, np.ceil(first / lattice.col_spacing)))
+    return Strip(history, antenna, _moved(lattice, np.ceil(_first_column(lattice, antenna, processing))))
+
+
+def is_later(history: PhaseHistory, strip: Strip) -> bool:
+    """Whether the first pulse of a block comes after those that the strip holds."""
+    return _pause(history, strip) > 0
 
 
 def follows(history: PhaseHistory, strip: Strip, sensor: Sensor) -> bool:
     """Whether the first pulse of a block is the next after those that the strip holds."""
+    return 0 < _pause(history, strip) * sensor.pulse_repetition_frequency < WIDEST_GAP
+
+
+def _pause(history: PhaseHistory, strip: Strip) -> float:
+    """Time (s) from the last pulse that the strip holds to the first of a block."""
     since = (history.stamp_ns - strip.history.stamp_ns) * 1e-9 + history.pulse_times[0]
-    interval = (since - strip.history.pulse_times[-1]) * sensor.pulse_repetition_frequency
-    return bool(0 < interval < WIDEST_GAP)
+    return float(since - strip.history.pulse_times[-1])
 
 
 def extend_strip(strip: Strip, history: PhaseHistory, antenna: Array) -> Strip:
@@ -121,17 +154,24 @@ def drift(strip: Strip) -> float:
     return float(np.linalg.norm(sight) - strip.history.reference_range[-1])
 
 
-def lay_anew(strip: Strip, lattice: Grid) -> Strip:
-    """The strip on another lattice, which goes on where the old one ends."""
-    first = float((strip.lattice.origin - lattice.origin) @ lattice.col_direction)
-    return replace(strip, lattice=_moved(lattice, first / lattice.col_spacing))
+def turn(strip: Strip, sensor: Sensor, aperture: Aperture) -> float:
+    """Angle (rad) by which the middle of the beams points ahead of abeam of the lattice."""
+    sight = aperture.rotation @ look_direction(np.mean(sensor.beams.span), 0.0, sensor.look_side)
+    return float(np.arcsin(sight @ strip.lattice.col_direction))
+
+
+def lay_anew(strip: Strip, lattice: Grid, processing: Processing) -> Strip:
+    """The strip on another lattice, which goes on where the old one ends, or at the first column that pulses fill."""
+    next_one = float((strip.lattice.origin - lattice.origin) @ lattice.col_direction) / lattice.col_spacing
+    missing = max(0.0, np.ceil(_first_column(lattice, strip.antenna, processing) - next_one))
+    return replace(strip, lattice=_moved(lattice, next_one + missing))
 
 
 def complete_columns(strip: Strip, processing: Processing) -> int:
     """Number of columns, from the next one on, whose apertures the pulses held fill."""
     lattice = strip.lattice
     last = float((strip.antenna[-1] - lattice.origin) @ lattice.col_direction)
-    count = int((last - _reach(lattice, strip.antenna, processing)) / lattice.col_spacing) + 1
+    count = int((last - _reach(lattice, strip.antenna[-1], processing)) / lattice.col_spacing) + 1
     while count > 0:
         ends = lattice.points(np.array([0.0, lattice.rows - 1.0]), np.full(2, count - 1.0))
         if filled_apertures(ends, strip.antenna, lattice.col_direction, processing.angle).all():
@@ -143,12 +183,15 @@ def complete_columns(strip: Strip, processing: Processing) -> int:
 def next_image(strip: Strip, cols: int, processing: Processing) -> tuple[Grid, Strip]:
     """The pixels of the next `cols` columns, and the strip beyond them with the pulses that it still needs."""
     grid, lattice = replace(strip.lattice, cols=cols), _moved(strip.lattice, cols)
-    needed = float(lattice.origin @ lattice.col_direction) - _reach(lattice, strip.antenna, processing)
+    needed = float(lattice.origin @ lattice.col_direction)
+    needed -= (1 + 2 * SPARE_SHARE) * _reach(lattice, strip.antenna[-1], processing)
     first = int(np.searchsorted(strip.antenna @ lattice.col_direction, needed)) - SPARE_PULSES
     held = slice(max(0, first), None)
+    dropped_ns = int(strip.history.pulse_times[held][0] * 1e9)
     history = replace(
         strip.history,
-        pulse_times=strip.history.pulse_times[held],
+        stamp_ns=strip.history.stamp_ns + dropped_ns,
+        pulse_times=strip.history.pulse_times[held] - dropped_ns * 1e-9,
         reference_range=strip.history.reference_range[held],
         samples=strip.history.samples[:, held].copy(),
     )
@@ -161,11 +204,17 @@ def abeam_time(strip: Strip, grid: Grid) -> float:
     return float(np.interp(middle, strip.antenna @ grid.col_direction, strip.history.pulse_times))
 
 
-def _reach(lattice: Grid, antenna: Array, processing: Processing) -> float:
-    """Half the aperture of the farthest row, m."""
-    far = lattice.points(lattice.rows - 1.0, 0.0) - antenna[-1]
+def _first_column(lattice: Grid, antenna: Array, processing: Processing) -> float:
+    """Fractional column from which on the first pulse is not too late for the aperture of any row."""
+    place = float((antenna[0] - lattice.origin) @ lattice.col_direction) + _reach(lattice, antenna[0], processing)
+    return place / lattice.col_spacing + ROUNDING
+
+
+def _reach(lattice: Grid, position: Array, processing: Processing) -> float:
+    """Half the aperture of the farthest row, m, as `filled_apertures` measures it: between sines."""
+    far = lattice.points(lattice.rows - 1.0, 0.0) - position
     across = far - (far @ lattice.col_direction) * lattice.col_direction
-    return float(np.linalg.norm(across) * np.tan(processing.angle / 2))
+    return float(np.linalg.norm(across) * np.tan(np.arcsin(processing.angle / 2)))
 
 
 def _moved(lattice: Grid, columns: float) -> Grid:

@@ -7,8 +7,8 @@ import pytest
 from helpers import BEAMWIDTH, elevation_at, flat_scene, make_aperture, make_beams, make_sensor, offset_of, target_slc
 
 from sal_height.array_ml import OBJECTIVES, ml_elevation
-from sal_height.compression import azimuth_resolution, slant_plane_grid
-from sal_height.evaluation import Truth, height_bound, truth_image
+from sal_height.compression import azimuth_resolution, slant_plane_grid, strip_grid
+from sal_height.evaluation import Truth, height_bound, pixels_at, truth_image
 from sal_height.geometry import Grid, angles_of, height_of, look_direction
 from sal_height.looks import multilook
 from sal_height.scene import Scene, VisibleSurface, visible_surface
@@ -169,3 +169,43 @@ def test_maximum_likelihood_comes_close_to_the_bound_and_not_below(looks: int, c
     bound = height_bound(single_pixel(0.6), cnr, looks, BEAMS, np.zeros(1), np.ones((1, 1)))[0, 0]
     assert standard_error < 0.02
     assert -3.5 * standard_error < np.sqrt(np.mean(squares)) / bound - 1 < 0.03 + 3.5 * standard_error
+
+
+@pytest.mark.parametrize("skew", [0.0, 2e-2, -2e-2])
+def test_pixels_at_undo_range_and_track_for_columns_that_do_not_run_along_the_track(skew: float) -> None:
+    """A strip in crosswind: the velocity is off the body's forward axis, climbing, and the body tilted.
+
+    Against the distance from the track and the place along it of points of the grid, which need not be pixels.
+    """
+    velocity = 50 * np.array([np.cos(skew), np.sin(skew), 0.4 * skew])
+    aperture = make_aperture(velocity=tuple(velocity), angles=(0.02, -0.01, 0.03) if skew else (0.0, 0.0, 0.0))
+    grid = strip_grid(SENSOR, aperture, 5000.0, (40, 900), (0.09, 0.005))
+    cosine = grid.col_direction @ aperture.direction
+    assert np.arccos(cosine) == pytest.approx(np.hypot(skew, 0.4 * skew), abs=0.04)
+    rng = np.random.default_rng(31)
+    row, col = rng.uniform(-2, 42, 500), rng.uniform(-50, 950, 500)
+    sight = grid.points(row, col) - aperture.position
+    along = sight @ aperture.direction
+    across = np.linalg.norm(np.cross(sight, aperture.direction), axis=-1)
+    found = pixels_at(across, along, aperture, grid)
+    np.testing.assert_allclose(found[0], row, atol=1e-6)
+    np.testing.assert_allclose(found[1], col, atol=1e-6)
+
+
+def test_pixels_at_are_the_nearest_that_a_search_over_all_pixels_finds() -> None:
+    """The pixel whose range and place along the track, in cells, are nearest to a target's off the plane."""
+    aperture = make_aperture(velocity=(50 * np.cos(2e-2), 50 * np.sin(2e-2), 0.0))
+    grid = strip_grid(SENSOR, aperture, 5000.0, (30, 200), (0.09, 0.005))
+    pixels = grid.pixels() - aperture.position
+    places = pixels @ aperture.direction
+    distances = np.linalg.norm(np.cross(pixels, aperture.direction), axis=-1)
+    rng = np.random.default_rng(32)
+    for _ in range(40):
+        across = rng.uniform(distances.min() + 0.2, distances.max() - 0.2)
+        along = rng.uniform(places.min() + 0.2, places.max() - 0.2)
+        row, col = (float(index) for index in pixels_at(np.array(across), np.array(along), aperture, grid))
+        mismatch = ((distances - across) / grid.row_spacing) ** 2 + ((places - along) / grid.col_spacing) ** 2
+        nearest = np.unravel_index(np.argmin(mismatch), grid.shape)
+        # A row is 0.36 columns farther along the track, so the nearest pixel may be one beside that of the cell.
+        assert abs(row - nearest[0]) < 0.75
+        assert abs(col - nearest[1]) < 0.75

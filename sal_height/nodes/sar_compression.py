@@ -135,8 +135,8 @@ class SarCompression(DwellStage):
         if of != sensor.config_hash:
             strip = StripFocuser()
             self._strip = (sensor.config_hash, strip)
-        begins_at = min(history.stamp_ns, strip.begins_at or history.stamp_ns)
-        return strip.focus_block(history, self._track(begins_at, end_ns), sensor, settings)
+        track = self._track(strip.needs_track_from(history, sensor), end_ns)
+        return strip.focus_block(history, track, sensor, settings)
 
     def _track(self, start_ns: int, end_ns: int) -> Trajectory:
         return Trajectory(self._states_around(start_ns, (end_ns - start_ns) * 1e-9))

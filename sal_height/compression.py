@@ -56,8 +56,8 @@ def slant_plane_grid(
 
     So spaced, looks are nearly independent: the powers of neighbouring range looks correlate by .11 (Taylor window).
 
-    Rows grow away from the sensor, columns along the flight. On a straight track every scatterer focuses in this
-    plane at its own range and Doppler, whatever its elevation.
+    Rows grow along the line of sight, in range alone; columns across it, the way of the flight, in Doppler alone. On a
+    straight track every scatterer focuses in this plane at its own range and Doppler, whatever its elevation.
 
     Args:
         sensor: wavelength, bandwidth and beams.
@@ -103,9 +103,9 @@ def _slant_plane(
     shape: tuple[int, int],
 ) -> Grid:
     centre = aim_point(sensor, aperture, reference_range)
-    sight = centre - aperture.position
-    across = _unit(sight - (sight @ along) * along, "line of sight")
-    return _centred_grid(centre, across, along, spacing, shape)
+    sight = (centre - aperture.position) / reference_range
+    side = _unit(along - (along @ sight) * sight, "line of sight")
+    return _centred_grid(centre, sight, side, spacing, shape)
 
 
 def ground_plane_grid(

@@ -12,6 +12,7 @@ from sal_height.array_ml import OBJECTIVES, ml_elevation
 from sal_height.backprojection import backproject
 from sal_height.compression import slant_plane_grid
 from sal_height.estimate import ElevationEstimate, Validity
+from sal_height.evaluation import pixels_at
 from sal_height.flight import SimulatedFlight
 from sal_height.geometry import EARTH_RADIUS, Aperture, Grid, angles_of, height_of, locate, sphere_point
 from sal_height.height import HeightField, column_squint, height_field, look_grid
@@ -49,10 +50,8 @@ def test_exact_elevations_give_the_positions_of_the_targets(side: int, angles: t
     targets = sphere_point(middle[0] + rng.uniform(-1, 1, (3, 4)), middle[1] + rng.uniform(-1, 1, (3, 4)), 2.0)
     sight = targets - aperture.position
     along = sight @ aperture.direction
-    first = grid.origin - aperture.position
-    first_along = first @ aperture.direction
-    across = np.sqrt(np.sum(sight**2, axis=-1) - along**2) - np.sqrt(first @ first - first_along**2)
-    looks = looks_at(across / grid.row_spacing, (along - first_along) / grid.col_spacing)
+    across = np.sqrt(np.sum(sight**2, axis=-1) - along**2)
+    looks = looks_at(*pixels_at(across, along, aperture, grid))
     _, elevation, _ = angles_of(targets, aperture, side)
 
     field = height_field(estimate_of(elevation), looks, grid, look_grid(grid, 10, 5), aperture, side)

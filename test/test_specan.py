@@ -175,3 +175,17 @@ def test_ground_plane_is_not_what_it_is_for() -> None:
     assert expected_error(case.antenna, case.sensor, case.grid) < 1e-6
     assert expected_error(case.antenna, case.sensor, squinted) > ALLOWED_ERROR
     assert expected_error(case.antenna, case.sensor, replace(ground, rows=400, cols=400)) > ALLOWED_ERROR
+
+
+@pytest.mark.parametrize("gust_mps", [1.0, 5.0])
+def test_gusts_do_not_spoil_a_dwell_on_the_pixels_that_the_node_makes(gust_mps: float) -> None:
+    """The velocity is tens of mrad off the beam; columns lie across the line of sight all the same."""
+    preset = load_preset("sal_spotlight")
+    preset = replace(preset, flight=replace(preset.flight, gust_mps=gust_mps))
+    sensor = preset.make_sensor()
+    flight = SimulatedFlight(preset, sensor, flat_scene(), 4, seed=1)
+    aperture = flight.aperture(1)
+    antenna = flight.position(flight.dwell_start_ns(1) * 1e-9 + flight.pulse_times)
+    grid = slant_plane_grid(sensor, aperture, preset.flight.slant_range_m, preset.image.rows, preset.image.cols, 1.34)
+    assert np.linalg.norm(np.cross(aperture.direction, aperture.forward)) > 0.005
+    assert expected_error(antenna, sensor, grid) < 10**-6

@@ -12,7 +12,7 @@ from sal_height.array_ml import OBJECTIVES, ml_elevation
 from sal_height.backprojection import backproject_points
 from sal_height.compression import azimuth_resolution, slant_plane_grid, slc_noise_power
 from sal_height.estimate import ElevationEstimate, Validity
-from sal_height.evaluation import truth_image
+from sal_height.evaluation import pixels_at, truth_image
 from sal_height.flight import SimulatedFlight
 from sal_height.geometry import Aperture, Grid, angles_of, aperture_at, sphere_point
 from sal_height.height import column_squint, height_field, look_grid
@@ -81,10 +81,9 @@ def test_exact_elevations_give_the_positions_of_the_targets_in_a_strip() -> None
 
 def range_and_doppler(points: np.ndarray, aperture: Aperture, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     """Row and column where points come to lie, as distances from and along the track."""
-    sight, start = points - aperture.position, grid.origin - aperture.position
-    along, first = sight @ aperture.direction, start @ aperture.direction
-    across = np.sqrt(np.sum(sight**2, axis=-1) - along**2) - np.sqrt(start @ start - first**2)
-    return across / grid.row_spacing, (along - first) / grid.col_spacing
+    sight = points - aperture.position
+    along = sight @ aperture.direction
+    return pixels_at(np.sqrt(np.sum(sight**2, axis=-1) - along**2), along, aperture, grid)
 
 
 def test_truth_of_a_strip_is_the_height_of_the_ground_in_every_column() -> None:

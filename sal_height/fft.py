@@ -10,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
+from sal_height.compiled import compiled
+
 ComplexArray = npt.NDArray[np.complex64]
 
 BACKEND = "pyfftw" if find_spec("pyfftw") else "scipy"
@@ -44,6 +46,14 @@ class Rows:
         else:
             self.data, self.spectrum = (np.zeros((rows, length), dtype=np.complex64) for _ in range(2))
 
+    def load(self, values: ComplexArray, factor: ComplexArray) -> None:
+        """Put values * factor into the beginnings of `data`, then zeros; shapes (some rows, n), (as many or 1, n)."""
+        _multiply_padded(values, factor, self.data)
+
+    def filter(self, factor: ComplexArray) -> None:
+        """Multiply the first rows of `spectrum` by `factor` of shape (some rows or 1, length)."""
+        _multiply(self.spectrum, factor)
+
     def forward(self) -> None:
         """Put the FFT of every row of `data`, exp(-j 2 pi k n / length), not scaled, into `spectrum`."""
         if BACKEND == "pyfftw":
@@ -57,3 +67,21 @@ class Rows:
             self._backward()
         else:
             self.data[:] = scipy.fft.ifft(self.spectrum, axis=-1, norm="forward")
+
+
+@compiled
+def _multiply_padded(values: ComplexArray, factor: ComplexArray, result: ComplexArray) -> None:
+    count = values.shape[1]
+    for i in range(values.shape[0]):
+        given, weight, made = values[i], factor[i if factor.shape[0] > 1 else 0], result[i]
+        for j in range(count):
+            made[j] = given[j] * weight[j]
+        made[count:] = 0
+
+
+@compiled
+def _multiply(values: ComplexArray, factor: ComplexArray) -> None:
+    for i in range(values.shape[0] if factor.shape[0] == 1 else factor.shape[0]):
+        made, weight = values[i], factor[i if factor.shape[0] > 1 else 0]
+        for j in range(made.size):
+            made[j] *= weight[j]

@@ -54,7 +54,7 @@ class _Filters:
         compensation: of motion, with the range window, (pulses, frequencies).
         resampling: to even steps; None: they are even.
         places: number of even places.
-        range: from frequency to rows, for each Doppler: `before` of shape (length, frequencies).
+        range: from frequency to rows, for each Doppler or the same for all, `before` of shape (length or 1, frequencies).
         azimuth: matched filter of each row over Doppler, with what comes after `range`, (rows, length).
         fold: Doppler spectra that fall together where columns are that many steps apart.
     """
@@ -113,13 +113,11 @@ def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detect
             along.forward()
             doppler[:, block] = along.spectrum[: len(lines)].T
         for block in _blocks(length):
-            lines = across.data[: block.stop - block.start]
-            np.multiply(doppler[block], filters.range.before[block], out=lines[:, :frequencies])
-            across.data[:, frequencies:] = 0
+            across.load(doppler[block], _lines(filters.range.before, block))
             across.forward()
-            across.spectrum[: len(lines)] *= filters.range.spectrum[block]
+            across.filter(_lines(filters.range.spectrum, block))
             across.backward()
-            compressed[:, block] = lines[:, :rows].T
+            compressed[:, block] = across.data[: block.stop - block.start, :rows].T
         for block in _blocks(rows):
             lines = folded.spectrum[: block.stop - block.start]
             np.multiply(compressed[block, :width], filters.azimuth[block, :width], out=lines)
@@ -128,6 +126,11 @@ def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detect
                 lines += compressed[block, part] * filters.azimuth[block, part]
             folded.backward()
             image[detector, block] = folded.data[: len(lines), :cols]
+
+
+def _lines(factor: ComplexArray, block: slice) -> ComplexArray:
+    """The factor's rows of a block; its only row, if it is the same for all."""
+    return factor[block] if len(factor) > 1 else factor
 
 
 @compiled
@@ -185,7 +188,6 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     before = scaled.before
     if np.abs(edges).max() >= SMALL_PHASE:
         before = before * phasors(_migration(middle, doppler, wavenumber, sensor.centre_wavenumber))
-    before, spectrum = (np.broadcast_to(lines, (length, lines.shape[1])) for lines in (before, scaled.spectrum))
     # By whole steps the replica is shifted in its spectrum, by the rest where it is made: its ends are sharp.
     whole = step * round((first_column - begin) / step)
     azimuth = _azimuth_filters(sensor, processing, distance, middle, step, length, begin + whole - first_column)
@@ -195,7 +197,7 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
         compensation,
         None if even else resampling(track.places, wanted),
         places,
-        ChirpZ(before, spectrum, scaled.after),
+        ChirpZ(before, scaled.spectrum, scaled.after),
         azimuth,
         fold,
     )

@@ -77,26 +77,24 @@ def focus_spotlight(
 def _focus(samples: ComplexArray, factors: _Factors, image: ComplexArray, detectors: Iterator[int]) -> None:
     """Focus some detectors, one after the other: range, corner turn, azimuth."""
     rows, cols = image.shape[1:]
-    pulses, frequencies = samples.shape[1:]
+    pulses = samples.shape[1]
     by_pulse, by_row = Rows(ROWS_AT_ONCE, factors.range.length), Rows(ROWS_AT_ONCE, factors.azimuth.length)
     compressed = np.empty((rows, pulses), dtype=np.complex64)
     for detector in detectors:
         for first in range(0, pulses, ROWS_AT_ONCE):
             block = slice(first, min(first + ROWS_AT_ONCE, pulses))
             lines = block.stop - block.start
-            np.multiply(samples[detector, block], factors.range.before[block], out=by_pulse.data[:lines, :frequencies])
-            by_pulse.data[:, frequencies:] = 0
+            by_pulse.load(samples[detector, block], factors.range.before[block])
             by_pulse.forward()
-            by_pulse.spectrum *= factors.range.spectrum
+            by_pulse.filter(factors.range.spectrum)
             by_pulse.backward()
             compressed[:, block] = by_pulse.data[:lines, :rows].T
         for first in range(0, rows, ROWS_AT_ONCE):
             block = slice(first, min(first + ROWS_AT_ONCE, rows))
             lines = block.stop - block.start
-            np.multiply(compressed[block], factors.azimuth.before[block], out=by_row.data[:lines, :pulses])
-            by_row.data[:, pulses:] = 0
+            by_row.load(compressed[block], factors.azimuth.before[block])
             by_row.forward()
-            by_row.spectrum[:lines] *= factors.azimuth.spectrum[block]
+            by_row.filter(factors.azimuth.spectrum[block])
             by_row.backward()
             np.multiply(by_row.data[:lines, :cols], factors.azimuth.after[block], out=image[detector, block])
 

@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from former_scenes import EAST, Case, db, difference_db, dwell
-from helpers import assert_one_sentence
+from helpers import assert_one_sentence, flat_scene
 from scipy.constants import speed_of_light
 
 from sal_height import fft, specan
-from sal_height.compression import ground_plane_grid
+from sal_height.compression import ground_plane_grid, slant_plane_grid
 from sal_height.errors import UserError
+from sal_height.flight import SimulatedFlight
 from sal_height.geometry import Aperture
+from sal_height.preset import load_preset
 from sal_height.processing import Processing
 from sal_height.specan import ALLOWED_ERROR, expected_error, focus_spotlight
 

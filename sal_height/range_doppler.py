@@ -54,7 +54,7 @@ class _Filters:
         compensation: of motion, with the range window, (pulses, frequencies).
         resampling: to even steps; None: they are even.
         places: number of even places.
-        range: from frequency to rows, for each Doppler or the same for all, `before` of shape (length or 1, frequencies).
+        range: from frequency to rows, for each Doppler (`before` of shape (length, frequencies)) or one for all.
         azimuth: matched filter of each row over Doppler, with what comes after `range`, (rows, length).
         fold: Doppler spectra that fall together where columns are that many steps apart.
     """

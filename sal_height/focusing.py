@@ -30,6 +30,7 @@ from sal_height.strip import (
     lay_anew,
     lay_lattice,
     next_image,
+    starts_anew,
     turn,
 )
 from sal_height.stripmap import aperture_length, processed_angle
@@ -150,7 +151,8 @@ class StripFocuser:
     def focus_block(self, history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: Settings) -> Slc | None:
         """Images of the columns that a block completes, a multiple of the settings' `cols`; None: not that many yet.
 
-        A block that does not follow the last one, or of which another image is wanted, begins a new strip.
+        A block that does not follow the last one, or of which another image is wanted, begins a new strip; so does one
+        of a clock that has begun anew.
 
         Args:
             history: of all detectors, as fast-time frequencies.
@@ -175,7 +177,7 @@ class StripFocuser:
         check_range_window(sensor, reference)
         shape = settings.rows, settings.cols
         lattice = lay_lattice(sensor, processing, aperture, antenna, reference, shape)
-        strip = self._strip
+        strip = self._strip if self._strip and not starts_anew(history, self._strip) else None
         if strip and not is_later(history, strip):
             raise Rejected(
                 "out of order", "A block of the strip is not later than the last one; blocks must come in order."

@@ -30,6 +30,9 @@ GREATEST_DRIFT = 0.1
 GREATEST_TURN = 0.1
 """Beamwidths by which the beams may point ahead of or behind abeam of the lattice before that is laid anew."""
 
+CLOCK_STEP = 1.0
+"""Seconds by which a block may be late; one that is older comes of a clock that has begun anew."""
+
 SPARE_PULSES = 16
 """Pulses held beyond the aperture of the next column, from which others are interpolated."""
 
@@ -116,6 +119,11 @@ def begin_strip(history: PhaseHistory, antenna: Array, lattice: Grid, processing
 def is_later(history: PhaseHistory, strip: Strip) -> bool:
     """Whether the first pulse of a block comes after those that the strip holds."""
     return _pause(history, strip) > 0
+
+
+def starts_anew(history: PhaseHistory, strip: Strip) -> bool:
+    """Whether a block is so much older than the strip that its clock has begun anew, as of a bag played again."""
+    return _pause(history, strip) < -CLOCK_STEP
 
 
 def follows(history: PhaseHistory, strip: Strip, sensor: Sensor) -> bool:

@@ -400,3 +400,21 @@ def test_noise_of_an_image_is_what_it_states(window: str) -> None:
     assert standard_error < 0.015
     for slc in slcs:
         np.testing.assert_allclose(measured / slc.noise_power, 1, atol=3.5 * standard_error)
+
+
+def test_a_clock_that_begins_anew_begins_a_new_strip() -> None:
+    """A bag played again: the same blocks, hours earlier, give the same images."""
+    flown, focuser, settings = noisy(900), StripFocuser(), Settings(former="backprojection", cols=10, rows=8)
+
+    def fly() -> list[np.ndarray]:
+        slcs = [flown.feed(focuser, number * 150, (number + 1) * 150, settings) for number in range(6)]
+        return [slc.images for slc in slcs if slc]
+
+    first = fly()
+    focuser._strip = replace(
+        focuser._strip, history=replace(focuser._strip.history, stamp_ns=focuser._strip.history.stamp_ns + 3600 * 10**9)
+    )
+    second = fly()
+    assert len(first) == len(second) > 0
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one, other)

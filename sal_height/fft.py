@@ -14,12 +14,25 @@ from sal_height.compiled import compiled
 
 ComplexArray = npt.NDArray[np.complex64]
 
+BUFFER = 2**16
+"""Numbers in a buffer: half a megabyte."""
+
 BACKEND = "pyfftw" if find_spec("pyfftw") else "scipy"
 
 
 def fast_length(least: int) -> int:
     """Smallest length from `least` on that suits FFTs and vector units: a multiple of 16, with factors 2, 3 and 5."""
     return 16 * int(scipy.fft.next_fast_len(-(-least // 16), real=True))
+
+
+def rows_at_once(length: int) -> int:
+    """Rows of that length that fit into a processor's cache together."""
+    return max(1, BUFFER // length)
+
+
+def blocks(count: int, size: int) -> list[slice]:
+    """`count` rows in blocks of `size`, the last of which may be smaller."""
+    return [slice(first, min(first + size, count)) for first in range(0, count, size)]
 
 
 class Rows:

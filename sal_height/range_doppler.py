@@ -20,7 +20,7 @@ from sal_height.backprojection import valid_pixels
 from sal_height.chirp_z import ChirpZ, chirp_z
 from sal_height.compiled import WORKERS, compiled
 from sal_height.errors import UserError
-from sal_height.fft import Rows, fast_length
+from sal_height.fft import Rows, blocks, fast_length, rows_at_once
 from sal_height.geometry import Grid
 from sal_height.phase_history import PhaseHistory
 from sal_height.phasors import outer_phasors, phasors
@@ -32,9 +32,6 @@ from sal_height.stripmap import processed_angle
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
-
-ROWS_AT_ONCE = 32
-"""Rows that are transformed at a time: what fits into a processor's cache."""
 
 EVEN_PHASE = 0.003
 """Greatest phase (rad) that a pulse off its even place may make at the edge of the aperture, without resampling."""
@@ -96,13 +93,12 @@ def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detect
     """Focus some detectors, one after the other."""
     rows, cols = image.shape[1:]
     frequencies, length = samples.shape[2], filters.azimuth.shape[1]
-    along, across = Rows(ROWS_AT_ONCE, length), Rows(ROWS_AT_ONCE, filters.range.length)
     width = length // filters.fold
-    folded = Rows(ROWS_AT_ONCE, width)
+    along, across, folded = (Rows(rows_at_once(n), n) for n in (length, filters.range.length, width))
     doppler = np.empty((length, frequencies), dtype=np.complex64)
     compressed = np.empty((rows, length), dtype=np.complex64)
     for detector in detectors:
-        for block in _blocks(frequencies):
+        for block in blocks(frequencies, len(along.data)):
             lines = along.data[: block.stop - block.start]
             if filters.resampling:
                 pulses = samples[detector, :, block] * filters.compensation[:, block]
@@ -112,13 +108,13 @@ def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detect
             lines[:, filters.places :] = 0
             along.forward()
             doppler[:, block] = along.spectrum[: len(lines)].T
-        for block in _blocks(length):
+        for block in blocks(length, len(across.data)):
             across.load(doppler[block], _lines(filters.range.before, block))
             across.forward()
             across.filter(_lines(filters.range.spectrum, block))
             across.backward()
             compressed[:, block] = across.data[: block.stop - block.start, :rows].T
-        for block in _blocks(rows):
+        for block in blocks(rows, len(folded.data)):
             lines = folded.spectrum[: block.stop - block.start]
             np.multiply(compressed[block, :width], filters.azimuth[block, :width], out=lines)
             for first in range(width, length, width):
@@ -141,10 +137,6 @@ def _multiply_transposed(data: ComplexArray, factor: ComplexArray, result: Compl
             line = result[j]
             for i in range(first, min(first + 8, data.shape[0])):
                 line[i] = data[i, j] * factor[i, j]
-
-
-def _blocks(count: int) -> list[slice]:
-    return [slice(first, min(first + ROWS_AT_ONCE, count)) for first in range(0, count, ROWS_AT_ONCE)]
 
 
 def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid) -> _Filters:
@@ -233,7 +225,7 @@ def _azimuth_filters(
         replica[block, near] = weight.astype(np.float32) * phasors(-sensor.centre_wavenumber * (slant - middle))
 
     with ThreadPoolExecutor(WORKERS) as pool:
-        list(pool.map(fill, _blocks(len(distance))))
+        list(pool.map(fill, blocks(len(distance), rows_at_once(length))))
     return np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()
 
 

@@ -19,7 +19,7 @@ from sal_height.backprojection import valid_pixels
 from sal_height.chirp_z import ChirpZ, chirp_z
 from sal_height.compiled import WORKERS
 from sal_height.errors import UserError
-from sal_height.fft import Rows
+from sal_height.fft import Rows, blocks, rows_at_once
 from sal_height.geometry import Grid
 from sal_height.phase_history import PhaseHistory
 from sal_height.phasors import distance_phasors, outer_phasors, phasors
@@ -32,9 +32,6 @@ ComplexArray = npt.NDArray[np.complex64]
 
 ALLOWED_ERROR = 1e-4
 """Greatest expected error power, over that of the image."""
-
-ROWS_AT_ONCE = 32
-"""Rows that are transformed at a time: what fits into a processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -78,19 +75,17 @@ def _focus(samples: ComplexArray, factors: _Factors, image: ComplexArray, detect
     """Focus some detectors, one after the other: range, corner turn, azimuth."""
     rows, cols = image.shape[1:]
     pulses = samples.shape[1]
-    by_pulse, by_row = Rows(ROWS_AT_ONCE, factors.range.length), Rows(ROWS_AT_ONCE, factors.azimuth.length)
+    by_pulse, by_row = (Rows(rows_at_once(chirp.length), chirp.length) for chirp in (factors.range, factors.azimuth))
     compressed = np.empty((rows, pulses), dtype=np.complex64)
     for detector in detectors:
-        for first in range(0, pulses, ROWS_AT_ONCE):
-            block = slice(first, min(first + ROWS_AT_ONCE, pulses))
+        for block in blocks(pulses, len(by_pulse.data)):
             lines = block.stop - block.start
             by_pulse.load(samples[detector, block], factors.range.before[block])
             by_pulse.forward()
             by_pulse.filter(factors.range.spectrum)
             by_pulse.backward()
             compressed[:, block] = by_pulse.data[:lines, :rows].T
-        for first in range(0, rows, ROWS_AT_ONCE):
-            block = slice(first, min(first + ROWS_AT_ONCE, rows))
+        for block in blocks(rows, len(by_row.data)):
             lines = block.stop - block.start
             by_row.load(compressed[block], factors.azimuth.before[block])
             by_row.forward()

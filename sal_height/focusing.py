@@ -109,7 +109,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     check_pulses(sensor, antenna, aperture)
     check_range_window(sensor, reference)
     grid = _dwell_grid(settings, sensor, aperture, reference, processing)
-    former = choose_former(settings.former, antenna, sensor, grid)
+    former = choose_former(settings.former, antenna, sensor, processing, grid)
     focus = autofocus(history, antenna, sensor, patch_centres(sensor, aperture, grid)) if settings.autofocus else None
     if focus and focus.trusted:
         history = apply_phase(history, focus.phase)
@@ -198,7 +198,7 @@ class StripFocuser:
         if not cols:
             return None
         grid, self._strip = next_image(strip, cols, processing)
-        former = choose_former(settings.former, strip.antenna, sensor, grid)
+        former = choose_former(settings.former, strip.antenna, sensor, processing, grid)
         images = former(strip.history, strip.antenna, sensor, processing, grid)
         around = abeam_time(strip, grid) + np.array([-0.5, 0.5]) / sensor.pulse_repetition_frequency
         abeam = track.aperture(strip.history.stamp_ns, around)

@@ -13,7 +13,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import Grid
 from sal_height.phase_history import PhaseHistory
 from sal_height.processing import Processing
-from sal_height.range_doppler import focus_stripmap
+from sal_height.range_doppler import focus_stripmap, sidelobes_stray
 from sal_height.sensor import Sensor
 from sal_height.specan import ALLOWED_ERROR, focus_spotlight
 
@@ -41,13 +41,14 @@ FEW_PIXELS = 10_000
 """Images that backprojection forms in about the same time."""
 
 
-def choose_former(name: str, antenna: Array, sensor: Sensor, grid: Grid) -> Former:
+def choose_former(name: str, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid) -> Former:
     """The former of that name; for "auto", the fast one if it is as good as backprojection and worth it.
 
     Args:
         name: of FORMERS, or "auto".
         antenna: position at each pulse, m, shape (pulses, 3).
         sensor: its mode, and what the expected error of a fast former follows from.
+        processing: the azimuth window and the processed angle.
         grid: pixels.
 
     Raises:
@@ -62,5 +63,6 @@ def choose_former(name: str, antenna: Array, sensor: Sensor, grid: Grid) -> Form
     if name == "auto":
         wide = grid.rows * grid.cols > FEW_PIXELS
         fits = wide and EXPECTED_ERROR[sensor.mode](antenna, sensor, grid) <= ALLOWED_ERROR
+        fits = fits and not sidelobes_stray(antenna, sensor, processing, grid)
         name = FAST[sensor.mode] if fits else "backprojection"
     return FORMERS[name]

@@ -33,6 +33,9 @@ from sal_height.stripmap import processed_angle
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
 
+STRAY_CELLS = 0.2
+"""Migration, in range cells, beyond which the strong sidelobes of a rectangular azimuth window matter."""
+
 EVEN_PHASE = 0.003
 """Greatest phase (rad) that a pulse off its even place may make at the edge of the aperture, without resampling."""
 
@@ -227,6 +230,19 @@ def _azimuth_filters(
     with ThreadPoolExecutor(WORKERS) as pool:
         list(pool.map(fill, blocks(len(distance), rows_at_once(length))))
     return np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()
+
+
+def sidelobes_stray(antenna: Array, sensor: Sensor, processing: Processing, grid: Grid) -> bool:
+    """Whether strong sidelobes lie elsewhere than backprojection's: a rectangular azimuth window, and migration.
+
+    Sidelobes far along the track are corrected for the migration of where they lie, not of their target. With the other
+    windows they are so low that it does not matter.
+    """
+    if not processing.angle or processing.azimuth_window != "rectangular":
+        return False
+    farthest = float(np.linalg.norm(grid.points(grid.rows - 1, (grid.cols - 1) / 2) - antenna.mean(axis=0)))
+    migration = farthest * (1 / np.cos(processing.angle / 2) - 1)
+    return bool(migration > STRAY_CELLS * sensor.range_resolution)
 
 
 def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:

@@ -14,13 +14,14 @@ from sal_height.compression import ground_plane_grid
 from sal_height.errors import UserError
 from sal_height.formers import FAST, FEW_PIXELS, FORMERS, choose_former
 from sal_height.geometry import Aperture
+from sal_height.processing import Processing
 from sal_height.range_doppler import focus_stripmap
 from sal_height.sensor import MODES
 from sal_height.specan import focus_spotlight
 
 
 def chosen(case: Case, name: str = "auto", **grid: int) -> object:
-    return choose_former(name, case.antenna, case.sensor, replace(case.grid, **grid))
+    return choose_former(name, case.antenna, case.sensor, case.processing, replace(case.grid, **grid))
 
 
 @pytest.fixture(scope="module")
@@ -45,16 +46,29 @@ def test_a_dwell_on_which_specan_errs_is_formed_by_backprojection(lidar: Case) -
     """Too wide; on a track that is bent; on the ground instead of the slant plane."""
     assert chosen(lidar, rows=2000, cols=400) is backproject
     bent = lidar.antenna + 1e-3 * np.cos(np.linspace(0, 9, len(lidar.antenna)))[:, None] * EAST
-    assert choose_former("auto", bent, lidar.sensor, lidar.grid) is backproject
+    assert choose_former("auto", bent, lidar.sensor, lidar.processing, lidar.grid) is backproject
     aperture = Aperture(lidar.antenna.mean(axis=0), 50 * EAST, np.eye(3), 0.08, np.zeros((6, 6)))
     ground = ground_plane_grid(lidar.sensor, aperture, 5000.0, 500, 200, 0.04)
-    assert choose_former("auto", lidar.antenna, lidar.sensor, ground) is backproject
+    assert choose_former("auto", lidar.antenna, lidar.sensor, lidar.processing, ground) is backproject
 
 
 def test_strips_are_formed_by_range_doppler(lidar_strip: Case) -> None:
     assert lidar_strip.grid.rows * lidar_strip.grid.cols > FEW_PIXELS
     assert chosen(lidar_strip) is focus_stripmap
     assert chosen(lidar_strip, rows=4) is backproject
+
+
+def test_strong_sidelobes_that_migrate_are_left_to_backprojection() -> None:
+    """Migration of 1.4 cells in a radar's strip: with a rectangular azimuth window only, and not in a lidar's."""
+    rng = np.random.default_rng(82)
+    radar = strip(rng, **XBAND, pulses=1000, rows=100, frequencies=160, targets=1)
+    sharp = replace(radar, processing=replace(radar.processing, azimuth_window="rectangular"))
+    assert radar.grid.rows * radar.grid.cols > FEW_PIXELS
+    assert chosen(radar) is focus_stripmap
+    assert chosen(sharp) is backproject
+    assert chosen(sharp, "range_doppler") is focus_stripmap
+    lidar = strip(rng, **SAL, targets=1, fold=0.5, processing=Processing("taylor", "rectangular"))
+    assert chosen(lidar) is focus_stripmap
 
 
 def test_a_strip_on_which_range_doppler_errs_is_formed_by_backprojection() -> None:

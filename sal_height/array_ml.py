@@ -14,10 +14,10 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.beams import Beams
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate, output_power, validity_of
 from sal_height.looks import Looks
-from sal_height.sensor import Beams
 
 Array = npt.NDArray[np.float64]
 Objective = Callable[[Array, Array], Array]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
+from sal_height.beam_table import BeamTable
 from sal_height.errors import Rejected, UserError
 from sal_height.estimate import Validity
 from sal_height.focusing import Slc
@@ -103,6 +105,9 @@ def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
         pulse_repetition_frequency=sensor.pulse_repetition_frequency,
         aperture=sensor.aperture,
         pattern=sensor.pattern,
+        detector_size=list(sensor.detector_size),
+        detector_rotation=sensor.detector_rotation,
+        beam_tables=[messages.BeamTable(**dataclasses.asdict(table)) for table in sensor.beam_tables],
         elevation_boresights=list(sensor.elevation_boresights),
         noise_power=list(sensor.noise_power),
     )
@@ -131,6 +136,12 @@ def sensor_from_message(message: messages.SensorInfo) -> Sensor:
         pulse_repetition_frequency=message.pulse_repetition_frequency,
         aperture=message.aperture,
         pattern=message.pattern,
+        detector_size=(float(message.detector_size[0]), float(message.detector_size[1])),
+        detector_rotation=message.detector_rotation,
+        beam_tables=tuple(
+            BeamTable(tuple(table.elevation), tuple(table.azimuth), tuple(table.real), tuple(table.imaginary))
+            for table in message.beam_tables
+        ),
         elevation_boresights=tuple(message.elevation_boresights),
         noise_power=tuple(message.noise_power),
         calibration_id=message.calibration_id,

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import gamma
 
+from sal_height.beams import Beams
 from sal_height.errors import UserError
 from sal_height.looks import Looks
-from sal_height.sensor import Beams
 
 Array = npt.NDArray[np.float64]
 

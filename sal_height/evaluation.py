@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.beams import Beams
 from sal_height.geometry import Aperture, Grid
 from sal_height.scene import VisibleSurface
-from sal_height.sensor import Beams
 
 Array = npt.NDArray[np.float64]
 

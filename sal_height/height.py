@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.beams import Beams
 from sal_height.estimate import ElevationEstimate, Validity
 from sal_height.geometry import Aperture, Grid, aperture_at, height_of, locate, squint_on_cone
 from sal_height.looks import Looks
-from sal_height.sensor import Beams
 
 Array = npt.NDArray[np.float64]
 

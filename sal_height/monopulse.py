@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.array_ml import OBJECTIVES, coarse_search
+from sal_height.beams import Beams
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate, Validity, explained_power, validity_of
 from sal_height.looks import Looks
-from sal_height.sensor import Beams
 
 Array = npt.NDArray[np.float64]
 Discriminant = Callable[[Array, Array, Array], Array]
@@ -136,8 +136,8 @@ def _pitch(beams: Beams) -> float:
 def _pair_response(offset: npt.ArrayLike, squint: npt.ArrayLike, pitch: float, beams: Beams) -> tuple[Array, Array]:
     """Amplitudes of the lower and the upper detector of a pair."""
     azimuth = np.asarray(squint) / beams.beamwidth
-    lower = beams.pattern.amplitude((np.asarray(offset) + pitch / 2) / beams.beamwidth, azimuth)
-    upper = beams.pattern.amplitude((np.asarray(offset) - pitch / 2) / beams.beamwidth, azimuth)
+    lower = beams.patterns[0].amplitude((np.asarray(offset) + pitch / 2) / beams.beamwidth, azimuth)
+    upper = beams.patterns[0].amplitude((np.asarray(offset) - pitch / 2) / beams.beamwidth, azimuth)
     return lower, upper
 
 
@@ -171,6 +171,6 @@ def _discriminant_slope(offset: Array, squint: Array, pitch: float, beams: Beams
     """Slope d mu / d offset: 2 (u' l - u l') / (u + l)^2, 1/rad."""
     lower, upper = _pair_response(offset, squint, pitch, beams)
     azimuth = np.asarray(squint) / beams.beamwidth
-    lower_slope = beams.pattern.slope((offset + pitch / 2) / beams.beamwidth, azimuth) / beams.beamwidth
-    upper_slope = beams.pattern.slope((offset - pitch / 2) / beams.beamwidth, azimuth) / beams.beamwidth
+    lower_slope = beams.patterns[0].slope((offset + pitch / 2) / beams.beamwidth, azimuth) / beams.beamwidth
+    upper_slope = beams.patterns[0].slope((offset - pitch / 2) / beams.beamwidth, azimuth) / beams.beamwidth
     return 2 * (upper_slope * lower - upper * lower_slope) / (upper + lower) ** 2

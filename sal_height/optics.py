@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import j1, jv
 
+from sal_height.beam_table import BeamTable
 from sal_height.errors import UserError
 
 Array = npt.NDArray[np.float64]
@@ -23,17 +24,21 @@ GAUSSIAN_WIDTH = 0.617972
 
 @dataclass(frozen=True)
 class Pattern:
-    """A beam pattern and its slope.
+    """A beam pattern and its slopes.
 
     Attributes:
         name: how presets and messages call it.
-        amplitude: h(e, a); broadcasts.
+        amplitude: h(e, a); broadcasts. Float64, or complex128 for a measured beam.
         slope: the derivative of h with respect to e; broadcasts.
+        azimuth_slope: the derivative of h with respect to a; broadcasts.
+        domain: least and greatest e at which it is known.
     """
 
     name: str
     amplitude: Callable[[npt.ArrayLike, npt.ArrayLike], Array]
     slope: Callable[[npt.ArrayLike, npt.ArrayLike], Array]
+    azimuth_slope: Callable[[npt.ArrayLike, npt.ArrayLike], Array]
+    domain: tuple[float, float] = (-np.inf, np.inf)
 
 
 def _gaussian(e: npt.ArrayLike, a: npt.ArrayLike) -> Array:
@@ -71,15 +76,20 @@ def _jinc_slope(e: npt.ArrayLike, a: npt.ArrayLike) -> Array:
     return -(np.pi**2) * np.asarray(e) * np.where(x < 1e-6, 0.25, 2 * jv(2, safe) / safe**2)
 
 
+def _turned(slope: Callable[[npt.ArrayLike, npt.ArrayLike], Array]) -> Callable[[npt.ArrayLike, npt.ArrayLike], Array]:
+    """The slope in azimuth of a pattern that is the same with elevation and azimuth exchanged."""
+    return lambda e, a: slope(a, e)
+
+
 PATTERNS = {
     pattern.name: pattern
     for pattern in (
-        Pattern("gaussian", _gaussian, _gaussian_slope),
-        Pattern("sinc", _sinc, _sinc_slope),
-        Pattern("jinc", _jinc, _jinc_slope),
+        Pattern("gaussian", _gaussian, _gaussian_slope, _turned(_gaussian_slope)),
+        Pattern("sinc", _sinc, _sinc_slope, _turned(_sinc_slope)),
+        Pattern("jinc", _jinc, _jinc_slope, _turned(_jinc_slope)),
     )
 }
-"""The patterns by name."""
+"""Patterns of point detectors by name."""
 
 
 def pattern_named(name: str) -> Pattern:
@@ -91,3 +101,25 @@ def pattern_named(name: str) -> Pattern:
     if name not in PATTERNS:
         raise UserError(f"The beam pattern is {name!r}; allowed are {', '.join(sorted(PATTERNS))}.")
     return PATTERNS[name]
+
+
+def detector_pattern(name: str, size: tuple[float, float]) -> Pattern:
+    """The pattern of a rectangular detector behind the aperture called `name`.
+
+    Args:
+        name: one of PATTERNS.
+        size: widths of the detector along its axis and beside it, beamwidths; 0: a point.
+
+    Raises:
+        UserError: no such aperture, or a size that is negative or not finite.
+    """
+    if not all(np.isfinite(width) and width >= 0 for width in size):
+        raise UserError(f"The detector size is {size} beamwidths; both must be finite and 0 or more.")
+    if any(size):
+        raise NotImplementedError
+    return pattern_named(name)
+
+
+def tabulated_pattern(table: BeamTable, beamwidth: float) -> Pattern:
+    """The pattern that a table holds, between whose angles it is interpolated; `beamwidth` in rad."""
+    raise NotImplementedError

@@ -100,7 +100,7 @@ def beam_coherence(sensor: Sensor, antenna: Array, centre: Array) -> ComplexArra
     slant_range = np.linalg.norm(centre - antenna.mean(axis=0))
     cells = 2 * np.linalg.norm(flight) * sensor.beamwidth / sensor.wavelength
     offset = np.linspace(-LIT_BEAMWIDTHS, LIT_BEAMWIDTHS, 16 * int(np.ceil(cells)) + 1)
-    power = sensor.beams.pattern.amplitude(np.zeros_like(offset), offset) ** 2
+    power = np.abs(sensor.beams.patterns[0].amplitude(np.zeros_like(offset), offset)) ** 2
     along = offset * sensor.beamwidth * slant_range
     points = centre + along[:, None] * (flight / np.linalg.norm(flight))
     farther = np.linalg.norm(points - antenna[:, None], axis=-1) - np.linalg.norm(centre - antenna, axis=-1)[:, None]

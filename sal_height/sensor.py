@@ -11,8 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.constants import speed_of_light
 
+from sal_height.beam_table import BeamTable
+from sal_height.beams import Beams
 from sal_height.errors import UserError
-from sal_height.optics import Pattern, pattern_named
+from sal_height.optics import Pattern, detector_pattern, tabulated_pattern
 
 Array = npt.NDArray[np.float64]
 
@@ -32,46 +34,6 @@ BANDWIDTH_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
-class Beams:
-    """The receive beams of a detector array in elevation.
-
-    Attributes:
-        pattern: amplitude pattern common to all detectors.
-        boresights: elevation of each beam in rad from nadir, shape (detectors,), increasing.
-        beamwidth: wavelength / aperture diameter in rad.
-    """
-
-    pattern: Pattern
-    boresights: Array
-    beamwidth: float
-
-    def response(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
-        """Amplitude of every detector for targets at `elevation` and `squint` (rad): shape (..., detectors)."""
-        return self.pattern.amplitude(*self._offsets(elevation, squint))
-
-    def slope(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
-        """Derivative of `response` with respect to elevation, per rad: shape (..., detectors)."""
-        return self.pattern.slope(*self._offsets(elevation, squint)) / self.beamwidth
-
-    def _offsets(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> tuple[Array, Array]:
-        """Offsets from each boresight in beamwidths, elevation and azimuth."""
-        e = (np.asarray(elevation)[..., None] - self.boresights) / self.beamwidth
-        a = np.asarray(squint)[..., None] / self.beamwidth
-        return e, a
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Elevations of the first and the last boresight (rad)."""
-        return float(self.boresights[0]), float(self.boresights[-1])
-
-    def domain(self, guard: float) -> tuple[float, float]:
-        """Elevations (rad) from half a pitch plus `guard` (rad) below the first boresight to as much above the last."""
-        first, last = self.span
-        margin = (last - first) / (len(self.boresights) - 1) / 2 + guard
-        return first - margin, last + margin
-
-
-@dataclass(frozen=True)
 class Sensor:
     """Description of a multi-detector sensor; the same content as sal_height_msgs/SensorInfo.
 
@@ -87,7 +49,7 @@ class Sensor:
         pulse_count: pulses in a dwell.
         pulse_repetition_frequency: Hz.
         aperture: receive aperture diameter, m.
-        pattern: name of the beam pattern.
+        pattern: name of the beam pattern that the aperture gives, or "table".
         elevation_boresights: rad from nadir, increasing, one per detector.
         noise_power: E|n|^2 of a phase-history sample, one per detector; 0: unknown.
         mode: one of MODES.
@@ -95,6 +57,10 @@ class Sensor:
         chirp_rate: of the linear FM, Hz/s, negative for a falling one; 0 for "spectrum".
         pulse_duration: of the linear FM, s; 0 for "spectrum".
         sampling_rate: of the fast-time samples, Hz; 0 for "spectrum".
+        detector_size: width of the detectors along their axis and beside it, beamwidths; 0: points.
+        beam_tables: with pattern "table", the measured beam of every detector, or the one common to all.
+        detector_rotation: by which the axis of the detectors is turned in the plane across the line of sight, rad:
+            from elevation (growing) towards the direction of flight. Boresights are angles along that axis.
         calibration_id: calibration already applied by the sensor; empty: none.
         config_hash: identity of this description; empty: the first 16 hexadecimal digits of the SHA-256 of the rest.
 
@@ -118,6 +84,9 @@ class Sensor:
     chirp_rate: float = 0.0
     pulse_duration: float = 0.0
     sampling_rate: float = 0.0
+    detector_size: tuple[float, float] = (0.0, 0.0)
+    detector_rotation: float = 0.0
+    beam_tables: tuple[BeamTable, ...] = ()
     calibration_id: str = ""
     config_hash: str = ""
 
@@ -138,8 +107,8 @@ class Sensor:
         for key in ("sample_count", "pulse_count"):
             if getattr(self, key) < 2:
                 raise UserError(f"Sensor {key} is {getattr(self, key)}; it must be 2 or more.")
-        pattern_named(self.pattern)
         self._check_detectors()
+        self._check_beams()
         self._check_waveform()
         if not self.config_hash:
             digest = hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
@@ -162,6 +131,21 @@ class Sensor:
                 f"Sensor noise_power must be {boresights.size} finite numbers of 0 or more, one per detector, "
                 f"not {self.noise_power}."
             )
+
+    def _check_beams(self) -> None:
+        if not abs(self.detector_rotation) <= np.pi / 2:
+            raise UserError(f"Sensor detector_rotation is {self.detector_rotation}; allowed are -pi/2 to pi/2 rad.")
+        if (self.pattern == "table") != bool(self.beam_tables):
+            raise UserError(
+                f"Sensor pattern is {self.pattern!r} with {len(self.beam_tables)} beam tables; tables go with the "
+                "pattern 'table' and with no other."
+            )
+        if self.beam_tables and len(self.beam_tables) not in (1, self.detector_count):
+            raise UserError(
+                f"Sensor has {len(self.beam_tables)} beam tables for {self.detector_count} detectors; "
+                "give one for each, or one for all."
+            )
+        self.beams.domain(0.0)  # refuses beams that do not overlap
 
     def _check_waveform(self) -> None:
         keys = ("chirp_rate", "pulse_duration", "sampling_rate")
@@ -247,5 +231,11 @@ class Sensor:
 
     @cached_property
     def beams(self) -> Beams:
-        """Beams of the detectors."""
-        return Beams(pattern_named(self.pattern), np.array(self.elevation_boresights), self.beamwidth)
+        """Beams of the detectors, as they receive from one direction."""
+        return Beams(self._patterns, np.array(self.elevation_boresights), self.beamwidth, self.detector_rotation)
+
+    @property
+    def _patterns(self) -> tuple[Pattern, ...]:
+        if self.beam_tables:
+            return tuple(tabulated_pattern(table, self.beamwidth) for table in self.beam_tables)
+        return (detector_pattern(self.pattern, self.detector_size),)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.beams import Beams
 from sal_height.compiled import compiled
 from sal_height.geometry import look_direction
 from sal_height.interpolation import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
-from sal_height.optics import Pattern
 from sal_height.phasors import phasors
 from sal_height.scene import VisibleSurface
 from sal_height.sensor import Sensor
@@ -37,15 +39,16 @@ def aperture_length(sensor: Sensor, slant_range: float) -> float:
     return processed_angle(sensor) * slant_range
 
 
-def mean_square_gain(pattern: Pattern) -> float:
-    """Mean square over the processed angle of the pattern in azimuth, for a target at the boresight's elevation.
+def mean_square_gain(beams: Beams) -> float:
+    """Mean square over the processed angle of the first detector's pattern, for a target at the boresight's elevation.
 
     A focused pixel is the mean of its pulses. Noise has the power of a sample over their number; the cells of level
     ground have, by Parseval, that of a beam that is even over the aperture, times this gain. (A point has at its peak
     the square of the mean of the pattern instead: for the square aperture 0.07 dB less.)
     """
     nodes = (np.arange(1000) + 0.5) / 1000 - 0.5
-    return float(np.mean(pattern.amplitude(0.0, nodes) ** 2))
+    sine, cosine = math.sin(beams.rotation), math.cos(beams.rotation)
+    return float(np.mean(np.abs(beams.patterns[0].amplitude(nodes * sine, nodes * cosine)) ** 2))
 
 
 def cell_power(cnr: float, sensor: Sensor, slant_range: float, speed: float) -> float:
@@ -62,7 +65,7 @@ def cell_power(cnr: float, sensor: Sensor, slant_range: float, speed: float) -> 
     """
     pulses = aperture_length(sensor, slant_range) * sensor.pulse_repetition_frequency / speed
     noise = float(np.mean(sensor.noise_power)) / (pulses * sensor.sample_count)
-    return cnr * noise / mean_square_gain(sensor.beams.pattern)
+    return cnr * noise / mean_square_gain(sensor.beams)
 
 
 def simulate_block(
@@ -100,7 +103,7 @@ def simulate_block(
     positions, strengths = surface.positions[order], amplitudes[order].astype(np.complex64)
     east = positions[:, 0].copy()
     middle = float(np.mean(sensor.beams.span))
-    boresights = (sensor.beams.boresights - middle).astype(np.float32)
+    beams = replace(sensor.beams, boresights=(sensor.beams.boresights - middle).astype(np.float32), middle=0.0)
     boresight = look_direction(middle, 0.0, sensor.look_side)
     outwards = look_direction(middle + np.pi / 2, 0.0, sensor.look_side)
     taps, dense = tap_polynomials(), OVERSAMPLING * sensor.sample_count
@@ -115,7 +118,7 @@ def simulate_block(
         delay = distance - reference
         elevation = np.arctan2(sight[1].astype(np.float32), sight[2].astype(np.float32))
         squint = np.arcsin((sight[0] / distance).astype(np.float32))
-        response = _response(sensor, elevation[:, None] - boresights, squint[:, None])
+        response = beams.response(elevation, squint).astype(np.float32)
         echoes = strengths[lit] * phasors(-sensor.centre_wavenumber * delay)
         place = np.mod(delay * (dense / sensor.range_window) + dense // 2, dense)
         before = np.floor(place).astype(np.int32)
@@ -129,12 +132,6 @@ def simulate_block(
     real, imaginary = np.split(profiles, 2, axis=-1)
     spectra = np.einsum("fi,pid->dpf", _spectrum_of_profile(sensor.sample_count), real + 1j * imaginary, optimize=True)
     return np.ascontiguousarray(spectra, dtype=np.complex64)
-
-
-def _response(sensor: Sensor, elevation: FloatArray, squint: FloatArray) -> FloatArray:
-    """Amplitude pattern at angles (rad) from each boresight, in float32."""
-    beamwidth = np.float32(sensor.beamwidth)
-    return sensor.beams.pattern.amplitude(elevation / beamwidth, squint / beamwidth).astype(np.float32)
 
 
 def _spectrum_of_profile(count: int) -> ComplexArray:

@@ -10,12 +10,13 @@ import numpy.typing as npt
 from scipy.constants import speed_of_light
 from scipy.spatial.transform import Rotation
 
+from sal_height.beams import Beams
 from sal_height.geometry import Aperture
 from sal_height.looks import Looks
 from sal_height.optics import pattern_named
 from sal_height.preset import Preset
 from sal_height.scene import Scene, VisibleSurface
-from sal_height.sensor import Beams, Sensor
+from sal_height.sensor import Sensor
 
 Array = npt.NDArray[np.float64]
 
@@ -26,7 +27,7 @@ BEAMWIDTH = 1.55e-4
 def make_beams(pattern: str = "sinc", count: int = 16, pitch: float = 0.5) -> Beams:
     """Detectors `pitch` beamwidths apart around an elevation of 45 degrees."""
     steps = (np.arange(count) - (count - 1) / 2) * pitch
-    return Beams(pattern_named(pattern), np.pi / 4 + steps * BEAMWIDTH, BEAMWIDTH)
+    return Beams((pattern_named(pattern),), np.pi / 4 + steps * BEAMWIDTH, BEAMWIDTH)
 
 
 def elevation_at(offset: npt.ArrayLike) -> Array:

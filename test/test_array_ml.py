@@ -7,12 +7,12 @@ import pytest
 from helpers import BEAMWIDTH, assert_one_sentence, elevation_at, make_beams, noise_free_looks, offset_of, target_slc
 
 from sal_height.array_ml import GRID_STEP, OBJECTIVES, elevation_bound, ml_elevation
+from sal_height.beams import Beams
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate, Validity, common_noise
 from sal_height.looks import Looks, multilook
 from sal_height.monopulse import DISCRIMINANTS, monopulse_elevation
 from sal_height.optics import PATTERNS
-from sal_height.sensor import Beams
 
 MIN_CNR = 10**0.5
 PATTERN_NAMES = pytest.mark.parametrize("pattern", sorted(PATTERNS))

@@ -20,6 +20,7 @@ from scipy import stats
 from scipy.integrate import quad
 
 from sal_height.array_ml import elevation_bound
+from sal_height.beams import Beams
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate, Validity
 from sal_height.looks import Looks, multilook
@@ -31,7 +32,6 @@ from sal_height.monopulse import (
     total_least_squares,
 )
 from sal_height.optics import GAUSSIAN_WIDTH, PATTERNS
-from sal_height.sensor import Beams
 
 PATTERN_NAMES = pytest.mark.parametrize("pattern", sorted(PATTERNS))
 

@@ -166,6 +166,7 @@ OTHER_VALUES = {
     "elevation_boresights": (0.1, 0.2, 0.3),
     "noise_power": (1.0, 2.0, 1.0),
     "mode": "stripmap",
+    "detector_rotation": 0.1,
     "calibration_id": "2026-01",
 }
 OTHER_PULSE = {

@@ -97,7 +97,7 @@ def test_pulse_lights_a_beamwidth_before_and_behind_where_its_beam_is() -> None:
 
 def test_mean_square_gain_is_that_of_the_pattern_over_one_beamwidth() -> None:
     """The integral of sinc^2 from -1/2 to 1/2, (2 / pi) (Si(pi) - 2 / pi)."""
-    assert mean_square_gain(strip_sensor().beams.pattern) == pytest.approx(0.7737, abs=1e-4)
+    assert mean_square_gain(strip_sensor().beams) == pytest.approx(0.7737, abs=1e-4)
     assert aperture_length(strip_sensor(), REACH) == pytest.approx(0.775, rel=1e-12)
 
 

@@ -12,12 +12,13 @@ from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance
 from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import __version__, convert
+from sal_height.beams import Beams
 from sal_height.estimate import ElevationEstimate, common_noise
 from sal_height.height import column_squint, height_field, look_grid
 from sal_height.looks import Looks, multilook
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import as_json, parameter
-from sal_height.sensor import Beams, Sensor
+from sal_height.sensor import Sensor
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,127 @@
+"""The receive beams of a detector array: what each detector makes of a scatterer in a given direction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.errors import UserError
+from sal_height.optics import Pattern
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Beams:
+    """The receive beams of a detector array.
+
+    Detectors lie on an axis through the middle of the array that is turned by `rotation` (SAL paper, figure 8). A
+    target at elevation x above that middle and squint y has, on the axis, the place x cos psi + y sin psi, and beside
+    it -x sin psi + y cos psi.
+
+    Attributes:
+        patterns: amplitude pattern of every detector, or the one common to all.
+        boresights: angle of each beam along the detector axis in rad from nadir, shape (detectors,), increasing.
+        beamwidth: wavelength / aperture diameter in rad.
+        rotation: psi of the detector axis from elevation towards the direction of flight, rad.
+        aspects: angles along the flight, relative to the squint, under which a target was seen while its image was
+            synthesised, rad; one of 0 where the antenna was held on it.
+        weights: of the aspects in the image; their sum is 1.
+        middle: where the axis is turned, rad from nadir; None: half way between the first and the last boresight.
+    """
+
+    patterns: tuple[Pattern, ...]
+    boresights: Array
+    beamwidth: float
+    rotation: float = 0.0
+    aspects: Array = field(default_factory=lambda: np.zeros(1))
+    weights: Array = field(default_factory=lambda: np.ones(1))
+    middle: float | None = None
+
+    def response(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+        """Amplitude of every detector for targets at `elevation` and `squint` (rad): shape (..., detectors).
+
+        Float64, or complex128 if a pattern is complex.
+        """
+        return self._mean(self._amplitude, elevation, squint)
+
+    def slope(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+        """Derivative of `response` with respect to elevation, per rad: shape (..., detectors)."""
+        return self._mean(self._slope, elevation, squint)
+
+    def averaged(self, aspects: Array, weights: Array) -> Self:
+        """The beams as an image has them whose targets were seen under `aspects` (rad) with `weights` of any sum."""
+        return replace(self, aspects=aspects, weights=weights / np.sum(weights))
+
+    def pair(self, lower: int) -> Self:
+        """The beams of detectors `lower` and `lower` + 1, on the same axis."""
+        patterns = self.patterns[lower : lower + 2] if len(self.patterns) > 1 else self.patterns
+        return replace(self, patterns=patterns, boresights=self.boresights[lower : lower + 2], middle=self._middle)
+
+    @property
+    def count(self) -> int:
+        """Number of detectors."""
+        return len(self.boresights)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Angles of the first and the last boresight (rad)."""
+        return float(self.boresights[0]), float(self.boresights[-1])
+
+    def domain(self, guard: float) -> tuple[float, float]:
+        """Elevations (rad) from half a pitch plus `guard` (rad) below the first boresight to as much above the last.
+
+        Less where the pattern of a detector is not known so far.
+
+        Raises:
+            UserError: no elevation lies within the patterns of all detectors.
+        """
+        first, last = self.span
+        margin = (last - first) / max(1, self.count - 1) / 2 + guard
+        known = np.array([pattern.domain for pattern in self.patterns]) * self.beamwidth + self.boresights[:, None]
+        low, high = max(first - margin, float(known[:, 0].max())), min(last + margin, float(known[:, 1].min()))
+        if not low < high:
+            raise UserError(
+                f"The patterns of the {self.count} detectors have no elevation in common: they must overlap."
+            )
+        return low, high
+
+    @property
+    def _middle(self) -> float:
+        return float(np.mean(self.span)) if self.middle is None else self.middle
+
+    def _mean(
+        self, function: Callable[[Array, Array], Array], elevation: npt.ArrayLike, squint: npt.ArrayLike
+    ) -> Array:
+        """Mean over the aspects of a function of the offsets from the boresights."""
+        seen = (function(*self._offsets(elevation, np.asarray(squint) + aspect)) for aspect in self.aspects.tolist())
+        return np.asarray(sum(weight * value for weight, value in zip(self.weights.tolist(), seen, strict=True)))
+
+    def _amplitude(self, e: Array, a: Array) -> Array:
+        return self._by_detector([pattern.amplitude for pattern in self.patterns], e, a)
+
+    def _slope(self, e: Array, a: Array) -> Array:
+        along = self._by_detector([pattern.slope for pattern in self.patterns], e, a)
+        if self.rotation:
+            beside = self._by_detector([pattern.azimuth_slope for pattern in self.patterns], e, a)
+            along = along * math.cos(self.rotation) - beside * math.sin(self.rotation)
+        return along / self.beamwidth
+
+    def _by_detector(self, functions: list[Callable[..., Array]], e: Array, a: Array) -> Array:
+        if len(functions) == 1:
+            return functions[0](e, a)
+        e, a = np.broadcast_arrays(e, a)
+        return np.stack([function(e[..., i], a[..., i]) for i, function in enumerate(functions)], axis=-1)
+
+    def _offsets(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> tuple[Array, Array]:
+        """Offsets from each boresight in beamwidths, along the detector axis and beside it."""
+        x, y = np.asarray(elevation)[..., None] - self._middle, np.asarray(squint)[..., None]
+        cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
+        e = (x * cosine + y * sine + self._middle - self.boresights) / self.beamwidth
+        a = (y * cosine - x * sine) / self.beamwidth
+        return e, a

@@ -85,7 +85,7 @@ class Beams:
         margin = (last - first) / max(1, self.count - 1) / 2 + guard
         known = np.array([pattern.domain for pattern in self.patterns]) * self.beamwidth + self.boresights[:, None]
         low, high = max(first - margin, float(known[:, 0].max())), min(last + margin, float(known[:, 1].min()))
-        if not low < high:
+        if not low <= high:
             raise UserError(
                 f"The patterns of the {self.count} detectors have no elevation in common: they must overlap."
             )

@@ -135,7 +135,7 @@ def apodised_pattern(apodisation: Apodisation, size: tuple[float, float] = (0.0,
 
     A weighting A(u, v) gives h(e, a) = int int A exp(-j 2 pi (u e + v a)) du dv / int int A du dv, averaged over the
     detector: the field in the focal plane of SAL paper, section 2. Within 1e-9 where A is smooth; an edge in A is
-    followed by a grid of 1/96 of the diameter only.
+    followed by a grid of 1/96 of the diameter only. For very many values make a table of it with `sample_pattern`.
 
     Args:
         apodisation: A at arrays u, along the detector axis, and v, beside it, in aperture diameters: u^2 + v^2 <= 1/4;

@@ -194,7 +194,7 @@ def _surface(elevation: Array, azimuth: Array, values: Amplitudes) -> Spline:
     """The spline in azimuth of the coefficients of that in elevation."""
     coefficients = CubicSpline(azimuth, CubicSpline(elevation, values).c, axis=-1).c
     spline = NdPPoly(np.ascontiguousarray(coefficients.transpose(2, 0, 3, 1)), (elevation, azimuth))
-    return lambda orders, e, a: np.asarray(spline(np.stack([e, a], axis=-1), orders))
+    return lambda orders, e, a: np.asarray(spline(np.stack([e.ravel(), a.ravel()], axis=-1), orders).reshape(e.shape))
 
 
 def _within(extent: tuple[Array, Array], spline: Callable[[Array, Array], Array]) -> Function:

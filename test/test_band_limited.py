@@ -16,11 +16,11 @@ BOUND = 3e-11
 
 
 class Waves:
-    """Plane waves of spatial frequencies up to 1/2, of modulus 1 together at the most; counts its samples."""
+    """Plane waves of spatial frequencies up to 1/2 per axis, mostly the worst; of modulus 1 at most; counts samples."""
 
     def __init__(self, rng: np.random.Generator, *, real: bool) -> None:
-        self.frequency = np.array([[0.5, 0.0], [0.0, 0.5], *rng.uniform(-0.35, 0.35, (6, 2))])
-        self.amplitude = rng.uniform(0.5, 1, 8) / 8
+        self.frequency = np.array([[0.5, 0.5], *rng.uniform(-0.5, 0.5, (7, 2))])
+        self.amplitude = np.array([0.65, *rng.uniform(0, 0.05, 7)])
         self.real = real
         self.samples: list[int] = []
 

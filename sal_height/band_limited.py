@@ -26,7 +26,7 @@ STEP = 1 / 32
 BLOCK = 1 << 20
 """Values that are interpolated at once."""
 
-FEW_SAMPLES, MOST_SAMPLES = 1 << 17, 1 << 20
+FEW_SAMPLES, MOST_SAMPLES = 1 << 15, 1 << 20
 SPARSE = 64
 """Samples per value, as many as a lone one needs: a region with more, and not FEW_SAMPLES, is split."""
 

@@ -8,13 +8,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.array_ml import Objective, PeakSearch
+from sal_height.array_ml import Objective, PeakSearches
 from sal_height.beams import Beams
 from sal_height.compiled import WORKERS, compiled
 from sal_height.looks import covariance
 
 Array = npt.NDArray[np.float64]
-FloatArray = npt.NDArray[np.float32]
 ComplexArray = npt.NDArray[np.complex64]
 Target = Callable[[np.random.Generator, tuple[int, int]], ComplexArray]
 
@@ -24,13 +23,14 @@ SAMPLES_AT_ONCE = 2**16
 
 def _gaussian(rng: np.random.Generator, shape: tuple[int, int]) -> ComplexArray:
     """Circular Gaussian: speckle, independent from look to look."""
-    parts: FloatArray = rng.standard_normal((*shape, 2), dtype=np.float32) * np.float32(np.sqrt(0.5))
-    return parts.view(np.complex64)[..., 0]
+    parts = rng.standard_normal((shape[0], 2 * shape[1]), dtype=np.float32)
+    parts *= np.float32(np.sqrt(0.5))
+    return parts.view(np.complex64)
 
 
 def _steady(rng: np.random.Generator, shape: tuple[int, int]) -> ComplexArray:
     """Modulus 1 and a random phase in each look."""
-    return np.exp(2j * np.pi * rng.random(shape)).astype(np.complex64)
+    return np.asarray(np.exp(2j * np.pi * rng.random(shape)), dtype=np.complex64)
 
 
 TARGETS: dict[str, Target] = {"gaussian": _gaussian, "steady": _steady}
@@ -96,7 +96,7 @@ def array_trials(
         guard: how far beyond the array is searched, rad.
         target: one of TARGETS.
     """
-    search = PeakSearch.over(beams, 0.0, objective, guard)
+    search = PeakSearches.over(beams, np.zeros(1), objective, guard).at(0.0)
     at_once = max(1, SAMPLES_AT_ONCE // (looks * beams.count))
     starts = range(0, trials, at_once)
     estimates = np.empty(trials)

@@ -97,18 +97,22 @@ def array_trials(
         target: one of TARGETS.
     """
     search = PeakSearches.over(beams, np.zeros(1), objective, guard).at(0.0)
-    at_once = max(1, SAMPLES_AT_ONCE // (looks * beams.count))
-    starts = range(0, trials, at_once)
     estimates = np.empty(trials)
 
-    def work(first: int, source: np.random.SeedSequence) -> None:
-        count = min(at_once, trials - first)
-        samples = draw_pixels(np.random.default_rng(source), beams, elevation, 0.0, cnr, looks, count, target)
-        estimates[first : first + count] = search.peaks(covariance(samples, beams.is_complex))
+    def work(rng: np.random.Generator, part: slice) -> None:
+        samples = draw_pixels(rng, beams, elevation, 0.0, cnr, looks, part.stop - part.start, target)
+        estimates[part] = search.peaks(covariance(samples, beams.is_complex))
 
-    with ThreadPoolExecutor(WORKERS) as pool:
-        list(pool.map(work, starts, np.random.SeedSequence(seed).spawn(len(starts))))
+    with_streams(work, seed, trials, max(1, SAMPLES_AT_ONCE // (looks * beams.count)))
     return estimates
+
+
+def with_streams(work: Callable[[np.random.Generator, slice], None], seed: int, trials: int, at_once: int) -> None:
+    """Do `work` on slices of the trials, each with its own random numbers, on all processors."""
+    parts = [slice(first, min(first + at_once, trials)) for first in range(0, trials, at_once)]
+    streams = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(len(parts)))
+    with ThreadPoolExecutor(WORKERS) as pool:
+        list(pool.map(work, streams, parts))
 
 
 @compiled

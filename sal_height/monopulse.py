@@ -70,8 +70,8 @@ def monopulse_elevation(
         UserError: fewer than two detectors, or unequal pitch.
     """
     pitch = _pitch(beams)
-    diagonal = np.diagonal(looks.covariance, axis1=-2, axis2=-1).astype(np.float64)
-    beside = np.diagonal(looks.covariance, offset=1, axis1=-2, axis2=-1).astype(np.float64)
+    diagonal = np.diagonal(looks.covariance.real, axis1=-2, axis2=-1).astype(np.float64)
+    beside = np.diagonal(looks.covariance.real, offset=1, axis1=-2, axis2=-1).astype(np.float64)
     pair_power = diagonal[..., :-1] + diagonal[..., 1:]
     pair = np.argmax(pair_power + 2 * beside, axis=-1)[..., None]
 

@@ -235,7 +235,7 @@ def _climb_highest(matrices: FloatArray, values: FloatArray, pieces: FloatArray,
         pieces: of `PeakSearch`.
         position: to fill with the place of the peak, shape (pixels,).
     """
-    work, last = np.empty((5, pieces.shape[2]), np.float32), values.shape[1] - 1
+    work, last = np.empty((3, pieces.shape[2]), np.float32), values.shape[1] - 1
     for i in range(len(values)):
         line = values[i]
         enough, best = NEAR_HIGHEST * line.max(), -1.0
@@ -283,24 +283,21 @@ def _climb(
 def _objective_at(place: float, matrix: FloatArray, pieces: FloatArray, work: FloatArray) -> tuple[float, float, float]:
     """w^T R w, and its first and second derivative per step of the table."""
     node = min(int(place), len(pieces) - 1)
-    t = np.float32(place - node)
-    p, q, r, s = pieces[node, 0], pieces[node, 1], pieces[node, 2], pieces[node, 3]
-    weight, slope, bend, output, output_slope = work[0], work[1], work[2], work[3], work[4]
-    two, three = np.float32(2), np.float32(3)
+    t, two, three = np.float32(place - node), np.float32(2), np.float32(3)
+    weight, slope, bend = work[0], work[1], work[2]
     for m in range(weight.size):
-        weight[m] = p[m] + t * (q[m] + t * (r[m] + t * s[m]))
-        slope[m] = q[m] + t * (two * r[m] + three * t * s[m])
-        bend[m] = two * (r[m] + three * t * s[m])
-        output[m] = 0
-        output_slope[m] = 0
+        weight[m] = pieces[node, 0, m] + t * (pieces[node, 1, m] + t * (pieces[node, 2, m] + t * pieces[node, 3, m]))
     for m in range(weight.size):
-        row, along, across = matrix[m], weight[m], slope[m]
-        for n in range(weight.size):
-            output[n] += along * row[n]
-            output_slope[n] += across * row[n]
+        slope[m] = pieces[node, 1, m] + t * (two * pieces[node, 2, m] + three * t * pieces[node, 3, m])
+    for m in range(weight.size):
+        bend[m] = two * (pieces[node, 2, m] + three * t * pieces[node, 3, m])
     value, first, second = np.float32(0), np.float32(0), np.float32(0)
     for m in range(weight.size):
-        value += weight[m] * output[m]
-        first += slope[m] * output[m]
-        second += bend[m] * output[m] + slope[m] * output_slope[m]
+        output, output_slope = np.float32(0), np.float32(0)
+        for n in range(weight.size):
+            output += matrix[m, n] * weight[n]
+            output_slope += matrix[m, n] * slope[n]
+        value += weight[m] * output
+        first += slope[m] * output
+        second += bend[m] * output + slope[m] * output_slope
     return float(value), float(2 * first), float(2 * second)

@@ -224,6 +224,14 @@ def test_narrow_beams_at_45_degrees_lose_no_digits(beamwidth: float) -> None:
     np.testing.assert_allclose((found[:, 0] - np.pi / 4) / beamwidth, offsets, atol=5e-6)
 
 
+def test_climb_that_starts_on_the_peak_stays_there() -> None:
+    """One detector with w = 1 - x^2 / 144 from step to step of the table: the slope at the start is 0 exactly."""
+    steps = np.arange(-peak_search.TABLE_STEPS, peak_search.TABLE_STEPS + 1.0)
+    nodes, response, slope = np.pi / 4 + 1e-5 * steps, 1 - steps[:, None] ** 2 / 144, -steps[:, None] / 72e-5
+    search = peak_search.PeakSearch.of(nodes, response, slope, OBJECTIVES["numerator"])
+    assert (search.peaks(np.ones((1, 1, 1)))[0] - np.pi / 4) / 1e-5 == pytest.approx(0, abs=1e-6)
+
+
 def test_search_ends_where_a_pattern_is_no_longer_known() -> None:
     """Patterns known 5 beamwidths to each side leave 1.25 around the middle of 16 detectors."""
     beams = replace(make_beams(), patterns=(replace(PATTERNS["sinc"], domain=(-5.0, 5.0)),))

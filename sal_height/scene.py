@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,10 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PointTarget:
-    """A single scatterer.
+    """A single scatterer, at rest or on a straight way at constant speed.
+
+    It is where `east`, `north` and `height` say in the middle of every spotlight dwell, in stripmap when it is abeam
+    of the antenna. Its radial velocity is along the line of sight from there (SAL paper, section 4).
 
     Attributes:
         east: arc distance from the map origin, m.
@@ -25,12 +29,16 @@ class PointTarget:
         height: above the sphere, m.
         power: relative to a resolution cell of brightness 1 in an unweighted image; a range window raises the cell,
             and the noise, by its `windows.noise_gain`, and leaves the point. Terrain does not shadow it.
+        radial_velocity: away from the antenna, m/s.
+        along_velocity: in the direction of flight, m/s.
     """
 
     east: float
     north: float
     height: float
     power: float
+    radial_velocity: float = 0.0
+    along_velocity: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -94,13 +102,14 @@ class VisibleSurface:
     """Scatterers that an aperture sees, dense enough that each resolution cell holds several.
 
     Attributes:
-        positions: in map, m, shape (scatterers, 3).
+        positions: in map in the middle of the aperture's time, m, shape (scatterers, 3).
         heights: above the sphere, m, shape (scatterers,).
         power: mean power relative to a resolution cell of brightness 1, shape (scatterers,).
         slant_range: from the middle of the aperture, in stripmap from abeam, m.
         elevation: rad from nadir in body axes, from there.
         squint: rad.
         deterministic: True for point targets, whose amplitude does not fluctuate.
+        velocity: in map, m/s, shape (scatterers, 3).
     """
 
     positions: Array
@@ -110,6 +119,20 @@ class VisibleSurface:
     elevation: Array
     squint: Array
     deterministic: npt.NDArray[np.bool_]
+    velocity: Array
+
+    @cached_property
+    def moves(self) -> bool:
+        """Whether a scatterer moves."""
+        return bool(np.any(self.velocity))
+
+    def positions_after(self, seconds: float) -> Array:
+        """Positions (m, map) at a time (s) after `positions`, shape (scatterers, 3)."""
+        return self.positions + seconds * self.velocity if self.moves else self.positions
+
+    def after(self, seconds: float) -> Self:
+        """The surface with its positions at a time (s) after these; how it was seen stays."""
+        return replace(self, positions=self.positions_after(seconds)) if self.moves else self
 
 
 SAMPLES_PER_CELL = 2
@@ -163,6 +186,8 @@ def visible_surface(
             f"Scene {scene.name} has no terrain at slant ranges {range_extent[0]:.1f} to {range_extent[1]:.1f} m and "
             f"{east_extent[0]:.1f} to {east_extent[1]:.1f} m east; fly where the scene is, or choose a larger scene."
         )
+    velocity = np.zeros_like(positions)
+    velocity[point], positions[point] = _motion(scene.points, positions[point], aperture)
     return VisibleSurface(
         positions=positions[seen],
         heights=np.concatenate([terrain.heights, points[:, 2]])[seen],
@@ -171,7 +196,21 @@ def visible_surface(
         elevation=elevation[seen],
         squint=squint[seen],
         deterministic=point[seen],
+        velocity=velocity[seen],
     )
+
+
+def _motion(points: tuple[PointTarget, ...], positions: Array, aperture: Aperture) -> tuple[Array, Array]:
+    """Velocities (m/s) of point targets, and their positions (m) in the middle of the aperture's time: (points, 3).
+
+    `positions` are those where a sliding aperture has come abeam of them.
+    """
+    seen_from = aperture_at(positions, aperture).position
+    sight = (positions - seen_from) / np.linalg.norm(positions - seen_from, axis=-1, keepdims=True)
+    radial, along = np.array([[p.radial_velocity, p.along_velocity] for p in points]).reshape(-1, 2, 1).swapaxes(0, 1)
+    velocity = radial * sight + along * aperture.direction
+    seconds = (seen_from - aperture.position) @ aperture.velocity / (aperture.velocity @ aperture.velocity)
+    return velocity, positions - np.reshape(seconds, (-1, 1)) * velocity
 
 
 @dataclass(frozen=True)

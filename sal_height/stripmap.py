@@ -22,11 +22,21 @@ FloatArray = npt.NDArray[np.float32]
 ComplexArray = npt.NDArray[np.complex64]
 
 LIT_BEAMWIDTHS = 1.0
-"""Ground to each side of the beam's middle, along the flight, that a pulse lights up; in beamwidths.
+"""Ground to each side of a beam's middle, along the flight, that a pulse lights up; in beamwidths.
 
-That is the main lobe of the square aperture. A pulse repetition frequency of 4 speed / aperture, which presets demand,
-samples its Doppler; what lies beyond would appear as ambiguities.
+That is the main lobe of the square aperture. The pulse repetition frequency that presets demand samples its Doppler;
+what lies beyond would appear as ambiguities.
 """
+
+
+def lit_angle(beams: Beams) -> float:
+    """Angle along the flight to each side of the middle of all beams within which main lobes lie, rad.
+
+    One beamwidth; with the detector axis turned by psi the beams at its ends look ahead and back by sin(psi) times
+    half its length.
+    """
+    first, last = beams.span
+    return LIT_BEAMWIDTHS * beams.beamwidth + (last - first) / 2 * abs(math.sin(beams.rotation))
 
 
 def processed_angle(sensor: Sensor) -> float:
@@ -75,12 +85,13 @@ def simulate_block(
     antenna: Array,
     rotation: Array,
     reference_range: Array,
+    seconds: npt.ArrayLike = 0.0,
 ) -> ComplexArray:
     """Noise-free phase history of every detector with the antenna fixed to the body.
 
     A scatterer has in each pulse the weight of the direction in which the body sees it then, and none when it is more
-    than LIT_BEAMWIDTHS, along the flight, from where the beams meet the ground at the reference range. As in
-    `simulate_dwell` that is the weight of the receiving beam.
+    than `lit_angle`, along the flight, from where the beams meet the ground at the reference range (which is asked of
+    the positions as given). As in `simulate_dwell` that is the weight of the receiving beam.
 
     The sum over scatterers at every frequency is the adjoint of reading a range profile at their delays: each is spread
     with the interpolator's kernel onto a dense profile, which then goes through the transposed matrix.
@@ -95,12 +106,14 @@ def simulate_block(
         antenna: position at each pulse on a flight eastwards, m, shape (pulses, 3).
         rotation: matrix that turns body into map axes at each pulse, shape (pulses, 3, 3).
         reference_range: m, shape (pulses,).
+        seconds: times of the pulses after that of the surface's positions; broadcasts with (pulses,).
 
     Returns:
         Complex64 samples, shape (detectors, pulses, frequencies).
     """
     order = np.argsort(surface.positions[:, 0], kind="stable")
     positions, strengths = surface.positions[order], amplitudes[order].astype(np.complex64)
+    velocity = surface.velocity[order] if surface.moves else None
     east = positions[:, 0].copy()
     middle = float(np.mean(sensor.beams.span))
     beams = replace(sensor.beams, boresights=(sensor.beams.boresights - middle).astype(np.float32), middle=0.0)
@@ -109,26 +122,30 @@ def simulate_block(
     taps, dense = tap_polynomials(), OVERSAMPLING * sensor.sample_count
     axes = np.stack([np.array([1.0, 0.0, 0.0]), outwards, boresight], axis=-1)
 
-    def pulse_profile(position: Array, rotation: Array, reference: float) -> FloatArray:
-        reach = LIT_BEAMWIDTHS * sensor.beamwidth * reference
+    def pulse_profile(position: Array, rotation: Array, reference: float, second: float) -> FloatArray:
+        reach = lit_angle(sensor.beams) * reference
         aim = position[0] + reference * (rotation @ boresight)[0]
         lit = slice(*np.searchsorted(east, (aim - reach, aim + reach)))
-        sight = np.einsum("si,ij->js", positions[lit] - position, rotation @ axes)  # no BLAS: its threads would wait
+        there = positions[lit] if velocity is None else positions[lit] + second * velocity[lit]
+        sight = np.einsum("si,ij->js", there - position, rotation @ axes)  # no BLAS: its threads would wait
         distance = np.sqrt(np.einsum("is,is->s", sight, sight))
         delay = distance - reference
         elevation = np.arctan2(sight[1].astype(np.float32), sight[2].astype(np.float32))
         squint = np.arcsin((sight[0] / distance).astype(np.float32))
-        response = beams.response(elevation, squint).astype(np.float32)
+        response = beams.response(elevation, squint)
         echoes = strengths[lit] * phasors(-sensor.centre_wavenumber * delay)
         place = np.mod(delay * (dense / sensor.range_window) + dense // 2, dense)
         before = np.floor(place).astype(np.int32)
         profile = np.zeros((dense + TAPS, 2 * sensor.detector_count), dtype=np.float32)
         weights = tap_weights((place - before).astype(np.float32), taps)
-        _spread(before + 1, weights, echoes, response, profile)
+        _spread(before + 1, weights, echoes, response.real.astype(np.float32), profile)
+        if np.iscomplexobj(response):
+            _spread(before + 1, weights, 1j * echoes, response.imag.astype(np.float32), profile)
         return profile
 
     with ThreadPoolExecutor() as pool:
-        profiles = np.stack(list(pool.map(pulse_profile, antenna, rotation, reference_range)))
+        pulses = (antenna, rotation, reference_range, np.broadcast_to(seconds, len(antenna)))
+        profiles = np.stack(list(pool.map(pulse_profile, *pulses)))
     real, imaginary = np.split(profiles, 2, axis=-1)
     spectra = np.einsum("fi,pid->dpf", _spectrum_of_profile(sensor.sample_count), real + 1j * imaginary, optimize=True)
     return np.ascontiguousarray(spectra, dtype=np.complex64)

@@ -99,7 +99,8 @@ def flat_scene(height: float = 0.0, north: float = 0.0, half: float = 40.0) -> S
 def bare_scatterers(positions: Array, power: Array, deterministic: bool) -> VisibleSurface:
     """Scatterers of which only positions and powers matter; how they are seen is NaN."""
     unused = np.full(len(positions), np.nan)
-    return VisibleSurface(positions, unused, power, unused, unused, unused, np.full(len(positions), deterministic))
+    sure, still = np.full(len(positions), deterministic), np.zeros_like(positions)
+    return VisibleSurface(positions, unused, power, unused, unused, unused, sure, still)
 
 
 def target_slc(

@@ -24,7 +24,8 @@ from sal_height.windows import noise_gain, window
 
 def scatterers(positions: np.ndarray, power: np.ndarray, deterministic: np.ndarray) -> VisibleSurface:
     slant_range, elevation, squint = angles_of(positions, make_aperture(), 1)
-    return VisibleSurface(positions, height_of(positions), power, slant_range, elevation, squint, deterministic)
+    heights, still = height_of(positions), np.zeros_like(positions)
+    return VisibleSurface(positions, heights, power, slant_range, elevation, squint, deterministic, still)
 
 
 def straight_track(sensor: Sensor) -> np.ndarray:

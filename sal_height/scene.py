@@ -55,9 +55,11 @@ class Scene:
         height: above the sphere, m, shape (n_north, n_east).
         brightness: relative radar brightness, shape (n_north, n_east).
         points: point targets.
+        extent: of the scatterers in height, m: even from half of it below the terrain to half above, as in vegetation
+            or on rough ground; 0: on the terrain. What the terrain hides is hidden from top to bottom, nothing else is.
 
     Raises:
-        UserError: fewer than 2 x 2 nodes, nodes that do not increase, or values that are not finite.
+        UserError: fewer than 2 x 2 nodes, nodes that do not increase, values that are not finite, or an extent below 0.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Scene:
     height: Array
     brightness: Array
     points: tuple[PointTarget, ...] = field(default=())
+    extent: float = 0.0
 
     def __post_init__(self) -> None:
         shape = (len(self.north), len(self.east))
@@ -78,6 +81,8 @@ class Scene:
             raise UserError(f"Scene {self.name}: east and north of the nodes must increase.")
         if not (np.all(np.isfinite(self.height)) and np.all(np.isfinite(self.brightness) & (self.brightness >= 0))):
             raise UserError(f"Scene {self.name}: heights must be finite, brightness finite and 0 or more.")
+        if not (np.isfinite(self.extent) and self.extent >= 0):
+            raise UserError(f"Scene {self.name}: extent is {self.extent} m; it must be finite and 0 or more.")
 
     def heights(self, east: npt.ArrayLike, north: npt.ArrayLike) -> Array:
         """Terrain height (m) at arc distances `east`, `north` (m); NaN outside the terrain."""
@@ -143,6 +148,12 @@ even with strips as far apart as its resolution.
 """
 
 
+LAYERS = 15
+"""Layers of scatterers where they have an extent in height; odd, so that one is the terrain.
+
+They are closer than a quarter of a beam up to an extent of three and a half.
+"""
+
 LONGEST_PIECE = 16
 """Longest piece of a cut, in range cells, over which range is taken as linear."""
 
@@ -179,7 +190,8 @@ def visible_surface(
     slant_range, elevation, squint = angles_of(positions, aperture_at(positions, aperture), look_side)
     point = np.arange(len(positions)) >= len(terrain.positions)
     seen = (slant_range >= range_extent[0]) & (slant_range <= range_extent[1])
-    seen[~point] &= _lit(elevation[~point], terrain.strip)
+    on_terrain = elevation[~point].reshape(terrain.layers, -1)[terrain.layers // 2]
+    seen[~point] &= np.tile(_lit(on_terrain, terrain.strip), terrain.layers)
     seen[point] &= (points[:, 0] >= east_extent[0]) & (points[:, 0] < east_extent[1])
     if not np.any(seen & ~point):
         raise UserError(
@@ -215,12 +227,17 @@ def _motion(points: tuple[PointTarget, ...], positions: Array, aperture: Apertur
 
 @dataclass(frozen=True)
 class _Scatterers:
-    """Terrain scatterers, strip after strip, each ordered outwards; `strip` is the number of its strip."""
+    """Terrain scatterers, layer after layer from the lowest to the highest, each strip after strip, ordered outwards.
+
+    The middle one of an odd number of layers is the terrain; `strip` is the number of the strip of each of its
+    scatterers.
+    """
 
     positions: Array
     heights: Array
     power: Array
     strip: npt.NDArray[np.int_]
+    layers: int
 
 
 def _terrain_scatterers(
@@ -259,13 +276,16 @@ def _terrain_scatterers(
         start, end = values[strip, node], values[strip, node + 1]
         return np.asarray(start + (end - start) * fraction)
 
-    heights = along(height)
+    layers = scene.extent * ((np.arange(LAYERS) + 0.5) / LAYERS - 0.5) if scene.extent else np.zeros(1)
+    heights = along(height) + layers[:, None]
     range_share = np.abs(np.diff(node_range))[strip, node] / pieces[between] / range_cell
+    power = along(scene.brightnesses(east[:, None], north)) * range_share * (strip_width / azimuth_cell)
     return _Scatterers(
-        positions=sphere_point(east[strip], along(np.broadcast_to(north, height.shape)), heights),
-        heights=heights,
-        power=along(scene.brightnesses(east[:, None], north)) * range_share * (strip_width / azimuth_cell),
+        positions=sphere_point(east[strip], along(np.broadcast_to(north, height.shape)), heights).reshape(-1, 3),
+        heights=heights.ravel(),
+        power=np.tile(power / len(layers), len(layers)),
         strip=strip,
+        layers=len(layers),
     )
 
 

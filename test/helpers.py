@@ -58,6 +58,19 @@ def make_sensor(**changes: object) -> Sensor:
     return Sensor(**{**values, **changes})
 
 
+def sensor_with_complex_beams(**changes: object) -> Sensor:
+    """`make_sensor` with jinc beams whose phase grows along and beside the detector axis."""
+    sensor = make_sensor(**changes)
+    jinc = pattern_named("jinc")
+
+    def amplitude(e: npt.ArrayLike, a: npt.ArrayLike) -> npt.NDArray[np.complexfloating]:
+        return np.asarray(jinc.amplitude(e, a) * np.exp(1j * (0.7 * np.asarray(e) + 0.4 * np.asarray(a))))
+
+    beams = replace(sensor.beams, patterns=(replace(jinc, amplitude=amplitude),))
+    sensor.__dict__["beams"] = beams
+    return sensor
+
+
 RAW_SETTINGS: dict[str, dict[str, float]] = {
     "spectrum": {},
     "chirp": {"pulse_duration_s": 100e-9, "sampling_rate_hz": 2.5e9, "sample_count": 329},

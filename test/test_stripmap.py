@@ -6,7 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, bare_scatterers, direct_history, elevation_at, flat_scene, make_aperture, make_sensor
+from helpers import (
+    BEAMWIDTH,
+    bare_scatterers,
+    direct_history,
+    elevation_at,
+    flat_scene,
+    make_aperture,
+    make_sensor,
+    sensor_with_complex_beams,
+)
 from scipy.spatial.transform import Rotation
 
 from sal_height.backprojection import backproject_points
@@ -54,10 +63,19 @@ def focused(sensor: Sensor, history: PhaseHistory, antenna: np.ndarray, points: 
     return image.reshape(-1, *points.shape[:-1])
 
 
-@pytest.mark.parametrize("pattern", ["sinc", "jinc"])
-def test_every_pulse_weighs_a_scatterer_by_where_the_body_sees_it_then(pattern: str) -> None:
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        strip_sensor(),
+        strip_sensor(pattern="jinc"),
+        strip_sensor(detector_rotation=0.3),
+        sensor_with_complex_beams(mode="stripmap", sample_count=16, pulse_repetition_frequency=PRF),
+    ],
+    ids=["sinc", "jinc", "turned", "complex"],
+)
+def test_every_pulse_weighs_a_scatterer_by_where_the_body_sees_it_then(sensor: Sensor) -> None:
     """Written out, on a body that turns and an antenna that wanders."""
-    sensor, rng, pulses = strip_sensor(pattern=pattern), np.random.default_rng(40), 5
+    rng, pulses = np.random.default_rng(40), 5
     along = rng.uniform(-0.4, 0.4, 6)
     positions = at(REACH + rng.uniform(-0.3, 0.3, 6), along, 0.4)
     amplitudes = rng.standard_normal(6) + 1j * rng.standard_normal(6)

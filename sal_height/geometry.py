@@ -148,20 +148,6 @@ def squint_on_cone(elevation: npt.ArrayLike, cone: npt.ArrayLike, aperture: Aper
     return np.asarray(np.arcsin(cone / np.hypot(forward, b)) - np.arctan2(b, forward))
 
 
-def moving_squint(squint: npt.ArrayLike, radial_velocity: npt.ArrayLike, speed: npt.ArrayLike) -> Array:
-    """Squint (rad) at which a moving target is that an image shows at `squint` (rad); broadcasts.
-
-    The image takes all of its Doppler for the platform's: -v sin(phi') = v_r - v sin(phi), or phi = phi' + v_r / v for
-    small angles (SAL paper, section 4).
-
-    Args:
-        squint: phi', of the pixel.
-        radial_velocity: v_r of the target, m/s, receding positive.
-        speed: v of the platform, m/s.
-    """
-    return np.asarray(np.asarray(squint) + np.asarray(radial_velocity) / np.asarray(speed))
-
-
 def sphere_point(east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLike) -> Array:
     """Map position (m) of a point at arc distances `east`, `north` (m) along the sphere and `height` (m) above it.
 

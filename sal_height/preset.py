@@ -14,7 +14,7 @@ from annotated_types import Ge, Gt, Le, Lt, MinLen
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
-from sal_height.beam_table import BeamTable
+from sal_height.beam_table import BeamTable, read_beam_tables
 from sal_height.errors import UserError
 from sal_height.optics import PATTERNS
 from sal_height.sensor import MAX_DETECTORS, Sensor
@@ -95,9 +95,7 @@ class SensorSettings:
         """
         if self.pattern in PATTERNS:
             return ()
-        from sal_height.beam_table import read_beam_tables  # type: ignore[attr-defined] # noqa: PLC0415
-
-        return tuple(read_beam_tables(Path(self.pattern), self.beamwidth_rad))
+        return read_beam_tables(Path(self.pattern), self.beamwidth_rad)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from sal_height.geometry import (
     aperture_at,
     height_of,
     locate,
-    moving_squint,
     sphere_point,
 )
 from sal_height.height import HeightField, column_squint, height_field, look_grid
@@ -92,11 +91,6 @@ def test_moving_targets_get_the_place_and_height_that_they_really_have(sliding: 
     np.testing.assert_allclose(field.height, 2.0, atol=2e-5)
     ignored = height_field(estimate_of(elevation), looks, grid, coarse, aperture, 1)
     np.testing.assert_allclose((ignored.positions - targets)[..., 0], -slant_range * radial / speed, rtol=1e-3)
-
-
-def test_moving_squint_is_that_of_the_place_from_which_the_doppler_moved_the_target() -> None:
-    """At 1 mm/s and 50 m/s, 20 microradians."""
-    np.testing.assert_allclose(moving_squint([0.0, 1e-4], 1e-3, 50.0), [2e-5, 1.2e-4], rtol=1e-12)
 
 
 def test_sigma_of_height_is_that_of_elevation_across_the_sight_and_that_of_range_along_it() -> None:

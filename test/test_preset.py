@@ -159,7 +159,7 @@ def test_size_of_the_detectors_is_that_of_the_preset() -> None:
     with pytest.raises(UserError, match=r"sensor\.detector_size_beamwidths\.1 is -0\.1; .* greater than or equal to 0"):
         parse_preset(content_with("sensor.detector_size_beamwidths", [0.6, -0.1]), "mine.yaml")
     preset = parse_preset(content_with("sensor.detector_size_beamwidths", [0.6, 1.2]), "mine.yaml")
-    assert preset.sensor.detector_size_beamwidths == (0.6, 1.2)
+    assert preset.make_sensor().detector_size == (0.6, 1.2)
     assert load_preset("small").make_sensor().detector_size == (0.0, 0.0)
 
 

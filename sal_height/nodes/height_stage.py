@@ -13,8 +13,8 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import __version__, convert
 from sal_height.beams import Beams
+from sal_height.discriminant import moving_squint
 from sal_height.estimate import ElevationEstimate, common_noise
-from sal_height.geometry import moving_squint
 from sal_height.height import column_squint, height_field, look_grid
 from sal_height.looks import Looks, multilook
 from sal_height.nodes.dwell_stage import DwellStage

@@ -75,7 +75,9 @@ def with_targets(case: Case, count: int = 50) -> Case:
     rows, cols = (rng.uniform(0, size - 1, count) for size in case.grid.shape)
     amplitudes = rng.standard_normal(count) + 1j * rng.standard_normal(count)
     unused, sure = np.full(count, np.nan), np.ones(count, dtype=np.bool_)
-    surface = VisibleSurface(case.grid.points(rows, cols), unused, np.ones(count), unused, unused, unused, sure)
+    positions = case.grid.points(rows, cols)
+    still = np.zeros_like(positions)
+    surface = VisibleSurface(positions, unused, np.ones(count), unused, unused, unused, sure, still)
     rotation = np.broadcast_to(np.eye(3), (len(case.antenna), 3, 3))
     reference = case.history.reference_range
     samples = simulate_block(case.sensor, surface, amplitudes, case.antenna, rotation, reference)

@@ -31,7 +31,7 @@ class Beams:
         rotation: psi of the detector axis from elevation towards the direction of flight, rad.
         aspects: angles along the flight, relative to the squint, under which a target was seen while its image was
             synthesised, rad; one of 0 where the antenna was held on it.
-        weights: of the aspects in the image; their sum is 1.
+        weights: of the aspects in the image; their sum is 1, but for beams scaled to the peak of such a mean.
         middle: where the axis is turned, rad from nadir; None: half way between the first and the last boresight.
     """
 

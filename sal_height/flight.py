@@ -17,7 +17,7 @@ from sal_height.preset import Preset
 from sal_height.scene import SAMPLES_PER_CELL, Scene, VisibleSurface, visible_surface
 from sal_height.sensor import Sensor
 from sal_height.simulator import draw_amplitudes, receiver_noise, scatterer_amplitudes, simulate_dwell
-from sal_height.stripmap import aperture_length, cell_power, simulate_block
+from sal_height.stripmap import aperture_length, cell_power, lit_angle, simulate_block
 from sal_height.trajectory import PlatformState
 from sal_height.waveform import echo_sensor, from_spectrum, spectrum_sensor
 
@@ -25,11 +25,8 @@ Array = npt.NDArray[np.float64]
 
 ComplexArray = npt.NDArray[np.complexfloating]
 
-LIT_BEAMWIDTHS = 1.0
-"""Ground to each side of the beam's middle, along the flight, that a spotlight dwell lights up; in beamwidths."""
-
-STRIP_BEAMWIDTHS = 1.5
-"""Ground before and behind a stripmap block, in beamwidths: what its pulses light up, should the body turn a little."""
+TURN_BEAMWIDTHS = 0.5
+"""Ground before and behind what the pulses of a stripmap block light up, should the body turn a little; beamwidths."""
 
 GROUND, GUST = 0, 1
 """Random numbers that do not belong to a dwell: keys of their streams."""
@@ -135,21 +132,23 @@ class SimulatedFlight:
     def surface(self, dwell: int) -> VisibleSurface:
         """What the dwell illuminates, in the range window.
 
-        In spotlight that is LIT_BEAMWIDTHS along the flight to each side. In stripmap it is the ground abeam of the
-        block and STRIP_BEAMWIDTHS before and behind it, each scatterer as it is seen from abeam.
+        In spotlight that is `lit_angle` along the flight to each side. In stripmap it is the ground abeam of the block
+        and as much, and TURN_BEAMWIDTHS, before and behind it, each scatterer as it is seen from abeam. Positions are
+        those in the middle of the dwell.
 
         Raises:
             UserError: there is no terrain.
         """
         if self.sensor.mode == "stripmap":
-            return _joined([self._ground(tile)[0] for tile in self._tiles(dwell)])
+            return _joined([self._ground(tile)[0].after(self._seconds(tile, dwell)) for tile in self._tiles(dwell)])
         aperture = self.aperture(dwell)
-        half_width = LIT_BEAMWIDTHS * self.sensor.beamwidth * self.preset.flight.slant_range_m
+        half_width = lit_angle(self.sensor.beams) * self.preset.flight.slant_range_m
         return self._visible(aperture, (aperture.position[0] - half_width, aperture.position[0] + half_width))
 
     def _tiles(self, dwell: int) -> range:
         """The tiles of ground that a stripmap block lights up; tile n is what lies abeam of block n without gusts."""
-        reach = STRIP_BEAMWIDTHS * self.sensor.beamwidth * self.preset.flight.slant_range_m
+        angle = lit_angle(self.sensor.beams) + TURN_BEAMWIDTHS * self.sensor.beamwidth
+        reach = angle * self.preset.flight.slant_range_m
         neighbours = math.ceil(reach / self.preset.dwell_spacing_m)
         abeam = math.floor(self.aperture(dwell).position[0] / self.preset.dwell_spacing_m + self.dwells / 2)
         return range(abeam - neighbours, abeam + neighbours + 1)
@@ -166,6 +165,10 @@ class SimulatedFlight:
         flight = self.preset.flight
         power = cell_power(10 ** (self.preset.cnr_db / 10), self.spectrum, flight.slant_range_m, flight.speed_mps)
         return ground, scatterer_amplitudes(ground, power, rng)
+
+    def _seconds(self, earlier: int, later: int) -> float:
+        """Time from the middle of one dwell to that of another, s."""
+        return (self.dwell_start_ns(later) - self.dwell_start_ns(earlier)) * 1e-9
 
     def _visible(
         self, aperture: Aperture, east_extent: tuple[float, float], strips_per_cell: int = SAMPLES_PER_CELL
@@ -201,17 +204,17 @@ class SimulatedFlight:
         else:
             surface = self.surface(dwell)
             amplitudes = draw_amplitudes(surface, 10 ** (self.preset.cnr_db / 10), self.spectrum, rng)
-            clean = simulate_dwell(echo_sensor(self.sensor), surface, amplitudes, antenna, reference)
+            since = self.pulse_times - self._middle_of_dwell
+            clean = simulate_dwell(echo_sensor(self.sensor), surface, amplitudes, antenna, reference, since)
         samples = from_spectrum(clean, self.sensor) + receiver_noise(self.sensor, self.sensor.pulse_count, rng)
         return PhaseHistory(start_ns, self.pulse_times, reference, samples)
 
     def _block(self, dwell: int, antenna: Array, reference: Array) -> ComplexArray:
         """Noise-free phase history of a stripmap block."""
-        tiles = [self._ground(tile) for tile in self._tiles(dwell)]
-        surface = _joined([ground for ground, _ in tiles])
-        amplitudes = np.concatenate([amplitudes for _, amplitudes in tiles])
+        amplitudes = np.concatenate([self._ground(tile)[1] for tile in self._tiles(dwell)])
         rotation = self._gust.rotation(self.dwell_start_ns(dwell) * 1e-9 + self.pulse_times).as_matrix()
-        return simulate_block(echo_sensor(self.sensor), surface, amplitudes, antenna, rotation, reference)
+        sensor, since = echo_sensor(self.sensor), self.pulse_times - self._middle_of_dwell
+        return simulate_block(sensor, self.surface(dwell), amplitudes, antenna, rotation, reference, since)
 
 
 def _joined(surfaces: list[VisibleSurface]) -> VisibleSurface:

@@ -61,7 +61,13 @@ def column_squint(grid: Grid, aperture: Aperture, beams: Beams, look_side: int) 
 
 
 def height_field(
-    estimate: ElevationEstimate, looks: Looks, slc_grid: Grid, grid: Grid, aperture: Aperture, look_side: int
+    estimate: ElevationEstimate,
+    looks: Looks,
+    slc_grid: Grid,
+    grid: Grid,
+    aperture: Aperture,
+    look_side: int,
+    radial_velocity: float = 0.0,
 ) -> HeightField:
     """Height, its uncertainty and the ground position of every pixel.
 
@@ -76,11 +82,14 @@ def height_field(
         grid: pixels of the height image (`look_grid`).
         aperture: state of the platform.
         look_side: +1 right, -1 left.
+        radial_velocity: of the targets, m/s, receding positive: v_r moves them back in the image by range v_r / speed
+            (SAL paper, section 4), which is made good.
     """
     points = slc_grid.points(looks.row, looks.col)
     aperture = aperture_at(points, aperture)
     sight = points - aperture.position
-    slant_range, along = np.linalg.norm(sight, axis=-1), sight @ aperture.direction
+    slant_range = np.linalg.norm(sight, axis=-1)
+    along = sight @ aperture.direction + slant_range * radial_velocity / np.linalg.norm(aperture.velocity)
     below, positions, above = (
         locate(estimate.elevation + shift, slant_range, along, aperture, look_side)
         for shift in (-SLOPE_STEP, 0.0, SLOPE_STEP)

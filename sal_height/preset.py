@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,10 +11,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import yaml
 from annotated_types import Ge, Gt, Le, Lt, MinLen
-from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
+from sal_height.beam_table import BeamTable, read_beam_tables
 from sal_height.errors import UserError
+from sal_height.optics import PATTERNS
 from sal_height.sensor import MAX_DETECTORS, Sensor
 
 _STRICT_KEYS = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -26,6 +28,18 @@ def _not_boolean(value: Any) -> Any:
     return value
 
 
+BEAM_TABLES = ".csv"
+"""Suffix of the file of measured beams that a preset may name as its pattern."""
+
+
+def _pattern_or_file(value: str) -> str:
+    if value not in PATTERNS and not value.endswith(BEAM_TABLES):
+        first, *others, last = (repr(name) for name in PATTERNS)
+        allowed = f"{', '.join([first, *others])} or {last}"
+        raise PydanticCustomError("pattern", f"input should be {allowed}, or the path of a {BEAM_TABLES} file of beams")
+    return value
+
+
 Float = Annotated[float, BeforeValidator(_not_boolean)]
 Int = Annotated[int, BeforeValidator(_not_boolean)]
 
@@ -33,6 +47,9 @@ Int = Annotated[int, BeforeValidator(_not_boolean)]
 @dataclass(frozen=True)
 class SensorSettings:
     """The sensor as people describe it: an evenly spaced detector array around the look angle.
+
+    `pattern` is the name of an aperture, or the path of a .csv of measured beams: from the preset's folder or, if it is
+    not there, from the working directory. `detector_size_beamwidths` are widths along the detector axis and beside it.
 
     With waveform chirp or deramped, `sample_count` is that of the record: it holds the pulse and the range window.
     """
@@ -42,7 +59,7 @@ class SensorSettings:
     look_side: Literal["left", "right"]
     wavelength_m: Annotated[Float, Ge(1e-9), Le(100)]
     aperture_m: Annotated[Float, Ge(1e-6), Le(1e4)]
-    pattern: Literal["gaussian", "sinc", "jinc"]
+    pattern: Annotated[str, AfterValidator(_pattern_or_file)]
     detectors: Annotated[Int, Ge(2), Le(MAX_DETECTORS)]
     pitch_beamwidths: Annotated[Float, Ge(1e-3), Le(1e3)]
     bandwidth_hz: Annotated[Float, Ge(1), Le(1e15)]
@@ -53,6 +70,32 @@ class SensorSettings:
     pulse_duration_s: Annotated[Float, Ge(0), Le(1e3)] = 0.0
     sampling_rate_hz: Annotated[Float, Ge(0), Le(1e15)] = 0.0
     mode: Literal["spotlight", "stripmap"] = "spotlight"
+    detector_size_beamwidths: tuple[Annotated[Float, Ge(0), Le(100)], Annotated[Float, Ge(0), Le(100)]] = (0.0, 0.0)
+    detector_rotation_rad: Annotated[Float, Ge(-np.pi / 2), Le(np.pi / 2)] = 0.0
+
+    @property
+    def beamwidth_rad(self) -> float:
+        """Wavelength / aperture."""
+        return self.wavelength_m / self.aperture_m
+
+    @property
+    def lit_beamwidths(self) -> float:
+        """Angle along the flight to each side of the middle of all beams within which main lobes lie, beamwidths.
+
+        One; with the detector axis turned, the beams at its ends look ahead and back (`stripmap.lit_angle`).
+        """
+        ahead = (self.detectors - 1) / 2 * self.pitch_beamwidths * abs(np.sin(self.detector_rotation_rad))
+        return float(1 + ahead)
+
+    def beam_tables(self) -> tuple[BeamTable, ...]:
+        """The measured beams in the file that `pattern` names; none if it names an aperture.
+
+        Raises:
+            UserError: a file that cannot be used.
+        """
+        if self.pattern in PATTERNS:
+            return ()
+        return read_beam_tables(Path(self.pattern), self.beamwidth_rad)
 
 
 @dataclass(frozen=True)
@@ -87,6 +130,7 @@ class Preset:
     """All of a run. `cnr_db` is of one detector looking straight at a resolution cell of brightness 1 in the SLC.
 
     In stripmap it looks straight at the cell in elevation; what its beam loses over the aperture is made good.
+    `scene_extent_m` spreads the scatterers in height about the scene's terrain (`Scene.extent`).
     """
 
     __pydantic_config__ = _STRICT_KEYS
@@ -99,6 +143,7 @@ class Preset:
     cnr_db: Annotated[Float, Ge(-60), Le(100)]
     looks: tuple[Annotated[Int, Ge(1)], Annotated[Int, Ge(1)]]
     dwells: Annotated[Int, Ge(1), Le(1_000_000)]
+    scene_extent_m: Annotated[Float, Ge(0), Le(10_000)] = 0.0
 
     @property
     def dwell_spacing_m(self) -> float:
@@ -111,11 +156,13 @@ class Preset:
         """The sensor, with unit noise power; a linear FM pulse rises.
 
         Raises:
-            UserError: beams that leave the quarter between nadir and horizon, or a pulse that does not fit the record.
+            UserError: beams that leave the quarter between nadir and horizon, a pulse that does not fit the record, or
+                a file of beams that cannot be used.
         """
         s = self.sensor
+        tables = s.beam_tables()
         steps = np.arange(s.detectors) - (s.detectors - 1) / 2
-        boresights = self.flight.look_angle_rad + steps * s.pitch_beamwidths * s.wavelength_m / s.aperture_m
+        boresights = self.flight.look_angle_rad + steps * s.pitch_beamwidths * s.beamwidth_rad
         return Sensor(
             name=self.name,
             look_side={"right": 1, "left": -1}[s.look_side],
@@ -125,7 +172,7 @@ class Preset:
             pulse_count=s.pulse_count,
             pulse_repetition_frequency=s.pulse_repetition_frequency_hz,
             aperture=s.aperture_m,
-            pattern=s.pattern,
+            pattern="table" if tables else s.pattern,
             elevation_boresights=tuple(boresights.tolist()),
             noise_power=(1.0,) * s.detectors,
             waveform=s.waveform,
@@ -133,6 +180,9 @@ class Preset:
             pulse_duration=s.pulse_duration_s,
             sampling_rate=s.sampling_rate_hz,
             mode=s.mode,
+            detector_size=s.detector_size_beamwidths,
+            detector_rotation=s.detector_rotation_rad,
+            beam_tables=tables,
         )
 
 
@@ -143,7 +193,7 @@ def preset_names() -> list[str]:
 
 
 def load_preset(name_or_path: str) -> Preset:
-    """The preset of that name (`preset_names`), or the one in that YAML file.
+    """The preset of that name (`preset_names`), or the one in that YAML file; a file of beams by its absolute path.
 
     Raises:
         UserError: no such preset, not YAML, or a key that is missing, unknown or has a value out of its range.
@@ -163,7 +213,17 @@ def load_preset(name_or_path: str) -> Preset:
         raise UserError(f"Preset {name_or_path} is nested too deeply; a preset has two levels of keys.") from error
     except (yaml.YAMLError, ValueError) as error:
         raise UserError(f"Preset {name_or_path} is not valid YAML: {' '.join(str(error).split())}.") from error
-    return parse_preset(content, name_or_path)
+    return _with_absolute_pattern(parse_preset(content, name_or_path), Path(name_or_path).parent)
+
+
+def _with_absolute_pattern(preset: Preset, folder: Path) -> Preset:
+    """The preset with the path of its file of beams made absolute, as seen from `folder` or the working directory."""
+    pattern = preset.sensor.pattern
+    if pattern in PATTERNS:
+        return preset
+    beside = folder / pattern
+    path = beside if beside.is_file() else Path(pattern)
+    return replace(preset, sensor=replace(preset.sensor, pattern=str(path.absolute())))
 
 
 def parse_preset(content: Any, source: str) -> Preset:
@@ -187,12 +247,12 @@ def parse_preset(content: Any, source: str) -> Preset:
     if preset.looks[0] > size[0] or preset.looks[1] > size[1]:
         raise UserError(f"Preset {source}: looks is {preset.looks}; they must fit in the image of {size} pixels.")
     _check_dwell_spacing(preset, source)
-    doppler_band = 4 * preset.flight.speed_mps / preset.sensor.aperture_m
+    doppler_band = 4 * preset.flight.speed_mps / preset.sensor.aperture_m * preset.sensor.lit_beamwidths
     if preset.sensor.pulse_repetition_frequency_hz < doppler_band:
         raise UserError(
             f"Preset {source}: sensor.pulse_repetition_frequency_hz is "
             f"{preset.sensor.pulse_repetition_frequency_hz:g}; the main lobe spans {doppler_band:g} Hz of Doppler "
-            "(4 speed / aperture), so it must be that or more."
+            f"({4 * preset.sensor.lit_beamwidths:g} speed / aperture), so it must be that or more."
         )
     return preset
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,10 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PointTarget:
-    """A single scatterer.
+    """A single scatterer, at rest or on a straight way at constant speed.
+
+    It is where `east`, `north` and `height` say in the middle of every spotlight dwell, in stripmap when it is abeam
+    of the antenna. Its radial velocity is along the line of sight from there (SAL paper, section 4).
 
     Attributes:
         east: arc distance from the map origin, m.
@@ -25,12 +29,16 @@ class PointTarget:
         height: above the sphere, m.
         power: relative to a resolution cell of brightness 1 in an unweighted image; a range window raises the cell,
             and the noise, by its `windows.noise_gain`, and leaves the point. Terrain does not shadow it.
+        radial_velocity: away from the antenna, m/s.
+        along_velocity: in the direction of flight, m/s.
     """
 
     east: float
     north: float
     height: float
     power: float
+    radial_velocity: float = 0.0
+    along_velocity: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -47,9 +55,11 @@ class Scene:
         height: above the sphere, m, shape (n_north, n_east).
         brightness: relative radar brightness, shape (n_north, n_east).
         points: point targets.
+        extent: of the scatterers in height, m: even from half of it below the terrain to half above, as in vegetation
+            or on rough ground; 0: on the terrain. What the terrain hides is hidden from top to bottom, nothing else is.
 
     Raises:
-        UserError: fewer than 2 x 2 nodes, nodes that do not increase, or values that are not finite.
+        UserError: fewer than 2 x 2 nodes, nodes that do not increase, values that are not finite, or an extent below 0.
     """
 
     name: str
@@ -58,6 +68,7 @@ class Scene:
     height: Array
     brightness: Array
     points: tuple[PointTarget, ...] = field(default=())
+    extent: float = 0.0
 
     def __post_init__(self) -> None:
         shape = (len(self.north), len(self.east))
@@ -70,6 +81,8 @@ class Scene:
             raise UserError(f"Scene {self.name}: east and north of the nodes must increase.")
         if not (np.all(np.isfinite(self.height)) and np.all(np.isfinite(self.brightness) & (self.brightness >= 0))):
             raise UserError(f"Scene {self.name}: heights must be finite, brightness finite and 0 or more.")
+        if not (np.isfinite(self.extent) and self.extent >= 0):
+            raise UserError(f"Scene {self.name}: extent is {self.extent} m; it must be finite and 0 or more.")
 
     def heights(self, east: npt.ArrayLike, north: npt.ArrayLike) -> Array:
         """Terrain height (m) at arc distances `east`, `north` (m); NaN outside the terrain."""
@@ -94,13 +107,14 @@ class VisibleSurface:
     """Scatterers that an aperture sees, dense enough that each resolution cell holds several.
 
     Attributes:
-        positions: in map, m, shape (scatterers, 3).
+        positions: in map in the middle of the aperture's time, m, shape (scatterers, 3).
         heights: above the sphere, m, shape (scatterers,).
         power: mean power relative to a resolution cell of brightness 1, shape (scatterers,).
         slant_range: from the middle of the aperture, in stripmap from abeam, m.
         elevation: rad from nadir in body axes, from there.
         squint: rad.
         deterministic: True for point targets, whose amplitude does not fluctuate.
+        velocity: in map, m/s, shape (scatterers, 3).
     """
 
     positions: Array
@@ -110,6 +124,20 @@ class VisibleSurface:
     elevation: Array
     squint: Array
     deterministic: npt.NDArray[np.bool_]
+    velocity: Array
+
+    @cached_property
+    def moves(self) -> bool:
+        """Whether a scatterer moves."""
+        return bool(np.any(self.velocity))
+
+    def positions_after(self, seconds: float) -> Array:
+        """Positions (m, map) at a time (s) after `positions`, shape (scatterers, 3)."""
+        return self.positions + seconds * self.velocity if self.moves else self.positions
+
+    def after(self, seconds: float) -> Self:
+        """The surface with its positions at a time (s) after these; how it was seen stays."""
+        return replace(self, positions=self.positions_after(seconds)) if self.moves else self
 
 
 SAMPLES_PER_CELL = 2
@@ -119,6 +147,12 @@ One in azimuth does where time matters: amplitudes are Gaussian one by one, and 
 even with strips as far apart as its resolution.
 """
 
+
+LAYERS = 15
+"""Layers of scatterers where they have an extent in height; odd, so that one is the terrain.
+
+They are closer than a quarter of a beam up to an extent of three and a half.
+"""
 
 LONGEST_PIECE = 16
 """Longest piece of a cut, in range cells, over which range is taken as linear."""
@@ -156,13 +190,16 @@ def visible_surface(
     slant_range, elevation, squint = angles_of(positions, aperture_at(positions, aperture), look_side)
     point = np.arange(len(positions)) >= len(terrain.positions)
     seen = (slant_range >= range_extent[0]) & (slant_range <= range_extent[1])
-    seen[~point] &= _lit(elevation[~point], terrain.strip)
+    on_terrain = elevation[~point].reshape(terrain.layers, -1)[terrain.layers // 2]
+    seen[~point] &= np.tile(_lit(on_terrain, terrain.strip), terrain.layers)
     seen[point] &= (points[:, 0] >= east_extent[0]) & (points[:, 0] < east_extent[1])
     if not np.any(seen & ~point):
         raise UserError(
             f"Scene {scene.name} has no terrain at slant ranges {range_extent[0]:.1f} to {range_extent[1]:.1f} m and "
             f"{east_extent[0]:.1f} to {east_extent[1]:.1f} m east; fly where the scene is, or choose a larger scene."
         )
+    velocity = np.zeros_like(positions)
+    velocity[point], positions[point] = _motion(scene.points, positions[point], aperture)
     return VisibleSurface(
         positions=positions[seen],
         heights=np.concatenate([terrain.heights, points[:, 2]])[seen],
@@ -171,17 +208,36 @@ def visible_surface(
         elevation=elevation[seen],
         squint=squint[seen],
         deterministic=point[seen],
+        velocity=velocity[seen],
     )
+
+
+def _motion(points: tuple[PointTarget, ...], positions: Array, aperture: Aperture) -> tuple[Array, Array]:
+    """Velocities (m/s) of point targets, and their positions (m) in the middle of the aperture's time: (points, 3).
+
+    `positions` are those where a sliding aperture has come abeam of them.
+    """
+    seen_from = aperture_at(positions, aperture).position
+    sight = (positions - seen_from) / np.linalg.norm(positions - seen_from, axis=-1, keepdims=True)
+    radial, along = np.array([[p.radial_velocity, p.along_velocity] for p in points]).reshape(-1, 2, 1).swapaxes(0, 1)
+    velocity = radial * sight + along * aperture.direction
+    seconds = (seen_from - aperture.position) @ aperture.velocity / (aperture.velocity @ aperture.velocity)
+    return velocity, positions - np.reshape(seconds, (-1, 1)) * velocity
 
 
 @dataclass(frozen=True)
 class _Scatterers:
-    """Terrain scatterers, strip after strip, each ordered outwards; `strip` is the number of its strip."""
+    """Terrain scatterers, layer after layer from the lowest to the highest, each strip after strip, ordered outwards.
+
+    The middle one of an odd number of layers is the terrain; `strip` is the number of the strip of each of its
+    scatterers.
+    """
 
     positions: Array
     heights: Array
     power: Array
     strip: npt.NDArray[np.int_]
+    layers: int
 
 
 def _terrain_scatterers(
@@ -220,13 +276,16 @@ def _terrain_scatterers(
         start, end = values[strip, node], values[strip, node + 1]
         return np.asarray(start + (end - start) * fraction)
 
-    heights = along(height)
+    layers = scene.extent * ((np.arange(LAYERS) + 0.5) / LAYERS - 0.5) if scene.extent else np.zeros(1)
+    heights = along(height) + layers[:, None]
     range_share = np.abs(np.diff(node_range))[strip, node] / pieces[between] / range_cell
+    power = along(scene.brightnesses(east[:, None], north)) * range_share * (strip_width / azimuth_cell)
     return _Scatterers(
-        positions=sphere_point(east[strip], along(np.broadcast_to(north, height.shape)), heights),
-        heights=heights,
-        power=along(scene.brightnesses(east[:, None], north)) * range_share * (strip_width / azimuth_cell),
+        positions=sphere_point(east[strip], along(np.broadcast_to(north, height.shape)), heights).reshape(-1, 3),
+        heights=heights.ravel(),
+        power=np.tile(power / len(layers), len(layers)),
         strip=strip,
+        layers=len(layers),
     )
 
 

@@ -33,7 +33,12 @@ def scatterer_amplitudes(surface: VisibleSurface, cell_power: float, rng: np.ran
 
 
 def simulate_dwell(
-    sensor: Sensor, surface: VisibleSurface, amplitudes: ComplexArray, antenna: Array, reference_range: Array
+    sensor: Sensor,
+    surface: VisibleSurface,
+    amplitudes: ComplexArray,
+    antenna: Array,
+    reference_range: Array,
+    seconds: npt.ArrayLike = 0.0,
 ) -> ComplexArray:
     """Noise-free phase history of every detector.
 
@@ -46,14 +51,15 @@ def simulate_dwell(
         amplitudes: of the scatterers, shape (scatterers,).
         antenna: position at each pulse, m, shape (pulses, 3).
         reference_range: m, shape (pulses,).
+        seconds: times of the pulses after that of the surface's positions; broadcasts with (pulses,).
 
     Returns:
         Complex128 samples, shape (detectors, pulses, frequencies).
     """
     weighted = np.ascontiguousarray(sensor.beams.response(surface.elevation, surface.squint).T) * amplitudes
 
-    def pulse_samples(position: Array, reference: float) -> ComplexArray:
-        delay = np.linalg.norm(surface.positions - position, axis=-1) - reference
+    def pulse_samples(position: Array, reference: float, second: float) -> ComplexArray:
+        delay = np.linalg.norm(surface.positions_after(second) - position, axis=-1) - reference
         strengths = weighted * np.exp(-1j * sensor.centre_wavenumber * delay)
         phase = sensor.wavenumber_step * delay
         return np.asarray(
@@ -61,7 +67,7 @@ def simulate_dwell(
         )
 
     with ThreadPoolExecutor() as pool:
-        pulses = list(pool.map(pulse_samples, antenna, reference_range))
+        pulses = list(pool.map(pulse_samples, antenna, reference_range, np.broadcast_to(seconds, len(antenna))))
     return np.stack(pulses, axis=1)
 
 

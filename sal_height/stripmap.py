@@ -14,6 +14,7 @@ from sal_height.compiled import compiled
 from sal_height.geometry import look_direction
 from sal_height.interpolation import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
 from sal_height.phasors import phasors
+from sal_height.processing import Processing
 from sal_height.scene import VisibleSurface
 from sal_height.sensor import Sensor
 
@@ -21,12 +22,25 @@ Array = npt.NDArray[np.float64]
 FloatArray = npt.NDArray[np.float32]
 ComplexArray = npt.NDArray[np.complex64]
 
-LIT_BEAMWIDTHS = 1.0
-"""Ground to each side of the beam's middle, along the flight, that a pulse lights up; in beamwidths.
+ASPECTS = 8
+"""Directions, of the Gauss-Legendre rule, in which beams are averaged over the processed angle."""
 
-That is the main lobe of the square aperture. A pulse repetition frequency of 4 speed / aperture, which presets demand,
-samples its Doppler; what lies beyond would appear as ambiguities.
+LIT_BEAMWIDTHS = 1.0
+"""Ground to each side of a beam's middle, along the flight, that a pulse lights up; in beamwidths.
+
+That is the main lobe of the square aperture. The pulse repetition frequency that presets demand samples its Doppler;
+what lies beyond would appear as ambiguities.
 """
+
+
+def lit_angle(beams: Beams) -> float:
+    """Angle along the flight to each side of the middle of all beams within which main lobes lie, rad.
+
+    One beamwidth; with the detector axis turned by psi the beams at its ends look ahead and back by sin(psi) times
+    half its length.
+    """
+    first, last = beams.span
+    return LIT_BEAMWIDTHS * beams.beamwidth + (last - first) / 2 * abs(math.sin(beams.rotation))
 
 
 def processed_angle(sensor: Sensor) -> float:
@@ -37,6 +51,37 @@ def processed_angle(sensor: Sensor) -> float:
 def aperture_length(sensor: Sensor, slant_range: float) -> float:
     """Length of the synthetic aperture of a target at `slant_range` (m), m."""
     return processed_angle(sensor) * slant_range
+
+
+def image_beams(sensor: Sensor, azimuth_window: str) -> Beams:
+    """The beams as a stripmap image has them: their mean over the aspects under which a target is processed.
+
+    At its peak a target has in every detector the mean of the pattern along its passage, weighted by the window (SAL
+    paper, section 4). Where the pattern does not separate into one across and one along the flight, as that of a round
+    aperture or with the detector axis turned, the ratios of detectors are not those of one direction.
+
+    Scaled so that a detector looking straight at the target's elevation has the amplitude 1, as the CNRs of images
+    refer to it. Beams that separate stay as they are.
+
+    Speckled ground is not one target with these ratios: its detectors correlate as the mean of products of beams, which
+    with the axis turned is not the product of means. About half of the error in elevation that averaging takes off
+    points stays on ground.
+
+    Args:
+        sensor: beams.
+        azimuth_window: over the processed angle, a name of `windows.WINDOWS`.
+
+    Raises:
+        UserError: there is no window of that name.
+    """
+    processing = Processing(azimuth_window=azimuth_window, angle=processed_angle(sensor))
+    nodes, weights = np.polynomial.legendre.leggauss(ASPECTS)
+    aspects = processing.angle / 2 * nodes
+    edge = np.full(ASPECTS, (1 - nodes[-1]) * processing.angle / 2)
+    beams = sensor.beams.averaged(aspects, weights * processing.angle_weights(aspects, edge))
+    along, beside = aspects * math.sin(beams.rotation), aspects * math.cos(beams.rotation)
+    passage = beams.patterns[0].amplitude(along / beams.beamwidth, beside / beams.beamwidth)
+    return replace(beams, weights=beams.weights / float(np.abs(beams.weights @ passage)))
 
 
 def mean_square_gain(beams: Beams) -> float:
@@ -75,12 +120,13 @@ def simulate_block(
     antenna: Array,
     rotation: Array,
     reference_range: Array,
+    seconds: npt.ArrayLike = 0.0,
 ) -> ComplexArray:
     """Noise-free phase history of every detector with the antenna fixed to the body.
 
     A scatterer has in each pulse the weight of the direction in which the body sees it then, and none when it is more
-    than LIT_BEAMWIDTHS, along the flight, from where the beams meet the ground at the reference range. As in
-    `simulate_dwell` that is the weight of the receiving beam.
+    than `lit_angle`, along the flight, from where the beams meet the ground at the reference range (which is asked of
+    the positions as given). As in `simulate_dwell` that is the weight of the receiving beam.
 
     The sum over scatterers at every frequency is the adjoint of reading a range profile at their delays: each is spread
     with the interpolator's kernel onto a dense profile, which then goes through the transposed matrix.
@@ -95,12 +141,14 @@ def simulate_block(
         antenna: position at each pulse on a flight eastwards, m, shape (pulses, 3).
         rotation: matrix that turns body into map axes at each pulse, shape (pulses, 3, 3).
         reference_range: m, shape (pulses,).
+        seconds: times of the pulses after that of the surface's positions; broadcasts with (pulses,).
 
     Returns:
         Complex64 samples, shape (detectors, pulses, frequencies).
     """
     order = np.argsort(surface.positions[:, 0], kind="stable")
     positions, strengths = surface.positions[order], amplitudes[order].astype(np.complex64)
+    velocity = surface.velocity[order] if surface.moves else None
     east = positions[:, 0].copy()
     middle = float(np.mean(sensor.beams.span))
     beams = replace(sensor.beams, boresights=(sensor.beams.boresights - middle).astype(np.float32), middle=0.0)
@@ -109,26 +157,30 @@ def simulate_block(
     taps, dense = tap_polynomials(), OVERSAMPLING * sensor.sample_count
     axes = np.stack([np.array([1.0, 0.0, 0.0]), outwards, boresight], axis=-1)
 
-    def pulse_profile(position: Array, rotation: Array, reference: float) -> FloatArray:
-        reach = LIT_BEAMWIDTHS * sensor.beamwidth * reference
+    def pulse_profile(position: Array, rotation: Array, reference: float, second: float) -> FloatArray:
+        reach = lit_angle(sensor.beams) * reference
         aim = position[0] + reference * (rotation @ boresight)[0]
         lit = slice(*np.searchsorted(east, (aim - reach, aim + reach)))
-        sight = np.einsum("si,ij->js", positions[lit] - position, rotation @ axes)  # no BLAS: its threads would wait
+        there = positions[lit] if velocity is None else positions[lit] + second * velocity[lit]
+        sight = np.einsum("si,ij->js", there - position, rotation @ axes)  # no BLAS: its threads would wait
         distance = np.sqrt(np.einsum("is,is->s", sight, sight))
         delay = distance - reference
         elevation = np.arctan2(sight[1].astype(np.float32), sight[2].astype(np.float32))
         squint = np.arcsin((sight[0] / distance).astype(np.float32))
-        response = beams.response(elevation, squint).astype(np.float32)
+        response = beams.response(elevation, squint)
         echoes = strengths[lit] * phasors(-sensor.centre_wavenumber * delay)
         place = np.mod(delay * (dense / sensor.range_window) + dense // 2, dense)
         before = np.floor(place).astype(np.int32)
         profile = np.zeros((dense + TAPS, 2 * sensor.detector_count), dtype=np.float32)
         weights = tap_weights((place - before).astype(np.float32), taps)
-        _spread(before + 1, weights, echoes, response, profile)
+        _spread(before + 1, weights, echoes, response.real.astype(np.float32), profile)
+        if np.iscomplexobj(response):
+            _spread(before + 1, weights, 1j * echoes, response.imag.astype(np.float32), profile)
         return profile
 
     with ThreadPoolExecutor() as pool:
-        profiles = np.stack(list(pool.map(pulse_profile, antenna, rotation, reference_range)))
+        pulses = (antenna, rotation, reference_range, np.broadcast_to(seconds, len(antenna)))
+        profiles = np.stack(list(pool.map(pulse_profile, *pulses)))
     real, imaginary = np.split(profiles, 2, axis=-1)
     spectra = np.einsum("fi,pid->dpf", _spectrum_of_profile(sensor.sample_count), real + 1j * imaginary, optimize=True)
     return np.ascontiguousarray(spectra, dtype=np.complex64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +26,20 @@ NO_DATA = (-9999.0, -32768.0)
 """Elevations that stand for none where a file does not say so."""
 
 
-def load_scene(name_or_path: str) -> Scene:
+def load_scene(name_or_path: str, extent: float = 0.0) -> Scene:
     """The scene of that name (see BUILT_IN), or the elevation model in that file (.tif, .tiff or .npz).
 
+    Args:
+        name_or_path: of the scene.
+        extent: of its scatterers in height, m (`Scene.extent`).
+
     Raises:
-        UserError: no such scene, or a file that cannot be used.
+        UserError: no such scene, a file that cannot be used, or an extent below 0.
     """
+    return replace(_terrain(name_or_path), extent=extent)
+
+
+def _terrain(name_or_path: str) -> Scene:
     if name_or_path == "street":
         return street()
     if name_or_path == "jacksboro_fault":

@@ -58,6 +58,19 @@ def make_sensor(**changes: object) -> Sensor:
     return Sensor(**{**values, **changes})
 
 
+def sensor_with_complex_beams(**changes: object) -> Sensor:
+    """`make_sensor` with jinc beams whose phase grows along and beside the detector axis."""
+    sensor = make_sensor(**changes)
+    jinc = pattern_named("jinc")
+
+    def amplitude(e: npt.ArrayLike, a: npt.ArrayLike) -> npt.NDArray[np.complexfloating]:
+        return np.asarray(jinc.amplitude(e, a) * np.exp(1j * (0.7 * np.asarray(e) + 0.4 * np.asarray(a))))
+
+    beams = replace(sensor.beams, patterns=(replace(jinc, amplitude=amplitude),))
+    sensor.__dict__["beams"] = beams
+    return sensor
+
+
 RAW_SETTINGS: dict[str, dict[str, float]] = {
     "spectrum": {},
     "chirp": {"pulse_duration_s": 100e-9, "sampling_rate_hz": 2.5e9, "sample_count": 329},
@@ -99,7 +112,8 @@ def flat_scene(height: float = 0.0, north: float = 0.0, half: float = 40.0) -> S
 def bare_scatterers(positions: Array, power: Array, deterministic: bool) -> VisibleSurface:
     """Scatterers of which only positions and powers matter; how they are seen is NaN."""
     unused = np.full(len(positions), np.nan)
-    return VisibleSurface(positions, unused, power, unused, unused, unused, np.full(len(positions), deterministic))
+    sure, still = np.full(len(positions), deterministic), np.zeros_like(positions)
+    return VisibleSurface(positions, unused, power, unused, unused, unused, sure, still)
 
 
 def target_slc(

@@ -42,7 +42,14 @@ def scatterers(
     squint = np.arcsin(sight[:, 0] / slant_range)
     positions = aperture.position + slant_range[:, None] * look_direction(elevation_at(offsets), squint, 1)
     angles = angles_of(positions, aperture, 1)
-    return VisibleSurface(positions, height_of(positions), np.array(power), *angles, np.zeros(len(power), dtype=bool))
+    return VisibleSurface(
+        positions,
+        height_of(positions),
+        np.array(power),
+        *angles,
+        np.zeros(len(power), dtype=bool),
+        np.zeros_like(positions),
+    )
 
 
 def test_level_ground_is_level_of_power_one_and_single() -> None:

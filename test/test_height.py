@@ -14,7 +14,16 @@ from sal_height.compression import slant_plane_grid
 from sal_height.estimate import ElevationEstimate, Validity
 from sal_height.evaluation import pixels_at
 from sal_height.flight import SimulatedFlight
-from sal_height.geometry import EARTH_RADIUS, Aperture, Grid, angles_of, height_of, locate, sphere_point
+from sal_height.geometry import (
+    EARTH_RADIUS,
+    Aperture,
+    Grid,
+    angles_of,
+    aperture_at,
+    height_of,
+    locate,
+    sphere_point,
+)
 from sal_height.height import HeightField, column_squint, height_field, look_grid
 from sal_height.looks import Looks, multilook
 from sal_height.phase_history import PhaseHistory
@@ -59,6 +68,29 @@ def test_exact_elevations_give_the_positions_of_the_targets(side: int, angles: t
     np.testing.assert_allclose(field.height, 2.0, atol=1e-6)
     assert np.all(field.validity == Validity.OK)
     np.testing.assert_allclose(field.cnr_db, 10 * np.log10(50), atol=1e-12)
+
+
+@pytest.mark.parametrize("sliding", [False, True], ids=["spotlight", "stripmap"])
+@pytest.mark.parametrize("radial", [2e-3, -3e-3])
+def test_moving_targets_get_the_place_and_height_that_they_really_have(sliding: bool, radial: float) -> None:
+    """In the image they are range times radial velocity over speed behind: here 20 cm ahead of it or 30 behind."""
+    speed = 50.0
+    aperture = replace(make_aperture(velocity=(speed, 0.0, 0.0)), sliding=sliding)
+    grid, rng = slant_grid(aperture), np.random.default_rng(29)
+    middle = grid.points(14.5, 9.5)
+    targets = sphere_point(middle[0] + rng.uniform(-0.5, 0.5, (3, 4)), middle[1] + rng.uniform(-1, 1, (3, 4)), 2.0)
+    seen_from = aperture_at(targets, aperture).position
+    slant_range = np.linalg.norm(targets - seen_from, axis=-1)
+    along = (targets - aperture.position)[..., 0] - slant_range * radial / speed
+    across = np.sqrt(slant_range**2 - (0 if sliding else along**2))
+    looks = looks_at(*pixels_at(across, along, aperture, grid))
+    _, elevation, _ = angles_of(targets, replace(aperture, position=seen_from), 1)
+    coarse = look_grid(grid, 10, 5)
+    field = height_field(estimate_of(elevation), looks, grid, coarse, aperture, 1, radial)
+    np.testing.assert_allclose(field.positions, targets, atol=2e-5)  # v_r^2 / v^2 of the range
+    np.testing.assert_allclose(field.height, 2.0, atol=2e-5)
+    ignored = height_field(estimate_of(elevation), looks, grid, coarse, aperture, 1)
+    np.testing.assert_allclose((ignored.positions - targets)[..., 0], -slant_range * radial / speed, rtol=1e-3)
 
 
 def test_sigma_of_height_is_that_of_elevation_across_the_sight_and_that_of_range_along_it() -> None:

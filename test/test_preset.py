@@ -57,6 +57,12 @@ def content_with(key: str, value: Any) -> dict[str, Any]:
         ("sensor.wavelength_m", "red", "valid number"),
         ("sensor.aperture_m", -1.0, "greater than "),
         ("sensor.pattern", "cosine", "'gaussian', 'sinc' or 'jinc'"),
+        ("sensor.pattern", "beams.txt", "'jinc', or the path of a .csv file of beams"),
+        ("sensor.pattern", 7, "valid string"),
+        ("sensor.detector_rotation_rad", 1.6, "less than or equal to 1.57"),
+        ("sensor.detector_rotation_rad", True, "not true or false"),
+        ("sensor.detector_size_beamwidths", 0.5, "valid tuple"),
+        ("scene_extent_m", -1.0, "greater than or equal to 0"),
         ("sensor.detectors", 0, "greater than or equal to "),
         ("sensor.detectors", 129, "less than or equal to 128"),
         ("sensor.detectors", [8], "valid integer"),
@@ -130,6 +136,45 @@ def test_prf_below_the_doppler_band_of_the_main_lobe_is_refused() -> None:
     with pytest.raises(UserError) as refusal:
         parse_preset(content_with("sensor.pulse_repetition_frequency_hz", 19.9e3), "mine.yaml")
     assert_one_sentence(str(refusal.value), "sensor.pulse_repetition_frequency_hz is 19900", "spans 20000 Hz")
+
+
+def test_prf_must_sample_the_beams_that_a_turned_detector_axis_points_ahead() -> None:
+    """Eight detectors half a beamwidth apart, turned by 30 degrees: 1.75 sin(30) = 0.875 beamwidths more."""
+    content = content_with("sensor.detector_rotation_rad", -np.pi / 6)
+    content["sensor"]["pulse_repetition_frequency_hz"] = 20e3 * 1.876
+    parse_preset(content, "mine.yaml")
+    content["sensor"]["pulse_repetition_frequency_hz"] = 20e3 * 1.874
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content, "mine.yaml")
+    assert_one_sentence(str(refusal.value), "spans 37500 Hz of Doppler (7.5 speed / aperture)")
+
+
+def test_sensor_of_a_preset_has_its_detectors_turned() -> None:
+    assert load_preset("small").make_sensor().detector_rotation == 0.0
+    sensor = parse_preset(content_with("sensor.detector_rotation_rad", 0.2), "mine.yaml").make_sensor()
+    assert sensor.detector_rotation == sensor.beams.rotation == 0.2
+
+
+def test_size_of_the_detectors_is_that_of_the_preset() -> None:
+    with pytest.raises(UserError, match=r"sensor\.detector_size_beamwidths\.1 is -0\.1; .* greater than or equal to 0"):
+        parse_preset(content_with("sensor.detector_size_beamwidths", [0.6, -0.1]), "mine.yaml")
+    preset = parse_preset(content_with("sensor.detector_size_beamwidths", [0.6, 1.2]), "mine.yaml")
+    assert preset.make_sensor().detector_size == (0.6, 1.2)
+    assert load_preset("small").make_sensor().detector_size == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("folder", ["beside", "working"])
+def test_file_of_beams_is_found_beside_the_preset_or_from_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    for name in ("beside", "working"):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / "working")
+    file = tmp_path / folder / "beams.csv"
+    file.write_text("")
+    preset = tmp_path / "beside" / "mine.yaml"
+    preset.write_text(yaml.safe_dump(content_with("sensor.pattern", "beams.csv")))
+    assert load_preset(str(preset)).sensor.pattern == str(file)
 
 
 def all_keys(content: dict[str, Any], prefix: str = "") -> list[str]:

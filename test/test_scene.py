@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, make_aperture
+from helpers import assert_one_sentence, flat_scene, make_aperture
 
 from sal_height.errors import UserError
-from sal_height.geometry import EARTH_RADIUS, angles_of, sphere_coordinates, sphere_point
-from sal_height.scene import PointTarget, Scene, VisibleSurface, visible_surface
+from sal_height.geometry import EARTH_RADIUS, angles_of, height_of, sphere_coordinates, sphere_point
+from sal_height.scene import LAYERS, PointTarget, Scene, VisibleSurface, visible_surface
 
 PLATFORM_HEIGHT = 5000 * np.sqrt(0.5)
 DISTANCE = PLATFORM_HEIGHT  # on the ground, seen at 45 degrees
@@ -197,3 +199,35 @@ def test_flight_beside_the_scene_is_refused_in_one_sentence() -> None:
     with pytest.raises(UserError) as refusal:
         see(scene)
     assert_one_sentence(str(refusal.value), "profile", "4985.0 to 5015.0 m", "-5.0 to 5.0 m east")
+
+
+def test_extent_spreads_the_scatterers_evenly_about_the_terrain_and_keeps_their_power() -> None:
+    """Level ground 3 m deep: power per range stays, heights are even, and the middle is where it was."""
+    distances = DISTANCE + np.arange(-40, 40.25, 0.5)
+    flat = profile_scene(np.zeros(len(distances)), distances, -1)
+    deep = replace(flat, extent=3.0)
+    thin, thick = (
+        visible_surface(s, make_aperture(PLATFORM_HEIGHT), 1, CELL, EAST, (4985.0, 5015.0)) for s in (flat, deep)
+    )
+    inside = [np.abs(s.slant_range - 5000) < 10 for s in (thin, thick)]
+    powers = [np.sum(s.power[i]) for s, i in zip((thin, thick), inside, strict=True)]
+    assert powers[1] == pytest.approx(powers[0], rel=2e-3)
+    heights, power = thick.heights[inside[1]], thick.power[inside[1]]
+    per_layer, _ = np.histogram(heights, np.linspace(-1.5, 1.5, LAYERS + 1), weights=power)
+    np.testing.assert_allclose(per_layer, powers[0] / LAYERS, rtol=0.02)
+    assert np.average(heights**2, weights=power) == pytest.approx(3.0**2 / 12, rel=0.01)
+    np.testing.assert_allclose(height_of(thick.positions), thick.heights, atol=1e-8)
+    np.testing.assert_array_equal(np.sort(thick.slant_range[np.abs(thick.heights) < 1e-9]), np.sort(thin.slant_range))
+
+
+def test_extent_below_zero_is_refused() -> None:
+    with pytest.raises(UserError) as refusal:
+        replace(flat_scene(), extent=-1.0)
+    assert_one_sentence(str(refusal.value), "Scene flat", "extent is -1.0 m", "0 or more")
+
+
+@pytest.mark.parametrize("extent", [0.0, 2.0])
+def test_scene_without_terrain_within_the_extents_is_refused(extent: float) -> None:
+    scene = replace(flat_scene(), extent=extent)
+    with pytest.raises(UserError, match="has no terrain"):
+        visible_surface(scene, make_aperture(), 1, CELL, (500.0, 501.0), (4985.0, 5015.0))

@@ -6,12 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, direct_history, elevation_at, flat_scene, make_aperture, make_sensor
+from helpers import (
+    BEAMWIDTH,
+    direct_history,
+    elevation_at,
+    flat_scene,
+    make_aperture,
+    make_sensor,
+    sensor_with_complex_beams,
+)
 
 from sal_height.backprojection import backproject
 from sal_height.compression import aim_point, azimuth_resolution, slant_plane_grid
 from sal_height.flight import SimulatedFlight
-from sal_height.geometry import angles_of, height_of, look_direction
+from sal_height.geometry import EARTH_RADIUS, Grid, angles_of, height_of, look_direction
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import load_preset
 from sal_height.processing import Processing
@@ -24,7 +32,8 @@ from sal_height.windows import noise_gain, window
 
 def scatterers(positions: np.ndarray, power: np.ndarray, deterministic: np.ndarray) -> VisibleSurface:
     slant_range, elevation, squint = angles_of(positions, make_aperture(), 1)
-    return VisibleSurface(positions, height_of(positions), power, slant_range, elevation, squint, deterministic)
+    heights, still = height_of(positions), np.zeros_like(positions)
+    return VisibleSurface(positions, heights, power, slant_range, elevation, squint, deterministic, still)
 
 
 def straight_track(sensor: Sensor) -> np.ndarray:
@@ -190,3 +199,70 @@ def test_dwell_lights_the_ground_a_beamwidth_to_each_side(flight: SimulatedFligh
     assert -footprint < along.min() < -0.96 * footprint
     assert 0.96 * footprint < along.max() < footprint
     assert np.ptp(surface.slant_range) == pytest.approx(flight.sensor.range_window, rel=0.01)
+
+
+def test_dwell_lights_more_ground_with_the_detector_axis_turned(flight: SimulatedFlight) -> None:
+    """The last of eight beams, half a beamwidth apart, points 1.75 sin(30 degrees) = 0.875 beamwidths ahead."""
+    turned = replace(flight, sensor=replace(flight.sensor, detector_rotation=np.pi / 6, config_hash=""))
+    along = turned.surface(0).positions[:, 0] - turned.aperture(0).position[0]
+    footprint = flight.sensor.beamwidth * 5000
+    assert along.max() == pytest.approx(1.875 * footprint, abs=0.04 * footprint)
+
+
+def test_complex_beams_turn_the_phase_of_echoes() -> None:
+    sensor = sensor_with_complex_beams(sample_count=16, pulse_count=4)
+    offsets, squints = np.array([0.3, -0.4]), np.array([0.1, 0.3]) * BEAMWIDTH
+    positions = make_aperture().position + 5000.1 * look_direction(elevation_at(offsets), squints, 1)
+    antenna, reference = straight_track(sensor), np.full(4, 5000.0)
+    response = sensor.beams.response(elevation_at(offsets), squints)
+    assert np.iscomplexobj(response)
+    surface = scatterers(positions, np.ones(2), np.ones(2, bool))
+    samples = simulate_dwell(sensor, surface, np.array([1.0, 2j]), antenna, reference)
+    expected = direct_history(sensor, positions, response.T * np.array([1.0, 2j]), antenna, reference)
+    np.testing.assert_allclose(samples, expected, atol=1e-6 * np.abs(expected).max())
+
+
+EXTENT = 1.5
+
+
+def beam_overlap(sensor: Sensor, grid: Grid, heights: np.ndarray) -> np.ndarray:
+    """Mean of h_m h_n over the elevations that scatterers at `heights` have at the range of each pixel of a grid."""
+    slant_range, _, squint = angles_of(grid.pixels(), make_aperture(), 1)
+    radius, centre, ranges = EARTH_RADIUS + heights, EARTH_RADIUS + make_aperture().position[2], slant_range[..., None]
+    elevation = np.arccos((centre**2 + ranges**2 - radius**2) / (2 * ranges * centre))
+    response = sensor.beams.response(elevation, squint[..., None])
+    return np.einsum("rchm,rchn->mn", response, response) / elevation.size
+
+
+@pytest.mark.parametrize("rotation", [0.0, 0.26])
+def test_deep_ground_correlates_detectors_by_the_overlap_of_their_beams_over_its_elevations(rotation: float) -> None:
+    """Speckle of scatterers that fill all elevations evenly: E[g_m g_n*] is the mean of h_m h_n over them.
+
+    At one range, an extent E in height spans the elevations between those of -E / 2 and E / 2: here 2.7 beamwidths.
+    """
+    sensor = make_sensor(
+        bandwidth=8e9,
+        pattern="sinc",
+        elevation_boresights=tuple(elevation_at(np.array([-1.0, -0.5, 0.0, 0.5, 1.0]))),
+        noise_power=(1.0,) * 5,
+        detector_rotation=rotation,
+    )
+    aperture, dwells, rows, cols = make_aperture(), 4, 30, 10
+    cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, 5000.0)
+    scene = replace(flat_scene(north=-5000 * np.sqrt(0.5), height=1.0, half=5.0), extent=EXTENT)
+    surface = visible_surface(scene, aperture, 1, cell, (-0.8, 0.8), (4999.4, 5000.6))
+    grid = slant_plane_grid(sensor, aperture, 5000.0, rows, cols, 1.0)
+    rng, reference = np.random.default_rng(17), np.full(sensor.pulse_count, 5000.0)
+    covariance, unit = np.zeros((5, 5), complex), sensor.pulse_count * sensor.sample_count
+    for _ in range(dwells):
+        amplitudes = draw_amplitudes(surface, unit, sensor, rng)  # a cell has the power 1
+        samples = simulate_dwell(sensor, surface, amplitudes, straight_track(sensor), reference)
+        history = PhaseHistory(0, np.zeros(sensor.pulse_count), reference, samples.astype(np.complex64))
+        slc = backproject(history, straight_track(sensor), sensor, Processing("rectangular"), grid).reshape(5, -1)
+        covariance += slc @ slc.conj().T / (dwells * rows * cols)
+
+    expected = beam_overlap(sensor, grid, 1.0 + EXTENT * ((np.arange(400) + 0.5) / 400 - 0.5))
+    power = np.diagonal(expected)
+    standard_error = np.sqrt(np.multiply.outer(power, power) / (dwells * rows * cols))  # 3 % of the powers
+    assert np.all(np.abs(covariance - expected) < 4 * standard_error)
+    assert np.abs(beam_overlap(sensor, grid, np.ones(1)) - expected).max() > 10 * standard_error.max()

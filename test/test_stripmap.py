@@ -6,19 +6,37 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, bare_scatterers, direct_history, elevation_at, flat_scene, make_aperture, make_sensor
+from helpers import (
+    BEAMWIDTH,
+    bare_scatterers,
+    direct_history,
+    elevation_at,
+    flat_scene,
+    make_aperture,
+    make_sensor,
+    sensor_with_complex_beams,
+)
 from scipy.spatial.transform import Rotation
+from scipy.special import erf
 
 from sal_height.backprojection import backproject_points
 from sal_height.flight import SimulatedFlight
 from sal_height.geometry import angles_of, look_direction
+from sal_height.optics import GAUSSIAN_WIDTH
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import load_preset
 from sal_height.processing import Processing
 from sal_height.scene import VisibleSurface
 from sal_height.sensor import Sensor
 from sal_height.simulator import scatterer_amplitudes
-from sal_height.stripmap import aperture_length, cell_power, mean_square_gain, processed_angle, simulate_block
+from sal_height.stripmap import (
+    aperture_length,
+    cell_power,
+    image_beams,
+    mean_square_gain,
+    processed_angle,
+    simulate_block,
+)
 
 REACH, SPEED, PRF = 5000.0, 50.0, 20e3
 FORWARD = np.array([1.0, 0.0, 0.0])
@@ -54,10 +72,19 @@ def focused(sensor: Sensor, history: PhaseHistory, antenna: np.ndarray, points: 
     return image.reshape(-1, *points.shape[:-1])
 
 
-@pytest.mark.parametrize("pattern", ["sinc", "jinc"])
-def test_every_pulse_weighs_a_scatterer_by_where_the_body_sees_it_then(pattern: str) -> None:
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        strip_sensor(),
+        strip_sensor(pattern="jinc"),
+        strip_sensor(detector_rotation=0.3),
+        sensor_with_complex_beams(mode="stripmap", sample_count=16, pulse_repetition_frequency=PRF),
+    ],
+    ids=["sinc", "jinc", "turned", "complex"],
+)
+def test_every_pulse_weighs_a_scatterer_by_where_the_body_sees_it_then(sensor: Sensor) -> None:
     """Written out, on a body that turns and an antenna that wanders."""
-    sensor, rng, pulses = strip_sensor(pattern=pattern), np.random.default_rng(40), 5
+    rng, pulses = np.random.default_rng(40), 5
     along = rng.uniform(-0.4, 0.4, 6)
     positions = at(REACH + rng.uniform(-0.3, 0.3, 6), along, 0.4)
     amplitudes = rng.standard_normal(6) + 1j * rng.standard_normal(6)
@@ -205,3 +232,47 @@ def test_ground_follows_a_platform_that_gusts_have_carried_ahead_or_back(flight:
         assert along.min() < -reach
         assert along.max() > reach
     assert max(drift) > 2 * reach
+
+
+OFFSETS = np.linspace(-1.4, 1.4, 9)
+
+
+def test_beams_that_separate_are_the_same_in_the_image() -> None:
+    for pattern in ("sinc", "gaussian"):
+        sensor = strip_sensor(pattern=pattern)
+        for name in ("rectangular", "hamming"):
+            seen, squint = image_beams(sensor, name).response(elevation_at(OFFSETS), 0.0), 0.0
+            np.testing.assert_allclose(seen, sensor.beams.response(elevation_at(OFFSETS), squint), atol=1e-12)
+
+
+def test_turned_gaussian_beams_have_the_error_function_of_their_passage() -> None:
+    """Of squared widths the Gaussian has the sum: x - s cos(psi) across, and s sin(psi) along, for a detector at s."""
+    psi, width, squint = 0.3, GAUSSIAN_WIDTH, 0.2
+    sensor, steps = strip_sensor(pattern="gaussian", detector_rotation=psi), np.array([-0.5, 0.0, 0.5])
+    ends = (squint + np.array([[-0.5], [0.5]]) - steps * np.sin(psi)) / (np.sqrt(2) * width)
+    passage = np.sqrt(np.pi / 2) * width * np.diff(erf(ends), axis=0)[0]
+    straight = np.sqrt(2 * np.pi) * width * erf(0.5 / (np.sqrt(2) * width))
+    across = np.exp(-((OFFSETS[:, None] - steps * np.cos(psi)) ** 2) / (2 * width**2))
+    seen = image_beams(sensor, "rectangular").response(elevation_at(OFFSETS), squint * BEAMWIDTH)
+    np.testing.assert_allclose(seen, across * passage / straight, atol=1e-8)
+
+
+@pytest.mark.parametrize("radial", [0.0, 1e-3])
+@pytest.mark.parametrize("window", ["rectangular", "hamming"])
+def test_point_has_the_ratios_of_the_beams_of_the_image_at_its_peak(radial: float, window: str) -> None:
+    """Round aperture and turned detectors; a mover's passage is off the beams' middle by v_r / v."""
+    sensor, antenna = strip_sensor(pattern="jinc", detector_rotation=0.26), track(900)
+    seconds = (np.arange(len(antenna)) - (len(antenna) - 1) / 2) / PRF
+    point = at(np.array([REACH + 0.1]), np.array([0.05]), 0.37)
+    sight = (point - make_aperture().position - [[0.05, 0, 0]]) / (REACH + 0.1)
+    surface = replace(bare_scatterers(point, np.ones(1), deterministic=True), velocity=radial * sight)
+    level, reference = np.broadcast_to(np.eye(3), (len(antenna), 3, 3)), np.full(len(antenna), REACH)
+    surface = surface.after(-0.05 / SPEED)  # to when the antenna is in the middle of its track
+    samples = simulate_block(sensor, surface, np.ones(1), antenna, level, reference, seconds)
+    history, processing = PhaseHistory(0, seconds, reference, samples), Processing("rectangular", window, BEAMWIDTH)
+    shown = point - REACH * radial / SPEED * FORWARD
+    peak = backproject_points(history, antenna, sensor, processing, shown, FORWARD)[:, 0]
+    expected = image_beams(sensor, window).response(elevation_at(0.37), radial / SPEED)
+    np.testing.assert_allclose(peak / peak[1], expected / expected[1], atol=1e-3)
+    still = sensor.beams.response(elevation_at(0.37), 0.0)
+    assert np.abs(still / still[1] - expected / expected[1]).max() > 0.008

@@ -13,12 +13,15 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import __version__, convert
 from sal_height.beams import Beams
+from sal_height.discriminant import moving_squint
 from sal_height.estimate import ElevationEstimate, common_noise
 from sal_height.height import column_squint, height_field, look_grid
 from sal_height.looks import Looks, multilook
 from sal_height.nodes.dwell_stage import DwellStage
-from sal_height.nodes.parameters import as_json, parameter
+from sal_height.nodes.parameters import as_json, parameter, recorded
 from sal_height.sensor import Sensor
+from sal_height.stripmap import image_beams
+from sal_height.windows import WINDOWS
 
 
 @dataclass(frozen=True)
@@ -28,12 +31,30 @@ class HeightParameters:
     range_looks: int = parameter(2, "pixels averaged in range", minimum=1, maximum=4096)
     azimuth_looks: int = parameter(2, "pixels averaged in azimuth", minimum=1, maximum=4096)
     min_cnr_db: float = parameter(5.0, "least CNR of a valid pixel, dB", minimum=-60.0, maximum=100.0)
+    radial_velocity_mps: float = parameter(
+        0.0,
+        "radial velocity of the targets wanted, receding positive, m/s: they get height and place, others wrong ones",
+        minimum=-1000.0,
+        maximum=1000.0,
+    )
     timeout_s: float = parameter(5.0, "wait for missing detectors, s", minimum=0.01, maximum=3600.0, read_only=True)
 
     @property
     def min_cnr(self) -> float:
         """Least CNR of a valid pixel, power ratio."""
         return float(10 ** (self.min_cnr_db / 10))
+
+
+def processed_beams(sensor: Sensor, provenance: str) -> Beams:
+    """The beams as images have them: in stripmap averaged over the processed angle (`stripmap.image_beams`).
+
+    With the azimuth window that `provenance`, a Provenance.parameters, records of sar_compression; rectangular if there
+    is none that is known.
+    """
+    if sensor.mode == "spotlight":
+        return sensor.beams
+    window = recorded(provenance, "sar_compression", "azimuth_window")
+    return image_beams(sensor, window if isinstance(window, str) and window in WINDOWS else "rectangular")
 
 
 class HeightStage(DwellStage):
@@ -69,10 +90,12 @@ class HeightStage(DwellStage):
         slc, slc_grid, aperture, noise_power = convert.slc_from_messages(messages)
         looks = multilook(slc, parameters.range_looks, parameters.azimuth_looks, sensor.beams.is_complex)
         grid = look_grid(slc_grid, parameters.range_looks, parameters.azimuth_looks)
-        squint = column_squint(grid, aperture, sensor.beams, sensor.look_side)
-        estimate = self.estimate(looks, sensor.beams, squint, common_noise(noise_power), parameters)
-        field = height_field(estimate, looks, slc_grid, grid, aperture, sensor.look_side)
         before = messages[0].provenance
+        beams = processed_beams(sensor, before.parameters)
+        velocity, speed = parameters.radial_velocity_mps, np.linalg.norm(aperture.velocity)
+        squint = moving_squint(column_squint(grid, aperture, sensor.beams, sensor.look_side), velocity, speed)
+        estimate = self.estimate(looks, beams, squint, common_noise(noise_power), parameters)
+        field = height_field(estimate, looks, slc_grid, grid, aperture, sensor.look_side, velocity)
         provenance = Provenance(
             code_version=__version__,
             config_hash=before.config_hash,

@@ -86,6 +86,16 @@ def as_json(stage: str, values: Any, before: str = "{}") -> str:
     return json.dumps(stages | {stage: dataclasses.asdict(values)}, sort_keys=True)
 
 
+def recorded(parameters: str, stage: str, name: str) -> Any:
+    """Value of a parameter of a stage in a Provenance.parameters; None: it is not there."""
+    try:
+        stages = json.loads(parameters)
+    except ValueError:
+        return None
+    values = stages.get(stage) if isinstance(stages, dict) else None
+    return values.get(name) if isinstance(values, dict) else None
+
+
 def _descriptor(field: dataclasses.Field[Any]) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=field.metadata["description"], read_only=field.metadata["read_only"])
     descriptor.additional_constraints = _allowed(field)

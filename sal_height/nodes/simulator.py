@@ -45,7 +45,7 @@ class Simulator(Stage):
         declare_parameters(self, Parameters)
         parameters = read_parameters(self, Parameters)
         preset = load_preset(parameters.preset)
-        scene = load_scene(preset.scene)
+        scene = load_scene(preset.scene, preset.scene_extent_m)
         self.flight = SimulatedFlight(preset, preset.make_sensor(), scene, preset.dwells, parameters.seed)
         self._next_dwell = 0
         self._start_ns = self.get_clock().now().nanoseconds

@@ -129,7 +129,9 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
         UserError: what was asked for cannot be done.
     """
     parameters = check_parameters(parameters)
-    flight = SimulatedFlight(preset, preset.make_sensor(), load_scene(preset.scene), preset.dwells, seed)
+    flight = SimulatedFlight(
+        preset, preset.make_sensor(), load_scene(preset.scene, preset.scene_extent_m), preset.dwells, seed
+    )
     flight.surface(0)  # refuses a flight beside the scene before anything is started
     folder = new_folder(out)
     settings = folder / "preset.yaml"

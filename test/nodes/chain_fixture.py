@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -27,15 +29,27 @@ DETECTORS = 8
 class Chain:
     """sar_compression, monopulse and ml_height in one graph; frames go in by hand, heights are collected."""
 
-    def __init__(self, graph: Graph, flight: SimulatedFlight, missing_after_s: float) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        flight: SimulatedFlight,
+        missing_after_s: float,
+        image: Mapping[str, Any] = MappingProxyType({"rows": 46, "cols": 12}),
+        heights: Mapping[str, Any] = MappingProxyType({}),
+        monopulse: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        """Parameters: `image` of sar_compression, `heights` of both height nodes, `monopulse` of that alone."""
         self.graph = graph
         self.flight = flight
-        timeout = Parameter("timeout_s", value=missing_after_s)
-        image = [Parameter("rows", value=46), Parameter("cols", value=12)]
+
+        def overrides(parameters: Mapping[str, Any]) -> dict[str, Any]:
+            values = {"timeout_s": missing_after_s, **parameters}
+            return {"parameter_overrides": [Parameter(name, value=value) for name, value in values.items()]}
+
         nodes = [
-            SarCompression(context=graph.context, parameter_overrides=[timeout, *image]),
-            Monopulse(context=graph.context, parameter_overrides=[timeout]),
-            MlHeight(context=graph.context, parameter_overrides=[timeout]),
+            SarCompression(context=graph.context, **overrides(image)),
+            Monopulse(context=graph.context, **overrides({**heights, **monopulse})),
+            MlHeight(context=graph.context, **overrides(heights)),
         ]
         self.stages = {node.get_name(): graph.add(node) for node in nodes}
         self.heights: dict[tuple[str, int], HeightImage] = {}

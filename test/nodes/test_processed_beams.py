@@ -1,0 +1,47 @@
+"""The beams that the height nodes invert: of one direction in spotlight, averaged over the aperture in stripmap."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import elevation_at, make_sensor
+
+from sal_height.nodes.height_stage import processed_beams
+from sal_height.stripmap import image_beams
+
+ELEVATION = elevation_at(np.linspace(-1, 1, 5))
+STRIP = make_sensor(mode="stripmap", detector_rotation=0.26, pulse_repetition_frequency=20e3)
+
+
+def made_with(window: object) -> str:
+    return json.dumps({"sar_compression": {"azimuth_window": window}})
+
+
+def test_spotlight_has_the_beams_of_the_sensor() -> None:
+    sensor = replace(STRIP, mode="spotlight", config_hash="")
+    assert processed_beams(sensor, made_with("hamming")) is sensor.beams
+
+
+@pytest.mark.parametrize(
+    ("provenance", "window"),
+    [
+        (made_with("hamming"), "hamming"),
+        (made_with("taylor"), "taylor"),
+        (made_with("rectangular"), "rectangular"),
+        (made_with("unheard of"), "rectangular"),
+        (made_with(["hamming"]), "rectangular"),
+        ("", "rectangular"),
+        ("no JSON", "rectangular"),
+        ("[1, 2]", "rectangular"),
+        ('{"sar_compression": 7}', "rectangular"),
+        ('{"other": {"azimuth_window": "hamming"}}', "rectangular"),
+    ],
+)
+def test_stripmap_averages_with_the_window_that_the_image_was_made_with(provenance: str, window: str) -> None:
+    seen = processed_beams(STRIP, provenance).response(ELEVATION, 0.0)
+    np.testing.assert_array_equal(seen, image_beams(STRIP, window).response(ELEVATION, 0.0))
+    others = {"hamming", "taylor", "rectangular"} - {window}
+    assert all(np.abs(seen - image_beams(STRIP, o).response(ELEVATION, 0.0)).max() > 1e-4 for o in others)

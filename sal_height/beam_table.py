@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import csv
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
+
+COLUMNS = ("detector", "elevation_beamwidths", "azimuth_beamwidths", "real", "imaginary")
+"""Of a file of beam tables; the third may be absent."""
 
 LEAST_NODES = 4
 """Of a cubic spline."""
@@ -57,3 +64,126 @@ class BeamTable:
         """Amplitudes, shape (elevations, azimuths)."""
         flat = np.array(self.real, dtype=np.float64) + 1j * np.array(self.imaginary, dtype=np.float64)
         return flat.reshape(len(self.elevation), len(self.azimuth))
+
+
+Grid = dict[tuple[float, float], tuple[complex, int]]
+"""Amplitude, and line in the file, by elevation and azimuth in beamwidths."""
+
+
+def read_beam_tables(path: Path, beamwidth: float) -> tuple[BeamTable, ...]:
+    """The measured beams in a CSV file with the columns COLUMNS, one row for every detector and direction.
+
+    Detectors are counted from 0, each has a grid of its own; rows come in any order. Offsets are from the boresight of
+    each detector, in beamwidths. Without azimuth_beamwidths all rows have azimuth 0.
+
+    Args:
+        path: of the file.
+        beamwidth: wavelength / aperture diameter, rad.
+
+    Returns:
+        tuple[BeamTable, ...]: of detectors 0, 1, ...
+
+    Raises:
+        UserError: the file cannot be read, a column is missing, a value is no number, a direction is missing or given
+            twice, detectors are left out, or a beam makes no BeamTable.
+    """
+    grids = _grids(path)
+    if sorted(grids) != list(range(len(grids))):
+        missing = min(set(range(len(grids))) - set(grids))
+        raise UserError(f"{path} has beams of {len(grids)} detectors but none of detector {missing}; count from 0.")
+    return tuple(_table(path, detector, grids[detector], beamwidth) for detector in range(len(grids)))
+
+
+def write_beam_tables(path: Path, tables: Sequence[BeamTable], beamwidth: float) -> None:
+    """Write what `read_beam_tables` reads; `beamwidth` in rad.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    try:
+        with path.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(COLUMNS)
+            for detector, table in enumerate(tables):
+                angles = [(e / beamwidth, a / beamwidth) for e in table.elevation for a in table.azimuth]
+                parts = zip(angles, table.real, table.imaginary, strict=True)
+                writer.writerows((detector, e, a, real, imaginary) for (e, a), real, imaginary in parts)
+    except OSError as error:
+        raise UserError(f"{path} cannot be written: {error.strerror}.") from error
+
+
+def _grids(path: Path) -> dict[int, Grid]:
+    grids: dict[int, Grid] = defaultdict(dict)
+    for line, row in _rows(path):
+        detector, direction, amplitude = _numbers(path, line, row)
+        if direction in grids[detector]:
+            raise UserError(
+                f"{path}, line {line}: elevation {direction[0]:g} and azimuth {direction[1]:g} of detector {detector} "
+                f"were given in line {grids[detector][direction][1]} already; every direction must be there once."
+            )
+        grids[detector][direction] = amplitude, line
+    if not grids:
+        raise UserError(f"{path} has no rows; at least one detector's beam is needed.")
+    return grids
+
+
+def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
+    """Rows that are not empty by column, with their lines."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.reader(stream)
+            header = [name.strip() for name in next(reader, [])]
+            _check_header(path, header)
+            lines = [(reader.line_num, row) for row in reader if row]
+    except OSError as error:
+        raise UserError(f"{path} cannot be read: {error.strerror}.") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise UserError(f"{path} is no CSV text; columns {', '.join(COLUMNS)} are expected.") from error
+    for line, row in lines:
+        if len(row) != len(header):
+            raise UserError(f"{path}, line {line}: there are {len(row)} values; the header has {len(header)} columns.")
+    return [(line, dict(zip(header, row, strict=True))) for line, row in lines]
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    needed = set(COLUMNS) - {"azimuth_beamwidths"}
+    if not (needed <= set(header) <= set(COLUMNS) and len(set(header)) == len(header)):
+        found = ", ".join(header)[:120] or "nothing"
+        raise UserError(f"{path}, line 1: the columns are {found!r}; they must be {', '.join(COLUMNS)}, once each.")
+
+
+def _numbers(path: Path, line: int, row: dict[str, str]) -> tuple[int, tuple[float, float], complex]:
+    """Detector, elevation and azimuth in beamwidths, and amplitude of a row."""
+    values = {}
+    for name in COLUMNS:
+        text = row.get(name, "0").strip()
+        try:
+            values[name] = float(int(text)) if name == "detector" else float(text)
+        except (ValueError, OverflowError):
+            values[name] = np.nan
+        least = 0.0 if name == "detector" else -np.inf
+        if not (np.isfinite(values[name]) and values[name] >= least):
+            allowed = "a whole number of 0 or more" if name == "detector" else "a finite number"
+            raise UserError(f"{path}, line {line}: {name} is {text[:40]!r}; it must be {allowed}.")
+    detector, elevation, azimuth, real, imaginary = values.values()
+    return int(detector), (elevation, azimuth), complex(real, imaginary)
+
+
+def _table(path: Path, detector: int, grid: Grid, beamwidth: float) -> BeamTable:
+    elevation, azimuth = (sorted(set(angles)) for angles in zip(*grid, strict=True))
+    for direction in ((e, a) for e in elevation for a in azimuth):
+        if direction not in grid:
+            raise UserError(
+                f"{path}: detector {detector} has no amplitude at elevation {direction[0]:g} and azimuth "
+                f"{direction[1]:g}; its grid must be complete."
+            )
+    values = [grid[e, a][0] for e in elevation for a in azimuth]
+    try:
+        return BeamTable(
+            tuple(e * beamwidth for e in elevation),
+            tuple(a * beamwidth for a in azimuth),
+            tuple(value.real for value in values),
+            tuple(value.imag for value in values),
+        )
+    except UserError as error:
+        raise UserError(f"{path}, detector {detector}: {str(error)[0].lower()}{str(error)[1:]}") from error

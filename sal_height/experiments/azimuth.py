@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -45,11 +46,35 @@ ASPECTS = 16
 
 def fig8() -> Iterator[Curve]:
     """Spotlight: the target stays where it is in the beam."""
+    for rotation in ROTATIONS_DEG:
+        pair, reference = _pair(rotation), _reference(rotation)
+        for place, azimuth in AZIMUTHS.items():
+            amplitudes = partial(reference.lower_and_upper, azimuth=azimuth)
+            yield _curve(f"psi {rotation} deg, {place}", pair, azimuth, amplitudes)
 
-    def beams_at(pair: Beams, _azimuth: float) -> Beams:
-        return pair
 
-    def amplitudes_at(reference: ReferencePair, azimuth: float) -> Amplitudes:
-        return lambda elevation: reference.lower_and_upper(elevation, azimuth)
+def fig9() -> Iterator[Curve]:
+    """Stripmap: targets pass through the beam, and count from half a beamwidth before the centroid to as much after."""
+    for rotation in ROTATIONS_DEG:
+        pair, reference = _pair(rotation), _reference(rotation)
+        for place, centroid in AZIMUTHS.items():
+            passing = pair.averaged(*nodes_between(centroid - 0.5, centroid + 0.5, ASPECTS))
+            yield _curve(f"psi {rotation} deg, centroid at {place}", passing, 0.0, passed_over(reference, centroid))
 
-    yield from _curves(beams_at, amplitudes_at, squint_of=lambda azimuth: azimuth)
+
+def _pair(rotation_deg: float) -> Beams:
+    patterns = (detector_pattern("jinc", DETECTOR_SIZE),)
+    return array_of(patterns, 2, DETECTOR_SIZE[0], math.radians(rotation_deg))
+
+
+def _reference(rotation_deg: float) -> ReferencePair:
+    return ReferencePair(seen_by(jinc, DETECTOR_SIZE), DETECTOR_SIZE[0], math.radians(rotation_deg))
+
+
+def _curve(case: str, pair: Beams, squint: float, amplitudes: Amplitudes) -> Curve:
+    """Elevation over the discriminants that the pair can have."""
+    elevation = invert(pair, RATIOS, squint).elevation
+    known = np.isfinite(elevation)
+    x, value = RATIOS[known], elevation[known]
+    style, colour = "--" if "edge" in case else "-", 0 if pair.rotation == 0 else 3
+    return exact_curve("elevation", case, x, value, elevations_with(amplitudes, x, value), style, colour)

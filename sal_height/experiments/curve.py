@@ -65,9 +65,11 @@ class Figure:
     curves: Callable[[int, int], Iterator[Curve]]
 
 
-def exact_curve(quantity: str, case: str, x: Array, value: Array, closed_form: Array) -> Curve:
+def exact_curve(
+    quantity: str, case: str, x: Array, value: Array, closed_form: Array, style: str = "-", colour: int = 0
+) -> Curve:
     """A curve without random numbers."""
-    return Curve(quantity, case, x, value, np.zeros_like(x), closed_form)
+    return Curve(quantity, case, x, value, np.zeros_like(x), closed_form, style, colour)
 
 
 def rows_of(figure: str, curve: Curve) -> list[dict[str, Any]]:

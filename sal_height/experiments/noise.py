@@ -67,9 +67,7 @@ def fig6(trials: int, seed: int) -> Iterator[Curve]:
         yield _curve("mean", case, index, [mean(row) for row in sample], gaussian_mean(KAPPAS, cnr))
 
 
-def discriminants(
-    seed: np.random.SeedSequence, signal: Signal, cnr_sum: float, looks: int, trials: int
-) -> Array:
+def discriminants(seed: np.random.SeedSequence, signal: Signal, cnr_sum: float, looks: int, trials: int) -> Array:
     """Estimates of the discriminant by `ratio`, shape (KAPPAS, trials).
 
     All kappas see the same draws of target and noise, and so do all CNRs of a figure: their curves are smooth, and chance

@@ -1,32 +1,64 @@
 """Maximum-likelihood elevation from all detectors of the array at once (SAL paper, section 5).
 
-A target at elevation theta gives detector m the amplitude A_k h(theta - theta_m) in look k, plus noise of variance
-sigma^2. With a = (h(theta - theta_m))_m and R = Re sum_k g_k g_k^H, profiling out the complex A_k leaves the objective
+A target at elevation theta gives detector m the amplitude A_k a_m(theta) in look k, plus noise of variance sigma^2.
+With the covariance R = sum_k g_k g_k^H, profiling out the complex A_k leaves the objective
 
-    normalised:  a^T R a / a^T a     (exact)
-    numerator:   a^T R a             (the paper's, which takes a^T a as constant: biased inwards near the array's ends)
+    normalised:  a^H R a / a^H a     (exact)
+    numerator:   a^H R a             (the paper's, which takes a^H a as constant: biased inwards near the array's ends)
+
+or w^H R w with the weights w = a / |a| or w = a. It is searched on a grid, as one matrix product for all pixels, and
+climbed from there between the nodes of a table of w.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams import Beams
+from sal_height.bounds import beam_power, stochastic_crb
+from sal_height.compiled import compiled, in_parallel
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, output_power, validity_of
-from sal_height.looks import Looks
+from sal_height.estimate import ElevationEstimate, explained_power, validity_of
+from sal_height.looks import Covariance, Looks
 
 Array = npt.NDArray[np.float64]
-Objective = Callable[[Array, Array], Array]
+FloatArray = npt.NDArray[np.float32]
+Objective = Callable[[Array, Array], tuple[Array, Array]]
 
-GRID_STEP = 0.05
-"""Spacing of the coarse search in beamwidths; the objective is band-limited to 1 cycle per beamwidth."""
+GRID_STEP = 0.2
+"""Spacing of the coarse search in beamwidths: a fifth of the shortest period of the objective's numerator."""
 
-REFINEMENT_STEPS = (0.02, 0.002)
-"""Half widths in beamwidths of the parabolas that refine the peak, in turn."""
+TABLE_STEPS = 6
+"""Of the table of weights in each step of the grid."""
+
+NEAR_HIGHEST = float(np.cos(1.5 * np.pi * GRID_STEP / 2) ** 2)
+"""Share of the grid's greatest value from which on a peak is climbed.
+
+A function between 0 and 1 with periods of P or more is cos^2(pi x / P) or more at x from where it is 1 (M. Riesz), and
+the nearest node is half a step from the highest peak at most. P is 1 beamwidth; 1.5 leaves room for the denominator,
+which varies beyond the array. Of 48 000 pixels at 0 to 20 dB none missed its highest peak, where the highest node
+alone would have missed 0.8 %.
+"""
+
+SETTLED = 1e-2
+"""Newton step, in steps of the table, that is the last: the next would be about the square of this."""
+
+MOST_STEPS = 40
+"""Of a climb; if all halve the bracket, that is the end of float64."""
+
+TILE = 4
+"""Pixels, and entries of their matrices, that are multiplied at a time."""
+
+PIXELS_AT_ONCE = 512
+"""Pixels whose objective is held at a time: what fits into a processor's cache."""
+
+PIXELS_OF_THREAD = 2048
+"""Pixels that are worth a thread."""
 
 GUARD = 3.0
 """Beamwidths beyond the array that are searched too, so that a target out there is recognised by its sidelobes.
@@ -35,16 +67,131 @@ Two detectors cannot tell: their one ratio is that of some direction inside as w
 """
 
 
-def _normalised(output_power: Array, beam_power: Array) -> Array:
-    return output_power / beam_power
+def _normalised(response: Array, slope: Array) -> tuple[Array, Array]:
+    """The unit vector a / |a|, or 0 where no detector sees anything."""
+    norm = np.linalg.norm(response, axis=-1, keepdims=True)
+    inverse = np.divide(1.0, norm, where=norm > 0, out=np.zeros_like(norm))
+    unit = response * inverse
+    return unit, (slope - unit * np.sum(unit * slope, axis=-1, keepdims=True)) * inverse
 
 
-def _numerator(output_power: Array, _beam_power: Array) -> Array:
-    return output_power
+def _numerator(response: Array, slope: Array) -> tuple[Array, Array]:
+    return response, slope
 
 
 OBJECTIVES: dict[str, Objective] = {"normalised": _normalised, "numerator": _numerator}
-"""What is maximised over elevation, from a^T R a and a^T a; "numerator" is the paper's."""
+"""Weights w and their slope from response a and slope a' (real, (..., detectors)); "numerator" is the paper's."""
+
+
+@dataclass(frozen=True)
+class PeakSearch:
+    """All that a search for the greatest w^H R w needs to know of the beams, at one squint.
+
+    Complex beams of M detectors are real ones of 2 M, of the real and the imaginary parts.
+
+    Attributes:
+        first: lowest elevation searched, rad.
+        step: of the table, rad; the grid takes every TABLE_STEPS-th node.
+        entries: places of the upper triangle in a flattened matrix, and first places again up to a multiple of TILE.
+        grid: products w_m w_n at each node of the grid, those of m < n doubled, shape (entries, grid nodes); 0 where
+            `entries` repeats itself.
+        pieces: cubic polynomials for w from node to node of the table (Hermite: w and w' are exact at the nodes),
+            coefficients of rising powers, shape (table nodes - 1, 4, detectors). For the aperture's beams, whose
+            shortest period is 2 beamwidths, the error is 5e-8 in w and 5e-6 per beamwidth in w'.
+        complex_beams: whether w stands for complex numbers.
+    """
+
+    first: float
+    step: float
+    entries: npt.NDArray[np.intp]
+    grid: FloatArray
+    pieces: FloatArray
+    complex_beams: bool
+
+    @classmethod
+    def over(cls, beams: Beams, squint: float, objective: Objective, guard: float) -> Self:
+        """The search over `beams.domain(guard)` for targets at `squint` (angles in rad).
+
+        Raises:
+            UserError: the beams have no elevation in common.
+        """
+        first, last = beams.domain(guard)
+        steps = TABLE_STEPS * max(1, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))))
+        nodes, step = np.linspace(first, last, steps + 1, retstep=True)
+        weight, slope = objective(_as_real(beams.response(nodes, squint)), _as_real(beams.slope(nodes, squint)))
+        coarse = weight[::TABLE_STEPS]
+        m, n = np.triu_indices(coarse.shape[1])
+        products = coarse[:, m] * coarse[:, n] * np.where(m == n, 1, 2)
+        beyond = (0, -len(m) % TILE)
+        return cls(
+            first=first,
+            step=float(step),
+            entries=np.pad(m * coarse.shape[1] + n, beyond),
+            grid=np.ascontiguousarray(np.pad(products.T, (beyond, (0, 0))), dtype=np.float32),
+            pieces=np.ascontiguousarray(_hermite(weight, slope * step), dtype=np.float32),
+            complex_beams=beams.is_complex,
+        )
+
+    def peaks(self, covariance: Covariance) -> Array:
+        """Elevation (rad) of the greatest objective in the search domain, for each of some pixels, shape (pixels,).
+
+        The end of the domain where the objective still rises there. Runs in the calling thread alone.
+
+        Args:
+            covariance: shape (pixels, channels, channels); complex if the beams are.
+
+        Raises:
+            UserError: the beams are complex and the covariance is not.
+        """
+        position = np.empty(len(covariance))
+        for begin in range(0, len(covariance), PIXELS_AT_ONCE):
+            block = slice(begin, begin + PIXELS_AT_ONCE)
+            matrices = self._real(covariance[block])
+            values = _on_grid(matrices, self.entries, self.grid)
+            _climb_highest(matrices, values, self.pieces, position[block])
+        return self.first + self.step * position
+
+    def _real(self, covariance: Covariance) -> FloatArray:
+        """Real matrices whose quadratic form with the real weights is that of the covariance."""
+        if not self.complex_beams:
+            return np.ascontiguousarray(covariance.real, dtype=np.float32)
+        if not np.iscomplexobj(covariance):
+            raise UserError("The covariance of complex beams is real; it must be complex (multilook with hermitian).")
+        real, imaginary = covariance.real, covariance.imag
+        return np.ascontiguousarray(np.block([[real, -imaginary], [imaginary, real]]), dtype=np.float32)
+
+
+def peak_elevation(covariance: Covariance, beams: Beams, squint: Array, objective: Objective, guard: float) -> Array:
+    """Elevation (rad) of the greatest objective in every pixel, shape (rows, cols).
+
+    Args:
+        covariance: shape (rows, cols, channels, channels); complex if the beams are.
+        beams: of the channels.
+        squint: of each column, rad, shape (cols,).
+        objective: one of OBJECTIVES.
+        guard: how far beyond the array is searched, rad (`Beams.domain`).
+
+    Raises:
+        UserError: the beams have no elevation in common, or are complex where the covariance is not.
+    """
+    elevation = np.empty(covariance.shape[:2])
+    for angle in np.unique(squint):
+        search, cols = PeakSearch.over(beams, float(angle), objective, guard), squint == angle
+        part = covariance if np.all(cols) else covariance[:, cols]
+        pixels = part.reshape(-1, *covariance.shape[2:])
+        peaks = np.empty(len(pixels))
+
+        def work(piece: slice, search: PeakSearch = search, pixels: Covariance = pixels, peaks: Array = peaks) -> None:
+            peaks[piece] = search.peaks(pixels[piece])
+
+        in_parallel(work, len(pixels), PIXELS_OF_THREAD)
+        elevation[:, cols] = peaks.reshape(part.shape[:2])
+    return elevation
+
+
+def best_elevation(covariance: Covariance, beams: Beams, squint: Array, objective: Objective) -> Array:
+    """`peak_elevation` over the array, its ends and the guard beyond, which reveals targets outside."""
+    return peak_elevation(covariance, beams, squint, objective, GUARD * beams.beamwidth if beams.count > 2 else 0.0)
 
 
 def ml_elevation(
@@ -61,17 +208,13 @@ def ml_elevation(
         min_cnr: pixels below this power ratio are LOW_CNR.
 
     Raises:
-        UserError: fewer than two detectors.
+        UserError: fewer than two detectors, or a real covariance of complex beams.
     """
-    if len(beams.boresights) < 2:
-        raise UserError(f"The sensor has {len(beams.boresights)} detector; elevation needs 2 or more.")
-    elevation = coarse_search(looks.covariance, beams, squint, objective)
-    for step in REFINEMENT_STEPS:
-        elevation = _refine(elevation, step * beams.beamwidth, looks.covariance, beams, squint, objective)
-
+    if beams.count < 2:
+        raise UserError(f"The sensor has {beams.count} detector; elevation needs 2 or more.")
+    elevation = best_elevation(looks.covariance, beams, squint, objective)
     response = beams.response(elevation, squint)
-    beam_power = np.sum(response**2, axis=-1)
-    energy = (output_power(looks.covariance, response) / beam_power / noise_power - looks.count) / beam_power
+    energy = (explained_power(looks.covariance, response) / noise_power - looks.count) / beam_power(response)
     return ElevationEstimate(
         elevation=elevation,
         sigma=elevation_bound(energy, looks.count, beams, elevation, squint),
@@ -83,45 +226,130 @@ def ml_elevation(
 def elevation_bound(energy: Array, looks: int, beams: Beams, elevation: Array, squint: Array) -> Array:
     """Standard deviation (rad) of an efficient elevation estimate, given the scatterer's energy in the looks at hand.
 
-    Conditional Cramer-Rao bound 1 / (2 E D), with E = sum_k |A_k|^2 / sigma^2 and D the part of |da/dtheta|^2 that a
-    change of amplitude cannot imitate, times the loss 1 + K / (E |a|^2) of not knowing the amplitudes.
-    Infinite where the energy is not positive.
+    `bounds.stochastic_crb` with the energy E = sum_k |A_k|^2 / sigma^2 of these looks; infinite where it is not
+    positive.
     """
-    response = beams.response(elevation, squint)
-    slope = beams.slope(elevation, squint)
-    beam_power = np.sum(response**2, axis=-1)
-    information = np.sum(slope**2, axis=-1) - np.sum(slope * response, axis=-1) ** 2 / beam_power
-    with np.errstate(divide="ignore", invalid="ignore"):
-        variance = (1 + looks / (energy * beam_power)) / (2 * energy * information)
-    return np.sqrt(np.where(energy > 0, variance, np.inf))
+    return stochastic_crb(beams, elevation, squint, energy / looks, looks)
 
 
-def coarse_search(covariance: Array, beams: Beams, squint: Array, objective: Objective) -> Array:
-    """Elevation (rad) of the greatest objective on a grid over array and guard, shape (rows, cols)."""
-    first, last = beams.domain(GUARD * beams.beamwidth if len(beams.boresights) > 2 else 0.0)
-    grid = np.linspace(first, last, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))) + 1)
-    best = np.empty(covariance.shape[:2])
-    for col, angle in enumerate(squint):
-        response = beams.response(grid, np.full_like(grid, angle))
-        products = (response[:, :, None] * response[:, None, :]).reshape(len(grid), -1)
-        power = covariance[:, col].reshape(len(covariance), -1) @ products.T
-        best[:, col] = grid[np.argmax(objective(power, np.sum(response**2, axis=-1)), axis=-1)]
-    return best
+def _as_real(values: Array) -> Array:
+    """Complex numbers as their real parts, then their imaginary parts, along the last axis."""
+    return np.concatenate([values.real, values.imag], axis=-1) if np.iscomplexobj(values) else values
 
 
-def _refine(
-    elevation: Array, half_width: float, covariance: Array, beams: Beams, squint: Array, objective: Objective
-) -> Array:
-    """Elevation (rad) of the vertex of a parabola through the objective at `elevation` and `half_width` to each side.
+def _hermite(value: Array, slope: Array) -> Array:
+    """Cubics from node to node with these values and slopes (per step) at both; (nodes - 1, 4, ...)."""
+    rise, start, end = np.diff(value, axis=0), slope[:-1], slope[1:]
+    return np.stack([value[:-1], start, 3 * rise - 2 * start - end, start + end - 2 * rise], axis=1)
 
-    The move is limited to the half width plus what the coarser step left open, so that a flat objective stays put.
+
+# The loops below are compiled. Positions are in steps of the table; sums over detectors are vectorised.
+
+
+@compiled
+def _on_grid(matrices: FloatArray, entries: npt.NDArray[np.intp], grid: FloatArray) -> FloatArray:
+    """Objective of every pixel at every node of the grid, (pixels, grid nodes).
+
+    A matrix product, in tiles of four pixels and four entries that stay in registers. That of BLAS takes half the
+    time alone, but many times as long beside the threads that are at work here already.
     """
-    low, middle, high = (
-        objective(output_power(covariance, response), np.sum(response**2, axis=-1))
-        for response in (beams.response(elevation + shift, squint) for shift in (-half_width, 0.0, half_width))
-    )
-    curvature = low - 2 * middle + high
-    concave = curvature < 0
-    move = np.where(concave, (low - high) / (2 * np.where(concave, curvature, -1)), 0.0)
-    limit = GRID_STEP * beams.beamwidth / half_width
-    return elevation + half_width * np.clip(move, -limit, limit)
+    pixels, size = len(matrices), matrices.shape[1] ** 2
+    flat, values = matrices.reshape(pixels, size), np.zeros((pixels + TILE - 1, grid.shape[1]), np.float32)
+    for i in range(0, pixels, TILE):
+        r0, r1 = flat[i], flat[min(i + 1, pixels - 1)]
+        r2, r3 = flat[min(i + 2, pixels - 1)], flat[min(i + 3, pixels - 1)]
+        v0, v1, v2, v3 = values[i], values[i + 1], values[i + 2], values[i + 3]
+        for p in range(0, entries.size, TILE):
+            a, b, c, d = entries[p], entries[p + 1], entries[p + 2], entries[p + 3]
+            a0, b0, c0, d0 = r0[a], r0[b], r0[c], r0[d]
+            a1, b1, c1, d1 = r1[a], r1[b], r1[c], r1[d]
+            a2, b2, c2, d2 = r2[a], r2[b], r2[c], r2[d]
+            a3, b3, c3, d3 = r3[a], r3[b], r3[c], r3[d]
+            ga, gb, gc, gd = grid[p], grid[p + 1], grid[p + 2], grid[p + 3]
+            for g in range(ga.size):
+                v0[g] += a0 * ga[g] + b0 * gb[g] + c0 * gc[g] + d0 * gd[g]
+                v1[g] += a1 * ga[g] + b1 * gb[g] + c1 * gc[g] + d1 * gd[g]
+                v2[g] += a2 * ga[g] + b2 * gb[g] + c2 * gc[g] + d2 * gd[g]
+                v3[g] += a3 * ga[g] + b3 * gb[g] + c3 * gc[g] + d3 * gd[g]
+    return values[:pixels]
+
+
+@compiled
+def _climb_highest(matrices: FloatArray, values: FloatArray, pieces: FloatArray, position: Array) -> None:
+    """Climb from the highest nodes of the grid and keep the highest peak.
+
+    Args:
+        matrices: of the quadratic forms, shape (pixels, detectors, detectors).
+        values: of the objective on the grid, shape (pixels, grid nodes).
+        pieces: of `PeakSearch`.
+        position: to fill with the place of the peak, shape (pixels,).
+    """
+    work, last = np.empty((5, pieces.shape[2]), np.float32), values.shape[1] - 1
+    for i in range(len(values)):
+        line = values[i]
+        enough, best = NEAR_HIGHEST * line.max(), -1.0
+        position[i] = 0.0
+        for g in range(last + 1):
+            if line[g] < enough or (g > 0 and line[g] < line[g - 1]) or (g < last and line[g] <= line[g + 1]):
+                continue
+            peak, height = _climb(matrices[i], pieces, max(g - 1, 0), _start(line, g), min(g + 1, last), work)
+            if height > best:
+                position[i], best = peak, height
+
+
+@compiled
+def _start(line: FloatArray, g: int) -> float:
+    """Vertex of the parabola through a node of the grid and its neighbours; the node itself at an end."""
+    if g in (0, line.size - 1):
+        return float(g)
+    return g + 0.5 * float(line[g + 1] - line[g - 1]) / float(2 * line[g] - line[g - 1] - line[g + 1])
+
+
+@compiled
+def _climb(
+    matrix: FloatArray, pieces: FloatArray, low: float, start: float, high: float, work: FloatArray
+) -> tuple[float, float]:
+    """Place and height of the peak between two nodes of the grid, by Newton steps kept within a shrinking bracket."""
+    low, place, high, height = float(low * TABLE_STEPS), start * TABLE_STEPS, float(high * TABLE_STEPS), 0.0
+    for _ in range(MOST_STEPS):
+        value, slope, curvature = _objective_at(place, matrix, pieces, work)
+        if slope > 0:
+            low = place
+        else:
+            high = place
+        moved = place - slope / curvature if curvature < 0 else np.inf
+        if not low <= moved <= high:
+            moved = 0.5 * (low + high)
+        height = value + 0.5 * slope * (moved - place)
+        settled = abs(moved - place) < SETTLED
+        place = moved
+        if settled:
+            break
+    return place, height
+
+
+@compiled
+def _objective_at(place: float, matrix: FloatArray, pieces: FloatArray, work: FloatArray) -> tuple[float, float, float]:
+    """w^T R w, and its first and second derivative per step of the table."""
+    node = min(int(place), len(pieces) - 1)
+    t = np.float32(place - node)
+    p, q, r, s = pieces[node, 0], pieces[node, 1], pieces[node, 2], pieces[node, 3]
+    weight, slope, bend, output, output_slope = work[0], work[1], work[2], work[3], work[4]
+    two, three = np.float32(2), np.float32(3)
+    for m in range(weight.size):
+        weight[m] = p[m] + t * (q[m] + t * (r[m] + t * s[m]))
+        slope[m] = q[m] + t * (two * r[m] + three * t * s[m])
+        bend[m] = two * (r[m] + three * t * s[m])
+        output[m] = 0
+        output_slope[m] = 0
+    for m in range(weight.size):
+        row, along, across = matrix[m], weight[m], slope[m]
+        for n in range(weight.size):
+            output[n] += along * row[n]
+            output_slope[n] += across * row[n]
+    value, first, second = np.float32(0), np.float32(0), np.float32(0)
+    for m in range(weight.size):
+        value += weight[m] * output[m]
+        first += slope[m] * output[m]
+        second += bend[m] * output[m] + slope[m] * output_slope[m]
+    return float(value), float(2 * first), float(2 * second)

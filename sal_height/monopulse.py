@@ -11,11 +11,11 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.array_ml import OBJECTIVES, coarse_search
+from sal_height.array_ml import OBJECTIVES, best_elevation
 from sal_height.beams import Beams
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate, Validity, explained_power, validity_of
-from sal_height.looks import Looks
+from sal_height.looks import Covariance, Looks
 
 Array = npt.NDArray[np.float64]
 Discriminant = Callable[[Array, Array, Array], Array]
@@ -70,8 +70,8 @@ def monopulse_elevation(
         UserError: fewer than two detectors, or unequal pitch.
     """
     pitch = _pitch(beams)
-    diagonal = np.diagonal(looks.covariance, axis1=-2, axis2=-1)
-    beside = np.diagonal(looks.covariance, offset=1, axis1=-2, axis2=-1)
+    diagonal = np.diagonal(looks.covariance, axis1=-2, axis2=-1).astype(np.float64)
+    beside = np.diagonal(looks.covariance, offset=1, axis1=-2, axis2=-1).astype(np.float64)
     pair_power = diagonal[..., :-1] + diagonal[..., 1:]
     pair = np.argmax(pair_power + 2 * beside, axis=-1)[..., None]
 
@@ -104,13 +104,13 @@ def monopulse_elevation(
 
 
 def _better_outside(
-    covariance: Array, beams: Beams, squint: Array, noise_power: float, elevation: Array
+    covariance: Covariance, beams: Beams, squint: Array, noise_power: float, elevation: Array
 ) -> npt.NDArray[np.bool_]:
     """Whether a target outside the array explains the channels better than one at `elevation`, by OUTSIDE_MARGIN.
 
     A pair cannot see that its target is in a sidelobe; the other detectors can.
     """
-    best = coarse_search(covariance, beams, squint, OBJECTIVES["normalised"])
+    best = best_elevation(covariance, beams, squint, OBJECTIVES["normalised"])
     first, last = beams.span
     gain = explained_power(covariance, beams.response(best, squint))
     gain -= explained_power(covariance, beams.response(np.nan_to_num(elevation, nan=first), squint))

@@ -65,7 +65,7 @@ def cnr_sum_of(cnr_detector: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLik
 def cnr_detector_of(cnr_sum: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
     """The inverse of `cnr_sum_of`: infinite where the sum channel sees nothing."""
     with np.errstate(divide="ignore"):
-        return np.asarray(cnr_sum) / _sum_gain(pair, elevation, squint)
+        return np.asarray(np.asarray(cnr_sum) / _sum_gain(pair, elevation, squint))
 
 
 def _sum_gain(pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
@@ -75,7 +75,7 @@ def _sum_gain(pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> A
 
 def steady_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> Array:
     """Mean of one look at a target of constant brightness: kappa (1 - exp(-x)) (Kanter 1977). Broadcasts."""
-    return -np.asarray(kappa) * np.expm1(-np.asarray(cnr_sum))
+    return np.asarray(-np.asarray(kappa) * np.expm1(-np.asarray(cnr_sum)))
 
 
 def steady_looks_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike, looks: npt.ArrayLike) -> Array:
@@ -85,8 +85,8 @@ def steady_looks_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike, looks: npt.A
     left with. The series sums to kappa C M(1, K + 1, -K C), M being Kummer's function. One look: `steady_mean`; very
     many: kappa C / (C + 1), so that looks make the bias worse. Broadcasts.
     """
-    looks, cnr_sum = np.asarray(looks), np.asarray(cnr_sum)
-    return np.asarray(kappa) * cnr_sum * hyp1f1(1, looks + 1, -looks * cnr_sum)
+    kappa, cnr_sum, looks = np.asarray(kappa), np.asarray(cnr_sum), np.asarray(looks)
+    return np.asarray(kappa * cnr_sum * hyp1f1(1, looks + 1, -looks * cnr_sum))
 
 
 def gaussian_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> Array:

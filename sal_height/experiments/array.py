@@ -161,4 +161,5 @@ def _theory(beams: Beams, objective: str, looks: int, cnr_db: float) -> tuple[Ar
 
 
 def _point(quantity: str, case: str, x: float, measured: Measured, closed_form: float) -> Curve:
-    return Curve(quantity, case, *(np.array([number]) for number in (x, *measured, closed_form)))
+    value, error = measured
+    return Curve(quantity, case, np.array([x]), np.array([value]), np.array([error]), np.array([closed_form]))

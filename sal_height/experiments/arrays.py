@@ -17,5 +17,5 @@ def array_of(patterns: tuple[Pattern, ...], detectors: int, pitch: float, rotati
         pitch: of their boresights, beamwidths.
         rotation: of the detector axis from elevation towards the direction of flight, rad.
     """
-    boresights = (np.arange(detectors) - (detectors - 1) / 2) * pitch
+    boresights = (np.arange(detectors, dtype=np.float64) - (detectors - 1) / 2) * pitch
     return Beams(patterns, boresights, 1.0, rotation)

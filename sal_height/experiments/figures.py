@@ -1,4 +1,4 @@
-"""`sal-height figures`: the SAL paper's figures 3 to 6 and 8 to 11 as tables and pictures, with checks against theory."""
+"""`sal-height figures`: figures of the SAL paper as tables and pictures, with checks against theory."""
 
 from __future__ import annotations
 
@@ -28,14 +28,15 @@ MOST_TRIALS = 10_000_000
 """All estimates of a point are held at a time."""
 
 _ELEVATION = "elevation (beamwidths)"
-_PAIR_AXES = {"amplitude": (_ELEVATION, "amplitude of sum and difference"), "discriminant": (_ELEVATION, "discriminant")}
+_PAIR_AXES = {
+    "amplitude": (_ELEVATION, "amplitude of sum and difference"),
+    "discriminant": (_ELEVATION, "discriminant"),
+}
 _NOISE_AXES = ("discriminant without noise", "of the estimated discriminant")
 _TRUE = "true elevation (beamwidths)"
 
 FIGURES = {
-    "fig3": Figure(
-        "Figure 3: point detectors half a beamwidth apart", _PAIR_AXES, 9, lambda _trials, _seed: fig3()
-    ),
+    "fig3": Figure("Figure 3: point detectors half a beamwidth apart", _PAIR_AXES, 9, lambda _trials, _seed: fig3()),
     "fig4": Figure(
         "Figure 4: detectors 0.6 beamwidths apart, circular aperture", _PAIR_AXES, 6, lambda _trials, _seed: fig4()
     ),
@@ -147,7 +148,10 @@ def _write(name: str, figure: Figure, curves: Sequence[Curve], folder: Path) -> 
     with writing(folder / f"{name}.csv"), (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as stream:
         table = csv.DictWriter(stream, COLUMNS)
         table.writeheader()
-        table.writerows(row | {"closed_form": "" if check is None else row["closed_form"]} for row, check in zip(rows, checks, strict=True))
+        table.writerows(
+            row | {"closed_form": "" if check is None else row["closed_form"]}
+            for row, check in zip(rows, checks, strict=True)
+        )
     with writing(folder / f"{name}.png"):
         draw(figure, curves, folder / f"{name}.png")
     return [check for check in checks if check is not None]

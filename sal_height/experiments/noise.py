@@ -35,7 +35,7 @@ BLOCK = 8192
 def circular(rng: np.random.Generator, shape: tuple[int, ...]) -> ComplexArray:
     """Circular complex Gaussian numbers of mean power 1."""
     parts = rng.standard_normal((*shape, 2)) / np.sqrt(2)
-    return parts.view(np.complex128)[..., 0]
+    return np.asarray(parts.view(np.complex128)[..., 0])
 
 
 def steady(_rng: np.random.Generator, shape: tuple[int, int]) -> ComplexArray:
@@ -70,8 +70,8 @@ def fig6(trials: int, seed: int) -> Iterator[Curve]:
 def discriminants(seed: np.random.SeedSequence, signal: Signal, cnr_sum: float, looks: int, trials: int) -> Array:
     """Estimates of the discriminant by `ratio`, shape (KAPPAS, trials).
 
-    All kappas see the same draws of target and noise, and so do all CNRs of a figure: their curves are smooth, and chance
-    has few occasions to bring a point far from theory.
+    All kappas see the same draws of target and noise, and so do all CNRs of a figure: their curves are smooth, and
+    chance has few occasions to bring a point far from theory.
     """
     counts = [min(BLOCK, trials - first) for first in range(0, trials, BLOCK)]
     draw = partial(_block, signal, cnr_sum, looks)
@@ -90,7 +90,7 @@ def _ratio(total: ComplexArray, difference: ComplexArray) -> Array:
     """The estimate that the node makes of Sigma and Delta, shapes (trials, looks), in unit noise."""
     powers = (np.sum(np.abs(channel) ** 2, axis=-1) for channel in (total, difference))
     cross = np.sum((difference * total.conj()).real, axis=-1)
-    return DISCRIMINANTS["ratio"](*powers, cross)
+    return DISCRIMINANTS["ratio"](*powers, cross, float(total.shape[-1]))
 
 
 def _curve(quantity: str, case: str, colour: int, measured: list[Measured], closed_form: npt.ArrayLike) -> Curve:

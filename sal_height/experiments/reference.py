@@ -36,13 +36,13 @@ def nodes_between(low: float, high: float, count: int) -> tuple[Array, Array]:
 def sinc_from_pupil(e: Array) -> Array:
     """Cut of the square aperture's pattern at `e` beamwidths: mean of exp(2 pi j u e) over its side."""
     u, weights = nodes_between(-0.5, 0.5, PUPIL_NODES)
-    return np.cos(2 * np.pi * e[..., None] * u) @ weights
+    return np.asarray(np.cos(2 * np.pi * e[..., None] * u) @ weights)
 
 
 def jinc_from_pupil(e: Array) -> Array:
     """Cut of the circular aperture's pattern: its chords sqrt(1/4 - u^2) weight exp(2 pi j u e); u = 1/2 sin tau."""
     tau, weights = nodes_between(-np.pi / 2, np.pi / 2, PUPIL_NODES)
-    return 2 * np.cos(np.pi * e[..., None] * np.sin(tau)) @ (weights * np.cos(tau) ** 2)
+    return np.asarray(2 * np.cos(np.pi * e[..., None] * np.sin(tau)) @ (weights * np.cos(tau) ** 2))
 
 
 def gaussian_from_pupil(e: Array) -> Array:
@@ -50,7 +50,7 @@ def gaussian_from_pupil(e: Array) -> Array:
     width = 1 / (2 * np.pi * GAUSSIAN_WIDTH)
     u = np.linspace(-10, 10, 401) * width
     field = np.exp(-((u / width) ** 2) / 2)
-    return np.cos(2 * np.pi * e[..., None] * u) @ (field / field.sum())
+    return np.asarray(np.cos(2 * np.pi * e[..., None] * u) @ (field / field.sum()))
 
 
 def jinc(e: Array, a: Array) -> Array:

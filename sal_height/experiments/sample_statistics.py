@@ -62,7 +62,7 @@ def share(chosen: npt.NDArray[np.bool_]) -> Measured:
 
 
 def _inverse_density(sample: Array, of_share: float) -> float:
-    """1 / f at the quantile of a share: the distance between quantiles n^(-1/3) apart in share (Hall, Sheather 1988)."""
+    """1 / f at the quantile of a share: from quantiles n^(-1/3) apart in share (Hall and Sheather 1988)."""
     half = min(sample.size ** (-1 / 3) / 2, of_share, 1 - of_share)
     low, high = np.quantile(sample, (of_share - half, of_share + half))
     return float((high - low) / (2 * half))

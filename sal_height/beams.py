@@ -127,6 +127,6 @@ class Beams:
         """Offsets from each boresight in beamwidths, along the detector axis and beside it."""
         x, y = np.asarray(elevation)[..., None] - self._middle, np.asarray(squint)[..., None]
         cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
-        e = (x * cosine + y * sine + self._middle - self.boresights) / self.beamwidth
+        e = (x * cosine + y * sine - (self.boresights - self._middle)) / self.beamwidth  # differences first: exact
         a = (y * cosine - x * sine) / self.beamwidth
         return e, a

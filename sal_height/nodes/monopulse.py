@@ -23,7 +23,8 @@ class Parameters(HeightParameters):
 
     discriminant: str = parameter(
         "tls",
-        "estimate of Delta / Sigma: tls (total least squares) or ratio (as published; biased at low CNR)",
+        "estimate of Delta / Sigma: tls (total least squares), ratio (as published; biased at low CNR) or "
+        "noise_subtraction (ratio less the noise power in Sigma)",
         choices=tuple(DISCRIMINANTS),
     )
 

@@ -91,8 +91,8 @@ def steady_looks_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike, looks: npt.A
 
 def gaussian_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> Array:
     """Mean for a fluctuating (complex Gaussian) target: kappa C / (C + 1), for any number of looks. Broadcasts."""
-    cnr_sum = np.asarray(cnr_sum)
-    return np.asarray(kappa) * cnr_sum / (cnr_sum + 1)
+    kappa, cnr_sum = np.asarray(kappa), np.asarray(cnr_sum)
+    return np.asarray(kappa * cnr_sum / (cnr_sum + 1))
 
 
 @dataclass(frozen=True)

@@ -72,9 +72,7 @@ def _reference(rotation_deg: float) -> ReferencePair:
 
 
 def _curve(case: str, pair: Beams, squint: float, amplitudes: Amplitudes) -> Curve:
-    """Elevation over the discriminants that the pair can have."""
+    """Elevation over the discriminant, by the inversion that estimators use."""
     elevation = invert(pair, RATIOS, squint).elevation
-    known = np.isfinite(elevation)
-    x, value = RATIOS[known], elevation[known]
     style, colour = "--" if "edge" in case else "-", 0 if pair.rotation == 0 else 3
-    return exact_curve("elevation", case, x, value, elevations_with(amplitudes, x, value), style, colour)
+    return exact_curve("elevation", case, RATIOS, elevation, elevations_with(amplitudes, RATIOS), style, colour)

@@ -84,18 +84,21 @@ def rows_of(figure: str, curve: Curve) -> list[dict[str, Any]]:
 def check_of(row: dict[str, Any]) -> dict[str, Any] | None:
     """A point beside its closed form, with `z`: their difference in standard errors; None if there is no closed form.
 
-    A value without standard error has no z, which is then None: it has to be within EXACT.
+    A value without standard error has no z, which is then None: it has to be within EXACT. A value that should exist
+    and does not is None.
     """
     if np.isnan(row["closed_form"]):
         return None
-    error = row["standard_error"]
-    z = (row["value"] - row["closed_form"]) / error if error > 0 else None
+    value, error = row["value"], row["standard_error"]
     names = ("figure", "curve", "x", "closed_form", "value", "standard_error")
-    return {name: row[name] for name in names} | {"z": z}
+    check = {name: row[name] for name in names} | {"z": (value - row["closed_form"]) / error if error > 0 else None}
+    return check if np.isfinite(value) else check | {"value": None, "z": None}
 
 
 def holds(check: dict[str, Any]) -> bool:
     """Whether the value is within MOST_STANDARD_ERRORS of its closed form, or within EXACT if it has no z."""
+    if check["value"] is None:
+        return False
     if check["z"] is None:
         return bool(abs(check["value"] - check["closed_form"]) <= EXACT)
     return bool(abs(check["z"]) <= MOST_STANDARD_ERRORS)

@@ -130,7 +130,8 @@ def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> lis
 
 def summary(checks: Sequence[dict[str, Any]]) -> str:
     """What the checks say, in one line."""
-    exact = [abs(check["value"] - check["closed_form"]) for check in checks if check["z"] is None]
+    existing = [check for check in checks if check["value"] is not None]
+    exact = [abs(check["value"] - check["closed_form"]) for check in existing if check["z"] is None]
     z = [abs(check["z"]) for check in checks if check["z"] is not None]
     failed = sum(not holds(check) for check in checks)
     parts = [f"{len(checks)} points checked, {failed} off"]

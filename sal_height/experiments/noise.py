@@ -88,9 +88,9 @@ def _block(signal: Signal, cnr_sum: float, looks: int, seed: np.random.SeedSeque
 
 def _ratio(total: ComplexArray, difference: ComplexArray) -> Array:
     """The estimate that the node makes of Sigma and Delta, shapes (trials, looks), in unit noise."""
-    powers = (np.sum(np.abs(channel) ** 2, axis=-1) for channel in (total, difference))
-    cross = np.sum((difference * total.conj()).real, axis=-1)
-    return DISCRIMINANTS["ratio"](*powers, cross, float(total.shape[-1]))
+    sum_power, difference_power = (np.sum(np.abs(channel) ** 2, axis=-1) for channel in (total, difference))
+    cross_power = np.sum(difference * total.conj(), axis=-1)
+    return DISCRIMINANTS["ratio"](sum_power, difference_power, cross_power, float(total.shape[-1]))
 
 
 def _curve(quantity: str, case: str, colour: int, measured: list[Measured], closed_form: npt.ArrayLike) -> Curve:

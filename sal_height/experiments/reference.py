@@ -26,6 +26,9 @@ PUPIL_NODES = 64
 DETECTOR_NODES = 14
 """Of integrals over a detector's width and over an aperture's aspects."""
 
+REACH = 0.95
+"""Beamwidths around the middle of a pair within which its discriminant rises from less than -0.9 to more than 0.9."""
+
 
 def nodes_between(low: float, high: float, count: int) -> tuple[Array, Array]:
     """Places and weights (sum 1) whose weighted sum is the mean between `low` and `high`; shapes (count,)."""
@@ -104,12 +107,13 @@ def passed_over(pair: ReferencePair, centre: float) -> Callable[[Array], tuple[A
     return amplitudes
 
 
-def elevations_with(amplitudes: Callable[[Array], tuple[Array, Array]], mu: Array, near: Array) -> Array:
-    """Elevations whose discriminant (upper - lower) / (upper + lower) is `mu`, within 0.02 beamwidths of `near`."""
+def elevations_with(amplitudes: Callable[[Array], tuple[Array, Array]], mu: Array) -> Array:
+    """Elevations within REACH whose discriminant (upper - lower) / (upper + lower) is `mu`; inf where there is none."""
 
     def excess(elevation: Array, mu: Array) -> Array:
         lower, upper = amplitudes(elevation)
         return (upper - lower) / (upper + lower) - mu
 
-    found = find_root(excess, (near - 0.02, near + 0.02), args=(mu,), tolerances={"xatol": 1e-13, "xrtol": 0.0})
+    ends = np.full_like(mu, -REACH), np.full_like(mu, REACH)
+    found = find_root(excess, ends, args=(mu,), tolerances={"xatol": 1e-13, "xrtol": 0.0})
     return np.where(found.success, found.x, np.inf)

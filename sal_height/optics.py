@@ -13,10 +13,11 @@ from functools import partial
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline, NdPPoly
+from scipy.interpolate import CubicSpline
 from scipy.special import j1, jv
 
 from sal_height.beam_table import BeamTable
+from sal_height.cubic_surface import Amplitudes, CubicSurface
 from sal_height.errors import UserError
 from sal_height.profiles import GAUSSIAN, GAUSSIAN_WIDTH, SINC, Profile
 from sal_height.pupil import Apodisation, apodised_sums, jinc_sums
@@ -33,7 +34,6 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
-Amplitudes = npt.NDArray[np.float64 | np.complex128]
 Function = Callable[[npt.ArrayLike, npt.ArrayLike], Array]
 
 EDGE = 1e-9
@@ -135,7 +135,7 @@ def apodised_pattern(apodisation: Apodisation, size: tuple[float, float] = (0.0,
 
     A weighting A(u, v) gives h(e, a) = int int A exp(-j 2 pi (u e + v a)) du dv / int int A du dv, averaged over the
     detector: the field in the focal plane of SAL paper, section 2. Within 1e-9 where A is smooth; an edge in A is
-    followed by a grid of 1/96 of the diameter only.
+    followed by a grid of 1/96 of the diameter only. For very many values make a table of it with `sample_pattern`.
 
     Args:
         apodisation: A at arrays u, along the detector axis, and v, beside it, in aperture diameters: u^2 + v^2 <= 1/4;
@@ -191,10 +191,8 @@ def _line(elevation: Array, values: Amplitudes) -> Spline:
 
 
 def _surface(elevation: Array, azimuth: Array, values: Amplitudes) -> Spline:
-    """The spline in azimuth of the coefficients of that in elevation."""
-    coefficients = CubicSpline(azimuth, CubicSpline(elevation, values).c, axis=-1).c
-    spline = NdPPoly(np.ascontiguousarray(coefficients.transpose(2, 0, 3, 1)), (elevation, azimuth))
-    return lambda orders, e, a: np.asarray(spline(np.stack([e, a], axis=-1), orders))
+    surface = CubicSurface.through(elevation, azimuth, values)
+    return lambda orders, e, a: np.asarray(surface.at(e, a, orders))
 
 
 def _within(extent: tuple[Array, Array], spline: Callable[[Array, Array], Array]) -> Function:
@@ -202,11 +200,12 @@ def _within(extent: tuple[Array, Array], spline: Callable[[Array, Array], Array]
 
     def values(e: npt.ArrayLike, a: npt.ArrayLike) -> Array:
         offsets = np.broadcast_arrays(np.asarray(e, dtype=np.float64), np.asarray(a, dtype=np.float64))
-        beyond = np.zeros(offsets[0].shape, dtype=bool)
+        scale = np.ones(offsets[0].shape)
         for offset, (low, high) in zip(offsets, extent, strict=True):
-            beyond |= (offset < low - EDGE) | (offset > high + EDGE)
-        inside = (np.clip(offset, *ends) for offset, ends in zip(offsets, extent, strict=True))
-        return np.where(beyond, 0.0, spline(*inside))
+            scale[(offset < low - EDGE) | (offset > high + EDGE)] = 0.0
+            scale[np.isnan(offset)] = np.nan
+        inside = (np.clip(np.nan_to_num(offset), *ends) for offset, ends in zip(offsets, extent, strict=True))
+        return scale * spline(*inside)
 
     return values
 

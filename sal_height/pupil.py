@@ -126,12 +126,11 @@ def apodised_sums(apodisation: Apodisation, size: tuple[float, float]) -> tuple[
         UserError: the weighting is not finite, or its integral is 0.
     """
     weight, weighting = _weighting(apodisation, APODISATION_NODES)
-    greatest, total = np.max(np.abs(weighting)), np.sum(weight * weighting)
-    if not (np.isfinite(greatest) and abs(total) > LEAST_TOTAL * greatest):
-        raise UserError(
-            "The apodisation is not finite all over the aperture, or its integral is 0; it must be finite and its "
-            "integral other than 0."
-        )
+    if not np.all(np.isfinite(weighting)):
+        raise UserError("The apodisation is not finite all over the aperture; it must be.")
+    total = np.sum(weight * weighting)
+    if not abs(total) > LEAST_TOTAL * np.max(np.abs(weighting)):
+        raise UserError("The integral of the apodisation over the aperture is 0; it must not be.")
     weighting = weighting / total
     hermitian = np.allclose(weighting, np.conj(weighting[::-1, ::-1]), rtol=0, atol=1e-12 * np.max(np.abs(weighting)))
 

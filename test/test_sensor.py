@@ -9,6 +9,7 @@ import pytest
 from helpers import BEAMWIDTH, assert_one_sentence, elevation_at, make_beams, make_sensor, sample_frequencies
 from scipy.constants import speed_of_light
 
+from sal_height.beam_table import BeamTable
 from sal_height.errors import UserError
 from sal_height.optics import PATTERNS
 from sal_height.sensor import MAX_DETECTORS
@@ -166,6 +167,7 @@ OTHER_VALUES = {
     "elevation_boresights": (0.1, 0.2, 0.3),
     "noise_power": (1.0, 2.0, 1.0),
     "mode": "stripmap",
+    "detector_size": (0.5, 0.0),
     "detector_rotation": 0.1,
     "calibration_id": "2026-01",
 }
@@ -174,6 +176,10 @@ OTHER_PULSE = {
     "chirp_rate": 2e15,
     "pulse_duration": 1.001e-6,
     "sampling_rate": 2.6e9,
+}
+
+OTHER_TABLES = {
+    "beam_tables": (BeamTable((-1e-3, -1e-4, 1e-4, 1e-3), (0.0,), (0.1, 1.0, 1.0, 0.1), (0.0, 0.2, 0.2, 0.0)),),
 }
 
 
@@ -188,8 +194,18 @@ def test_any_other_pulse_gives_another_hash(key: str) -> None:
     assert make_sensor(**pulse | {key: OTHER_PULSE[key]}).config_hash != make_sensor(**pulse).config_hash
 
 
+@pytest.mark.parametrize("part", ["elevation", "azimuth", "real", "imaginary"])
+def test_any_other_table_gives_another_hash(part: str) -> None:
+    (table,) = tables = OTHER_TABLES["beam_tables"]
+    other = dataclasses.replace(table, **{part: tuple(value + 1e-5 for value in getattr(table, part))})
+    measured = make_sensor(pattern="table", beam_tables=tables)
+    assert make_sensor(pattern="table", beam_tables=(other,)).config_hash != measured.config_hash
+
+
 def test_every_field_has_been_varied_and_equal_sensors_agree() -> None:
-    assert {*OTHER_VALUES, *OTHER_PULSE, "config_hash"} == {field.name for field in dataclasses.fields(make_sensor())}
+    assert {*OTHER_VALUES, *OTHER_PULSE, *OTHER_TABLES, "config_hash"} == {
+        field.name for field in dataclasses.fields(make_sensor())
+    }
     assert make_sensor().config_hash == make_sensor().config_hash
     assert len(make_sensor().config_hash) == 16
 

@@ -17,6 +17,7 @@ from sal_height.discriminant import (
     LEAST_CLEARANCE,
     LEAST_SLOPE,
     Reason,
+    _newton,
     discriminant,
     discriminant_domain,
     discriminant_slope,
@@ -146,6 +147,13 @@ def test_domain_ends_in_the_null_of_the_farther_beam_or_with_the_slope(pattern: 
     np.testing.assert_allclose(offset_of([low, high]), [-end, end], atol=1e-10 if pattern != "gaussian" else 1e-8)
 
 
+def test_gaussian_discriminant_is_followed_to_one_less_eight_millionths() -> None:
+    """The slope q / s^2 (1 - mu^2) is 1e-5 at 1 - mu = 7.64e-6."""
+    pair = turned_pair("gaussian", 0.0)
+    mu = discriminant(pair, discriminant_domain(pair, 0.0), 0.0)
+    np.testing.assert_allclose(1 - np.abs(mu), 7.64e-6, atol=1e-8)
+
+
 @SQUINTS
 def test_domain_of_a_turned_pair_ends_where_the_farther_beam_has_its_null(squint: float) -> None:
     """On a circle of radius 1.2197 around its boresight, which the line of constant squint cuts."""
@@ -191,6 +199,30 @@ def test_domain_ends_at_a_null_of_both_beams() -> None:
     high = discriminant_domain(turned_pair("sinc", 15.0), squint * BEAMWIDTH)[1]
     null = (squint * np.cos(psi) + 1) / np.sin(psi)
     assert offset_of(high) == pytest.approx(null - LEAST_CLEARANCE, abs=5e-6)  # of second order
+
+
+def test_domain_does_not_end_where_a_phase_common_to_both_beams_has_turned() -> None:
+    """2 rad per beamwidth of it: 1.9 rad between the crossing and the null of the farther beam."""
+    pair = replace(turned_pair("jinc", 0.0), patterns=(tilted("jinc", 1.0, 2.0),))
+    end = JINC_NULL - 0.25
+    np.testing.assert_allclose(offset_of(discriminant_domain(pair, 0.0)), [-end, end], atol=1e-9)
+
+
+def test_domain_of_a_stripmap_image_holds_for_all_its_aspects() -> None:
+    """Between -0.35 and 0.35 beamwidths along the axis under aspects of -0.4 to 0.5."""
+    psi = np.deg2rad(15)
+    pair = replace(turned_pair("jinc", 15.0), patterns=(bounded(-0.6, 0.6),))
+    pair = pair.averaged(np.array([-0.4, 0.0, 0.5]) * BEAMWIDTH, np.ones(3))
+    known = np.array([-0.35 + 0.4 * np.sin(psi), 0.35 - 0.5 * np.sin(psi)]) / np.cos(psi)
+    np.testing.assert_allclose(offset_of(discriminant_domain(pair, 0.0)), known, atol=1e-9)
+
+
+def test_domain_is_found_from_the_crossing_under_the_mean_aspect() -> None:
+    """Far from that at the squint itself: 1.3 beamwidths, where the pair has no domain of its own."""
+    pair = turned_pair("jinc", 40.0)
+    aside = pair.averaged(np.array([1.5 * BEAMWIDTH]), np.ones(1))
+    found = discriminant_domain(aside, -1.5 * BEAMWIDTH)
+    np.testing.assert_allclose(offset_of(found), offset_of(discriminant_domain(pair, 0.0)), atol=1e-10)
 
 
 # --- the inversion --------------------------------------------------------------------------------------------------
@@ -240,6 +272,18 @@ def test_a_target_in_the_null_of_the_farther_beam_is_inside(pattern: str, turn: 
     pair, squint = turned_pair(pattern, turn), np.linspace(-0.4, 0.4, 101) * BEAMWIDTH
     result = invert(pair, np.array([[-1.0], [1.0]]), squint)
     np.testing.assert_allclose(offset_of(result.elevation), offset_of(discriminant_domain(pair, squint)), atol=1e-9)
+
+
+@pytest.mark.parametrize("patterns", PAIRS.values(), ids=PAIRS.keys())
+@pytest.mark.parametrize("start", [0, 1])
+def test_newton_stays_in_its_bracket_however_wide(patterns: tuple[Pattern, ...], start: int) -> None:
+    """From either end of the domain, where the Gaussian's tangent leads 1e5 beamwidths away."""
+    pair = replace(turned_pair("jinc", 15.0), patterns=patterns)
+    low, high = discriminant_domain(pair, 0.0)
+    elevation = np.linspace(low, high, 99)[1:-1]
+    bracket = [np.full(97, low), np.full(97, high)]
+    found, _ = _newton(pair, discriminant(pair, elevation, 0.0), np.zeros(97), bracket[start].copy(), *bracket)
+    np.testing.assert_allclose(offset_of(found), offset_of(elevation), atol=1e-9)
 
 
 def test_inversion_broadcasts() -> None:

@@ -172,8 +172,8 @@ def test_the_pair_with_the_most_power_in_sigma_is_taken() -> None:
         assert offset_of(result.elevation[0, 0]) == pytest.approx((strong - 1) * 0.5, abs=1e-9)
 
 
-@pytest.mark.parametrize("discriminant", ["ratio", "tls"])
-def test_ratio_pulls_the_elevation_to_the_middle_of_the_pair_and_tls_does_not(discriminant: str) -> None:
+@pytest.mark.parametrize("discriminant", sorted(DISCRIMINANTS))
+def test_only_the_ratio_pulls_the_elevation_to_the_middle_of_the_pair(discriminant: str) -> None:
     beams, cnr = make_beams("gaussian", count=2), 5.0
     looks = multilook(target_slc(beams, 0.2, 4000, 64, cnr, np.random.default_rng(25)), 1, 64)
     offsets = offset_of(estimate(looks, beams, discriminant=discriminant).elevation[:, 0])

@@ -18,6 +18,7 @@ from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial.chebyshev import chebvander
 
 from sal_height.beams import Beams
 from sal_height.bounds import beam_power, stochastic_crb
@@ -53,6 +54,9 @@ MOST_STEPS = 40
 
 TILE = 4
 """Pixels, and entries of their matrices, that are multiplied at a time."""
+
+SQUINTS_MORE = 14
+"""Of the squints that stand for many, beyond pi for each beamwidth: leaves an error of 1e-9."""
 
 PIXELS_AT_ONCE = 512
 """Pixels whose objective is held at a time: what fits into a processor's cache."""
@@ -109,27 +113,21 @@ class PeakSearch:
     complex_beams: bool
 
     @classmethod
-    def over(cls, beams: Beams, squint: float, objective: Objective, guard: float) -> Self:
-        """The search over `beams.domain(guard)` for targets at `squint` (angles in rad).
-
-        Raises:
-            UserError: the beams have no elevation in common.
-        """
-        first, last = beams.domain(guard)
-        steps = TABLE_STEPS * max(1, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))))
-        nodes, step = np.linspace(first, last, steps + 1, retstep=True)
-        weight, slope = objective(_as_real(beams.response(nodes, squint)), _as_real(beams.slope(nodes, squint)))
+    def of(cls, nodes: Array, response: Array, slope: Array, objective: Objective) -> Self:
+        """The search on a table whose `nodes` (rad) hold the beams' response and slope, shape (nodes, detectors)."""
+        step = float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
+        weight, weight_slope = objective(_as_real(response), _as_real(slope))
         coarse = weight[::TABLE_STEPS]
         m, n = np.triu_indices(coarse.shape[1])
         products = coarse[:, m] * coarse[:, n] * np.where(m == n, 1, 2)
         beyond = (0, -len(m) % TILE)
         return cls(
-            first=first,
-            step=float(step),
+            first=float(nodes[0]),
+            step=step,
             entries=np.pad(m * coarse.shape[1] + n, beyond),
             grid=np.ascontiguousarray(np.pad(products.T, (beyond, (0, 0))), dtype=np.float32),
-            pieces=np.ascontiguousarray(_hermite(weight, slope * step), dtype=np.float32),
-            complex_beams=beams.is_complex,
+            pieces=np.ascontiguousarray(_hermite(weight, weight_slope * step), dtype=np.float32),
+            complex_beams=np.iscomplexobj(response),
         )
 
     def peaks(self, covariance: Covariance) -> Array:
@@ -161,6 +159,54 @@ class PeakSearch:
         return np.ascontiguousarray(np.block([[real, -imaginary], [imaginary, real]]), dtype=np.float32)
 
 
+@dataclass(frozen=True)
+class PeakSearches:
+    """Searches over the same elevations at several squints.
+
+    The columns of a spotlight image all have their own. Over squint the beams are as smooth as over elevation, so that
+    a polynomial through a few squints (Chebyshev nodes) stands for any between them.
+
+    Attributes:
+        nodes: elevations of the table, rad.
+        beams: of the channels.
+        objective: one of OBJECTIVES.
+        squints: at which `samples` were taken, rad; empty: the beams are asked themselves.
+        samples: response and slope, shape (squints, 2, nodes, detectors).
+    """
+
+    nodes: Array
+    beams: Beams
+    objective: Objective
+    squints: Array
+    samples: Array
+
+    @classmethod
+    def over(cls, beams: Beams, squints: Array, objective: Objective, guard: float) -> Self:
+        """Searches over `beams.domain(guard)` for targets at any of `squints` (distinct; angles in rad).
+
+        Raises:
+            UserError: the beams have no elevation in common.
+        """
+        first, last = beams.domain(guard)
+        grid_steps = max(1, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))))
+        nodes = np.linspace(first, last, TABLE_STEPS * grid_steps + 1)
+        count = SQUINTS_MORE + int(np.ceil(np.pi * np.ptp(squints) / beams.beamwidth))
+        few = np.empty(0)
+        if len(squints) > count:
+            chebyshev = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+            few = squints.min() + np.ptp(squints) * (1 + chebyshev) / 2
+        samples = [[beams.response(nodes, angle), beams.slope(nodes, angle)] for angle in few.tolist()]
+        return cls(nodes, beams, objective, few, np.array(samples))
+
+    def at(self, squint: float) -> PeakSearch:
+        """The search at one of the squints (rad)."""
+        if len(self.squints):
+            response, slope = np.tensordot(_lagrange(self.squints, squint), self.samples, axes=1)
+        else:
+            response, slope = self.beams.response(self.nodes, squint), self.beams.slope(self.nodes, squint)
+        return PeakSearch.of(self.nodes, response, slope, self.objective)
+
+
 def peak_elevation(covariance: Covariance, beams: Beams, squint: Array, objective: Objective, guard: float) -> Array:
     """Elevation (rad) of the greatest objective in every pixel, shape (rows, cols).
 
@@ -175,17 +221,21 @@ def peak_elevation(covariance: Covariance, beams: Beams, squint: Array, objectiv
         UserError: the beams have no elevation in common, or are complex where the covariance is not.
     """
     elevation = np.empty(covariance.shape[:2])
-    for angle in np.unique(squint):
-        search, cols = PeakSearch.over(beams, float(angle), objective, guard), squint == angle
-        part = covariance if np.all(cols) else covariance[:, cols]
-        pixels = part.reshape(-1, *covariance.shape[2:])
-        peaks = np.empty(len(pixels))
+    angles, angle_of = np.unique(squint, return_inverse=True)
+    searches = PeakSearches.over(beams, angles, objective, guard)
+    if len(angles) == 1:
+        search, pixels = searches.at(float(angles[0])), covariance.reshape(-1, *covariance.shape[2:])
+        flat = elevation.reshape(-1)
+        in_parallel(lambda part: np.copyto(flat[part], search.peaks(pixels[part])), flat.size, PIXELS_OF_THREAD)
+        return elevation
 
-        def work(piece: slice, search: PeakSearch = search, pixels: Covariance = pixels, peaks: Array = peaks) -> None:
-            peaks[piece] = search.peaks(pixels[piece])
+    def work(part: slice) -> None:
+        for index in range(part.start, part.stop):
+            cols = angle_of == index
+            pixels = covariance[:, cols].reshape(-1, *covariance.shape[2:])
+            elevation[:, cols] = searches.at(float(angles[index])).peaks(pixels).reshape(len(covariance), -1)
 
-        in_parallel(work, len(pixels), PIXELS_OF_THREAD)
-        elevation[:, cols] = peaks.reshape(part.shape[:2])
+    in_parallel(work, len(angles))
     return elevation
 
 
@@ -235,6 +285,14 @@ def elevation_bound(energy: Array, looks: int, beams: Beams, elevation: Array, s
 def _as_real(values: Array) -> Array:
     """Complex numbers as their real parts, then their imaginary parts, along the last axis."""
     return np.concatenate([values.real, values.imag], axis=-1) if np.iscomplexobj(values) else values
+
+
+def _lagrange(nodes: Array, place: float) -> Array:
+    """Weights by which a polynomial through values at Chebyshev `nodes` gives its value at `place`."""
+    middle, half = (nodes.max() + nodes.min()) / 2, (nodes.max() - nodes.min()) / 2
+    highest = len(nodes) - 1
+    at_nodes, there = (chebvander((x - middle) / half, highest) for x in (nodes, np.array([place])))
+    return np.linalg.solve(at_nodes.T, there[0])
 
 
 def _hermite(value: Array, slope: Array) -> Array:

@@ -8,13 +8,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.array_ml import Objective, PeakSearch
+from sal_height.array_ml import Objective, PeakSearches
 from sal_height.beams import Beams
 from sal_height.compiled import WORKERS, compiled
 from sal_height.looks import covariance
 
 Array = npt.NDArray[np.float64]
-FloatArray = npt.NDArray[np.float32]
 ComplexArray = npt.NDArray[np.complex64]
 Target = Callable[[np.random.Generator, tuple[int, int]], ComplexArray]
 
@@ -24,13 +23,14 @@ SAMPLES_AT_ONCE = 2**16
 
 def _gaussian(rng: np.random.Generator, shape: tuple[int, int]) -> ComplexArray:
     """Circular Gaussian: speckle, independent from look to look."""
-    parts: FloatArray = rng.standard_normal((*shape, 2), dtype=np.float32) * np.float32(np.sqrt(0.5))
-    return parts.view(np.complex64)[..., 0]
+    parts = rng.standard_normal((shape[0], 2 * shape[1]), dtype=np.float32)
+    parts *= np.float32(np.sqrt(0.5))
+    return parts.view(np.complex64)
 
 
 def _steady(rng: np.random.Generator, shape: tuple[int, int]) -> ComplexArray:
     """Modulus 1 and a random phase in each look."""
-    return np.exp(2j * np.pi * rng.random(shape)).astype(np.complex64)
+    return np.asarray(np.exp(2j * np.pi * rng.random(shape)), dtype=np.complex64)
 
 
 TARGETS: dict[str, Target] = {"gaussian": _gaussian, "steady": _steady}
@@ -96,19 +96,23 @@ def array_trials(
         guard: how far beyond the array is searched, rad.
         target: one of TARGETS.
     """
-    search = PeakSearch.over(beams, 0.0, objective, guard)
-    at_once = max(1, SAMPLES_AT_ONCE // (looks * beams.count))
-    starts = range(0, trials, at_once)
+    search = PeakSearches.over(beams, np.zeros(1), objective, guard).at(0.0)
     estimates = np.empty(trials)
 
-    def work(first: int, source: np.random.SeedSequence) -> None:
-        count = min(at_once, trials - first)
-        samples = draw_pixels(np.random.default_rng(source), beams, elevation, 0.0, cnr, looks, count, target)
-        estimates[first : first + count] = search.peaks(covariance(samples, beams.is_complex))
+    def work(rng: np.random.Generator, part: slice) -> None:
+        samples = draw_pixels(rng, beams, elevation, 0.0, cnr, looks, part.stop - part.start, target)
+        estimates[part] = search.peaks(covariance(samples, beams.is_complex))
 
-    with ThreadPoolExecutor(WORKERS) as pool:
-        list(pool.map(work, starts, np.random.SeedSequence(seed).spawn(len(starts))))
+    with_streams(work, seed, trials, max(1, SAMPLES_AT_ONCE // (looks * beams.count)))
     return estimates
+
+
+def with_streams(work: Callable[[np.random.Generator, slice], None], seed: int, trials: int, at_once: int) -> None:
+    """Do `work` on slices of the trials, each with its own random numbers, on all processors."""
+    parts = [slice(first, min(first + at_once, trials)) for first in range(0, trials, at_once)]
+    streams = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(len(parts)))
+    with ThreadPoolExecutor(WORKERS) as pool:
+        list(pool.map(work, streams, parts))
 
 
 @compiled

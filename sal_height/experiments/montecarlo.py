@@ -36,6 +36,8 @@ AT_EDGE = 1e-6
 
 TRIALS_AT_ONCE = 8192
 
+DETECTORS, MOST_DETECTORS = 16, 128
+
 FARTHEST_SEARCH = 200.0
 """Beamwidths to each side."""
 
@@ -98,9 +100,10 @@ def array_with(pattern: str, pitch: float, detectors: int | None, size: tuple[fl
         UserError: one of them cannot be used.
     """
     _require("The pitch", pitch, 1e-3, 10, " beamwidths")
-    _require("The number of detectors", detectors or 16, 2, 128)
+    count = DETECTORS if detectors is None else detectors
+    _require("The number of detectors", count, 2, MOST_DETECTORS)
     if pattern in PATTERNS:
-        return array_of((detector_pattern(pattern, size),), detectors or 16, pitch)
+        return array_of((detector_pattern(pattern, size),), count, pitch)
     if not Path(pattern).exists():
         raise UserError(
             f"The beam pattern is {pattern!r}; allowed are {', '.join(sorted(PATTERNS))}, or a CSV file of beams."
@@ -108,7 +111,7 @@ def array_with(pattern: str, pitch: float, detectors: int | None, size: tuple[fl
     if any(size):
         raise UserError(f"The beams in {pattern} are measured with their detectors; a size cannot be given besides.")
     tables = read_beam_tables(Path(pattern), 1.0)
-    _require(f"The number of detectors in {pattern}", len(tables), 2, 128)
+    _require(f"The number of detectors in {pattern}", len(tables), 2, MOST_DETECTORS)
     if detectors not in {None, len(tables)}:
         raise UserError(f"There are beams of {len(tables)} detectors in {pattern}; {detectors} were asked for.")
     return array_of(tuple(tabulated_pattern(table, 1.0) for table in tables), len(tables), pitch)

@@ -252,6 +252,7 @@ def _add_montecarlo(commands: Subcommands) -> None:
         default="ratio",
         help="of the discriminant; ml searches the elevation first (default: %(default)s)",
     )
+    pair.add_argument("--detectors", type=int, metavar="M", default=2, help="a pair has %(default)s")
     array.add_argument("--detectors", type=int, metavar="M", help="(default: 16, or as many as the file of beams has)")
     pair.set_defaults(command=_montecarlo_pair)
     array.set_defaults(command=_montecarlo_array)
@@ -337,7 +338,7 @@ def _figures(options: argparse.Namespace) -> int:
 def _montecarlo_pair(options: argparse.Namespace) -> int:
     from sal_height.experiments.montecarlo import array_with, pair_statistics
 
-    beams = array_with(options.pattern, options.pitch, 2, options.size)
+    beams = array_with(options.pattern, options.pitch, options.detectors, options.size)
     objective = OBJECTIVE_NAMES[options.objective]
     _print_statistics(
         pair_statistics(_experiment(options, beams), options.estimator, objective, options.domain), options.json

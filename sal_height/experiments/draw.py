@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,16 +17,16 @@ mpl.use("Agg")
 
 def draw(figure: Figure, curves: Sequence[Curve], path: Path) -> None:
     """Write a PNG with axes for each quantity; black dots are the closed forms, bars the standard errors."""
-    wide = min(2, len(figure.axes))
-    high = math.ceil(len(figure.axes) / wide)
-    picture = Picture(figsize=(6.4 * wide, 0.5 + 4.6 * high), layout="constrained")
+    wide = 2 if len(figure.axes) == 4 else len(figure.axes)
+    high = len(figure.axes) // wide
+    picture = Picture(figsize=(7.2 * wide, 0.5 + 4.6 * high), layout="constrained")
     panels = picture.subplots(high, wide, squeeze=False).ravel()
     for panel, (quantity, (horizontal, vertical)) in zip(panels, figure.axes.items(), strict=True):
         for curve in (curve for curve in curves if curve.quantity == quantity):
             _draw_curve(panel, curve)
         panel.set(title=quantity, xlabel=horizontal, ylabel=vertical)
         panel.grid(alpha=0.3)
-        panel.legend(fontsize="x-small")
+        panel.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     picture.suptitle(figure.title)
     picture.savefig(path, dpi=110)
 

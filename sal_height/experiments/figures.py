@@ -24,8 +24,8 @@ COLUMNS = ("figure", "curve", "x", "value", "standard_error", "closed_form")
 LEAST_TRIALS = 100
 """Below it, standard errors of quantiles mean nothing."""
 
-MOST_TRIALS = 10_000_000
-"""All estimates of a point are held at a time."""
+MOST_TRIALS = 1_000_000
+"""All estimates of a curve are held at a time."""
 
 _ELEVATION = "elevation (beamwidths)"
 _PAIR_AXES = {
@@ -43,10 +43,11 @@ FIGURES = {
     "fig5": Figure(
         "Figure 5: steady target, one look (CNR of the sum channel)",
         {
+            "standard deviation": (_NOISE_AXES[0], "standard deviation of the sample"),
             "half 16-84 % width": (_NOISE_AXES[0], f"half 16-84 % width {_NOISE_AXES[1]}"),
             "mean": (_NOISE_AXES[0], f"mean {_NOISE_AXES[1]}"),
         },
-        3 * len(CNR_DB),
+        4 * len(CNR_DB),
         fig5,
     ),
     "fig6": Figure(

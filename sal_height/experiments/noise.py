@@ -44,14 +44,16 @@ def steady(_rng: np.random.Generator, shape: tuple[int, int]) -> ComplexArray:
 
 
 def fig5(trials: int, seed: int) -> Iterator[Curve]:
-    """One look at a target of constant brightness: mean, median and half the 16 to 84 % width over kappa.
+    """One look at a target of constant brightness: spread, mean and median over kappa.
 
-    The paper's standard deviation does not exist for one look; half the 16 to 84 % width does.
+    The standard deviation, which the paper plots, has no theory: it does not exist for one look, and that of a sample
+    is what its worst outliers make it. Half the 16 to 84 % width does exist.
     """
     for index, cnr_db in enumerate(CNR_DB):
         cnr, case = 10 ** (cnr_db / 10), f"CNR {cnr_db} dB"
         sample = discriminants(np.random.SeedSequence((seed, 5)), steady, cnr, 1, trials)
         laws = [SteadyLaw(kappa, cnr) for kappa in KAPPAS.tolist()]
+        yield _curve("standard deviation", case, index, [std(row) for row in sample], np.full(len(KAPPAS), np.nan))
         yield _curve("half 16-84 % width", case, index, [s68(row) for row in sample], [law.s68 for law in laws])
         yield _curve("mean", case, index, [mean(row) for row in sample], steady_mean(KAPPAS, cnr))
         yield _curve("median", case, index, [median(row) for row in sample], [law.quantile(0.5) for law in laws])

@@ -266,6 +266,8 @@ def test_what_cannot_be_used_is_named_in_one_sentence(
         (["array", "--detectors", "0"], ["detectors is 0", "2"]),
         (["array", "--detectors", "1000"], ["128"]),
         (["array", "--theta", "1.2", "--domain", "1"], ["1.2 beamwidths", "-1 to 1"]),
+        (["pair", "--detectors", "3"], ["3 detectors", "2"]),
+        (["pair", "--detectors", "1"], ["detectors is 1", "2"]),
         (["pair", "--theta", "0.8"], ["0.8 beamwidths", "0.75"]),
         (["array", "--pattern", "{file}", "--detectors", "8"], ["16 detectors", "8"]),
         (["pair", "--pattern", "{file}"], ["16 detectors", "2"]),

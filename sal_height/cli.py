@@ -418,11 +418,10 @@ def _looks(text: str) -> tuple[int, int]:
 
 
 def _size(text: str) -> tuple[float, float]:
-    match = re.fullmatch(r"([\d.]+)x([\d.]+)", text)
-    try:
-        return float(match[1]), float(match[2])  # type: ignore[index]
-    except (TypeError, ValueError) as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is not of the form WxH with numbers, e.g. 0.6x1.2") from error
+    match = re.fullmatch(r"(\d*\.?\d+)x(\d*\.?\d+)", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form WxH with numbers, e.g. 0.6x1.2")
+    return float(match[1]), float(match[2])
 
 
 def _pixel(text: str) -> tuple[int, int]:

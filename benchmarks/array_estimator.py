@@ -125,7 +125,8 @@ def by_convolution(slc: ComplexArray, looks: int, beams: Beams) -> Array:
 
 
 def _beams(name: str) -> Beams:
-    boresights: Array = _elevation(0) + PITCH * BEAMWIDTH * (np.arange(DETECTORS) - (DETECTORS - 1) / 2)
+    steps = np.arange(DETECTORS, dtype=np.float64) - (DETECTORS - 1) / 2
+    boresights = _elevation(0) + PITCH * BEAMWIDTH * steps
     return Beams((pattern_named(name),), boresights, BEAMWIDTH)
 
 

@@ -8,10 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.array_ml import Objective, PeakSearches
 from sal_height.beams import Beams
 from sal_height.compiled import WORKERS, compiled
 from sal_height.looks import covariance
+from sal_height.peak_search import Objective, PeakSearches
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]

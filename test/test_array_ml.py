@@ -17,7 +17,7 @@ from helpers import (
     target_slc,
 )
 
-from sal_height import array_ml
+from sal_height import array_ml, peak_search
 from sal_height.array_ml import OBJECTIVES, elevation_bound, ml_elevation, peak_elevation
 from sal_height.beams import Beams
 from sal_height.errors import UserError
@@ -129,7 +129,7 @@ def test_blocks_and_threads_and_columns_change_nothing(monkeypatch: pytest.Monke
     beams = make_beams("jinc")
     covariance = multilook(target_slc(beams, 0.6, 12, 20, 3.0, np.random.default_rng(12)), 1, 4).covariance
     whole = peak_elevation(covariance, beams, np.full(5, 0.2) * BEAMWIDTH, OBJECTIVES["normalised"], 0.0)
-    monkeypatch.setattr(array_ml, "PIXELS_AT_ONCE", 7)
+    monkeypatch.setattr(peak_search, "PIXELS_AT_ONCE", 7)
     monkeypatch.setattr(array_ml, "PIXELS_OF_THREAD", 3)
     blocks = peak_elevation(covariance, beams, np.full(5, 0.2) * BEAMWIDTH, OBJECTIVES["normalised"], 0.0)
     np.testing.assert_array_equal(blocks, whole)
@@ -222,6 +222,24 @@ def test_narrow_beams_at_45_degrees_lose_no_digits(beamwidth: float) -> None:
     covariance = (response[:, :, None] * response[:, None, :])[:, None]
     found = peak_elevation(covariance, beams, np.zeros(1), OBJECTIVES["normalised"], 0.0)
     np.testing.assert_allclose((found[:, 0] - np.pi / 4) / beamwidth, offsets, atol=5e-6)
+
+
+def test_climb_that_starts_on_the_peak_stays_there() -> None:
+    """One detector with w = 1 - x^2 / 144 from step to step of the table: the slope at the start is 0 exactly."""
+    steps = np.arange(-peak_search.TABLE_STEPS, peak_search.TABLE_STEPS + 1.0)
+    nodes, response, slope = np.pi / 4 + 1e-5 * steps, 1 - steps[:, None] ** 2 / 144, -steps[:, None] / 72e-5
+    search = peak_search.PeakSearch.of(nodes, response, slope, OBJECTIVES["numerator"])
+    assert (search.peaks(np.ones((1, 1, 1)))[0] - np.pi / 4) / 1e-5 == pytest.approx(0, abs=1e-6)
+
+
+def test_search_ends_where_a_pattern_is_no_longer_known() -> None:
+    """Patterns known 5 beamwidths to each side leave 1.25 around the middle of 16 detectors."""
+    beams = replace(make_beams(), patterns=(replace(PATTERNS["sinc"], domain=(-5.0, 5.0)),))
+    offsets = np.array([-2.0, -1.2, 0.3, 1.2, 2.0])
+    covariance = noise_free_looks(make_beams(), offsets).covariance
+    found = peak_elevation(covariance, beams, np.zeros(1), OBJECTIVES["normalised"], 3 * BEAMWIDTH)
+    np.testing.assert_allclose(offset_of(found[1:4, 0]), offsets[1:4], atol=1e-5)
+    assert np.max(np.abs(offset_of(found))) <= 1.25 + 1e-9
 
 
 def test_pixel_without_any_power_has_an_elevation_in_the_domain() -> None:

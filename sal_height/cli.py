@@ -268,7 +268,8 @@ def _add_out(command: argparse.ArgumentParser, default: str) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from sal_height.runs.simulate import free_folder, run
+    from sal_height.folders import free_folder
+    from sal_height.runs.simulate import run
 
     preset = _changed(load_preset(options.preset), options)
     out = options.out or free_folder(Path("out") / preset.name)
@@ -285,8 +286,8 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
+    from sal_height.folders import free_folder
     from sal_height.runs.replay import replay
-    from sal_height.runs.simulate import free_folder
 
     out = options.out or free_folder(Path("out") / f"replay_{_bag_name(options.bag)}")
     outcome, compared = replay(options.bag, out, _collected(options.param))
@@ -307,8 +308,8 @@ def _bag_name(bag: Path) -> str:
 
 
 def _irf(options: argparse.Namespace) -> int:
+    from sal_height.folders import free_folder
     from sal_height.runs.irf import irf, response_table, window_table
-    from sal_height.runs.simulate import free_folder
 
     if options.windows == bool(options.images):
         raise UserError("Nothing to do, or two things; name images to measure, or give --windows.")
@@ -325,7 +326,7 @@ def _irf(options: argparse.Namespace) -> int:
 def _figures(options: argparse.Namespace) -> int:
     from sal_height.experiments.figures import FIGURES as KNOWN
     from sal_height.experiments.figures import make_figures, summary
-    from sal_height.runs.simulate import free_folder
+    from sal_height.folders import free_folder
 
     names = [name for name in options.names if name != "all"]
     everything = not names or "all" in options.names

@@ -123,12 +123,22 @@ def _strongest_pair(
     """
     diagonal = np.diagonal(covariance, axis1=-2, axis2=-1).real.astype(np.float64)
     beside = np.diagonal(covariance, offset=1, axis1=-2, axis2=-1).astype(np.complex128)
-    powers = diagonal[..., :-1] + diagonal[..., 1:]
-    strongest = np.asarray(np.argmax(powers + 2 * beside.real, axis=-1))
+    strongest = np.asarray(np.argmax(diagonal[..., :-1] + diagonal[..., 1:] + 2 * beside.real, axis=-1))
     row, col = np.ogrid[: strongest.shape[0], : strongest.shape[1]]
-    both, coherent = powers[row, col, strongest], 2 * beside[row, col, strongest]
-    cross = diagonal[row, col, strongest + 1] - diagonal[row, col, strongest] - 1j * coherent.imag
-    return strongest, both + coherent.real, both - coherent.real, cross
+    lower, upper = diagonal[row, col, strongest], diagonal[row, col, strongest + 1]
+    return strongest, *sum_and_difference(lower, upper, beside[row, col, strongest])
+
+
+def sum_and_difference(lower: Array, upper: Array, product: ComplexArray) -> tuple[Array, Array, ComplexArray]:
+    """Sums over looks of |Sigma|^2, |Delta|^2 and Delta Sigma*, as the estimates of the discriminant take them.
+
+    Args:
+        lower: sum of |l|^2 over looks, l the amplitude of the lower detector.
+        upper: of |u|^2.
+        product: of l u*; real where only its real part is known.
+    """
+    both, coherent = lower + upper, 2 * product
+    return both + coherent.real, both - coherent.real, upper - lower - 1j * coherent.imag
 
 
 def _invert_pairs(beams: Beams, pair: npt.NDArray[np.intp], mu: Array, squint: Array) -> tuple[Inversion, Array, Array]:

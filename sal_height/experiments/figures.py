@@ -17,7 +17,7 @@ from sal_height.experiments.curve import Curve, Figure, check_of, holds, rows_of
 from sal_height.experiments.draw import draw
 from sal_height.experiments.noise import CNR_DB, fig5, fig6
 from sal_height.experiments.patterns import fig3, fig4
-from sal_height.runs.simulate import new_folder, write_text, writing
+from sal_height.folders import new_folder, write_text, writing
 
 COLUMNS = ("figure", "curve", "x", "value", "standard_error", "closed_form")
 

@@ -22,7 +22,7 @@ from sal_height.errors import UserError
 from sal_height.experiments.arrays import array_of
 from sal_height.experiments.sample_statistics import Measured, mean, median, s68, share, std
 from sal_height.looks import covariance
-from sal_height.monopulse import DISCRIMINANTS
+from sal_height.monopulse import DISCRIMINANTS, sum_and_difference
 from sal_height.noise_theory import cnr_detector_of, gaussian_law, steady_looks_mean, straight_power
 from sal_height.optics import PATTERNS, detector_pattern, tabulated_pattern
 
@@ -93,7 +93,7 @@ def array_with(pattern: str, pitch: float, detectors: int | None, size: tuple[fl
     Args:
         pattern: one of PATTERNS, or the path of a CSV file of measured beams (`read_beam_tables`).
         pitch: of the detectors, beamwidths.
-        detectors: number; None: as many as the file has, or 16.
+        detectors: number; None: as many as the file has beams, or 16. A single beam is that of all.
         size: of a detector along the axis and beside it, beamwidths; 0 with measured beams, which have theirs in them.
 
     Raises:
@@ -111,10 +111,11 @@ def array_with(pattern: str, pitch: float, detectors: int | None, size: tuple[fl
     if any(size):
         raise UserError(f"The beams in {pattern} are measured with their detectors; a size cannot be given besides.")
     tables = read_beam_tables(Path(pattern), 1.0)
-    _require(f"The number of detectors in {pattern}", len(tables), 2, MOST_DETECTORS)
-    if detectors not in {None, len(tables)}:
+    _require(f"The number of detectors in {pattern}", len(tables), 1, MOST_DETECTORS)
+    if len(tables) > 1 and detectors not in {None, len(tables)}:
         raise UserError(f"There are beams of {len(tables)} detectors in {pattern}; {detectors} were asked for.")
-    return array_of(tuple(tabulated_pattern(table, 1.0) for table in tables), len(tables), pitch)
+    patterns = tuple(tabulated_pattern(table, 1.0) for table in tables)
+    return array_of(patterns, len(tables) if len(tables) > 1 else count, pitch)
 
 
 def search_guard(beams: Beams, domain: float | None) -> float:
@@ -247,10 +248,8 @@ def _discriminants(experiment: Experiment, power: float, estimator: str) -> Arra
         rng, target = np.random.default_rng(source), TARGETS[experiment.target]
         samples = draw_pixels(rng, pair, experiment.theta, 0.0, power, looks, count, target)
         matrix = covariance(samples, pair.is_complex).astype(np.complex128)
-        lower, upper, beside = matrix[:, 0, 0].real, matrix[:, 1, 1].real, matrix[:, 0, 1]
-        cross = upper - lower - 2j * beside.imag
-        both, coherent = lower + upper, 2 * beside.real
-        return DISCRIMINANTS[estimator](both + coherent, both - coherent, cross, 2.0 * looks)
+        sums = sum_and_difference(matrix[:, 0, 0].real, matrix[:, 1, 1].real, matrix[:, 0, 1])
+        return DISCRIMINANTS[estimator](*sums, 2.0 * looks)
 
     with ThreadPoolExecutor(WORKERS) as pool:
         sources = np.random.SeedSequence(experiment.seed).spawn(len(counts))

@@ -10,11 +10,11 @@ import numpy as np
 from tqdm import tqdm
 
 from sal_height.errors import UserError
+from sal_height.folders import new_folder, write_text, writing
 from sal_height.impulse_response import CutResponse, ImpulseResponse, chip_around, measure_brightest, measure_windows
 from sal_height.runs.images import AXES, Image, image_name, images_of
 from sal_height.runs.picture import Target, draw_responses
 from sal_height.runs.report import or_null
-from sal_height.runs.simulate import new_folder, write_text, writing
 
 MOST_DRAWN = 8
 """Targets in the picture; of more, the first."""

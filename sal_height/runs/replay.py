@@ -11,13 +11,14 @@ import yaml
 from sal_height.bag.compare import HeightComparison, compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
+from sal_height.folders import new_folder, writing
 from sal_height.impulse_response import measure_brightest
 from sal_height.runs.conductor import Outcome, perform
 from sal_height.runs.ensemble import ESTIMATORS, NodeParameters, check_parameters
 from sal_height.runs.images import recorded_slc
 from sal_height.runs.picture import draw_image
 from sal_height.runs.report import or_null
-from sal_height.runs.simulate import RECORDED, conclude, merged, new_folder, reporting, writing
+from sal_height.runs.simulate import RECORDED, conclude, merged, reporting
 
 
 def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, dict[str, HeightComparison]]:

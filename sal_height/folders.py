@@ -1,0 +1,57 @@
+"""Output folders and the files in them: what the disk refuses becomes a sentence."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sal_height.errors import UserError
+
+
+def new_folder(path: Path) -> Path:
+    """Make the output folder.
+
+    Raises:
+        UserError: it exists and is not empty, or cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        if any(path.iterdir()):
+            raise UserError(f"Output folder {path} is not empty; name another with --out, or remove it.")
+    except OSError as error:
+        raise UserError(f"Output folder {path} cannot be made: {error.strerror}.") from error
+    return path
+
+
+def free_folder(base: Path) -> Path:
+    """`base`, or else the first of base_2, base_3, … that does not exist or is empty.
+
+    Raises:
+        UserError: it cannot be told.
+    """
+    names = (base if number == 1 else base.with_name(f"{base.name}_{number}") for number in itertools.count(1))
+    try:
+        return next(path for path in names if not path.exists() or (path.is_dir() and not any(path.iterdir())))
+    except OSError as error:
+        raise UserError(f"Output folder {base} cannot be made: {error.strerror}; name another with --out.") from error
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """While it is entered, what the disk refuses becomes a UserError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"File {path} cannot be written: {error.strerror or error}.") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a small file.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    with writing(path):
+        path.write_text(text, encoding="utf-8")

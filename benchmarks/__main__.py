@@ -13,13 +13,15 @@ from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from benchmarks import backprojection, fast_formers, memory
+from benchmarks import array_estimator, backprojection, fast_formers, memory
 from benchmarks.row import REPEATS, Row
 from sal_height.compiled import WORKERS
 
 GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
     "fast-formers": fast_formers.against_fft,
     "backprojection": backprojection.throughput,
+    "array-trials": array_estimator.against_random_numbers,
+    "array-images": array_estimator.throughput,
     "memory": memory.peak_memory,
     "accuracy-backprojection": backprojection.accuracy,
     "accuracy-fast-formers": fast_formers.against_backprojection,

@@ -1,32 +1,31 @@
 """Maximum-likelihood elevation from all detectors of the array at once (SAL paper, section 5).
 
-A target at elevation theta gives detector m the amplitude A_k h(theta - theta_m) in look k, plus noise of variance
-sigma^2. With a = (h(theta - theta_m))_m and R = Re sum_k g_k g_k^H, profiling out the complex A_k leaves the objective
+A target at elevation theta gives detector m the amplitude A_k a_m(theta) in look k, plus noise of variance sigma^2.
+With the covariance R = sum_k g_k g_k^H, profiling out the complex A_k leaves the objective
 
-    normalised:  a^T R a / a^T a     (exact)
-    numerator:   a^T R a             (the paper's, which takes a^T a as constant: biased inwards near the array's ends)
+    normalised:  a^H R a / a^H a     (exact)
+    numerator:   a^H R a             (the paper's, which takes a^H a as constant: biased inwards near the array's ends)
+
+or w^H R w with the weights w = a / |a| or w = a.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams import Beams
+from sal_height.bounds import beam_power, stochastic_crb
+from sal_height.compiled import in_parallel
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, output_power, validity_of
-from sal_height.looks import Looks
+from sal_height.estimate import ElevationEstimate, explained_power, validity_of
+from sal_height.looks import Covariance, Looks
+from sal_height.peak_search import Objective, PeakSearches
 
 Array = npt.NDArray[np.float64]
-Objective = Callable[[Array, Array], Array]
 
-GRID_STEP = 0.05
-"""Spacing of the coarse search in beamwidths; the objective is band-limited to 1 cycle per beamwidth."""
-
-REFINEMENT_STEPS = (0.02, 0.002)
-"""Half widths in beamwidths of the parabolas that refine the peak, in turn."""
+PIXELS_OF_THREAD = 2048
+"""Pixels that are worth a thread."""
 
 GUARD = 3.0
 """Beamwidths beyond the array that are searched too, so that a target out there is recognised by its sidelobes.
@@ -35,16 +34,57 @@ Two detectors cannot tell: their one ratio is that of some direction inside as w
 """
 
 
-def _normalised(output_power: Array, beam_power: Array) -> Array:
-    return output_power / beam_power
+def _normalised(response: Array, slope: Array) -> tuple[Array, Array]:
+    """The unit vector a / |a|, or 0 where no detector sees anything."""
+    norm = np.linalg.norm(response, axis=-1, keepdims=True)
+    inverse = np.divide(1.0, norm, where=norm > 0, out=np.zeros_like(norm))
+    unit = response * inverse
+    return unit, (slope - unit * np.sum(unit * slope, axis=-1, keepdims=True)) * inverse
 
 
-def _numerator(output_power: Array, _beam_power: Array) -> Array:
-    return output_power
+def _numerator(response: Array, slope: Array) -> tuple[Array, Array]:
+    return response, slope
 
 
 OBJECTIVES: dict[str, Objective] = {"normalised": _normalised, "numerator": _numerator}
-"""What is maximised over elevation, from a^T R a and a^T a; "numerator" is the paper's."""
+"""Weights w and their slope from response a and slope a' (real, (..., detectors)); "numerator" is the paper's."""
+
+
+def peak_elevation(covariance: Covariance, beams: Beams, squint: Array, objective: Objective, guard: float) -> Array:
+    """Elevation (rad) of the greatest objective in every pixel, shape (rows, cols).
+
+    Args:
+        covariance: shape (rows, cols, channels, channels); complex if the beams are.
+        beams: of the channels.
+        squint: of each column, rad, shape (cols,).
+        objective: one of OBJECTIVES.
+        guard: how far beyond the array is searched, rad (`Beams.domain`).
+
+    Raises:
+        UserError: the beams have no elevation in common, or are complex where the covariance is not.
+    """
+    elevation = np.empty(covariance.shape[:2])
+    angles, angle_of = np.unique(squint, return_inverse=True)
+    searches = PeakSearches.over(beams, angles, objective, guard)
+    if len(angles) == 1:
+        search, pixels = searches.at(float(angles[0])), covariance.reshape(-1, *covariance.shape[2:])
+        flat = elevation.reshape(-1)
+        in_parallel(lambda part: np.copyto(flat[part], search.peaks(pixels[part])), flat.size, PIXELS_OF_THREAD)
+        return elevation
+
+    def work(part: slice) -> None:
+        for index in range(part.start, part.stop):
+            cols = angle_of == index
+            pixels = covariance[:, cols].reshape(-1, *covariance.shape[2:])
+            elevation[:, cols] = searches.at(float(angles[index])).peaks(pixels).reshape(len(covariance), -1)
+
+    in_parallel(work, len(angles))
+    return elevation
+
+
+def best_elevation(covariance: Covariance, beams: Beams, squint: Array, objective: Objective) -> Array:
+    """`peak_elevation` over the array, its ends and the guard beyond, which reveals targets outside."""
+    return peak_elevation(covariance, beams, squint, objective, GUARD * beams.beamwidth if beams.count > 2 else 0.0)
 
 
 def ml_elevation(
@@ -61,17 +101,13 @@ def ml_elevation(
         min_cnr: pixels below this power ratio are LOW_CNR.
 
     Raises:
-        UserError: fewer than two detectors.
+        UserError: fewer than two detectors, or a real covariance of complex beams.
     """
-    if len(beams.boresights) < 2:
-        raise UserError(f"The sensor has {len(beams.boresights)} detector; elevation needs 2 or more.")
-    elevation = coarse_search(looks.covariance, beams, squint, objective)
-    for step in REFINEMENT_STEPS:
-        elevation = _refine(elevation, step * beams.beamwidth, looks.covariance, beams, squint, objective)
-
+    if beams.count < 2:
+        raise UserError(f"The sensor has {beams.count} detector; elevation needs 2 or more.")
+    elevation = best_elevation(looks.covariance, beams, squint, objective)
     response = beams.response(elevation, squint)
-    beam_power = np.sum(response**2, axis=-1)
-    energy = (output_power(looks.covariance, response) / beam_power / noise_power - looks.count) / beam_power
+    energy = (explained_power(looks.covariance, response) / noise_power - looks.count) / beam_power(response)
     return ElevationEstimate(
         elevation=elevation,
         sigma=elevation_bound(energy, looks.count, beams, elevation, squint),
@@ -83,45 +119,7 @@ def ml_elevation(
 def elevation_bound(energy: Array, looks: int, beams: Beams, elevation: Array, squint: Array) -> Array:
     """Standard deviation (rad) of an efficient elevation estimate, given the scatterer's energy in the looks at hand.
 
-    Conditional Cramer-Rao bound 1 / (2 E D), with E = sum_k |A_k|^2 / sigma^2 and D the part of |da/dtheta|^2 that a
-    change of amplitude cannot imitate, times the loss 1 + K / (E |a|^2) of not knowing the amplitudes.
-    Infinite where the energy is not positive.
+    `bounds.stochastic_crb` with the energy E = sum_k |A_k|^2 / sigma^2 of these looks; infinite where it is not
+    positive.
     """
-    response = beams.response(elevation, squint)
-    slope = beams.slope(elevation, squint)
-    beam_power = np.sum(response**2, axis=-1)
-    information = np.sum(slope**2, axis=-1) - np.sum(slope * response, axis=-1) ** 2 / beam_power
-    with np.errstate(divide="ignore", invalid="ignore"):
-        variance = (1 + looks / (energy * beam_power)) / (2 * energy * information)
-    return np.sqrt(np.where(energy > 0, variance, np.inf))
-
-
-def coarse_search(covariance: Array, beams: Beams, squint: Array, objective: Objective) -> Array:
-    """Elevation (rad) of the greatest objective on a grid over array and guard, shape (rows, cols)."""
-    first, last = beams.domain(GUARD * beams.beamwidth if len(beams.boresights) > 2 else 0.0)
-    grid = np.linspace(first, last, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))) + 1)
-    best = np.empty(covariance.shape[:2])
-    for col, angle in enumerate(squint):
-        response = beams.response(grid, np.full_like(grid, angle))
-        products = (response[:, :, None] * response[:, None, :]).reshape(len(grid), -1)
-        power = covariance[:, col].reshape(len(covariance), -1) @ products.T
-        best[:, col] = grid[np.argmax(objective(power, np.sum(response**2, axis=-1)), axis=-1)]
-    return best
-
-
-def _refine(
-    elevation: Array, half_width: float, covariance: Array, beams: Beams, squint: Array, objective: Objective
-) -> Array:
-    """Elevation (rad) of the vertex of a parabola through the objective at `elevation` and `half_width` to each side.
-
-    The move is limited to the half width plus what the coarser step left open, so that a flat objective stays put.
-    """
-    low, middle, high = (
-        objective(output_power(covariance, response), np.sum(response**2, axis=-1))
-        for response in (beams.response(elevation + shift, squint) for shift in (-half_width, 0.0, half_width))
-    )
-    curvature = low - 2 * middle + high
-    concave = curvature < 0
-    move = np.where(concave, (low - high) / (2 * np.where(concave, curvature, -1)), 0.0)
-    limit = GRID_STEP * beams.beamwidth / half_width
-    return elevation + half_width * np.clip(move, -limit, limit)
+    return stochastic_crb(beams, elevation, squint, energy / looks, looks)

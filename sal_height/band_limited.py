@@ -79,9 +79,9 @@ def _from_region(sampler: Sampler, dtype: npt.DTypeLike, e: Array, a: Array) -> 
 
 
 def _nodes_around(x: Array) -> Array:
-    """Multiples of STEP, NODES / 2 of them on each side of every offset."""
+    """Multiples of STEP, NODES / 2 of them on each side of every offset, even one that rounds up to the next."""
     low, high = np.floor(np.array([x.min(), x.max()]) / STEP)
-    return np.arange(low - (NODES // 2 - 1), high + NODES // 2 + 1)
+    return np.arange(low - (NODES // 2 - 1), high + NODES // 2 + 2)
 
 
 _SCALE = 1 / np.array([np.prod([float(j - m) for m in range(NODES) if m != j]) for j in range(NODES)])

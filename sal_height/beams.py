@@ -69,6 +69,11 @@ class Beams:
         return len(self.boresights)
 
     @property
+    def is_complex(self) -> bool:
+        """Whether `response` is complex, so that the phases between channels matter (`looks.covariance`)."""
+        return np.iscomplexobj(self.response(self.domain(0.0)[0], 0.0))
+
+    @property
     def span(self) -> tuple[float, float]:
         """Angles of the first and the last boresight (rad)."""
         return float(self.boresights[0]), float(self.boresights[-1])

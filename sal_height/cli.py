@@ -1,20 +1,31 @@
-"""The command line: sal-height run | replay | irf | import-gotcha | salvage."""
+"""The command line: sal-height run | replay | irf | figures | montecarlo | import-gotcha | salvage."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import re
 import signal
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import yaml
 
 from sal_height import __version__
 from sal_height.errors import UserError
+from sal_height.experiments.help_texts import ARRAY, FIGURES, MONTE_CARLO, PAIR
 from sal_height.preset import Preset, load_preset, parse_preset, preset_names
+
+if TYPE_CHECKING:
+    from sal_height.beams import Beams
+    from sal_height.experiments.montecarlo import Experiment
+
+Subcommands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 (it has no other name)
+
+OBJECTIVE_NAMES = {"normalised": "normalised", "numerator": "numerator", "seed": "numerator"}
+"""Objectives of the maximum-likelihood estimator by their names on the command line."""
 
 EXAMPLES = """examples:
   sal-height run                                    fly the lidar over a street
@@ -23,6 +34,8 @@ EXAMPLES = """examples:
   sal-height replay out/sal_spotlight/bag           make the heights anew and compare
   sal-height replay out/sal_spotlight/bag --param ml_height.objective=numerator
   sal-height irf out/replay_gotcha/bag              width and sidelobes of the brightest target
+  sal-height figures                                the SAL paper's figures beside theory
+  sal-height montecarlo array --cnr-db 10 --theta 1.75 --looks 4
 """
 
 IRF = """An image is one of
@@ -139,6 +152,9 @@ def _parser() -> argparse.ArgumentParser:
     _add_out(irf, "out/irf")
     irf.set_defaults(command=_irf)
 
+    _add_figures(commands)
+    _add_montecarlo(commands)
+
     gotcha = commands.add_parser("import-gotcha", help="turn AFRL Gotcha phase history into a bag")
     gotcha.add_argument("files", type=Path, nargs="+", metavar="FILE", help="consecutive data_3dsar_*.mat files")
     gotcha.add_argument("--out", type=Path, required=True, metavar="BAG", help="folder of the new bag")
@@ -149,6 +165,97 @@ def _parser() -> argparse.ArgumentParser:
     salvage.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the new bag")
     salvage.set_defaults(command=_salvage)
     return parser
+
+
+def _add_figures(commands: Subcommands) -> None:
+    figures = commands.add_parser(
+        "figures",
+        help="make the SAL paper's figures anew, beside theory",
+        description=FIGURES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    figures.add_argument("names", nargs="*", metavar="NAME", help="fig3 to fig6, fig8 to fig11, or all (default)")
+    figures.add_argument(
+        "--trials",
+        type=int,
+        default=20_000,
+        metavar="N",
+        help="Monte Carlo trials at each point (default: %(default)s)",
+    )
+    figures.add_argument(
+        "--seed", type=_seed, default=1, metavar="S", help="of all random numbers (default: %(default)s)"
+    )
+    _add_out(figures, "out/figures")
+    figures.set_defaults(command=_figures)
+
+
+def _add_montecarlo(commands: Subcommands) -> None:
+    shown: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter}
+    parser = commands.add_parser(
+        "montecarlo", help="statistics of an estimator at one operating point", description=MONTE_CARLO, **shown
+    )
+    kinds = parser.add_subparsers(required=True, metavar="pair|array")
+    pair = kinds.add_parser("pair", help="discriminant of two detectors", epilog=PAIR, **shown)
+    array = kinds.add_parser("array", help="elevation by all detectors", epilog=ARRAY, **shown)
+    for command, cnr in (
+        (pair, "the sum channel at the target"),
+        (array, "one detector looking straight at the target"),
+    ):
+        command.add_argument(
+            "--pattern",
+            default="sinc",
+            metavar="NAME|PATH",
+            help="sinc, jinc, gaussian, or a CSV file of measured beams (default: %(default)s)",
+        )
+        command.add_argument("--pitch", type=float, default=0.5, help="of the detectors (default: %(default)s)")
+        command.add_argument(
+            "--size",
+            type=_size,
+            default=(0.0, 0.0),
+            metavar="WxH",
+            help="of a detector in elevation and azimuth, e.g. 0.6x1.2 (default: a point)",
+        )
+        command.add_argument(
+            "--cnr-db", type=float, default=10.0, metavar="X", help=f"of {cnr} in one look, dB (default: %(default)s)"
+        )
+        command.add_argument("--looks", type=int, default=4, metavar="K", help="(default: %(default)s)")
+        command.add_argument(
+            "--target",
+            default="gaussian",
+            metavar="steady|gaussian",
+            help="of constant brightness, or speckle (default: %(default)s)",
+        )
+        command.add_argument(
+            "--theta",
+            type=float,
+            default=0.0,
+            help="elevation above the middle of the detectors (default: %(default)s)",
+        )
+        command.add_argument(
+            "--objective",
+            choices=sorted(OBJECTIVE_NAMES),
+            default="normalised",
+            help="of maximum likelihood; the paper's is the numerator only, or seed (default: %(default)s)",
+        )
+        command.add_argument(
+            "--domain",
+            type=float,
+            metavar="HALF",
+            help="half width of the search of maximum likelihood (default: number of detectors x pitch / 2)",
+        )
+        command.add_argument("--trials", type=int, default=20_000, metavar="N", help="(default: %(default)s)")
+        command.add_argument("--seed", type=_seed, default=1, metavar="S", help="(default: %(default)s)")
+        command.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    pair.add_argument(
+        "--estimator",
+        choices=("ratio", "tls", "noise_subtraction", "ml"),
+        default="ratio",
+        help="of the discriminant; ml searches the elevation first (default: %(default)s)",
+    )
+    pair.add_argument("--detectors", type=int, metavar="M", default=2, help="a pair has %(default)s")
+    array.add_argument("--detectors", type=int, metavar="M", help="(default: 16, or as many as the file of beams has)")
+    pair.set_defaults(command=_montecarlo_pair)
+    array.set_defaults(command=_montecarlo_array)
 
 
 def _add_out(command: argparse.ArgumentParser, default: str) -> None:
@@ -215,6 +322,51 @@ def _irf(options: argparse.Namespace) -> int:
     return 0
 
 
+def _figures(options: argparse.Namespace) -> int:
+    from sal_height.experiments.figures import FIGURES as KNOWN
+    from sal_height.experiments.figures import make_figures, summary
+    from sal_height.runs.simulate import free_folder
+
+    names = [name for name in options.names if name != "all"]
+    everything = not names or "all" in options.names
+    out = options.out or free_folder(Path("out") / "figures")
+    checks = make_figures([*names, *(KNOWN if everything else ())], out, options.trials, options.seed)
+    print(f"{summary(checks)}; see {out}/checks.json")
+    return 0
+
+
+def _montecarlo_pair(options: argparse.Namespace) -> int:
+    from sal_height.experiments.montecarlo import array_with, pair_statistics
+
+    beams = array_with(options.pattern, options.pitch, options.detectors, options.size)
+    objective = OBJECTIVE_NAMES[options.objective]
+    _print_statistics(
+        pair_statistics(_experiment(options, beams), options.estimator, objective, options.domain), options.json
+    )
+    return 0
+
+
+def _montecarlo_array(options: argparse.Namespace) -> int:
+    from sal_height.experiments.montecarlo import array_statistics, array_with
+
+    beams = array_with(options.pattern, options.pitch, options.detectors, options.size)
+    objective = OBJECTIVE_NAMES[options.objective]
+    _print_statistics(array_statistics(_experiment(options, beams), objective, options.domain), options.json)
+    return 0
+
+
+def _experiment(options: argparse.Namespace, beams: Beams) -> Experiment:
+    from sal_height.experiments.montecarlo import Experiment
+
+    return Experiment(beams, options.theta, options.cnr_db, options.looks, options.target, options.trials, options.seed)
+
+
+def _print_statistics(statistics: dict[str, Any], as_json: bool) -> None:
+    from sal_height.experiments.montecarlo import statistics_table
+
+    print(json.dumps(statistics, indent=2, allow_nan=False) if as_json else statistics_table(statistics))
+
+
 def _import_gotcha(options: argparse.Namespace) -> int:
     from sal_height.runs.gotcha import import_gotcha
 
@@ -263,6 +415,13 @@ def _looks(text: str) -> tuple[int, int]:
     if not match:
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form RxA with numbers of 1 or more, e.g. 2x2")
     return int(match[1]), int(match[2])
+
+
+def _size(text: str) -> tuple[float, float]:
+    match = re.fullmatch(r"(\d*\.?\d+)x(\d*\.?\d+)", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form WxH with numbers, e.g. 0.6x1.2")
+    return float(match[1]), float(match[2])
 
 
 def _pixel(text: str) -> tuple[int, int]:

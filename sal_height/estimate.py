@@ -10,8 +10,10 @@ import numpy.typing as npt
 from scipy.stats import gamma
 
 from sal_height.beams import Beams
+from sal_height.bounds import beam_power
+from sal_height.compiled import compiled, in_parallel
 from sal_height.errors import UserError
-from sal_height.looks import Looks
+from sal_height.looks import Covariance, Looks
 
 Array = npt.NDArray[np.float64]
 
@@ -51,6 +53,9 @@ MISFIT_SHARE = 0.03
 NOISE_RATIO = 4.0
 """Greatest ratio of the detectors' noise powers: random differences of 3 dB do no harm yet, one loud detector does."""
 
+PIXELS_OF_THREAD = 2**14
+"""Pixels that are worth a thread."""
+
 FALSE_ALARMS = 1e-4
 """Share of pixels of noise alone in which the strongest of M independent directions passes for a signal."""
 
@@ -78,7 +83,7 @@ def validity_of(
     degrees = (len(beams.boresights) - 1) * looks.count
     explained = explained_power(looks.covariance, response) / noise_power
     detected = explained >= gamma.isf(FALSE_ALARMS / len(beams.boresights), looks.count)
-    left = np.trace(looks.covariance, axis1=-2, axis2=-1) / noise_power - explained
+    left = np.trace(looks.covariance.real, axis1=-2, axis2=-1, dtype=np.float64) / noise_power - explained
     misfit = (left > degrees + 5 * np.sqrt(degrees)) & (left - degrees > MISFIT_SHARE * explained)
     first, last = beams.span
     return np.select(
@@ -88,14 +93,35 @@ def validity_of(
     ).astype(np.uint8)
 
 
-def explained_power(covariance: Array, response: Array) -> Array:
-    """Power that a single scatterer seen with amplitudes `response` explains: a^T R a / a^T a, shape (...)."""
-    return np.asarray(output_power(covariance, response) / np.sum(response**2, axis=-1))
+def explained_power(covariance: Covariance, response: Array) -> Array:
+    """Power that a single scatterer seen with amplitudes `response` explains: a^H R a / a^H a, shape (...)."""
+    return output_power(covariance, response) / beam_power(response)
 
 
-def output_power(covariance: Array, response: Array) -> Array:
-    """Power of the channels combined with weights `response`, a^T R a: shapes (..., M, M) and (..., M) give (...)."""
-    return np.asarray(np.einsum("...m,...mn,...n->...", response, covariance, response, optimize=True))
+def output_power(covariance: Covariance, response: Array) -> Array:
+    """Power of the channels combined with weights `response`, a^H R a, in double precision.
+
+    Args:
+        covariance: shape (..., M, M); complex if the response is.
+        response: shape (..., M).
+    """
+    size = response.shape[-1]
+    power = np.empty(response.shape[:-1])
+    matrices, weights = covariance.reshape(-1, size, size), np.ascontiguousarray(response).reshape(-1, size)
+    flat = power.reshape(-1)
+    in_parallel(lambda part: _quadratic_forms(matrices[part], weights[part], flat[part]), flat.size, PIXELS_OF_THREAD)
+    return power
+
+
+@compiled
+def _quadratic_forms(matrices: Covariance, weights: Array, result: Array) -> None:
+    for i in range(result.size):
+        total = 0.0
+        for m in range(weights.shape[1]):
+            row, weight = matrices[i, m], np.conj(weights[i, m])
+            for n in range(weights.shape[1]):
+                total += (weight * row[n] * weights[i, n]).real
+        result[i] = total
 
 
 def common_noise(noise_powers: Array) -> float:

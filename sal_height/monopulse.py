@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.array_ml import OBJECTIVES, coarse_search
+from sal_height.array_ml import OBJECTIVES, best_elevation
 from sal_height.beams import Beams
 from sal_height.discriminant import Inversion, Reason, invert
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate, Validity, explained_power, validity_of
-from sal_height.looks import Looks
+from sal_height.looks import Covariance, Looks
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -146,13 +146,13 @@ def _invert_pairs(beams: Beams, pair: npt.NDArray[np.intp], mu: Array, squint: A
 
 
 def _better_outside(
-    covariance: Array, beams: Beams, squint: Array, noise_power: float, elevation: Array
+    covariance: Covariance, beams: Beams, squint: Array, noise_power: float, elevation: Array
 ) -> npt.NDArray[np.bool_]:
     """Whether a target outside the array explains the channels better than one at `elevation`, by OUTSIDE_MARGIN.
 
     A pair cannot see that its target is in a sidelobe; the other detectors can.
     """
-    best = coarse_search(covariance, beams, squint, OBJECTIVES["normalised"])
+    best = best_elevation(covariance, beams, squint, OBJECTIVES["normalised"])
     first, last = beams.span
     gain = explained_power(covariance, beams.response(best, squint))
     gain -= explained_power(covariance, beams.response(np.nan_to_num(elevation, nan=first), squint))

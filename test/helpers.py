@@ -146,6 +146,11 @@ def circular(rng: np.random.Generator, shape: tuple[int, ...]) -> npt.NDArray[np
     return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
 
 
+def standard_error_of_rms(error: Array) -> float:
+    """Of the root mean square of `error`, from the spread of its squares."""
+    return float(np.std(error**2) / np.sqrt(len(error)) / (2 * np.sqrt(np.mean(error**2))))
+
+
 def noise_free_looks(beams: Beams, offset: Array, squint: float = 0.0, count: int = 1, energy: float = 1e6) -> Looks:
     """Exact covariance of a target at each of `offset` (beamwidths, shape (pixels,)), one column."""
     response = beams.response(elevation_at(offset), squint)

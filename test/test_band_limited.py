@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from sal_height import band_limited
-from sal_height.band_limited import interpolated
+from sal_height.band_limited import NODES, STEP, _nodes_around, interpolated
 
 Array = npt.NDArray[np.float64]
 
@@ -85,3 +85,13 @@ def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(band_limited, "BLOCK", 77)
     monkeypatch.setattr(band_limited, "LEAST", 10)
     np.testing.assert_allclose(interpolated(waves, np.float64, e, a), whole, atol=2 * BOUND)
+
+
+@pytest.mark.parametrize("node", range(-3, 4))
+def test_an_offset_that_rounds_up_to_a_node_has_samples_all_around(node: int) -> None:
+    """From another first node, the place of an offset just below a node may come out as the node itself."""
+    x = np.array([-0.3, np.nextafter(node * STEP, -1)])
+    nodes = _nodes_around(x)
+    places = (x / STEP - nodes[0]).astype(int)
+    assert places.min() - (NODES // 2 - 1) >= 0
+    assert places.max() + NODES // 2 < nodes.size

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from helpers import assert_one_sentence, circular
 
+from sal_height import looks as looks_module
 from sal_height.errors import UserError
-from sal_height.looks import multilook
+from sal_height.looks import covariance, multilook
 
 CHANNELS, ROWS, COLS = 3, 7, 9
 HIGH, WIDE = 3, 2
+SINGLE = 3e-6
+"""Digits of float32 in sums of 6 products of about 1: 6e-8 each, of values up to 10."""
 
 
 @pytest.fixture
@@ -19,7 +22,7 @@ def slc() -> np.ndarray:
 
 
 def test_covariance_is_the_sum_over_looks_of_the_outer_product(slc: np.ndarray) -> None:
-    looks = multilook(slc, HIGH, WIDE)
+    looks, hermitian = multilook(slc, HIGH, WIDE), multilook(slc, HIGH, WIDE, hermitian=True)
     assert looks.count == HIGH * WIDE
     # One row and one column do not make a full block and are left out.
     assert looks.covariance.shape == (ROWS // HIGH, COLS // WIDE, CHANNELS, CHANNELS) == (2, 4, 3, 3)
@@ -30,7 +33,9 @@ def test_covariance_is_the_sum_over_looks_of_the_outer_product(slc: np.ndarray) 
                 for c in range(col * WIDE, col * WIDE + WIDE):
                     g = slc[:, r, c].astype(complex)
                     expected += np.outer(g, g.conj())
-            np.testing.assert_allclose(looks.covariance[row, col], expected.real, atol=1e-12)
+            np.testing.assert_allclose(looks.covariance[row, col], expected.real, atol=SINGLE)
+            np.testing.assert_allclose(hermitian.covariance[row, col], expected, atol=SINGLE)
+    assert (looks.covariance.dtype, hermitian.covariance.dtype) == (np.float32, np.complex64)
     assert looks.finite.all()
 
 
@@ -41,8 +46,8 @@ def test_centre_of_the_looks_is_weighted_by_power(slc: np.ndarray) -> None:
     for i in range(2):
         for j in range(4):
             block = np.s_[i * HIGH : (i + 1) * HIGH, j * WIDE : (j + 1) * WIDE]
-            assert looks.row[i, j] == pytest.approx(np.average(row[block], weights=power[block]), abs=1e-12)
-            assert looks.col[i, j] == pytest.approx(np.average(col[block], weights=power[block]), abs=1e-12)
+            assert looks.row[i, j] == pytest.approx(np.average(row[block], weights=power[block]), abs=SINGLE)
+            assert looks.col[i, j] == pytest.approx(np.average(col[block], weights=power[block]), abs=SINGLE)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, complex(0, np.nan)])
@@ -79,3 +84,20 @@ def test_looks_that_do_not_fit_are_refused(slc: np.ndarray, high: int, wide: int
     with pytest.raises(UserError) as refusal:
         multilook(slc, high, wide)
     assert_one_sentence(str(refusal.value), f"{high} x {wide}", "7 x 9 pixels", "1 or more")
+
+
+@pytest.mark.parametrize("count", [1, 5])
+@pytest.mark.parametrize("channels", [1, 2, 16, 19])
+def test_covariance_of_any_number_of_channels(channels: int, count: int) -> None:
+    samples = circular(np.random.default_rng(11), (4, count, channels)).astype(np.complex64)
+    exact = np.einsum("pkm,pkn->pmn", samples.astype(complex), samples.astype(complex).conj())
+    np.testing.assert_allclose(covariance(samples, hermitian=False), exact.real, atol=SINGLE)
+    np.testing.assert_allclose(covariance(samples, hermitian=True), exact, atol=SINGLE)
+
+
+def test_blocks_and_threads_change_nothing(slc: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = multilook(slc, 1, WIDE)
+    monkeypatch.setattr(looks_module, "SAMPLES_AT_ONCE", 1)
+    rows = multilook(slc, 1, WIDE)
+    for name in ("covariance", "row", "col", "finite"):
+        np.testing.assert_array_equal(getattr(rows, name), getattr(whole, name))

@@ -88,7 +88,7 @@ class HeightStage(DwellStage):
         """Estimate the heights of a dwell and publish them."""
         parameters = self.current_parameters()
         slc, slc_grid, aperture, noise_power = convert.slc_from_messages(messages)
-        looks = multilook(slc, parameters.range_looks, parameters.azimuth_looks)
+        looks = multilook(slc, parameters.range_looks, parameters.azimuth_looks, sensor.beams.is_complex)
         grid = look_grid(slc_grid, parameters.range_looks, parameters.azimuth_looks)
         before = messages[0].provenance
         beams = processed_beams(sensor, before.parameters)

@@ -1,0 +1,104 @@
+"""What a figure is made of, and how far it is from theory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+EXACT = 1e-9
+"""Greatest difference from its closed form of a value without standard error."""
+
+MOST_STANDARD_ERRORS = 3.0
+"""Greatest distance from its closed form of a value with a standard error, in standard errors."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One curve of a figure; all arrays have the shape (points,).
+
+    Attributes:
+        quantity: what is plotted: curves of one quantity share axes.
+        case: what tells the curve from others of its quantity.
+        x: where it was evaluated.
+        value: of the curve.
+        standard_error: of the value; 0 where it comes from no random numbers.
+        closed_form: what the value has to be; NaN where no theory says.
+        style: of its line, as matplotlib has it.
+        colour: number of its colour; curves with one number are to be compared.
+    """
+
+    quantity: str
+    case: str
+    x: Array
+    value: Array
+    standard_error: Array
+    closed_form: Array
+    style: str = "-"
+    colour: int = 0
+
+    @property
+    def name(self) -> str:
+        """Of quantity and case."""
+        return f"{self.quantity}, {self.case}"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the SAL paper.
+
+    Attributes:
+        title: what it shows.
+        axes: labels of the horizontal and the vertical axis, by quantity.
+        curve_count: number of curves.
+        curves: makes them from the number of Monte Carlo trials at each point and the seed.
+    """
+
+    title: str
+    axes: Mapping[str, tuple[str, str]]
+    curve_count: int
+    curves: Callable[[int, int], Iterator[Curve]]
+
+
+def exact_curve(
+    quantity: str, case: str, x: Array, value: Array, closed_form: Array, style: str = "-", colour: int = 0
+) -> Curve:
+    """A curve without random numbers."""
+    return Curve(quantity, case, x, value, np.zeros_like(x), closed_form, style, colour)
+
+
+def rows_of(figure: str, curve: Curve) -> list[dict[str, Any]]:
+    """The points of a curve: figure, curve, x, value, standard_error, closed_form (NaN: none)."""
+    names = ("x", "value", "standard_error", "closed_form")
+    return [
+        {"figure": figure, "curve": curve.name} | dict(zip(names, numbers, strict=True))
+        for numbers in zip(*(getattr(curve, name).tolist() for name in names), strict=True)
+    ]
+
+
+def check_of(row: dict[str, Any]) -> dict[str, Any] | None:
+    """A point beside its closed form, with `z`: their difference in standard errors; None if there is no closed form.
+
+    A value without standard error has no z, which is then None: it has to be within EXACT. A value that should exist
+    and does not is None.
+    """
+    if np.isnan(row["closed_form"]):
+        return None
+    value, error = row["value"], row["standard_error"]
+    names = ("figure", "curve", "x", "closed_form", "value", "standard_error")
+    check = {name: row[name] for name in names} | {"z": (value - row["closed_form"]) / error if error > 0 else None}
+    return check if np.isfinite(value) else check | {"value": None, "z": None}
+
+
+def holds(check: dict[str, Any]) -> bool:
+    """Whether the value is within MOST_STANDARD_ERRORS of its closed form, or within EXACT if it has no z."""
+    if check["value"] is None:
+        return False
+    if check["z"] is None:
+        return bool(abs(check["value"] - check["closed_form"]) <= EXACT)
+    return bool(abs(check["z"]) <= MOST_STANDARD_ERRORS)

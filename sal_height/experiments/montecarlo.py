@@ -1,0 +1,307 @@
+"""`sal-height montecarlo`: one estimator at one operating point, its statistics beside bounds and closed forms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.array_ml import OBJECTIVES
+from sal_height.array_trials import TARGETS, array_trials, draw_pixels
+from sal_height.beam_table import read_beam_tables
+from sal_height.beams import Beams
+from sal_height.bounds import conditional_crb, speckle_crb, stochastic_crb
+from sal_height.compiled import WORKERS
+from sal_height.discriminant import discriminant, discriminant_domain, discriminant_slope
+from sal_height.errors import UserError
+from sal_height.experiments.arrays import array_of
+from sal_height.experiments.sample_statistics import Measured, mean, median, s68, share, std
+from sal_height.looks import covariance
+from sal_height.monopulse import DISCRIMINANTS
+from sal_height.noise_theory import cnr_detector_of, gaussian_law, steady_looks_mean, straight_power
+from sal_height.optics import PATTERNS, detector_pattern, tabulated_pattern
+
+Array = npt.NDArray[np.float64]
+
+OUTLIER = 1.0
+"""Beamwidths from the truth from which on an estimate of elevation is an outlier; of discriminants: as a number."""
+
+AT_EDGE = 1e-6
+"""Beamwidths from the end of the search within which an estimate was stopped by it."""
+
+TRIALS_AT_ONCE = 8192
+
+DETECTORS, MOST_DETECTORS = 16, 128
+
+FARTHEST_SEARCH = 200.0
+"""Beamwidths to each side."""
+
+BOUNDS = {
+    "crb_conditional": conditional_crb,
+    "crb_stochastic": stochastic_crb,
+    "crb_speckle": speckle_crb,
+}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A target at one place, seen again and again in noise; angles in beamwidths.
+
+    Attributes:
+        beams: of the detectors, around 0, of a beamwidth of 1 rad.
+        theta: elevation of the target above the middle of the detectors.
+        cnr_db: of one look, dB; which CNR the function says that takes it.
+        looks: K.
+        target: one of TARGETS.
+        trials: number of estimates.
+        seed: of all random numbers.
+
+    Raises:
+        UserError: a value out of its range.
+    """
+
+    beams: Beams
+    theta: float
+    cnr_db: float
+    looks: int
+    target: str
+    trials: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        _require("The target's elevation", self.theta, -FARTHEST_SEARCH, FARTHEST_SEARCH, " beamwidths")
+        _require("The CNR", self.cnr_db, -60, 100, " dB")
+        _require("The number of looks", self.looks, 1, 10_000)
+        _require("The number of trials", self.trials, 1, 10_000_000)
+        if self.target not in TARGETS:
+            raise UserError(f"The target is {self.target!r}; allowed are {', '.join(TARGETS)}.")
+
+    @property
+    def cnr(self) -> float:
+        """Power ratio."""
+        return float(10 ** (self.cnr_db / 10))
+
+
+def array_with(pattern: str, pitch: float, detectors: int | None, size: tuple[float, float]) -> Beams:
+    """The beams of an array around 0.
+
+    Args:
+        pattern: one of PATTERNS, or the path of a CSV file of measured beams (`read_beam_tables`).
+        pitch: of the detectors, beamwidths.
+        detectors: number; None: as many as the file has, or 16.
+        size: of a detector along the axis and beside it, beamwidths; 0 with measured beams, which have theirs in them.
+
+    Raises:
+        UserError: one of them cannot be used.
+    """
+    _require("The pitch", pitch, 1e-3, 10, " beamwidths")
+    count = DETECTORS if detectors is None else detectors
+    _require("The number of detectors", count, 2, MOST_DETECTORS)
+    if pattern in PATTERNS:
+        return array_of((detector_pattern(pattern, size),), count, pitch)
+    if not Path(pattern).exists():
+        raise UserError(
+            f"The beam pattern is {pattern!r}; allowed are {', '.join(sorted(PATTERNS))}, or a CSV file of beams."
+        )
+    if any(size):
+        raise UserError(f"The beams in {pattern} are measured with their detectors; a size cannot be given besides.")
+    tables = read_beam_tables(Path(pattern), 1.0)
+    _require(f"The number of detectors in {pattern}", len(tables), 2, MOST_DETECTORS)
+    if detectors not in {None, len(tables)}:
+        raise UserError(f"There are beams of {len(tables)} detectors in {pattern}; {detectors} were asked for.")
+    return array_of(tuple(tabulated_pattern(table, 1.0) for table in tables), len(tables), pitch)
+
+
+def search_guard(beams: Beams, domain: float | None) -> float:
+    """How far beyond half a pitch outside the array is searched (beamwidths) where `domain` is the half width of it.
+
+    None: not at all, which is M pitch / 2.
+
+    Raises:
+        UserError: a half width that is not positive, or too large.
+    """
+    first, last = beams.span
+    half = (last - first) / 2 * beams.count / (beams.count - 1)
+    _require("The half width of the search", half if domain is None else domain, 1e-3, FARTHEST_SEARCH, " beamwidths")
+    return 0.0 if domain is None else domain - half
+
+
+def array_statistics(experiment: Experiment, objective: str, domain: float | None) -> dict[str, Any]:
+    """Statistics of the maximum-likelihood elevation by all detectors, beamwidths.
+
+    Args:
+        experiment: its `cnr` is that of one detector looking straight at the target.
+        objective: one of OBJECTIVES.
+        domain: half width of the search, beamwidths; None: M pitch / 2.
+
+    Raises:
+        UserError: the target is outside the search.
+    """
+    beams, guard = experiment.beams, search_guard(experiment.beams, domain)
+    low, high = beams.domain(guard)
+    if not low <= experiment.theta <= high:
+        raise UserError(
+            f"The target is at {experiment.theta:g} beamwidths; the search goes from {low:g} to {high:g} beamwidths."
+        )
+    power = experiment.cnr / straight_power(beams)
+    estimates = _elevations(experiment, power, objective, guard)
+    return {
+        "theta": experiment.theta,
+        "cnr_detector": experiment.cnr,
+        "domain": [low, high],
+        **_statistics(estimates, experiment.theta, _at_edge(estimates, low, high)),
+        **_bounds(experiment, power, 1.0),
+    }
+
+
+def pair_statistics(experiment: Experiment, estimator: str, objective: str, domain: float | None) -> dict[str, Any]:
+    """Statistics of the estimated discriminant of two detectors.
+
+    The closed form is that of `ratio`: its mean, and for a fluctuating target its median, std and s68, else None.
+
+    Args:
+        experiment: its `cnr` is that of the sum channel at the target.
+        estimator: one of DISCRIMINANTS, or "ml": the discriminant at the maximum-likelihood elevation.
+        objective: of "ml", one of OBJECTIVES.
+        domain: half width of the search of "ml", beamwidths; None: the pitch.
+
+    Raises:
+        UserError: not two detectors, or the target is where their discriminant cannot be inverted.
+    """
+    pair, theta = experiment.beams, experiment.theta
+    if pair.count != 2:
+        raise UserError(f"There are {pair.count} detectors; a pair has 2.")
+    low, high = (float(end) for end in discriminant_domain(pair, 0.0))
+    if not low <= theta <= high:
+        raise UserError(
+            f"The target is {theta:g} beamwidths above the middle of the pair, whose discriminant can be inverted from "
+            f"{low:.6g} to {high:.6g} beamwidths."
+        )
+    detector = float(cnr_detector_of(experiment.cnr, pair, theta, 0.0))
+    power = detector / straight_power(pair)
+    kappa, slope = float(discriminant(pair, theta, 0.0)), float(discriminant_slope(pair, theta, 0.0))
+    searched: list[float] | None = None
+    if estimator == "ml":
+        guard = search_guard(pair, domain)
+        searched = list(pair.domain(guard))
+        elevations = _elevations(experiment, power, objective, guard)
+        estimates, stopped = discriminant(pair, elevations, 0.0), _at_edge(elevations, *pair.domain(guard))
+    else:
+        estimates = _discriminants(experiment, power, estimator)
+        stopped = np.zeros(estimates.shape, dtype=bool)
+    return {
+        "theta": theta,
+        "kappa": kappa,
+        "cnr_sum": experiment.cnr,
+        "cnr_detector": detector,
+        "domain": searched,
+        **_statistics(estimates, kappa, stopped | ~(np.abs(estimates) <= 1)),
+        **_bounds(experiment, power, abs(slope)),
+        "closed_form": _closed_form(experiment, kappa) if estimator == "ratio" else None,
+    }
+
+
+def statistics_table(statistics: Mapping[str, Any]) -> str:
+    """The statistics as lines for people: name, value, standard error and, where there is one, closed form."""
+    closed_form = statistics.get("closed_form") or {}
+    lines = [f"{'':16}{'value':>13}{'std. error':>13}{'closed form':>13}"]
+    for name, value in statistics.items():
+        if name == "closed_form" or name.endswith("_se"):
+            continue
+        shown = " to ".join(f"{end:.6g}" for end in value) if isinstance(value, list) else _shown(value)
+        error, expected = (_shown(others.get(key)) for others, key in ((statistics, f"{name}_se"), (closed_form, name)))
+        lines.append(f"{name:16}{shown:>13}{error:>13}{expected:>13}".rstrip(" -"))
+    return "\n".join(lines)
+
+
+def _shown(number: float | None) -> str:
+    return "-" if number is None else f"{number:.6g}"
+
+
+def _elevations(experiment: Experiment, power: float, objective: str, guard: float) -> Array:
+    return array_trials(
+        experiment.seed,
+        experiment.beams,
+        experiment.theta,
+        power,
+        experiment.looks,
+        experiment.trials,
+        OBJECTIVES[objective],
+        guard,
+        TARGETS[experiment.target],
+    )
+
+
+def _discriminants(experiment: Experiment, power: float, estimator: str) -> Array:
+    """Estimates of the discriminant, shape (trials,), from the covariance of both detectors as the node has it."""
+    pair, looks = experiment.beams, experiment.looks
+    at_once = max(1, TRIALS_AT_ONCE // looks)
+    counts = [min(at_once, experiment.trials - first) for first in range(0, experiment.trials, at_once)]
+
+    def block(count: int, source: np.random.SeedSequence) -> Array:
+        rng, target = np.random.default_rng(source), TARGETS[experiment.target]
+        samples = draw_pixels(rng, pair, experiment.theta, 0.0, power, looks, count, target)
+        matrix = covariance(samples, pair.is_complex).astype(np.complex128)
+        lower, upper, beside = matrix[:, 0, 0].real, matrix[:, 1, 1].real, matrix[:, 0, 1]
+        cross = upper - lower - 2j * beside.imag
+        both, coherent = lower + upper, 2 * beside.real
+        return DISCRIMINANTS[estimator](both + coherent, both - coherent, cross, 2.0 * looks)
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        sources = np.random.SeedSequence(experiment.seed).spawn(len(counts))
+        return np.concatenate(list(pool.map(block, counts, sources)))
+
+
+def _at_edge(elevations: Array, low: float, high: float) -> npt.NDArray[np.bool_]:
+    return np.asarray((elevations <= low + AT_EDGE) | (elevations >= high - AT_EDGE))
+
+
+def _statistics(estimates: Array, truth: float, clipped: npt.NDArray[np.bool_]) -> dict[str, float | None]:
+    """Statistics with their standard errors (_se); estimates that do not exist are clipped ones and in no other."""
+    finite = estimates[np.isfinite(estimates)]
+    outliers = np.abs(estimates - truth) > OUTLIER
+    named: list[tuple[str, Measured]] = [("outlier_share", share(outliers)), ("clipped_share", share(clipped))]
+    if finite.size:
+        average = mean(finite)
+        bias = Measured(average.value - truth, average.standard_error)
+        named = [
+            *(
+                ("mean", average),
+                ("median", median(finite)),
+                ("std", std(finite)),
+                ("s68", s68(finite)),
+                ("bias", bias),
+            ),
+            *named,
+        ]
+    return {
+        name: _or_none(number) for key, pair in named for name, number in zip((key, f"{key}_se"), pair, strict=True)
+    }
+
+
+def _bounds(experiment: Experiment, power: float, scale: float) -> dict[str, float | None]:
+    """Bounds on the standard deviation, times `scale`; None where infinite."""
+    where = (experiment.beams, experiment.theta, 0.0, power, experiment.looks)
+    return {name: _or_none(float(bound(*where)) * scale) for name, bound in BOUNDS.items()}
+
+
+def _closed_form(experiment: Experiment, kappa: float) -> dict[str, float | None]:
+    if experiment.target == "steady":
+        expected = float(steady_looks_mean(kappa, experiment.cnr, experiment.looks))
+        return {"mean": expected, "median": None, "std": None, "s68": None}
+    law = gaussian_law(kappa, experiment.cnr, experiment.looks)
+    return {"mean": law.centre, "median": law.centre, "std": _or_none(law.std), "s68": law.s68}
+
+
+def _or_none(number: float) -> float | None:
+    return number if np.isfinite(number) else None
+
+
+def _require(what: str, value: float, least: float, most: float, unit: str = "") -> None:
+    if not (np.isfinite(value) and least <= value <= most):
+        raise UserError(f"{what} is {value:g}{unit}; allowed are {least:g} to {most:g}{unit}.")

@@ -1,0 +1,303 @@
+"""The greatest value of w^H R w over elevation, where R is a pixel's covariance and w the weights for that elevation.
+
+It is searched on a grid, as one matrix product for all pixels, and climbed from there between the nodes of a table of
+w. Both take the beams as they are: of any pattern, complex or not, turned, or averaged over the flight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+from numpy.polynomial.chebyshev import chebvander
+
+from sal_height.beams import Beams
+from sal_height.compiled import compiled
+from sal_height.errors import UserError
+from sal_height.looks import Covariance
+
+Array = npt.NDArray[np.float64]
+FloatArray = npt.NDArray[np.float32]
+Objective = Callable[[Array, Array], tuple[Array, Array]]
+"""Weights and their slope from response and slope of the beams, all real and of the shape (..., detectors)."""
+
+GRID_STEP = 0.2
+"""Spacing of the coarse search in beamwidths: a fifth of the shortest period of the objective's numerator."""
+
+TABLE_STEPS = 6
+"""Of the table of weights in each step of the grid."""
+
+NEAR_HIGHEST = float(np.cos(1.5 * np.pi * GRID_STEP / 2) ** 2)
+"""Share of the grid's greatest value from which on a peak is climbed.
+
+A function between 0 and 1 with periods of P or more is cos^2(pi x / P) or more at x from where it is 1 (M. Riesz), and
+the nearest node is half a step from the highest peak at most. P is 1 beamwidth; 1.5 leaves room for the denominator,
+which varies beyond the array. Of 48 000 pixels at 0 to 20 dB none missed its highest peak, where the highest node
+alone would have missed 0.8 %.
+"""
+
+SETTLED = 1e-2
+"""Newton step, in steps of the table, that is the last: the next would be about the square of this."""
+
+MOST_STEPS = 40
+"""Of a climb; if all halve the bracket, that is the end of float64."""
+
+TILE = 4
+"""Pixels, and entries of their matrices, that are multiplied at a time."""
+
+SQUINTS_MORE = 14
+"""Of the squints that stand for many, beyond pi for each beamwidth: leaves an error of 1e-9."""
+
+PIXELS_AT_ONCE = 512
+"""Pixels whose objective is held at a time: what fits into a processor's cache."""
+
+
+@dataclass(frozen=True)
+class PeakSearch:
+    """All that a search for the greatest w^H R w needs to know of the beams, at one squint.
+
+    Complex beams of M detectors are real ones of 2 M, of the real and the imaginary parts.
+
+    Attributes:
+        first: lowest elevation searched, rad.
+        step: of the table, rad; the grid takes every TABLE_STEPS-th node.
+        entries: places of the upper triangle in a flattened matrix, and first places again up to a multiple of TILE.
+        grid: products w_m w_n at each node of the grid, those of m < n doubled, shape (entries, grid nodes); 0 where
+            `entries` repeats itself.
+        pieces: cubic polynomials for w from node to node of the table (Hermite: w and w' are exact at the nodes),
+            coefficients of rising powers, shape (table nodes - 1, 4, detectors). For the aperture's beams, whose
+            shortest period is 2 beamwidths, the error is 5e-8 in w and 5e-6 per beamwidth in w'.
+        complex_beams: whether w stands for complex numbers.
+    """
+
+    first: float
+    step: float
+    entries: npt.NDArray[np.intp]
+    grid: FloatArray
+    pieces: FloatArray
+    complex_beams: bool
+
+    @classmethod
+    def of(cls, nodes: Array, response: Array, slope: Array, objective: Objective) -> Self:
+        """The search on a table whose `nodes` (rad) hold the beams' response and slope, shape (nodes, detectors)."""
+        step = float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
+        weight, weight_slope = objective(_as_real(response), _as_real(slope))
+        coarse = weight[::TABLE_STEPS]
+        m, n = np.triu_indices(coarse.shape[1])
+        products = coarse[:, m] * coarse[:, n] * np.where(m == n, 1, 2)
+        beyond = (0, -len(m) % TILE)
+        return cls(
+            first=float(nodes[0]),
+            step=step,
+            entries=np.pad(m * coarse.shape[1] + n, beyond),
+            grid=np.ascontiguousarray(np.pad(products.T, (beyond, (0, 0))), dtype=np.float32),
+            pieces=np.ascontiguousarray(_hermite(weight, weight_slope * step), dtype=np.float32),
+            complex_beams=np.iscomplexobj(response),
+        )
+
+    def peaks(self, covariance: Covariance) -> Array:
+        """Elevation (rad) of the greatest objective in the search domain, for each of some pixels, shape (pixels,).
+
+        The end of the domain where the objective still rises there. Runs in the calling thread alone.
+
+        Args:
+            covariance: shape (pixels, channels, channels); complex if the beams are.
+
+        Raises:
+            UserError: the beams are complex and the covariance is not.
+        """
+        position = np.empty(len(covariance))
+        for begin in range(0, len(covariance), PIXELS_AT_ONCE):
+            block = slice(begin, begin + PIXELS_AT_ONCE)
+            matrices = self._real(covariance[block])
+            values = _on_grid(matrices, self.entries, self.grid)
+            _climb_highest(matrices, values, self.pieces, position[block])
+        return self.first + self.step * position
+
+    def _real(self, covariance: Covariance) -> FloatArray:
+        """Real matrices whose quadratic form with the real weights is that of the covariance."""
+        if not self.complex_beams:
+            return np.ascontiguousarray(covariance.real, dtype=np.float32)
+        if not np.iscomplexobj(covariance):
+            raise UserError("The covariance of complex beams is real; it must be complex (multilook with hermitian).")
+        real, imaginary = covariance.real, covariance.imag
+        return np.ascontiguousarray(np.block([[real, -imaginary], [imaginary, real]]), dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class PeakSearches:
+    """Searches over the same elevations at several squints.
+
+    The columns of a spotlight image all have their own. Over squint the beams are as smooth as over elevation, so that
+    a polynomial through a few squints (Chebyshev nodes) stands for any between them.
+
+    Attributes:
+        nodes: elevations of the table, rad.
+        beams: of the channels.
+        objective: what w is of the beams.
+        squints: at which `samples` were taken, rad; empty: the beams are asked themselves.
+        samples: response and slope, shape (squints, 2, nodes, detectors).
+    """
+
+    nodes: Array
+    beams: Beams
+    objective: Objective
+    squints: Array
+    samples: Array
+
+    @classmethod
+    def over(cls, beams: Beams, squints: Array, objective: Objective, guard: float) -> Self:
+        """Searches over `beams.domain(guard)` for targets at any of `squints` (distinct; angles in rad).
+
+        Raises:
+            UserError: the beams have no elevation in common.
+        """
+        first, last = beams.domain(guard)
+        grid_steps = max(1, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))))
+        nodes = np.linspace(first, last, TABLE_STEPS * grid_steps + 1)
+        count = SQUINTS_MORE + int(np.ceil(np.pi * np.ptp(squints) / beams.beamwidth))
+        few = np.empty(0)
+        if len(squints) > count:
+            chebyshev = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+            few = squints.min() + np.ptp(squints) * (1 + chebyshev) / 2
+        samples = [[beams.response(nodes, angle), beams.slope(nodes, angle)] for angle in few.tolist()]
+        return cls(nodes, beams, objective, few, np.array(samples))
+
+    def at(self, squint: float) -> PeakSearch:
+        """The search at one of the squints (rad)."""
+        if len(self.squints):
+            response, slope = np.tensordot(_lagrange(self.squints, squint), self.samples, axes=1)
+        else:
+            response, slope = self.beams.response(self.nodes, squint), self.beams.slope(self.nodes, squint)
+        return PeakSearch.of(self.nodes, response, slope, self.objective)
+
+
+def _as_real(values: Array) -> Array:
+    """Complex numbers as their real parts, then their imaginary parts, along the last axis."""
+    return np.concatenate([values.real, values.imag], axis=-1) if np.iscomplexobj(values) else values
+
+
+def _lagrange(nodes: Array, place: float) -> Array:
+    """Weights by which a polynomial through values at Chebyshev `nodes` gives its value at `place`."""
+    middle, half = (nodes.max() + nodes.min()) / 2, (nodes.max() - nodes.min()) / 2
+    highest = len(nodes) - 1
+    at_nodes, there = (chebvander((x - middle) / half, highest) for x in (nodes, np.array([place])))
+    return np.linalg.solve(at_nodes.T, there[0])
+
+
+def _hermite(value: Array, slope: Array) -> Array:
+    """Cubics from node to node with these values and slopes (per step) at both; (nodes - 1, 4, ...)."""
+    rise, start, end = np.diff(value, axis=0), slope[:-1], slope[1:]
+    return np.stack([value[:-1], start, 3 * rise - 2 * start - end, start + end - 2 * rise], axis=1)
+
+
+# The loops below are compiled. Positions are in steps of the table; sums over detectors are vectorised.
+
+
+@compiled
+def _on_grid(matrices: FloatArray, entries: npt.NDArray[np.intp], grid: FloatArray) -> FloatArray:
+    """Objective of every pixel at every node of the grid, (pixels, grid nodes).
+
+    A matrix product, in tiles of four pixels and four entries that stay in registers. That of BLAS takes half the
+    time alone, but many times as long beside the threads that are at work here already.
+    """
+    pixels, size = len(matrices), matrices.shape[1] ** 2
+    flat, values = matrices.reshape(pixels, size), np.zeros((pixels + TILE - 1, grid.shape[1]), np.float32)
+    for i in range(0, pixels, TILE):
+        r0, r1 = flat[i], flat[min(i + 1, pixels - 1)]
+        r2, r3 = flat[min(i + 2, pixels - 1)], flat[min(i + 3, pixels - 1)]
+        v0, v1, v2, v3 = values[i], values[i + 1], values[i + 2], values[i + 3]
+        for p in range(0, entries.size, TILE):
+            a, b, c, d = entries[p], entries[p + 1], entries[p + 2], entries[p + 3]
+            a0, b0, c0, d0 = r0[a], r0[b], r0[c], r0[d]
+            a1, b1, c1, d1 = r1[a], r1[b], r1[c], r1[d]
+            a2, b2, c2, d2 = r2[a], r2[b], r2[c], r2[d]
+            a3, b3, c3, d3 = r3[a], r3[b], r3[c], r3[d]
+            ga, gb, gc, gd = grid[p], grid[p + 1], grid[p + 2], grid[p + 3]
+            for g in range(ga.size):
+                v0[g] += a0 * ga[g] + b0 * gb[g] + c0 * gc[g] + d0 * gd[g]
+                v1[g] += a1 * ga[g] + b1 * gb[g] + c1 * gc[g] + d1 * gd[g]
+                v2[g] += a2 * ga[g] + b2 * gb[g] + c2 * gc[g] + d2 * gd[g]
+                v3[g] += a3 * ga[g] + b3 * gb[g] + c3 * gc[g] + d3 * gd[g]
+    return values[:pixels]
+
+
+@compiled
+def _climb_highest(matrices: FloatArray, values: FloatArray, pieces: FloatArray, position: Array) -> None:
+    """Climb from the highest nodes of the grid and keep the highest peak.
+
+    Args:
+        matrices: of the quadratic forms, shape (pixels, detectors, detectors).
+        values: of the objective on the grid, shape (pixels, grid nodes).
+        pieces: of `PeakSearch`.
+        position: to fill with the place of the peak, shape (pixels,).
+    """
+    work, last = np.empty((3, pieces.shape[2]), np.float32), values.shape[1] - 1
+    for i in range(len(values)):
+        line = values[i]
+        enough, best = NEAR_HIGHEST * line.max(), -1.0
+        position[i] = 0.0
+        for g in range(last + 1):
+            if line[g] < enough or (g > 0 and line[g] < line[g - 1]) or (g < last and line[g] <= line[g + 1]):
+                continue
+            peak, height = _climb(matrices[i], pieces, max(g - 1, 0), _start(line, g), min(g + 1, last), work)
+            if height > best:
+                position[i], best = peak, height
+
+
+@compiled
+def _start(line: FloatArray, g: int) -> float:
+    """Vertex of the parabola through a node of the grid and its neighbours; the node itself at an end."""
+    if g in (0, line.size - 1):
+        return float(g)
+    return g + 0.5 * float(line[g + 1] - line[g - 1]) / float(2 * line[g] - line[g - 1] - line[g + 1])
+
+
+@compiled
+def _climb(
+    matrix: FloatArray, pieces: FloatArray, low: float, start: float, high: float, work: FloatArray
+) -> tuple[float, float]:
+    """Place and height of the peak between two nodes of the grid, by Newton steps kept within a shrinking bracket."""
+    low, place, high, height = float(low * TABLE_STEPS), start * TABLE_STEPS, float(high * TABLE_STEPS), 0.0
+    for _ in range(MOST_STEPS):
+        value, slope, curvature = _objective_at(place, matrix, pieces, work)
+        if slope > 0:
+            low = place
+        else:
+            high = place
+        moved = place - slope / curvature if curvature < 0 else np.inf
+        if not low <= moved <= high:
+            moved = 0.5 * (low + high)
+        height = value + 0.5 * slope * (moved - place)
+        settled = abs(moved - place) < SETTLED
+        place = moved
+        if settled:
+            break
+    return place, height
+
+
+@compiled
+def _objective_at(place: float, matrix: FloatArray, pieces: FloatArray, work: FloatArray) -> tuple[float, float, float]:
+    """w^T R w, and its first and second derivative per step of the table."""
+    node = min(int(place), len(pieces) - 1)
+    t, two, three = np.float32(place - node), np.float32(2), np.float32(3)
+    weight, slope, bend = work[0], work[1], work[2]
+    for m in range(weight.size):
+        weight[m] = pieces[node, 0, m] + t * (pieces[node, 1, m] + t * (pieces[node, 2, m] + t * pieces[node, 3, m]))
+    for m in range(weight.size):
+        slope[m] = pieces[node, 1, m] + t * (two * pieces[node, 2, m] + three * t * pieces[node, 3, m])
+    for m in range(weight.size):
+        bend[m] = two * (pieces[node, 2, m] + three * t * pieces[node, 3, m])
+    value, first, second = np.float32(0), np.float32(0), np.float32(0)
+    for m in range(weight.size):
+        output, output_slope = np.float32(0), np.float32(0)
+        for n in range(weight.size):
+            output += matrix[m, n] * weight[n]
+            output_slope += matrix[m, n] * slope[n]
+        value += weight[m] * output
+        first += slope[m] * output
+        second += bend[m] * output + slope[m] * output_slope
+    return float(value), float(2 * first), float(2 * second)

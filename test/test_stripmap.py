@@ -276,3 +276,27 @@ def test_point_has_the_ratios_of_the_beams_of_the_image_at_its_peak(radial: floa
     np.testing.assert_allclose(peak / peak[1], expected / expected[1], atol=1e-3)
     still = sensor.beams.response(elevation_at(0.37), 0.0)
     assert np.abs(still / still[1] - expected / expected[1]).max() > 0.008
+
+
+@pytest.mark.parametrize(("rotation", "left"), [(0.0, 0.2), (np.radians(15.0), 0.65)], ids=["straight", "turned"])
+def test_speckled_ground_keeps_part_of_the_error_that_averaged_beams_take_off_points(
+    rotation: float, left: float
+) -> None:
+    """Its detectors correlate as the mean of h_m h_n over the passage: there maximum likelihood looks for its match."""
+    steps = (np.arange(8) - 3.5) / 2
+    boresights, noise = tuple(elevation_at(steps)), (1.0,) * len(steps)
+    changes = {"pattern": "jinc", "elevation_boresights": boresights, "noise_power": noise}
+    sensor = strip_sensor(detector_rotation=rotation, **changes)
+    passage = (np.arange(200) + 0.5) / 200 - 0.5
+    trials, errors = np.arange(-2.5, 2.5, 1e-3), {}
+    for name, beams in (("one direction", sensor.beams), ("averaged", image_beams(sensor, "rectangular"))):
+        tried = beams.response(elevation_at(trials), 0.0)
+        for true in (-1.4, -0.8, 0.8, 1.4):
+            seen = sensor.beams.response(np.full(200, elevation_at(true)), passage * BEAMWIDTH)
+            for kind, covariance in (("ground", seen.T @ seen), ("point", np.outer(seen.mean(0), seen.mean(0)))):
+                match = np.einsum("tm,mn,tn->t", tried, covariance, tried) / np.sum(tried**2, axis=1)
+                errors[name, kind, true] = trials[np.argmax(match)] - true
+    worst = {key[:2]: max(abs(e) for k, e in errors.items() if k[:2] == key[:2]) for key in errors}
+    assert worst["averaged", "point"] < 1.5e-3  # the step of the search
+    assert worst["one direction", "point"] > 0.009
+    assert worst["averaged", "ground"] < left * worst["one direction", "ground"]

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams import Beams
+from sal_height.bounds import beam_power, speckle_crb
 from sal_height.geometry import Aperture, Grid
 from sal_height.scene import VisibleSurface
 
@@ -54,7 +55,7 @@ def truth_image(surface: VisibleSurface, aperture: Aperture, grid: Grid, resolut
     inside = (row >= 0) & (row < grid.rows) & (col >= 0) & (col < grid.cols)
     pixel = row[inside] * grid.cols + col[inside]
     seen_at = surface.elevation[inside]
-    gain = np.sum(beams.response(seen_at, surface.squint[inside]) ** 2, axis=-1)
+    gain = beam_power(beams.response(seen_at, surface.squint[inside]))
     received = surface.power[inside] * gain
 
     def total(values: Array) -> Array:
@@ -90,7 +91,7 @@ def pixels_at(across: Array, along: Array, aperture: Aperture, grid: Grid) -> tu
 
 
 def height_bound(truth: Truth, cnr: float, looks: int, beams: Beams, squint: Array, height_slope: Array) -> Array:
-    """Speckle-averaged Cramer-Rao bound of height (m) in each pixel: sqrt(1 / (2 (K - 1) C D)) |dh/dtheta|.
+    """Speckle-averaged Cramer-Rao bound of height (m) in each pixel: `speckle_crb` times |dh/dtheta|.
 
     With C the CNR of the pixel in a detector looking straight at it. Infinite for one look, where a fluctuating
     target has no efficient estimator.
@@ -103,8 +104,5 @@ def height_bound(truth: Truth, cnr: float, looks: int, beams: Beams, squint: Arr
         squint: of each column, rad.
         height_slope: dh/dtheta, m/rad, shape (rows, cols).
     """
-    response = beams.response(truth.elevation, squint)
-    slope = beams.slope(truth.elevation, squint)
-    information = np.sum(slope**2, axis=-1) - np.sum(slope * response, axis=-1) ** 2 / np.sum(response**2, axis=-1)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.abs(height_slope) / np.sqrt(2 * (looks - 1) * cnr * truth.power * information))
+    with np.errstate(invalid="ignore"):  # where there is nothing
+        return np.abs(height_slope) * speckle_crb(beams, truth.elevation, squint, cnr * truth.power, looks)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -14,10 +14,11 @@ from sal_height.geometry import Aperture, look_direction, sphere_point
 from sal_height.gust import GustMotion, gust_motion
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import Preset
-from sal_height.scene import SAMPLES_PER_CELL, Scene, VisibleSurface, visible_surface
+from sal_height.scene import SAMPLES_PER_CELL, PointTarget, Scene, VisibleSurface, visible_surface
 from sal_height.sensor import Sensor
 from sal_height.simulator import draw_amplitudes, receiver_noise, scatterer_amplitudes, simulate_dwell
 from sal_height.stripmap import aperture_length, cell_power, lit_angle, simulate_block
+from sal_height.terrain import load_scene
 from sal_height.trajectory import PlatformState
 from sal_height.waveform import echo_sensor, from_spectrum, spectrum_sensor
 
@@ -215,6 +216,23 @@ class SimulatedFlight:
         rotation = self._gust.rotation(self.dwell_start_ns(dwell) * 1e-9 + self.pulse_times).as_matrix()
         sensor, since = echo_sensor(self.sensor), self.pulse_times - self._middle_of_dwell
         return simulate_block(sensor, self.surface(dwell), amplitudes, antenna, rotation, reference, since)
+
+
+def flight_of(preset: Preset, seed: int) -> SimulatedFlight:
+    """The flight that a preset describes, over its scene and targets.
+
+    Raises:
+        UserError: a scene or file of beams that cannot be used.
+    """
+    scene = load_scene(preset.scene, preset.scene_extent_m)
+    targets = tuple(
+        PointTarget(
+            t.east_m, t.north_m, t.height_m, 10 ** (t.power_db / 10), t.radial_velocity_mps, t.along_velocity_mps
+        )
+        for t in preset.targets
+    )
+    scene = replace(scene, points=scene.points + targets)
+    return SimulatedFlight(preset, preset.make_sensor(), scene, preset.dwells, seed)
 
 
 def _joined(surfaces: list[VisibleSurface]) -> VisibleSurface:

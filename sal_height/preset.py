@@ -126,11 +126,26 @@ class ImageSize:
 
 
 @dataclass(frozen=True)
+class TargetSettings:
+    """A point target beside those of the scene, a `PointTarget`; power over a resolution cell of brightness 1."""
+
+    __pydantic_config__ = _STRICT_KEYS
+
+    east_m: Annotated[Float, Ge(-1e7), Le(1e7)]
+    north_m: Annotated[Float, Ge(-1e7), Le(1e7)]
+    height_m: Annotated[Float, Ge(-12_000), Le(1e6)]
+    power_db: Annotated[Float, Ge(-60), Le(100)]
+    radial_velocity_mps: Annotated[Float, Ge(-1000), Le(1000)] = 0.0
+    along_velocity_mps: Annotated[Float, Ge(-1000), Le(1000)] = 0.0
+
+
+@dataclass(frozen=True)
 class Preset:
     """All of a run. `cnr_db` is of one detector looking straight at a resolution cell of brightness 1 in the SLC.
 
     In stripmap it looks straight at the cell in elevation; what its beam loses over the aperture is made good.
-    `scene_extent_m` spreads the scatterers in height about the scene's terrain (`Scene.extent`).
+    `scene_extent_m` spreads the scatterers in height about the scene's terrain (`Scene.extent`); `targets` are added to
+    it, at rest or moving.
     """
 
     __pydantic_config__ = _STRICT_KEYS
@@ -144,6 +159,7 @@ class Preset:
     looks: tuple[Annotated[Int, Ge(1)], Annotated[Int, Ge(1)]]
     dwells: Annotated[Int, Ge(1), Le(1_000_000)]
     scene_extent_m: Annotated[Float, Ge(0), Le(10_000)] = 0.0
+    targets: tuple[TargetSettings, ...] = ()
 
     @property
     def dwell_spacing_m(self) -> float:

@@ -14,8 +14,9 @@ from helpers import RAW_SETTINGS, RAW_WAVEFORMS, assert_one_sentence, with_wavef
 from sal_height import stripmap
 from sal_height.compression import slant_plane_grid
 from sal_height.errors import UserError
-from sal_height.flight import SimulatedFlight
+from sal_height.flight import SimulatedFlight, flight_of
 from sal_height.preset import load_preset, parse_preset, preset_names
+from sal_height.scene import PointTarget
 from sal_height.terrain import load_scene
 from sal_height.waveform import spectrum_sensor
 from sal_height.windows import broadening, window
@@ -63,6 +64,7 @@ def content_with(key: str, value: Any) -> dict[str, Any]:
         ("sensor.detector_rotation_rad", True, "not true or false"),
         ("sensor.detector_size_beamwidths", 0.5, "valid tuple"),
         ("scene_extent_m", -1.0, "greater than or equal to 0"),
+        ("targets", "car", "valid tuple"),
         ("sensor.detectors", 0, "greater than or equal to "),
         ("sensor.detectors", 129, "less than or equal to 128"),
         ("sensor.detectors", [8], "valid integer"),
@@ -99,6 +101,24 @@ def test_wrong_item_of_a_list_is_named_by_its_number() -> None:
     with pytest.raises(UserError) as refusal:
         parse_preset(content_with("looks", [2, 0]), "mine.yaml")
     assert_one_sentence(str(refusal.value), "looks.1 is 0; ", "greater than or equal to 1")
+
+
+def test_targets_join_those_of_the_scene() -> None:
+    mover = {"east_m": 1.0, "north_m": -2.0, "height_m": 0.5, "power_db": 20.0, "radial_velocity_mps": -0.001}
+    preset = parse_preset(content_with("targets", [mover, mover | {"along_velocity_mps": 3.0}]), "mine.yaml")
+    points, known = flight_of(preset, seed=1).scene.points, load_scene(preset.scene).points
+    assert points[: len(known)] == known
+    assert points[len(known) :] == (
+        PointTarget(1.0, -2.0, 0.5, 100.0, -0.001),
+        PointTarget(1.0, -2.0, 0.5, 100.0, -0.001, 3.0),
+    )
+
+
+def test_wrong_target_is_named_by_its_number_and_key() -> None:
+    mover = {"east_m": 1.0, "north_m": -2.0, "height_m": 0.5, "power_db": 101.0}
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with("targets", [mover]), "mine.yaml")
+    assert_one_sentence(str(refusal.value), "targets.0.power_db is 101.0; ", "less than or equal to 100")
 
 
 @pytest.mark.parametrize("looks", [[47, 1], [1, 13]], ids=["range", "azimuth"])

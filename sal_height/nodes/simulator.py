@@ -10,12 +10,11 @@ from sal_height_msgs.msg import DetectorFrame, SensorInfo
 from std_srvs.srv import Trigger
 
 from sal_height import convert
-from sal_height.flight import SimulatedFlight
+from sal_height.flight import flight_of
 from sal_height.nodes.parameters import declare_parameters, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, Stage
 from sal_height.preset import load_preset
-from sal_height.terrain import load_scene
 
 
 @dataclass(frozen=True)
@@ -44,9 +43,7 @@ class Simulator(Stage):
         super().__init__("simulator", **node_arguments)
         declare_parameters(self, Parameters)
         parameters = read_parameters(self, Parameters)
-        preset = load_preset(parameters.preset)
-        scene = load_scene(preset.scene, preset.scene_extent_m)
-        self.flight = SimulatedFlight(preset, preset.make_sensor(), scene, preset.dwells, parameters.seed)
+        self.flight = flight_of(load_preset(parameters.preset), parameters.seed)
         self._next_dwell = 0
         self._start_ns = self.get_clock().now().nanoseconds
         self._info = self.offer(SensorInfo, "sensor_info", LATCHED_QOS)

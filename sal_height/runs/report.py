@@ -16,6 +16,7 @@ from sal_height.evaluation import height_bound, truth_image
 from sal_height.flight import SimulatedFlight
 from sal_height.geometry import sphere_coordinates
 from sal_height.height import column_squint
+from sal_height.nodes.height_stage import processed_beams
 from sal_height.scene import VisibleSurface
 
 Array = npt.NDArray[np.float64]
@@ -178,10 +179,11 @@ def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface
     grid, aperture = convert.grid_from_message(image.grid), convert.aperture_from_message(image.aperture)
     sensor, track = flight.sensor, flight.preset.flight
     cell = sensor.range_resolution * azimuth_resolution(sensor, aperture, track.slant_range_m)
-    truth = truth_image(surface, aperture, grid, cell, sensor.beams)
+    beams = processed_beams(sensor, image.provenance.parameters)
+    truth = truth_image(surface, aperture, grid, cell, beams)
     squint = column_squint(grid, aperture, sensor.beams, sensor.look_side)
     slope = np.full(grid.shape, track.slant_range_m * np.sin(track.look_angle_rad))
-    bound = height_bound(truth, 10 ** (flight.preset.cnr_db / 10), 2, sensor.beams, squint, slope)
+    bound = height_bound(truth, 10 ** (flight.preset.cnr_db / 10), 2, beams, squint, slope)
 
     height, sigma, east, north = (
         convert.float_view(values, grid.shape).astype(np.float64)

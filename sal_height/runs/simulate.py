@@ -14,14 +14,13 @@ import yaml
 from sal_height import __version__
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.flight import SimulatedFlight
+from sal_height.flight import SimulatedFlight, flight_of
 from sal_height.folders import new_folder, write_text, writing
 from sal_height.preset import Preset
 from sal_height.runs.conductor import Outcome, perform
 from sal_height.runs.ensemble import ESTIMATORS, NodeParameters, check_parameters
 from sal_height.runs.picture import draw_heights
 from sal_height.runs.report import Mosaic, mosaic, stage_report, statistics
-from sal_height.terrain import load_scene
 
 RECORDED = ["sensor_info", "platform/odometry", "phase_history", "diagnostics"] + [
     f"{prefix}/height" for prefix in ESTIMATORS.values()
@@ -82,9 +81,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
         UserError: what was asked for cannot be done.
     """
     parameters = check_parameters(parameters)
-    flight = SimulatedFlight(
-        preset, preset.make_sensor(), load_scene(preset.scene, preset.scene_extent_m), preset.dwells, seed
-    )
+    flight = flight_of(preset, seed)
     flight.surface(0)  # refuses a flight beside the scene before anything is started
     folder = new_folder(out)
     settings = folder / "preset.yaml"

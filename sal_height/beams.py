@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Self
 
 import numpy as np
@@ -26,7 +27,8 @@ class Beams:
 
     Attributes:
         patterns: amplitude pattern of every detector, or the one common to all.
-        boresights: angle of each beam along the detector axis in rad from nadir, shape (detectors,), increasing.
+        boresights: angle of each beam along the detector axis in rad from nadir, shape (detectors,), increasing; of a
+            stack of pairs, which responds to one target each, (targets, 2).
         beamwidth: wavelength / aperture diameter in rad.
         rotation: psi of the detector axis from elevation towards the direction of flight, rad.
         aspects: angles along the flight, relative to the squint, under which a target was seen while its image was
@@ -58,15 +60,19 @@ class Beams:
         """The beams as an image has them whose targets were seen under `aspects` (rad) with `weights` of any sum."""
         return replace(self, aspects=aspects, weights=weights / np.sum(weights))
 
-    def pair(self, lower: int) -> Self:
-        """The beams of detectors `lower` and `lower` + 1, on the same axis."""
-        patterns = self.patterns[lower : lower + 2] if len(self.patterns) > 1 else self.patterns
-        return replace(self, patterns=patterns, boresights=self.boresights[lower : lower + 2], middle=self._middle)
+    def pair(self, lower: int | npt.NDArray[np.intp]) -> Self:
+        """The beams of detectors `lower` and `lower` + 1, on the same axis.
+
+        A stack of pairs for an array, whose detectors must have one pattern in common.
+        """
+        patterns = self.patterns if len(self.patterns) == 1 else self.patterns[int(lower) : int(lower) + 2]
+        boresights = self.boresights[np.asarray(lower)[..., None] + np.arange(2)]
+        return replace(self, patterns=patterns, boresights=boresights, middle=self.axis_middle)
 
     @property
     def count(self) -> int:
         """Number of detectors."""
-        return len(self.boresights)
+        return int(self.boresights.shape[-1])
 
     @property
     def is_complex(self) -> bool:
@@ -88,16 +94,27 @@ class Beams:
         """
         first, last = self.span
         margin = (last - first) / max(1, self.count - 1) / 2 + guard
-        known = np.array([pattern.domain for pattern in self.patterns]) * self.beamwidth + self.boresights[:, None]
-        low, high = max(first - margin, float(known[:, 0].max())), min(last + margin, float(known[:, 1].min()))
-        if not low <= high:
+        low, high = self.known
+        return max(first - margin, float(low)), min(last + margin, float(high))
+
+    @property
+    def known(self) -> tuple[Array, Array]:
+        """Angles along the axis (rad) between which the patterns of all detectors are known.
+
+        Raises:
+            UserError: there is none.
+        """
+        ends = np.array([pattern.domain for pattern in self.patterns]) * self.beamwidth
+        low, high = np.max(self.boresights + ends[:, 0], axis=-1), np.min(self.boresights + ends[:, 1], axis=-1)
+        if np.any(low > high):
             raise UserError(
                 f"The patterns of the {self.count} detectors have no elevation in common: they must overlap."
             )
         return low, high
 
     @property
-    def _middle(self) -> float:
+    def axis_middle(self) -> float:
+        """Where the axis is turned, rad from nadir."""
         return float(np.mean(self.span)) if self.middle is None else self.middle
 
     def _mean(
@@ -105,7 +122,7 @@ class Beams:
     ) -> Array:
         """Mean over the aspects of a function of the offsets from the boresights."""
         seen = (function(*self._offsets(elevation, np.asarray(squint) + aspect)) for aspect in self.aspects.tolist())
-        return np.asarray(sum(weight * value for weight, value in zip(self.weights.tolist(), seen, strict=True)))
+        return reduce(np.add, (weight * value for weight, value in zip(self.weights.tolist(), seen, strict=True)))
 
     def _amplitude(self, e: Array, a: Array) -> Array:
         return self._by_detector([pattern.amplitude for pattern in self.patterns], e, a)
@@ -125,8 +142,8 @@ class Beams:
 
     def _offsets(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> tuple[Array, Array]:
         """Offsets from each boresight in beamwidths, along the detector axis and beside it."""
-        x, y = np.asarray(elevation)[..., None] - self._middle, np.asarray(squint)[..., None]
+        x, y = np.asarray(elevation)[..., None] - self.axis_middle, np.asarray(squint)[..., None]
         cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
-        e = (x * cosine + y * sine - (self.boresights - self._middle)) / self.beamwidth  # differences first: exact
+        e = (x * cosine + y * sine - (self.boresights - self.axis_middle)) / self.beamwidth  # differences first: exact
         a = (y * cosine - x * sine) / self.beamwidth
         return e, a

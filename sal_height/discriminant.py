@@ -8,7 +8,7 @@ turned or the pattern does not separate, on the squint.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -114,15 +114,15 @@ def discriminant_domain(pair: Beams, squint: npt.ArrayLike) -> tuple[Array, Arra
     middle: there the target is as far from one boresight as from the other.
 
     Args:
-        pair: two beams.
+        pair: two beams, or a stack of pairs (`Beams.pair`).
         squint: of the targets, rad.
 
     Raises:
         UserError: the patterns of the two detectors have no angle in common.
     """
-    squint = np.asarray(squint, dtype=np.float64)
-    crossing = _on_axis(pair, sum(pair.span) / 2, squint.ravel() + np.average(pair.aspects, weights=pair.weights))
-    low, high = (_end(pair, squint.ravel(), crossing, direction) for direction in (-1.0, 1.0))
+    squint, lower = np.broadcast_arrays(np.asarray(squint, dtype=np.float64), pair.boresights[..., 0])
+    stack = _stack(pair, np.broadcast_to(pair.boresights, (*lower.shape, 2)).reshape(-1, 2))
+    low, high = _domain(stack, squint.ravel())
     return low.reshape(squint.shape), high.reshape(squint.shape)
 
 
@@ -130,20 +130,19 @@ def invert(pair: Beams, mu: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
     """Elevation at which a pair of beams has the discriminant `mu`, within its domain; broadcasts.
 
     Exact to 1e-9 beamwidths: from a table of each squint, Newton's method with the exact slope, which never leaves the
-    two nodes around the solution. The table takes as long as some 80 pixels for each different squint.
+    two nodes around the solution. The table takes as long as some 80 pixels for each different squint and pair.
 
     Args:
-        pair: two beams.
+        pair: two beams, or a stack of pairs (`Beams.pair`) that broadcasts with `squint`.
         mu: discriminants; NaN is NOT_FINITE.
         squint: of the targets, rad.
 
     Raises:
         UserError: the patterns of the two detectors have no angle in common.
     """
-    squint = np.asarray(squint, dtype=np.float64)
-    different, which = np.unique(squint, return_inverse=True)
-    mu, which = np.broadcast_arrays(np.asarray(mu, dtype=np.float64), which.reshape(squint.shape))
-    table = _table(pair, different)
+    different, stack, which = _different(pair, np.asarray(squint, dtype=np.float64))
+    mu, which = np.broadcast_arrays(np.asarray(mu, dtype=np.float64), which)
+    table = _table(stack, different)
     slack = ROUNDING * pair.beamwidth * table.slope
     reason = np.select(
         [
@@ -157,7 +156,7 @@ def invert(pair: Beams, mu: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
     ).astype(np.uint8)
     inside = reason == Reason.INSIDE
     elevation, slope = np.full(mu.shape, np.nan), np.full(mu.shape, np.nan)
-    elevation[inside], slope[inside] = _solve(pair, mu[inside], different, which[inside], table)
+    elevation[inside], slope[inside] = _solve(stack, mu[inside], different, which[inside], table)
     return Inversion(elevation, slope, reason)
 
 
@@ -215,45 +214,79 @@ def _margin(pair: Beams, elevation: Array, squint: Array, phase: Array) -> Array
     return np.where((strength >= LEAST_AMPLITUDE) & np.isfinite(margin), margin, -1.0)
 
 
-def _on_axis(pair: Beams, place: float, squint: Array) -> Array:
+def _stack(pair: Beams, boresights: Array) -> Beams:
+    """Pairs like `pair` with other boresights, shape (pairs, 2)."""
+    return replace(pair, boresights=boresights, middle=pair.axis_middle)
+
+
+def _part(stack: Beams, index: npt.NDArray[np.int64]) -> Beams:
+    """Some pairs of a stack."""
+    return replace(stack, boresights=stack.boresights[index])
+
+
+def _different(pair: Beams, squint: Array) -> tuple[Array, Beams, npt.NDArray[np.int64]]:
+    """The different combinations of squint and pair, and which of them each is; that in the shape they broadcast to."""
+    squints, squint_of = np.unique(squint, return_inverse=True)
+    lowers, pair_of = np.unique(pair.boresights[..., 0], return_inverse=True)
+    combined = squint_of.reshape(squint.shape) * len(lowers) + pair_of.reshape(pair.boresights.shape[:-1])
+    _, first, which = np.unique(combined, return_index=True, return_inverse=True)
+    boresights = np.broadcast_to(pair.boresights, (*combined.shape, 2)).reshape(-1, 2)[first]
+    return squints[combined.ravel()[first] // len(lowers)], _stack(pair, boresights), which.reshape(combined.shape)
+
+
+def _domain(stack: Beams, squint: Array) -> tuple[Array, Array]:
+    """`discriminant_domain` of a stack of pairs at one squint each."""
+    middle = np.mean(stack.boresights, axis=-1)
+    crossing = _on_axis(stack, middle, squint + np.average(stack.aspects, weights=stack.weights))
+    both = np.tile(np.arange(len(squint)), 2)
+    low, high = np.split(
+        _ends(_part(stack, both), squint[both], crossing[both], np.repeat([-1.0, 1.0], len(squint))), 2
+    )
+    return low, high
+
+
+def _on_axis(pair: Beams, place: Array, squint: Array) -> Array:
     """Elevation (rad) of the direction at `squint` that has its `place` (rad from nadir) along the detector axis."""
-    middle = sum(pair.span) / 2 if pair.middle is None else pair.middle
+    middle = pair.axis_middle
     return np.asarray(middle + (place - middle - squint * math.sin(pair.rotation)) / math.cos(pair.rotation))
 
 
 def _known(pair: Beams, squint: Array) -> tuple[Array, Array]:
     """Elevations (rad) at which the patterns are known under all aspects."""
-    first, last = pair.domain(np.inf)
+    first, last = pair.known
     within = 0.1 * ROUNDING * pair.beamwidth
     seen = squint + pair.aspects[:, None]
     return _on_axis(pair, first + within, seen).max(axis=0), _on_axis(pair, last - within, seen).min(axis=0)
 
 
-def _end(pair: Beams, squint: Array, crossing: Array, direction: float) -> Array:
-    """End of the domain below (`direction` -1) or above (1) the crossing of each squint; NaN if that is outside."""
-    lowest, highest = _known(pair, squint)
+def _ends(stack: Beams, squint: Array, crossing: Array, direction: Array) -> Array:
+    """End of the domain below (`direction` -1) or above (1) the crossing of each pair; NaN if that is outside."""
+    lowest, highest = _known(stack, squint)
     going = np.flatnonzero((crossing >= lowest) & (crossing <= highest))
     phase = np.zeros_like(squint)
-    phase[going] = _sum_phase(pair, crossing[going], squint[going])
-    going = going[_margin(pair, crossing[going], squint[going], phase[going]) >= 0]
+    phase[going] = _sum_phase(_part(stack, going), crossing[going], squint[going])
+    going = going[_margin(_part(stack, going), crossing[going], squint[going], phase[going]) >= 0]
     inside = np.full_like(squint, np.nan)
     inside[going] = crossing[going]
     outside = inside.copy()
-    for step in np.arange(SEARCH_STEP, FARTHEST, SEARCH_STEP) * pair.beamwidth * direction:
-        outside[going] = np.clip(crossing[going] + step, lowest[going], highest[going])
-        going = going[_margin(pair, outside[going], squint[going], phase[going]) >= 0]
+    for step in np.arange(SEARCH_STEP, FARTHEST, SEARCH_STEP) * stack.beamwidth:
+        there = np.clip(crossing[going] + step * direction[going], lowest[going], highest[going])
+        outside[going] = there
+        going = going[_margin(_part(stack, going), there, squint[going], phase[going]) >= 0]
         inside[going] = outside[going]
-        phase[going] = _sum_phase(pair, inside[going], squint[going])
+        phase[going] = _sum_phase(_part(stack, going), inside[going], squint[going])
         going = going[(inside[going] > lowest[going]) & (inside[going] < highest[going])]
         if not going.size:
             break
-    between = np.abs(outside - inside) > 0
-    if np.any(between):
+    between = np.flatnonzero(np.abs(outside - inside) > 0)
+    if between.size:
         inside[between] = elementwise.find_root(
-            lambda *where: _margin(pair, *where),
+            lambda elevation, squint, phase, *pair: _margin(
+                _stack(stack, np.stack(pair, -1)), elevation, squint, phase
+            ),
             (inside[between], outside[between]),
-            args=(squint[between], phase[between]),
-            tolerances={"xatol": 0.01 * ROUNDING * pair.beamwidth},
+            args=(squint[between], phase[between], *stack.boresights[between].T),
+            tolerances={"xatol": 0.01 * ROUNDING * stack.beamwidth},
         ).x
     return inside
 
@@ -262,14 +295,16 @@ def _sum_phase(pair: Beams, elevation: Array, squint: Array) -> Array:
     return np.asarray(np.angle(np.sum(pair.response(elevation, squint), axis=-1)))
 
 
-def _table(pair: Beams, squint: Array) -> _Table:
-    """Table of each squint, denser towards the ends of the domain."""
-    low, high = discriminant_domain(pair, squint)
+def _table(stack: Beams, squint: Array) -> _Table:
+    """Table of each pair at its squint, denser towards the ends of the domain."""
+    low, high = _domain(stack, squint)
     share = (1 - np.cos(np.linspace(0, np.pi, TABLE_NODES))) / 2
     elevation = low[:, None] * (1 - share) + high[:, None] * share
     mu, slope = np.full_like(elevation, np.nan), np.full_like(elevation, np.nan)
-    exists = np.isfinite(low)
-    mu[exists], slope[exists] = _evaluate(pair, elevation[exists], squint[exists, None])
+    exists = np.flatnonzero(np.isfinite(low))
+    nodes = _part(stack, np.repeat(exists, TABLE_NODES))
+    found = _evaluate(nodes, elevation[exists].ravel(), np.repeat(squint[exists], TABLE_NODES))
+    mu[exists], slope[exists] = (values.reshape(-1, TABLE_NODES) for values in found)
     return _Table(elevation, mu, slope)
 
 
@@ -279,9 +314,9 @@ def _evaluate(pair: Beams, elevation: Array, squint: Array) -> tuple[Array, Arra
     return _ratio(amplitude), _ratio_slope(amplitude, pair.slope(elevation, squint))
 
 
-def _solve(pair: Beams, mu: Array, squints: Array, which: npt.NDArray[np.int64], table: _Table) -> tuple[Array, Array]:
-    """Elevation and slope for each `mu` of shape (pixels,), whose squint is squints[which]."""
-    # Discriminants of squint k lie within 3 k - 1 and 3 k + 1, so that one search finds the nodes around all pixels.
+def _solve(stack: Beams, mu: Array, squints: Array, which: npt.NDArray[np.int64], table: _Table) -> tuple[Array, Array]:
+    """Elevation and slope for each `mu` of shape (pixels,), whose pair and squint are number `which`."""
+    # Discriminants of number k lie within 3 k - 1 and 3 k + 1, so that one search finds the nodes around all pixels.
     nodes = (3 * np.arange(len(squints))[:, None] + np.nan_to_num(table.mu)).ravel()
     first = which * TABLE_NODES
     below = np.clip(np.searchsorted(nodes, 3 * which + mu, side="right") - 1, first, first + TABLE_NODES - 2)
@@ -294,17 +329,17 @@ def _solve(pair: Beams, mu: Array, squints: Array, which: npt.NDArray[np.int64],
     share = (mu - mu_low) / rise
     bend = (1 - share) * (rise / slope_low - width) - share * (rise / slope_high - width)
     start = np.clip(low + share * width + share * (1 - share) * bend, low, high)
-    return _newton(pair, mu, squints[which], start, low, high)
+    return _newton(_part(stack, which), mu, squints[which], start, low, high)
 
 
-def _newton(pair: Beams, mu: Array, squint: Array, start: Array, low: Array, high: Array) -> tuple[Array, Array]:
+def _newton(stack: Beams, mu: Array, squint: Array, start: Array, low: Array, high: Array) -> tuple[Array, Array]:
     """Solution between `low` and `high`, and the slope there: Newton's step, or half the bracket if that leaves it."""
     settled = SETTLED * (high - low) + 4 * np.finfo(np.float64).eps
     elevation, slope = start, np.empty_like(start)
     going = np.arange(len(start))
     for _ in range(MOST_STEPS):
         here = elevation[going]
-        value, slope[going] = _evaluate(pair, here, squint[going])
+        value, slope[going] = _evaluate(_part(stack, going), here, squint[going])
         excess = value - mu[going]
         low[going], high[going] = np.where(excess < 0, here, low[going]), np.where(excess > 0, here, high[going])
         there = here - excess / slope[going]

@@ -145,14 +145,21 @@ def _invert_pairs(beams: Beams, pair: npt.NDArray[np.intp], mu: Array, squint: A
     """What `mu` of each pixel's `pair` means, with |u + l|^2 and |u|^2 + |l|^2 of the pair's beams there."""
     elevation, slope, sum_gain, gain = np.full((4, *mu.shape), np.nan)
     reason = np.full(mu.shape, Reason.NOT_FINITE, np.uint8)
-    for lower in np.unique(pair):
-        here, beams_here = pair == lower, beams.pair(lower)
+    for here in _inverted_together(beams, pair):
+        beams_here = beams.pair(pair[here] if len(beams.patterns) == 1 else pair[here][0])
         found = invert(beams_here, mu[here], squint[here])
         elevation[here], slope[here], reason[here] = found.elevation, found.slope, found.reason
         amplitude = beams_here.response(found.elevation, squint[here])
         sum_gain[here] = np.abs(np.sum(amplitude, axis=-1)) ** 2
         gain[here] = np.sum(np.abs(amplitude) ** 2, axis=-1)
     return Inversion(elevation, slope, reason), sum_gain, gain
+
+
+def _inverted_together(beams: Beams, pair: npt.NDArray[np.intp]) -> list[npt.NDArray[np.bool_]]:
+    """Pixels whose pairs make a stack: all where the detectors have one pattern, otherwise those of each pair."""
+    if len(beams.patterns) == 1:
+        return [np.ones(pair.shape, dtype=np.bool_)]
+    return [pair == lower for lower in np.unique(pair)]
 
 
 def _better_outside(

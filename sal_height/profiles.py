@@ -38,12 +38,17 @@ class Profile:
     slope: Callable[[Array], Array]
 
     def mean(self, x: npt.ArrayLike, width: npt.ArrayLike) -> Array:
-        """Mean of f over `width` around `x`; both in beamwidths, broadcast; float64."""
-        return _mean(self.integral, self.value, np.asarray(x, dtype=np.float64), np.asarray(width))
+        """Mean of f over `width` around `x`; both in beamwidths, broadcast. Float32 of a point where `x` is."""
+        return _mean(self.integral, self.value, _as_float(x), np.asarray(width))
 
     def mean_slope(self, x: npt.ArrayLike, width: npt.ArrayLike) -> Array:
         """Derivative of `mean` with respect to `x`, per beamwidth."""
-        return _mean(self.value, self.slope, np.asarray(x, dtype=np.float64), np.asarray(width))
+        return _mean(self.value, self.slope, _as_float(x), np.asarray(width))
+
+
+def _as_float(x: npt.ArrayLike) -> Array:
+    x = np.asarray(x)
+    return x if x.dtype == np.float32 else x.astype(np.float64, copy=False)
 
 
 def _mean(integral: Callable[[Array], Array], value: Callable[[Array], Array], x: Array, width: Array) -> Array:

@@ -15,7 +15,7 @@ import yaml
 
 from sal_height import __version__
 from sal_height.errors import UserError
-from sal_height.experiments.help_texts import ARRAY, FIGURES, MONTE_CARLO, PAIR
+from sal_height.experiments.help_texts import ARRAY, DEFAULT_TRIALS, FIGURES, MONTE_CARLO, PAIR
 from sal_height.preset import Preset, load_preset, parse_preset, preset_names
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def _add_figures(commands: Subcommands) -> None:
     figures.add_argument(
         "--trials",
         type=int,
-        default=20_000,
+        default=DEFAULT_TRIALS,
         metavar="N",
         help="Monte Carlo trials at each point (default: %(default)s)",
     )
@@ -243,14 +243,21 @@ def _add_montecarlo(commands: Subcommands) -> None:
             metavar="HALF",
             help="half width of the search of maximum likelihood (default: number of detectors x pitch / 2)",
         )
-        command.add_argument("--trials", type=int, default=20_000, metavar="N", help="(default: %(default)s)")
+        command.add_argument("--trials", type=int, default=DEFAULT_TRIALS, metavar="N", help="(default: %(default)s)")
         command.add_argument("--seed", type=_seed, default=1, metavar="S", help="(default: %(default)s)")
         command.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    estimators = ("ratio", "tls", "noise_subtraction", "ml")
     pair.add_argument(
         "--estimator",
-        choices=("ratio", "tls", "noise_subtraction", "ml"),
+        choices=estimators,
         default="ratio",
         help="of the discriminant; ml searches the elevation first (default: %(default)s)",
+    )
+    array.add_argument(
+        "--estimator",
+        choices=estimators,
+        default="ml",
+        help="ml: all detectors; the others: the strongest pair's discriminant (default: %(default)s)",
     )
     pair.add_argument("--detectors", type=int, metavar="M", default=2, help="a pair has %(default)s")
     array.add_argument("--detectors", type=int, metavar="M", help="(default: 16, or as many as the file of beams has)")
@@ -352,7 +359,9 @@ def _montecarlo_array(options: argparse.Namespace) -> int:
 
     beams = array_with(options.pattern, options.pitch, options.detectors, options.size)
     objective = OBJECTIVE_NAMES[options.objective]
-    _print_statistics(array_statistics(_experiment(options, beams), objective, options.domain), options.json)
+    _print_statistics(
+        array_statistics(_experiment(options, beams), options.estimator, objective, options.domain), options.json
+    )
     return 0
 
 

@@ -326,3 +326,17 @@ def test_tables_that_do_not_overlap_are_refused() -> None:
     with pytest.raises(UserError) as refusal:
         pair_of(pattern, 0.51).domain(0.0)
     assert_one_sentence(str(refusal.value), "2 detectors", "must overlap")
+
+
+def test_power_on_a_detector_has_nearly_twice_the_slope_that_amplitude_has() -> None:
+    """What the autocorrelation of the pupil, as of imaging with intensities, would make of detectors 0.6 x 1.2 wide."""
+    jinc = PATTERNS["jinc"].amplitude
+
+    def line(e: float) -> float:
+        return quad(lambda a: float(jinc(e, a)) ** 2, -0.6, 0.6, epsabs=1e-12)[0]
+
+    by_power = (line(0.0) - line(0.6)) / quad(line, 0.0, 0.6, epsabs=1e-10)[0]
+    assert by_power == pytest.approx(1.41282, abs=5e-6)
+    pattern = detector_pattern("jinc", (0.6, 1.2))
+    by_amplitude = -float(pattern.slope(0.3, 0.0) / pattern.amplitude(0.3, 0.0))
+    assert by_amplitude == pytest.approx(0.77833, abs=5e-6)

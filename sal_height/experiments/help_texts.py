@@ -1,5 +1,8 @@
 """What `sal-height figures --help` and `sal-height montecarlo --help` say."""
 
+DEFAULT_TRIALS = 20_000
+"""Of both commands."""
+
 FIGURES = """Makes the SAL paper's figures 3 to 6 and 8 to 11 anew. In the output folder are, for each,
   figN.csv     figure, curve, x, value, standard_error (0: no random numbers), closed_form (empty: no theory)
   figN.png     the same axes and families of curves as the paper's; black dots are the closed forms
@@ -51,13 +54,14 @@ examples:
 )
 
 ARRAY = STATISTICS.format(
-    clipped="stopped at an end of the search",
+    clipped="stopped at an end of the search, or have no pair",
     more="""  domain                         ends of the search; at low CNR they decide the std
   cnr_detector                   power ratio
 
 examples:
   sal-height montecarlo array --theta 1.75 --cnr-db 4.77 --looks 4
   sal-height montecarlo array --theta 3.5 --cnr-db 20 --looks 16 --objective seed --json
+  sal-height montecarlo array --theta 0.1 --cnr-db 10 --looks 16 --estimator tls
   sal-height montecarlo array --pattern beams.csv --pitch 0.5 --theta 0.1
 """,
 )

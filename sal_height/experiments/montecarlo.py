@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,17 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.array_ml import OBJECTIVES
-from sal_height.array_trials import TARGETS, array_trials, draw_pixels
+from sal_height.array_trials import TARGETS, array_trials, draw_pixels, with_streams
 from sal_height.beam_table import read_beam_tables
 from sal_height.beams import Beams
 from sal_height.bounds import conditional_crb, speckle_crb, stochastic_crb
-from sal_height.compiled import WORKERS
 from sal_height.discriminant import discriminant, discriminant_domain, discriminant_slope
 from sal_height.errors import UserError
 from sal_height.experiments.arrays import array_of
 from sal_height.experiments.sample_statistics import Measured, mean, median, s68, share, std
-from sal_height.looks import covariance
-from sal_height.monopulse import DISCRIMINANTS, sum_and_difference
+from sal_height.looks import Covariance, Looks, covariance
+from sal_height.monopulse import DISCRIMINANTS, monopulse_elevation, sum_and_difference
 from sal_height.noise_theory import cnr_detector_of, gaussian_law, steady_looks_mean, straight_power
 from sal_height.optics import PATTERNS, detector_pattern, tabulated_pattern
 
@@ -132,11 +130,12 @@ def search_guard(beams: Beams, domain: float | None) -> float:
     return 0.0 if domain is None else domain - half
 
 
-def array_statistics(experiment: Experiment, objective: str, domain: float | None) -> dict[str, Any]:
-    """Statistics of the maximum-likelihood elevation by all detectors, beamwidths.
+def array_statistics(experiment: Experiment, estimator: str, objective: str, domain: float | None) -> dict[str, Any]:
+    """Statistics of the elevation by an array, beamwidths.
 
     Args:
         experiment: its `cnr` is that of one detector looking straight at the target.
+        estimator: "ml": maximum likelihood over all detectors; or one of DISCRIMINANTS: the strongest pair's.
         objective: one of OBJECTIVES.
         domain: half width of the search, beamwidths; None: M pitch / 2.
 
@@ -150,12 +149,17 @@ def array_statistics(experiment: Experiment, objective: str, domain: float | Non
             f"The target is at {experiment.theta:g} beamwidths; the search goes from {low:g} to {high:g} beamwidths."
         )
     power = experiment.cnr / straight_power(beams)
-    estimates = _elevations(experiment, power, objective, guard)
+    if estimator == "ml":
+        estimates = _elevations(experiment, power, objective, guard)
+        clipped = _at_edge(estimates, low, high)
+    else:
+        estimates = _pair_elevations(experiment, power, estimator)
+        clipped = np.isnan(estimates)
     return {
         "theta": experiment.theta,
         "cnr_detector": experiment.cnr,
-        "domain": [low, high],
-        **_statistics(estimates, experiment.theta, _at_edge(estimates, low, high)),
+        "domain": [low, high] if estimator == "ml" else None,
+        **_statistics(estimates, experiment.theta, clipped),
         **_bounds(experiment, power, 1.0),
     }
 
@@ -238,22 +242,41 @@ def _elevations(experiment: Experiment, power: float, objective: str, guard: flo
     )
 
 
+def _pair_elevations(experiment: Experiment, power: float, estimator: str) -> Array:
+    """Elevations by the strongest pair as the node has them, shape (trials,); NaN where there is none."""
+
+    def elevations(matrices: Covariance) -> Array:
+        pixels = matrices[:, None]
+        middle = np.zeros(pixels.shape[:2])
+        looks = Looks(pixels, experiment.looks, middle, middle, np.ones(middle.shape, dtype=np.bool_))
+        found = monopulse_elevation(looks, experiment.beams, np.zeros(1), 1.0, DISCRIMINANTS[estimator], 0.0)
+        return found.elevation[:, 0]
+
+    return _from_covariances(experiment, power, elevations)
+
+
 def _discriminants(experiment: Experiment, power: float, estimator: str) -> Array:
-    """Estimates of the discriminant, shape (trials,), from the covariance of both detectors as the node has it."""
-    pair, looks = experiment.beams, experiment.looks
-    at_once = max(1, TRIALS_AT_ONCE // looks)
-    counts = [min(at_once, experiment.trials - first) for first in range(0, experiment.trials, at_once)]
+    """Estimates of the discriminant of two detectors as the node has them, shape (trials,)."""
 
-    def block(count: int, source: np.random.SeedSequence) -> Array:
-        rng, target = np.random.default_rng(source), TARGETS[experiment.target]
-        samples = draw_pixels(rng, pair, experiment.theta, 0.0, power, looks, count, target)
-        matrix = covariance(samples, pair.is_complex).astype(np.complex128)
-        sums = sum_and_difference(matrix[:, 0, 0].real, matrix[:, 1, 1].real, matrix[:, 0, 1])
-        return DISCRIMINANTS[estimator](*sums, 2.0 * looks)
+    def discriminants(matrices: Covariance) -> Array:
+        wide = matrices.astype(np.complex128)
+        sums = sum_and_difference(wide[:, 0, 0].real, wide[:, 1, 1].real, wide[:, 0, 1])
+        return DISCRIMINANTS[estimator](*sums, 2.0 * experiment.looks)
 
-    with ThreadPoolExecutor(WORKERS) as pool:
-        sources = np.random.SeedSequence(experiment.seed).spawn(len(counts))
-        return np.concatenate(list(pool.map(block, counts, sources)))
+    return _from_covariances(experiment, power, discriminants)
+
+
+def _from_covariances(experiment: Experiment, power: float, estimate: Callable[[Covariance], Array]) -> Array:
+    """What is estimated from the covariances of independent pixels, shape (trials,)."""
+    beams, target, estimates = experiment.beams, TARGETS[experiment.target], np.empty(experiment.trials)
+
+    def work(rng: np.random.Generator, part: slice) -> None:
+        count = part.stop - part.start
+        samples = draw_pixels(rng, beams, experiment.theta, 0.0, power, experiment.looks, count, target)
+        estimates[part] = estimate(covariance(samples, beams.is_complex))
+
+    with_streams(work, experiment.seed, experiment.trials, max(1, TRIALS_AT_ONCE // experiment.looks))
+    return estimates
 
 
 def _at_edge(elevations: Array, low: float, high: float) -> npt.NDArray[np.bool_]:

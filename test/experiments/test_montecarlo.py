@@ -134,6 +134,21 @@ def test_array_at_high_cnr_is_as_exact_as_its_bound(capsys: pytest.CaptureFixtur
     assert result["crb_speckle"] == pytest.approx(result["crb_conditional"] * np.sqrt(16 / 15))
 
 
+@pytest.mark.parametrize("estimator", ["ratio", "tls"])
+def test_strongest_pair_of_an_array_has_the_bias_of_a_pair(estimator: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """At 15 dB with 16 looks the strongest pair is the one around the target, but for less than 1 in 1000."""
+    words = ("array", "--theta", "0.125", "--cnr-db", "15", "--looks", "16", "--trials", "20000")
+    result = montecarlo(capsys, *words, "--estimator", estimator)
+    t = 0.125
+    kappa = (4 * t - np.tan(np.pi * t)) / (1 - 4 * t * np.tan(np.pi * t))
+    cnr_sum = 10**1.5 * (np.sinc(t + 0.25) + np.sinc(t - 0.25)) ** 2 / 2
+    slope = (kappa - 0.222031) / (t - 0.25)  # of the chord to a quarter beamwidth, within 2 % of the tangent
+    expected = t - kappa / (cnr_sum + 1) / slope if estimator == "ratio" else t
+    assert abs(z(result, "median", expected)) < 3.5
+    assert result["domain"] is None
+    assert result["clipped_share"] == 0
+
+
 def test_seed_objective_is_drawn_inwards_at_the_end_of_the_array(capsys: pytest.CaptureFixture[str]) -> None:
     words = ("array", "--theta", "3.75", "--cnr-db", "40", "--looks", "16", "--trials", "500")
     drawn = montecarlo(capsys, *words, "--objective", "seed")
@@ -187,6 +202,15 @@ def test_beams_may_have_phases_of_their_own(tmp_path: Path, capsys: pytest.Captu
     assert result["crb_stochastic"] == pytest.approx(straight["crb_stochastic"], rel=1e-4)
     assert abs(z(result, "mean", 0.4)) < 3.5
     assert abs(z(result, "std", result["crb_stochastic"] * np.sqrt(16 / 15))) < 3.5
+
+
+def test_one_measured_beam_is_that_of_all_detectors(
+    tmp_path: Path, beam_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = sample_pattern(pattern_named("jinc"), np.linspace(-12, 12, 961), np.zeros(1), 1.0)
+    write_beam_tables(tmp_path / "one.csv", [table], 1.0)
+    words = ("array", "--theta", "0.3", "--trials", "200", "--pattern")
+    assert montecarlo(capsys, *words, str(tmp_path / "one.csv")) == montecarlo(capsys, *words, str(beam_file))
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -34,6 +34,15 @@ Two detectors cannot tell: their one ratio is that of some direction inside as w
 """
 
 
+SPARE_LOOKS = 2
+"""Looks whose noise sigma takes off a pixel's power beyond that of its own looks.
+
+The highest peak is where noise adds power, and of the pixels that pass for usable more are weak ones that noise has
+raised than strong ones that it has lowered. Without these, 60 % and 89 % of the valid pixels at 0 dB in 2 or 4 looks
+lie within one and two sigma; with them 65 % and 93 %, while at 10 dB and above it is 68 to 72 % and 95 to 96 %.
+"""
+
+
 def _normalised(response: Array, slope: Array) -> tuple[Array, Array]:
     """The unit vector a / |a|, or 0 where no detector sees anything."""
     norm = np.linalg.norm(response, axis=-1, keepdims=True)
@@ -92,6 +101,10 @@ def ml_elevation(
 ) -> ElevationEstimate:
     """Elevation of the dominant scatterer in every pixel.
 
+    Sigma is `elevation_bound` for the energy of these very looks, less the noise of SPARE_LOOKS more. It is that of an
+    error about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB in 2 looks, and fewer elsewhere,
+    another peak has won.
+
     Args:
         looks: covariance of M channels in each pixel.
         beams: of the M detectors.
@@ -107,12 +120,13 @@ def ml_elevation(
         raise UserError(f"The sensor has {beams.count} detector; elevation needs 2 or more.")
     elevation = best_elevation(looks.covariance, beams, squint, objective)
     response = beams.response(elevation, squint)
-    energy = (explained_power(looks.covariance, response) / noise_power - looks.count) / beam_power(response)
+    explained, gain = explained_power(looks.covariance, response) / noise_power, beam_power(response)
+    cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
     return ElevationEstimate(
         elevation=elevation,
-        sigma=elevation_bound(energy, looks.count, beams, elevation, squint),
-        cnr=energy / looks.count,
-        validity=validity_of(looks, beams, squint, noise_power, elevation, energy / looks.count, min_cnr),
+        sigma=elevation_bound((explained - noise) / gain, noise, beams, elevation, squint),
+        cnr=cnr,
+        validity=validity_of(looks, beams, squint, noise_power, elevation, cnr, min_cnr),
     )
 
 

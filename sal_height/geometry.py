@@ -27,7 +27,7 @@ class Aperture:
         velocity: in map axes, m/s, shape (3,).
         rotation: matrix that turns body into map axes, shape (3, 3).
         length: of the synthetic aperture, m.
-        covariance: of position (m^2) and of rotation about x, y, z (rad^2), shape (6, 6); zeros: unknown.
+        covariance: of position (m^2) and of rotation about x, y, z of map (rad^2), shape (6, 6); zeros: unknown.
         sliding: True in stripmap: the aperture slides along the flight with the columns of the image, and `position` is
             that of its middle column.
     """

@@ -9,7 +9,16 @@ import numpy.typing as npt
 
 from sal_height.beams import Beams
 from sal_height.estimate import ElevationEstimate, Validity
-from sal_height.geometry import Aperture, Grid, aperture_at, height_of, locate, squint_on_cone
+from sal_height.geometry import (
+    EARTH_RADIUS,
+    Aperture,
+    Grid,
+    aperture_at,
+    height_of,
+    locate,
+    look_direction,
+    squint_on_cone,
+)
 from sal_height.looks import Looks
 
 Array = npt.NDArray[np.float64]
@@ -25,7 +34,7 @@ class HeightField:
     Attributes:
         grid: pixels of the height image.
         height: above the sphere, m; NaN where not valid.
-        sigma: standard deviation of height, m; NaN where not valid.
+        sigma: standard deviation of height, m, with that of the platform's pose; NaN where not valid.
         cnr_db: carrier-to-noise ratio of one look, dB; NaN where there is no signal.
         validity: `Validity` of each pixel, uint8.
         positions: of the scatterers in map, m, shape (rows, cols, 3); NaN where not valid.
@@ -73,7 +82,8 @@ def height_field(
 
     Range and Doppler are those of the looks' power-weighted centre; the elevation picks the point on the circle they
     leave. Sigma is that of elevation times |d height / d elevation|, and that of range times |d height / d range|:
-    within its cell the range of the speckle's centre is not known, which limits the height at high CNR.
+    within its cell the range of the speckle's centre is not known, which limits the height at high CNR. What the
+    platform's pose leaves open comes on top (`pose_variance`): an error that all pixels of the dwell share.
 
     Args:
         estimate: elevations.
@@ -98,7 +108,8 @@ def height_field(
     farther = locate(estimate.elevation, slant_range + slc_grid.row_spacing, along, aperture, look_side)
     depth = (height_of(farther) - height_of(positions)) / slc_grid.row_spacing
     range_cell = slc_grid.row_spacing * np.abs(sight @ slc_grid.row_direction) / slant_range
-    sigma_range = range_cell / np.sqrt(12 * looks.count)
+    variance = (estimate.sigma * slope) ** 2 + (range_cell * depth) ** 2 / (12 * looks.count)
+    variance += pose_variance(estimate.elevation, slope, positions, aperture, look_side)
     located = np.isfinite(positions).all(axis=-1)
     validity = np.where(located | (estimate.validity != Validity.OK), estimate.validity, Validity.OUTSIDE_ARRAY)
     valid = validity == Validity.OK
@@ -107,8 +118,36 @@ def height_field(
     return HeightField(
         grid=grid,
         height=np.where(valid, height_of(positions), np.nan),
-        sigma=np.where(valid, np.hypot(estimate.sigma * slope, sigma_range * depth), np.nan),
+        sigma=np.sqrt(np.where(valid, variance, np.nan)),
         cnr_db=cnr_db,
         validity=validity.astype(np.uint8),
         positions=np.where(valid[..., None], positions, np.nan),
     )
+
+
+def pose_variance(elevation: Array, slope: Array, positions: Array, aperture: Aperture, look_side: int) -> Array:
+    """Variance of height (m^2) by the covariance of the platform's pose, shape (rows, cols).
+
+    Where the platform moves, the scatterer moves along. Where the body turns by a small angle about an axis, the plane
+    of its elevation turns, and the scatterer stays on the circle that range and Doppler leave: to first order, as if
+    the elevation changed by the turn about the body's x axis (but for the squint). Range and Doppler are measured, and
+    stay. A covariance that is 0 or not finite is not known and adds nothing.
+
+    Args:
+        elevation: rad, shape (rows, cols).
+        slope: of height over elevation, m/rad.
+        positions: of the scatterers in map, m, shape (rows, cols, 3).
+        aperture: state of the platform, not sliding (`geometry.aperture_at`); its covariance is of position and of
+            rotation about the axes of map, as in nav_msgs/Odometry.
+        look_side: +1 right, -1 left.
+    """
+    if not (np.all(np.isfinite(aperture.covariance)) and np.any(aperture.covariance)):
+        return np.zeros(elevation.shape)
+    sight = positions - aperture.position
+    ahead = look_direction(elevation, 0.0, look_side) @ aperture.rotation.T
+    across = look_direction(elevation + np.pi / 2, 0.0, look_side) @ aperture.rotation.T
+    turned = np.cross(sight, across) / np.sum(sight * ahead, axis=-1, keepdims=True)
+    centre = positions + np.array([0.0, 0.0, EARTH_RADIUS])
+    up = centre / np.linalg.norm(centre, axis=-1, keepdims=True)
+    gradient = np.concatenate([up, slope[..., None] * turned], axis=-1)
+    return np.asarray(np.maximum(np.sum(gradient @ aperture.covariance * gradient, axis=-1), 0.0))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from helpers import flat_scene, make_aperture, make_beams, make_sensor
+from scipy.spatial.transform import Rotation
 
 from sal_height.array_ml import OBJECTIVES, ml_elevation
 from sal_height.backprojection import backproject
@@ -110,6 +111,56 @@ def test_sigma_of_height_is_that_of_elevation_across_the_sight_and_that_of_range
         along = (slant_range - centre_distance * np.cos(elevation)) / radius * grid.row_spacing / np.sqrt(12 * looks)
         np.testing.assert_allclose(field.sigma, np.hypot(across, along), rtol=1e-5)
     np.testing.assert_allclose(field.sigma, slant_range * np.sin(elevation), rtol=1e-3)  # a flat earth, for sigma 1
+
+
+def pose_sigma(aperture: Aperture, covariance: np.ndarray, side: int, row: float, col: float) -> np.ndarray:
+    """What `covariance` adds in quadrature to the sigma of height of a pixel that looks at the middle of the beams."""
+    grid, elevation = slant_grid(aperture, side), np.full((1, 1), np.pi / 4)
+    looks = looks_at(np.full((1, 1), row), np.full((1, 1), col))
+    with_it, without = (
+        height_field(estimate_of(elevation), looks, grid, grid, replace(aperture, covariance=c), side).sigma
+        for c in (covariance, np.zeros((6, 6)))
+    )
+    return np.sqrt(with_it**2 - without**2)[0, 0]
+
+
+def test_level_flight_turns_roll_and_height_of_the_platform_into_height() -> None:
+    """Eastwards, roll is about x: 1e-4 rad move a scatterer by 1e-4 rho sin(theta) in height; yaw and pitch do not."""
+    moved = {}
+    for axis, variance in enumerate((0.04, 0.04, 0.04, 1e-8, 1e-8, 1e-8)):
+        covariance = np.zeros((6, 6))
+        covariance[axis, axis] = variance
+        moved[axis] = pose_sigma(make_aperture(), covariance, 1, 14.5, 9.5)
+    np.testing.assert_allclose([moved[2], moved[3]], [0.2, 1e-4 * 5000 * np.sin(np.pi / 4)], rtol=1e-3)
+    assert max(moved[0], moved[1], moved[4], moved[5]) < 1e-3
+
+
+@pytest.mark.parametrize("side", [1, -1], ids=["right", "left"])
+@pytest.mark.parametrize("sliding", [False, True], ids=["spotlight", "stripmap"])
+def test_sigma_by_the_pose_is_the_spread_of_heights_over_perturbed_poses(side: int, sliding: bool) -> None:
+    """20 000 poses of a covariance with correlations, at a squint of 0.2 rad in spotlight: SE 0.5 %, 3.5 allowed.
+
+    Range and Doppler, which the image fixes, stay those of the pose that it was made with.
+    """
+    rng, trials = np.random.default_rng([32, side + 1, sliding]), 20000
+    aperture = replace(make_aperture(angles=(0.11, -0.2, 0.5), velocity=(38.0, 32.0, -2.0)), sliding=sliding)
+    root = np.diag([0.1, 0.2, 0.15, 1e-4, 3e-4, 2e-4]) @ (np.eye(6) + 0.3 * rng.standard_normal((6, 6)))
+    grid, row, col = slant_grid(aperture, side), 3.0, 20000.0
+    point = grid.points(row, col)
+    here = aperture_at(point, aperture)
+    sight = point - here.position
+    turns = rng.standard_normal((trials, 6)) @ root.T
+    heights = []
+    for turn in turns:
+        rotation = Rotation.from_rotvec(turn[3:]).as_matrix() @ here.rotation
+        pose = replace(here, position=here.position + turn[:3], rotation=rotation)
+        heights.append(height_of(locate(np.pi / 4, np.linalg.norm(sight), sight @ here.direction, pose, side)))
+    assert pose_sigma(aperture, root @ root.T, side, row, col) == pytest.approx(np.std(heights), rel=3.5 / 200)
+
+
+@pytest.mark.parametrize("unknown", [0.0, np.nan, np.inf])
+def test_pose_of_unknown_covariance_adds_nothing(unknown: float) -> None:
+    assert pose_sigma(make_aperture(), np.full((6, 6), unknown), 1, 14.5, 9.5) == 0
 
 
 def test_pixels_without_a_usable_elevation_have_no_height() -> None:

@@ -18,10 +18,9 @@ from std_msgs.msg import Header
 
 from sal_height.beam_table import BeamTable
 from sal_height.errors import Rejected, UserError
-from sal_height.estimate import Validity
 from sal_height.focusing import Slc
 from sal_height.geometry import EARTH_RADIUS, Aperture, Grid
-from sal_height.height import HeightField
+from sal_height.height import HeightField, Surface
 from sal_height.phase_history import PhaseHistory
 from sal_height.sensor import Sensor
 from sal_height.trajectory import PlatformState
@@ -357,8 +356,7 @@ def height_to_message(
     provenance: messages.Provenance,
 ) -> messages.HeightImage:
     """HeightImage with the stamp and dwell of `slc`."""
-    offset = field.positions - field.grid.origin
-    return messages.HeightImage(
+    image = messages.HeightImage(
         header=slc.header,
         dwell=slc.dwell,
         estimator=estimator,
@@ -367,14 +365,16 @@ def height_to_message(
         range_looks=looks[0],
         azimuth_looks=looks[1],
         earth_radius=EARTH_RADIUS,
-        height=to_floats(field.height),
-        sigma=to_floats(field.sigma),
-        cnr_db=to_floats(field.cnr_db),
         validity=to_bytes(field.validity),
-        east=to_floats(offset[..., 0]),
-        north=to_floats(offset[..., 1]),
         provenance=provenance,
     )
+    for prefix, surface in (("", field.first), ("second_", field.second)):
+        if surface:
+            offset = surface.positions - field.grid.origin
+            values = (surface.height, surface.sigma, surface.cnr_db, offset[..., 0], offset[..., 1])
+            for name, numbers in zip(("height", "sigma", "cnr_db", "east", "north"), values, strict=True):
+                setattr(image, prefix + name, to_floats(numbers))
+    return image
 
 
 def height_picture(image: messages.HeightImage) -> Image:
@@ -390,10 +390,8 @@ def height_picture(image: messages.HeightImage) -> Image:
 
 
 def height_points(field: HeightField, image: messages.HeightImage) -> PointCloud2:
-    """The valid pixels as points x, y, z in map with height, sigma and cnr_db: for any point-cloud viewer."""
-    valid = field.validity == Validity.OK
-    columns = [*field.positions[valid].T, field.height[valid], field.sigma[valid], field.cnr_db[valid]]
-    points = np.ascontiguousarray(np.stack(columns, axis=-1), dtype=np.float32)
+    """All scatterers as points x, y, z in map with height, sigma and cnr_db: for any point-cloud viewer."""
+    points = np.concatenate([_points(surface) for surface in (field.first, field.second) if surface])
     names = ("x", "y", "z", "height", "sigma", "cnr_db")
     return PointCloud2(
         header=image.header,
@@ -405,6 +403,13 @@ def height_points(field: HeightField, image: messages.HeightImage) -> PointCloud
         data=array.array("B", points.tobytes()),
         is_dense=True,
     )
+
+
+def _points(surface: Surface) -> npt.NDArray[np.float32]:
+    """Position, height, sigma and CNR of the scatterers of a surface, shape (scatterers, 6)."""
+    seen = np.isfinite(surface.height)
+    columns = [*surface.positions[seen].T, surface.height[seen], surface.sigma[seen], surface.cnr_db[seen]]
+    return np.ascontiguousarray(np.stack(columns, axis=-1), dtype=np.float32)
 
 
 def grid_from_message(message: messages.ImageGrid) -> Grid:

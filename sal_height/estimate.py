@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Validity(IntEnum):
-    """Why a pixel has no height; the same values as the constants of sal_height_msgs/HeightImage."""
+    """Why a pixel has no height, or has two; the same values as the constants of sal_height_msgs/HeightImage."""
 
     OK = 0
     LOW_CNR = 1
@@ -27,6 +27,22 @@ class Validity(IntEnum):
     OUTSIDE_PAIR = 3
     NOT_ONE_SCATTERER = 4
     MISSING_DATA = 5
+    TWO_SCATTERERS = 6
+
+
+@dataclass(frozen=True)
+class SecondScatterer:
+    """The weaker scatterer of pixels that hold two; arrays (rows, cols), NaN elsewhere.
+
+    Attributes:
+        elevation: rad from nadir in body axes.
+        sigma: standard deviation of elevation, rad.
+        cnr: carrier-to-noise power ratio of one look in a detector looking straight at it.
+    """
+
+    elevation: Array
+    sigma: Array
+    cnr: Array
 
 
 @dataclass(frozen=True)
@@ -37,13 +53,15 @@ class ElevationEstimate:
         elevation: rad from nadir in body axes.
         sigma: standard deviation of elevation, rad; infinite where there is no signal.
         cnr: carrier-to-noise power ratio of one look in a hypothetical detector looking straight at the scatterer.
-        validity: `Validity` of each pixel, uint8.
+        validity: `Validity` of each pixel, uint8; where it is TWO_SCATTERERS, the rest is of the stronger one.
+        second: the weaker one there; None: not looked for.
     """
 
     elevation: Array
     sigma: Array
     cnr: Array
     validity: npt.NDArray[np.uint8]
+    second: SecondScatterer | None = None
 
 
 MISFIT_SHARE = 0.03

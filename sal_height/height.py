@@ -28,24 +28,74 @@ SLOPE_STEP = 1e-6
 
 
 @dataclass(frozen=True)
-class HeightField:
-    """Heights of one dwell; arrays of shape (rows, cols) of the height image.
+class Surface:
+    """One scatterer of each pixel; arrays of shape (rows, cols) of the height image, NaN where there is none.
 
     Attributes:
-        grid: pixels of the height image.
-        height: above the sphere, m; NaN where not valid.
-        sigma: standard deviation of height, m, with that of the platform's pose; NaN where not valid.
-        cnr_db: carrier-to-noise ratio of one look, dB; NaN where there is no signal.
-        validity: `Validity` of each pixel, uint8.
-        positions: of the scatterers in map, m, shape (rows, cols, 3); NaN where not valid.
+        height: above the sphere, m.
+        sigma: standard deviation of height, m, with that of the platform's pose.
+        cnr_db: carrier-to-noise ratio of one look, dB.
+        positions: in map, m, shape (rows, cols, 3).
     """
 
-    grid: Grid
     height: Array
     sigma: Array
     cnr_db: Array
-    validity: npt.NDArray[np.uint8]
     positions: Array
+
+
+@dataclass(frozen=True)
+class HeightField:
+    """Heights of one dwell.
+
+    Attributes:
+        grid: pixels of the height image.
+        validity: `Validity` of each pixel, uint8, shape (rows, cols).
+        first: the only or the stronger scatterer of the pixels with OK or TWO_SCATTERERS; `cnr_db` of all pixels that
+            have a signal.
+        second: the weaker one of the pixels with TWO_SCATTERERS; None: not looked for.
+    """
+
+    grid: Grid
+    validity: npt.NDArray[np.uint8]
+    first: Surface
+    second: Surface | None
+
+
+@dataclass(frozen=True)
+class _Circles:
+    """What range and Doppler of each pixel leave open: where on a circle its scatterer lies.
+
+    Attributes:
+        aperture: state of the platform, not sliding (`geometry.aperture_at`).
+        look_side: +1 right, -1 left.
+        slant_range: m, shape (rows, cols).
+        along: way along the flight to the scatterers, m, shape (rows, cols).
+        range_step: from one row of the SLC to the next, m.
+        range_sigma: standard deviation of range, m.
+    """
+
+    aperture: Aperture
+    look_side: int
+    slant_range: Array
+    along: Array
+    range_step: float
+    range_sigma: Array
+
+    def surface(self, elevation: Array, sigma: Array, cnr: Array) -> Surface:
+        """Height and place of scatterers at `elevation` with `sigma` (rad); NaN where there is no such direction."""
+        below, positions, above = (self._at(elevation + shift) for shift in (-SLOPE_STEP, 0.0, SLOPE_STEP))
+        height = height_of(positions)
+        slope = (height_of(above) - height_of(below)) / (2 * SLOPE_STEP)
+        depth = (height_of(self._at(elevation, self.range_step)) - height) / self.range_step
+        variance = (sigma * slope) ** 2 + (self.range_sigma * depth) ** 2
+        variance += pose_variance(elevation, slope, positions, self.aperture, self.look_side)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cnr_db = 10 * np.log10(np.where(cnr > 0, cnr, np.nan))
+        return Surface(height, np.sqrt(variance), cnr_db, positions)
+
+    def _at(self, elevation: Array, farther: float = 0.0) -> Array:
+        return locate(elevation, self.slant_range + farther, self.along, self.aperture, self.look_side)
 
 
 def look_grid(grid: Grid, range_looks: int, azimuth_looks: int) -> Grid:
@@ -99,29 +149,31 @@ def height_field(
     aperture = aperture_at(points, aperture)
     sight = points - aperture.position
     slant_range = np.linalg.norm(sight, axis=-1)
-    along = sight @ aperture.direction + slant_range * radial_velocity / np.linalg.norm(aperture.velocity)
-    below, positions, above = (
-        locate(estimate.elevation + shift, slant_range, along, aperture, look_side)
-        for shift in (-SLOPE_STEP, 0.0, SLOPE_STEP)
-    )
-    slope = (height_of(above) - height_of(below)) / (2 * SLOPE_STEP)
-    farther = locate(estimate.elevation, slant_range + slc_grid.row_spacing, along, aperture, look_side)
-    depth = (height_of(farther) - height_of(positions)) / slc_grid.row_spacing
     range_cell = slc_grid.row_spacing * np.abs(sight @ slc_grid.row_direction) / slant_range
-    variance = (estimate.sigma * slope) ** 2 + (range_cell * depth) ** 2 / (12 * looks.count)
-    variance += pose_variance(estimate.elevation, slope, positions, aperture, look_side)
-    located = np.isfinite(positions).all(axis=-1)
-    validity = np.where(located | (estimate.validity != Validity.OK), estimate.validity, Validity.OUTSIDE_ARRAY)
-    valid = validity == Validity.OK
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cnr_db = 10 * np.log10(np.where(estimate.cnr > 0, estimate.cnr, np.nan))
-    return HeightField(
-        grid=grid,
-        height=np.where(valid, height_of(positions), np.nan),
-        sigma=np.sqrt(np.where(valid, variance, np.nan)),
-        cnr_db=cnr_db,
-        validity=validity.astype(np.uint8),
-        positions=np.where(valid[..., None], positions, np.nan),
+    circles = _Circles(
+        aperture,
+        look_side,
+        slant_range,
+        sight @ aperture.direction + slant_range * radial_velocity / np.linalg.norm(aperture.velocity),
+        slc_grid.row_spacing,
+        range_cell / np.sqrt(12 * looks.count),
+    )
+    first = circles.surface(estimate.elevation, estimate.sigma, estimate.cnr)
+    other = estimate.second
+    second = circles.surface(other.elevation, other.sigma, other.cnr) if other else None
+    usable = np.isin(estimate.validity, (Validity.OK, Validity.TWO_SCATTERERS))
+    located = np.isfinite(first.positions).all(axis=-1)
+    validity = np.where(usable & ~located, Validity.OUTSIDE_ARRAY, estimate.validity)
+    return HeightField(grid, validity.astype(np.uint8), _only(first, usable & located), second)
+
+
+def _only(surface: Surface, there: npt.NDArray[np.bool_]) -> Surface:
+    """The surface with heights and places only where they can be used."""
+    return Surface(
+        height=np.where(there, surface.height, np.nan),
+        sigma=np.where(there, surface.sigma, np.nan),
+        cnr_db=surface.cnr_db,
+        positions=np.where(there[..., None], surface.positions, np.nan),
     )
 
 

@@ -14,7 +14,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.estimate import Validity
 from sal_height.focusing import Slc
 from sal_height.geometry import Aperture, Grid
-from sal_height.height import HeightField
+from sal_height.height import HeightField, Surface
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import load_preset
 from sal_height.sensor import Sensor
@@ -133,13 +133,19 @@ def test_images_grid_and_aperture_survive_their_messages(rng: np.random.Generato
     assert all(m.header.stamp == STAMP and m.header.frame_id == "map" and m.dwell == 9 for m in messages)
 
 
-def test_a_height_field_survives_its_message() -> None:
+@pytest.mark.parametrize("layover", [False, True])
+def test_a_height_field_survives_its_message(layover: bool) -> None:
     grid = Grid(np.array([10.0, 20.0, 0.0]), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, 2, 2)
     aperture = Aperture(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
     height = np.array([[1.0, np.nan], [2.0, 3.0]])
     validity = np.array([[0, 1], [0, 0]], dtype=np.uint8)
     positions = np.where(validity[..., None] == 0, grid.pixels() + np.array([0.25, -0.5, 0.0]), np.nan)
-    field = HeightField(grid, height, height / 10, height * 5, validity, positions)
+    second = None
+    if layover:
+        validity[1, 0] = Validity.TWO_SCATTERERS
+        alone = np.where(validity == Validity.TWO_SCATTERERS, 7.0, np.nan)
+        second = Surface(alone, alone / 10, alone * 5, positions + np.where(np.isnan(alone), np.nan, 1.0)[..., None])
+    field = HeightField(grid, validity, Surface(height, height / 10, height * 5, positions), second)
     message = convert.height_to_message(field, aperture, (2, 3), "ml", ComplexImage(dwell=4), Provenance())
     message = through_the_wire(message)
     assert np.array_equal(np.array(message.height), height.ravel(), equal_nan=True)
@@ -147,6 +153,23 @@ def test_a_height_field_survives_its_message() -> None:
     assert message.east[2] == pytest.approx(0.25)
     assert message.north[2] == pytest.approx(-1.5)
     assert (message.dwell, message.range_looks, message.azimuth_looks) == (4, 2, 3)
+    nan = np.nan
+    expected = (
+        [nan, nan, 7, nan],
+        [nan, nan, 0.7, nan],
+        [nan, nan, 35, nan],
+        [nan, nan, 1.25, nan],
+        [nan, nan, -0.5, nan],
+    )
+    for name, values in zip(("height", "sigma", "cnr_db", "east", "north"), expected, strict=True):
+        found = np.array(getattr(message, f"second_{name}"))
+        np.testing.assert_allclose(found, values if layover else [], rtol=1e-6)
+    cloud = convert.height_points(field, message)
+    points = np.frombuffer(cloud.data, np.float32).reshape(cloud.width, 6)
+    heights = [1, 2, 3, 7] if layover else [1, 2, 3]
+    np.testing.assert_array_equal(points[:, 3], heights)
+    if layover:
+        np.testing.assert_allclose(points[3], [11.25, 19.5, 1.0, 7, 0.7, 35], rtol=1e-6)
 
 
 def test_validity_values_are_those_of_the_message() -> None:

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers import flat_scene, make_aperture, make_beams, make_sensor
+from helpers import BEAMWIDTH, flat_scene, make_aperture, make_beams, make_sensor
 from scipy.spatial.transform import Rotation
 
 from sal_height.array_ml import OBJECTIVES, ml_elevation
 from sal_height.backprojection import backproject
 from sal_height.compression import slant_plane_grid
-from sal_height.estimate import ElevationEstimate, Validity
+from sal_height.estimate import ElevationEstimate, SecondScatterer, Validity
 from sal_height.evaluation import pixels_at
 from sal_height.flight import SimulatedFlight
 from sal_height.geometry import (
@@ -65,10 +65,10 @@ def test_exact_elevations_give_the_positions_of_the_targets(side: int, angles: t
     _, elevation, _ = angles_of(targets, aperture, side)
 
     field = height_field(estimate_of(elevation), looks, grid, look_grid(grid, 10, 5), aperture, side)
-    np.testing.assert_allclose(field.positions, targets, atol=1e-6)
-    np.testing.assert_allclose(field.height, 2.0, atol=1e-6)
+    np.testing.assert_allclose(field.first.positions, targets, atol=1e-6)
+    np.testing.assert_allclose(field.first.height, 2.0, atol=1e-6)
     assert np.all(field.validity == Validity.OK)
-    np.testing.assert_allclose(field.cnr_db, 10 * np.log10(50), atol=1e-12)
+    np.testing.assert_allclose(field.first.cnr_db, 10 * np.log10(50), atol=1e-12)
 
 
 @pytest.mark.parametrize("sliding", [False, True], ids=["spotlight", "stripmap"])
@@ -88,10 +88,10 @@ def test_moving_targets_get_the_place_and_height_that_they_really_have(sliding: 
     _, elevation, _ = angles_of(targets, replace(aperture, position=seen_from), 1)
     coarse = look_grid(grid, 10, 5)
     field = height_field(estimate_of(elevation), looks, grid, coarse, aperture, 1, radial)
-    np.testing.assert_allclose(field.positions, targets, atol=2e-5)  # v_r^2 / v^2 of the range
-    np.testing.assert_allclose(field.height, 2.0, atol=2e-5)
+    np.testing.assert_allclose(field.first.positions, targets, atol=2e-5)  # v_r^2 / v^2 of the range
+    np.testing.assert_allclose(field.first.height, 2.0, atol=2e-5)
     ignored = height_field(estimate_of(elevation), looks, grid, coarse, aperture, 1)
-    np.testing.assert_allclose((ignored.positions - targets)[..., 0], -slant_range * radial / speed, rtol=1e-3)
+    np.testing.assert_allclose((ignored.first.positions - targets)[..., 0], -slant_range * radial / speed, rtol=1e-3)
 
 
 def test_sigma_of_height_is_that_of_elevation_across_the_sight_and_that_of_range_along_it() -> None:
@@ -106,11 +106,13 @@ def test_sigma_of_height_is_that_of_elevation_across_the_sight_and_that_of_range
     centre_distance, looks = EARTH_RADIUS + aperture.position[2], 4
     for sigma in (0.0, 1e-5, 1.0):
         field = height_field(estimate_of(elevation, sigma), looks_at(rows, 0 * rows + 9.5), grid, grid, aperture, 1)
-        radius = EARTH_RADIUS + field.height
+        radius = EARTH_RADIUS + field.first.height
         across = centre_distance * slant_range * np.sin(elevation) / radius * sigma
         along = (slant_range - centre_distance * np.cos(elevation)) / radius * grid.row_spacing / np.sqrt(12 * looks)
-        np.testing.assert_allclose(field.sigma, np.hypot(across, along), rtol=1e-5)
-    np.testing.assert_allclose(field.sigma, slant_range * np.sin(elevation), rtol=1e-3)  # a flat earth, for sigma 1
+        np.testing.assert_allclose(field.first.sigma, np.hypot(across, along), rtol=1e-5)
+    np.testing.assert_allclose(
+        field.first.sigma, slant_range * np.sin(elevation), rtol=1e-3
+    )  # a flat earth, for sigma 1
 
 
 def pose_sigma(aperture: Aperture, covariance: np.ndarray, side: int, row: float, col: float) -> np.ndarray:
@@ -118,7 +120,7 @@ def pose_sigma(aperture: Aperture, covariance: np.ndarray, side: int, row: float
     grid, elevation = slant_grid(aperture, side), np.full((1, 1), np.pi / 4)
     looks = looks_at(np.full((1, 1), row), np.full((1, 1), col))
     with_it, without = (
-        height_field(estimate_of(elevation), looks, grid, grid, replace(aperture, covariance=c), side).sigma
+        height_field(estimate_of(elevation), looks, grid, grid, replace(aperture, covariance=c), side).first.sigma
         for c in (covariance, np.zeros((6, 6)))
     )
     return np.sqrt(with_it**2 - without**2)[0, 0]
@@ -173,9 +175,9 @@ def test_pixels_without_a_usable_elevation_have_no_height() -> None:
     np.testing.assert_array_equal(
         field.validity, [[Validity.OK, Validity.LOW_CNR, Validity.OUTSIDE_ARRAY, Validity.OK]]
     )
-    for values in (field.height, field.sigma, field.positions[..., 0], field.positions[..., 2]):
+    for values in (field.first.height, field.first.sigma, field.first.positions[..., 0], field.first.positions[..., 2]):
         np.testing.assert_array_equal(np.isnan(values), [[False, True, True, False]])
-    np.testing.assert_array_equal(np.isnan(field.cnr_db), [[False, True, False, False]])
+    np.testing.assert_array_equal(np.isnan(field.first.cnr_db), [[False, True, False, False]])
 
 
 def test_pixels_of_a_height_image_are_the_middles_of_their_looks() -> None:
@@ -247,9 +249,9 @@ def chain() -> Chain:
     valid = np.stack([field.validity for field in fields[True]]) == Validity.OK
     return Chain(
         grid.row_spacing,
-        np.stack([field.height for field in fields[True]])[valid] - HEIGHT,
-        np.stack([field.height for field in fields[False]])[valid] - HEIGHT,
-        np.stack([field.cnr_db for field in fields[True]])[valid],
+        np.stack([field.first.height for field in fields[True]])[valid] - HEIGHT,
+        np.stack([field.first.height for field in fields[False]])[valid] - HEIGHT,
+        np.stack([field.first.cnr_db for field in fields[True]])[valid],
     )
 
 
@@ -281,5 +283,24 @@ def test_height_is_that_above_the_sphere() -> None:
     aperture, there = make_aperture(), np.full((1, 1), 14.5)
     grid = slant_grid(aperture)
     field = height_field(estimate_of(np.full((1, 1), np.pi / 4)), looks_at(there, there), grid, grid, aperture, 1)
-    assert field.height[0, 0] == pytest.approx(height_of(field.positions[0, 0]), abs=1e-12)
-    assert field.height[0, 0] - field.positions[0, 0, 2] == pytest.approx(0.98, abs=0.01)  # y^2 / 2 R at 3.5 km
+    assert field.first.height[0, 0] == pytest.approx(height_of(field.first.positions[0, 0]), abs=1e-12)
+    assert field.first.height[0, 0] - field.first.positions[0, 0, 2] == pytest.approx(
+        0.98, abs=0.01
+    )  # y^2 / 2 R at 3.5 km
+
+
+def test_second_scatterer_lies_on_the_circle_of_the_first() -> None:
+    grid, aperture = slant_grid(make_aperture()), make_aperture()
+    there, lower = np.full((1, 2), 5.0), np.pi / 4 - 3 * BEAMWIDTH
+    second = SecondScatterer(*(np.array([[value, np.nan]]) for value in (lower, 2e-6, 40.0)))
+    estimate = replace(estimate_of(np.full((1, 2), np.pi / 4)), second=second)
+    estimate.validity[0, 0] = Validity.TWO_SCATTERERS
+    field = height_field(estimate, looks_at(there, there), grid, grid, aperture, 1)
+    alone = height_field(estimate_of(np.full((1, 2), lower)), looks_at(there, there), grid, grid, aperture, 1)
+    assert np.isfinite(field.first.height).all()
+    assert field.second.height[0, 0] == pytest.approx(alone.first.height[0, 0], abs=1e-9)
+    assert field.second.cnr_db[0, 0] == pytest.approx(10 * np.log10(40))
+    distances = [np.linalg.norm(s.positions[0, 0] - aperture.position) for s in (field.first, field.second)]
+    assert distances[0] == pytest.approx(distances[1], abs=1e-6)
+    for values in (field.second.height, field.second.sigma, field.second.cnr_db, field.second.positions[..., 1]):
+        np.testing.assert_array_equal(np.isnan(values), [[False, True]])

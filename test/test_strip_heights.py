@@ -75,8 +75,8 @@ def test_exact_elevations_give_the_positions_of_the_targets_in_a_strip() -> None
     )
     looks = Looks(np.zeros((*row.shape, 2, 2)), 4, row, col, np.ones(row.shape, dtype=bool))
     field = height_field(estimate, looks, grid, look_grid(grid, 10, 5), aperture, 1)
-    np.testing.assert_allclose(field.positions, targets, atol=1e-5)
-    np.testing.assert_allclose(field.height, 2.0, atol=1e-5)
+    np.testing.assert_allclose(field.first.positions, targets, atol=1e-5)
+    np.testing.assert_allclose(field.first.height, 2.0, atol=1e-5)
 
 
 def range_and_doppler(points: np.ndarray, aperture: Aperture, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
@@ -144,7 +144,7 @@ def heights(request: pytest.FixtureRequest) -> Strip:
     noise = slc_noise_power(sensor, processing, 310)[0]
     estimate = ml_elevation(looks, sensor.beams, squint, noise, OBJECTIVES["normalised"], 10**0.5)
     field = height_field(estimate, looks, grid, coarse, aperture, sensor.look_side)
-    return Strip(field.height - HEIGHT, field.sigma, field.cnr_db, turned(flight, coarse))
+    return Strip(field.first.height - HEIGHT, field.first.sigma, field.first.cnr_db, turned(flight, coarse))
 
 
 def turned(flight: SimulatedFlight, grid: Grid) -> np.ndarray:

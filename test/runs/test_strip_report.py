@@ -14,7 +14,7 @@ from sal_height.errors import UserError
 from sal_height.evaluation import truth_image
 from sal_height.flight import SimulatedFlight
 from sal_height.geometry import aperture_at, locate
-from sal_height.height import HeightField, look_grid
+from sal_height.height import HeightField, Surface, look_grid
 from sal_height.preset import load_preset
 from sal_height.runs.report import mosaic, statistics
 from sal_height.scene import Scene
@@ -44,7 +44,8 @@ def exact_image(flight: SimulatedFlight, dwell: int, error: float) -> HeightImag
     positions = locate(truth.elevation, slant_range, sight @ there.direction, there, sensor.look_side)
     height, sigma = np.where(seen, truth.height + error, np.nan), np.where(seen, 0.01, np.nan)
     positions = np.where(seen[..., None], positions, np.nan)
-    field = HeightField(grid, height, sigma, 0 * sigma, np.where(seen, 0, 1).astype(np.uint8), positions)
+    surface = Surface(height, sigma, 0 * sigma, positions)
+    field = HeightField(grid, np.where(seen, 0, 1).astype(np.uint8), surface, None)
     slc = ComplexImage(dwell=dwell)
     return convert.height_to_message(field, aperture, preset.looks, "ml", slc, Provenance())
 

@@ -60,6 +60,19 @@ class Beams:
         """The beams as an image has them whose targets were seen under `aspects` (rad) with `weights` of any sum."""
         return replace(self, aspects=aspects, weights=weights / np.sum(weights))
 
+    def scaled(self, gains: Array) -> Self:
+        """The beams of channels that are multiplied by `gains`, real or complex, shape (detectors,)."""
+        if np.all(gains == gains[0]):
+            return replace(self, patterns=tuple(pattern.scaled(gains[0]) for pattern in self.patterns))
+        patterns = self.patterns if len(self.patterns) > 1 else self.patterns * self.count
+        pairs = zip(patterns, gains, strict=True)
+        return replace(self, patterns=tuple(pattern.scaled(gain) for pattern, gain in pairs))
+
+    def detectors(self, indices: npt.NDArray[np.intp]) -> Self:
+        """The beams of some detectors, in increasing order and on the same axis."""
+        patterns = self.patterns if len(self.patterns) == 1 else tuple(self.patterns[i] for i in indices)
+        return replace(self, patterns=patterns, boresights=self.boresights[indices], middle=self.axis_middle)
+
     def pair(self, lower: int | npt.NDArray[np.intp]) -> Self:
         """The beams of detectors `lower` and `lower` + 1, on the same axis.
 

@@ -67,10 +67,6 @@ class ElevationEstimate:
 MISFIT_SHARE = 0.03
 """Share of a pixel's power that may remain unexplained before it counts as more than one scatterer."""
 
-
-NOISE_RATIO = 4.0
-"""Greatest ratio of the detectors' noise powers: random differences of 3 dB do no harm yet, one loud detector does."""
-
 PIXELS_OF_THREAD = 2**14
 """Pixels that are worth a thread."""
 
@@ -92,7 +88,7 @@ def validity_of(
         looks: covariance of M channels in each pixel.
         beams: of the M detectors.
         squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in one channel.
+        noise_power: E|n|^2 of one SLC pixel in every channel.
         elevation: estimates, rad, shape (rows, cols).
         cnr: estimates, power ratio, shape (rows, cols).
         min_cnr: least usable power ratio.
@@ -142,19 +138,19 @@ def _quadratic_forms(matrices: Covariance, weights: Array, result: Array) -> Non
         result[i] = total
 
 
-def common_noise(noise_powers: Array) -> float:
-    """Mean of the detectors' noise powers, for estimators that take them as equal.
+def whitening(noise_powers: Array) -> tuple[float, Array]:
+    """Noise power that all channels have once each is multiplied by its gain, and the gains, shape (detectors,).
+
+    The estimators take the noise as equal in all channels; with channels and beams scaled alike (`looks.multilook`,
+    `Beams.scaled`) they are exact for any. The power is the harmonic mean, so that the squares of the gains have the
+    mean 1, and a detector of much noise weighs little in CNRs, too.
 
     Raises:
-        UserError: one is not known (0), negative or not finite, or they differ by more than NOISE_RATIO.
+        UserError: a noise power is not known (0), negative or not finite.
     """
     if not np.all(np.isfinite(noise_powers) & (noise_powers > 0)):
         raise UserError(
             f"The detectors' noise powers are {noise_powers.tolist()}; all must be known, finite and greater than 0."
         )
-    if noise_powers.max() > NOISE_RATIO * noise_powers.min():
-        raise UserError(
-            f"The detectors' noise powers lie between {noise_powers.min():.6g} and {noise_powers.max():.6g}; the "
-            f"estimators take them as equal, they may differ by a factor of {NOISE_RATIO:g} at most."
-        )
-    return float(np.mean(noise_powers))
+    power = 1 / float(np.mean(1 / noise_powers))
+    return power, np.sqrt(power / noise_powers)

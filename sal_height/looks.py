@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.compiled import compiled, in_parallel
-from sal_height.errors import UserError
+from sal_height.errors import Rejected, UserError
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
@@ -63,7 +63,25 @@ def covariance(samples: ComplexArray, hermitian: bool) -> Covariance:
     return real + np.complex64(1j) * imaginary
 
 
-def multilook(slc: npt.NDArray[np.complex64], range_looks: int, azimuth_looks: int, hermitian: bool = False) -> Looks:
+def live_detectors(slc: ComplexArray) -> npt.NDArray[np.intp]:
+    """Numbers of the channels of `slc` (channels, rows, cols) with a finite sample other than 0 anywhere.
+
+    Raises:
+        Rejected: there are fewer than two.
+    """
+    live = [m for m, image in enumerate(slc) if any(np.any(np.isfinite(row) & (row != 0)) for row in image)]
+    if len(live) < 2:
+        raise Rejected(
+            "dead detectors",
+            f"Of {len(slc)} detectors {len(live)} have a finite sample other than 0 in the images; elevation needs 2 "
+            "or more.",
+        )
+    return np.array(live)
+
+
+def multilook(
+    slc: ComplexArray, range_looks: int, azimuth_looks: int, hermitian: bool = False, gains: Array | None = None
+) -> Looks:
     """Average blocks of `range_looks` x `azimuth_looks` pixels; remainders at the far edges are left out.
 
     On sloping ground the looks of a block come from different ranges and elevations; the power-weighted centre tells
@@ -74,6 +92,7 @@ def multilook(slc: npt.NDArray[np.complex64], range_looks: int, azimuth_looks: i
         range_looks: block height, pixels.
         azimuth_looks: block width, pixels.
         hermitian: whether the covariance is complex, as complex beams need it (`Beams.is_complex`).
+        gains: what each channel is multiplied by (`estimate.whitening`), shape (channels,); None: 1.
 
     Raises:
         UserError: a look count below 1 or larger than the image.
@@ -100,6 +119,8 @@ def multilook(slc: npt.NDArray[np.complex64], range_looks: int, azimuth_looks: i
             )
             good = np.isfinite(samples).all(axis=(1, 2))
             samples[~good] = 0
+            if gains is not None:
+                samples *= gains.astype(np.float32)
             matrices[part] = covariance(samples, hermitian).reshape(matrices[part].shape)
             power[part] = np.sum(np.square(samples.view(np.float32)), axis=-1).reshape(power[part].shape)
             finite[part] = good.reshape(finite[part].shape)

@@ -8,8 +8,9 @@ has the mean of h over it (SAL paper, sections 2 and 3), which is less.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +58,16 @@ class Pattern:
     slope: Callable[[npt.ArrayLike, npt.ArrayLike], Array]
     azimuth_slope: Callable[[npt.ArrayLike, npt.ArrayLike], Array]
     domain: tuple[float, float] = (-np.inf, np.inf)
+
+    def scaled(self, gain: float) -> Self:
+        """The pattern times a constant, real or complex."""
+        amplitude, slope, azimuth_slope = self.amplitude, self.slope, self.azimuth_slope
+        return replace(
+            self,
+            amplitude=lambda e, a: gain * amplitude(e, a),
+            slope=lambda e, a: gain * slope(e, a),
+            azimuth_slope=lambda e, a: gain * azimuth_slope(e, a),
+        )
 
 
 def _jinc(e: npt.ArrayLike, a: npt.ArrayLike) -> Array:

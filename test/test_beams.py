@@ -63,6 +63,27 @@ def test_every_detector_has_its_own_pattern() -> None:
     np.testing.assert_array_equal(beams.pair(1).response(*sight), beams.response(*sight)[:, 1:])
 
 
+@pytest.mark.parametrize("gains", [np.array([2.0, 0.1, 3.0]), np.array([1j, 0.3, -2.0]), np.full(3, 0.7)])
+@pytest.mark.parametrize("names", [("jinc",), ("jinc", "sinc", "gaussian")])
+def test_gains_scale_the_detectors_one_by_one(names: tuple[str, ...], gains: np.ndarray) -> None:
+    beams = replace(make_beams(count=3), patterns=tuple(PATTERNS[name] for name in names), rotation=0.26)
+    beams = beams.averaged(np.array([-0.3, 0.4]) * BEAMWIDTH, np.array([1.0, 2.0]))
+    sight = elevation_at(np.linspace(-1, 1, 7)), 0.2 * BEAMWIDTH
+    for function in ("response", "slope"):
+        scaled, plain = (getattr(some, function)(*sight) for some in (beams.scaled(gains), beams))
+        np.testing.assert_allclose(scaled, gains * plain, rtol=1e-13, atol=1e-11)
+    assert beams.scaled(gains).is_complex == np.iscomplexobj(gains)
+
+
+@pytest.mark.parametrize("names", [("jinc",), ("jinc", "sinc", "gaussian", "sinc")])
+def test_some_detectors_keep_the_axis_of_their_array(names: tuple[str, ...]) -> None:
+    beams = replace(make_beams(count=4), patterns=tuple(PATTERNS[name] for name in names), rotation=0.26)
+    sight = elevation_at(np.linspace(-1, 1, 7)), 0.2 * BEAMWIDTH
+    some = beams.detectors(np.array([1, 3]))
+    np.testing.assert_allclose(some.response(*sight), beams.response(*sight)[:, [1, 3]], atol=1e-15)
+    assert some.span == (beams.boresights[1], beams.boresights[3])
+
+
 def test_aspects_are_averaged_with_their_weights() -> None:
     still = make_beams("jinc", count=3)
     beams = still.averaged(np.array([-0.3, 0.1]) * BEAMWIDTH, np.array([1.0, 3.0]))

@@ -7,8 +7,8 @@ import pytest
 from helpers import assert_one_sentence, circular
 
 from sal_height import looks as looks_module
-from sal_height.errors import UserError
-from sal_height.looks import covariance, multilook
+from sal_height.errors import Rejected, UserError
+from sal_height.looks import covariance, live_detectors, multilook
 
 CHANNELS, ROWS, COLS = 3, 7, 9
 HIGH, WIDE = 3, 2
@@ -62,6 +62,27 @@ def test_bad_sample_marks_its_pixel_and_leaves_the_neighbours(slc: np.ndarray, b
         np.testing.assert_array_equal(getattr(looks, name)[~hit], getattr(clean, name)[~hit])
     assert not looks.covariance[1, 2].any()
     assert (looks.row[1, 2], looks.col[1, 2]) == (4.0, 4.5)  # the block's middle
+
+
+def test_gains_multiply_the_channels(slc: np.ndarray) -> None:
+    gains = np.linspace(0.5, 2, len(slc))
+    scaled, plain = multilook(slc, 2, 3, True, gains), multilook(slc * gains[:, None, None], 2, 3, True)
+    np.testing.assert_allclose(scaled.covariance, plain.covariance, rtol=1e-5)
+    np.testing.assert_allclose(scaled.row, plain.row, rtol=1e-5)
+
+
+@pytest.mark.parametrize("dead", [0.0, np.nan, np.inf])
+def test_detectors_without_any_sample_are_dead(slc: np.ndarray, dead: float) -> None:
+    """One sample is enough to live; two live detectors are the least."""
+    slc = slc.copy()
+    slc[1:] = dead
+    slc[-1, -1, -1] = 1e-20j
+    np.testing.assert_array_equal(live_detectors(slc), [0, len(slc) - 1])
+    slc[0] = dead
+    with pytest.raises(Rejected) as refusal:
+        live_detectors(slc)
+    assert refusal.value.reason == "dead detectors"
+    assert_one_sentence(str(refusal.value), f"Of {len(slc)} detectors 1 have", "2 or more")
 
 
 def test_one_look_keeps_every_pixel(slc: np.ndarray) -> None:

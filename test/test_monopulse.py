@@ -14,6 +14,7 @@ from helpers import (
     make_beams,
     noise_free_looks,
     offset_of,
+    standard_error_of_rms,
     target_slc,
 )
 from scipy import stats
@@ -22,7 +23,7 @@ from scipy.integrate import quad
 from sal_height.array_ml import elevation_bound
 from sal_height.beams import Beams
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, Validity
+from sal_height.estimate import ElevationEstimate, Validity, whitening
 from sal_height.looks import Looks, multilook
 from sal_height.monopulse import (
     DISCRIMINANTS,
@@ -272,6 +273,29 @@ def test_sigma_is_the_bound_for_two_channels(offset: float) -> None:
     assert result.cnr[0, 0] == pytest.approx(energy / looks, rel=1e-9)
     bound = elevation_bound(np.array(energy), looks, beams, elevation_at(offset), np.array(squint))
     assert result.sigma[0, 0] == pytest.approx(bound, rel=1e-6)
+
+
+@pytest.mark.parametrize("discriminant", sorted(DISCRIMINANTS))
+@pytest.mark.parametrize("pattern", ["jinc", "gaussian"])
+def test_pairs_of_unequal_noise_are_exact_without_it(pattern: str, discriminant: str) -> None:
+    beams, offsets = make_beams(pattern, 4).scaled(np.array([1.0, 10.0, 0.1, 2.0])), np.linspace(-0.7, 0.7, 29)
+    result = estimate(noise_free_looks(beams, offsets), beams, discriminant=discriminant)
+    inside = result.validity[:, 0] == Validity.OK
+    np.testing.assert_allclose(offset_of(result.elevation[inside, 0]), offsets[inside], atol=1e-5)
+    assert np.count_nonzero(inside) > 20
+
+
+def test_pair_of_unequal_noise_has_the_sigma_that_it_says() -> None:
+    """Noise of powers 1 and 9, whitened: no bias, and errors of the spread that each pixel's sigma gives."""
+    beams, noise_powers, looks, trials = make_beams("jinc", 2), np.array([1.0, 9.0]), 16, 6000
+    rng, (power, gains) = np.random.default_rng(35), whitening(noise_powers)
+    noise = np.sqrt(noise_powers)[:, None, None] * circular(rng, (2, trials, looks))
+    target = beams.response(elevation_at(0.1), 0.0)[:, None, None] * circular(rng, (trials, looks))
+    seen = multilook(np.sqrt(300.0) * target + noise, 1, looks, gains=gains)
+    result = monopulse_elevation(seen, beams.scaled(gains), np.zeros(1), power, DISCRIMINANTS["tls"], 1.0)
+    normal = (offset_of(result.elevation[:, 0]) - 0.1) * BEAMWIDTH / result.sigma[:, 0]
+    assert np.mean(normal) == pytest.approx(0, abs=3.5 / np.sqrt(trials) + 0.02)
+    assert np.sqrt(np.mean(normal**2)) == pytest.approx(1, abs=3.5 * standard_error_of_rms(normal) + 0.02)
 
 
 def test_one_detector_is_refused() -> None:

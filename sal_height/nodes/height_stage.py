@@ -14,9 +14,9 @@ from sensor_msgs.msg import Image, PointCloud2
 from sal_height import __version__, convert
 from sal_height.beams import Beams
 from sal_height.discriminant import moving_squint
-from sal_height.estimate import ElevationEstimate, common_noise
+from sal_height.estimate import ElevationEstimate, whitening
 from sal_height.height import column_squint, height_field, look_grid
-from sal_height.looks import Looks, multilook
+from sal_height.looks import Looks, live_detectors, multilook
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import as_json, parameter, recorded
 from sal_height.sensor import Sensor
@@ -87,14 +87,17 @@ class HeightStage(DwellStage):
     def process(self, messages: list[ComplexImage], sensor: Sensor) -> int:
         """Estimate the heights of a dwell and publish them."""
         parameters = self.current_parameters()
-        slc, slc_grid, aperture, noise_power = convert.slc_from_messages(messages)
-        looks = multilook(slc, parameters.range_looks, parameters.azimuth_looks, sensor.beams.is_complex)
+        slc, slc_grid, aperture, noise_powers = convert.slc_from_messages(messages)
+        live = live_detectors(slc)
+        noise_power, gains = whitening(noise_powers[live])
+        hermitian = sensor.beams.is_complex
+        looks = multilook(slc[live], parameters.range_looks, parameters.azimuth_looks, hermitian, gains)
         grid = look_grid(slc_grid, parameters.range_looks, parameters.azimuth_looks)
         before = messages[0].provenance
-        beams = processed_beams(sensor, before.parameters)
+        beams = processed_beams(sensor, before.parameters).detectors(live).scaled(gains)
         velocity, speed = parameters.radial_velocity_mps, np.linalg.norm(aperture.velocity)
         squint = moving_squint(column_squint(grid, aperture, sensor.beams, sensor.look_side), velocity, speed)
-        estimate = self.estimate(looks, beams, squint, common_noise(noise_power), parameters)
+        estimate = self.estimate(looks, beams, squint, noise_power, parameters)
         field = height_field(estimate, looks, slc_grid, grid, aperture, sensor.look_side, velocity)
         provenance = Provenance(
             code_version=__version__,

@@ -89,9 +89,10 @@ class HeightStage(DwellStage):
         parameters = self.current_parameters()
         slc, slc_grid, aperture, noise_powers = convert.slc_from_messages(messages)
         live = live_detectors(slc)
+        slc = slc if len(live) == len(slc) else slc[live]
         noise_power, gains = whitening(noise_powers[live])
         hermitian = sensor.beams.is_complex
-        looks = multilook(slc[live], parameters.range_looks, parameters.azimuth_looks, hermitian, gains)
+        looks = multilook(slc, parameters.range_looks, parameters.azimuth_looks, hermitian, gains)
         grid = look_grid(slc_grid, parameters.range_looks, parameters.azimuth_looks)
         before = messages[0].provenance
         beams = processed_beams(sensor, before.parameters).detectors(live).scaled(gains)

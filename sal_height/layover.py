@@ -19,37 +19,41 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
-from scipy.stats import gamma
+from scipy.special import gammaincc, gammaln
 
 from sal_height.array_ml import GUARD
 from sal_height.beams import Beams
 from sal_height.bounds import beam_power, information
-from sal_height.compiled import in_parallel
+from sal_height.compiled import compiled, in_parallel
 from sal_height.errors import UserError
 from sal_height.estimate import explained_power
 from sal_height.looks import Covariance
 
 Array = npt.NDArray[np.float64]
+FloatArray = npt.NDArray[np.float32]
 Numbers = npt.NDArray[Any]
 """Real, or complex if the beams are."""
 
 GRID_STEP = 0.2
 """Spacing of the coarse search in beamwidths, as of the search for one scatterer."""
 
-LEAST_SEPARATION = 0.25
-"""Beamwidths between two scatterers; nearer ones differ by little more than the slope of one beam."""
+LEAST_SEPARATION = 0.1
+"""Beamwidths between the elevations of a pair: well below what can be told apart, so that none pile up there."""
 
 LEAST_RESIDUE = 0.02
-"""Share of a unit vector that must lie off another for the two to be tried as a pair on the grid."""
+"""Share of |a|^2 that must lie off another a for the two to be tried as a pair on the grid."""
 
 SUSPICIOUS = 10.0
 """Times the false alarms: share of single scatterers for which pairs are tried at all."""
 
 NEWTON_STEPS = 12
-"""Of the climb from the grid, each half a step of the grid at most."""
+"""Of the climb from the grid at most, each half a step of the grid at most."""
 
-PIXELS_AT_ONCE = 256
-"""Pixels whose pairs are held at a time."""
+SETTLED = 1e-5
+"""Newton step in beamwidths that is the last."""
+
+PIXELS_AT_ONCE = 1024
+"""Pixels whose beams are held at a time."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,8 @@ class TwoScatterers:
         elevation: rad from nadir, shape (rows, cols, 2).
         power: carrier-to-noise power ratio of one look in a detector looking straight at the scatterer, (rows, cols,
             2).
-        sigma: standard deviation of elevation, rad, (rows, cols, 2); infinite where a power is not positive.
+        sigma: standard deviation of elevation, rad, (rows, cols, 2): the bound for the amplitudes of these looks, to
+            first order in noise power over theirs. Infinite where that much is not known of them.
     """
 
     detected: npt.NDArray[np.bool_]
@@ -98,6 +103,7 @@ def two_scatterers(
             false alarms out of range.
     """
     _require(covariance, beams, noise_power, looks_count, false_alarm)
+    covariance = covariance if beams.is_complex else covariance.real
     shape = single.shape
     found = np.full((*shape, 3, 2), np.nan)
     angles, angle_of = np.unique(squint, return_inverse=True)
@@ -125,7 +131,7 @@ def detection_threshold(beams: Beams, squint: float, looks: int, false_alarm: fl
 
         P(max > x) <= Q(x) + L sqrt(x / pi) p(x)
 
-    Q and p are the distribution's upper tail and density, L the length of the path of a / |a| over the search domain.
+    Q and p are the distribution's upper tail and density, L the length of the path of a / |a| over the boresights.
 
     Args:
         beams: of the array.
@@ -133,13 +139,13 @@ def detection_threshold(beams: Beams, squint: float, looks: int, false_alarm: fl
         looks: K.
         false_alarm: wanted probability.
     """
-    nodes = _nodes(beams)
-    response = beams.response(nodes, squint)
-    length = float(np.trapezoid(np.sqrt(information(beams, nodes, squint) / beam_power(response)), nodes))
+    nodes = np.linspace(*beams.span, math.ceil(np.ptp(beams.span) / (GRID_STEP * beams.beamwidth)) + 1)
+    power = beam_power(beams.response(nodes, squint))
+    length = float(np.trapezoid(np.sqrt(information(beams, nodes, squint) / power), nodes))
 
     def excess(level: float) -> float:
-        crossings = length * math.sqrt(level / math.pi) * gamma.pdf(level, looks)
-        return float(gamma.sf(level, looks) + crossings) - false_alarm
+        density = math.exp((looks - 1) * math.log(level) - level - gammaln(looks))
+        return float(gammaincc(looks, level)) + length * math.sqrt(level / math.pi) * density - false_alarm
 
     return float(brentq(excess, looks, 10 * looks + 1000))
 
@@ -158,13 +164,14 @@ def two_source_crb(
         beams: of the array.
         elevations: of both scatterers, rad, shape (..., 2).
         squint: rad, shape (...).
-        cnrs: power ratio of each in one look of a detector that looks straight at it, shape (..., 2); the bound is
+        cnrs: power ratio of each in one look of a detector that looks straight at it, shape (..., 2); both bounds are
             infinite where one is not positive.
         looks: K.
     """
     elevations = np.asarray(elevations, dtype=np.float64)
     model = _PairModel.of(beams, elevations, np.asarray(squint, dtype=np.float64))
-    return model.bound(np.asarray(cnrs, dtype=np.float64)[..., None] * np.eye(2), looks)
+    signal = np.maximum(cnrs, 0.0)[..., None] * np.eye(2)
+    return model.bound(signal @ np.linalg.inv(signal + model.gram) @ signal, looks)
 
 
 @dataclass(frozen=True)
@@ -197,8 +204,8 @@ class _PairModel:
         return cls(matrix, gram, inverse, beyond, _adjoint(beyond) @ beyond)
 
     def explained(self, covariance: Numbers) -> Array:
-        """f = tr(P R), shape (...)."""
-        return np.asarray(np.einsum("...im,...mn,...ni->...", self.inverse, covariance, self.matrix).real)
+        """The likelihood f = tr(P R), shape (...)."""
+        return np.asarray(_traces(self.inverse @ covariance, self.matrix).sum(axis=-1))
 
     def amplitudes(self, covariance: Numbers) -> Numbers:
         """Sum over looks of the products of the fitted amplitudes, A^+ R A^+H, noise included; (..., 2, 2)."""
@@ -206,23 +213,23 @@ class _PairModel:
 
     def newton_step(self, covariance: Numbers) -> Array:
         """Gauss-Newton step of f, rad, (..., 2): its curvature as it is expected of these amplitudes."""
-        gradient = np.einsum("...im,...mn,...ni->...i", self.inverse, covariance, self.beyond).real
+        gradient = _traces(self.inverse @ covariance, self.beyond)
         curvature = (self.slope_power * np.swapaxes(self.amplitudes(covariance), -1, -2)).real
         ridge = 1e-9 * np.trace(curvature, axis1=-2, axis2=-1)[..., None, None] * np.eye(2)
         return np.asarray(np.linalg.solve(curvature + ridge, gradient[..., None])[..., 0])
 
-    def bound(self, signal: Numbers, looks: int) -> Array:
-        """Stochastic Cramer-Rao bound, rad, (..., 2), for amplitudes of covariance `signal` over sigma^2.
+    def bound(self, known: Numbers, looks: int) -> Array:
+        """1 / sqrt of F = 2 K Re{(D^H (I - P) D) * known^T}, rad, (..., 2); infinite where F is not positive definite.
 
-        Infinite where the signal is not positive definite.
+        Args:
+            known: covariance of the amplitudes in one look over sigma^2, less what noise makes of it, (..., 2, 2).
+            looks: K.
         """
-        powers = np.diagonal(signal, axis1=-2, axis2=-1).real
-        positive = (powers > 0).all(axis=-1) & (np.linalg.det(signal).real > 0)
-        signal = np.where(positive[..., None, None], signal, np.eye(2))
-        known = signal @ np.linalg.inv(signal + self.gram) @ signal
         fisher = 2 * looks * (self.slope_power * np.swapaxes(known, -1, -2)).real
-        variance = np.diagonal(np.linalg.inv(fisher), axis1=-2, axis2=-1)
-        return np.sqrt(np.where(positive[..., None] & (variance > 0), variance, np.inf))
+        diagonal, determinant = np.diagonal(fisher, axis1=-2, axis2=-1), np.linalg.det(fisher)[..., None]
+        positive = (diagonal > 0) & (diagonal[..., ::-1] > 0) & (determinant > 0)
+        variance = np.divide(diagonal[..., ::-1], determinant, where=positive, out=np.full_like(diagonal, np.inf))
+        return np.asarray(np.sqrt(variance))
 
 
 @dataclass(frozen=True)
@@ -233,7 +240,7 @@ class _PairGrid:
         beams: of the array.
         squint: rad.
         nodes: elevations, rad, shape (nodes,).
-        unit: a / |a| at the nodes, (nodes, M).
+        units: u = a / |a| at the nodes, (M, nodes).
         overlap: u_i^H u_j, (nodes, nodes).
         weight: 1 / (1 - |overlap|^2) of pairs that are tried, i < j; 0 elsewhere.
     """
@@ -241,46 +248,38 @@ class _PairGrid:
     beams: Beams
     squint: float
     nodes: Array
-    unit: Numbers
+    units: Numbers
     overlap: Numbers
-    weight: Array
+    weight: FloatArray
 
     @classmethod
     def of(cls, beams: Beams, squint: float) -> Self:
         """Over the array and as far beyond as one scatterer is searched."""
-        nodes = _nodes(beams)
+        first, last = beams.domain(GUARD * beams.beamwidth)
+        nodes = np.linspace(first, last, math.ceil((last - first) / (GRID_STEP * beams.beamwidth)) + 1)
         unit = _unit(beams.response(nodes, squint))
         overlap = unit.conj() @ unit.T
         residue = 1 - np.abs(overlap) ** 2
-        apart = np.triu(residue > LEAST_RESIDUE) & (np.diff(np.meshgrid(nodes, nodes), axis=0)[0] != 0)
-        weight = np.divide(1.0, residue, where=apart, out=np.zeros_like(residue))
-        return cls(beams, squint, nodes, unit, overlap, weight)
+        weight = np.divide(1.0, residue, where=np.triu(residue > LEAST_RESIDUE, 1), out=np.zeros_like(residue))
+        kind = np.complex64 if np.iscomplexobj(unit) else np.float32
+        units = np.ascontiguousarray(unit.T, dtype=kind)
+        return cls(beams, squint, nodes, units, overlap.astype(kind), weight.astype(np.float32))
 
-    def gain_beside(self, covariance: Numbers, first: Array) -> Array:
+    def gain_beside(self, covariance: Covariance, first: Array) -> FloatArray:
         """Greatest power that a node explains beyond what elevations `first` (rad, (pixels,)) do, (pixels,)."""
-        one = _unit(self.beams.response(first, self.squint))
-        nodes = self.unit.T
-        forms = (self.unit.conj()[:, :, None] * self.unit[:, None, :]).reshape(len(self.unit), -1)
-        own = (covariance.reshape(len(covariance), -1) @ forms.T).real
-        overlap = one.conj() @ nodes
-        row = np.einsum("pm,pmn->pn", one.conj(), covariance)
-        power = np.einsum("pm,pm->p", row, one).real[:, None]
-        residue = 1 - np.abs(overlap) ** 2
-        gain = own - 2 * (overlap.conj() * (row @ nodes)).real + np.abs(overlap) ** 2 * power
-        gain = np.divide(gain, residue, where=residue > LEAST_RESIDUE, out=np.zeros_like(gain))
-        return np.asarray(gain.max(axis=1))
+        one = _unit(self.beams.response(first, self.squint)).astype(self.units.dtype)
+        gain = np.empty(len(covariance), np.float32)
+        _gains(covariance, one, self.units, gain)
+        return gain
 
-    def best(self, covariance: Numbers) -> Array:
+    def best(self, covariance: Covariance) -> Array:
         """Nodes (rad) of the pair that explains most, shape (pixels, 2)."""
-        products = self.unit.conj() @ covariance @ self.unit.T
-        own = np.diagonal(products, axis1=1, axis2=2).real
-        explained = own[:, :, None] + own[:, None, :] - 2 * (self.overlap.conj() * products).real
-        explained *= self.weight
-        place = np.argmax(explained.reshape(len(explained), -1), axis=1)
-        return self.nodes[np.stack(np.divmod(place, len(self.nodes)), axis=-1)]
+        place = np.empty((len(covariance), 2), dtype=np.intp)
+        _best_pairs(covariance, self.units, self.overlap, self.weight, place)
+        return self.nodes[place]
 
 
-def _pairs_of(covariance: Numbers, grid: _PairGrid, looks: int, single: Array, levels: list[float]) -> Array:
+def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: int, single: Array, levels: list[float]) -> Array:
     """Elevations, powers and deviations of the pairs in some pixels, shape (pixels, 3, 2); NaN where there is none.
 
     Args:
@@ -291,10 +290,11 @@ def _pairs_of(covariance: Numbers, grid: _PairGrid, looks: int, single: Array, l
         levels: gains that are suspicious, and that detect.
     """
     found = np.full((len(covariance), 3, 2), np.nan)
+    covariance = covariance.astype(grid.units.dtype)
     suspicious = np.flatnonzero(grid.gain_beside(covariance, single) > levels[0])
     if not suspicious.size:
         return found
-    some = covariance[suspicious].astype(np.complex128 if grid.beams.is_complex else np.float64)
+    some = covariance[suspicious]
     pair = np.sort(_climb(some, grid, grid.best(some)), axis=-1)
     model = _PairModel.of(grid.beams, pair, grid.squint)
     one = explained_power(some, grid.beams.response(single[suspicious], grid.squint))
@@ -302,33 +302,30 @@ def _pairs_of(covariance: Numbers, grid: _PairGrid, looks: int, single: Array, l
     detected = (model.explained(some) - one > levels[1]) & (pair[:, 0] >= first) & (pair[:, 1] <= last)
     signal = model.amplitudes(some) / looks - model.gram
     powers = np.diagonal(signal, axis1=-2, axis2=-1).real
-    found[suspicious[detected]] = np.stack([pair, powers, model.bound(signal, looks)], axis=1)[detected]
+    found[suspicious[detected]] = np.stack([pair, powers, model.bound(signal - model.gram, looks)], axis=1)[detected]
     return found
 
 
-def _climb(covariance: Numbers, grid: _PairGrid, pair: Array) -> Array:
-    """Pairs (pixels, 2) from the grid's nodes to the peaks of f near them, rad; steps that do not rise are quartered."""
-    first, last = grid.nodes[0], grid.nodes[-1]
-    reach = np.full((len(pair), 1), GRID_STEP * grid.beams.beamwidth / 2)
-    model = _PairModel.of(grid.beams, pair, grid.squint)
+def _climb(covariance: Covariance, grid: _PairGrid, start: Array) -> Array:
+    """Pairs (pixels, 2) from nodes of the grid to peaks of f near them, rad; a step that does not rise is quartered."""
+    found, active = start.copy(), np.arange(len(start))
+    reach = np.full((len(start), 1), GRID_STEP * grid.beams.beamwidth / 2)
+    model = _PairModel.of(grid.beams, start, grid.squint)
     height, step = model.explained(covariance), model.newton_step(covariance)
     for _ in range(NEWTON_STEPS):
-        trial = np.clip(pair + np.clip(step, -reach, reach), first, last)
-        apart = np.abs(trial[:, 1] - trial[:, 0]) >= LEAST_SEPARATION * grid.beams.beamwidth
-        trial = np.where(apart[:, None], trial, pair)
+        step = np.clip(step, -reach, reach)
+        moving = np.abs(step).max(axis=1) > SETTLED * grid.beams.beamwidth
+        active, covariance, height, step, reach = (x[moving] for x in (active, covariance, height, step, reach))
+        trial = np.clip(found[active] + step, grid.nodes[0], grid.nodes[-1])
+        apart = np.abs(np.diff(trial)) >= LEAST_SEPARATION * grid.beams.beamwidth
+        trial = np.where(apart, trial, found[active])
         model = _PairModel.of(grid.beams, trial, grid.squint)
         trial_height = model.explained(covariance)
-        rises = apart & (trial_height > height)
-        pair, height = np.where(rises[:, None], trial, pair), np.where(rises, trial_height, height)
+        rises = trial_height > height
+        found[active[rises]], height = trial[rises], np.maximum(height, trial_height)
+        reach = np.where(rises[:, None], reach, np.abs(step).max(axis=1, keepdims=True) / 4)
         step = np.where(rises[:, None], model.newton_step(covariance), step)
-        reach = np.where(rises[:, None], reach, np.minimum(reach, np.abs(step).max(axis=1, keepdims=True)) / 4)
-    return pair
-
-
-def _nodes(beams: Beams) -> Array:
-    """Elevations (rad) of the coarse search."""
-    first, last = beams.domain(GUARD * beams.beamwidth)
-    return np.linspace(first, last, max(2, math.ceil((last - first) / (GRID_STEP * beams.beamwidth)) + 1))
+    return found
 
 
 def _unit(response: Numbers) -> Numbers:
@@ -337,13 +334,16 @@ def _unit(response: Numbers) -> Numbers:
     return np.asarray(response * np.divide(1.0, norm, where=norm > 0, out=np.zeros_like(norm)))
 
 
+def _traces(left: Numbers, right: Numbers) -> Array:
+    """Real diagonal of `left` (..., 2, M) times `right` (..., M, 2), shape (..., 2)."""
+    return np.asarray(np.einsum("...im,...mi->...i", left, right).real)
+
+
 def _adjoint(matrix: Numbers) -> Numbers:
     return np.asarray(np.swapaxes(matrix.conj(), -1, -2))
 
 
-def _require(
-    covariance: Covariance, beams: Beams, noise_power: float, looks_count: int, false_alarm: float
-) -> None:
+def _require(covariance: Covariance, beams: Beams, noise_power: float, looks_count: int, false_alarm: float) -> None:
     if beams.count < 3:
         raise UserError(f"The sensor has {beams.count} detectors; telling two scatterers from one needs 3 or more.")
     if beams.is_complex and not np.iscomplexobj(covariance):
@@ -354,3 +354,75 @@ def _require(
         raise UserError(f"The number of looks is {looks_count}; it must be 1 or more.")
     if not 0 < false_alarm <= 0.1:
         raise UserError(f"The share of false alarms is {false_alarm:g}; it must be above 0 and up to 0.1.")
+
+
+# The loops below are compiled; sums over nodes are vectorised.
+
+
+@compiled
+def _gains(covariance: Numbers, one: Numbers, units: Numbers, gain: FloatArray) -> None:
+    """Greatest power that a node explains beyond unit vectors `one` (pixels, M), the part of u_j along them removed."""
+    count = units.shape[1]
+    outputs = np.empty_like(units)
+    own = np.empty(count, np.float32)
+    cross, overlap = np.empty(count, units.dtype), np.empty(count, units.dtype)
+    for p in range(len(covariance)):
+        _outputs(covariance[p], units, outputs, own)
+        cross[:] = 0
+        overlap[:] = 0
+        power = np.float32(0)
+        for m in range(len(units)):
+            weight = np.conj(one[p, m])
+            for n in range(len(units)):
+                power += (weight * covariance[p, m, n] * one[p, n]).real
+            for j in range(count):
+                cross[j] += weight * outputs[m, j]
+                overlap[j] += weight * units[m, j]
+        gain[p] = 0
+        for j in range(count):
+            along = overlap[j].real ** 2 + overlap[j].imag ** 2
+            if 1 - along > LEAST_RESIDUE:
+                beyond = own[j] - 2 * (np.conj(overlap[j]) * cross[j]).real + along * power
+                gain[p] = max(gain[p], beyond / (1 - along))
+
+
+@compiled
+def _best_pairs(
+    covariance: Numbers, units: Numbers, overlap: Numbers, weight: FloatArray, place: npt.NDArray[np.intp]
+) -> None:
+    """Nodes i < j of the greatest (c_ii + c_jj - 2 Re(overlap_ij^* c_ij)) weight_ij, c = u_i^H R u_j, per pixel."""
+    count = units.shape[1]
+    outputs, cross = np.empty_like(units), np.empty(count, units.dtype)
+    own, explained = np.empty(count, np.float32), np.empty(count, np.float32)
+    for p in range(len(covariance)):
+        _outputs(covariance[p], units, outputs, own)
+        best = np.float32(-1)
+        for i in range(count):
+            cross[:] = 0
+            for m in range(len(units)):
+                left = np.conj(units[m, i])
+                for j in range(i + 1, count):
+                    cross[j] += left * outputs[m, j]
+            for j in range(i + 1, count):
+                both = own[i] + own[j] - np.float32(2) * (np.conj(overlap[i, j]) * cross[j]).real
+                explained[j] = both * weight[i, j]
+            highest = np.float32(-1)
+            for j in range(i + 1, count):
+                highest = max(highest, explained[j])
+            if highest > best:
+                best, place[p, 0], place[p, 1] = highest, i, i + 1 + np.argmax(explained[i + 1 :])
+
+
+@compiled
+def _outputs(matrix: Numbers, units: Numbers, outputs: Numbers, own: FloatArray) -> None:
+    """R u_j of every node, shape (M, nodes), and u_j^H R u_j."""
+    outputs[:] = 0
+    own[:] = 0
+    for m in range(len(units)):
+        output = outputs[m]
+        for n in range(len(units)):
+            factor = matrix[m, n]
+            for j in range(output.size):
+                output[j] += factor * units[n, j]
+        for j in range(output.size):
+            own[j] += (np.conj(units[m, j]) * output[j]).real

@@ -117,6 +117,23 @@ class PeakSearch:
             _climb_highest(matrices, values, self.pieces, position[block])
         return self.first + self.step * position
 
+    def on_grid(self, covariance: Covariance) -> FloatArray:
+        """Objective of some pixels at every node of the grid, (pixels, grid nodes); errors and threads as `peaks`."""
+        return _on_grid(self._real(covariance), self.entries, self.grid)
+
+    def peaks_uphill(self, covariance: Covariance, nodes: npt.NDArray[np.intp]) -> Array:
+        """Elevation (rad) of the peak that lies uphill of a node of the grid, for each of some pixels.
+
+        From the node of the highest peak on the grid it is what `peaks` finds there. Errors and threads as `peaks`.
+
+        Args:
+            covariance: shape (pixels, channels, channels).
+            nodes: of the grid, one for each pixel, shape (pixels,).
+        """
+        position, matrices = np.empty(len(covariance)), self._real(covariance)
+        _climb_uphill(matrices, _on_grid(matrices, self.entries, self.grid), self.pieces, nodes, position)
+        return self.first + self.step * position
+
     def _real(self, covariance: Covariance) -> FloatArray:
         """Real matrices whose quadratic form with the real weights is that of the covariance."""
         if not self.complex_beams:
@@ -246,6 +263,21 @@ def _climb_highest(matrices: FloatArray, values: FloatArray, pieces: FloatArray,
             peak, height = _climb(matrices[i], pieces, max(g - 1, 0), _start(line, g), min(g + 1, last), work)
             if height > best:
                 position[i], best = peak, height
+
+
+@compiled
+def _climb_uphill(
+    matrices: FloatArray, values: FloatArray, pieces: FloatArray, nodes: npt.NDArray[np.intp], position: Array
+) -> None:
+    """Climb from one node of each pixel's grid; arguments as of `_climb_highest`."""
+    work, last = np.empty((3, pieces.shape[2]), np.float32), values.shape[1] - 1
+    for i in range(len(values)):
+        line, g = values[i], nodes[i]
+        while g < last and line[g + 1] >= line[g]:
+            g += 1
+        while g > 0 and line[g - 1] > line[g]:
+            g -= 1
+        position[i], _ = _climb(matrices[i], pieces, max(g - 1, 0), _start(line, g), min(g + 1, last), work)
 
 
 @compiled

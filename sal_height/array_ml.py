@@ -93,17 +93,18 @@ def peak_elevation(covariance: Covariance, beams: Beams, squint: Array, objectiv
 
 def best_elevation(covariance: Covariance, beams: Beams, squint: Array, objective: Objective) -> Array:
     """`peak_elevation` over the array, its ends and the guard beyond, which reveals targets outside."""
-    return peak_elevation(covariance, beams, squint, objective, GUARD * beams.beamwidth if beams.count > 2 else 0.0)
+    return peak_elevation(covariance, beams, squint, objective, search_guard(beams))
+
+
+def search_guard(beams: Beams) -> float:
+    """How far beyond the array is searched, rad: GUARD, but 0 for two detectors."""
+    return GUARD * beams.beamwidth if beams.count > 2 else 0.0
 
 
 def ml_elevation(
     looks: Looks, beams: Beams, squint: Array, noise_power: float, objective: Objective, min_cnr: float
 ) -> ElevationEstimate:
-    """Elevation of the dominant scatterer in every pixel.
-
-    Sigma is `elevation_bound` for the energy of these very looks, less the noise of SPARE_LOOKS more. It is that of an
-    error about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB in 2 looks, and fewer elsewhere,
-    another peak has won.
+    """Elevation of the dominant scatterer in every pixel: the highest peak, see `estimate_at`.
 
     Args:
         looks: covariance of M channels in each pixel.
@@ -119,6 +120,18 @@ def ml_elevation(
     if beams.count < 2:
         raise UserError(f"The sensor has {beams.count} detector; elevation needs 2 or more.")
     elevation = best_elevation(looks.covariance, beams, squint, objective)
+    return estimate_at(elevation, looks, beams, squint, noise_power, min_cnr)
+
+
+def estimate_at(
+    elevation: Array, looks: Looks, beams: Beams, squint: Array, noise_power: float, min_cnr: float
+) -> ElevationEstimate:
+    """What is known of a scatterer whose likelihood peaks at `elevation` (rad, shape (rows, cols)), in every pixel.
+
+    Sigma is `elevation_bound` for the energy of these very looks, less the noise of SPARE_LOOKS more. It is that of an
+    error about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB in 2 looks, and fewer elsewhere,
+    another peak has won. The other arguments are those of `ml_elevation`.
+    """
     response = beams.response(elevation, squint)
     explained, gain = explained_power(looks.covariance, response) / noise_power, beam_power(response)
     cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS

@@ -26,8 +26,8 @@ from sal_height.beams import Beams
 from sal_height.bounds import beam_power, information
 from sal_height.compiled import compiled, in_parallel
 from sal_height.errors import UserError
-from sal_height.estimate import explained_power
-from sal_height.looks import Covariance
+from sal_height.estimate import ElevationEstimate, SecondScatterer, Validity, explained_power
+from sal_height.looks import Covariance, Looks
 
 Array = npt.NDArray[np.float64]
 FloatArray = npt.NDArray[np.float32]
@@ -51,6 +51,9 @@ NEWTON_STEPS = 12
 
 SETTLED = 1e-5
 """Newton step in beamwidths that is the last."""
+
+FALSE_ALARM = 1e-3
+"""Share of single scatterers that may pass for two, of the few that do not look like one."""
 
 PIXELS_AT_ONCE = 1024
 """Pixels whose beams are held at a time."""
@@ -121,6 +124,39 @@ def two_scatterers(
 
         in_parallel(work, pixel[0].size, PIXELS_AT_ONCE)
     return TwoScatterers(np.isfinite(found[:, :, 0, 0]), found[:, :, 0], found[:, :, 1], found[:, :, 2])
+
+
+def resolve_layover(
+    estimate: ElevationEstimate, looks: Looks, beams: Beams, squint: Array, noise_power: float, min_cnr: float
+) -> ElevationEstimate:
+    """The estimate with both scatterers of the pixels that do not fit one, where two can be told apart.
+
+    Those become TWO_SCATTERERS, with the stronger one in the place of the estimate. Both must have `min_cnr`.
+
+    Args:
+        estimate: by all detectors (`array_ml.ml_elevation`); with fewer than three it stays as it is.
+        looks: covariance of M channels in each pixel.
+        beams: of the M detectors.
+        squint: of each column, rad, shape (cols,).
+        noise_power: E|n|^2 of one SLC pixel in every channel.
+        min_cnr: least usable power ratio.
+    """
+    if beams.count < 3:
+        return estimate
+    row, col = np.nonzero(estimate.validity == Validity.NOT_ONE_SCATTERER)
+    pixels, single = looks.covariance[row, col][None], estimate.elevation[row, col][None]
+    two = two_scatterers(pixels, beams, squint[col], noise_power, looks.count, single, FALSE_ALARM)
+    found = two.detected[0] & (two.power[0] >= min_cnr).all(axis=-1)
+    row, col, order = row[found], col[found], np.argsort(-two.power[0][found], axis=-1)
+    values = (np.take_along_axis(part[0][found], order, axis=-1).T for part in (two.elevation, two.sigma, two.power))
+    surfaces = [estimate.elevation.copy(), estimate.sigma.copy(), estimate.cnr.copy()]
+    second = [np.full(estimate.elevation.shape, np.nan) for _ in surfaces]
+    for surface, other, (stronger, weaker) in zip(surfaces, second, values, strict=True):
+        surface[row, col], other[row, col] = stronger, weaker
+    validity = estimate.validity.copy()
+    validity[row, col] = Validity.TWO_SCATTERERS
+    elevation, sigma, cnr = surfaces
+    return ElevationEstimate(elevation, sigma, cnr, validity, SecondScatterer(*second))
 
 
 def detection_threshold(beams: Beams, squint: float, looks: int, false_alarm: float) -> float:

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.array_ml import OBJECTIVES, ml_elevation
+from sal_height.array_ml import OBJECTIVES, estimate_at, ml_elevation, search_guard
 from sal_height.beams import Beams
 from sal_height.estimate import ElevationEstimate
+from sal_height.layover import resolve_layover
 from sal_height.looks import Looks
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
+from sal_height.spatial_prior import RECOMMENDED_STRENGTH, smoothed_peaks
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,14 @@ class Parameters(HeightParameters):
         "what is maximised: normalised (exact) or numerator (as published; biased near the array's ends)",
         choices=tuple(OBJECTIVES),
     )
+    prior_strength: float = parameter(
+        0.0,
+        f"how much neighbours have a say in which peak of the exact objective a pixel takes, 0: none; at low CNR "
+        f"{RECOMMENDED_STRENGTH:g} is good, small things may vanish",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    layover: bool = parameter(True, "whether to look for two scatterers where one does not fit")
 
 
 class MlHeight(HeightStage):
@@ -42,7 +52,15 @@ class MlHeight(HeightStage):
         self, looks: Looks, beams: Beams, squint: npt.NDArray[np.float64], noise_power: float, parameters: Parameters
     ) -> ElevationEstimate:
         """Elevation of every pixel."""
-        return ml_elevation(looks, beams, squint, noise_power, OBJECTIVES[parameters.objective], parameters.min_cnr)
+        min_cnr = parameters.min_cnr
+        if parameters.prior_strength and beams.count > 1:
+            where = (beams, squint, noise_power, looks.count, parameters.prior_strength, search_guard(beams))
+            elevation = smoothed_peaks(looks.covariance, *where)
+            estimate = estimate_at(elevation, looks, beams, squint, noise_power, min_cnr)
+        else:
+            objective = OBJECTIVES[parameters.objective]
+            estimate = ml_elevation(looks, beams, squint, noise_power, objective, min_cnr)
+        return resolve_layover(estimate, looks, beams, squint, noise_power, min_cnr) if parameters.layover else estimate
 
 
 def main() -> int:

@@ -40,6 +40,7 @@ class Mosaic:
         bound: Cramer-Rao bound averaged over speckle for all looks in the cell, m.
         single: True where all pixels hold a single scatterer.
         valid_share: valid pixels over all pixels of the images.
+        two_share: pixels in which two scatterers were told apart, over all pixels.
         ghosts: valid pixels in which there is no scatterer.
     """
 
@@ -51,6 +52,7 @@ class Mosaic:
     bound: Array
     single: npt.NDArray[np.bool_]
     valid_share: float
+    two_share: float
     ghosts: int
 
 
@@ -107,9 +109,15 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
             sigma=1 / np.sqrt(weights),
             bound=1 / np.sqrt((count * looks - 1) * information),
             single=(total((real & ~pixels.single).astype(np.float64)) == 0) & (count > 0),
-            valid_share=float(np.mean([np.mean(np.asarray(i.validity) == HeightImage.OK) for i in images])),
+            valid_share=_share(images, HeightImage.OK),
+            two_share=_share(images, HeightImage.TWO_SCATTERERS),
             ghosts=int(np.count_nonzero(~real)),
         )
+
+
+def _share(images: Sequence[HeightImage], validity: int) -> float:
+    """Of the pixels with that validity, over all images."""
+    return float(np.mean([np.mean(np.asarray(image.validity) == validity) for image in images]))
 
 
 ERRORS = ("bias_m", "rms_m", "median_m", "s68_m", "sigma_m", "crb_m", "within_1_sigma", "beyond_5_sigma")
@@ -120,14 +128,16 @@ def statistics(result: Mosaic | None) -> dict[str, Any]:
 
     `bias_m` mean, `rms_m`, `median_m`, `s68_m` half the 16 to 84 % width, `sigma_m` mean predicted standard deviation,
     `crb_m` mean Cramer-Rao bound averaged over speckle, `within_1_sigma` and `beyond_5_sigma` shares; `valid` is the
-    share of valid pixels, `ghost_pixels` those of them in which there is nothing. `layover` has the same errors over
-    the other cells, whose pixels hold several scatterers and were still found valid.
+    share of valid pixels, `two_scatterers` that of pixels with the heights of two, `ghost_pixels` those of the valid ones
+    in which there is nothing. `layover` has the same errors over the other cells, whose pixels hold several scatterers
+    and were still found valid.
     """
     if result is None:
-        return {"valid": 0.0, "cells": 0, "ghost_pixels": 0, **dict.fromkeys(ERRORS)}
+        return {"valid": 0.0, "two_scatterers": 0.0, "cells": 0, "ghost_pixels": 0, **dict.fromkeys(ERRORS)}
     seen = np.isfinite(result.error)
     return {
         "valid": result.valid_share,
+        "two_scatterers": result.two_share,
         "ghost_pixels": result.ghosts,
         **_errors(result, seen & result.single),
         "layover": _errors(result, seen & ~result.single),

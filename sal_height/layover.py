@@ -239,18 +239,18 @@ class _PairModel:
         beyond = slope - matrix @ (inverse @ slope)
         return cls(matrix, gram, inverse, beyond, _adjoint(beyond) @ beyond)
 
-    def explained(self, covariance: Numbers) -> Array:
-        """The likelihood f = tr(P R), shape (...)."""
-        return np.asarray(_traces(self.inverse @ covariance, self.matrix).sum(axis=-1))
+    def explained(self, fitted: Numbers) -> Array:
+        """The likelihood f = tr(P R), shape (...), of `fitted` = A^+ R, (..., 2, M)."""
+        return np.asarray(_traces(fitted, self.matrix).sum(axis=-1))
 
-    def amplitudes(self, covariance: Numbers) -> Numbers:
+    def amplitudes(self, fitted: Numbers) -> Numbers:
         """Sum over looks of the products of the fitted amplitudes, A^+ R A^+H, noise included; (..., 2, 2)."""
-        return self.inverse @ covariance @ _adjoint(self.inverse)
+        return fitted @ _adjoint(self.inverse)
 
-    def newton_step(self, covariance: Numbers) -> Array:
+    def newton_step(self, fitted: Numbers) -> Array:
         """Gauss-Newton step of f, rad, (..., 2): its curvature as it is expected of these amplitudes."""
-        gradient = _traces(self.inverse @ covariance, self.beyond)
-        curvature = (self.slope_power * np.swapaxes(self.amplitudes(covariance), -1, -2)).real
+        gradient = _traces(fitted, self.beyond)
+        curvature = (self.slope_power * np.swapaxes(self.amplitudes(fitted), -1, -2)).real
         ridge = 1e-9 * np.trace(curvature, axis1=-2, axis2=-1)[..., None, None] * np.eye(2)
         return np.asarray(np.linalg.solve(curvature + ridge, gradient[..., None])[..., 0])
 
@@ -330,24 +330,27 @@ def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: int, single: Array
     suspicious = np.flatnonzero(grid.gain_beside(covariance, single) > levels[0])
     if not suspicious.size:
         return found
-    some = covariance[suspicious]
-    pair = np.sort(_climb(some, grid, grid.best(some)), axis=-1)
+    start = grid.best(covariance[suspicious])
+    some = covariance[suspicious].astype(np.result_type(covariance, np.float64))
+    pair = np.sort(_climb(some, grid, start), axis=-1)
     model = _PairModel.of(grid.beams, pair, grid.squint)
+    fitted = model.inverse @ some
     one = explained_power(some, grid.beams.response(single[suspicious], grid.squint))
     first, last = grid.beams.span
-    detected = (model.explained(some) - one > levels[1]) & (pair[:, 0] >= first) & (pair[:, 1] <= last)
-    signal = model.amplitudes(some) / looks - model.gram
+    detected = (model.explained(fitted) - one > levels[1]) & (pair[:, 0] >= first) & (pair[:, 1] <= last)
+    signal = model.amplitudes(fitted) / looks - model.gram
     powers = np.diagonal(signal, axis1=-2, axis2=-1).real
     found[suspicious[detected]] = np.stack([pair, powers, model.bound(signal - model.gram, looks)], axis=1)[detected]
     return found
 
 
-def _climb(covariance: Covariance, grid: _PairGrid, start: Array) -> Array:
+def _climb(covariance: Numbers, grid: _PairGrid, start: Array) -> Array:
     """Pairs (pixels, 2) from nodes of the grid to peaks of f near them, rad; a step that does not rise is quartered."""
     found, active = start.copy(), np.arange(len(start))
     reach = np.full((len(start), 1), GRID_STEP * grid.beams.beamwidth / 2)
     model = _PairModel.of(grid.beams, start, grid.squint)
-    height, step = model.explained(covariance), model.newton_step(covariance)
+    fitted = model.inverse @ covariance
+    height, step = model.explained(fitted), model.newton_step(fitted)
     for _ in range(NEWTON_STEPS):
         step = np.clip(step, -reach, reach)
         moving = np.abs(step).max(axis=1) > SETTLED * grid.beams.beamwidth
@@ -356,11 +359,12 @@ def _climb(covariance: Covariance, grid: _PairGrid, start: Array) -> Array:
         apart = np.abs(np.diff(trial)) >= LEAST_SEPARATION * grid.beams.beamwidth
         trial = np.where(apart, trial, found[active])
         model = _PairModel.of(grid.beams, trial, grid.squint)
-        trial_height = model.explained(covariance)
+        fitted = model.inverse @ covariance
+        trial_height = model.explained(fitted)
         rises = trial_height > height
         found[active[rises]], height = trial[rises], np.maximum(height, trial_height)
         reach = np.where(rises[:, None], reach, np.abs(step).max(axis=1, keepdims=True) / 4)
-        step = np.where(rises[:, None], model.newton_step(covariance), step)
+        step = np.where(rises[:, None], model.newton_step(fitted), step)
     return found
 
 

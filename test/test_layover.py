@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import BEAMWIDTH, assert_one_sentence, circular, elevation_at, make_beams, offset_of
@@ -36,8 +38,10 @@ def bent(pattern: Pattern) -> Pattern:
 
 
 def beams_named(name: str) -> Beams:
-    beams = make_beams("jinc" if name == "complex" else name)
-    return Beams((bent(PATTERNS["jinc"]),), beams.boresights, beams.beamwidth) if name == "complex" else beams
+    if name != "complex":
+        return make_beams(name)
+    patterns = tuple(bent(PATTERNS["jinc"]) if i % 3 else PATTERNS["jinc"] for i in range(16))
+    return replace(make_beams(), patterns=patterns)
 
 
 def pixels_of(
@@ -80,7 +84,7 @@ def test_both_are_exact_without_noise_in_columns_of_their_own_squint(name: str, 
     result = find(covariance.astype(kind), beams, looks, squints)
     assert np.all(result.detected)
     np.testing.assert_allclose(
-        offset_of(result.elevation), np.broadcast_to(offsets[:, None], result.elevation.shape), atol=2e-3
+        offset_of(result.elevation), np.broadcast_to(offsets[:, None], result.elevation.shape), atol=5e-4
     )
     gram = np.stack(
         [np.linalg.inv(a.conj() @ np.swapaxes(a, -1, -2)) for s in squints for a in [responses(beams, offsets, s)]], 1
@@ -93,30 +97,54 @@ def responses(beams: Beams, offsets: np.ndarray, squint: float) -> np.ndarray:
     return beams.response(elevation_at(offsets), squint)
 
 
-@pytest.mark.parametrize("name", ["sinc", "jinc", "gaussian", "complex"])
-@pytest.mark.parametrize(
-    ("offsets", "cnrs"), [((-0.5, 0.5), (100.0, 100.0)), ((1.2, 1.7), (3.0, 50.0)), ((-3.5, 2.0), (0.5, 9.0))]
-)
-def test_bound_is_the_inverse_fisher_information(
-    name: str, offsets: tuple[float, float], cnrs: tuple[float, float]
-) -> None:
-    """Slepian-Bangs for Gaussian channels of covariance A S A^H + s I; unknown elevations, Hermitian S, and s."""
-    beams, looks, squint = beams_named(name), 4, 0.3 * BEAMWIDTH
+def numerical_bound(beams: Beams, offsets: tuple[float, float], signal: np.ndarray, squint: float) -> np.ndarray:
+    """Beamwidths, of 4 looks, by the Fisher information of Gaussian channels of covariance A S A^H + s I.
+
+    Slepian-Bangs; unknown are the elevations, Hermitian S, and s.
+    """
 
     def covariance(x: np.ndarray) -> np.ndarray:
         a = responses(beams, x[:2], squint).T
         signal = np.array([[x[2], x[4] + 1j * x[5]], [x[4] - 1j * x[5], x[3]]])
         return a @ signal @ a.conj().T + x[6] * np.eye(len(a))
 
-    point = np.array([*offsets, *cnrs, 0.0, 0.0, 1.0])
+    point = np.array([*offsets, *np.diagonal(signal).real, signal[0, 1].real, signal[0, 1].imag, 1.0])
     inverse = np.linalg.inv(covariance(point))
     slopes = [
         inverse @ (covariance(point + STEP * unit) - covariance(point - STEP * unit)) / (2 * STEP) for unit in np.eye(7)
     ]
-    fisher = looks * np.array([[np.trace(first @ second).real for second in slopes] for first in slopes])
-    expected = np.sqrt(np.diagonal(np.linalg.inv(fisher))[:2])
-    bound = two_source_crb(beams, elevation_at(offsets), squint, cnrs, looks) / BEAMWIDTH
-    np.testing.assert_allclose(bound, expected, rtol=5e-5)
+    fisher = 4 * np.array([[np.trace(first @ second).real for second in slopes] for first in slopes])
+    return np.sqrt(np.diagonal(np.linalg.inv(fisher))[:2])
+
+
+PAIRS = pytest.mark.parametrize(
+    ("offsets", "cnrs"), [((-0.5, 0.5), (100.0, 100.0)), ((1.2, 1.7), (3.0, 50.0)), ((-3.5, 2.0), (0.5, 9.0))]
+)
+
+
+@pytest.mark.parametrize("name", ["sinc", "jinc", "gaussian", "complex"])
+@PAIRS
+def test_bound_is_the_inverse_fisher_information(
+    name: str, offsets: tuple[float, float], cnrs: tuple[float, float]
+) -> None:
+    beams, squint = beams_named(name), 0.3 * BEAMWIDTH
+    bound = two_source_crb(beams, elevation_at(offsets), squint, cnrs, 4) / BEAMWIDTH
+    np.testing.assert_allclose(bound, numerical_bound(beams, offsets, np.diag(cnrs), squint), rtol=5e-5)
+
+
+@pytest.mark.parametrize("name", ["sinc", "complex"])
+@PAIRS
+def test_bound_of_a_few_looks_knows_how_they_interfere(
+    name: str, offsets: tuple[float, float], cnrs: tuple[float, float]
+) -> None:
+    """Amplitudes that are correlated, as those of a few looks always are; less noise, at first order, is 1e-6 off."""
+    beams = beams_named(name)
+    signal = 1e4 * np.diag(cnrs).astype(complex)
+    signal[0, 1] = 0.8 * np.exp(0.9j) * np.sqrt(signal[0, 0] * signal[1, 1])
+    signal[1, 0] = signal[0, 1].conj()
+    model = layover._PairModel.of(beams, elevation_at(offsets), 0.0)
+    bound = model.bound(signal - model.gram, 4) / BEAMWIDTH
+    np.testing.assert_allclose(bound, numerical_bound(beams, offsets, signal, 0.0), rtol=5e-4)
 
 
 def test_bound_broadcasts_and_is_infinite_for_one_scatterer() -> None:
@@ -178,7 +206,15 @@ def test_two_are_detected_and_each_is_at_its_bound(pattern: str, separation: flo
     score = error / result.sigma[:, 0][found] * BEAMWIDTH
     np.testing.assert_allclose(half_width(score), 1, atol=0.08)
     assert np.mean(np.abs(score) > 3) < 0.0027 + 3.5 * np.sqrt(0.0027 / 4000) + 0.002  # few looks: longer tails
-    np.testing.assert_allclose(result.power[:, 0][found].mean(axis=0), cnrs, rtol=4 / np.sqrt(2000 * looks))
+    np.testing.assert_allclose(result.power[:, 0][found].mean(axis=0), cnrs, rtol=0.06)  # fitted to noise, too
+
+
+def test_sigma_knows_the_noise_in_the_amplitudes() -> None:
+    """At 7 dB and 64 looks noise makes up 5 % of the bound; the standard error of the median of 1000 is below 1 %."""
+    beams, rng, cnrs = make_beams("sinc"), np.random.default_rng(60), (5.0, 5.0)
+    result = find(pixels_of(beams, np.tile([-0.5, 0.5], (1000, 1)), cnrs, 64, rng), beams, 64)
+    bound = two_source_crb(beams, elevation_at([-0.5, 0.5]), 0.0, cnrs, 64)
+    np.testing.assert_allclose(np.nanmedian(result.sigma[:, 0], axis=0), bound, rtol=0.03)
 
 
 def half_width(values: np.ndarray) -> np.ndarray:
@@ -210,25 +246,47 @@ def test_too_near_ones_are_found_less_often_and_never_too_sure(
 
 @pytest.mark.parametrize("name", ["sinc", "complex"])
 def test_no_pair_explains_more_than_the_one_that_was_found(name: str) -> None:
-    """Against all pairs in steps of 0.04 beamwidths, over the array and 3 beamwidths around it."""
+    """Against all pairs in steps of 0.04 beamwidths, over the array and 3 beamwidths around it.
+
+    0.1 noise powers are left to pairs at the least separation; 14 make a detection.
+    """
     beams, rng, looks = beams_named(name), np.random.default_rng(56), 4
     offsets = np.sort(rng.uniform(-3.5, 3.5, (150, 2)), axis=1)
     covariance = pixels_of(beams, offsets, (10.0, 30.0), looks, rng)
     result = find(covariance, beams, looks)
     found = np.flatnonzero(result.detected[:, 0])
     assert len(found) > 100
-    fine = responses(beams, np.arange(-6.98, 7, 0.04), 0.0)
+    place = np.arange(-6.98, 7, 0.04)
+    fine = responses(beams, place, 0.0)
     fine /= np.linalg.norm(fine, axis=1, keepdims=True)
     overlap = fine.conj() @ fine.T
-    with np.errstate(divide="ignore"):
-        weight = np.where(np.abs(overlap) < 0.999, 1 / (1 - np.abs(overlap) ** 2), 0)
+    apart = np.abs(place[:, None] - place) > layover.LEAST_SEPARATION
+    weight = np.divide(1, 1 - np.abs(overlap) ** 2, where=apart, out=np.zeros(apart.shape))
     for pixel in found:
         products = fine.conj() @ covariance[pixel, 0] @ fine.T
         own = np.diagonal(products).real
         dense = np.max((own[:, None] + own - 2 * (overlap.conj() * products).real) * weight)
         a = beams.response(result.elevation[pixel, 0], 0.0).T
         mine = np.trace(a @ np.linalg.pinv(a) @ covariance[pixel, 0]).real
-        assert mine > dense * (1 - 1e-6)
+        assert mine > dense - 0.1
+
+
+@pytest.mark.parametrize("name", ["sinc", "complex"])
+def test_pixels_are_suspicious_by_what_a_second_one_beside_the_single_explains(name: str) -> None:
+    """Against projectors, in units of the noise power."""
+    beams, rng = beams_named(name), np.random.default_rng(59)
+    covariance = pixels_of(beams, rng.uniform(-3.5, 3.5, (20, 2)), (10.0, 3.0), 4, rng)[:, 0]
+    first, grid = elevation_at(rng.uniform(-3.5, 3.5, 20)), layover._PairGrid.of(beams, 0.0)
+    gain = grid.gain_beside(covariance, first)
+    for pixel, matrix in enumerate(covariance):
+        one = beams.response(first[pixel], 0.0)
+        nodes = beams.response(grid.nodes, 0.0)
+        beyond = nodes - np.outer(nodes @ one.conj(), one) / np.linalg.norm(one) ** 2
+        norm = np.linalg.norm(beyond, axis=1)
+        apart = norm > np.sqrt(layover.LEAST_RESIDUE) * np.linalg.norm(nodes, axis=1)
+        unit = beyond[apart] / norm[apart, None]
+        expected = np.max(np.einsum("jm,mn,jn->j", unit.conj(), matrix, unit).real)
+        assert gain[pixel] == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_second_one_outside_the_array_is_no_height() -> None:

@@ -1,0 +1,57 @@
+"""Two scatterers in a pixel: images with none, some or many such pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from benchmarks.row import Row, medians
+from sal_height import array_trials
+from sal_height.array_ml import OBJECTIVES, best_elevation
+from sal_height.beams import Beams
+from sal_height.layover import two_scatterers
+from sal_height.looks import Covariance
+from sal_height.optics import pattern_named
+
+DETECTORS, PITCH, BEAMWIDTH, LOOKS = 16, 0.5, 1.55e-4, 4
+SIDE = 256
+CNR = 100.0
+FALSE_ALARM = 0.01
+SHARE = 0.1
+"""Of the pixels that hold two."""
+
+
+def throughput() -> Iterator[Row]:
+    """Images of which no, some and all pixels hold two scatterers 1 beamwidth apart."""
+    steps = np.arange(DETECTORS, dtype=np.float64) - (DETECTORS - 1) / 2
+    beams = Beams((pattern_named("sinc"),), np.pi / 4 + PITCH * BEAMWIDTH * steps, BEAMWIDTH)
+    for share in (0.0, SHARE, 1.0):
+        yield _throughput(beams, share)
+
+
+def _throughput(beams: Beams, share: float) -> Row:
+    covariance, squint = _image(beams, share), np.zeros(SIDE)
+    single = best_elevation(covariance, beams, squint, OBJECTIVES["normalised"])
+    (seconds,) = medians(lambda: two_scatterers(covariance, beams, squint, 1.0, LOOKS, single, FALSE_ALARM))
+    return Row(
+        f"layover, {100 * share:.0f} % of the pixels hold two",
+        seconds,
+        "s",
+        "<= 5",
+        f"{SIDE} × {SIDE} pixels, {DETECTORS} detectors; {seconds / SIDE**2 * 1e6:.1f} s a megapixel",
+    )
+
+
+def _image(beams: Beams, share: float) -> Covariance:
+    """Covariance, shape (SIDE, SIDE, M, M), in unit noise."""
+    rng = np.random.default_rng(3)
+    target, count = array_trials.TARGETS["gaussian"], SIDE**2
+    upper, lower = (float(np.pi / 4 + offset * BEAMWIDTH) for offset in (0.5, -0.5))
+    samples = array_trials.draw_pixels(rng, beams, upper, 0.0, CNR, LOOKS, count, target)
+    both = rng.uniform(size=count) < share
+    second = np.sqrt(CNR / 2) * (rng.standard_normal((count, LOOKS)) + 1j * rng.standard_normal((count, LOOKS)))
+    samples = samples + (both[:, None] * second)[..., None] * beams.response(lower, 0.0)
+    return np.asarray(np.einsum("pkm,pkn->pmn", samples, samples.conj()).real, np.float32).reshape(
+        SIDE, SIDE, DETECTORS, DETECTORS
+    )

@@ -128,9 +128,9 @@ def statistics(result: Mosaic | None) -> dict[str, Any]:
 
     `bias_m` mean, `rms_m`, `median_m`, `s68_m` half the 16 to 84 % width, `sigma_m` mean predicted standard deviation,
     `crb_m` mean Cramer-Rao bound averaged over speckle, `within_1_sigma` and `beyond_5_sigma` shares; `valid` is the
-    share of valid pixels, `two_scatterers` that of pixels with the heights of two, `ghost_pixels` those of the valid ones
-    in which there is nothing. `layover` has the same errors over the other cells, whose pixels hold several scatterers
-    and were still found valid.
+    share of valid pixels, `two_scatterers` that of pixels with the heights of two, `ghost_pixels` those of the valid
+    ones in which there is nothing. `layover` has the same errors over the other cells, whose pixels hold several
+    scatterers and were still found valid.
     """
     if result is None:
         return {"valid": 0.0, "two_scatterers": 0.0, "cells": 0, "ghost_pixels": 0, **dict.fromkeys(ERRORS)}

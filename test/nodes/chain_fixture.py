@@ -37,8 +37,9 @@ class Chain:
         image: Mapping[str, Any] = MappingProxyType({"rows": 46, "cols": 12}),
         heights: Mapping[str, Any] = MappingProxyType({}),
         monopulse: Mapping[str, Any] = MappingProxyType({}),
+        ml_height: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        """Parameters: `image` of sar_compression, `heights` of both height nodes, `monopulse` of that alone."""
+        """Parameters: `image` of sar_compression, `heights` of both height nodes, the others of one each."""
         self.graph = graph
         self.flight = flight
 
@@ -49,7 +50,7 @@ class Chain:
         nodes = [
             SarCompression(context=graph.context, **overrides(image)),
             Monopulse(context=graph.context, **overrides({**heights, **monopulse})),
-            MlHeight(context=graph.context, **overrides(heights)),
+            MlHeight(context=graph.context, **overrides({**heights, **ml_height})),
         ]
         self.stages = {node.get_name(): graph.add(node) for node in nodes}
         self.heights: dict[tuple[str, int], HeightImage] = {}

@@ -84,7 +84,7 @@ def test_provenance_names_every_stage_with_its_parameters(fed: Any) -> None:
 
 def test_invalid_pixels_are_nan_and_valid_ones_are_not(fed: Any) -> None:
     for image in fed.heights.values():
-        valid = np.array(image.validity) == HeightImage.OK
+        valid = np.isin(image.validity, (HeightImage.OK, HeightImage.TWO_SCATTERERS))
         for field in ("height", "sigma", "east", "north"):
             assert np.array_equal(np.isfinite(np.array(getattr(image, field))), valid)
         assert np.all(np.array(image.sigma)[valid] > 0)
@@ -106,10 +106,14 @@ def test_position_of_a_pixel_has_its_height(fed: Any, graph: Graph) -> None:
     image = fed.heights["ml", 1]
     origin = np.array([image.grid.origin.x, image.grid.origin.y])
     points = np.frombuffer(clouds[0].data, np.float32).reshape(-1, 6).astype(np.float64)
-    valid = np.array(image.validity) == HeightImage.OK
-    assert len(points) == np.count_nonzero(valid)
-    assert np.allclose(height_of(points[:, :3]), np.array(image.height)[valid], atol=1e-3)
-    assert np.allclose(points[:, 0] - origin[0], np.array(image.east)[valid], atol=1e-4)
+    height, east = (
+        np.concatenate([np.array(getattr(image, prefix + name)) for prefix in ("", "second_")])
+        for name in ("height", "east")
+    )
+    seen = np.isfinite(height)
+    assert len(points) == np.count_nonzero(seen)
+    assert np.allclose(height_of(points[:, :3]), height[seen], atol=1e-3)
+    assert np.allclose(points[:, 0] - origin[0], east[seen], atol=1e-4)
     picture = np.frombuffer(pictures[0].data, np.float32)
     assert np.array_equal(picture, np.array(image.height, dtype=np.float32), equal_nan=True)
     assert (pictures[0].encoding, pictures[0].height, pictures[0].width) == ("32FC1", image.grid.rows, image.grid.cols)

@@ -94,13 +94,14 @@ def _unfold(images: Mapping[str, Iterable[HeightImage]]) -> Iterator[tuple[str, 
 
 def _compare(recorded: HeightImage, replayed: HeightImage) -> HeightComparison:
     ours, theirs = _arrays(recorded), _arrays(replayed)
-    # A well-formed image has rows * cols entries in every array; of others the longest array counts.
-    sizes = {values.size for values in (*ours.values(), *theirs.values())}
-    pixels = max(sizes)
-    if len(sizes) > 1:
+    given = [name for name in ours if ours[name].size or theirs[name].size]  # a second surface need not be
+    # A well-formed image has rows * cols entries in every array given; of others the longest array counts.
+    sizes = {side[name].size for side in (ours, theirs) for name in given}
+    pixels = max(sizes, default=0)
+    if len(sizes) != 1:
         different, greatest = pixels, 0.0
     else:
-        different = int(np.count_nonzero(np.any([_differs(ours[name], theirs[name]) for name in ours], axis=0)))
+        different = int(np.count_nonzero(np.any([_differs(ours[name], theirs[name]) for name in given], axis=0)))
         greatest = _greatest_difference(ours["height"], theirs["height"])
     return HeightComparison(
         matched=1,

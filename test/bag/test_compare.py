@@ -53,6 +53,20 @@ def test_equal_bags_are_equal_whatever_the_provenance(tmp_path: Path) -> None:
     assert all(comparison.equal for comparison in result.values())
 
 
+@pytest.mark.parametrize(("change", "different"), [(None, 0), (1.5, 1), ([], ROWS * COLS)])
+def test_a_second_surface_is_compared_too(change: float | list[float] | None, different: int) -> None:
+    ours, theirs = image(), image()
+    for side in (ours, theirs):
+        for name in FLOAT_FIELDS:
+            setattr(side, f"second_{name}", getattr(side, name))
+    if isinstance(change, list):
+        theirs.second_sigma = change
+    elif change is not None:
+        theirs.second_sigma[3] = change
+    result = compare_heights({"/ml/height": [ours]}, {"/ml/height": [theirs]})["/ml/height"]
+    assert (result.pixels, result.pixels_different) == (ROWS * COLS, different)
+
+
 def test_a_bag_compares_with_messages_at_hand(tmp_path: Path) -> None:
     recorded = write_bag(tmp_path / "recorded", {"/ml/height": [image(0), image(1)]})
     assert compare_heights(recorded, {"/ml/height": [image(1), image(0)]})["/ml/height"].equal

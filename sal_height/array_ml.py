@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams import Beams
-from sal_height.bounds import beam_power, stochastic_crb
+from sal_height.bounds import beam_power, information_of, stochastic_deviation
 from sal_height.compiled import in_parallel
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate, explained_power, validity_of
@@ -128,25 +128,29 @@ def estimate_at(
 ) -> ElevationEstimate:
     """What is known of a scatterer whose likelihood peaks at `elevation` (rad, shape (rows, cols)), in every pixel.
 
-    Sigma is `elevation_bound` for the energy of these very looks, less the noise of SPARE_LOOKS more. It is that of an
-    error about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB in 2 looks, and fewer elsewhere,
+    Sigma is `bounds.stochastic_crb` for the energy of these very looks, less the noise of SPARE_LOOKS more. It is that
+    of an error about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB in 2 looks, and fewer elsewhere,
     another peak has won. The other arguments are those of `ml_elevation`.
     """
-    response = beams.response(elevation, squint)
-    explained, gain = explained_power(looks.covariance, response) / noise_power, beam_power(response)
+    explained, gain, determined = _fit(looks.covariance, beams, squint, elevation)
+    explained /= noise_power
     cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
     return ElevationEstimate(
         elevation=elevation,
-        sigma=elevation_bound((explained - noise) / gain, noise, beams, elevation, squint),
+        sigma=stochastic_deviation((explained - noise) / gain, noise, gain, determined),
         cnr=cnr,
-        validity=validity_of(looks, beams, squint, noise_power, elevation, cnr, min_cnr),
+        validity=validity_of(looks, beams, noise_power, elevation, explained, cnr, min_cnr),
     )
 
 
-def elevation_bound(energy: Array, looks: int, beams: Beams, elevation: Array, squint: Array) -> Array:
-    """Standard deviation (rad) of an efficient elevation estimate, given the scatterer's energy in the looks at hand.
+def _fit(covariance: Covariance, beams: Beams, squint: Array, elevation: Array) -> Array:
+    """What one scatterer explains of each pixel's power, its |a|^2, and D (`bounds.information`): (3, rows, cols)."""
+    found = np.empty((3, *elevation.shape))
 
-    `bounds.stochastic_crb` with the energy E = sum_k |A_k|^2 / sigma^2 of these looks; infinite where it is not
-    positive.
-    """
-    return stochastic_crb(beams, elevation, squint, energy / looks, looks)
+    def work(rows: slice) -> None:
+        response, slope = beams.response(elevation[rows], squint), beams.slope(elevation[rows], squint)
+        found[0, rows] = explained_power(covariance[rows], response)
+        found[1, rows], found[2, rows] = beam_power(response), information_of(response, slope)
+
+    in_parallel(work, len(elevation), max(1, PIXELS_OF_THREAD // max(1, elevation.shape[1])))
+    return found

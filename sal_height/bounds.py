@@ -21,7 +21,11 @@ Array = npt.NDArray[np.float64]
 
 def information(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
     """D in 1/rad^2, for targets at `elevation` and `squint` (rad, shapes that broadcast)."""
-    response, slope = beams.response(elevation, squint), beams.slope(elevation, squint)
+    return information_of(beams.response(elevation, squint), beams.slope(elevation, squint))
+
+
+def information_of(response: Array, slope: Array) -> Array:
+    """D of responses a and slopes a' of shape (..., detectors), 1/rad^2 if the slopes are per rad."""
     overlap = np.abs(np.sum(response.conj() * slope, axis=-1)) ** 2
     return np.asarray(np.sum(np.abs(slope) ** 2, axis=-1) - overlap / beam_power(response))
 
@@ -53,9 +57,15 @@ def stochastic_crb(
 
     Many looks approach it above the threshold; `speckle_crb` is nearer for a few. Arguments as of `conditional_crb`.
     """
-    energy = looks * np.maximum(cnr, 0.0)
-    known = energy**2 / (energy + looks / beam_power(beams.response(elevation, squint)))
-    return _deviation(known, information(beams, elevation, squint))
+    response = beams.response(elevation, squint)
+    determined = information_of(response, beams.slope(elevation, squint))
+    return stochastic_deviation(looks * np.asarray(cnr), looks, beam_power(response), determined)
+
+
+def stochastic_deviation(energy: Array, looks: int, power: Array, determined: Array) -> Array:
+    """`stochastic_crb` from the energy E = K C of the looks, |a|^2 and D; infinite where E is not positive."""
+    positive = np.maximum(energy, 0.0)
+    return _deviation(positive**2 / (positive + looks / power), determined)
 
 
 def speckle_crb(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int) -> Array:

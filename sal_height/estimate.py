@@ -75,7 +75,7 @@ FALSE_ALARMS = 1e-4
 
 
 def validity_of(
-    looks: Looks, beams: Beams, squint: Array, noise_power: float, elevation: Array, cnr: Array, min_cnr: float
+    looks: Looks, beams: Beams, noise_power: float, elevation: Array, explained: Array, cnr: Array, min_cnr: float
 ) -> npt.NDArray[np.uint8]:
     """Reason for which each pixel's estimate cannot be used, the first that applies, or OK.
 
@@ -87,16 +87,14 @@ def validity_of(
     Args:
         looks: covariance of M channels in each pixel.
         beams: of the M detectors.
-        squint: of each column, rad, shape (cols,).
         noise_power: E|n|^2 of one SLC pixel in every channel.
         elevation: estimates, rad, shape (rows, cols).
+        explained: power that one scatterer there explains (`explained_power`) over the noise power, shape (rows, cols).
         cnr: estimates, power ratio, shape (rows, cols).
         min_cnr: least usable power ratio.
     """
-    response = beams.response(elevation, squint)
-    degrees = (len(beams.boresights) - 1) * looks.count
-    explained = explained_power(looks.covariance, response) / noise_power
-    detected = explained >= gamma.isf(FALSE_ALARMS / len(beams.boresights), looks.count)
+    degrees = (beams.count - 1) * looks.count
+    detected = explained >= gamma.isf(FALSE_ALARMS / beams.count, looks.count)
     left = np.trace(looks.covariance.real, axis1=-2, axis2=-1, dtype=np.float64) / noise_power - explained
     misfit = (left > degrees + 5 * np.sqrt(degrees)) & (left - degrees > MISFIT_SHARE * explained)
     first, last = beams.span

@@ -103,7 +103,8 @@ def monopulse_elevation(
         total = 2 * gain / sum_gain  # 1 + |Delta / Sigma|^2
         variance = total / (2 * energy) * (1 + looks.count / (energy * total)) / found.slope**2
         cnr = energy * 2 / sum_gain / looks.count
-    validity = validity_of(looks, beams, squint, noise_power, found.elevation, cnr, min_cnr)
+    explained = explained_power(looks.covariance, beams.response(found.elevation, squint)) / noise_power
+    validity = validity_of(looks, beams, noise_power, found.elevation, explained, cnr, min_cnr)
     outside = _better_outside(looks.covariance, beams, squint, noise_power, found.elevation)
     validity = np.where((validity == Validity.OK) & outside, Validity.OUTSIDE_ARRAY, validity)
     unpaired = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN]) & looks.finite

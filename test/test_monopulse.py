@@ -20,8 +20,8 @@ from helpers import (
 from scipy import stats
 from scipy.integrate import quad
 
-from sal_height.array_ml import elevation_bound
 from sal_height.beams import Beams
+from sal_height.bounds import stochastic_crb
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate, Validity, whitening
 from sal_height.looks import Looks, multilook
@@ -271,7 +271,7 @@ def test_sigma_is_the_bound_for_two_channels(offset: float) -> None:
     result = estimate(noisy, beams, squint)
     assert offset_of(result.elevation[0, 0]) == pytest.approx(offset, abs=1e-9)
     assert result.cnr[0, 0] == pytest.approx(energy / looks, rel=1e-9)
-    bound = elevation_bound(np.array(energy), looks, beams, elevation_at(offset), np.array(squint))
+    bound = stochastic_crb(beams, elevation_at(offset), squint, energy / looks, looks)
     assert result.sigma[0, 0] == pytest.approx(bound, rel=1e-6)
 
 

@@ -15,17 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams import Beams
-from sal_height.bounds import beam_power, information_of, stochastic_deviation
-from sal_height.compiled import in_parallel
+from sal_height.bounds import stochastic_deviation
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, explained_power, validity_of
+from sal_height.estimate import ElevationEstimate, validity_of
 from sal_height.looks import Covariance, Looks
-from sal_height.peak_search import Objective, PeakSearches
+from sal_height.peak_search import Columns, Objective, PeakSearch, PeakSearches
 
 Array = npt.NDArray[np.float64]
-
-PIXELS_OF_THREAD = 2048
-"""Pixels that are worth a thread."""
 
 GUARD = 3.0
 """Beamwidths beyond the array that are searched too, so that a target out there is recognised by its sidelobes.
@@ -73,21 +69,12 @@ def peak_elevation(covariance: Covariance, beams: Beams, squint: Array, objectiv
         UserError: the beams have no elevation in common, or are complex where the covariance is not.
     """
     elevation = np.empty(covariance.shape[:2])
-    angles, angle_of = np.unique(squint, return_inverse=True)
-    searches = PeakSearches.over(beams, angles, objective, guard)
-    if len(angles) == 1:
-        search, pixels = searches.at(float(angles[0])), covariance.reshape(-1, *covariance.shape[2:])
-        flat = elevation.reshape(-1)
-        in_parallel(lambda part: np.copyto(flat[part], search.peaks(pixels[part])), flat.size, PIXELS_OF_THREAD)
-        return elevation
 
-    def work(part: slice) -> None:
-        for index in range(part.start, part.stop):
-            cols = angle_of == index
-            pixels = covariance[:, cols].reshape(-1, *covariance.shape[2:])
-            elevation[:, cols] = searches.at(float(angles[index])).peaks(pixels).reshape(len(covariance), -1)
+    def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
+        pixels = covariance[rows, cols]
+        elevation[rows, cols] = search.peaks(pixels.reshape(-1, *pixels.shape[2:])).reshape(pixels.shape[:2])
 
-    in_parallel(work, len(angles))
+    PeakSearches.over(beams, np.unique(squint), objective, guard).each(squint, len(covariance), work)
     return elevation
 
 
@@ -144,13 +131,18 @@ def estimate_at(
 
 
 def _fit(covariance: Covariance, beams: Beams, squint: Array, elevation: Array) -> Array:
-    """What one scatterer explains of each pixel's power, its |a|^2, and D (`bounds.information`): (3, rows, cols)."""
+    """What one scatterer explains of each pixel's power, its |a|^2, and D (`bounds.information`): (3, rows, cols).
+
+    From the tables of the search, whose errors are below 1e-5 of them.
+    """
     found = np.empty((3, *elevation.shape))
 
-    def work(rows: slice) -> None:
-        response, slope = beams.response(elevation[rows], squint), beams.slope(elevation[rows], squint)
-        found[0, rows] = explained_power(covariance[rows], response)
-        found[1, rows], found[2, rows] = beam_power(response), information_of(response, slope)
+    def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
+        pixels = covariance[rows, cols]
+        fit = search.fit(pixels.reshape(-1, *pixels.shape[2:]), elevation[rows, cols].reshape(-1))
+        found[:, rows, cols] = fit.reshape(3, *pixels.shape[:2])
 
-    in_parallel(work, len(elevation), max(1, PIXELS_OF_THREAD // max(1, elevation.shape[1])))
+    searches = PeakSearches.over(beams, np.unique(squint), _normalised, search_guard(beams))
+    searches.each(squint, len(covariance), work)
+    found[2] *= found[1]
     return found

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numpy.polynomial.chebyshev import chebvander
 
 from sal_height.beams import Beams
-from sal_height.compiled import compiled
+from sal_height.compiled import compiled, in_parallel
 from sal_height.errors import UserError
 from sal_height.looks import Covariance
 
@@ -23,6 +23,11 @@ Array = npt.NDArray[np.float64]
 FloatArray = npt.NDArray[np.float32]
 Objective = Callable[[Array, Array], tuple[Array, Array]]
 """Weights and their slope from response and slope of the beams, all real and of the shape (..., detectors)."""
+
+Columns = slice | npt.NDArray[np.intp]
+
+PIXELS_OF_THREAD = 2048
+"""Pixels that are worth a thread."""
 
 GRID_STEP = 0.2
 """Spacing of the coarse search in beamwidths: a fifth of the shortest period of the objective's numerator."""
@@ -70,6 +75,7 @@ class PeakSearch:
         pieces: cubic polynomials for w from node to node of the table (Hermite: w and w' are exact at the nodes),
             coefficients of rising powers, shape (table nodes - 1, 4, detectors). For the aperture's beams, whose
             shortest period is 2 beamwidths, the error is 5e-8 in w and 5e-6 per beamwidth in w'.
+        power: such polynomials for |a|^2, shape (table nodes - 1, 4).
         complex_beams: whether w stands for complex numbers.
     """
 
@@ -78,13 +84,16 @@ class PeakSearch:
     entries: npt.NDArray[np.intp]
     grid: FloatArray
     pieces: FloatArray
+    power: FloatArray
     complex_beams: bool
 
     @classmethod
     def of(cls, nodes: Array, response: Array, slope: Array, objective: Objective) -> Self:
         """The search on a table whose `nodes` (rad) hold the beams' response and slope, shape (nodes, detectors)."""
         step = float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
-        weight, weight_slope = objective(_as_real(response), _as_real(slope))
+        response, slope, complex_beams = _as_real(response), _as_real(slope), np.iscomplexobj(response)
+        weight, weight_slope = objective(response, slope)
+        power, power_slope = np.sum(response**2, axis=-1), 2 * np.sum(response * slope, axis=-1)
         coarse = weight[::TABLE_STEPS]
         m, n = np.triu_indices(coarse.shape[1])
         products = coarse[:, m] * coarse[:, n] * np.where(m == n, 1, 2)
@@ -95,7 +104,8 @@ class PeakSearch:
             entries=np.pad(m * coarse.shape[1] + n, beyond),
             grid=np.ascontiguousarray(np.pad(products.T, (beyond, (0, 0))), dtype=np.float32),
             pieces=np.ascontiguousarray(_hermite(weight, weight_slope * step), dtype=np.float32),
-            complex_beams=np.iscomplexobj(response),
+            power=np.ascontiguousarray(_hermite(power, power_slope * step), dtype=np.float32),
+            complex_beams=complex_beams,
         )
 
     def peaks(self, covariance: Covariance) -> Array:
@@ -116,6 +126,22 @@ class PeakSearch:
             values = _on_grid(matrices, self.entries, self.grid)
             _climb_highest(matrices, values, self.pieces, position[block])
         return self.first + self.step * position
+
+    def fit(self, covariance: Covariance, elevation: Array) -> Array:
+        """What the weights for `elevation` (rad, (pixels,)) make of some pixels, shape (3, pixels); NaN of NaN.
+
+        w^H R w; |a|^2; and how fast the direction of w turns, |(I - w w^H) w'|^2 in 1/rad^2: with unit vectors w, what
+        one scatterer there explains of the power, and D / |a|^2 (`bounds.information`). Elevations beyond the domain
+        count as its ends.
+        """
+        position = np.clip((elevation - self.first) / self.step, 0.0, len(self.pieces))
+        found = np.empty((3, len(position)))
+        known = np.isfinite(position)
+        place = np.where(known, position, 0.0)
+        _fit(self._real(covariance), place, self.pieces, self.power, self.complex_beams, found)
+        found[2] /= self.step**2
+        found[:, ~known] = np.nan
+        return found
 
     def on_grid(self, covariance: Covariance) -> FloatArray:
         """Objective of some pixels at every node of the grid, (pixels, grid nodes); errors and threads as `peaks`."""
@@ -190,6 +216,23 @@ class PeakSearches:
         else:
             response, slope = self.beams.response(self.nodes, squint), self.beams.slope(self.nodes, squint)
         return PeakSearch.of(self.nodes, response, slope, self.objective)
+
+    def each(self, squint: Array, rows: int, work: Callable[[PeakSearch, slice, Columns], object]) -> None:
+        """Do `work` on the search, the rows and the columns of each squint (rad, (cols,)), on all processors.
+
+        On parts of the rows, and all columns at once, if there is one squint only.
+        """
+        angles, angle_of = np.unique(squint, return_inverse=True)
+        if len(angles) == 1:
+            search = self.at(float(angles[0]))
+            in_parallel(lambda part: work(search, part, slice(None)), rows, -(-PIXELS_OF_THREAD // len(squint)))
+            return
+
+        def work_at(part: slice) -> None:
+            for index in range(part.start, part.stop):
+                work(self.at(float(angles[index])), slice(0, rows), np.flatnonzero(angle_of == index))
+
+        in_parallel(work_at, len(angles))
 
 
 def _as_real(values: Array) -> Array:
@@ -333,3 +376,34 @@ def _objective_at(place: float, matrix: FloatArray, pieces: FloatArray, work: Fl
         first += slope[m] * output
         second += bend[m] * output + slope[m] * output_slope
     return float(value), float(2 * first), float(2 * second)
+
+
+@compiled
+def _fit(
+    matrices: FloatArray, position: Array, pieces: FloatArray, power: FloatArray, complex_beams: bool, found: Array
+) -> None:
+    """See `PeakSearch.fit`; `found` of shape (3, pixels), the last per step of the table."""
+    size = pieces.shape[2]
+    half = size // 2
+    weight, slope = np.empty(size, np.float32), np.empty(size, np.float32)
+    for i in range(len(position)):
+        node = min(int(position[i]), len(pieces) - 1)
+        piece, t, two, three = pieces[node], np.float32(position[i] - node), np.float32(2), np.float32(3)
+        for m in range(size):
+            weight[m] = piece[0, m] + t * (piece[1, m] + t * (piece[2, m] + t * piece[3, m]))
+            slope[m] = piece[1, m] + t * (two * piece[2, m] + three * t * piece[3, m])
+        value, square, norm, along, across = 0.0, 0.0, 0.0, 0.0, 0.0
+        for m in range(size):
+            output = np.float32(0)
+            for n in range(size):
+                output += matrices[i, m, n] * weight[n]
+            value += weight[m] * output
+            norm += weight[m] * weight[m]
+            square += slope[m] * slope[m]
+            along += weight[m] * slope[m]
+        if complex_beams:
+            for m in range(half):
+                across += weight[m] * slope[half + m] - weight[half + m] * slope[m]
+        found[0, i] = value
+        found[1, i] = power[node, 0] + t * (power[node, 1] + t * (power[node, 2] + t * power[node, 3]))
+        found[2, i] = square - (along * along + across * across) / norm if norm > 0 else 0.0

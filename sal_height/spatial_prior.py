@@ -13,7 +13,7 @@ Nothing is averaged: the elevation is always a peak of the pixel's own likelihoo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -25,7 +25,7 @@ from sal_height.beams import Beams
 from sal_height.compiled import compiled, in_parallel
 from sal_height.errors import UserError
 from sal_height.looks import Covariance
-from sal_height.peak_search import PIXELS_AT_ONCE, FloatArray, PeakSearch, PeakSearches
+from sal_height.peak_search import PIXELS_AT_ONCE, Columns, FloatArray, PeakSearch, PeakSearches
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -132,23 +132,6 @@ def _has_data(covariance: Covariance) -> Mask:
     return np.asarray(np.any(np.diagonal(covariance, axis1=-2, axis2=-1) != 0, axis=-1))
 
 
-def _for_each_squint(
-    work: Callable[[PeakSearch, slice, Nodes], object], searches: PeakSearches, squint: Array, rows: int
-) -> None:
-    """Do `work` on the search, the rows and the columns of each squint; on parts of the rows if there is one only."""
-    angles, angle_of = np.unique(squint, return_inverse=True)
-    if len(angles) == 1:
-        search, every = searches.at(float(angles[0])), np.arange(len(squint))
-        in_parallel(lambda part: work(search, part, every), rows)
-        return
-
-    def work_at(part: slice) -> None:
-        for index in range(part.start, part.stop):
-            work(searches.at(float(angles[index])), slice(0, rows), np.flatnonzero(angle_of == index))
-
-    in_parallel(work_at, len(angles))
-
-
 def _log_likelihood(
     covariance: Covariance, searches: PeakSearches, squint: Array, noise_power: float, looks_count: int
 ) -> FloatArray:
@@ -161,8 +144,8 @@ def _log_likelihood(
     grid_nodes = searches.at(float(squint[0])).grid.shape[1]
     result = np.empty((rows, cols, grid_nodes), np.float32)
 
-    def work(search: PeakSearch, part: slice, columns: Nodes) -> None:
-        rows_at_once = max(1, PIXELS_AT_ONCE // len(columns))
+    def work(search: PeakSearch, part: slice, columns: Columns) -> None:
+        rows_at_once = max(1, PIXELS_AT_ONCE // squint[columns].size)
         for first in range(part.start, part.stop, rows_at_once):
             some = slice(first, min(first + rows_at_once, part.stop))
             pixels = covariance[some, columns]
@@ -170,7 +153,7 @@ def _log_likelihood(
             _concentrate(values, 1 / (looks_count * noise_power), looks_count)
             result[some, columns] = values.reshape(*pixels.shape[:2], grid_nodes)
 
-    _for_each_squint(work, searches, squint, rows)
+    searches.each(squint, rows, work)
     return result
 
 
@@ -209,12 +192,12 @@ def _move(
     together = np.empty_like(alone)
     _most_likely(own, messages, alone, together)
 
-    def work(search: PeakSearch, part: slice, columns: Nodes) -> None:
+    def work(search: PeakSearch, part: slice, columns: Columns) -> None:
         row, col = np.nonzero(together[part, columns] != alone[part, columns])
-        row, col = row + part.start, columns[col]
+        row, col = row + part.start, np.arange(len(squint))[columns][col]
         elevation[row, col] = search.peaks_uphill(covariance[row, col], together[row, col])
 
-    _for_each_squint(work, searches, squint, len(elevation))
+    searches.each(squint, len(elevation), work)
 
 
 # The loops below are compiled; elevations are nodes of the grid.

@@ -18,7 +18,7 @@ from helpers import (
     target_slc,
 )
 
-from sal_height import array_ml, peak_search
+from sal_height import peak_search
 from sal_height.array_ml import OBJECTIVES, ml_elevation, peak_elevation
 from sal_height.beams import Beams
 from sal_height.bounds import stochastic_crb
@@ -132,7 +132,7 @@ def test_blocks_and_threads_and_columns_change_nothing(monkeypatch: pytest.Monke
     covariance = multilook(target_slc(beams, 0.6, 12, 20, 3.0, np.random.default_rng(12)), 1, 4).covariance
     whole = peak_elevation(covariance, beams, np.full(5, 0.2) * BEAMWIDTH, OBJECTIVES["normalised"], 0.0)
     monkeypatch.setattr(peak_search, "PIXELS_AT_ONCE", 7)
-    monkeypatch.setattr(array_ml, "PIXELS_OF_THREAD", 3)
+    monkeypatch.setattr(peak_search, "PIXELS_OF_THREAD", 3)
     blocks = peak_elevation(covariance, beams, np.full(5, 0.2) * BEAMWIDTH, OBJECTIVES["normalised"], 0.0)
     np.testing.assert_array_equal(blocks, whole)
     columns = peak_elevation(

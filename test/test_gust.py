@@ -166,7 +166,7 @@ def test_spotlight_heights_are_right_in_gusts_and_with_the_attitude_they_leave()
         coarse = look_grid(grid, 2, 2)
         squint = column_squint(coarse, aperture, sensor.beams, sensor.look_side)
         estimate = ml_elevation(looks, sensor.beams, squint, noise, OBJECTIVES["normalised"], 10**0.5)
-        errors.append(height_field(estimate, looks, grid, coarse, aperture, sensor.look_side).height - 3.7)
+        errors.append(height_field(estimate, looks, grid, coarse, aperture, sensor.look_side).first.height - 3.7)
         turns.append(Rotation.from_matrix(aperture.rotation).magnitude())
     error = np.concatenate([e[np.isfinite(e)] for e in errors])
     assert len(error) > 300

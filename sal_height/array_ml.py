@@ -91,7 +91,7 @@ def search_guard(beams: Beams) -> float:
 def ml_elevation(
     looks: Looks, beams: Beams, squint: Array, noise_power: float, objective: Objective, min_cnr: float
 ) -> ElevationEstimate:
-    """Elevation of the dominant scatterer in every pixel: the highest peak, see `estimate_at`.
+    """Elevation of the dominant scatterer in every pixel: the highest peak over the array and the guard beyond.
 
     Args:
         looks: covariance of M channels in each pixel.
@@ -106,8 +106,19 @@ def ml_elevation(
     """
     if beams.count < 2:
         raise UserError(f"The sensor has {beams.count} detector; elevation needs 2 or more.")
-    elevation = best_elevation(looks.covariance, beams, squint, objective)
-    return estimate_at(elevation, looks, beams, squint, noise_power, min_cnr)
+    covariance = looks.covariance
+    elevation, fit = np.empty(covariance.shape[:2]), np.empty((3, *covariance.shape[:2]))
+
+    def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
+        pixels = covariance[rows, cols]
+        flat = pixels.reshape(-1, *pixels.shape[2:])
+        peaks = search.peaks(flat)
+        elevation[rows, cols] = peaks.reshape(pixels.shape[:2])
+        fit[:, rows, cols] = search.fit(flat, peaks).reshape(3, *pixels.shape[:2])
+
+    searches = PeakSearches.over(beams, np.unique(squint), objective, search_guard(beams))
+    searches.each(squint, len(covariance), work)
+    return _estimate(elevation, fit, looks, beams, noise_power, min_cnr)
 
 
 def estimate_at(
@@ -115,34 +126,34 @@ def estimate_at(
 ) -> ElevationEstimate:
     """What is known of a scatterer whose likelihood peaks at `elevation` (rad, shape (rows, cols)), in every pixel.
 
+    The other arguments are those of `ml_elevation`.
+    """
+    fit = np.empty((3, *elevation.shape))
+
+    def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
+        pixels = looks.covariance[rows, cols]
+        found = search.fit(pixels.reshape(-1, *pixels.shape[2:]), elevation[rows, cols].reshape(-1))
+        fit[:, rows, cols] = found.reshape(3, *pixels.shape[:2])
+
+    searches = PeakSearches.over(beams, np.unique(squint), _normalised, search_guard(beams))
+    searches.each(squint, len(elevation), work)
+    return _estimate(elevation, fit, looks, beams, noise_power, min_cnr)
+
+
+def _estimate(
+    elevation: Array, fit: Array, looks: Looks, beams: Beams, noise_power: float, min_cnr: float
+) -> ElevationEstimate:
+    """Sigma, CNR and validity from `PeakSearch.fit` at the peaks, shape (3, rows, cols).
+
     Sigma is `bounds.stochastic_crb` for the energy of these very looks, less the noise of SPARE_LOOKS more. It is that
     of an error about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB in 2 looks, and fewer elsewhere,
-    another peak has won. The other arguments are those of `ml_elevation`.
+    another peak has won.
     """
-    explained, gain, determined = _fit(looks.covariance, beams, squint, elevation)
-    explained /= noise_power
+    explained, gain, turning = fit[0] / noise_power, fit[1], fit[2]
     cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
     return ElevationEstimate(
         elevation=elevation,
-        sigma=stochastic_deviation((explained - noise) / gain, noise, gain, determined),
+        sigma=stochastic_deviation((explained - noise) / gain, noise, gain, turning * gain),
         cnr=cnr,
         validity=validity_of(looks, beams, noise_power, elevation, explained, cnr, min_cnr),
     )
-
-
-def _fit(covariance: Covariance, beams: Beams, squint: Array, elevation: Array) -> Array:
-    """What one scatterer explains of each pixel's power, its |a|^2, and D (`bounds.information`): (3, rows, cols).
-
-    From the tables of the search, whose errors are below 1e-5 of them.
-    """
-    found = np.empty((3, *elevation.shape))
-
-    def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
-        pixels = covariance[rows, cols]
-        fit = search.fit(pixels.reshape(-1, *pixels.shape[2:]), elevation[rows, cols].reshape(-1))
-        found[:, rows, cols] = fit.reshape(3, *pixels.shape[:2])
-
-    searches = PeakSearches.over(beams, np.unique(squint), _normalised, search_guard(beams))
-    searches.each(squint, len(covariance), work)
-    found[2] *= found[1]
-    return found

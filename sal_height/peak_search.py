@@ -128,11 +128,10 @@ class PeakSearch:
         return self.first + self.step * position
 
     def fit(self, covariance: Covariance, elevation: Array) -> Array:
-        """What the weights for `elevation` (rad, (pixels,)) make of some pixels, shape (3, pixels); NaN of NaN.
+        """What one scatterer at `elevation` (rad, (pixels,)) makes of some pixels, shape (3, pixels); NaN of NaN.
 
-        w^H R w; |a|^2; and how fast the direction of w turns, |(I - w w^H) w'|^2 in 1/rad^2: with unit vectors w, what
-        one scatterer there explains of the power, and D / |a|^2 (`bounds.information`). Elevations beyond the domain
-        count as its ends.
+        What it explains of the power, w^H R w / |w|^2; |a|^2; and D / |a|^2 (`bounds.information`), in 1/rad^2 how fast
+        the direction of w turns. Elevations beyond the domain count as its ends.
         """
         position = np.clip((elevation - self.first) / self.step, 0.0, len(self.pieces))
         found = np.empty((3, len(position)))
@@ -404,6 +403,6 @@ def _fit(
         if complex_beams:
             for m in range(half):
                 across += weight[m] * slope[half + m] - weight[half + m] * slope[m]
-        found[0, i] = value
+        found[0, i] = value / norm if norm > 0 else 0.0
         found[1, i] = power[node, 0] + t * (power[node, 1] + t * (power[node, 2] + t * power[node, 3]))
-        found[2, i] = square - (along * along + across * across) / norm if norm > 0 else 0.0
+        found[2, i] = (square - (along * along + across * across) / norm) / norm if norm > 0 else 0.0

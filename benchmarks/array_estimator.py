@@ -74,8 +74,12 @@ def _throughput(name: str) -> Iterator[Row]:
     def estimate(squint: Array) -> ElevationEstimate:
         return ml_elevation(multilook(slc, 1, LOOKS), beams, squint, 1.0, normalised, MIN_CNR)
 
+    there = np.zeros_like(slc)
     single, several, paper, copy = medians(
-        lambda: estimate(one), lambda: estimate(many), lambda: by_convolution(slc, LOOKS, beams), slc.copy
+        lambda: estimate(one),
+        lambda: estimate(many),
+        lambda: by_convolution(slc, LOOKS, beams),
+        lambda: np.copyto(there, slc),
     )
     mega = ROWS * COLS / 1e6
     size = f"{ROWS} × {COLS} pixels of {LOOKS} looks, {DETECTORS} detectors"
@@ -92,7 +96,7 @@ def _throughput(name: str) -> Iterator[Row]:
         single / copy,
         "1",
         "<= 10",
-        f"one plain copy of the images: {1e3 * copy:.0f} ms",
+        f"one plain copy of the images to memory at hand: {1e3 * copy:.0f} ms",
     )
     yield Row(
         f"array estimate, {name}, every column its squint",

@@ -11,6 +11,8 @@ or w^H R w with the weights w = a / |a| or w = a.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -68,14 +70,28 @@ def peak_elevation(covariance: Covariance, beams: Beams, squint: Array, objectiv
     Raises:
         UserError: the beams have no elevation in common, or are complex where the covariance is not.
     """
-    elevation = np.empty(covariance.shape[:2])
+    searches = PeakSearches.over(beams, np.unique(squint), objective, guard)
+    (elevation,) = _of_pixels(searches, covariance, squint, 1, lambda search, pixels, *_: search.peaks(pixels))
+    return np.asarray(elevation)
+
+
+def _of_pixels(
+    searches: PeakSearches,
+    covariance: Covariance,
+    squint: Array,
+    count: int,
+    find: Callable[[PeakSearch, Covariance, slice, Columns], Array],
+) -> Array:
+    """`count` numbers of every pixel, (count, rows, cols), which `find` gives for rows and columns of one squint."""
+    result = np.empty((count, *covariance.shape[:2]))
 
     def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
         pixels = covariance[rows, cols]
-        elevation[rows, cols] = search.peaks(pixels.reshape(-1, *pixels.shape[2:])).reshape(pixels.shape[:2])
+        found = find(search, pixels.reshape(-1, *pixels.shape[2:]), rows, cols)
+        result[:, rows, cols] = found.reshape(count, *pixels.shape[:2])
 
-    PeakSearches.over(beams, np.unique(squint), objective, guard).each(squint, len(covariance), work)
-    return elevation
+    searches.each(squint, len(covariance), work)
+    return result
 
 
 def best_elevation(covariance: Covariance, beams: Beams, squint: Array, objective: Objective) -> Array:
@@ -106,19 +122,14 @@ def ml_elevation(
     """
     if beams.count < 2:
         raise UserError(f"The sensor has {beams.count} detector; elevation needs 2 or more.")
-    covariance = looks.covariance
-    elevation, fit = np.empty(covariance.shape[:2]), np.empty((3, *covariance.shape[:2]))
 
-    def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
-        pixels = covariance[rows, cols]
-        flat = pixels.reshape(-1, *pixels.shape[2:])
-        peaks = search.peaks(flat)
-        elevation[rows, cols] = peaks.reshape(pixels.shape[:2])
-        fit[:, rows, cols] = search.fit(flat, peaks).reshape(3, *pixels.shape[:2])
+    def find(search: PeakSearch, pixels: Covariance, *_: object) -> Array:
+        peaks = search.peaks(pixels)
+        return np.vstack([peaks, search.fit(pixels, peaks)])
 
     searches = PeakSearches.over(beams, np.unique(squint), objective, search_guard(beams))
-    searches.each(squint, len(covariance), work)
-    return _estimate(elevation, fit, looks, beams, noise_power, min_cnr)
+    elevation, explained, gain, turning = _of_pixels(searches, looks.covariance, squint, 4, find)
+    return _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr)
 
 
 def estimate_at(
@@ -128,28 +139,32 @@ def estimate_at(
 
     The other arguments are those of `ml_elevation`.
     """
-    fit = np.empty((3, *elevation.shape))
 
-    def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
-        pixels = looks.covariance[rows, cols]
-        found = search.fit(pixels.reshape(-1, *pixels.shape[2:]), elevation[rows, cols].reshape(-1))
-        fit[:, rows, cols] = found.reshape(3, *pixels.shape[:2])
+    def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> Array:
+        return search.fit(pixels, elevation[rows, cols].reshape(-1))
 
     searches = PeakSearches.over(beams, np.unique(squint), _normalised, search_guard(beams))
-    searches.each(squint, len(elevation), work)
-    return _estimate(elevation, fit, looks, beams, noise_power, min_cnr)
+    explained, gain, turning = _of_pixels(searches, looks.covariance, squint, 3, find)
+    return _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr)
 
 
 def _estimate(
-    elevation: Array, fit: Array, looks: Looks, beams: Beams, noise_power: float, min_cnr: float
+    elevation: Array,
+    explained: Array,
+    gain: Array,
+    turning: Array,
+    looks: Looks,
+    beams: Beams,
+    noise_power: float,
+    min_cnr: float,
 ) -> ElevationEstimate:
-    """Sigma, CNR and validity from `PeakSearch.fit` at the peaks, shape (3, rows, cols).
+    """Sigma, CNR and validity from elevations and `PeakSearch.fit` there, all of the shape (rows, cols).
 
     Sigma is `bounds.stochastic_crb` for the energy of these very looks, less the noise of SPARE_LOOKS more. It is that
     of an error about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB in 2 looks, and fewer elsewhere,
     another peak has won.
     """
-    explained, gain, turning = fit[0] / noise_power, fit[1], fit[2]
+    explained = explained / noise_power
     cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
     return ElevationEstimate(
         elevation=elevation,

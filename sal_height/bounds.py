@@ -77,13 +77,6 @@ def speckle_crb(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, c
     return conditional_crb(beams, elevation, squint, cnr, looks - 1)
 
 
-def pair_crb(
-    beams: Beams, lower: int, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int
-) -> Array:
-    """`stochastic_crb` of detectors `lower` and `lower` + 1 alone, rad: the best that monopulse can do with them."""
-    return stochastic_crb(beams.pair(lower), elevation, squint, cnr, looks)
-
-
 def _deviation(energy: npt.ArrayLike, information: Array) -> Array:
     """1 / sqrt(2 E D), infinite where the energy is not positive."""
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -261,8 +261,8 @@ def _add_montecarlo(commands: Subcommands) -> None:
     )
     pair.add_argument("--detectors", type=int, metavar="M", default=2, help="a pair has %(default)s")
     array.add_argument("--detectors", type=int, metavar="M", help="(default: 16, or as many as the file of beams has)")
-    pair.set_defaults(command=_montecarlo_pair)
-    array.set_defaults(command=_montecarlo_array)
+    pair.set_defaults(command=_montecarlo, kind="pair")
+    array.set_defaults(command=_montecarlo, kind="array")
 
 
 def _add_out(command: argparse.ArgumentParser, default: str) -> None:
@@ -343,25 +343,14 @@ def _figures(options: argparse.Namespace) -> int:
     return 0
 
 
-def _montecarlo_pair(options: argparse.Namespace) -> int:
-    from sal_height.experiments.montecarlo import array_with, pair_statistics
+def _montecarlo(options: argparse.Namespace) -> int:
+    from sal_height.experiments.montecarlo import array_statistics, array_with, pair_statistics
 
     beams = array_with(options.pattern, options.pitch, options.detectors, options.size)
+    measure = {"pair": pair_statistics, "array": array_statistics}[options.kind]
     objective = OBJECTIVE_NAMES[options.objective]
-    _print_statistics(
-        pair_statistics(_experiment(options, beams), options.estimator, objective, options.domain), options.json
-    )
-    return 0
-
-
-def _montecarlo_array(options: argparse.Namespace) -> int:
-    from sal_height.experiments.montecarlo import array_statistics, array_with
-
-    beams = array_with(options.pattern, options.pitch, options.detectors, options.size)
-    objective = OBJECTIVE_NAMES[options.objective]
-    _print_statistics(
-        array_statistics(_experiment(options, beams), options.estimator, objective, options.domain), options.json
-    )
+    statistics = measure(_experiment(options, beams), options.estimator, objective, options.domain)
+    _print_statistics(statistics, options.json)
     return 0
 
 

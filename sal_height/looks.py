@@ -53,13 +53,13 @@ def covariance(samples: ComplexArray, hermitian: bool) -> Covariance:
     """
     pixels, _, channels = samples.shape
     numbers = samples.view(np.float32)
+    zero, one = np.float32(0), np.float32(1)
     real = np.empty((pixels, channels, channels), dtype=np.float32)
+    _real_parts(numbers, one, zero, real)
     if not hermitian:
-        _real_parts(numbers, real)
         return real
     imaginary = np.empty_like(real)
-    _real_parts(numbers, real)
-    _imaginary_parts(numbers, imaginary)
+    _real_parts(numbers, zero, one, imaginary)
     return real + np.complex64(1j) * imaginary
 
 
@@ -139,8 +139,13 @@ def multilook(
 
 
 @compiled
-def _real_parts(samples: npt.NDArray[np.float32], result: npt.NDArray[np.float32]) -> None:
-    """Sum over looks of x x^T + y y^T for samples x + j y, given as numbers x, y in turn along the channels."""
+def _real_parts(
+    samples: npt.NDArray[np.float32], cosine: np.float32, sine: np.float32, result: npt.NDArray[np.float32]
+) -> None:
+    """Real part of g g^H exp(-j phase), with that `cosine` and `sine`, summed over looks.
+
+    For samples g = x + j y, given as numbers x, y in turn along the channels.
+    """
     channels = result.shape[1]
     x, y = np.empty(channels, np.float32), np.empty(channels, np.float32)
     for i in range(len(samples)):
@@ -152,25 +157,6 @@ def _real_parts(samples: npt.NDArray[np.float32], result: npt.NDArray[np.float32
                 x[m] = g[2 * m]
                 y[m] = g[2 * m + 1]
             for m in range(channels):
-                row, p, q = matrix[m], x[m], y[m]
+                row, p, q = matrix[m], cosine * x[m] + sine * y[m], cosine * y[m] - sine * x[m]
                 for n in range(channels):
                     row[n] += p * x[n] + q * y[n]
-
-
-@compiled
-def _imaginary_parts(samples: npt.NDArray[np.float32], result: npt.NDArray[np.float32]) -> None:
-    """Sum over looks of y x^T - x y^T; as `_real_parts`."""
-    channels = result.shape[1]
-    x, y = np.empty(channels, np.float32), np.empty(channels, np.float32)
-    for i in range(len(samples)):
-        matrix = result[i]
-        matrix[:] = 0
-        for k in range(samples.shape[1]):
-            g = samples[i, k]
-            for m in range(channels):
-                x[m] = g[2 * m]
-                y[m] = g[2 * m + 1]
-            for m in range(channels):
-                row, p, q = matrix[m], x[m], y[m]
-                for n in range(channels):
-                    row[n] += q * x[n] - p * y[n]

@@ -20,11 +20,12 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.array_ml import OBJECTIVES, peak_elevation
+from sal_height.array_ml import OBJECTIVES, estimate_at, peak_elevation, search_guard
 from sal_height.beams import Beams
 from sal_height.compiled import compiled, in_parallel
 from sal_height.errors import UserError
-from sal_height.looks import Covariance
+from sal_height.estimate import ElevationEstimate
+from sal_height.looks import Covariance, Looks
 from sal_height.peak_search import PIXELS_AT_ONCE, Columns, FloatArray, PeakSearch, PeakSearches
 
 Array = npt.NDArray[np.float64]
@@ -72,6 +73,15 @@ class _Tile:
     rows: slice
     cols: slice
     core: tuple[slice, slice]
+
+
+def prior_elevation(
+    looks: Looks, beams: Beams, squint: Array, noise_power: float, strength: float, min_cnr: float
+) -> ElevationEstimate:
+    """`array_ml.ml_elevation` with the exact objective at the peaks that `smoothed_peaks` takes; arguments alike."""
+    guard = search_guard(beams)
+    elevation = smoothed_peaks(looks.covariance, beams, squint, noise_power, looks.count, strength, guard)
+    return estimate_at(elevation, looks, beams, squint, noise_power, min_cnr)
 
 
 def smoothed_peaks(

@@ -9,7 +9,7 @@ import pytest
 from helpers import BEAMWIDTH, elevation_at, make_beams
 
 from sal_height.beams import Beams
-from sal_height.bounds import conditional_crb, information, pair_crb, speckle_crb, stochastic_crb
+from sal_height.bounds import conditional_crb, information, speckle_crb, stochastic_crb
 from sal_height.optics import PATTERNS, Pattern
 
 STEP = 1e-3
@@ -123,7 +123,7 @@ def test_bound_of_a_pair_is_that_of_its_discriminant(offset: float) -> None:
     mu, slope = discriminant(t), (discriminant(t + STEP) - discriminant(t - STEP)) / (2 * STEP)
     in_sum = cnr * (np.sinc(t - 0.25) + np.sinc(t + 0.25)) ** 2 / 2
     expected = np.sqrt((1 + mu**2) / (2 * looks * in_sum * slope**2) * (1 + 1 / (in_sum * (1 + mu**2))))
-    bound = pair_crb(make_beams("sinc"), 4, elevation_at(-1.5 + t), 0.0, cnr, looks)
+    bound = stochastic_crb(make_beams("sinc").pair(4), elevation_at(-1.5 + t), 0.0, cnr, looks)
     assert bound / BEAMWIDTH == pytest.approx(expected, rel=2e-5)
 
 

@@ -10,14 +10,14 @@ import pytest
 from helpers import BEAMWIDTH, assert_one_sentence, make_beams, offset_of, target_slc
 
 from sal_height import spatial_prior
-from sal_height.array_ml import GUARD, OBJECTIVES, peak_elevation
+from sal_height.array_ml import GUARD, OBJECTIVES, ml_elevation, peak_elevation
 from sal_height.beams import Beams
 from sal_height.errors import UserError
 from sal_height.estimate import explained_power
 from sal_height.looks import Covariance, multilook
 from sal_height.optics import Pattern
 from sal_height.peak_search import PeakSearches
-from sal_height.spatial_prior import FREE_NODES, RECOMMENDED_STRENGTH, smoothed_peaks
+from sal_height.spatial_prior import FREE_NODES, RECOMMENDED_STRENGTH, prior_elevation, smoothed_peaks
 
 NORMALISED = OBJECTIVES["normalised"]
 SIZE = 160
@@ -288,3 +288,18 @@ def test_uphill_of_the_right_node_is_the_highest_peak() -> None:
         np.testing.assert_array_equal(search.peaks_uphill(pixels, highest + shift), search.peaks(pixels))
     far = search.peaks_uphill(pixels, np.zeros_like(highest))
     assert np.all(np.abs(offset_of(far) - 0.4) > 1)
+
+
+@pytest.mark.parametrize("strength", [0.0, RECOMMENDED_STRENGTH])
+def test_estimate_is_that_of_the_peaks_that_were_taken(strength: float) -> None:
+    beams, squint = make_beams("sinc"), np.linspace(-0.2, 0.2, 6) * BEAMWIDTH
+    looks = multilook(target_slc(beams, 0.7, 40, 24, 3.0, np.random.default_rng(5)).astype(np.complex64), 1, 4)
+    found = prior_elevation(looks, beams, squint, 1.0, strength, 1.0)
+    plain = ml_elevation(looks, beams, squint, 1.0, NORMALISED, 1.0)
+    guard = GUARD * BEAMWIDTH
+    taken = smoothed_peaks(looks.covariance, beams, squint, 1.0, looks.count, strength, guard)
+    np.testing.assert_array_equal(found.elevation, taken)
+    same = found.elevation == plain.elevation
+    assert same.all() == (strength == 0)
+    for name in ("sigma", "cnr", "validity"):
+        np.testing.assert_allclose(getattr(found, name)[same], getattr(plain, name)[same], rtol=1e-6)

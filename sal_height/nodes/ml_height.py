@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.array_ml import OBJECTIVES, estimate_at, ml_elevation, search_guard
+from sal_height.array_ml import OBJECTIVES, ml_elevation
 from sal_height.beams import Beams
 from sal_height.estimate import ElevationEstimate
 from sal_height.layover import resolve_layover
@@ -16,7 +16,7 @@ from sal_height.looks import Looks
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
-from sal_height.spatial_prior import RECOMMENDED_STRENGTH, smoothed_peaks
+from sal_height.spatial_prior import RECOMMENDED_STRENGTH, prior_elevation
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,9 @@ class MlHeight(HeightStage):
         self, looks: Looks, beams: Beams, squint: npt.NDArray[np.float64], noise_power: float, parameters: Parameters
     ) -> ElevationEstimate:
         """Elevation of every pixel."""
-        min_cnr = parameters.min_cnr
-        if parameters.prior_strength and beams.count > 1:
-            where = (beams, squint, noise_power, looks.count, parameters.prior_strength, search_guard(beams))
-            elevation = smoothed_peaks(looks.covariance, *where)
-            estimate = estimate_at(elevation, looks, beams, squint, noise_power, min_cnr)
+        strength, min_cnr = parameters.prior_strength, parameters.min_cnr
+        if strength:
+            estimate = prior_elevation(looks, beams, squint, noise_power, strength, min_cnr)
         else:
             objective = OBJECTIVES[parameters.objective]
             estimate = ml_elevation(looks, beams, squint, noise_power, objective, min_cnr)

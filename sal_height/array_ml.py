@@ -19,8 +19,8 @@ import numpy.typing as npt
 from sal_height.beams import Beams
 from sal_height.bounds import stochastic_deviation
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, validity_of
-from sal_height.looks import Covariance, Looks
+from sal_height.estimate import ElevationEstimate, Validity, validity_of
+from sal_height.looks import Covariance, Covariances, Looks
 from sal_height.peak_search import Columns, Objective, PeakSearch, PeakSearches
 
 Array = npt.NDArray[np.float64]
@@ -41,6 +41,15 @@ lie within one and two sigma; with them 65 % and 93 %, while at 10 dB and above 
 """
 
 
+AMBIGUOUS_RATIO = 100.0
+"""Likelihood of the highest peak over that of the second, below which a pixel is AMBIGUOUS.
+
+With detectors half a beamwidth apart, at 5 dB or more in every look, this is less than 1 % of the pixels that are valid
+otherwise, and about half of those that are beside another peak. Detectors farther apart than a beamwidth see targets in
+several directions alike: there it is what tells.
+"""
+
+
 def _normalised(response: Array, slope: Array) -> tuple[Array, Array]:
     """The unit vector a / |a|, or 0 where no detector sees anything."""
     norm = np.linalg.norm(response, axis=-1, keepdims=True)
@@ -57,7 +66,7 @@ OBJECTIVES: dict[str, Objective] = {"normalised": _normalised, "numerator": _num
 """Weights w and their slope from response a and slope a' (real, (..., detectors)); "numerator" is the paper's."""
 
 
-def peak_elevation(covariance: Covariance, beams: Beams, squint: Array, objective: Objective, guard: float) -> Array:
+def peak_elevation(covariance: Covariances, beams: Beams, squint: Array, objective: Objective, guard: float) -> Array:
     """Elevation (rad) of the greatest objective in every pixel, shape (rows, cols).
 
     Args:
@@ -71,13 +80,13 @@ def peak_elevation(covariance: Covariance, beams: Beams, squint: Array, objectiv
         UserError: the beams have no elevation in common, or are complex where the covariance is not.
     """
     searches = PeakSearches.over(beams, np.unique(squint), objective, guard)
-    (elevation,) = _of_pixels(searches, covariance, squint, 1, lambda search, pixels, *_: search.peaks(pixels))
+    (elevation,) = _of_pixels(searches, covariance, squint, 1, lambda search, pixels, *_: search.peaks(pixels)[0])
     return np.asarray(elevation)
 
 
 def _of_pixels(
     searches: PeakSearches,
-    covariance: Covariance,
+    covariance: Covariances,
     squint: Array,
     count: int,
     find: Callable[[PeakSearch, Covariance, slice, Columns], Array],
@@ -90,11 +99,11 @@ def _of_pixels(
         found = find(search, pixels.reshape(-1, *pixels.shape[2:]), rows, cols)
         result[:, rows, cols] = found.reshape(count, *pixels.shape[:2])
 
-    searches.each(squint, len(covariance), work)
+    searches.each(squint, covariance.shape[0], work)
     return result
 
 
-def best_elevation(covariance: Covariance, beams: Beams, squint: Array, objective: Objective) -> Array:
+def best_elevation(covariance: Covariances, beams: Beams, squint: Array, objective: Objective) -> Array:
     """`peak_elevation` over the array, its ends and the guard beyond, which reveals targets outside."""
     return peak_elevation(covariance, beams, squint, objective, search_guard(beams))
 
@@ -123,13 +132,18 @@ def ml_elevation(
     if beams.count < 2:
         raise UserError(f"The sensor has {beams.count} detector; elevation needs 2 or more.")
 
+    margin = float(np.log(AMBIGUOUS_RATIO))
+
     def find(search: PeakSearch, pixels: Covariance, *_: object) -> Array:
-        peaks = search.peaks(pixels)
-        return np.vstack([peaks, search.fit(pixels, peaks)])
+        peaks, share = search.peaks(pixels, margin * noise_power)
+        return np.vstack([peaks, share, search.fit(pixels, peaks)])
 
     searches = PeakSearches.over(beams, np.unique(squint), objective, search_guard(beams))
-    elevation, explained, gain, turning = _of_pixels(searches, looks.covariance, squint, 4, find)
-    return _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr)
+    elevation, share, explained, gain, turning = _of_pixels(searches, looks.covariance, squint, 5, find)
+    estimate = _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr)
+    ambiguous = (estimate.validity == Validity.OK) & ((1 - share) * explained < margin * noise_power)
+    estimate.validity[ambiguous] = Validity.AMBIGUOUS
+    return estimate
 
 
 def estimate_at(

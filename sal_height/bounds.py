@@ -62,10 +62,10 @@ def stochastic_crb(
     return stochastic_deviation(looks * np.asarray(cnr), looks, beam_power(response), determined)
 
 
-def stochastic_deviation(energy: Array, looks: int, power: Array, determined: Array) -> Array:
+def stochastic_deviation(energy: Array, looks: npt.ArrayLike, power: Array, determined: Array) -> Array:
     """`stochastic_crb` from the energy E = K C of the looks, |a|^2 and D; infinite where E is not positive."""
     positive = np.maximum(energy, 0.0)
-    return _deviation(positive**2 / (positive + looks / power), determined)
+    return _deviation(positive**2 / (positive + np.asarray(looks) / power), determined)
 
 
 def speckle_crb(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int) -> Array:
@@ -78,7 +78,7 @@ def speckle_crb(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, c
 
 
 def _deviation(energy: npt.ArrayLike, information: Array) -> Array:
-    """1 / sqrt(2 E D), infinite where the energy is not positive."""
+    """1 / sqrt(2 E D), infinite where the energy or D is not positive."""
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = 1 / (2 * np.asarray(energy) * information)
-    return np.sqrt(np.where(np.asarray(energy) > 0, variance, np.inf))
+    return np.sqrt(np.where((np.asarray(energy) > 0) & (information > 0), variance, np.inf))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -28,6 +29,7 @@ class Validity(IntEnum):
     NOT_ONE_SCATTERER = 4
     MISSING_DATA = 5
     TWO_SCATTERERS = 6
+    AMBIGUOUS = 7
 
 
 @dataclass(frozen=True)
@@ -94,8 +96,9 @@ def validity_of(
         min_cnr: least usable power ratio.
     """
     degrees = (beams.count - 1) * looks.count
-    detected = explained >= gamma.isf(FALSE_ALARMS / beams.count, looks.count)
-    left = np.trace(looks.covariance.real, axis1=-2, axis2=-1, dtype=np.float64) / noise_power - explained
+    counts, which = np.unique(looks.count, return_inverse=True)
+    detected = explained >= gamma.isf(FALSE_ALARMS / beams.count, counts)[which]
+    left = looks.power / noise_power - explained
     misfit = (left > degrees + 5 * np.sqrt(degrees)) & (left - degrees > MISFIT_SHARE * explained)
     first, last = beams.span
     return np.select(
@@ -103,6 +106,27 @@ def validity_of(
         [Validity.MISSING_DATA, Validity.LOW_CNR, Validity.OUTSIDE_ARRAY, Validity.NOT_ONE_SCATTERER],
         Validity.OK,
     ).astype(np.uint8)
+
+
+def by_rows(looks: Looks, estimate: Callable[[Looks, slice], ElevationEstimate]) -> ElevationEstimate:
+    """What `estimate` makes of blocks of rows, whose covariances are held, on all processors; without second ones."""
+    rows, cols = looks.count.shape
+    high = max(1, PIXELS_OF_THREAD // cols)
+    blocks = [slice(first, min(first + high, rows)) for first in range(0, rows, high)]
+    found: dict[int, ElevationEstimate] = {}
+
+    def work(part: slice) -> None:
+        for block in blocks[part]:
+            found[block.start] = estimate(looks.rows(block), block)
+
+    in_parallel(work, len(blocks))
+    parts = [found[block.start] for block in blocks]
+    return ElevationEstimate(
+        elevation=np.concatenate([part.elevation for part in parts]),
+        sigma=np.concatenate([part.sigma for part in parts]),
+        cnr=np.concatenate([part.cnr for part in parts]),
+        validity=np.concatenate([part.validity for part in parts]),
+    )
 
 
 def explained_power(covariance: Covariance, response: Array) -> Array:

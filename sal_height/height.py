@@ -19,7 +19,7 @@ from sal_height.geometry import (
     look_direction,
     squint_on_cone,
 )
-from sal_height.looks import Looks
+from sal_height.looks import Looks, Window
 
 Array = npt.NDArray[np.float64]
 
@@ -98,16 +98,16 @@ class _Circles:
         return locate(elevation, self.slant_range + farther, self.along, self.aperture, self.look_side)
 
 
-def look_grid(grid: Grid, range_looks: int, azimuth_looks: int) -> Grid:
-    """Grid whose pixels are the blocks of looks of `grid`."""
+def look_grid(grid: Grid, down: Window, across: Window) -> Grid:
+    """Grid of the pixels whose looks are those windows of `grid`, in range and azimuth."""
     return Grid(
-        origin=grid.points((range_looks - 1) / 2, (azimuth_looks - 1) / 2),
+        origin=grid.points(down.middle, across.middle),
         row_direction=grid.row_direction,
         col_direction=grid.col_direction,
-        row_spacing=grid.row_spacing * range_looks,
-        col_spacing=grid.col_spacing * azimuth_looks,
-        rows=grid.rows // range_looks,
-        cols=grid.cols // azimuth_looks,
+        row_spacing=grid.row_spacing * down.step,
+        col_spacing=grid.col_spacing * across.step,
+        rows=down.pixels(grid.rows),
+        cols=across.pixels(grid.cols),
     )
 
 

@@ -83,7 +83,7 @@ def two_scatterers(
     beams: Beams,
     squint: Array,
     noise_power: float,
-    looks_count: int,
+    looks_count: npt.ArrayLike,
     single: Array,
     false_alarm: float,
 ) -> TwoScatterers:
@@ -97,7 +97,7 @@ def two_scatterers(
         beams: of the M detectors, 3 or more.
         squint: of each column, rad, shape (cols,).
         noise_power: E|n|^2 of one SLC pixel in one channel.
-        looks_count: K.
+        looks_count: K, for all pixels or each.
         single: elevation of the most likely single scatterer (`array_ml.best_elevation`), rad, shape (rows, cols).
         false_alarm: share of single scatterers that may be taken for two, above 0 and up to 0.1.
 
@@ -108,19 +108,22 @@ def two_scatterers(
     _require(covariance, beams, noise_power, looks_count, false_alarm)
     covariance = covariance if beams.is_complex else covariance.real
     shape = single.shape
+    looks = np.broadcast_to(np.asarray(looks_count, dtype=np.float64), shape)
     found = np.full((*shape, 3, 2), np.nan)
     angles, angle_of = np.unique(squint, return_inverse=True)
     for index, angle in enumerate(angles.tolist()):
         cols = np.flatnonzero(angle_of == index)
         grid = _PairGrid.of(beams, angle)
         pixel = (np.repeat(np.arange(shape[0]), cols.size), np.tile(cols, shape[0]))
-        levels = [detection_threshold(beams, angle, looks_count, p) for p in (SUSPICIOUS * false_alarm, false_alarm)]
+        levels = _thresholds(beams, angle, looks[pixel], false_alarm)
 
-        def work(part: slice, grid: _PairGrid = grid, pixel: Any = pixel, levels: list[float] = levels) -> None:
+        def work(part: slice, grid: _PairGrid = grid, pixel: Any = pixel, levels: Array = levels) -> None:
             for first in range(part.start, part.stop, PIXELS_AT_ONCE):
                 block = slice(first, min(first + PIXELS_AT_ONCE, part.stop))
                 here = (pixel[0][block], pixel[1][block])
-                found[here] = _pairs_of(covariance[here] / noise_power, grid, looks_count, single[here], levels)
+                found[here] = _pairs_of(
+                    covariance[here] / noise_power, grid, looks[here], single[here], levels[:, block]
+                )
 
         in_parallel(work, pixel[0].size, PIXELS_AT_ONCE)
     return TwoScatterers(np.isfinite(found[:, :, 0, 0]), found[:, :, 0], found[:, :, 1], found[:, :, 2])
@@ -145,7 +148,7 @@ def resolve_layover(
         return estimate
     row, col = np.nonzero(estimate.validity == Validity.NOT_ONE_SCATTERER)
     pixels, single = looks.covariance[row, col][None], estimate.elevation[row, col][None]
-    two = two_scatterers(pixels, beams, squint[col], noise_power, looks.count, single, FALSE_ALARM)
+    two = two_scatterers(pixels, beams, squint[col], noise_power, looks.count[row, col][None], single, FALSE_ALARM)
     found = two.detected[0] & (two.power[0] >= min_cnr).all(axis=-1)
     row, col, order = row[found], col[found], np.argsort(-two.power[0][found], axis=-1)
     values = (np.take_along_axis(part[0][found], order, axis=-1).T for part in (two.elevation, two.sigma, two.power))
@@ -159,7 +162,15 @@ def resolve_layover(
     return ElevationEstimate(elevation, sigma, cnr, validity, SecondScatterer(*second))
 
 
-def detection_threshold(beams: Beams, squint: float, looks: int, false_alarm: float) -> float:
+def _thresholds(beams: Beams, squint: float, looks: Array, false_alarm: float) -> Array:
+    """Gains (sigma^2) that are suspicious, and that detect, with the looks of each pixel (pixels,): (2, pixels)."""
+    counts, which = np.unique(looks, return_inverse=True)
+    shares = (SUSPICIOUS * false_alarm, false_alarm)
+    levels = [[detection_threshold(beams, squint, count, share) for count in counts.tolist()] for share in shares]
+    return np.array(levels)[:, which]
+
+
+def detection_threshold(beams: Beams, squint: float, looks: float, false_alarm: float) -> float:
     """Least gain of a second scatterer, in units of sigma^2, that one scatterer reaches with a share `false_alarm`.
 
     In a known direction, noise gives the gain a gamma distribution of order K. Its greatest value over direction passes
@@ -254,14 +265,14 @@ class _PairModel:
         ridge = 1e-9 * np.trace(curvature, axis1=-2, axis2=-1)[..., None, None] * np.eye(2)
         return np.asarray(np.linalg.solve(curvature + ridge, gradient[..., None])[..., 0])
 
-    def bound(self, known: Numbers, looks: int) -> Array:
+    def bound(self, known: Numbers, looks: npt.ArrayLike) -> Array:
         """1 / sqrt of F = 2 K Re{(D^H (I - P) D) * known^T}, rad, (..., 2); infinite where F is not positive definite.
 
         Args:
             known: covariance of the amplitudes in one look over sigma^2, less what noise makes of it, (..., 2, 2).
-            looks: K.
+            looks: K, shape (...).
         """
-        fisher = 2 * looks * (self.slope_power * np.swapaxes(known, -1, -2)).real
+        fisher = 2 * np.asarray(looks)[..., None, None] * (self.slope_power * np.swapaxes(known, -1, -2)).real
         diagonal, determinant = np.diagonal(fisher, axis1=-2, axis2=-1), np.linalg.det(fisher)[..., None]
         positive = (diagonal > 0) & (diagonal[..., ::-1] > 0) & (determinant > 0)
         variance = np.divide(diagonal[..., ::-1], determinant, where=positive, out=np.full_like(diagonal, np.inf))
@@ -315,21 +326,22 @@ class _PairGrid:
         return self.nodes[place]
 
 
-def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: int, single: Array, levels: list[float]) -> Array:
+def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: Array, single: Array, levels: Array) -> Array:
     """Elevations, powers and deviations of the pairs in some pixels, shape (pixels, 3, 2); NaN where there is none.
 
     Args:
         covariance: in units of the noise power, shape (pixels, M, M).
         grid: at the pixels' squint.
-        looks: K.
+        looks: K, (pixels,).
         single: elevations of the single scatterers, rad, (pixels,).
-        levels: gains that are suspicious, and that detect.
+        levels: gains that are suspicious, and that detect, (2, pixels).
     """
     found = np.full((len(covariance), 3, 2), np.nan)
     covariance = covariance.astype(grid.units.dtype)
     suspicious = np.flatnonzero(grid.gain_beside(covariance, single) > levels[0])
     if not suspicious.size:
         return found
+    looks, needed = looks[suspicious], levels[1, suspicious]
     start = grid.best(covariance[suspicious])
     some = covariance[suspicious].astype(np.result_type(covariance, np.float64))
     pair = np.sort(_climb(some, grid, start), axis=-1)
@@ -337,8 +349,8 @@ def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: int, single: Array
     fitted = model.inverse @ some
     one = explained_power(some, grid.beams.response(single[suspicious], grid.squint))
     first, last = grid.beams.span
-    detected = (model.explained(fitted) - one > levels[1]) & (pair[:, 0] >= first) & (pair[:, 1] <= last)
-    signal = model.amplitudes(fitted) / looks - model.gram
+    detected = (model.explained(fitted) - one > needed) & (pair[:, 0] >= first) & (pair[:, 1] <= last)
+    signal = model.amplitudes(fitted) / looks[:, None, None] - model.gram
     powers = np.diagonal(signal, axis1=-2, axis2=-1).real
     found[suspicious[detected]] = np.stack([pair, powers, model.bound(signal - model.gram, looks)], axis=1)[detected]
     return found
@@ -383,15 +395,17 @@ def _adjoint(matrix: Numbers) -> Numbers:
     return np.asarray(np.swapaxes(matrix.conj(), -1, -2))
 
 
-def _require(covariance: Covariance, beams: Beams, noise_power: float, looks_count: int, false_alarm: float) -> None:
+def _require(
+    covariance: Covariance, beams: Beams, noise_power: float, looks_count: npt.ArrayLike, false_alarm: float
+) -> None:
     if beams.count < 3:
         raise UserError(f"The sensor has {beams.count} detectors; telling two scatterers from one needs 3 or more.")
     if beams.is_complex and not np.iscomplexobj(covariance):
         raise UserError("The covariance of complex beams is real; it must be complex (multilook with hermitian).")
     if not (np.isfinite(noise_power) and noise_power > 0):
         raise UserError(f"The noise power is {noise_power:g}; it must be finite and greater than 0.")
-    if looks_count < 1:
-        raise UserError(f"The number of looks is {looks_count}; it must be 1 or more.")
+    if np.any(np.asarray(looks_count) < 1):
+        raise UserError(f"The number of looks is {np.min(looks_count):g}; it must be 1 or more.")
     if not 0 < false_alarm <= 0.1:
         raise UserError(f"The share of false alarms is {false_alarm:g}; it must be above 0 and up to 0.1.")
 

@@ -17,18 +17,18 @@ from sal_height.array_ml import OBJECTIVES, best_elevation
 from sal_height.beams import Beams
 from sal_height.discriminant import Inversion, Reason, invert
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, Validity, explained_power, validity_of
+from sal_height.estimate import ElevationEstimate, Validity, by_rows, explained_power, validity_of
 from sal_height.looks import Covariance, Looks
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
-Estimator = Callable[[Array, Array, ComplexArray, float], Array]
+Estimator = Callable[[Array, Array, ComplexArray, float | Array], Array]
 
 OUTSIDE_MARGIN = 3.0
 """Noise powers by which a direction outside the array must explain a pixel better to be believed."""
 
 
-def ratio(sum_power: Array, _difference_power: Array, cross_power: ComplexArray, _noise_energy: float) -> Array:
+def ratio(sum_power: Array, _difference_power: Array, cross_power: ComplexArray, _noise_energy: float | Array) -> Array:
     """Power-weighted mean of Re(Delta / Sigma): Re sum Delta Sigma* / sum |Sigma|^2 (SAL paper, section 3).
 
     Biased towards the middle of the pair by the factor CNR / (CNR + 1) for a fluctuating target, however many looks
@@ -38,7 +38,7 @@ def ratio(sum_power: Array, _difference_power: Array, cross_power: ComplexArray,
 
 
 def noise_subtraction(
-    sum_power: Array, _difference_power: Array, cross_power: ComplexArray, noise_energy: float
+    sum_power: Array, _difference_power: Array, cross_power: ComplexArray, noise_energy: float | Array
 ) -> Array:
     """`ratio` without the noise in its denominator: Re sum Delta Sigma* / (sum |Sigma|^2 - noise energy).
 
@@ -49,7 +49,7 @@ def noise_subtraction(
 
 
 def total_least_squares(
-    sum_power: Array, difference_power: Array, cross_power: ComplexArray, _noise_energy: float
+    sum_power: Array, difference_power: Array, cross_power: ComplexArray, _noise_energy: float | Array
 ) -> Array:
     """Exact two-channel maximum likelihood: noise in Sigma is accounted for, so the bias of `ratio` is gone.
 
@@ -92,7 +92,26 @@ def monopulse_elevation(
     """
     if beams.count < 2:
         raise UserError(f"The sensor has {beams.count} detector; monopulse needs 2 or more.")
-    strongest, sum_power, difference_power, cross_power = _strongest_pair(looks.covariance)
+    best = best_elevation(looks.covariance, beams, squint, OBJECTIVES["normalised"])
+
+    def estimate(some: Looks, rows: slice) -> ElevationEstimate:
+        return _of_strongest_pairs(some, beams, squint, noise_power, discriminant, min_cnr, best[rows])
+
+    return by_rows(looks, estimate)
+
+
+def _of_strongest_pairs(
+    looks: Looks,
+    beams: Beams,
+    squint: Array,
+    noise_power: float,
+    discriminant: Estimator,
+    min_cnr: float,
+    best: Array,
+) -> ElevationEstimate:
+    """`monopulse_elevation` where `best` (rad, (rows, cols)) is what all detectors say (`array_ml.best_elevation`)."""
+    covariance = np.asarray(looks.covariance)
+    strongest, sum_power, difference_power, cross_power = _strongest_pair(covariance)
     sum_noise = 2 * noise_power
     with np.errstate(divide="ignore", invalid="ignore"):
         mu = discriminant(sum_power, difference_power, cross_power, looks.count * sum_noise)
@@ -103,9 +122,9 @@ def monopulse_elevation(
         total = 2 * gain / sum_gain  # 1 + |Delta / Sigma|^2
         variance = total / (2 * energy) * (1 + looks.count / (energy * total)) / found.slope**2
         cnr = energy * 2 / sum_gain / looks.count
-    explained = explained_power(looks.covariance, beams.response(found.elevation, squint)) / noise_power
+    explained = explained_power(covariance, beams.response(found.elevation, squint)) / noise_power
     validity = validity_of(looks, beams, noise_power, found.elevation, explained, cnr, min_cnr)
-    outside = _better_outside(looks.covariance, beams, squint, noise_power, found.elevation)
+    outside = _better_outside(covariance, beams, squint, noise_power, found.elevation, best)
     validity = np.where((validity == Validity.OK) & outside, Validity.OUTSIDE_ARRAY, validity)
     unpaired = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN]) & looks.finite
     return ElevationEstimate(
@@ -165,13 +184,14 @@ def _inverted_together(beams: Beams, pair: npt.NDArray[np.intp]) -> list[npt.NDA
 
 
 def _better_outside(
-    covariance: Covariance, beams: Beams, squint: Array, noise_power: float, elevation: Array
+    covariance: Covariance, beams: Beams, squint: Array, noise_power: float, elevation: Array, best: Array
 ) -> npt.NDArray[np.bool_]:
-    """Whether a target outside the array explains the channels better than one at `elevation`, by OUTSIDE_MARGIN.
+    """Whether a target at `best`, outside the array, explains the channels better than one at `elevation`.
+
+    By OUTSIDE_MARGIN.
 
     A pair cannot see that its target is in a sidelobe; the other detectors can.
     """
-    best = best_elevation(covariance, beams, squint, OBJECTIVES["normalised"])
     first, last = beams.span
     gain = explained_power(covariance, beams.response(best, squint))
     gain -= explained_power(covariance, beams.response(np.nan_to_num(elevation, nan=first), squint))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from typing import Self
 
 import numpy as np
@@ -44,8 +45,8 @@ which varies beyond the array. Of 48 000 pixels at 0 to 20 dB none missed its hi
 alone would have missed 0.8 %.
 """
 
-SETTLED = 1e-2
-"""Newton step, in steps of the table, that is the last: the next would be about the square of this."""
+SETTLED = 0.1
+"""Newton step, in steps of the table, that is the last: the next would move the peak by 1e-5 beamwidths at most."""
 
 MOST_STEPS = 40
 """Of a climb; if all halve the bracket, that is the end of float64."""
@@ -56,8 +57,8 @@ TILE = 4
 SQUINTS_MORE = 14
 """Of the squints that stand for many, beyond pi for each beamwidth: leaves an error of 1e-9."""
 
-PIXELS_AT_ONCE = 512
-"""Pixels whose objective is held at a time: what fits into a processor's cache."""
+PIXELS_AT_ONCE = 1024
+"""Pixels whose covariance and objective are held at a time: what fits into a processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -108,24 +109,28 @@ class PeakSearch:
             complex_beams=complex_beams,
         )
 
-    def peaks(self, covariance: Covariance) -> Array:
-        """Elevation (rad) of the greatest objective in the search domain, for each of some pixels, shape (pixels,).
+    def peaks(self, covariance: Covariance, margin: float = 0.0) -> tuple[Array, Array]:
+        """Where the objective is greatest in the search domain, and how great its next peak is beside it.
 
-        The end of the domain where the objective still rises there. Runs in the calling thread alone.
+        Elevation (rad), the end of the domain where the objective still rises there; and the height of the second peak
+        as a share of the first, of those peaks that one scatterer of `margin` less power would have; 0: none. Both of
+        the shape (pixels,). Runs in the calling thread alone.
 
         Args:
             covariance: shape (pixels, channels, channels); complex if the beams are.
+            margin: of power, in the unit of the covariance.
 
         Raises:
             UserError: the beams are complex and the covariance is not.
         """
-        position = np.empty(len(covariance))
+        position, share = np.empty((2, len(covariance)))
+        margin *= float(np.max(np.sum(self.pieces[:, 0].astype(np.float64) ** 2, axis=-1)))
         for begin in range(0, len(covariance), PIXELS_AT_ONCE):
             block = slice(begin, begin + PIXELS_AT_ONCE)
             matrices = self._real(covariance[block])
             values = _on_grid(matrices, self.entries, self.grid)
-            _climb_highest(matrices, values, self.pieces, position[block])
-        return self.first + self.step * position
+            _climb_highest(matrices, values, np.float32(margin), self.pieces, position[block], share[block])
+        return self.first + self.step * position, share
 
     def fit(self, covariance: Covariance, elevation: Array) -> Array:
         """What one scatterer at `elevation` (rad, (pixels,)) makes of some pixels, shape (3, pixels); NaN of NaN.
@@ -217,19 +222,30 @@ class PeakSearches:
         return PeakSearch.of(self.nodes, response, slope, self.objective)
 
     def each(self, squint: Array, rows: int, work: Callable[[PeakSearch, slice, Columns], object]) -> None:
-        """Do `work` on the search, the rows and the columns of each squint (rad, (cols,)), on all processors.
+        """Do `work` on the search, the rows and the columns of all pixels, on all processors.
 
-        On parts of the rows, and all columns at once, if there is one squint only.
+        In blocks of PIXELS_AT_ONCE pixels or, where one column is more, of a column; all pixels of a block have the
+        same of the squints (rad, (cols,)).
         """
         angles, angle_of = np.unique(squint, return_inverse=True)
         if len(angles) == 1:
-            search = self.at(float(angles[0]))
-            in_parallel(lambda part: work(search, part, slice(None)), rows, -(-PIXELS_OF_THREAD // len(squint)))
+            search, wide = self.at(float(angles[0])), min(len(squint), PIXELS_AT_ONCE)
+            high = max(1, PIXELS_AT_ONCE // wide)
+            blocks = list(product(range(0, rows, high), range(0, len(squint), wide)))
+
+            def work_on(part: slice) -> None:
+                for row, col in blocks[part]:
+                    work(search, slice(row, min(row + high, rows)), slice(col, min(col + wide, len(squint))))
+
+            in_parallel(work_on, len(blocks), -(-PIXELS_OF_THREAD // (high * wide)))
             return
 
         def work_at(part: slice) -> None:
             for index in range(part.start, part.stop):
-                work(self.at(float(angles[index])), slice(0, rows), np.flatnonzero(angle_of == index))
+                search, cols = self.at(float(angles[index])), np.flatnonzero(angle_of == index)
+                high = max(1, PIXELS_AT_ONCE // len(cols))
+                for row in range(0, rows, high):
+                    work(search, slice(row, min(row + high, rows)), cols)
 
         in_parallel(work_at, len(angles))
 
@@ -285,26 +301,37 @@ def _on_grid(matrices: FloatArray, entries: npt.NDArray[np.intp], grid: FloatArr
 
 
 @compiled
-def _climb_highest(matrices: FloatArray, values: FloatArray, pieces: FloatArray, position: Array) -> None:
-    """Climb from the highest nodes of the grid and keep the highest peak.
+def _climb_highest(
+    matrices: FloatArray, values: FloatArray, margin: np.float32, pieces: FloatArray, position: Array, share: Array
+) -> None:
+    """Climb from the high nodes of the grid, keep the highest peak, and how high the second is beside it.
 
     Args:
         matrices: of the quadratic forms, shape (pixels, detectors, detectors).
         values: of the objective on the grid, shape (pixels, grid nodes).
+        margin: by which second peaks may be lower.
         pieces: of `PeakSearch`.
         position: to fill with the place of the peak, shape (pixels,).
+        share: to fill with the height of the second over that of the first, 0 if there is no second, shape (pixels,).
     """
     work, last = np.empty((3, pieces.shape[2]), np.float32), values.shape[1] - 1
     for i in range(len(values)):
-        line = values[i]
-        enough, best = NEAR_HIGHEST * line.max(), -1.0
+        line, top = values[i], np.float32(0)
+        for g in range(line.size):
+            top = max(top, line[g])
+        enough, best, second = np.float32(NEAR_HIGHEST) * (top - margin), -1.0, 0.0
         position[i] = 0.0
-        for g in range(last + 1):
-            if line[g] < enough or (g > 0 and line[g] < line[g - 1]) or (g < last and line[g] <= line[g + 1]):
+        for g in range(line.size):
+            if line[g] < enough:
+                continue
+            if (g > 0 and line[g] < line[g - 1]) or (g < last and line[g] <= line[g + 1]):
                 continue
             peak, height = _climb(matrices[i], pieces, max(g - 1, 0), _start(line, g), min(g + 1, last), work)
             if height > best:
-                position[i], best = peak, height
+                position[i], best, second = peak, height, max(best, 0.0)
+            else:
+                second = max(second, height)
+        share[i] = second / best if best > 0 else 0.0
 
 
 @compiled

@@ -25,8 +25,8 @@ from sal_height.beams import Beams
 from sal_height.compiled import compiled, in_parallel
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate
-from sal_height.looks import Covariance, Looks
-from sal_height.peak_search import PIXELS_AT_ONCE, Columns, FloatArray, PeakSearch, PeakSearches
+from sal_height.looks import Covariances, Looks
+from sal_height.peak_search import Columns, FloatArray, PeakSearch, PeakSearches
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -66,12 +66,12 @@ class _Tile:
     """A part of the image with its margin.
 
     Attributes:
-        rows, cols: of the part with its margin.
+        rows, cols: numbers of those of the part with its margin.
         core: the part itself, within `rows` and `cols`.
     """
 
-    rows: slice
-    cols: slice
+    rows: Nodes
+    cols: Nodes
     core: tuple[slice, slice]
 
 
@@ -85,11 +85,11 @@ def prior_elevation(
 
 
 def smoothed_peaks(
-    covariance: Covariance,
+    covariance: Covariances,
     beams: Beams,
     squint: Array,
     noise_power: float,
-    looks_count: int,
+    looks_count: npt.ArrayLike,
     strength: float,
     guard: float,
 ) -> Array:
@@ -102,7 +102,7 @@ def smoothed_peaks(
         beams: of the channels.
         squint: of each column, rad, shape (cols,).
         noise_power: E|n|^2 of one look in one channel.
-        looks_count: number of looks K.
+        looks_count: number of looks K, of all pixels or each.
         strength: loss of log-likelihood at a jump of elevation between neighbours, along each line; 0 gives
             `array_ml.peak_elevation` with the normalised objective, RECOMMENDED_STRENGTH is a good one.
         guard: how far beyond the array is searched, rad (`Beams.domain`).
@@ -118,12 +118,11 @@ def smoothed_peaks(
     normalised = OBJECTIVES["normalised"]
     elevation = peak_elevation(covariance, beams, squint, normalised, guard)
     searches = PeakSearches.over(beams, np.unique(squint), normalised, guard)
+    looks = np.broadcast_to(np.asarray(looks_count, dtype=np.float64), elevation.shape)
     for tile in _tiles(*elevation.shape):
-        part, angles = covariance[tile.rows, tile.cols], squint[tile.cols]
-        own = _log_likelihood(part, searches, angles, noise_power, looks_count)
-        messages = _messages(own, _has_data(part), strength)
-        core = tile.core
-        _move(elevation[tile.rows, tile.cols][core], own[core], messages[core], part[core], searches, angles[core[1]])
+        own, has_data = _log_likelihood(covariance, tile, searches, squint, noise_power, looks)
+        messages = _messages(own, has_data, strength)
+        _move(elevation, own[tile.core], messages[tile.core], covariance, tile, searches, squint)
     return elevation
 
 
@@ -131,40 +130,34 @@ def _tiles(rows: int, cols: int) -> Iterator[_Tile]:
     for top, left in product(range(0, rows, TILE), range(0, cols, TILE)):
         first_row, first_col = max(0, top - MARGIN), max(0, left - MARGIN)
         yield _Tile(
-            rows=slice(first_row, top + TILE + MARGIN),
-            cols=slice(first_col, left + TILE + MARGIN),
+            rows=np.arange(first_row, min(top + TILE + MARGIN, rows)),
+            cols=np.arange(first_col, min(left + TILE + MARGIN, cols)),
             core=(slice(top - first_row, top - first_row + TILE), slice(left - first_col, left - first_col + TILE)),
         )
 
 
-def _has_data(covariance: Covariance) -> Mask:
-    """Where the covariance is not zero: shape (rows, cols)."""
-    return np.asarray(np.any(np.diagonal(covariance, axis1=-2, axis2=-1) != 0, axis=-1))
-
-
 def _log_likelihood(
-    covariance: Covariance, searches: PeakSearches, squint: Array, noise_power: float, looks_count: int
-) -> FloatArray:
-    """Log-likelihood at every node of the grid over that of noise alone, shape (rows, cols, grid nodes).
+    covariance: Covariances, tile: _Tile, searches: PeakSearches, squint: Array, noise_power: float, looks: Array
+) -> tuple[FloatArray, Mask]:
+    """Log-likelihood at every node of the grid over that of noise alone, and which pixels of the tile have data.
 
     K (q - ln q - 1) with q = a^H R a / (K sigma^2 |a|^2), or 0 for q < 1: the greatest over the power of Gaussian
-    amplitudes.
+    amplitudes. Shapes (rows, cols, grid nodes) and (rows, cols).
     """
-    rows, cols = covariance.shape[:2]
-    grid_nodes = searches.at(float(squint[0])).grid.shape[1]
-    result = np.empty((rows, cols, grid_nodes), np.float32)
+    shape, angles = (tile.rows.size, tile.cols.size), squint[tile.cols]
+    own = np.empty((*shape, searches.at(float(angles[0])).grid.shape[1]), np.float32)
+    has_data = np.empty(shape, dtype=np.bool_)
 
-    def work(search: PeakSearch, part: slice, columns: Columns) -> None:
-        rows_at_once = max(1, PIXELS_AT_ONCE // squint[columns].size)
-        for first in range(part.start, part.stop, rows_at_once):
-            some = slice(first, min(first + rows_at_once, part.stop))
-            pixels = covariance[some, columns]
-            values = search.on_grid(pixels.reshape(-1, *pixels.shape[2:]))
-            _concentrate(values, 1 / (looks_count * noise_power), looks_count)
-            result[some, columns] = values.reshape(*pixels.shape[:2], grid_nodes)
+    def work(search: PeakSearch, some: slice, columns: Columns) -> None:
+        here = tile.rows[some, None], tile.cols[columns]
+        pixels, count = covariance[here], looks[here]
+        has_data[some, columns] = np.any(np.diagonal(pixels, axis1=-2, axis2=-1) != 0, axis=-1)
+        values = search.on_grid(pixels.reshape(-1, *pixels.shape[2:]))
+        _concentrate(values, noise_power, count.reshape(-1))
+        own[some, columns] = values.reshape(*count.shape, -1)
 
-    searches.each(squint, rows, work)
-    return result
+    searches.each(angles, len(tile.rows), work)
+    return own, has_data
 
 
 def _messages(own: FloatArray, has_data: Mask, strength: float) -> FloatArray:
@@ -192,35 +185,41 @@ def _move(
     elevation: Array,
     own: FloatArray,
     messages: FloatArray,
-    covariance: Covariance,
+    covariance: Covariances,
+    tile: _Tile,
     searches: PeakSearches,
     squint: Array,
 ) -> None:
-    """Put pixels whose neighbours prefer another peak there: fill `elevation` (rad, shape (rows, cols))."""
+    """Put pixels of the tile's core whose neighbours prefer another peak there: change `elevation` (rad) of the image.
+
+    `own` and `messages` are of the core.
+    """
+    rows, cols = tile.rows[tile.core[0]], tile.cols[tile.core[1]]
     grid_step = (searches.nodes[-1] - searches.nodes[0]) / (own.shape[2] - 1)
-    alone = np.rint((elevation - searches.nodes[0]) / grid_step).astype(np.intp)
+    alone = np.rint((elevation[rows[:, None], cols] - searches.nodes[0]) / grid_step).astype(np.intp)
     together = np.empty_like(alone)
     _most_likely(own, messages, alone, together)
 
     def work(search: PeakSearch, part: slice, columns: Columns) -> None:
         row, col = np.nonzero(together[part, columns] != alone[part, columns])
-        row, col = row + part.start, np.arange(len(squint))[columns][col]
-        elevation[row, col] = search.peaks_uphill(covariance[row, col], together[row, col])
+        row, col = row + part.start, np.arange(len(cols))[columns][col]
+        there = rows[row], cols[col]
+        elevation[there] = search.peaks_uphill(covariance[there], together[row, col])
 
-    searches.each(squint, len(elevation), work)
+    searches.each(squint[cols], len(rows), work)
 
 
 # The loops below are compiled; elevations are nodes of the grid.
 
 
 @compiled
-def _concentrate(values: FloatArray, scale: float, looks: int) -> None:
-    """Replace values of the objective by log-likelihoods; `scale` makes them q."""
+def _concentrate(values: FloatArray, noise_power: float, looks: Array) -> None:
+    """Replace values of the objective by log-likelihoods; `looks` K of each pixel."""
     for i in range(len(values)):
-        line = values[i]
+        line, count, scale = values[i], np.float32(looks[i]), np.float32(1 / (looks[i] * noise_power))
         for g in range(line.size):
-            q = max(line[g] * np.float32(scale), np.float32(1))
-            line[g] = np.float32(looks) * (q - np.float32(1) - np.log(q))
+            q = max(line[g] * scale, np.float32(1))
+            line[g] = count * (q - np.float32(1) - np.log(q))
 
 
 @compiled

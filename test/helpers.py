@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -154,14 +155,14 @@ def standard_error_of_rms(error: Array) -> float:
 def noise_free_looks(beams: Beams, offset: Array, squint: float = 0.0, count: int = 1, energy: float = 1e6) -> Looks:
     """Exact covariance of a target at each of `offset` (beamwidths, shape (pixels,)), one column."""
     response = beams.response(elevation_at(offset), squint)
-    pixels = len(offset)
-    return Looks(
-        covariance=energy * (response[:, None, :, None] * response[:, None, None, :]),
-        count=count,
-        row=np.arange(pixels, dtype=np.float64)[:, None],
-        col=np.zeros((pixels, 1)),
-        finite=np.ones((pixels, 1), dtype=bool),
-    )
+    return looks_of(energy * (response[:, None, :, None] * response[:, None, None, :]), count)
+
+
+def looks_of(covariance: npt.NDArray[Any], count: float) -> Looks:
+    """Looks with this covariance (rows, cols, channels, channels), each pixel a sample of the SLC."""
+    row, col = np.indices(covariance.shape[:2]).astype(np.float64)
+    power = np.trace(covariance.real, axis1=-2, axis2=-1)
+    return Looks(covariance, np.full(row.shape, float(count)), row, col, power, np.ones(row.shape, dtype=bool))
 
 
 def sample_frequencies(sensor: Sensor) -> Array:

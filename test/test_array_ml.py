@@ -11,6 +11,7 @@ from helpers import (
     assert_one_sentence,
     circular,
     elevation_at,
+    looks_of,
     make_beams,
     noise_free_looks,
     offset_of,
@@ -53,10 +54,7 @@ def test_elevation_is_exact_without_noise(pattern: str, squint: float) -> None:
 def test_every_column_has_its_own_squint() -> None:
     beams, offsets, squints = make_beams("jinc"), np.linspace(-3.7, 3.7, 20), np.array([-0.9, 0.0, 0.3]) * BEAMWIDTH
     covariance = np.concatenate([noise_free_looks(beams, offsets, s).covariance for s in squints], axis=1)
-    there = np.zeros(covariance.shape[:2])
-    result = ml_elevation(
-        Looks(covariance, 1, there, there, there == 0), beams, squints, 1.0, OBJECTIVES["normalised"], 1
-    )
+    result = ml_elevation(looks_of(covariance, 1), beams, squints, 1.0, OBJECTIVES["normalised"], 1)
     np.testing.assert_allclose(offset_of(result.elevation), np.repeat(offsets[:, None], 3, axis=1), atol=1e-5)
 
 
@@ -117,7 +115,7 @@ def test_estimate_is_the_highest_point_of_the_objective(pattern: str, looks: int
     slc = np.concatenate(
         [target_slc(beams, rng.uniform(-3.75, 3.75), 250, looks, 10**level, rng) for level in (0, 0.5, 1, 2)], axis=1
     )
-    covariance = multilook(slc, 1, looks).covariance
+    covariance = multilook(slc, 1, looks).covariance[:, :]
     expected, clear = dense_peaks(covariance[:, 0], beams, objective, 7.0)
     found = peak_elevation(covariance, beams, np.zeros(1), OBJECTIVES[objective], 3 * BEAMWIDTH)
     error = (offset_of(found[:, 0]) - expected)[clear]
@@ -129,7 +127,7 @@ def test_estimate_is_the_highest_point_of_the_objective(pattern: str, looks: int
 def test_blocks_and_threads_and_columns_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every pixel by itself gives what it gives among all others."""
     beams = make_beams("jinc")
-    covariance = multilook(target_slc(beams, 0.6, 12, 20, 3.0, np.random.default_rng(12)), 1, 4).covariance
+    covariance = multilook(target_slc(beams, 0.6, 12, 20, 3.0, np.random.default_rng(12)), 1, 4).covariance[:, :]
     whole = peak_elevation(covariance, beams, np.full(5, 0.2) * BEAMWIDTH, OBJECTIVES["normalised"], 0.0)
     monkeypatch.setattr(peak_search, "PIXELS_AT_ONCE", 7)
     monkeypatch.setattr(peak_search, "PIXELS_OF_THREAD", 3)
@@ -183,7 +181,7 @@ def test_complex_beams_are_estimated_from_the_complex_covariance() -> None:
     found = peak_elevation(covariance, beams, np.zeros(1), OBJECTIVES["normalised"], 0.0)
     np.testing.assert_allclose(offset_of(found[:, 0]), offsets, atol=1e-5)
 
-    covariance = multilook(target_slc(beams, 0.3, 400, 4, 5.0, rng), 1, 4, hermitian=True).covariance
+    covariance = multilook(target_slc(beams, 0.3, 400, 4, 5.0, rng), 1, 4, hermitian=True).covariance[:, :]
     expected, clear = dense_peaks(covariance[:, 0], beams, "normalised", 2.0)
     found = peak_elevation(covariance, beams, np.zeros(1), OBJECTIVES["normalised"], 0.75 * BEAMWIDTH)
     np.testing.assert_allclose(offset_of(found[clear, 0]), expected[clear], atol=1e-4)
@@ -223,7 +221,7 @@ def test_narrow_beams_at_45_degrees_lose_no_digits(beamwidth: float) -> None:
     response = beams.response(np.pi / 4 + offsets * beamwidth, 0.0)
     covariance = (response[:, :, None] * response[:, None, :])[:, None]
     found = peak_elevation(covariance, beams, np.zeros(1), OBJECTIVES["normalised"], 0.0)
-    np.testing.assert_allclose((found[:, 0] - np.pi / 4) / beamwidth, offsets, atol=5e-6)
+    np.testing.assert_allclose((found[:, 0] - np.pi / 4) / beamwidth, offsets, atol=1e-5)
 
 
 def test_climb_that_starts_on_the_peak_stays_there() -> None:
@@ -231,7 +229,7 @@ def test_climb_that_starts_on_the_peak_stays_there() -> None:
     steps = np.arange(-peak_search.TABLE_STEPS, peak_search.TABLE_STEPS + 1.0)
     nodes, response, slope = np.pi / 4 + 1e-5 * steps, 1 - steps[:, None] ** 2 / 144, -steps[:, None] / 72e-5
     search = peak_search.PeakSearch.of(nodes, response, slope, OBJECTIVES["numerator"])
-    assert (search.peaks(np.ones((1, 1, 1)))[0] - np.pi / 4) / 1e-5 == pytest.approx(0, abs=1e-6)
+    assert (search.peaks(np.ones((1, 1, 1)))[0][0] - np.pi / 4) / 1e-5 == pytest.approx(0, abs=1e-6)
 
 
 def test_search_ends_where_a_pattern_is_no_longer_known() -> None:
@@ -359,7 +357,7 @@ def test_least_cnr_is_asked_of_every_look(min_cnr: float, expected: Validity) ->
     """A target of CNR 20 in four looks."""
     beams = make_beams("jinc")
     exact = noise_free_looks(beams, np.array([0.6]), count=4, energy=4 * 20.0)
-    noisy = Looks(exact.covariance + 4 * np.eye(16), 4, exact.row, exact.col, exact.finite)
+    noisy = looks_of(exact.covariance + 4 * np.eye(16), 4)
     result = ml_elevation(noisy, beams, np.zeros(1), 1.0, OBJECTIVES["normalised"], min_cnr)
     assert result.cnr[0, 0] == pytest.approx(20.0, rel=1e-6)
     assert result.validity[0, 0] == expected
@@ -393,8 +391,7 @@ def test_rest_counts_as_another_scatterer_from_3_percent_of_the_power_on(share: 
     b = beams.response(elevation_at(3.0), 0.0)
     b -= a * (a @ b) / (a @ a)
     covariance = energy * (np.outer(a, a) / (a @ a) + share * np.outer(b, b) / (b @ b)) + looks * np.eye(16)
-    there = np.zeros((1, 1))
-    result = estimate(Looks(covariance[None, None], looks, there, there, there == 0), beams)
+    result = estimate(looks_of(covariance[None, None], looks), beams)
     assert offsets_of(result)[0] == pytest.approx(0.6, abs=0.01)
     assert result.validity[0, 0] == expected
 
@@ -479,3 +476,28 @@ def test_unknown_noise_powers_are_refused(powers: list[float], complaint: str) -
     with pytest.raises(UserError) as refusal:
         whitening(np.array(powers))
     assert_one_sentence(str(refusal.value), "noise powers", complaint)
+
+
+@pytest.mark.parametrize(("difference", "expected"), [(4.2, Validity.AMBIGUOUS), (5.0, Validity.OK)])
+def test_another_peak_nearly_as_likely_is_ambiguous(difference: float, expected: Validity) -> None:
+    """Likelihoods differ by exp of the difference of the powers over that of the noise: ln 100 is 4.6."""
+    beams, looks = make_beams("sinc"), 4
+    a, b = (beams.response(elevation_at(offset), 0.0) for offset in (-1.5, 1.5))
+    units = [a / np.linalg.norm(a), b / np.linalg.norm(b)]
+    assert abs(units[0] @ units[1]) < 0.03
+    energies = (34.0, 34.0 - difference)
+    covariance = sum(energy * np.outer(unit, unit) for energy, unit in zip(energies, units, strict=True))
+    result = estimate(looks_of(covariance[None, None] + looks * np.eye(16), looks), beams)
+    assert offsets_of(result)[0] == pytest.approx(-1.5, abs=0.01)
+    assert result.validity[0, 0] == expected
+
+
+def test_detectors_far_apart_are_ambiguous_in_their_sidelobes() -> None:
+    """2.5 beamwidths apart, they see this target as they see others: a third of the highest peaks are those."""
+    beams = replace(make_beams("sinc", 4), boresights=elevation_at(2.5 * (np.arange(4) - 1.5)))
+    result = estimate(multilook(target_slc(beams, 0.625, 2000, 4, 30.0, np.random.default_rng(40)), 1, 4), beams)
+    valid, ambiguous = (result.validity[:, 0] == reason for reason in (Validity.OK, Validity.AMBIGUOUS))
+    assert np.mean(valid) < 0.01
+    assert np.mean(ambiguous) > 0.8
+    wrong = np.abs(offsets_of(result) - 0.625) > 0.5
+    assert np.mean(wrong[ambiguous]) == pytest.approx(0.35, abs=0.05)

@@ -19,7 +19,7 @@ from sal_height.formers import FAST, FORMERS
 from sal_height.geometry import Grid
 from sal_height.gust import FASTEST, MOUNT_RESIDUAL, SLOWEST, gust_motion, gust_spectra, response
 from sal_height.height import column_squint, height_field, look_grid
-from sal_height.looks import multilook
+from sal_height.looks import blocks, multilook
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import load_preset
 from sal_height.processing import Processing
@@ -163,7 +163,7 @@ def test_spotlight_heights_are_right_in_gusts_and_with_the_attitude_they_leave()
         grid = slant_plane_grid(sensor, aperture, 5000.0, image.rows, image.cols, widened)
         antenna = track.positions(history.stamp_ns, history.pulse_times)
         looks = multilook(backproject(history, antenna, sensor, processing, grid), 2, 2)
-        coarse = look_grid(grid, 2, 2)
+        coarse = look_grid(grid, *blocks(2, 2))
         squint = column_squint(coarse, aperture, sensor.beams, sensor.look_side)
         estimate = ml_elevation(looks, sensor.beams, squint, noise, OBJECTIVES["normalised"], 10**0.5)
         errors.append(height_field(estimate, looks, grid, coarse, aperture, sensor.look_side).first.height - 3.7)

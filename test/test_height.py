@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, flat_scene, make_aperture, make_beams, make_sensor
+from helpers import BEAMWIDTH, flat_scene, looks_of, make_aperture, make_beams, make_sensor
 from scipy.spatial.transform import Rotation
 
 from sal_height.array_ml import OBJECTIVES, ml_elevation
@@ -26,7 +26,7 @@ from sal_height.geometry import (
     sphere_point,
 )
 from sal_height.height import HeightField, column_squint, height_field, look_grid
-from sal_height.looks import Looks, multilook
+from sal_height.looks import Looks, Window, blocks, multilook
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import load_preset
 from sal_height.processing import Processing
@@ -42,7 +42,7 @@ def slant_grid(aperture: Aperture, side: int = 1, rows: int = 30, cols: int = 20
 
 def looks_at(row: np.ndarray, col: np.ndarray) -> Looks:
     """Looks with their centres given; the covariance plays no role in `height_field`."""
-    return Looks(np.zeros((*row.shape, 2, 2)), 4, row, col, np.ones(row.shape, dtype=bool))
+    return replace(looks_of(np.zeros((*row.shape, 2, 2)), 4), row=row, col=col)
 
 
 def estimate_of(elevation: np.ndarray, sigma: float = 1e-5, validity: int = Validity.OK) -> ElevationEstimate:
@@ -64,7 +64,7 @@ def test_exact_elevations_give_the_positions_of_the_targets(side: int, angles: t
     looks = looks_at(*pixels_at(across, along, aperture, grid))
     _, elevation, _ = angles_of(targets, aperture, side)
 
-    field = height_field(estimate_of(elevation), looks, grid, look_grid(grid, 10, 5), aperture, side)
+    field = height_field(estimate_of(elevation), looks, grid, look_grid(grid, *blocks(10, 5)), aperture, side)
     np.testing.assert_allclose(field.first.positions, targets, atol=1e-6)
     np.testing.assert_allclose(field.first.height, 2.0, atol=1e-6)
     assert np.all(field.validity == Validity.OK)
@@ -86,7 +86,7 @@ def test_moving_targets_get_the_place_and_height_that_they_really_have(sliding: 
     across = np.sqrt(slant_range**2 - (0 if sliding else along**2))
     looks = looks_at(*pixels_at(across, along, aperture, grid))
     _, elevation, _ = angles_of(targets, replace(aperture, position=seen_from), 1)
-    coarse = look_grid(grid, 10, 5)
+    coarse = look_grid(grid, *blocks(10, 5))
     field = height_field(estimate_of(elevation), looks, grid, coarse, aperture, 1, radial)
     np.testing.assert_allclose(field.first.positions, targets, atol=2e-5)  # v_r^2 / v^2 of the range
     np.testing.assert_allclose(field.first.height, 2.0, atol=2e-5)
@@ -182,10 +182,18 @@ def test_pixels_without_a_usable_elevation_have_no_height() -> None:
 
 def test_pixels_of_a_height_image_are_the_middles_of_their_looks() -> None:
     grid = slant_grid(make_aperture(angles=TILTED, velocity=(49.0, 4.0, -2.0)))
-    coarse = look_grid(grid, 4, 3)
-    assert coarse.shape == (7, 6)  # 30 x 20 pixels; two rows and two columns are left over
-    blocks = grid.pixels()[:28, :18].reshape(7, 4, 6, 3, 3).mean(axis=(1, 3))
-    np.testing.assert_allclose(coarse.pixels(), blocks, atol=1e-9)
+    coarse = look_grid(grid, *blocks(4, 3))
+    assert coarse.shape == (8, 7)  # 30 x 20 pixels; the last row and column of pixels have two each
+    means = grid.pixels()[:28, :18].reshape(7, 4, 6, 3, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(coarse.pixels()[:7, :6], means, atol=1e-9)
+
+
+def test_pixels_of_sliding_windows_are_the_middles_of_their_looks() -> None:
+    grid = slant_grid(make_aperture(angles=TILTED, velocity=(49.0, 4.0, -2.0)))
+    slid = look_grid(grid, Window.named("boxcar", 3, 1), Window.named("triang", 4, 2))
+    assert slid.shape == (30, 10)
+    first = grid.pixels()[8:11, 5:9].mean(axis=(0, 1))
+    np.testing.assert_allclose(slid.pixels()[9, 3], first, atol=1e-9)
 
 
 @pytest.mark.parametrize("side", [1, -1], ids=["right", "left"])
@@ -240,7 +248,7 @@ def chain() -> Chain:
         history = PhaseHistory(0, flight.pulse_times, reference, samples.astype(np.complex64))
         grid = slant_plane_grid(sensor, aperture, 5000.0, preset.image.rows, preset.image.cols, broadening(weights))
         looks = multilook(backproject(history, antenna, sensor, Processing("taylor"), grid), 2, 2)
-        coarse = look_grid(grid, 2, 2)
+        coarse = look_grid(grid, *blocks(2, 2))
         squint = column_squint(coarse, aperture, sensor.beams, sensor.look_side)
         estimate = ml_elevation(looks, sensor.beams, squint, noise_power, OBJECTIVES["normalised"], 10**0.5)
         rows, cols = np.indices(coarse.shape) * 2 + 0.5

@@ -52,7 +52,7 @@ def pixels_of(
     for offset, cnr in zip(offsets.T, cnrs, strict=True):
         response = beams.response(elevation_at(offset), 0.0)[:, None]
         slc += response * np.sqrt(cnr) * circular(rng, (len(offset), looks, 1))
-    return multilook(np.moveaxis(slc, -1, 0), 1, looks, hermitian=beams.is_complex).covariance
+    return multilook(np.moveaxis(slc, -1, 0), 1, looks, hermitian=beams.is_complex).covariance[:, :]
 
 
 def find(covariance: np.ndarray, beams: Beams, looks: int, squint: np.ndarray | None = None) -> TwoScatterers:

@@ -11,6 +11,7 @@ from helpers import (
     assert_one_sentence,
     circular,
     elevation_at,
+    looks_of,
     make_beams,
     noise_free_looks,
     offset_of,
@@ -267,7 +268,7 @@ def test_sigma_is_the_bound_for_two_channels(offset: float) -> None:
     """For the mean covariance of K looks; with two channels the information of the array is that of the pair."""
     beams, looks, energy, squint = make_beams("jinc", count=2), 4, 40.0, 0.3 * BEAMWIDTH
     exact = noise_free_looks(beams, np.array([offset]), squint, looks, energy)
-    noisy = replace(exact, covariance=exact.covariance + looks * np.eye(2))
+    noisy = looks_of(exact.covariance + looks * np.eye(2), looks)
     result = estimate(noisy, beams, squint)
     assert offset_of(result.elevation[0, 0]) == pytest.approx(offset, abs=1e-9)
     assert result.cnr[0, 0] == pytest.approx(energy / looks, rel=1e-9)

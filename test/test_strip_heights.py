@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers import flat_scene, make_aperture, make_beams, make_sensor
+from helpers import flat_scene, looks_of, make_aperture, make_beams, make_sensor
 
 from sal_height.array_ml import OBJECTIVES, ml_elevation
 from sal_height.backprojection import backproject_points
@@ -16,7 +16,7 @@ from sal_height.evaluation import pixels_at, truth_image
 from sal_height.flight import SimulatedFlight
 from sal_height.geometry import Aperture, Grid, angles_of, aperture_at, sphere_point
 from sal_height.height import column_squint, height_field, look_grid
-from sal_height.looks import Looks, multilook
+from sal_height.looks import blocks, multilook
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import load_preset
 from sal_height.processing import Processing
@@ -73,8 +73,8 @@ def test_exact_elevations_give_the_positions_of_the_targets_in_a_strip() -> None
     estimate = ElevationEstimate(
         elevation, np.full(row.shape, 1e-5), np.full(row.shape, 50.0), np.full(row.shape, Validity.OK, np.uint8)
     )
-    looks = Looks(np.zeros((*row.shape, 2, 2)), 4, row, col, np.ones(row.shape, dtype=bool))
-    field = height_field(estimate, looks, grid, look_grid(grid, 10, 5), aperture, 1)
+    looks = replace(looks_of(np.zeros((*row.shape, 2, 2)), 4), row=row, col=col)
+    field = height_field(estimate, looks, grid, look_grid(grid, *blocks(10, 5)), aperture, 1)
     np.testing.assert_allclose(field.first.positions, targets, atol=1e-5)
     np.testing.assert_allclose(field.first.height, 2.0, atol=1e-5)
 
@@ -139,7 +139,7 @@ def heights(request: pytest.FixtureRequest) -> Strip:
     pixels = grid.pixels().reshape(-1, 3)
     slc = backproject_points(history, flight.position(times), sensor, processing, pixels, aperture.forward)
     looks = multilook(slc.reshape(-1, *grid.shape), *preset.looks)
-    coarse = look_grid(grid, *preset.looks)
+    coarse = look_grid(grid, *blocks(*preset.looks))
     squint = column_squint(coarse, aperture, sensor.beams, sensor.look_side)
     noise = slc_noise_power(sensor, processing, 310)[0]
     estimate = ml_elevation(looks, sensor.beams, squint, noise, OBJECTIVES["normalised"], 10**0.5)

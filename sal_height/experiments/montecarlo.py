@@ -248,7 +248,8 @@ def _pair_elevations(experiment: Experiment, power: float, estimator: str) -> Ar
     def elevations(matrices: Covariance) -> Array:
         pixels = matrices[:, None]
         middle = np.zeros(pixels.shape[:2])
-        looks = Looks(pixels, experiment.looks, middle, middle, np.ones(middle.shape, dtype=np.bool_))
+        power = np.trace(pixels.real, axis1=-2, axis2=-1, dtype=np.float64)
+        looks = Looks(pixels, middle + experiment.looks, middle, middle, power, np.ones(middle.shape, dtype=np.bool_))
         found = monopulse_elevation(looks, experiment.beams, np.zeros(1), 1.0, DISCRIMINANTS[estimator], 0.0)
         return found.elevation[:, 0]
 

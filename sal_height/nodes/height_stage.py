@@ -16,7 +16,7 @@ from sal_height.beams import Beams
 from sal_height.discriminant import moving_squint
 from sal_height.estimate import ElevationEstimate, whitening
 from sal_height.height import column_squint, height_field, look_grid
-from sal_height.looks import Looks, live_detectors, multilook
+from sal_height.looks import LOOK_WINDOWS, Looks, Window, live_detectors, windowed_looks
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import as_json, parameter, recorded
 from sal_height.sensor import Sensor
@@ -30,6 +30,14 @@ class HeightParameters:
 
     range_looks: int = parameter(2, "pixels averaged in range", minimum=1, maximum=4096)
     azimuth_looks: int = parameter(2, "pixels averaged in azimuth", minimum=1, maximum=4096)
+    range_step: int = parameter(
+        0,
+        "pixels from one height to the next in range; fewer than looks: they overlap; 0: as many",
+        minimum=0,
+        maximum=4096,
+    )
+    azimuth_step: int = parameter(0, "the same in azimuth", minimum=0, maximum=4096)
+    look_window: str = parameter("boxcar", "weights of the looks over range and azimuth", choices=LOOK_WINDOWS)
     min_cnr_db: float = parameter(5.0, "least CNR of a valid pixel, dB", minimum=-60.0, maximum=100.0)
     radial_velocity_mps: float = parameter(
         0.0,
@@ -38,6 +46,14 @@ class HeightParameters:
         maximum=1000.0,
     )
     timeout_s: float = parameter(5.0, "wait for missing detectors, s", minimum=0.01, maximum=3600.0, read_only=True)
+
+    @property
+    def windows(self) -> tuple[Window, Window]:
+        """Looks in range and azimuth."""
+        return (
+            Window.named(self.look_window, self.range_looks, self.range_step),
+            Window.named(self.look_window, self.azimuth_looks, self.azimuth_step),
+        )
 
     @property
     def min_cnr(self) -> float:
@@ -92,8 +108,9 @@ class HeightStage(DwellStage):
         slc = slc if len(live) == len(slc) else slc[live]
         noise_power, gains = whitening(noise_powers[live])
         hermitian = sensor.beams.is_complex
-        looks = multilook(slc, parameters.range_looks, parameters.azimuth_looks, hermitian, gains)
-        grid = look_grid(slc_grid, parameters.range_looks, parameters.azimuth_looks)
+        down, across = parameters.windows
+        looks = windowed_looks(slc, down, across, hermitian, gains)
+        grid = look_grid(slc_grid, down, across)
         before = messages[0].provenance
         beams = processed_beams(sensor, before.parameters).detectors(live).scaled(gains)
         velocity, speed = parameters.radial_velocity_mps, np.linalg.norm(aperture.velocity)

@@ -15,6 +15,7 @@ from sal_height.evaluation import truth_image
 from sal_height.flight import SimulatedFlight
 from sal_height.geometry import aperture_at, locate
 from sal_height.height import HeightField, Surface, look_grid
+from sal_height.looks import blocks
 from sal_height.preset import load_preset
 from sal_height.runs.report import mosaic, statistics
 from sal_height.scene import Scene
@@ -32,7 +33,7 @@ def exact_image(flight: SimulatedFlight, dwell: int, error: float) -> HeightImag
     """The height image that shows the truth plus `error` (m)."""
     sensor, aperture, preset = flight.sensor, flight.aperture(dwell), flight.preset
     slc_grid = slant_plane_grid(sensor, aperture, 5000.0, preset.image.rows, preset.image.cols, 1.19)
-    grid = look_grid(slc_grid, *preset.looks)
+    grid = look_grid(slc_grid, *blocks(*preset.looks))
     cell = sensor.range_resolution * azimuth_resolution(sensor, aperture, 5000.0)
     truth = truth_image(flight.surface(dwell), aperture, grid, cell, sensor.beams)
     first, last = sensor.beams.span

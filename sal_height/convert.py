@@ -109,6 +109,9 @@ def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
         beam_tables=[messages.BeamTable(**dataclasses.asdict(table)) for table in sensor.beam_tables],
         elevation_boresights=list(sensor.elevation_boresights),
         noise_power=list(sensor.noise_power),
+        channel_matrix_real=[entry.real for row in sensor.channel_matrix for entry in row],
+        channel_matrix_imaginary=[entry.imag for row in sensor.channel_matrix for entry in row],
+        matrix_in_antenna=sensor.matrix_in_antenna,
     )
 
 
@@ -143,9 +146,23 @@ def sensor_from_message(message: messages.SensorInfo) -> Sensor:
         ),
         elevation_boresights=tuple(message.elevation_boresights),
         noise_power=tuple(message.noise_power),
+        channel_matrix=_matrix_from_message(message),
+        matrix_in_antenna=message.matrix_in_antenna,
         calibration_id=message.calibration_id,
         config_hash=message.config_hash,
     )
+
+
+def _matrix_from_message(message: messages.SensorInfo) -> tuple[tuple[complex, ...], ...]:
+    real, imaginary = message.channel_matrix_real, message.channel_matrix_imaginary
+    if len(real) != len(imaginary):
+        raise UserError(
+            f"SensorInfo {message.name!r} has {len(real)} entries of channel_matrix_real and {len(imaginary)} of "
+            "channel_matrix_imaginary; there must be as many."
+        )
+    entries = [complex(*parts) for parts in zip(real, imaginary, strict=True)]
+    width = max(1, len(message.elevation_boresights))
+    return tuple(tuple(entries[first : first + width]) for first in range(0, len(entries), width))
 
 
 # Platform

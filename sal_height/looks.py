@@ -80,7 +80,11 @@ def live_detectors(slc: ComplexArray) -> npt.NDArray[np.intp]:
 
 
 def multilook(
-    slc: ComplexArray, range_looks: int, azimuth_looks: int, hermitian: bool = False, gains: Array | None = None
+    slc: ComplexArray,
+    range_looks: int,
+    azimuth_looks: int,
+    hermitian: bool = False,
+    transform: npt.NDArray[np.complexfloating] | None = None,
 ) -> Looks:
     """Average blocks of `range_looks` x `azimuth_looks` pixels; remainders at the far edges are left out.
 
@@ -92,7 +96,8 @@ def multilook(
         range_looks: block height, pixels.
         azimuth_looks: block width, pixels.
         hermitian: whether the covariance is complex, as complex beams need it (`Beams.is_complex`).
-        gains: what each channel is multiplied by (`estimate.whitening`), shape (channels,); None: 1.
+        transform: matrix that the channels are multiplied by (`estimate.whitening`), shape (channels, channels); None:
+            they stay as they are.
 
     Raises:
         UserError: a look count below 1 or larger than the image.
@@ -119,8 +124,8 @@ def multilook(
             )
             good = np.isfinite(samples).all(axis=(1, 2))
             samples[~good] = 0
-            if gains is not None:
-                samples *= gains.astype(np.float32)
+            if transform is not None:
+                samples = samples @ transform.T.astype(np.complex64)
             matrices[part] = covariance(samples, hermitian).reshape(matrices[part].shape)
             power[part] = np.sum(np.square(samples.view(np.float32)), axis=-1).reshape(power[part].shape)
             finite[part] = good.reshape(finite[part].shape)

@@ -166,6 +166,8 @@ OTHER_VALUES = {
     "pattern": "sinc",
     "elevation_boresights": (0.1, 0.2, 0.3),
     "noise_power": (1.0, 2.0, 1.0),
+    "channel_matrix": ((1j, 0j, 0j), (0j, 1 + 0j, 0j), (0j, 0j, 2 + 0j)),
+    "matrix_in_antenna": False,
     "mode": "stripmap",
     "detector_size": (0.5, 0.0),
     "detector_rotation": 0.1,

@@ -14,7 +14,8 @@ from sensor_msgs.msg import Image, PointCloud2
 from sal_height import __version__, convert
 from sal_height.beams import Beams
 from sal_height.discriminant import moving_squint
-from sal_height.estimate import ElevationEstimate, whitening
+from sal_height.errors import Rejected
+from sal_height.estimate import ElevationEstimate, whitening, with_powers
 from sal_height.height import column_squint, height_field, look_grid
 from sal_height.looks import Looks, live_detectors, multilook
 from sal_height.nodes.dwell_stage import DwellStage
@@ -57,6 +58,23 @@ def processed_beams(sensor: Sensor, provenance: str) -> Beams:
     return image_beams(sensor, window if isinstance(window, str) and window in WINDOWS else "rectangular")
 
 
+def live_channels(slc: npt.NDArray[np.complex64], sensor: Sensor) -> npt.NDArray[np.intp]:
+    """Numbers of the channels that are not dead (`looks.live_detectors`).
+
+    Raises:
+        Rejected: there are fewer than two, or one is missing of channels that are mixtures of detectors.
+    """
+    live = live_detectors(slc)
+    if len(live) < len(slc) and sensor.is_mixed:
+        dead = sorted(set(range(len(slc))) - set(live.tolist()))
+        raise Rejected(
+            "dead channels",
+            f"Channels {dead} have no finite sample other than 0 in the images; the detectors cannot be told apart "
+            "without one of the channels that the channel matrix of SensorInfo mixes them into.",
+        )
+    return live
+
+
 class HeightStage(DwellStage):
     """Turns the images of all detectors of a dwell into one height image; its parameters are HeightParameters."""
 
@@ -88,14 +106,15 @@ class HeightStage(DwellStage):
         """Estimate the heights of a dwell and publish them."""
         parameters = self.current_parameters()
         slc, slc_grid, aperture, noise_powers = convert.slc_from_messages(messages)
-        live = live_detectors(slc)
+        live = live_channels(slc, sensor)
         slc = slc if len(live) == len(slc) else slc[live]
-        noise_power, gains = whitening(noise_powers[live])
-        hermitian = sensor.beams.is_complex
-        looks = multilook(slc, parameters.range_looks, parameters.azimuth_looks, hermitian, gains)
-        grid = look_grid(slc_grid, parameters.range_looks, parameters.azimuth_looks)
+        noise = with_powers(sensor.noise_covariance, noise_powers)[np.ix_(live, live)]
+        mixing = sensor.mixing[np.ix_(live, live)]
+        noise_power, transform = whitening(noise, mixing)
         before = messages[0].provenance
-        beams = processed_beams(sensor, before.parameters).detectors(live).scaled(gains)
+        beams = processed_beams(sensor, before.parameters).detectors(live).combined(transform @ mixing)
+        looks = multilook(slc, parameters.range_looks, parameters.azimuth_looks, beams.is_complex, transform)
+        grid = look_grid(slc_grid, parameters.range_looks, parameters.azimuth_looks)
         velocity, speed = parameters.radial_velocity_mps, np.linalg.norm(aperture.velocity)
         squint = moving_squint(column_squint(grid, aperture, sensor.beams, sensor.look_side), velocity, speed)
         estimate = self.estimate(looks, beams, squint, noise_power, parameters)

@@ -129,6 +129,7 @@ def test_noise_of_images_has_their_powers_and_the_correlations_of_samples() -> N
         )
     unknown = with_powers(noise, np.array([0.0, 1.0, 1.0]))
     assert not unknown[0].any()
+    np.testing.assert_array_equal(with_powers(np.zeros((3, 3), complex), powers), np.diag(powers))
 
 
 @pytest.mark.parametrize(

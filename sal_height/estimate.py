@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -30,6 +30,7 @@ class Validity(IntEnum):
     NOT_ONE_SCATTERER = 4
     MISSING_DATA = 5
     TWO_SCATTERERS = 6
+    SATURATED = 8
 
 
 @dataclass(frozen=True)
@@ -173,6 +174,17 @@ def whitening(noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> t
     unitary, positive = polar(inverse_root @ channel_matrix)
     power = len(channel_matrix) / float(np.sum(np.abs(positive) ** 2))
     return power, np.sqrt(power) * (unitary.conj().T @ inverse_root)
+
+
+def without_saturated(estimate: ElevationEstimate) -> ElevationEstimate:
+    """The estimate of a dwell whose samples are clipped: what would be usable is SATURATED, and without a second."""
+    usable = np.isin(estimate.validity, (Validity.OK, Validity.TWO_SCATTERERS))
+    nowhere = np.full(estimate.elevation.shape, np.nan)
+    return replace(
+        estimate,
+        validity=np.where(usable, Validity.SATURATED, estimate.validity).astype(np.uint8),
+        second=SecondScatterer(nowhere, nowhere, nowhere) if estimate.second else None,
+    )
 
 
 def with_powers(noise_covariance: ComplexArray, powers: Array) -> ComplexArray:

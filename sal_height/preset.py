@@ -85,6 +85,9 @@ class SensorSettings:
     `detector_gains_db` and `detector_phases_rad` are of the detectors' receivers, one each, and described to whoever
     processes their channels; noise goes along, unless a hybrid in the antenna follows them. None: 0.
 
+    `full_scale_over_noise_db` is where receivers clip real and imaginary part, over the rms of the noise in one of
+    them. None: never.
+
     With waveform chirp or deramped, `sample_count` is that of the record: it holds the pulse and the range window.
     """
 
@@ -109,6 +112,7 @@ class SensorSettings:
     hybrid: HybridSettings | None = None
     detector_gains_db: tuple[Annotated[Float, Ge(-60), Le(60)], ...] = ()
     detector_phases_rad: tuple[Annotated[Float, Ge(-np.pi), Le(np.pi)], ...] = ()
+    full_scale_over_noise_db: Annotated[Float, Ge(-60), Le(300)] | None = None
 
     @property
     def beamwidth_rad(self) -> float:
@@ -143,6 +147,11 @@ class SensorSettings:
         gains = np.diag(10 ** (gains_db / 20) * np.exp(1j * phases))
         matrix = self.hybrid.matrix() @ gains if self.hybrid else gains
         return tuple(tuple(row) for row in matrix.tolist())
+
+    def full_scale(self) -> float:
+        """`Sensor.full_scale`: noise of power 1 has the rms 1 / sqrt(2) in each part."""
+        level = self.full_scale_over_noise_db
+        return 0.0 if level is None else float(10 ** (level / 20) / np.sqrt(2))
 
     def noise_power(self) -> tuple[float, ...]:
         """Of every receiver: 1, but as its gain makes it for that of Delta."""
@@ -256,6 +265,7 @@ class Preset:
             noise_power=s.noise_power(),
             channel_matrix=s.channel_matrix(),
             matrix_in_antenna=s.in_antenna,
+            full_scale=s.full_scale(),
             waveform=s.waveform,
             chirp_rate=s.bandwidth_hz / s.pulse_duration_s if s.pulse_duration_s else 0.0,
             pulse_duration=s.pulse_duration_s,

@@ -70,6 +70,8 @@ class Sensor:
             [[1, 1], [-1, 1]] / sqrt(2) is a lossless sum-difference hybrid (relief paper, eqs. 2 and 3).
         matrix_in_antenna: whether the channels are formed before the receivers, so that noise_power is of the channels;
             else it is of the detectors, and the channels' noise is correlated (`noise_covariance`).
+        full_scale: magnitude at which the receivers clip the real and the imaginary part of a sample, in the unit of
+            the samples; 0: not known.
         calibration_id: calibration already applied by the sensor; empty: none.
         config_hash: identity of this description; empty: the first 16 hexadecimal digits of the SHA-256 of the rest.
 
@@ -98,6 +100,7 @@ class Sensor:
     beam_tables: tuple[BeamTable, ...] = ()
     channel_matrix: tuple[tuple[complex, ...], ...] = ()
     matrix_in_antenna: bool = True
+    full_scale: float = 0.0
     calibration_id: str = ""
     config_hash: str = ""
 
@@ -161,6 +164,8 @@ class Sensor:
         self.beams.domain(0.0)  # refuses beams that do not overlap
 
     def _check_channels(self) -> None:
+        if not (np.isfinite(self.full_scale) and self.full_scale >= 0):
+            raise UserError(f"Sensor full_scale is {self.full_scale}; it must be finite and 0 or more.")
         if not self.channel_matrix:
             return
         count = self.detector_count

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.phase_history import NUFFT_TOLERANCE
+from sal_height.saturation import clipped
 from sal_height.scene import VisibleSurface
 from sal_height.sensor import Sensor
 
@@ -73,17 +74,17 @@ def simulate_dwell(
 
 
 def received(samples: npt.NDArray[np.complex64], sensor: Sensor, rng: np.random.Generator) -> npt.NDArray[np.complex64]:
-    """The channels' samples: those of the detectors with receiver noise, which enters where the receivers are.
+    """The channels' samples: where the receivers are, noise is added and what exceeds the full scale is clipped.
 
     Args:
         samples: noise-free, of every detector, shape (detectors, pulses, samples); not changed.
-        sensor: noise and channel matrix.
+        sensor: noise, channel matrix and full scale.
         rng: of the noise.
     """
     noise = receiver_noise(sensor, samples.shape[1], rng)
     if sensor.matrix_in_antenna:
-        return form_channels(samples, sensor) + noise
-    return form_channels(samples + noise, sensor)
+        return clipped(form_channels(samples, sensor) + noise, sensor.full_scale)
+    return form_channels(clipped(samples + noise, sensor.full_scale), sensor)
 
 
 def form_channels(samples: npt.NDArray[np.complex64], sensor: Sensor) -> npt.NDArray[np.complex64]:

@@ -137,7 +137,10 @@ def test_images_grid_and_aperture_survive_their_messages(rng: np.random.Generato
     slc = rng.standard_normal((3, 6, 4, 2)).astype(np.float32).view(np.complex64)[..., 0]
     frame = DetectorFrame(dwell=9)
     frame.header.stamp = STAMP
-    messages = convert.slc_to_messages(Slc(slc, grid, aperture, [0.1, 0.2, 0.3]), frame, Provenance(config_hash="x"))
+    messages = convert.slc_to_messages(
+        Slc(slc, grid, aperture, [0.1, 0.2, 0.3]), np.array([0.0, 0.5, 1.0]), frame, Provenance(config_hash="x")
+    )
+    assert [message.saturated_share for message in messages] == [0.0, 0.5, 1.0]
     images, back_grid, back_aperture, noise = convert.slc_from_messages([through_the_wire(m) for m in messages])
     assert np.array_equal(images, slc)
     assert noise.tolist() == [0.1, 0.2, 0.3]

@@ -68,6 +68,7 @@ def content_with(key: str, value: Any) -> dict[str, Any]:
         ("scene_extent_m", -1.0, "greater than or equal to 0"),
         ("targets", "car", "valid tuple"),
         ("sensor.hybrid", "antenna", "dictionary"),
+        ("sensor.full_scale_over_noise_db", "loud", "valid number"),
         ("sensor.detectors", 0, "greater than or equal to "),
         ("sensor.detectors", 129, "less than or equal to 128"),
         ("sensor.detectors", [8], "valid integer"),
@@ -338,6 +339,11 @@ def test_gains_of_detectors_are_described_and_amplify_their_noise() -> None:
     expected = np.array([np.exp(0.5j), 10**0.3 * np.exp(-1j)])
     np.testing.assert_allclose(sensor.mixing, np.diag(expected), rtol=1e-14)
     np.testing.assert_allclose(sensor.noise_covariance, np.diag([1, 10**0.6]), rtol=1e-14)
+
+
+def test_full_scale_is_over_the_noise_in_one_part() -> None:
+    assert sensor_with().full_scale == 0
+    assert sensor_with(full_scale_over_noise_db=20.0).full_scale == pytest.approx(10 * np.sqrt(0.5), rel=1e-15)
 
 
 def test_gains_of_detectors_come_before_the_hybrid() -> None:

@@ -14,12 +14,13 @@ from sensor_msgs.msg import Image, PointCloud2
 from sal_height import __version__, convert
 from sal_height.beams import Beams
 from sal_height.discriminant import moving_squint
-from sal_height.errors import Rejected
-from sal_height.estimate import ElevationEstimate, whitening, with_powers
+from sal_height.errors import Rejected, UserError
+from sal_height.estimate import ElevationEstimate, whitening, with_powers, without_saturated
 from sal_height.height import column_squint, height_field, look_grid
 from sal_height.looks import Looks, live_detectors, multilook
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import as_json, parameter, recorded
+from sal_height.saturation import MAX_SHARE
 from sal_height.sensor import Sensor
 from sal_height.stripmap import image_beams
 from sal_height.windows import WINDOWS
@@ -37,6 +38,12 @@ class HeightParameters:
         "radial velocity of the targets wanted, receding positive, m/s: they get height and place, others wrong ones",
         minimum=-1000.0,
         maximum=1000.0,
+    )
+    max_saturated_share: float = parameter(
+        MAX_SHARE,
+        "greatest share of clipped samples in a channel; with more, a dwell's heights are SATURATED",
+        minimum=0.0,
+        maximum=1.0,
     )
     timeout_s: float = parameter(5.0, "wait for missing detectors, s", minimum=0.01, maximum=3600.0, read_only=True)
 
@@ -73,6 +80,13 @@ def live_channels(slc: npt.NDArray[np.complex64], sensor: Sensor) -> npt.NDArray
             "without one of the channels that the channel matrix of SensorInfo mixes them into.",
         )
     return live
+
+
+def _saturated(share: float, parameters: HeightParameters) -> str:
+    return (
+        f"{share:.3g} of a channel's samples are clipped; heights need {parameters.max_saturated_share:g} or less "
+        "(max_saturated_share)."
+    )
 
 
 class HeightStage(DwellStage):
@@ -118,6 +132,10 @@ class HeightStage(DwellStage):
         velocity, speed = parameters.radial_velocity_mps, np.linalg.norm(aperture.velocity)
         squint = moving_squint(column_squint(grid, aperture, sensor.beams, sensor.look_side), velocity, speed)
         estimate = self.estimate(looks, beams, squint, noise_power, parameters)
+        share = max(messages[channel].saturated_share for channel in live)
+        if share > parameters.max_saturated_share:
+            estimate = without_saturated(estimate)
+            self.ignore("saturated", UserError(f"Dwell {messages[0].dwell}: {_saturated(share, parameters)}"))
         field = height_field(estimate, looks, slc_grid, grid, aperture, sensor.look_side, velocity)
         provenance = Provenance(
             code_version=__version__,

@@ -66,7 +66,7 @@ def test_users_choose_how_much_may_be_clipped(
 
 
 def test_a_clipped_block_is_told_by_the_images_of_a_strip_that_its_pulses_are_in(graph: Graph) -> None:
-    """Block 3: an image takes its own 256 pulses and the 310 of an aperture, from the block it comes with and two before.
+    """Block 3: an image takes its own 256 pulses and 310 of an aperture, from the block it comes with and two before.
 
     Pulses are held a little longer than needed, so that one image more may be said to have some.
     """

@@ -13,8 +13,8 @@ from sal_height.estimate import ElevationEstimate, SecondScatterer, Validity, wi
 from sal_height.saturation import MAX_SHARE, clipped, distortion, saturated_shares
 from sal_height.simulator import received
 
-MIXTURE = ((1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (0.0, 0.0, 1j))
-"""Sum and difference of the first two detectors; the third by itself."""
+MIXTURE = ((0.6, 0.8, 0.0), (-0.8, 0.6, 0.0), (0.0, 0.0, 1j))
+"""Two mixtures of the first two detectors; the third by itself."""
 
 
 def gaussian(seed: int, *shape: int) -> np.ndarray:
@@ -60,7 +60,7 @@ def test_the_simulators_receivers_clip_where_they_are(in_antenna: bool) -> None:
     """Behind the matrix they clip channels; before it detectors, whose share all channels made of them have."""
     sensor = make_sensor(channel_matrix=MIXTURE, matrix_in_antenna=in_antenna, noise_power=(1e-6,) * 3, full_scale=0.7)
     frames = gaussian(3, 3, sensor.pulse_count, sensor.sample_count)
-    frames[1] *= 0.1
+    frames[1] *= 0.5
     channels = received(frames, sensor, np.random.default_rng(4))
     mixed = np.tensordot(np.array(MIXTURE), frames, axes=1).astype(np.complex64)
     expected = [np.mean(np.abs(f.view(np.float32)) >= 0.7) for f in (mixed if in_antenna else frames)]
@@ -71,7 +71,7 @@ def test_the_simulators_receivers_clip_where_they_are(in_antenna: bool) -> None:
         assert np.abs(channels.view(np.float32)).max() > 0.7
         expected[1] = expected[0]
     np.testing.assert_allclose(shares, expected, atol=0.002)  # noise carries a few parts over the edge
-    assert min(shares) > 0.2
+    assert min(shares) > 0.1
 
 
 def test_only_what_was_usable_becomes_saturated() -> None:

@@ -42,8 +42,9 @@ def compared(ours: HeightImage, theirs: HeightImage) -> np.ndarray:
 
 
 def lossy() -> np.ndarray:
-    """Sum and difference of every two neighbours, the difference 1 dB weaker."""
-    return np.kron(np.eye(DETECTORS // 2), np.diag([1, 10 ** (-1 / 20)]) @ [[1, 1], [-1, 1]]) / np.sqrt(2)
+    """Sum and difference of every two neighbours, 1 dB lost of the upper one and of the difference."""
+    loss = np.diag([1, 10 ** (-1 / 20)])
+    return np.kron(np.eye(DETECTORS // 2), loss @ [[1, 1], [-1, 1]] @ loss) / np.sqrt(2)
 
 
 @pytest.mark.parametrize("network", [BUTLER, lossy()], ids=["Butler", "lossy"])

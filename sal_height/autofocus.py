@@ -110,8 +110,9 @@ def autofocus(history: PhaseHistory, antenna: Array, sensor: Sensor, patches: Ar
     if _sees_whole_beam(sensor, antenna) and min(sensor.noise_power) > 0:
         middle = len(patches) // 2, patches.shape[1] // 2
         lit = responses.reshape(len(responses), *patches.shape[:2], -1)[:, :, middle[1]]
-        noise = np.array(sensor.noise_power) * sensor.sample_count
-        focus = focus_speckle(lit, noise, beam_coherence(sensor, antenna, patches[middle]))
+        white = np.einsum("mn,npt->mpt", np.linalg.inv(np.linalg.cholesky(sensor.noise_covariance)), lit)
+        noise = np.full(len(lit), sensor.sample_count)
+        focus = focus_speckle(white, noise, beam_coherence(sensor, antenna, patches[middle]))
     if focus.standard_error > TRUSTED_ERROR:
         focus = focus_targets(responses, half)
     phase = without_shift(focus.phase)

@@ -15,6 +15,10 @@ from sal_height.errors import UserError
 from sal_height.optics import Pattern
 
 Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+NEGLIGIBLE = 1e-6
+"""Share of the greatest entry of a matrix, -120 dB, that is as good as none: samples have single precision."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,8 @@ class Beams:
             synthesised, rad; one of 0 where the antenna was held on it.
         weights: of the aspects in the image; their sum is 1, but for beams scaled to the peak of such a mean.
         middle: where the axis is turned, rad from nadir; None: half way between the first and the last boresight.
+        matrix: of channels that are made of the detectors, shape (channels, detectors), as many; None: they are the
+            detectors (`combined`).
     """
 
     patterns: tuple[Pattern, ...]
@@ -44,32 +50,49 @@ class Beams:
     aspects: Array = field(default_factory=lambda: np.zeros(1))
     weights: Array = field(default_factory=lambda: np.ones(1))
     middle: float | None = None
+    matrix: Array | ComplexArray | None = None
 
     def response(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
-        """Amplitude of every detector for targets at `elevation` and `squint` (rad): shape (..., detectors).
+        """Amplitude of every channel for targets at `elevation` and `squint` (rad): shape (..., channels).
 
-        Float64, or complex128 if a pattern is complex.
+        Float64, or complex128 if a pattern or the matrix is complex.
         """
-        return self._mean(self._amplitude, elevation, squint)
+        return self._in_channels(self._mean(self._amplitude, elevation, squint))
 
     def slope(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
-        """Derivative of `response` with respect to elevation, per rad: shape (..., detectors)."""
-        return self._mean(self._slope, elevation, squint)
+        """Derivative of `response` with respect to elevation, per rad: shape (..., channels)."""
+        return self._in_channels(self._mean(self._slope, elevation, squint))
 
     def averaged(self, aspects: Array, weights: Array) -> Self:
         """The beams as an image has them whose targets were seen under `aspects` (rad) with `weights` of any sum."""
         return replace(self, aspects=aspects, weights=weights / np.sum(weights))
 
     def scaled(self, gains: Array) -> Self:
-        """The beams of channels that are multiplied by `gains`, real or complex, shape (detectors,)."""
+        """The beams of channels that are multiplied by `gains`, real or complex, shape (channels,)."""
+        if self.matrix is not None:
+            return replace(self, matrix=gains[:, None] * self.matrix)
         if np.all(gains == gains[0]):
             return replace(self, patterns=tuple(pattern.scaled(gains[0]) for pattern in self.patterns))
         patterns = self.patterns if len(self.patterns) > 1 else self.patterns * self.count
         pairs = zip(patterns, gains, strict=True)
         return replace(self, patterns=tuple(pattern.scaled(gain) for pattern, gain in pairs))
 
+    def combined(self, matrix: Array | ComplexArray) -> Self:
+        """The beams of channels that are `matrix` times these, shape (channels, channels).
+
+        Where they are no mixtures, as under a diagonal matrix or one that undoes a hybrid, they are `scaled`.
+        """
+        matrix = _without_rounding(matrix if self.matrix is None else matrix @ self.matrix)
+        mixed = np.any(matrix != np.diag(np.diag(matrix)))
+        return replace(self, matrix=matrix) if mixed else replace(self, matrix=None).scaled(np.diag(matrix))
+
     def detectors(self, indices: npt.NDArray[np.intp]) -> Self:
-        """The beams of some detectors, in increasing order and on the same axis."""
+        """The beams of some detectors, in increasing order and on the same axis.
+
+        Raises:
+            UserError: the channels are mixtures of detectors.
+        """
+        self._check_unmixed()
         patterns = self.patterns if len(self.patterns) == 1 else tuple(self.patterns[i] for i in indices)
         return replace(self, patterns=patterns, boresights=self.boresights[indices], middle=self.axis_middle)
 
@@ -77,7 +100,11 @@ class Beams:
         """The beams of detectors `lower` and `lower` + 1, on the same axis.
 
         A stack of pairs for an array, whose detectors must have one pattern in common.
+
+        Raises:
+            UserError: the channels are mixtures of detectors.
         """
+        self._check_unmixed()
         patterns = self.patterns if len(self.patterns) == 1 else self.patterns[int(lower) : int(lower) + 2]
         boresights = self.boresights[np.asarray(lower)[..., None] + np.arange(2)]
         return replace(self, patterns=patterns, boresights=boresights, middle=self.axis_middle)
@@ -130,6 +157,14 @@ class Beams:
         """Where the axis is turned, rad from nadir."""
         return float(np.mean(self.span)) if self.middle is None else self.middle
 
+    def _check_unmixed(self) -> None:
+        if self.matrix is not None:
+            raise UserError("The channels are mixtures of detectors; single detectors cannot be picked from them.")
+
+    def _in_channels(self, values: Array) -> Array:
+        """What the channels make of the detectors' `values`, shape (..., detectors)."""
+        return values if self.matrix is None else np.asarray(values @ self.matrix.T)
+
     def _mean(
         self, function: Callable[[Array, Array], Array], elevation: npt.ArrayLike, squint: npt.ArrayLike
     ) -> Array:
@@ -160,3 +195,10 @@ class Beams:
         e = (x * cosine + y * sine - (self.boresights - self.axis_middle)) / self.beamwidth  # differences first: exact
         a = (y * cosine - x * sine) / self.beamwidth
         return e, a
+
+
+def _without_rounding(matrix: Array | ComplexArray) -> Array | ComplexArray:
+    """The matrix without entries, or imaginary parts, that are too small to matter; real if it can be."""
+    least = NEGLIGIBLE * np.abs(matrix).max()
+    kept = np.where(np.abs(matrix) > least, matrix, 0)
+    return kept if np.any(np.abs(kept.imag) > least) else kept.real

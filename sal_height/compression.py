@@ -24,7 +24,7 @@ def azimuth_resolution(sensor: Sensor, aperture: Aperture, slant_range: float) -
 
 
 def slc_noise_power(sensor: Sensor, processing: Processing, pulses: int) -> list[float]:
-    """E|n|^2 of an SLC pixel of each detector: that of a sample, averaged over all, raised by the windows.
+    """E|n|^2 of an SLC pixel of each channel: that of a sample, averaged over all, raised by the windows.
 
     Args:
         sensor: noise powers and frequencies.
@@ -32,7 +32,8 @@ def slc_noise_power(sensor: Sensor, processing: Processing, pulses: int) -> list
         pulses: that a pixel is made of.
     """
     gain = noise_gain(processing.range_weights(sensor.sample_count)) * noise_gain(processing.azimuth_weights(pulses))
-    return [gain / (pulses * sensor.sample_count) * power for power in sensor.noise_power]
+    powers = np.diag(sensor.noise_covariance).real.tolist()
+    return [gain / (pulses * sensor.sample_count) * power for power in powers]
 
 
 def slant_plane_size(

@@ -109,6 +109,10 @@ def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
         beam_tables=[messages.BeamTable(**dataclasses.asdict(table)) for table in sensor.beam_tables],
         elevation_boresights=list(sensor.elevation_boresights),
         noise_power=list(sensor.noise_power),
+        channel_matrix_real=[entry.real for row in sensor.channel_matrix for entry in row],
+        channel_matrix_imaginary=[entry.imag for row in sensor.channel_matrix for entry in row],
+        matrix_in_antenna=sensor.matrix_in_antenna,
+        full_scale=sensor.full_scale,
     )
 
 
@@ -143,9 +147,24 @@ def sensor_from_message(message: messages.SensorInfo) -> Sensor:
         ),
         elevation_boresights=tuple(message.elevation_boresights),
         noise_power=tuple(message.noise_power),
+        channel_matrix=_matrix_from_message(message),
+        matrix_in_antenna=message.matrix_in_antenna,
+        full_scale=message.full_scale,
         calibration_id=message.calibration_id,
         config_hash=message.config_hash,
     )
+
+
+def _matrix_from_message(message: messages.SensorInfo) -> tuple[tuple[complex, ...], ...]:
+    real, imaginary = message.channel_matrix_real, message.channel_matrix_imaginary
+    if len(real) != len(imaginary):
+        raise UserError(
+            f"SensorInfo {message.name!r} has {len(real)} entries of channel_matrix_real and {len(imaginary)} of "
+            "channel_matrix_imaginary; there must be as many."
+        )
+    entries = [complex(*parts) for parts in zip(real, imaginary, strict=True)]
+    width = max(1, len(message.elevation_boresights))
+    return tuple(tuple(entries[first : first + width]) for first in range(0, len(entries), width))
 
 
 # Platform
@@ -279,9 +298,9 @@ def history_from_messages(frames: Sequence[messages.DetectorFrame]) -> PhaseHist
 
 
 def slc_to_messages(
-    slc: Slc, frame: messages.DetectorFrame, provenance: messages.Provenance
+    slc: Slc, saturated_shares: Array, frame: messages.DetectorFrame, provenance: messages.Provenance
 ) -> list[messages.ComplexImage]:
-    """One ComplexImage per detector, with the stamp and dwell of `frame`."""
+    """One ComplexImage per detector, with the stamp and dwell of `frame`; shares as of `saturation`."""
     return [
         messages.ComplexImage(
             header=Header(stamp=frame.header.stamp, frame_id=MAP_FRAME),
@@ -290,6 +309,7 @@ def slc_to_messages(
             grid=_grid_to_message(slc.grid),
             aperture=_aperture_to_message(slc.aperture),
             noise_power=slc.noise_power[detector],
+            saturated_share=float(saturated_shares[detector]),
             samples=to_floats(image),
             provenance=provenance,
         )
@@ -314,9 +334,13 @@ def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
         )
     grid, aperture = grid_from_message(image.grid), image.aperture
     numbers = [grid.origin, grid.row_direction, grid.col_direction, _vector(aperture.pose.pose.position)]
-    numbers += [_vector(aperture.velocity), np.array([grid.row_spacing, grid.col_spacing, image.noise_power])]
+    numbers += [_vector(aperture.velocity), np.array([grid.row_spacing, grid.col_spacing])]
+    numbers += [np.array([image.noise_power, image.saturated_share])]
     if not np.all(np.isfinite(np.concatenate(numbers))):
-        raise Rejected("not finite", f"{where}: grid, aperture or noise_power is NaN or infinite; all must be finite.")
+        raise Rejected(
+            "not finite",
+            f"{where}: grid, aperture, noise_power or saturated_share is NaN or infinite; all must be finite.",
+        )
     q = aperture.pose.pose.orientation
     norms = [np.linalg.norm(v) for v in (grid.row_direction, grid.col_direction, [q.x, q.y, q.z, q.w])]
     if not (np.allclose(norms, 1, atol=0.01) and grid.row_spacing > 0 and grid.col_spacing > 0):

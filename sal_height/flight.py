@@ -16,7 +16,7 @@ from sal_height.phase_history import PhaseHistory
 from sal_height.preset import Preset
 from sal_height.scene import SAMPLES_PER_CELL, PointTarget, Scene, VisibleSurface, visible_surface
 from sal_height.sensor import Sensor
-from sal_height.simulator import draw_amplitudes, receiver_noise, scatterer_amplitudes, simulate_dwell
+from sal_height.simulator import draw_amplitudes, received, scatterer_amplitudes, simulate_dwell
 from sal_height.stripmap import aperture_length, cell_power, lit_angle, simulate_block
 from sal_height.terrain import load_scene
 from sal_height.trajectory import PlatformState
@@ -207,7 +207,7 @@ class SimulatedFlight:
             amplitudes = draw_amplitudes(surface, 10 ** (self.preset.cnr_db / 10), self.spectrum, rng)
             since = self.pulse_times - self._middle_of_dwell
             clean = simulate_dwell(echo_sensor(self.sensor), surface, amplitudes, antenna, reference, since)
-        samples = from_spectrum(clean, self.sensor) + receiver_noise(self.sensor, self.sensor.pulse_count, rng)
+        samples = received(from_spectrum(clean, self.sensor), self.sensor, rng)
         return PhaseHistory(start_ns, self.pulse_times, reference, samples)
 
     def _block(self, dwell: int, antenna: Array, reference: Array) -> ComplexArray:

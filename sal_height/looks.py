@@ -200,17 +200,25 @@ def blocks(range_looks: int, azimuth_looks: int) -> tuple[Window, Window]:
 
 
 def multilook(
-    slc: ComplexArray, range_looks: int, azimuth_looks: int, hermitian: bool = False, gains: Array | None = None
+    slc: ComplexArray,
+    range_looks: int,
+    azimuth_looks: int,
+    hermitian: bool = False,
+    transform: npt.NDArray[np.complexfloating] | None = None,
 ) -> Looks:
     """Sum up blocks of `range_looks` x `azimuth_looks` pixels; those at the far edges have what is left.
 
     Other arguments and errors as of `windowed_looks`.
     """
-    return windowed_looks(slc, *blocks(range_looks, azimuth_looks), hermitian, gains)
+    return windowed_looks(slc, *blocks(range_looks, azimuth_looks), hermitian, transform)
 
 
 def windowed_looks(
-    slc: ComplexArray, down: Window, across: Window, hermitian: bool = False, gains: npt.ArrayLike | None = None
+    slc: ComplexArray,
+    down: Window,
+    across: Window,
+    hermitian: bool = False,
+    transform: npt.NDArray[np.complexfloating] | None = None,
 ) -> Looks:
     """Looks of every pixel of the height image.
 
@@ -223,7 +231,8 @@ def windowed_looks(
         down: looks in range.
         across: looks in azimuth.
         hermitian: whether the covariance is complex, as complex beams need it (`Beams.is_complex`).
-        gains: what each channel is multiplied by (`estimate.whitening`), real or complex, (channels,); None: 1.
+        transform: matrix that the channels are multiplied by (`estimate.whitening`), shape (channels, channels); None:
+            they stay as they are.
 
     Raises:
         UserError: more looks than the image has pixels.
@@ -232,18 +241,20 @@ def windowed_looks(
     high, wide = len(down.weights), len(across.weights)
     if high > rows or wide > cols:
         raise UserError(f"Looks are {high} x {wide} in an image of {rows} x {cols} pixels; they must fit in it.")
-    factors = np.ones(channels, np.complex64) if gains is None else np.asarray(gains).astype(np.complex64)
+    gains = np.ones(channels, np.complex64) if transform is None else np.diag(transform).astype(np.complex64)
+    if transform is not None and np.any(transform != np.diag(np.diag(transform))):
+        slc, gains = np.tensordot(transform.astype(np.complex64), slc, axes=1), np.ones_like(gains)
     numbers = np.ascontiguousarray(slc, dtype=np.complex64).view(np.float32)
     sums, squares = (np.multiply.outer(*pair) for pair in zip(down.sums(rows), across.sums(cols), strict=True))
     shape = sums.shape
     sample_power, power, row, col = np.empty((rows, cols), np.float32), *np.empty((3, *shape))
-    in_parallel(lambda part: _powers(numbers, np.abs(factors) ** 2, part.start, sample_power[part]), rows)
+    in_parallel(lambda part: _powers(numbers, np.abs(gains) ** 2, part.start, sample_power[part]), rows)
     axes = (down.first, down.step, down.weights), (across.first, across.step, across.weights)
     in_parallel(lambda part: _centres(sample_power, *axes, part.start, (power[part], row[part], col[part])), shape[0])
     finite = power >= 0
     scale = np.where(finite, sums / squares, 0.0)
     return Looks(
-        covariance=SlcCovariance(numbers, down, across, factors, scale.astype(np.float32), hermitian),
+        covariance=SlcCovariance(numbers, down, across, gains, scale.astype(np.float32), hermitian),
         count=sums**2 / squares,
         row=row,
         col=col,

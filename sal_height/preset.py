@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 import yaml
 from annotated_types import Ge, Gt, Le, Lt, MinLen
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
@@ -45,11 +46,47 @@ Int = Annotated[int, BeforeValidator(_not_boolean)]
 
 
 @dataclass(frozen=True)
+class HybridSettings:
+    """A hybrid of two beams, with the channels Sigma = c (upper + lower) and Delta = c (upper - lower).
+
+    Beams are those of the detectors, the lower one first. `coupling` is c: 1 / sqrt(2) without loss; 1 as if the whole
+    signals of both beams could be added. The loss comes on top. In the antenna the hybrid is before the receivers, and
+    what it loses is lost to their noise; behind the receivers noise goes through it with the signal.
+
+    `delta_gain_db` and `delta_phase_rad` are of the Delta channel's receiver against Sigma's; its noise goes along.
+    """
+
+    __pydantic_config__ = _STRICT_KEYS
+
+    place: Literal["antenna", "receiver"]
+    coupling: Annotated[Float, Gt(0), Le(1)] = 1 / np.sqrt(2)
+    loss_db: Annotated[Float, Ge(0), Le(60)] = 0.0
+    delta_gain_db: Annotated[Float, Ge(-60), Le(60)] = 0.0
+    delta_phase_rad: Annotated[Float, Ge(-np.pi), Le(np.pi)] = 0.0
+
+    @property
+    def delta_gain(self) -> complex:
+        """Complex gain of the Delta channel's receiver against that of Sigma."""
+        return complex(10 ** (self.delta_gain_db / 20) * np.exp(1j * self.delta_phase_rad))
+
+    def matrix(self) -> npt.NDArray[np.complex128]:
+        """Rows Sigma and Delta, columns lower and upper beam."""
+        amplitude = self.coupling * 10 ** (-self.loss_db / 20)
+        return np.array([[1, 1], [-self.delta_gain, self.delta_gain]], dtype=np.complex128) * amplitude
+
+
+@dataclass(frozen=True)
 class SensorSettings:
     """The sensor as people describe it: an evenly spaced detector array around the look angle.
 
     `pattern` is the name of an aperture, or the path of a .csv of measured beams: from the preset's folder or, if it is
     not there, from the working directory. `detector_size_beamwidths` are widths along the detector axis and beside it.
+
+    `detector_gains_db` and `detector_phases_rad` are of the detectors' receivers, one each, and described to whoever
+    processes their channels; noise goes along, unless a hybrid in the antenna follows them. None: 0.
+
+    `full_scale_over_noise_db` is where receivers clip real and imaginary part, over the rms of the noise in one of
+    them. None: never.
 
     With waveform chirp or deramped, `sample_count` is that of the record: it holds the pulse and the range window.
     """
@@ -72,6 +109,10 @@ class SensorSettings:
     mode: Literal["spotlight", "stripmap"] = "spotlight"
     detector_size_beamwidths: tuple[Annotated[Float, Ge(0), Le(100)], Annotated[Float, Ge(0), Le(100)]] = (0.0, 0.0)
     detector_rotation_rad: Annotated[Float, Ge(-np.pi / 2), Le(np.pi / 2)] = 0.0
+    hybrid: HybridSettings | None = None
+    detector_gains_db: tuple[Annotated[Float, Ge(-60), Le(60)], ...] = ()
+    detector_phases_rad: tuple[Annotated[Float, Ge(-np.pi), Le(np.pi)], ...] = ()
+    full_scale_over_noise_db: Annotated[Float, Ge(-60), Le(300)] | None = None
 
     @property
     def beamwidth_rad(self) -> float:
@@ -86,6 +127,37 @@ class SensorSettings:
         """
         ahead = (self.detectors - 1) / 2 * self.pitch_beamwidths * abs(np.sin(self.detector_rotation_rad))
         return float(1 + ahead)
+
+    @property
+    def is_bare(self) -> bool:
+        """Whether the channels are the detectors as they are."""
+        return not (self.hybrid or self.detector_gains_db or self.detector_phases_rad)
+
+    @property
+    def in_antenna(self) -> bool:
+        """Whether the channels are formed before the receivers."""
+        return self.is_bare or (self.hybrid is not None and self.hybrid.place == "antenna")
+
+    def channel_matrix(self) -> tuple[tuple[complex, ...], ...]:
+        """`Sensor.channel_matrix`: the detectors' gains, and the hybrid behind them; empty: none of them."""
+        if self.is_bare:
+            return ()
+        gains_db = np.array(self.detector_gains_db or (0.0,) * self.detectors)
+        phases = np.array(self.detector_phases_rad or (0.0,) * self.detectors)
+        gains = np.diag(10 ** (gains_db / 20) * np.exp(1j * phases))
+        matrix = self.hybrid.matrix() @ gains if self.hybrid else gains
+        return tuple(tuple(row) for row in matrix.tolist())
+
+    def full_scale(self) -> float:
+        """`Sensor.full_scale`: noise of power 1 has the rms 1 / sqrt(2) in each part."""
+        level = self.full_scale_over_noise_db
+        return 0.0 if level is None else float(10 ** (level / 20) / np.sqrt(2))
+
+    def noise_power(self) -> tuple[float, ...]:
+        """Of every receiver: 1, but as its gain makes it for that of Delta."""
+        if self.hybrid and self.in_antenna:
+            return 1.0, float(abs(self.hybrid.delta_gain) ** 2)
+        return (1.0,) * self.detectors
 
     def beam_tables(self) -> tuple[BeamTable, ...]:
         """The measured beams in the file that `pattern` names; none if it names an aperture.
@@ -169,7 +241,7 @@ class Preset:
         return self.flight.speed_mps * self.sensor.pulse_count / self.sensor.pulse_repetition_frequency_hz
 
     def make_sensor(self) -> Sensor:
-        """The sensor, with unit noise power; a linear FM pulse rises.
+        """The sensor, with unit noise power in receivers of gain 1; a linear FM pulse rises.
 
         Raises:
             UserError: beams that leave the quarter between nadir and horizon, a pulse that does not fit the record, or
@@ -190,7 +262,10 @@ class Preset:
             aperture=s.aperture_m,
             pattern="table" if tables else s.pattern,
             elevation_boresights=tuple(boresights.tolist()),
-            noise_power=(1.0,) * s.detectors,
+            noise_power=s.noise_power(),
+            channel_matrix=s.channel_matrix(),
+            matrix_in_antenna=s.in_antenna,
+            full_scale=s.full_scale(),
             waveform=s.waveform,
             chirp_rate=s.bandwidth_hz / s.pulse_duration_s if s.pulse_duration_s else 0.0,
             pulse_duration=s.pulse_duration_s,
@@ -204,8 +279,12 @@ class Preset:
 
 def preset_names() -> list[str]:
     """Names of the presets that come with the package."""
-    folder = resources.files("sal_height") / "presets"
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+    return sorted(entry.name.removesuffix(".yaml") for entry in _shipped().iterdir() if entry.name.endswith(".yaml"))
+
+
+def _shipped() -> Path:
+    """The folder of the presets that come with the package."""
+    return Path(str(resources.files("sal_height") / "presets"))
 
 
 def load_preset(name_or_path: str) -> Preset:
@@ -214,22 +293,20 @@ def load_preset(name_or_path: str) -> Preset:
     Raises:
         UserError: no such preset, not YAML, or a key that is missing, unknown or has a value out of its range.
     """
-    if name_or_path in preset_names():
-        text = (resources.files("sal_height") / "presets" / f"{name_or_path}.yaml").read_text(encoding="utf-8")
-    else:
-        try:
-            text = Path(name_or_path).read_text(encoding="utf-8")
-        except (OSError, ValueError) as error:
-            raise UserError(
-                f"Preset {name_or_path!r} is neither a readable file nor one of {', '.join(preset_names())}."
-            ) from error
+    path = _shipped() / f"{name_or_path}.yaml" if name_or_path in preset_names() else Path(name_or_path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise UserError(
+            f"Preset {name_or_path!r} is neither a readable file nor one of {', '.join(preset_names())}."
+        ) from error
     try:
         content = yaml.safe_load(text)
     except RecursionError as error:
         raise UserError(f"Preset {name_or_path} is nested too deeply; a preset has two levels of keys.") from error
     except (yaml.YAMLError, ValueError) as error:
         raise UserError(f"Preset {name_or_path} is not valid YAML: {' '.join(str(error).split())}.") from error
-    return _with_absolute_pattern(parse_preset(content, name_or_path), Path(name_or_path).parent)
+    return _with_absolute_pattern(parse_preset(content, name_or_path), path.parent)
 
 
 def _with_absolute_pattern(preset: Preset, folder: Path) -> Preset:
@@ -262,6 +339,7 @@ def parse_preset(content: Any, source: str) -> Preset:
     size = (preset.image.rows, preset.image.cols)
     if preset.looks[0] > size[0] or preset.looks[1] > size[1]:
         raise UserError(f"Preset {source}: looks is {preset.looks}; they must fit in the image of {size} pixels.")
+    _check_channels(preset.sensor, source)
     _check_dwell_spacing(preset, source)
     doppler_band = 4 * preset.flight.speed_mps / preset.sensor.aperture_m * preset.sensor.lit_beamwidths
     if preset.sensor.pulse_repetition_frequency_hz < doppler_band:
@@ -271,6 +349,26 @@ def parse_preset(content: Any, source: str) -> Preset:
             f"({4 * preset.sensor.lit_beamwidths:g} speed / aperture), so it must be that or more."
         )
     return preset
+
+
+def _check_channels(sensor: SensorSettings, source: str) -> None:
+    """A hybrid has two detectors; gains and phases are one per detector.
+
+    Raises:
+        UserError: it has not, or they are not.
+    """
+    if sensor.hybrid and sensor.detectors != 2:
+        raise UserError(
+            f"Preset {source}: sensor.detectors is {sensor.detectors} with a sensor.hybrid; a hybrid makes sum and "
+            "difference of 2."
+        )
+    for key in ("detector_gains_db", "detector_phases_rad"):
+        count = len(getattr(sensor, key))
+        if count not in (0, sensor.detectors):
+            raise UserError(
+                f"Preset {source}: sensor.{key} has {count} entries; it must have {sensor.detectors}, one per "
+                "detector, or none."
+            )
 
 
 def _check_dwell_spacing(preset: Preset, source: str) -> None:

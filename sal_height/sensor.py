@@ -17,6 +17,7 @@ from sal_height.errors import UserError
 from sal_height.optics import Pattern, detector_pattern, tabulated_pattern
 
 Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
 
 
 MAX_DETECTORS = 128
@@ -28,6 +29,9 @@ MODES = ("spotlight", "stripmap")
 
 WAVEFORMS = ("spectrum", "chirp", "deramped")
 """What fast-time samples can be: frequencies, the echo of a linear FM pulse in time, or that mixed with a replica."""
+
+LARGEST_CONDITION = 1e6
+"""Greatest condition number of a channel matrix: beyond, single-precision channels no longer hold all beams."""
 
 BANDWIDTH_TOLERANCE = 0.01
 """Relative difference between the bandwidth of a linear FM pulse and |chirp_rate| * pulse_duration that is allowed."""
@@ -51,7 +55,7 @@ class Sensor:
         aperture: receive aperture diameter, m.
         pattern: name of the beam pattern that the aperture gives, or "table".
         elevation_boresights: rad from nadir, increasing, one per detector.
-        noise_power: E|n|^2 of a phase-history sample, one per detector; 0: unknown.
+        noise_power: E|n|^2 of a phase-history sample, one per receiver; 0: unknown.
         mode: one of MODES.
         waveform: one of WAVEFORMS: what the fast-time samples are.
         chirp_rate: of the linear FM, Hz/s, negative for a falling one; 0 for "spectrum".
@@ -61,6 +65,13 @@ class Sensor:
         beam_tables: with pattern "table", the measured beam of every detector, or the one common to all.
         detector_rotation: by which the axis of the detectors is turned in the plane across the line of sight, rad:
             from elevation (growing) towards the direction of flight. Boresights are angles along that axis.
+        channel_matrix: what the channels are made of: complex, a row per channel, a column per detector; empty:
+            identity. On the diagonal alone it holds the detectors' complex calibration constants;
+            [[1, 1], [-1, 1]] / sqrt(2) is a lossless sum-difference hybrid (relief paper, eqs. 2 and 3).
+        matrix_in_antenna: whether the channels are formed before the receivers, so that noise_power is of the channels;
+            else it is of the detectors, and the channels' noise is correlated (`noise_covariance`).
+        full_scale: magnitude at which the receivers clip the real and the imaginary part of a sample, in the unit of
+            the samples; 0: not known.
         calibration_id: calibration already applied by the sensor; empty: none.
         config_hash: identity of this description; empty: the first 16 hexadecimal digits of the SHA-256 of the rest.
 
@@ -87,6 +98,9 @@ class Sensor:
     detector_size: tuple[float, float] = (0.0, 0.0)
     detector_rotation: float = 0.0
     beam_tables: tuple[BeamTable, ...] = ()
+    channel_matrix: tuple[tuple[complex, ...], ...] = ()
+    matrix_in_antenna: bool = True
+    full_scale: float = 0.0
     calibration_id: str = ""
     config_hash: str = ""
 
@@ -109,9 +123,11 @@ class Sensor:
                 raise UserError(f"Sensor {key} is {getattr(self, key)}; it must be 2 or more.")
         self._check_detectors()
         self._check_beams()
+        self._check_channels()
         self._check_waveform()
         if not self.config_hash:
-            digest = hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+            text = json.dumps(asdict(self), sort_keys=True, default=_complex_parts)
+            digest = hashlib.sha256(text.encode()).hexdigest()
             object.__setattr__(self, "config_hash", digest[:16])
 
     def _check_detectors(self) -> None:
@@ -146,6 +162,26 @@ class Sensor:
                 "give one for each, or one for all."
             )
         self.beams.domain(0.0)  # refuses beams that do not overlap
+
+    def _check_channels(self) -> None:
+        if not (np.isfinite(self.full_scale) and self.full_scale >= 0):
+            raise UserError(f"Sensor full_scale is {self.full_scale}; it must be finite and 0 or more.")
+        if not self.channel_matrix:
+            return
+        count = self.detector_count
+        if {len(self.channel_matrix), *map(len, self.channel_matrix)} != {count}:
+            raise UserError(
+                f"Sensor channel_matrix has rows of {[len(row) for row in self.channel_matrix]} entries; it must have "
+                f"{count} of {count}, one row per channel and one column per detector, or none."
+            )
+        matrix = self.mixing
+        if not np.all(np.isfinite(matrix)):
+            raise UserError("Sensor channel_matrix has NaN or infinite entries; all must be finite.")
+        if not np.linalg.cond(matrix) <= LARGEST_CONDITION:
+            raise UserError(
+                f"Sensor channel_matrix has the condition number {np.linalg.cond(matrix):.3g}; to be inverted it must "
+                f"have {LARGEST_CONDITION:g} or less."
+            )
 
     def _check_waveform(self) -> None:
         keys = ("chirp_rate", "pulse_duration", "sampling_rate")
@@ -231,11 +267,39 @@ class Sensor:
 
     @cached_property
     def beams(self) -> Beams:
-        """Beams of the detectors, as they receive from one direction."""
+        """Beams of the detectors, as they receive from one direction; the channels are `mixing` times them."""
         return Beams(self._patterns, np.array(self.elevation_boresights), self.beamwidth, self.detector_rotation)
+
+    @property
+    def mixing(self) -> ComplexArray:
+        """The channel matrix M, shape (channels, detectors): channels = M @ detectors' signals."""
+        return np.array(self.channel_matrix or np.eye(self.detector_count), dtype=np.complex128)
+
+    @property
+    def is_mixed(self) -> bool:
+        """Whether a channel is made of more than its own detector."""
+        matrix = self.mixing
+        return bool(np.any(matrix != np.diag(np.diag(matrix))))
+
+    @property
+    def noise_covariance(self) -> ComplexArray:
+        """E n n^H of a phase-history sample in the channels, shape (channels, channels).
+
+        diag(noise_power) with the receivers behind the channel matrix M, M diag(noise_power) M^H with them before it.
+        """
+        receivers = np.diag(self.noise_power).astype(np.complex128)
+        if self.matrix_in_antenna:
+            return receivers
+        matrix = self.mixing
+        return np.asarray(matrix @ receivers @ matrix.conj().T)
 
     @property
     def _patterns(self) -> tuple[Pattern, ...]:
         if self.beam_tables:
             return tuple(tabulated_pattern(table, self.beamwidth) for table in self.beam_tables)
         return (detector_pattern(self.pattern, self.detector_size),)
+
+
+def _complex_parts(value: complex) -> tuple[float, float]:
+    """A complex number for JSON."""
+    return value.real, value.imag

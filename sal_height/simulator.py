@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.phase_history import NUFFT_TOLERANCE
+from sal_height.saturation import clipped
 from sal_height.scene import VisibleSurface
 from sal_height.sensor import Sensor
 
@@ -20,7 +21,8 @@ def draw_amplitudes(surface: VisibleSurface, cnr: float, sensor: Sensor, rng: np
     """Complex amplitude of every scatterer: circular Gaussian (speckle), but constant for point targets.
 
     Scaled so that a resolution cell of brightness 1 in the focused image has the carrier-to-noise power ratio `cnr`
-    in a detector that looks straight at it (compression divides the noise power by the number of samples).
+    in a detector that looks straight at it (compression divides the noise power by the number of samples). That is of
+    a detector with a receiver right behind it: what a channel matrix takes or gives comes on top.
     """
     noise = float(np.mean(sensor.noise_power)) / (sensor.pulse_count * sensor.sample_count)
     return scatterer_amplitudes(surface, cnr * noise, rng)
@@ -71,8 +73,29 @@ def simulate_dwell(
     return np.stack(pulses, axis=1)
 
 
+def received(samples: npt.NDArray[np.complex64], sensor: Sensor, rng: np.random.Generator) -> npt.NDArray[np.complex64]:
+    """The channels' samples: where the receivers are, noise is added and what exceeds the full scale is clipped.
+
+    Args:
+        samples: noise-free, of every detector, shape (detectors, pulses, samples); not changed.
+        sensor: noise, channel matrix and full scale.
+        rng: of the noise.
+    """
+    noise = receiver_noise(sensor, samples.shape[1], rng)
+    if sensor.matrix_in_antenna:
+        return clipped(form_channels(samples, sensor) + noise, sensor.full_scale)
+    return form_channels(clipped(samples + noise, sensor.full_scale), sensor)
+
+
+def form_channels(samples: npt.NDArray[np.complex64], sensor: Sensor) -> npt.NDArray[np.complex64]:
+    """Channel matrix times the detectors' samples, shape (detectors, pulses, samples)."""
+    if not sensor.channel_matrix:
+        return samples
+    return np.tensordot(sensor.mixing, samples, axes=1).astype(np.complex64)
+
+
 def receiver_noise(sensor: Sensor, pulses: int, rng: np.random.Generator) -> npt.NDArray[np.complex64]:
-    """Circular Gaussian noise of the stated power, independent between detectors, (detectors, pulses, frequencies)."""
+    """Circular Gaussian noise of the stated power, independent between receivers, (receivers, pulses, frequencies)."""
     shape = (sensor.detector_count, pulses, sensor.sample_count, 2)
     noise = rng.standard_normal(shape, dtype=np.float32).view(np.complex64)[..., 0]
     return noise * np.sqrt(np.array(sensor.noise_power, dtype=np.float32) / 2)[:, None, None]

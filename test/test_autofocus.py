@@ -181,6 +181,24 @@ def test_too_weak_a_scene_is_refused_rather_than_made_worse() -> None:
     assert not noisier_dwell("sal_spotlight", -10.0, 1).focus().trusted
 
 
+@pytest.mark.parametrize("in_antenna", [True, False])
+def test_mixed_channels_focus_as_their_detectors_do(in_antenna: bool) -> None:
+    """A unitary matrix on equal noise, in the antenna; behind the receivers, where noise goes along, any matrix."""
+    dwell = noisier_dwell("small", 10.0, 1)
+    count = dwell.sensor.detector_count
+    random = circular(np.random.default_rng(5), (count, count))
+    matrix = np.linalg.qr(random)[0] if in_antenna else random
+    rows = tuple(tuple(row) for row in matrix.tolist())
+    mixed = replace(
+        dwell,
+        history=replace(dwell.history, samples=np.tensordot(matrix, dwell.history.samples, 1).astype(np.complex64)),
+        sensor=replace(dwell.sensor, channel_matrix=rows, matrix_in_antenna=in_antenna, config_hash=""),
+    )
+    focus, expected = mixed.focus(), dwell.focus()
+    assert focus.method == expected.method == "speckle"
+    np.testing.assert_allclose(focus.phase, expected.phase, atol=1e-3)
+
+
 def test_unknown_noise_and_no_targets_is_refused() -> None:
     dwell = noisier_dwell("small", -10.0, 1)
     unknown = replace(dwell.sensor, noise_power=(0.0,) * dwell.sensor.detector_count, config_hash="")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
@@ -44,6 +46,18 @@ def test_times_keep_every_nanosecond(ns: int) -> None:
 
 def test_a_sensor_survives_its_message(sensor: Sensor) -> None:
     assert convert.sensor_from_message(through_the_wire(convert.sensor_to_message(sensor, STAMP))) == sensor
+
+
+def test_the_channel_matrix_survives_its_message(sensor: Sensor) -> None:
+    count = sensor.detector_count
+    matrix = tuple(tuple(row) for row in (np.eye(count) + 0.1j * np.arange(count)).tolist())
+    mixed = replace(sensor, channel_matrix=matrix, matrix_in_antenna=False, config_hash="")
+    assert convert.sensor_from_message(through_the_wire(convert.sensor_to_message(mixed, STAMP))) == mixed
+
+
+def test_a_sensor_info_that_says_nothing_of_channels_has_its_detectors() -> None:
+    assert SensorInfo().matrix_in_antenna
+    assert not SensorInfo().channel_matrix_real
 
 
 def test_a_sensor_info_without_identity_is_refused(sensor: Sensor) -> None:
@@ -123,7 +137,10 @@ def test_images_grid_and_aperture_survive_their_messages(rng: np.random.Generato
     slc = rng.standard_normal((3, 6, 4, 2)).astype(np.float32).view(np.complex64)[..., 0]
     frame = DetectorFrame(dwell=9)
     frame.header.stamp = STAMP
-    messages = convert.slc_to_messages(Slc(slc, grid, aperture, [0.1, 0.2, 0.3]), frame, Provenance(config_hash="x"))
+    messages = convert.slc_to_messages(
+        Slc(slc, grid, aperture, [0.1, 0.2, 0.3]), np.array([0.0, 0.5, 1.0]), frame, Provenance(config_hash="x")
+    )
+    assert [message.saturated_share for message in messages] == [0.0, 0.5, 1.0]
     images, back_grid, back_aperture, noise = convert.slc_from_messages([through_the_wire(m) for m in messages])
     assert np.array_equal(images, slc)
     assert noise.tolist() == [0.1, 0.2, 0.3]

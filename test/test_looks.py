@@ -126,11 +126,15 @@ def test_bad_sample_marks_its_pixel_and_leaves_the_neighbours(slc: np.ndarray, b
     assert (looks.row[1, 2], looks.col[1, 2]) == (4.0, 4.5)  # the block's middle
 
 
-def test_gains_multiply_the_channels(slc: np.ndarray) -> None:
-    gains = np.linspace(0.5, 2, len(slc)) * np.exp(1j * np.arange(len(slc)))
-    scaled, plain = multilook(slc, 2, 3, True, gains), multilook(slc * gains[:, None, None], 2, 3, True)
-    np.testing.assert_allclose(scaled.covariance[:, :], plain.covariance[:, :], rtol=1e-5, atol=SINGLE)
-    np.testing.assert_allclose(scaled.row, plain.row, rtol=1e-5)
+@pytest.mark.parametrize("mixed", [False, True], ids=["gains", "hybrid"])
+def test_the_transform_multiplies_the_channels(slc: np.ndarray, mixed: bool) -> None:
+    matrix = circular(np.random.default_rng(4), (len(slc), len(slc)))
+    matrix = matrix if mixed else np.diag(np.diag(matrix))
+    product = np.tensordot(matrix, slc, axes=1).astype(np.complex64)
+    transformed, plain = multilook(slc, 2, 3, True, matrix), multilook(product, 2, 3, True)
+    largest = np.abs(plain.covariance[:, :]).max()
+    np.testing.assert_allclose(transformed.covariance[:, :], plain.covariance[:, :], atol=1e-6 * largest)
+    np.testing.assert_allclose(transformed.row, plain.row, rtol=1e-5)
 
 
 @pytest.mark.parametrize("dead", [0.0, np.nan, np.inf])

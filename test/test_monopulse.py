@@ -289,11 +289,11 @@ def test_pairs_of_unequal_noise_are_exact_without_it(pattern: str, discriminant:
 def test_pair_of_unequal_noise_has_the_sigma_that_it_says() -> None:
     """Noise of powers 1 and 9, whitened: no bias, and errors of the spread that each pixel's sigma gives."""
     beams, noise_powers, looks, trials = make_beams("jinc", 2), np.array([1.0, 9.0]), 16, 6000
-    rng, (power, gains) = np.random.default_rng(35), whitening(noise_powers)
+    rng, (power, transform) = np.random.default_rng(35), whitening(np.diag(noise_powers), np.eye(2))
     noise = np.sqrt(noise_powers)[:, None, None] * circular(rng, (2, trials, looks))
     target = beams.response(elevation_at(0.1), 0.0)[:, None, None] * circular(rng, (trials, looks))
-    seen = multilook(np.sqrt(300.0) * target + noise, 1, looks, gains=gains)
-    result = monopulse_elevation(seen, beams.scaled(gains), np.zeros(1), power, DISCRIMINANTS["tls"], 1.0)
+    seen = multilook(np.sqrt(300.0) * target + noise, 1, looks, transform=transform)
+    result = monopulse_elevation(seen, beams.combined(transform), np.zeros(1), power, DISCRIMINANTS["tls"], 1.0)
     normal = (offset_of(result.elevation[:, 0]) - 0.1) * BEAMWIDTH / result.sigma[:, 0]
     assert np.mean(normal) == pytest.approx(0, abs=3.5 / np.sqrt(trials) + 0.02)
     assert np.sqrt(np.mean(normal**2)) == pytest.approx(1, abs=3.5 * standard_error_of_rms(normal) + 0.02)

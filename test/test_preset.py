@@ -14,15 +14,17 @@ from helpers import RAW_SETTINGS, RAW_WAVEFORMS, assert_one_sentence, with_wavef
 from sal_height import stripmap
 from sal_height.compression import slant_plane_grid
 from sal_height.errors import UserError
+from sal_height.estimate import whitening
 from sal_height.flight import SimulatedFlight, flight_of
 from sal_height.preset import load_preset, parse_preset, preset_names
 from sal_height.scene import PointTarget
+from sal_height.sensor import Sensor
 from sal_height.terrain import load_scene
 from sal_height.waveform import spectrum_sensor
 from sal_height.windows import broadening, window
 
 SMALL = Path(__file__).parents[1] / "sal_height" / "presets" / "small.yaml"
-SHIPPED = ("sal_spotlight", "sal_stripmap", "small", "xband_relief")
+SHIPPED = ("sal_spotlight", "sal_stripmap", "small", "xband_relief", "xband_sumdiff")
 
 
 def content_with(key: str, value: Any) -> dict[str, Any]:
@@ -65,6 +67,8 @@ def content_with(key: str, value: Any) -> dict[str, Any]:
         ("sensor.detector_size_beamwidths", 0.5, "valid tuple"),
         ("scene_extent_m", -1.0, "greater than or equal to 0"),
         ("targets", "car", "valid tuple"),
+        ("sensor.hybrid", "antenna", "dictionary"),
+        ("sensor.full_scale_over_noise_db", "loud", "valid number"),
         ("sensor.detectors", 0, "greater than or equal to "),
         ("sensor.detectors", 129, "less than or equal to 128"),
         ("sensor.detectors", [8], "valid integer"),
@@ -267,6 +271,120 @@ def test_sensor_of_a_preset_has_its_beams_evenly_around_the_look_angle() -> None
     np.testing.assert_allclose(np.diff(sensor.elevation_boresights), 0.5 * 1.55e-4, rtol=1e-9)
     assert np.mean(sensor.elevation_boresights) == pytest.approx(np.pi / 4, abs=1e-12)
     assert sensor.noise_power == (1.0,) * 8
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"hybrid": {"place": "attic"}}, "sensor.hybrid.place is 'attic'; input should be 'antenna' or 'receiver'"),
+        ({"hybrid": {}}, "sensor.hybrid.place is missing"),
+        (
+            {"hybrid": {"place": "antenna", "coupling": 0}},
+            "sensor.hybrid.coupling is 0; input should be greater than 0",
+        ),
+        ({"hybrid": {"place": "antenna", "coupling": 1.1}}, "sensor.hybrid.coupling is 1.1; input should be less than"),
+        ({"hybrid": {"place": "antenna", "loss_db": -1}}, "sensor.hybrid.loss_db is -1; input should be greater than"),
+        ({"hybrid": {"place": "antenna", "delta_phase_rad": 4}}, "sensor.hybrid.delta_phase_rad is 4; input should be"),
+        ({"hybrid": {"place": "antenna", "magic": 4}}, "sensor.hybrid.magic is not a known key"),
+        ({"detector_gains_db": [0, 70]}, "sensor.detector_gains_db.1 is 70; input should be less than"),
+        ({"detector_phases_rad": [0, "x"]}, "sensor.detector_phases_rad.1 is 'x'; input should be a valid number"),
+    ],
+)
+def test_a_wrong_value_of_the_channels_is_refused(changes: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(UserError) as refusal:
+        sensor_with(**changes)
+    assert_one_sentence(str(refusal.value), complaint)
+
+
+def sensor_with(**changes: Any) -> Sensor:
+    """Of the small preset with two detectors and other values of its sensor."""
+    content = content_with("sensor.detectors", 2)
+    content["sensor"] |= changes
+    return parse_preset(content, "mine.yaml").make_sensor()
+
+
+def test_a_preset_without_a_hybrid_has_its_detectors_as_channels() -> None:
+    sensor = sensor_with()
+    assert (sensor.channel_matrix, sensor.matrix_in_antenna, sensor.noise_power) == ((), True, (1.0, 1.0))
+
+
+@pytest.mark.parametrize("place", ["antenna", "receiver"])
+def test_a_lossless_hybrid_makes_sum_and_difference_with_the_noise_that_was_there(place: str) -> None:
+    sensor = sensor_with(hybrid={"place": place})
+    np.testing.assert_allclose(sensor.mixing, np.array([[1, 1], [-1, 1]]) / np.sqrt(2), rtol=1e-15)
+    np.testing.assert_allclose(sensor.noise_covariance, np.eye(2), atol=1e-15)
+    assert sensor.matrix_in_antenna == (place == "antenna")
+
+
+@pytest.mark.parametrize(
+    ("place", "changes", "gain_db"),
+    [
+        ("antenna", {}, 0.0),
+        ("antenna", {"loss_db": 3.0}, -3.0),
+        ("antenna", {"coupling": 1.0}, 10 * np.log10(2)),
+        ("antenna", {"delta_gain_db": 4.0, "delta_phase_rad": 1.0}, 0.0),
+        ("receiver", {"loss_db": 3.0, "coupling": 1.0, "delta_gain_db": -4.0}, 0.0),
+    ],
+)
+def test_what_a_hybrid_does_to_the_signal_over_the_noise(place: str, changes: dict[str, float], gain_db: float) -> None:
+    """A hybrid before the receivers gains 2 c^2 / loss over bare detectors; behind them nothing, nor does any gain."""
+    sensor = sensor_with(hybrid={"place": place, **changes})
+    power, transform = whitening(sensor.noise_covariance, sensor.mixing)
+    assert power == pytest.approx(10 ** (-gain_db / 10), rel=1e-12)
+    np.testing.assert_allclose(transform @ sensor.mixing, np.eye(2), atol=1e-14)
+
+
+def test_gains_of_detectors_are_described_and_amplify_their_noise() -> None:
+    sensor = sensor_with(detector_gains_db=[0.0, 6.0], detector_phases_rad=[0.5, -1.0])
+    expected = np.array([np.exp(0.5j), 10**0.3 * np.exp(-1j)])
+    np.testing.assert_allclose(sensor.mixing, np.diag(expected), rtol=1e-14)
+    np.testing.assert_allclose(sensor.noise_covariance, np.diag([1, 10**0.6]), rtol=1e-14)
+
+
+def test_full_scale_is_over_the_noise_in_one_part() -> None:
+    assert sensor_with().full_scale == 0
+    assert sensor_with(full_scale_over_noise_db=20.0).full_scale == pytest.approx(10 * np.sqrt(0.5), rel=1e-15)
+
+
+def test_gains_of_detectors_come_before_the_hybrid() -> None:
+    sensor = sensor_with(detector_gains_db=[0.0, 6.0], hybrid={"place": "antenna", "delta_gain_db": 20.0})
+    expected = np.array([[1, 10**0.3], [-10, 10 * 10**0.3]]) / np.sqrt(2)
+    np.testing.assert_allclose(sensor.mixing, expected, rtol=1e-14)
+    np.testing.assert_allclose(sensor.noise_power, [1, 100], rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "parts"),
+    [
+        ("sensor.hybrid", {"place": "antenna"}, ["sensor.detectors is 8", "difference of 2"]),
+        ("sensor.detector_gains_db", [1.0, 2.0], ["sensor.detector_gains_db has 2 entries", "must have 8"]),
+        ("sensor.detector_phases_rad", [0.0] * 9, ["sensor.detector_phases_rad has 9 entries", "must have 8"]),
+    ],
+)
+def test_channels_that_do_not_fit_the_detectors_are_refused(key: str, value: Any, parts: list[str]) -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with(key, value), "mine.yaml")
+    assert_one_sentence(str(refusal.value), "mine.yaml", *parts)
+
+
+def test_the_sum_difference_radar_sees_all_the_ground_of_the_sixteen_beams() -> None:
+    """Beams of an antenna 9 times lower, whose boresights lie beyond those of the sixteen; flown the same way."""
+    two, sixteen = load_preset("xband_sumdiff"), load_preset("xband_relief")
+    assert (two.flight, two.image, two.scene, two.looks) == (
+        sixteen.flight,
+        sixteen.image,
+        sixteen.scene,
+        sixteen.looks,
+    )
+    sensor, other = two.make_sensor(), sixteen.make_sensor()
+    outer = sensor.beams.span[0] - other.beams.span[0], other.beams.span[1] - sensor.beams.span[1]
+    assert max(outer) < -0.01
+    reach = np.linspace(-1.2, 1.2, 25)
+    elevation, squint = np.meshgrid(np.pi / 4 + 9 * reach * sensor.beamwidth / 2, reach * sensor.beamwidth / 1.2)
+    for i, boresight in enumerate(sensor.elevation_boresights):
+        e, a = (elevation - boresight) / (9 * sensor.beamwidth), squint / sensor.beamwidth
+        expected = np.sinc(e) * np.sinc(a)
+        np.testing.assert_allclose(sensor.beams.response(elevation, squint)[..., i], expected, atol=3e-5)
 
 
 @pytest.mark.parametrize("waveform", RAW_WAVEFORMS)

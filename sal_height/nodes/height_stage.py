@@ -14,11 +14,13 @@ from sensor_msgs.msg import Image, PointCloud2
 from sal_height import __version__, convert
 from sal_height.beams import Beams
 from sal_height.discriminant import moving_squint
-from sal_height.estimate import ElevationEstimate, whitening
+from sal_height.errors import Rejected, UserError
+from sal_height.estimate import ElevationEstimate, whitening, with_powers, without_saturated
 from sal_height.height import column_squint, height_field, look_grid
 from sal_height.looks import LOOK_WINDOWS, Looks, Window, live_detectors, windowed_looks
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import as_json, parameter, recorded
+from sal_height.saturation import MAX_SHARE
 from sal_height.sensor import Sensor
 from sal_height.stripmap import image_beams
 from sal_height.windows import WINDOWS
@@ -44,6 +46,12 @@ class HeightParameters:
         "radial velocity of the targets wanted, receding positive, m/s: they get height and place, others wrong ones",
         minimum=-1000.0,
         maximum=1000.0,
+    )
+    max_saturated_share: float = parameter(
+        MAX_SHARE,
+        "greatest share of clipped samples in a channel; with more, a dwell's heights are SATURATED",
+        minimum=0.0,
+        maximum=1.0,
     )
     timeout_s: float = parameter(5.0, "wait for missing detectors, s", minimum=0.01, maximum=3600.0, read_only=True)
 
@@ -71,6 +79,30 @@ def processed_beams(sensor: Sensor, provenance: str) -> Beams:
         return sensor.beams
     window = recorded(provenance, "sar_compression", "azimuth_window")
     return image_beams(sensor, window if isinstance(window, str) and window in WINDOWS else "rectangular")
+
+
+def live_channels(slc: npt.NDArray[np.complex64], sensor: Sensor) -> npt.NDArray[np.intp]:
+    """Numbers of the channels that are not dead (`looks.live_detectors`).
+
+    Raises:
+        Rejected: there are fewer than two, or one is missing of channels that are mixtures of detectors.
+    """
+    live = live_detectors(slc)
+    if len(live) < len(slc) and sensor.is_mixed:
+        dead = sorted(set(range(len(slc))) - set(live.tolist()))
+        raise Rejected(
+            "dead channels",
+            f"Channels {dead} have no finite sample other than 0 in the images; the detectors cannot be told apart "
+            "without one of the channels that the channel matrix of SensorInfo mixes them into.",
+        )
+    return live
+
+
+def _saturated(share: float, parameters: HeightParameters) -> str:
+    return (
+        f"{share:.3g} of a channel's samples are clipped; heights need {parameters.max_saturated_share:g} or less "
+        "(max_saturated_share)."
+    )
 
 
 class HeightStage(DwellStage):
@@ -104,18 +136,23 @@ class HeightStage(DwellStage):
         """Estimate the heights of a dwell and publish them."""
         parameters = self.current_parameters()
         slc, slc_grid, aperture, noise_powers = convert.slc_from_messages(messages)
-        live = live_detectors(slc)
+        live = live_channels(slc, sensor)
         slc = slc if len(live) == len(slc) else slc[live]
-        noise_power, gains = whitening(noise_powers[live])
-        hermitian = sensor.beams.is_complex
-        down, across = parameters.windows
-        looks = windowed_looks(slc, down, across, hermitian, gains)
-        grid = look_grid(slc_grid, down, across)
+        noise = with_powers(sensor.noise_covariance, noise_powers)[np.ix_(live, live)]
+        mixing = sensor.mixing[np.ix_(live, live)]
+        noise_power, transform = whitening(noise, mixing)
         before = messages[0].provenance
-        beams = processed_beams(sensor, before.parameters).detectors(live).scaled(gains)
+        beams = processed_beams(sensor, before.parameters).detectors(live).combined(transform @ mixing)
+        down, across = parameters.windows
+        looks = windowed_looks(slc, down, across, beams.is_complex, transform)
+        grid = look_grid(slc_grid, down, across)
         velocity, speed = parameters.radial_velocity_mps, np.linalg.norm(aperture.velocity)
         squint = moving_squint(column_squint(grid, aperture, sensor.beams, sensor.look_side), velocity, speed)
         estimate = self.estimate(looks, beams, squint, noise_power, parameters)
+        share = max(messages[channel].saturated_share for channel in live)
+        if share > parameters.max_saturated_share:
+            estimate = without_saturated(estimate)
+            self.ignore("saturated", UserError(f"Dwell {messages[0].dwell}: {_saturated(share, parameters)}"))
         field = height_field(estimate, looks, slc_grid, grid, aperture, sensor.look_side, velocity)
         provenance = Provenance(
             code_version=__version__,

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams import Beams
+from sal_height.errors import Rejected
 from sal_height.estimate import ElevationEstimate
 from sal_height.looks import Looks
 from sal_height.monopulse import DISCRIMINANTS, monopulse_elevation
@@ -42,7 +43,17 @@ class Monopulse(HeightStage):
     def estimate(
         self, looks: Looks, beams: Beams, squint: npt.NDArray[np.float64], noise_power: float, parameters: Parameters
     ) -> ElevationEstimate:
-        """Elevation of every pixel."""
+        """Elevation of every pixel.
+
+        Raises:
+            Rejected: the channels are mixtures from which the detectors cannot be had with noise that is independent.
+        """
+        if beams.matrix is not None:
+            raise Rejected(
+                "mixed channels",
+                "The channel matrix of SensorInfo is no lossless hybrid, so that the detectors' noise is dependent: "
+                "they make no pairs; use ml_height, or sum_difference_height for a sum and a difference.",
+            )
         return monopulse_elevation(
             looks, beams, squint, noise_power, DISCRIMINANTS[parameters.discriminant], parameters.min_cnr
         )

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import ComplexImage, DetectorFrame, Provenance
 
@@ -20,10 +22,13 @@ from sal_height.nodes.parameters import as_json, parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import ODOMETRY_QOS
 from sal_height.phase_history import PhaseHistory
+from sal_height.saturation import saturated_shares
 from sal_height.sensor import Sensor
 from sal_height.trajectory import PlatformState, Trajectory
 from sal_height.waveform import range_compressed
 from sal_height.windows import WINDOWS
+
+Array = npt.NDArray[np.float64]
 
 HELD_STATES = 20_000
 """Odometry samples held: 100 s at 200 Hz."""
@@ -83,6 +88,7 @@ class SarCompression(DwellStage):
         super().__init__("sar_compression", DetectorFrame, "phase_history", **node_arguments)
         self._states: list[PlatformState] = []
         self._strip = ("", StripFocuser())
+        self._blocks: list[tuple[int, Array]] = []  # end (ns) and saturated shares of those whose pulses are held
         self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS)
         self._slc = self.offer(ComplexImage, "slc")
 
@@ -109,7 +115,9 @@ class SarCompression(DwellStage):
     def process(self, messages: list[DetectorFrame], sensor: Sensor) -> int:
         """Compress a dwell, or what a block completes of a strip, and publish the image of each detector."""
         parameters = self.current_parameters()
-        history, spectrum = range_compressed(convert.history_from_messages(messages), sensor)
+        raw = convert.history_from_messages(messages)
+        history, spectrum = range_compressed(raw, sensor)
+        self._blocks.append((_end_ns(raw), saturated_shares(raw.samples, sensor)))
         slc = self._focus(history, spectrum, parameters.settings)
         if slc is None:
             return 0
@@ -122,21 +130,24 @@ class SarCompression(DwellStage):
             parameters=as_json(self.get_name(), parameters),
             autofocus_phase=slc.autofocus_phase.tolist(),
         )
-        images = convert.slc_to_messages(slc, messages[0], provenance)
+        shares = np.max([share for _, share in self._blocks], axis=0)
+        images = convert.slc_to_messages(slc, shares, messages[0], provenance)
         for image in images:
             self._slc.publish(image)
         return len(images)
 
     def _focus(self, history: PhaseHistory, sensor: Sensor, settings: Settings) -> Slc | None:
-        end_ns = history.stamp_ns + round(float(history.pulse_times[-1]) * 1e9)
         if sensor.mode == "spotlight":
-            return focus_dwell(history, self._track(history.stamp_ns, end_ns), sensor, settings)
+            self._blocks = self._blocks[-1:]
+            return focus_dwell(history, self._track(history.stamp_ns, _end_ns(history)), sensor, settings)
         of, strip = self._strip
         if of != sensor.config_hash:
             strip = StripFocuser()
             self._strip = (sensor.config_hash, strip)
-        track = self._track(strip.needs_track_from(history, sensor), end_ns)
-        return strip.focus_block(history, track, sensor, settings)
+            self._blocks = self._blocks[-1:]
+        first_ns, last_ns = strip.needs_track_from(history, sensor), _end_ns(history)
+        self._blocks = [block for block in self._blocks if first_ns <= block[0] <= last_ns]
+        return strip.focus_block(history, self._track(first_ns, last_ns), sensor, settings)
 
     def _track(self, start_ns: int, end_ns: int) -> Trajectory:
         return Trajectory(self._states_around(start_ns, (end_ns - start_ns) * 1e-9))
@@ -161,6 +172,10 @@ class SarCompression(DwellStage):
         first = bisect.bisect_right(states, start_ns, key=_stamp) - 1
         last = bisect.bisect_left(states, end_ns, key=_stamp)
         return states[first : last + 1] if 0 <= first < last < len(states) else []
+
+
+def _end_ns(history: PhaseHistory) -> int:
+    return history.stamp_ns + round(float(history.pulse_times[-1]) * 1e9)
 
 
 def _stamp(state: PlatformState) -> int:

@@ -57,7 +57,7 @@ def write_bag(path: Path, dwells: int = 2, info: bool = True, **changes: Any) ->
             bag.write("/sensor_info", serialize_message(convert.sensor_to_message(sensor, stamp)), 0, 0)
         for dwell in range(dwells):
             frame, provenance = DetectorFrame(dwell=dwell), Provenance(config_hash=sensor.config_hash)
-            for message in convert.slc_to_messages(Slc(slc, GRID, aperture, [0.0] * 3), frame, provenance):
+            for message in convert.slc_to_messages(Slc(slc, GRID, aperture, [0.0] * 3), np.zeros(3), frame, provenance):
                 for name, value in changes.items():
                     setattr(message, name, value)
                 bag.write("/slc", serialize_message(message), dwell + 1, dwell + 1)

@@ -1,0 +1,97 @@
+"""Dwells of receivers that saturate, from the simulator's frames to heights that say so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from chain_fixture import DETECTORS, START_NS, Chain, same_heights
+from helpers import assert_one_sentence
+from rclpy.node import Node
+from sal_height_msgs.msg import ComplexImage, HeightImage
+
+from sal_height import convert
+from sal_height.flight import SimulatedFlight, flight_of
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.phase_history import PhaseHistory
+from sal_height.preset import load_preset
+from sal_height.saturation import clipped
+from sal_height.simulator import receiver_noise
+
+USABLE = (HeightImage.OK, HeightImage.TWO_SCATTERERS)
+
+
+def clipping_at(flight: SimulatedFlight, full_scale: float) -> SimulatedFlight:
+    """The same flight with receivers of that full scale; its samples have an rms of about 2 in each part."""
+    sensor = replace(flight.sensor, full_scale=full_scale, config_hash="")
+    return SimulatedFlight(flight.preset, sensor, flight.scene, flight.dwells, flight.seed)
+
+
+def seen(chain: Chain) -> dict[tuple[str, int], HeightImage]:
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+    chain.await_heights(0)
+    return chain.heights
+
+
+def test_receivers_of_a_high_full_scale_change_nothing(graph: Graph, flight: SimulatedFlight, reference: Any) -> None:
+    chain = Chain(graph, clipping_at(flight, 1e4), missing_after_s=30.0)
+    heights = seen(chain)
+    assert all(same_heights(heights[name, 0], reference[name, 0]) for name in ("ml", "monopulse"))
+    assert "ignored.saturated" not in chain.accounts()["ml_height"]
+
+
+def test_a_strong_scene_at_a_low_full_scale_is_marked(graph: Graph, flight: SimulatedFlight) -> None:
+    chain = Chain(graph, clipping_at(flight, 4.0), missing_after_s=30.0)
+    heights = seen(chain)
+    for name, stage in (("ml", "ml_height"), ("monopulse", "monopulse")):
+        image = heights[name, 0]
+        validity = np.array(image.validity)
+        assert np.count_nonzero(validity == HeightImage.SATURATED) > 30
+        assert not np.isin(validity, USABLE).any()
+        assert not np.isfinite(np.array(image.height)).any()
+        assert not np.isfinite(np.array(image.second_height)).any()
+        chain.wait(lambda s=stage: chain.accounts()[s].get("ignored.saturated") == 1, "the count")
+        assert_one_sentence(chain.stages[stage].last_rejection.partition(": ")[2], "Dwell 0", "max_saturated_share")
+
+
+@pytest.mark.parametrize(("limit", "marked"), [(1.0, False), (0.0, True)])
+def test_users_choose_how_much_may_be_clipped(
+    graph: Graph, flight: SimulatedFlight, limit: float, marked: bool
+) -> None:
+    chain = Chain(graph, clipping_at(flight, 4.0), missing_after_s=30.0, heights={"max_saturated_share": limit})
+    assert marked == (HeightImage.SATURATED in np.array(seen(chain)["ml", 0].validity))
+
+
+def test_a_clipped_block_is_told_by_the_images_of_a_strip_that_its_pulses_are_in(graph: Graph) -> None:
+    """Block 3: an image takes its own 256 pulses and 310 of an aperture, from the block it comes with and two before.
+
+    Pulses are held a little longer than needed, so that one image more may be said to have some.
+    """
+    flight = clipping_at(flight_of(replace(load_preset("sal_stripmap"), dwells=8), seed=3), 100.0)
+    sensor, bad = flight.sensor, 3
+    chain = Chain(graph, flight, missing_after_s=30.0, image={"rows": 46, "cols": 128})
+    images: dict[tuple[int, int], ComplexImage] = {}
+    listener = graph.add(Node("listener", context=graph.context))
+    listener.create_subscription(
+        ComplexImage, "slc", lambda image: images.update({(image.dwell, image.detector): image}), FRAMES_QOS
+    )
+    chain.wait(lambda: listener.count_publishers("slc") == 1, "the images to connect")
+    chain.publish(chain.sensor_info())
+    for block in range(flight.dwells):
+        samples = receiver_noise(sensor, sensor.pulse_count, np.random.default_rng(block))
+        if block == bad:
+            samples[5] = clipped(1e5 * samples[5], sensor.full_scale)
+        start = flight.dwell_start_ns(block)
+        reference = np.full(sensor.pulse_count, flight.preset.flight.slant_range_m)
+        history = PhaseHistory(start, flight.pulse_times, reference, samples)
+        frames = convert.history_to_messages(history, sensor, block, convert.to_stamp(START_NS + start))
+        chain.publish(*chain.odometry(block), *frames)
+    chain.wait(lambda: (flight.dwells - 1, DETECTORS - 1) in images, "the last image")
+    shares = {key: image.saturated_share for key, image in images.items()}
+    assert {dwell for dwell, _ in shares} == set(range(2, flight.dwells))
+    told = {key for key, share in shares.items() if share}
+    assert {(dwell, 5) for dwell in (3, 4, 5)} <= told <= {(dwell, 5) for dwell in (3, 4, 5, 6)}
+    assert shares[bad, 5] > 0.99

@@ -23,7 +23,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import j1, jv
 
 from sal_height.beams import Beams
-from sal_height.bounds import stochastic_crb
+from sal_height.bounds import beam_power, information_of, stochastic_crb, stochastic_deviation
 from sal_height.discriminant import Reason, discriminant, discriminant_domain, discriminant_slope, invert
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate, Validity
@@ -48,7 +48,8 @@ from sal_height.sum_difference_theory import SteadyMlLaw, discriminator_variance
 
 Array = np.ndarray
 EQUAL: NoisePowers = (1.0, 1.0)
-HYBRID = np.array([[1, 1], [-1, 1]]) / np.sqrt(2)
+SUM_DIFFERENCE = np.array([[1.0, 1.0], [-1.0, 1.0]])
+HYBRID = SUM_DIFFERENCE / np.sqrt(2)
 ESTIMATORS = pytest.mark.parametrize("name", sorted(DISCRIMINANTS))
 
 
@@ -208,6 +209,11 @@ def test_forming_sums_and_synthesising_commute_and_unequal_filters_do_not() -> N
     assert np.max(np.abs(first - np.tensordot(HYBRID, unlike, 1))) > 1e-4
 
 
+def test_synthesising_brings_pulses_of_known_phase_together() -> None:
+    phase = np.random.default_rng(58).uniform(-9, 9, (3, 32))
+    np.testing.assert_allclose(synthesise(2j * np.exp(1j * phase), phase), np.full(3, 64j), atol=1e-12)
+
+
 def test_products_of_pulses_need_no_phase_compensation_and_are_no_coherent_sum() -> None:
     rng = np.random.default_rng(48)
     total, difference = circular(rng, (2, 7, 16))
@@ -348,7 +354,7 @@ def test_elevations_are_exact_without_noise_over_the_domain_of_the_pair(pattern:
     pair = make_beams(pattern, 2)
     low, high = (float(offset_of(end)) for end in discriminant_domain(pair, 0.0))
     offset = np.clip(np.linspace(0.99 * low, 0.99 * high, 41), -0.9, 0.9)
-    channels = np.tensordot(pair.response(elevation_at(offset), 0.0), np.array([[1.0, -1.0], [1.0, 1.0]]), 1)
+    channels = np.tensordot(pair.response(elevation_at(offset), 0.0), SUM_DIFFERENCE.T, 1)
     looks = noise_free_looks(pair, offset)
     seen = replace(looks, covariance=1e6 * channels[:, None, :, None] * channels[:, None, None, :])
     found = estimate(seen, pair, (1e-3, 2e-3), Discriminator(DISCRIMINANTS[name]))
@@ -386,16 +392,22 @@ def test_sigma_and_cnr_are_what_the_sample_has(looks: int, cnr: float, noise: No
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.2, -0.45])
-def test_sigma_is_the_stochastic_bound(offset: float) -> None:
-    """For the mean covariance of K looks in equal noise, twice that of each of two detectors."""
-    pair, looks, energy = make_beams("jinc", 2), 4, 40.0
-    channels = np.array([[1.0, 1.0], [-1.0, 1.0]]) @ pair.response(elevation_at(offset), 0.0)
-    covariance = energy * np.multiply.outer(channels, channels) + looks * 2 * np.eye(2)
+@pytest.mark.parametrize("noise", [(2.0, 2.0), (1.0, 6.0)])
+def test_sigma_is_the_stochastic_bound(offset: float, noise: NoisePowers) -> None:
+    """Of the whitened channels, for the mean covariance of K looks; in equal noise, that of the two detectors."""
+    pair, looks, energy, weights = make_beams("jinc", 2), 4, 40.0, np.sqrt(1 / np.array(noise))[:, None]
+    response, slope = pair.response(elevation_at(offset), 0.0), pair.slope(elevation_at(offset), 0.0)
+    channels = SUM_DIFFERENCE @ response
+    covariance = energy * np.multiply.outer(channels, channels) + looks * np.diag(noise)
     seen = replace(noise_free_looks(pair, np.zeros(1)), count=looks, covariance=covariance[None, None])
-    found = estimate(seen, pair, (2.0, 2.0))
+    found = estimate(seen, pair, noise)
     assert offset_of(found.elevation[0, 0]) == pytest.approx(offset, abs=1e-9)
-    bound = stochastic_crb(pair, elevation_at(offset), 0.0, energy / looks, looks)
+    whitened, change = (weights * SUM_DIFFERENCE @ of_beams for of_beams in (response, slope))
+    bound = stochastic_deviation(np.array(energy), looks, beam_power(whitened), information_of(whitened, change))
     assert found.sigma[0, 0] == pytest.approx(bound, rel=1e-6)
+    if noise[0] == noise[1]:
+        of_detectors = stochastic_crb(pair, elevation_at(offset), 0.0, energy / looks, looks)
+        assert bound == pytest.approx(of_detectors, rel=1e-12)
 
 
 def test_sigma_uses_the_slope_of_its_inversion() -> None:
@@ -442,15 +454,34 @@ def test_pixels_without_elevation_say_why(name: str) -> None:
 
 def test_one_scatterer_is_seldom_taken_for_two() -> None:
     pair = make_beams("jinc", 2)
-    for looks, cnr in ((4, 1e4), (16, 30.0), (64, 10.0)):
+    for looks, cnr in ((4, 1e4), (16, 30.0), (64, 10.0), (4, 5.0)):
         validity = estimate(target(pair, 0.3, (4000, looks), cnr, (1.0, 3.0), 56), pair, (1.0, 3.0)).validity
         assert np.count_nonzero(validity == Validity.NOT_ONE_SCATTERER) <= 8
+
+
+def test_looks_on_sloping_ground_are_taken_for_one_scatterer() -> None:
+    """A tenth of a beamwidth between the looks' elevations: far above the noise of 50 dB, and little of the power."""
+    pair, rng = make_beams("jinc", 2), np.random.default_rng(59)
+    response = pair.response(elevation_at(np.linspace(0.2, 0.3, 16)), 0.0)
+    amplitude = np.sqrt(1e5) * circular(rng, (200, 16))
+    total, difference = (amplitude * (response[:, 1] + sign * response[:, 0]) for sign in (1, -1))
+    noise = circular(rng, (2, 200, 16))
+    found = estimate(looks_of(total + noise[0], difference + noise[1], 16), pair)
+    assert np.all(found.validity == Validity.OK)
+    assert np.median(offset_of(found.elevation)) == pytest.approx(0.25, abs=0.01)
+
+
+def test_a_weak_signal_that_is_no_noise_is_of_low_cnr_and_not_outside() -> None:
+    pair = make_beams("jinc", 2)
+    found = estimate(target(pair, 0.0, (100, 256), 0.7, EQUAL, 60), pair)
+    assert np.all(np.isfinite(found.elevation))
+    assert np.all(found.validity == Validity.LOW_CNR)
 
 
 def test_complex_beams_are_inverted_by_the_real_part_of_their_ratio() -> None:
     pair = make_beams("jinc", 2).scaled(np.array([1.0, np.exp(0.4j)]))
     offset = np.linspace(-0.4, 0.4, 9)
-    channels = np.tensordot(pair.response(elevation_at(offset), 0.0), np.array([[1.0, -1.0], [1.0, 1.0]]), 1)
+    channels = np.tensordot(pair.response(elevation_at(offset), 0.0), SUM_DIFFERENCE.T, 1)
     covariance = (1e6 * channels[:, None, :, None] * channels[:, None, None, :].conj()).astype(np.complex64)
     seen = replace(noise_free_looks(make_beams("jinc", 2), offset), covariance=covariance)
     found = estimate(seen, pair)
@@ -470,9 +501,9 @@ def test_complex_beams_are_inverted_by_the_real_part_of_their_ratio() -> None:
 def test_gains_of_channels_and_beams_are_told_apart(
     channels: tuple[complex, complex], beams: tuple[complex, complex]
 ) -> None:
-    matrix = np.diag(channels) @ np.array([[1, 1], [-1, 1]]) @ np.diag(beams)
+    matrix = np.diag(channels) @ SUM_DIFFERENCE @ np.diag(beams)
     channel_gains, beam_gains = separated_gains(matrix)
-    np.testing.assert_allclose(np.diag(channel_gains) @ [[1, 1], [-1, 1]] @ np.diag(beam_gains), matrix, atol=1e-12)
+    np.testing.assert_allclose(np.diag(channel_gains) @ SUM_DIFFERENCE @ np.diag(beam_gains), matrix, atol=1e-12)
     assert np.mean(np.abs(beam_gains) ** 2) == pytest.approx(1)
     assert np.iscomplexobj(beam_gains) == np.iscomplexobj(beams)
     np.testing.assert_allclose(beam_gains[0] / beam_gains[1], beams[0] / beams[1], atol=1e-12)
@@ -520,9 +551,8 @@ def test_hybrid_before_the_receivers_gains_what_is_said(coupling: float, loss_db
     assert 10 * np.log10(gain) == pytest.approx(20 * np.log10(coupling * np.sqrt(2)) - loss_db)
     rng, trials, gamma, snr = np.random.default_rng(57), 40_000, 0.5, 100.0
     half = np.array([[1 - gamma], [1 + gamma]])[:, None] * np.sqrt(snr / 2)  # lower, upper: (u + l)^2 / 2 = snr
-    sums = np.array([[1, 1], [-1, 1]])
-    after = np.tensordot(sums, half + circular(rng, (2, trials, 1)), 1)
-    before = coupling * np.tensordot(sums, half, 1) / 10 ** (loss_db / 20) + circular(rng, (2, trials, 1))
+    after = np.tensordot(SUM_DIFFERENCE, half + circular(rng, (2, trials, 1)), 1)
+    before = coupling * np.tensordot(SUM_DIFFERENCE, half, 1) / 10 ** (loss_db / 20) + circular(rng, (2, trials, 1))
     widths = [np.std(discriminate(products(*channels), ratio, EQUAL)) for channels in (after, before)]
     assert widths[0] ** 2 / widths[1] ** 2 == pytest.approx(gain, rel=3.5 * np.sqrt(4 / trials) + 0.02)
     assert SteadyLaw(gamma, snr).s68 == pytest.approx(widths[0], rel=0.02)

@@ -29,7 +29,7 @@ from sal_height.estimate import FALSE_ALARMS, MISFIT_SHARE, ElevationEstimate, V
 from sal_height.looks import Looks
 from sal_height.monopulse import Estimator, total_least_squares
 from sal_height.optics import Pattern
-from sal_height.sum_difference_theory import discriminator_variance
+from sal_height.sum_difference_theory import products_variance
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -64,13 +64,13 @@ def products(total: ComplexArray, difference: ComplexArray) -> Products:
     """Products of Sigma and Delta, shape (..., K), for a real gamma, summed over the last axis.
 
     Phases common to both channels drop out, so that pulses may be summed with or without phase compensation. That is
-    also why it is no coherent accumulation: noise adds to the powers with each pulse. Use it for looks, and
-    `synthesise` for pulses.
+    also why it is no coherent accumulation: noise adds to the powers with each pulse (`products_variance`). Use it for
+    looks, and `synthesise` for pulses.
     """
     return Products(
-        np.sum(np.abs(total) ** 2, axis=-1),
-        np.sum(np.abs(difference) ** 2, axis=-1),
-        np.sum((difference * total.conj()).real, axis=-1),
+        np.sum(np.abs(total) ** 2, axis=-1, dtype=np.float64),
+        np.sum(np.abs(difference) ** 2, axis=-1, dtype=np.float64),
+        np.sum((difference * total.conj()).real, axis=-1, dtype=np.float64),
         total.shape[-1],
     )
 
@@ -238,13 +238,17 @@ def _inversion(
     return Inversion(np.where(inside, elevation, np.nan), np.where(inside, slope, np.nan), reason)
 
 
+INVERSES: dict[str, Inverse] = {"exact": invert, "linear": invert_linear}
+"""Inversions by the beams themselves, by name."""
+
+
 @dataclass(frozen=True)
 class Discriminator:
     """How an elevation comes from Sigma and Delta.
 
     Attributes:
         estimator: of gamma, one of `monopulse.DISCRIMINANTS`.
-        inverse: elevation of gamma: `discriminant.invert`, `invert_linear` or the `invert` of a `SlopeTable`.
+        inverse: elevation of gamma: one of INVERSES, or the `invert` of a `SlopeTable`.
     """
 
     estimator: Estimator = total_least_squares
@@ -256,10 +260,9 @@ def sum_difference_elevation(
 ) -> ElevationEstimate:
     """Elevation of the scatterer in every pixel of images whose channels are Sigma and Delta.
 
-    The variance is that of gamma (`discriminator_variance`) with the energy of the looks, what fluctuating amplitudes
-    add to it, 1 + K / (E/N_Sigma + E |gamma|^2/N_Delta), and the slope of the discriminator. The noise of the
-    hypothetical detector in `ElevationEstimate.cnr` is 1 / (1/N_Sigma + 1/N_Delta): that of each of two detectors whose
-    sum and difference have equal noise.
+    Its standard deviation is from the variance of gamma (`products_variance`), with the energy that these looks have,
+    and the slope of the discriminator. The noise of the hypothetical detector in `ElevationEstimate.cnr` is
+    1 / (1/N_Sigma + 1/N_Delta): that of each of two detectors whose sum and difference have equal noise.
 
     LOW_CNR: what both channels have in common is not clear of noise, or below `min_cnr`. OUTSIDE_PAIR: gamma has no
     elevation, as where there is a signal in Delta and none in Sigma. NOT_ONE_SCATTERER: of two whitened channels one
@@ -291,8 +294,7 @@ def sum_difference_elevation(
     detector_noise = 1 / (1 / noise_powers[0] + 1 / noise_powers[1])
     with np.errstate(divide="ignore", invalid="ignore"):
         modulus = np.sqrt(difference_gain / total_gain)
-        over_noise = energy / noise_powers[0] + energy * modulus**2 / noise_powers[1]
-        variance = discriminator_variance(modulus, energy, noise_powers) * (1 + sums.count / over_noise)
+        variance = products_variance(modulus, energy, sums.count, noise_powers)
         cnr = energy / total_gain / sums.count / detector_noise
         sigma = np.sqrt(np.where(energy > 0, variance, np.inf)) / np.abs(found.slope)
     return ElevationEstimate(found.elevation, sigma, cnr, _validity(looks, sums, noise_powers, found, cnr >= min_cnr))

@@ -34,6 +34,25 @@ def discriminator_variance(gamma: npt.ArrayLike, energy: npt.ArrayLike, noise_po
     return np.asarray((noise_powers[1] + gamma**2 * noise_powers[0]) / (2 * energy))
 
 
+def products_variance(
+    gamma: npt.ArrayLike, energy: npt.ArrayLike, count: int, noise_powers: tuple[float, float]
+) -> Array:
+    """Variance of the maximum likelihood estimate of gamma from products summed over many looks or pulses; broadcasts.
+
+    `discriminator_variance` times 1 + K / (E/N_Sigma + gamma^2 E/N_Delta). The second term is what it costs that the
+    amplitudes of the K looks, or the phases of the K pulses, are not known: 1 / (x + x gamma^2) for equal noise and the
+    signal-to-noise ratio x of each. It is the Cramer-Rao bound for Gaussian amplitudes (`bounds.stochastic_crb`).
+
+    Args:
+        gamma: modulus of Delta / Sigma without noise.
+        energy: E of the signal in Sigma, over all looks.
+        count: of looks or pulses, K.
+        noise_powers: of Sigma and Delta.
+    """
+    over_noise = np.asarray(energy) * (1 / noise_powers[0] + np.asarray(gamma) ** 2 / noise_powers[1])
+    return np.asarray(discriminator_variance(gamma, energy, noise_powers) * (1 + count / over_noise))
+
+
 def hybrid_gain(coupling: npt.ArrayLike, loss: npt.ArrayLike) -> Array:
     """Gain in signal-to-noise power ratio of a hybrid before the receivers against sums after them: 2 c^2 / L.
 

@@ -269,7 +269,7 @@ def sum_difference_elevation(
     scatterer leaves K noise powers and not more, as in `estimate.validity_of`.
 
     Args:
-        looks: covariance of Sigma = upper + lower and Delta = upper - lower in each pixel (`separated_gains`).
+        looks: covariance of Sigma = upper + lower and Delta = upper - lower in each pixel (`calibration`).
         pair: the two beams, lower and upper.
         squint: of each column, rad, shape (cols,).
         noise_powers: of one SLC pixel of Sigma and of Delta.
@@ -328,12 +328,50 @@ def _eigenvalues(sums: Products) -> Array:
     return np.stack([mean + apart, mean - apart])
 
 
+@dataclass(frozen=True)
+class Calibration:
+    """What makes Sigma = upper + lower and Delta = upper - lower of the channels of a sensor with a hybrid.
+
+    Attributes:
+        transform: that the channels are multiplied by (`looks.multilook`), shape (2, 2), diagonal.
+        beam_gains: that the beams, lower and upper, are scaled by (`Beams.scaled`), shape (2,).
+        noise_powers: of Sigma and Delta.
+    """
+
+    transform: ComplexArray
+    beam_gains: Array | ComplexArray
+    noise_powers: NoisePowers
+
+
+def calibration(matrix: ComplexArray, noise_covariance: ComplexArray) -> Calibration:
+    """How to make Sigma and Delta of a sensor's two channels.
+
+    Args:
+        matrix: the channels from the beams (lower, upper), shape (2, 2): see `separated_gains`.
+        noise_covariance: E n n^H of the channels, shape (2, 2).
+
+    Raises:
+        UserError: the matrix forms no sum and difference, or the channels' noise is correlated: that of receivers
+            before the hybrid that are not alike. The estimators for the whole array take any noise.
+    """
+    channels, beams = separated_gains(matrix)
+    transform = np.diag(1 / channels)
+    noise = transform @ noise_covariance @ transform.conj().T
+    sum_noise, difference_noise = (float(power) for power in np.diag(noise).real)
+    correlation = abs(noise[0, 1]) / max(np.sqrt(abs(sum_noise * difference_noise)), np.finfo(np.float64).tiny)
+    if not correlation <= MATRIX_ROUNDING:
+        raise UserError(
+            f"The noise of Sigma and Delta has a correlation of {correlation:.3g}; their discriminator needs it "
+            "independent."
+        )
+    return Calibration(transform, beams, (sum_noise, difference_noise))
+
+
 def separated_gains(matrix: ComplexArray) -> tuple[ComplexArray, Array | ComplexArray]:
     """Gains of the two channels and of the two beams of a sensor that forms sum and difference.
 
-    Its channels are matrix @ (lower, upper) with matrix = diag(channels) [[1, 1], [-1, 1]] diag(beams). Divide the
-    channels by the first, the noise powers by their squared moduli, and scale the beams by the second (`Beams.scaled`):
-    what results is Sigma = upper + lower and Delta = upper - lower.
+    Its channels are matrix @ (lower, upper) with matrix = diag(channels) [[1, 1], [-1, 1]] diag(beams): gains of the
+    receivers or couplings of the hybrid, and of what is before the hybrid.
 
     Args:
         matrix: channels from beams, shape (2, 2).

@@ -294,9 +294,9 @@ def sum_difference_elevation(
     detector_noise = 1 / (1 / noise_powers[0] + 1 / noise_powers[1])
     with np.errstate(divide="ignore", invalid="ignore"):
         modulus = np.sqrt(difference_gain / total_gain)
-        variance = products_variance(modulus, energy, sums.count, noise_powers)
+        variance = products_variance(modulus, energy, sums.count, noise_powers) / found.slope**2
         cnr = energy / total_gain / sums.count / detector_noise
-        sigma = np.sqrt(np.where(energy > 0, variance, np.inf)) / np.abs(found.slope)
+    sigma = np.sqrt(np.where(energy > 0, variance, np.inf))
     return ElevationEstimate(found.elevation, sigma, cnr, _validity(looks, sums, noise_powers, found, cnr >= min_cnr))
 
 

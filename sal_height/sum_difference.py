@@ -23,10 +23,11 @@ from scipy.interpolate import PchipInterpolator
 from scipy.stats import gamma as gamma_law
 
 from sal_height.beams import Beams
+from sal_height.compiled import in_parallel
 from sal_height.discriminant import LEAST_SLOPE, Inversion, Reason, discriminant, discriminant_slope, invert
 from sal_height.errors import UserError
 from sal_height.estimate import FALSE_ALARMS, MISFIT_SHARE, ElevationEstimate, Validity
-from sal_height.looks import Looks
+from sal_height.looks import Covariance, Looks
 from sal_height.monopulse import Estimator, total_least_squares
 from sal_height.optics import Pattern
 from sal_height.sum_difference_theory import products_variance
@@ -51,13 +52,13 @@ class Products:
         sum_power: of |Sigma|^2.
         difference_power: of |Delta|^2.
         cross_power: of Delta Sigma*; its real part alone where gamma is real, as noise alone is left in the other.
-        count: number of looks or pulses K.
+        count: number of looks or pulses K of each, or of all.
     """
 
     sum_power: Array
     difference_power: Array
     cross_power: npt.NDArray[np.inexact[Any]]
-    count: int
+    count: int | Array
 
 
 def products(total: ComplexArray, difference: ComplexArray) -> Products:
@@ -77,7 +78,13 @@ def products(total: ComplexArray, difference: ComplexArray) -> Products:
 
 def products_of_looks(looks: Looks) -> Products:
     """Products of multi-looked images whose channels are Sigma and Delta, in this order; shape (rows, cols)."""
-    covariance = looks.covariance
+    parts: dict[int, Covariance] = {}
+
+    def work(part: slice) -> None:
+        parts[part.start] = looks.covariance[part, slice(None)]
+
+    in_parallel(work, len(looks.count))
+    covariance = np.concatenate([parts[first] for first in sorted(parts)])
     return Products(
         covariance[..., 0, 0].real.astype(np.float64),
         covariance[..., 1, 1].real.astype(np.float64),
@@ -305,11 +312,13 @@ def _validity(
 ) -> npt.NDArray[np.uint8]:
     """Reason for which each pixel's estimate cannot be used, the first that applies, or OK."""
     explained, left = _eigenvalues(_whitened(sums, noise_powers)[0]) / noise_powers[0]
-    count = sums.count
+    count = looks.count
+    counts, which = np.unique(count, return_inverse=True)
+    detected = explained >= gamma_law.isf(FALSE_ALARMS / 2, counts)[which]
     outside = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN])
     misfit = (left > count + 5 * np.sqrt(count)) & (left - count > MISFIT_SHARE * explained)
     return np.select(
-        [~looks.finite, explained < gamma_law.isf(FALSE_ALARMS / 2, count), outside, ~strong, misfit],
+        [~looks.finite, ~detected, outside, ~strong, misfit],
         [
             Validity.MISSING_DATA,
             Validity.LOW_CNR,

@@ -35,7 +35,7 @@ def discriminator_variance(gamma: npt.ArrayLike, energy: npt.ArrayLike, noise_po
 
 
 def products_variance(
-    gamma: npt.ArrayLike, energy: npt.ArrayLike, count: int, noise_powers: tuple[float, float]
+    gamma: npt.ArrayLike, energy: npt.ArrayLike, count: npt.ArrayLike, noise_powers: tuple[float, float]
 ) -> Array:
     """Variance of the maximum likelihood estimate of gamma from products summed over many looks or pulses; broadcasts.
 
@@ -50,7 +50,7 @@ def products_variance(
         noise_powers: of Sigma and Delta.
     """
     over_noise = np.asarray(energy) * (1 / noise_powers[0] + np.asarray(gamma) ** 2 / noise_powers[1])
-    return np.asarray(discriminator_variance(gamma, energy, noise_powers) * (1 + count / over_noise))
+    return np.asarray(discriminator_variance(gamma, energy, noise_powers) * (1 + np.asarray(count) / over_noise))
 
 
 def hybrid_gain(coupling: npt.ArrayLike, loss: npt.ArrayLike) -> Array:

@@ -12,6 +12,7 @@ from helpers import (
     assert_one_sentence,
     circular,
     elevation_at,
+    looks_of,
     make_beams,
     noise_free_looks,
     offset_of,
@@ -53,7 +54,7 @@ HYBRID = SUM_DIFFERENCE / np.sqrt(2)
 ESTIMATORS = pytest.mark.parametrize("name", sorted(DISCRIMINANTS))
 
 
-def looks_of(total: Array, difference: Array, looks: int) -> Looks:
+def images_of(total: Array, difference: Array, looks: int) -> Looks:
     """Multi-looked images of shape (pixels, looks) each."""
     return multilook(np.stack([total, difference]), 1, looks)
 
@@ -65,7 +66,7 @@ def target(pair: Beams, offset: float, shape: tuple[int, int], cnr: float, noise
     amplitude = np.sqrt(cnr) * circular(rng, shape)
     total = (upper + lower) * amplitude + np.sqrt(noise[0]) * circular(rng, shape)
     difference = (upper - lower) * amplitude + np.sqrt(noise[1]) * circular(rng, shape)
-    return looks_of(total, difference, shape[1])
+    return images_of(total, difference, shape[1])
 
 
 def estimate(
@@ -277,8 +278,7 @@ def test_elevations_are_exact_without_noise_over_the_domain_of_the_pair(pattern:
     low, high = (float(offset_of(end)) for end in discriminant_domain(pair, 0.0))
     offset = np.clip(np.linspace(0.99 * low, 0.99 * high, 41), -0.9, 0.9)
     channels = np.tensordot(pair.response(elevation_at(offset), 0.0), SUM_DIFFERENCE.T, 1)
-    looks = noise_free_looks(pair, offset)
-    seen = replace(looks, covariance=1e6 * channels[:, None, :, None] * channels[:, None, None, :])
+    seen = looks_of(1e6 * channels[:, None, :, None] * channels[:, None, None, :], 1)
     found = estimate(seen, pair, (1e-3, 2e-3), Discriminator(DISCRIMINANTS[name]))
     np.testing.assert_allclose(offset_of(found.elevation[:, 0]), offset, atol=1e-7)
     assert np.all(found.validity == Validity.OK)
@@ -294,7 +294,7 @@ def test_a_lossless_hybrid_gives_the_elevations_and_sigmas_of_the_bare_pair() ->
     made = calibration(HYBRID, np.eye(2))
     formed = np.tensordot(made.transform @ HYBRID, lower_upper, 1)
     assert made.noise_powers == pytest.approx((2.0, 2.0))
-    found = estimate(looks_of(formed[0], formed[1], 8), pair.scaled(made.beam_gains), made.noise_powers)
+    found = estimate(images_of(formed[0], formed[1], 8), pair.scaled(made.beam_gains), made.noise_powers)
     np.testing.assert_allclose(offset_of(found.elevation), offset_of(bare.elevation), atol=2e-5)
     np.testing.assert_allclose(found.sigma, bare.sigma, rtol=1e-4)
     np.testing.assert_allclose(found.cnr, bare.cnr, rtol=1e-4)
@@ -321,7 +321,7 @@ def test_sigma_is_the_stochastic_bound(offset: float, noise: NoisePowers) -> Non
     response, slope = pair.response(elevation_at(offset), 0.0), pair.slope(elevation_at(offset), 0.0)
     channels = SUM_DIFFERENCE @ response
     covariance = energy * np.multiply.outer(channels, channels) + looks * np.diag(noise)
-    seen = replace(noise_free_looks(pair, np.zeros(1)), count=looks, covariance=covariance[None, None])
+    seen = looks_of(covariance[None, None], looks)
     found = estimate(seen, pair, noise)
     assert offset_of(found.elevation[0, 0]) == pytest.approx(offset, abs=1e-9)
     whitened, change = (weights * SUM_DIFFERENCE @ of_beams for of_beams in (response, slope))
@@ -354,11 +354,11 @@ def test_pixels_without_elevation_say_why(name: str) -> None:
     signals = [
         target(pair, 0.1, (100, looks), 100.0, EQUAL, 54),
         target(pair, 0.1, (1000, looks), 0.0, EQUAL, 55),
-        looks_of(circular(rng, (100, looks)), 30 * circular(rng, (100, looks)), looks),
-        looks_of(np.zeros((2, looks), complex), np.zeros((2, looks), complex), looks),
-        looks_of(np.zeros((2, looks), complex), np.ones((2, looks), complex) * 9, looks),
-        looks_of(30 * circular(rng, (100, looks)), 20 * circular(rng, (100, looks)), looks),
-        looks_of(np.full((1, looks), np.nan + 0j), np.ones((1, looks), complex), looks),
+        images_of(circular(rng, (100, looks)), 30 * circular(rng, (100, looks)), looks),
+        images_of(np.zeros((2, looks), complex), np.zeros((2, looks), complex), looks),
+        images_of(np.zeros((2, looks), complex), np.ones((2, looks), complex) * 9, looks),
+        images_of(30 * circular(rng, (100, looks)), 20 * circular(rng, (100, looks)), looks),
+        images_of(np.full((1, looks), np.nan + 0j), np.ones((1, looks), complex), looks),
     ]
     found = [estimate(seen, pair, discriminator=Discriminator(DISCRIMINANTS[name])) for seen in signals]
     ok, noise, difference, nothing, only_difference, two, missing = (seen.validity[:, 0] for seen in found)
@@ -389,7 +389,7 @@ def test_looks_on_sloping_ground_are_taken_for_one_scatterer() -> None:
     amplitude = np.sqrt(1e5) * circular(rng, (200, 16))
     total, difference = (amplitude * (response[:, 1] + sign * response[:, 0]) for sign in (1, -1))
     noise = circular(rng, (2, 200, 16))
-    found = estimate(looks_of(total + noise[0], difference + noise[1], 16), pair)
+    found = estimate(images_of(total + noise[0], difference + noise[1], 16), pair)
     assert np.all(found.validity == Validity.OK)
     assert np.median(offset_of(found.elevation)) == pytest.approx(0.25, abs=0.01)
 
@@ -406,8 +406,7 @@ def test_complex_beams_are_inverted_by_the_real_part_of_their_ratio() -> None:
     offset = np.linspace(-0.4, 0.4, 9)
     channels = np.tensordot(pair.response(elevation_at(offset), 0.0), SUM_DIFFERENCE.T, 1)
     covariance = (1e6 * channels[:, None, :, None] * channels[:, None, None, :].conj()).astype(np.complex64)
-    seen = replace(noise_free_looks(make_beams("jinc", 2), offset), covariance=covariance)
-    found = estimate(seen, pair)
+    found = estimate(looks_of(covariance, 1), pair)
     np.testing.assert_allclose(offset_of(found.elevation[:, 0]), offset, atol=1e-5)
     assert np.all(found.validity == Validity.OK)
 

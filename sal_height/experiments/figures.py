@@ -1,4 +1,4 @@
-"""`sal-height figures`: figures of the SAL and the relief paper as tables and pictures, with checks against theory."""
+"""`sal-height figures`: figures of the papers as tables and pictures, with checks against theory."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ ESTIMATORS: tuple[tuple[str, Estimator, type[SteadyLaw], str], ...] = (
     ("ratio", ratio, SteadyLaw, "-"),
     ("exact ML", total_least_squares, SteadyMlLaw, "--"),
 )
-"""The relief paper's eq. 17 and what it is an approximation of, with the exact law of each and its line."""
+"""The relief paper's eq. 17 and the maximum likelihood for a real angle, with the law of each and its line."""
 
 HYBRID_SNR = 1000.0
 """Of sums formed after the receivers: so great that the spread of gamma tells the SNR, within 0.3 %."""

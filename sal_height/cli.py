@@ -34,7 +34,7 @@ EXAMPLES = """examples:
   sal-height replay out/sal_spotlight/bag           make the heights anew and compare
   sal-height replay out/sal_spotlight/bag --param ml_height.objective=numerator
   sal-height irf out/replay_gotcha/bag              width and sidelobes of the brightest target
-  sal-height figures                                the SAL paper's figures beside theory
+  sal-height figures                                the papers' figures beside theory
   sal-height montecarlo array --cnr-db 10 --theta 1.75 --looks 4
 """
 
@@ -170,11 +170,13 @@ def _parser() -> argparse.ArgumentParser:
 def _add_figures(commands: Subcommands) -> None:
     figures = commands.add_parser(
         "figures",
-        help="make the SAL paper's figures anew, beside theory",
+        help="make the papers' figures anew, beside theory",
         description=FIGURES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    figures.add_argument("names", nargs="*", metavar="NAME", help="fig3 to fig6, fig8 to fig11, or all (default)")
+    figures.add_argument(
+        "names", nargs="*", metavar="NAME", help="fig3 to fig6, fig8 to fig11, relief_*, or all (default)"
+    )
     figures.add_argument(
         "--trials",
         type=int,

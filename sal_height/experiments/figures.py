@@ -1,4 +1,4 @@
-"""`sal-height figures`: figures of the SAL paper as tables and pictures, with checks against theory."""
+"""`sal-height figures`: figures of the papers as tables and pictures, with checks against theory."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from sal_height.experiments.curve import Curve, Figure, check_of, holds, rows_of
 from sal_height.experiments.draw import draw
 from sal_height.experiments.noise import CNR_DB, fig5, fig6
 from sal_height.experiments.patterns import fig3, fig4
+from sal_height.experiments.relief import RELIEF_FIGURES
 from sal_height.folders import new_folder, write_text, writing
 
 COLUMNS = ("figure", "curve", "x", "value", "standard_error", "closed_form")
@@ -87,8 +88,9 @@ FIGURES = {
         4,
         fig11,
     ),
+    **RELIEF_FIGURES,
 }
-"""By name, as the paper numbers them."""
+"""By name, as the SAL paper numbers them; then those of the relief paper."""
 
 
 def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> list[dict[str, Any]]:

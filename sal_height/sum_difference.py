@@ -1,0 +1,411 @@
+"""The discriminator of a relief radar that receives Sigma and Delta of two beams (relief paper: Volosyuk et al.).
+
+The two beams G are offset by half of delta above and below the equisignal direction theta_0. Of a surface element at
+theta_0 + theta_h with the complex amplitude beta, the channels receive
+
+    Sigma = upper + lower = 2 G(delta/2) beta,   Delta = upper - lower = gamma Sigma,   gamma = g theta_h to first order
+
+(relief paper, eq. 3 to 9), each with noise of its own. gamma is estimated from sums of products (`Products`) by one of
+`monopulse.DISCRIMINANTS`: `ratio` is the real part of the relief paper's eq. 17; `total_least_squares` is the exact
+maximum likelihood for a real gamma, tan(1/2 atan2(2 Re Sigma* Delta, |Sigma|^2 - |Delta|^2)), which eq. 17 is for a
+complex one only. `discriminant.invert`, `invert_linear` or a `SlopeTable` then say which elevation has that gamma.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import PchipInterpolator
+from scipy.stats import gamma as gamma_law
+
+from sal_height.beams import Beams
+from sal_height.compiled import in_parallel
+from sal_height.discriminant import LEAST_SLOPE, Inversion, Reason, discriminant, discriminant_slope, invert
+from sal_height.errors import UserError
+from sal_height.estimate import FALSE_ALARMS, MISFIT_SHARE, ElevationEstimate, Validity
+from sal_height.looks import Covariance, Looks
+from sal_height.monopulse import Estimator, total_least_squares
+from sal_height.optics import Pattern
+from sal_height.sum_difference_theory import products_variance
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+NoisePowers = tuple[float, float]
+"""E|n|^2 of one sample of Sigma and of Delta; the two noises are independent."""
+
+Inverse = Callable[[Beams, Array, Array], Inversion]
+"""Elevations from the pair of beams, gamma, and the squint of each (rad, broadcasts): see `discriminant.invert`."""
+
+MATRIX_ROUNDING = 1e-6
+"""Share of a channel matrix by which it may differ from one that forms sum and difference."""
+
+
+@dataclass(frozen=True)
+class Products:
+    """Sums over looks or pulses, as the estimates in `monopulse.DISCRIMINANTS` take them; arrays of one shape.
+
+    Attributes:
+        sum_power: of |Sigma|^2.
+        difference_power: of |Delta|^2.
+        cross_power: of Delta Sigma*; its real part alone where gamma is real, as noise alone is left in the other.
+        count: number of looks or pulses K of each, or of all.
+    """
+
+    sum_power: Array
+    difference_power: Array
+    cross_power: npt.NDArray[np.inexact[Any]]
+    count: int | Array
+
+
+def products(total: ComplexArray, difference: ComplexArray) -> Products:
+    """Products of Sigma and Delta, shape (..., K), for a real gamma, summed over the last axis.
+
+    Phases common to both channels drop out, so that pulses may be summed with or without phase compensation. That is
+    also why it is no coherent accumulation: noise adds to the powers with each pulse (`products_variance`). Use it for
+    looks, and `synthesise` for pulses.
+    """
+    return Products(
+        np.sum(np.abs(total) ** 2, axis=-1, dtype=np.float64),
+        np.sum(np.abs(difference) ** 2, axis=-1, dtype=np.float64),
+        np.sum((difference * total.conj()).real, axis=-1, dtype=np.float64),
+        total.shape[-1],
+    )
+
+
+def products_of_looks(looks: Looks) -> Products:
+    """Products of multi-looked images whose channels are Sigma and Delta, in this order; shape (rows, cols)."""
+    parts: dict[int, Covariance] = {}
+
+    def work(part: slice) -> None:
+        parts[part.start] = looks.covariance[part, slice(None)]
+
+    in_parallel(work, len(looks.count))
+    covariance = np.concatenate([parts[first] for first in sorted(parts)])
+    return Products(
+        covariance[..., 0, 0].real.astype(np.float64),
+        covariance[..., 1, 1].real.astype(np.float64),
+        covariance[..., 1, 0].astype(np.complex128 if np.iscomplexobj(covariance) else np.float64),
+        looks.count,
+    )
+
+
+def synthesise(pulses: ComplexArray, phase: Array) -> ComplexArray:
+    """Coherent sum over pulses, the last axis, after taking off the `phase` (rad) that the flight gave to each.
+
+    Linear and the same for every channel, hence it may come before or after the forming of sum and difference. The
+    estimate of gamma is not linear and must come last.
+    """
+    return np.asarray(np.sum(pulses * np.exp(-1j * phase), axis=-1))
+
+
+def discriminate(sums: Products, estimator: Estimator, noise_powers: NoisePowers) -> Array:
+    """Estimate of gamma from products, in their shape.
+
+    Delta is scaled until its noise equals that of Sigma, as total least squares needs it, and gamma is scaled back:
+    that makes `total_least_squares` the exact maximum likelihood for unequal noise, too. The others are not changed.
+
+    Args:
+        sums: of Sigma and Delta.
+        estimator: one of `monopulse.DISCRIMINANTS`.
+        noise_powers: of Sigma and Delta.
+
+    Raises:
+        UserError: a noise power is not known (0), negative or not finite.
+    """
+    even, scale = _whitened(sums, noise_powers)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        estimate = estimator(
+            even.sum_power, even.difference_power, even.cross_power.astype(np.complex128), sums.count * noise_powers[0]
+        )
+    return np.asarray(estimate / scale)
+
+
+def _whitened(sums: Products, noise_powers: NoisePowers) -> tuple[Products, float]:
+    """Products with the noise of Sigma in both channels, and the factor by which Delta was scaled."""
+    if not all(np.isfinite(power) and power > 0 for power in noise_powers):
+        raise UserError(
+            f"The noise powers of Sigma and Delta are {tuple(float(power) for power in noise_powers)}; both must be "
+            "known, finite and greater than 0."
+        )
+    scale = float(np.sqrt(noise_powers[0] / noise_powers[1]))
+    scaled = Products(sums.sum_power, sums.difference_power * scale**2, sums.cross_power * scale, sums.count)
+    return scaled, scale
+
+
+def crossover_slope(pattern: Pattern, separation: float, beamwidth: float) -> float:
+    """Slope g = -G'(delta/2) / G(delta/2) of gamma in the equisignal direction, 1/rad (relief paper, eq. 4).
+
+    Args:
+        pattern: G of both beams, even in elevation.
+        separation: delta between the two beams' axes, rad.
+        beamwidth: wavelength / aperture diameter, rad.
+
+    Raises:
+        UserError: the beams do not overlap there, or gamma does not rise.
+    """
+    half = separation / 2 / beamwidth
+    amplitude, slope = np.asarray(pattern.amplitude(half, 0.0)).item(), np.asarray(pattern.slope(half, 0.0)).item()
+    steepness = float(np.real(-slope / amplitude)) / beamwidth if amplitude else np.nan
+    if not (np.isfinite(steepness) and steepness > 0):
+        raise UserError(
+            f"Beams {separation:.6g} rad apart have the discriminator slope {steepness:.6g} /rad half way between "
+            "them; it must be finite and greater than 0."
+        )
+    return steepness
+
+
+def invert_linear(pair: Beams, gamma: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
+    """Elevation by the tangent in the equisignal direction, theta_0 + gamma / g (relief paper, eq. 6, 7); broadcasts.
+
+    Of unlike beams, whose gamma is not 0 half way between them, the tangent there. Exact to first order only; see
+    `discriminant.invert` for the beams as they are. |gamma| up to 1 is INSIDE, as there.
+
+    Args:
+        pair: the two beams.
+        gamma: NaN is NOT_FINITE.
+        squint: of the targets, rad.
+    """
+    gamma, squint = np.broadcast_arrays(np.asarray(gamma, dtype=np.float64), np.asarray(squint, dtype=np.float64))
+    middle = _equisignal(pair, squint)
+    slope = discriminant_slope(pair, middle, squint)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        elevation = middle + (gamma - discriminant(pair, middle, squint)) / slope
+    rising = slope * pair.beamwidth > LEAST_SLOPE
+    return _inversion(elevation, slope, gamma, (-1.0, 1.0), rising)
+
+
+@dataclass(frozen=True)
+class SlopeTable:
+    """A measured discrimination characteristic (relief paper, figure 2): gamma over the angle off theta_0.
+
+    Attributes:
+        angle: theta_h, rad, increasing.
+        gamma: Delta / Sigma there, rising or falling all along.
+
+    Raises:
+        UserError: fewer than two nodes, unequal numbers of them, values that are not finite, angles that do not
+            increase, or a slope that is 0 or changes sign.
+    """
+
+    angle: tuple[float, ...]
+    gamma: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.angle) != len(self.gamma) or len(self.angle) < 2:
+            raise UserError(
+                f"A slope table has {len(self.angle)} angles and {len(self.gamma)} values; it needs as many of both, "
+                "2 or more."
+            )
+        if not (np.all(np.isfinite([self.angle, self.gamma])) and np.all(np.diff(self.angle) > 0)):
+            raise UserError("A slope table has angles that do not increase, or is not finite; both are needed.")
+        steps = np.diff(self.gamma)
+        turns = np.flatnonzero(np.sign(steps) != np.sign(self.gamma[-1] - self.gamma[0]))
+        if turns.size or not steps.any():
+            turn = int(turns[0]) if turns.size else 0
+            raise UserError(
+                f"A slope table changes sign between {self.angle[turn]:.6g} and {self.angle[turn + 1]:.6g} rad, where "
+                f"gamma goes from {self.gamma[turn]:.6g} to {self.gamma[turn + 1]:.6g}; it must rise or fall all along."
+            )
+
+    def invert(self, pair: Beams, gamma: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
+        """Elevation around the equisignal direction of `pair`, by a monotonic cubic through the nodes; broadcasts.
+
+        The slope is that of the chord between the nodes. Outside the table gamma is BELOW or ABOVE. Arguments as
+        of `invert_linear`.
+        """
+        gamma, squint = np.broadcast_arrays(np.asarray(gamma, dtype=np.float64), np.asarray(squint, dtype=np.float64))
+        order = slice(None, None, 1 if self.gamma[-1] > self.gamma[0] else -1)
+        angles, values = np.array(self.angle)[order], np.array(self.gamma)[order]
+        section = np.clip(np.searchsorted(values, gamma, side="right") - 1, 0, len(values) - 2)
+        elevation = _equisignal(pair, squint) + PchipInterpolator(values, angles)(np.clip(gamma, values[0], values[-1]))
+        slope = (np.diff(values) / np.diff(angles))[section]
+        return _inversion(elevation, slope, gamma, (values[0], values[-1]), np.ones(gamma.shape, dtype=np.bool_))
+
+
+def _equisignal(pair: Beams, squint: Array) -> Array:
+    """Elevation (rad) at `squint` of the direction as far along the detector axis from one beam as from the other."""
+    seen = squint + np.average(pair.aspects, weights=pair.weights)
+    return np.asarray(np.mean(pair.boresights) - seen * np.tan(pair.rotation))
+
+
+def _inversion(
+    elevation: Array, slope: Array, gamma: Array, ends: tuple[float, float], exists: npt.NDArray[np.bool_]
+) -> Inversion:
+    """The inversion of gamma that is good between `ends`, where there `exists` a characteristic at all."""
+    reason = np.select(
+        [~np.isfinite(gamma), ~exists, gamma < ends[0], gamma > ends[1]],
+        [Reason.NOT_FINITE, Reason.NO_DOMAIN, Reason.BELOW, Reason.ABOVE],
+        Reason.INSIDE,
+    ).astype(np.uint8)
+    inside = reason == Reason.INSIDE
+    return Inversion(np.where(inside, elevation, np.nan), np.where(inside, slope, np.nan), reason)
+
+
+INVERSES: dict[str, Inverse] = {"exact": invert, "linear": invert_linear}
+"""Inversions by the beams themselves, by name."""
+
+
+@dataclass(frozen=True)
+class Discriminator:
+    """How an elevation comes from Sigma and Delta.
+
+    Attributes:
+        estimator: of gamma, one of `monopulse.DISCRIMINANTS`.
+        inverse: elevation of gamma: one of INVERSES, or the `invert` of a `SlopeTable`.
+    """
+
+    estimator: Estimator = total_least_squares
+    inverse: Inverse = invert
+
+
+def sum_difference_elevation(
+    looks: Looks, pair: Beams, squint: Array, noise_powers: NoisePowers, discriminator: Discriminator, min_cnr: float
+) -> ElevationEstimate:
+    """Elevation of the scatterer in every pixel of images whose channels are Sigma and Delta.
+
+    Its standard deviation is from the variance of gamma (`products_variance`), with the energy that these looks have,
+    and the slope of the discriminator. The noise of the hypothetical detector in `ElevationEstimate.cnr` is
+    1 / (1/N_Sigma + 1/N_Delta): that of each of two detectors whose sum and difference have equal noise.
+
+    LOW_CNR: what both channels have in common is not clear of noise, or below `min_cnr`. OUTSIDE_PAIR: gamma has no
+    elevation, as where there is a signal in Delta and none in Sigma. NOT_ONE_SCATTERER: of two whitened channels one
+    scatterer leaves K noise powers and not more, as in `estimate.validity_of`.
+
+    Args:
+        looks: covariance of Sigma = upper + lower and Delta = upper - lower in each pixel (`calibration`).
+        pair: the two beams, lower and upper.
+        squint: of each column, rad, shape (cols,).
+        noise_powers: of one SLC pixel of Sigma and of Delta.
+        discriminator: gamma's estimate and its inversion.
+        min_cnr: pixels below this power ratio are LOW_CNR.
+
+    Raises:
+        UserError: not two channels and two beams; or noise powers as in `discriminate`.
+    """
+    if not looks.covariance.shape[-1] == pair.count == 2:
+        raise UserError(
+            f"There are {looks.covariance.shape[-1]} channels and {pair.count} beams; sum and difference need 2 of "
+            "each."
+        )
+    sums = products_of_looks(looks)
+    gamma = discriminate(sums, discriminator.estimator, noise_powers)
+    found = discriminator.inverse(pair, gamma, np.broadcast_to(squint, gamma.shape))
+    response = pair.response(found.elevation, squint)
+    total_gain = np.abs(response[..., 1] + response[..., 0]) ** 2
+    difference_gain = np.abs(response[..., 1] - response[..., 0]) ** 2
+    energy = sums.sum_power - sums.count * noise_powers[0]
+    detector_noise = 1 / (1 / noise_powers[0] + 1 / noise_powers[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        modulus = np.sqrt(difference_gain / total_gain)
+        variance = products_variance(modulus, energy, sums.count, noise_powers) / found.slope**2
+        cnr = energy / total_gain / sums.count / detector_noise
+    sigma = np.sqrt(np.where(energy > 0, variance, np.inf))
+    return ElevationEstimate(found.elevation, sigma, cnr, _validity(looks, sums, noise_powers, found, cnr >= min_cnr))
+
+
+def _validity(
+    looks: Looks, sums: Products, noise_powers: NoisePowers, found: Inversion, strong: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.uint8]:
+    """Reason for which each pixel's estimate cannot be used, the first that applies, or OK."""
+    explained, left = _eigenvalues(_whitened(sums, noise_powers)[0]) / noise_powers[0]
+    count = looks.count
+    counts, which = np.unique(count, return_inverse=True)
+    detected = explained >= gamma_law.isf(FALSE_ALARMS / 2, counts)[which]
+    outside = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN])
+    misfit = (left > count + 5 * np.sqrt(count)) & (left - count > MISFIT_SHARE * explained)
+    return np.select(
+        [~looks.finite, ~detected, outside, ~strong, misfit],
+        [
+            Validity.MISSING_DATA,
+            Validity.LOW_CNR,
+            Validity.OUTSIDE_PAIR,
+            Validity.LOW_CNR,
+            Validity.NOT_ONE_SCATTERER,
+        ],
+        Validity.OK,
+    ).astype(np.uint8)
+
+
+def _eigenvalues(sums: Products) -> Array:
+    """The greater and the lesser eigenvalue of the covariance of Sigma and Delta, shape (2, ...)."""
+    mean = (sums.sum_power + sums.difference_power) / 2
+    apart = np.hypot((sums.sum_power - sums.difference_power) / 2, np.abs(sums.cross_power))
+    return np.stack([mean + apart, mean - apart])
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What makes Sigma = upper + lower and Delta = upper - lower of the channels of a sensor with a hybrid.
+
+    Attributes:
+        transform: that the channels are multiplied by (`looks.multilook`), shape (2, 2), diagonal.
+        beam_gains: that the beams, lower and upper, are scaled by (`Beams.scaled`), shape (2,).
+        noise_powers: of Sigma and Delta.
+    """
+
+    transform: ComplexArray
+    beam_gains: Array | ComplexArray
+    noise_powers: NoisePowers
+
+
+def calibration(matrix: ComplexArray, noise_covariance: ComplexArray) -> Calibration:
+    """How to make Sigma and Delta of a sensor's two channels.
+
+    Args:
+        matrix: the channels from the beams (lower, upper), shape (2, 2): see `separated_gains`.
+        noise_covariance: E n n^H of the channels, shape (2, 2).
+
+    Raises:
+        UserError: the matrix forms no sum and difference, or the channels' noise is correlated: that of receivers
+            before the hybrid that are not alike. The estimators for the whole array take any noise.
+    """
+    channels, beams = separated_gains(matrix)
+    transform = np.diag(1 / channels)
+    noise = transform @ noise_covariance @ transform.conj().T
+    sum_noise, difference_noise = (float(power) for power in np.diag(noise).real)
+    correlation = abs(noise[0, 1]) / max(np.sqrt(abs(sum_noise * difference_noise)), np.finfo(np.float64).tiny)
+    if not correlation <= MATRIX_ROUNDING:
+        raise UserError(
+            f"The noise of Sigma and Delta has a correlation of {correlation:.3g}; their discriminator needs it "
+            "independent."
+        )
+    return Calibration(transform, beams, (sum_noise, difference_noise))
+
+
+def separated_gains(matrix: ComplexArray) -> tuple[ComplexArray, Array | ComplexArray]:
+    """Gains of the two channels and of the two beams of a sensor that forms sum and difference.
+
+    Its channels are matrix @ (lower, upper) with matrix = diag(channels) [[1, 1], [-1, 1]] diag(beams): gains of the
+    receivers or couplings of the hybrid, and of what is before the hybrid.
+
+    Args:
+        matrix: channels from beams, shape (2, 2).
+
+    Returns:
+        Gains of (Sigma, Delta) and of (lower, upper); the mean power of the latter is 1, and they are real
+        where they can be.
+
+    Raises:
+        UserError: the matrix is no such product, or channel 0 is not the sum.
+    """
+    matrix = np.asarray(matrix, dtype=np.complex128)
+    error = np.inf
+    if matrix.shape == (2, 2) and np.all(np.isfinite(matrix)):
+        (a, b), (c, d) = matrix
+        error = abs(a * d + b * c) / max(abs(a * d), abs(b * c), np.finfo(np.float64).tiny)
+        if not (a * np.conj(b)).real > 0 or not abs(d) > 0:
+            error = np.inf
+    if not error <= MATRIX_ROUNDING:
+        raise UserError(
+            f"The channel matrix {matrix.tolist()} forms no sum and difference of two beams; it must be "
+            "diag(channel gains) [[1, 1], [-1, 1]] diag(beam gains), with gains that add in channel 0."
+        )
+    direction = matrix[0].sum() / abs(matrix[0].sum())
+    sum_gain = direction * np.sqrt(np.mean(np.abs(matrix[0]) ** 2))
+    beams = matrix[0] / sum_gain
+    real = np.all(np.abs(beams.imag) <= MATRIX_ROUNDING)
+    return np.array([sum_gain, matrix[1, 1] / beams[1]]), beams.real if real else beams

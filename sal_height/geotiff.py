@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -29,9 +28,11 @@ def check_geotiff(path: Path) -> None:
     """Make sure, before a map is made, that it can be written to `path`.
 
     Raises:
-        UserError: there is no rasterio, or the folder does not exist.
+        UserError: there is no rasterio, the folder does not exist, or there is a folder of that name.
     """
     _rasterio(path)
+    if path.is_dir():
+        raise UserError(f"File {path} cannot be written: it is a folder.")
     if not path.parent.is_dir():
         raise UserError(f"File {path} cannot be written: folder {path.parent} does not exist.")
 
@@ -91,17 +92,16 @@ def _fill(memory: Any, relief: Relief, latitude_deg: float, longitude_deg: float
 
 def _replace(path: Path, content: memoryview) -> None:
     """Put a whole file in the place of `path`, or leave that as it is."""
-    number, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    part = path.with_name(f".{path.name}.part")
     try:
-        with os.fdopen(number, "wb") as file:
-            os.fchmod(file.fileno(), 0o644)
+        with part.open("wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        Path(name).replace(path)
+        part.replace(path)
     except BaseException:
         with suppress(OSError):
-            Path(name).unlink()
+            part.unlink()
         raise
 
 

@@ -371,6 +371,7 @@ def test_heights_after_the_end_are_counted(mapped: Mapped) -> None:
         ({"period_s": 0.0}, "period_s is 0.0"),
         ({"origin_latitude_deg": 91.0}, "origin_latitude_deg is 91.0"),
         ({"estimator": "no topic"}, "estimator is 'no topic'"),
+        ({"file": "/tmp"}, "it is a folder"),  # noqa: S108 (nothing is written)
         ({"file": "/nowhere/at/all/map.tif"}, "folder /nowhere/at/all does not exist"),
     ],
 )

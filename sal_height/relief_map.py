@@ -105,9 +105,9 @@ class Relief:
         cell_size: m.
         height: mean height above the sphere, m; NaN where nothing was seen.
         sigma: standard deviation of that mean, m; NaN where nothing was seen.
-        disagreement: of the dwells, over what sigma lets expect: square root of chi-square per degree of freedom. Near
-            1 if sigma tells it all; greater where something moved, or the ground within the cell is steep or a step.
-            NaN where fewer than two dwells saw the cell.
+        disagreement: of the dwells, over what sigma lets expect: square root of chi-square per degree of freedom
+            (Birge ratio, Phys. Rev. 40, 1932, p. 207). Near 1 if sigma tells it all; greater where something moved, or
+            the ground within the cell is steep or a step. NaN where fewer than two dwells saw the cell.
         count: number of dwells that saw the cell.
     """
 

@@ -62,7 +62,10 @@ class Parameters:
 
 
 class ReliefMapper(Stage):
-    """Enters height images into one map, publishes it, and writes it when the node or its context ends."""
+    """Enters height images into one map, publishes it, and writes it when the node or its context ends.
+
+    Map and image reach those who come late; points are made only while somebody listens.
+    """
 
     parameters = Parameters
 
@@ -157,7 +160,8 @@ class ReliefMapper(Stage):
         message = relief_to_message(relief, self._images, self._last, self._provenance(self._last))
         with suppress(RCLError):  # the context may have ended: nobody is left to publish to
             self._image.publish(relief_picture(relief, self._last))
-            self._points.publish(relief_points(relief, self._last))
+            if self._points.get_subscription_count():  # heights wait while they are made: a second for millions
+                self._points.publish(relief_points(relief, self._last))
             self._relief.publish(message)
         return 1
 

@@ -156,6 +156,7 @@ def test_provenance_names_this_stage_after_those_before(mapped: Mapped) -> None:
 
 def test_any_viewer_sees_the_map(mapped: Mapped) -> None:
     """The image has north up; points lie where the cells do, on the sphere."""
+    mapped.wait(lambda: mapped.status.get("subscribers./map/points") == "1", "the points to be listened to")
     mapped.feed(height_image(0))
     height = layer(mapped.map_of(1), "height")
     mapped.wait(lambda: bool(mapped.images and mapped.points), "image and points")

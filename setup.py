@@ -50,6 +50,7 @@ setup(
             "ml_height = sal_height.nodes.ml_height:main",
             "player = sal_height.nodes.player:main",
             "recorder = sal_height.nodes.recorder:main",
+            "relief_mapper = sal_height.nodes.relief_mapper:main",
         ],
     },
 )

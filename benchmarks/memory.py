@@ -39,12 +39,12 @@ def _measure(former: str) -> None:
     """Print the bytes of the phase history, and those by which the peak lies above what was resident before."""
     _case(former, 2, PULSES, 64, 64).form(FORMERS[former])  # so that code and libraries are loaded
     case = _case(former, DETECTORS, PULSES, FREQUENCIES, ROWS)
-    before = _resident("VmRSS")
+    before = resident("VmRSS")
     case.form(FORMERS[former])
-    sys.stdout.write(f"{case.history.samples.nbytes} {_resident('VmHWM') - before}\n")
+    sys.stdout.write(f"{case.history.samples.nbytes} {resident('VmHWM') - before}\n")
 
 
-def _resident(key: str) -> int:
+def resident(key: str) -> int:
     """Resident memory of this process, bytes: VmRSS now, VmHWM at its highest (ru_maxrss knows the parent's, too)."""
     lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(f"{key}:"))

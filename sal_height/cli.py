@@ -278,14 +278,15 @@ def _add_out(command: argparse.ArgumentParser, default: str) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from sal_height.folders import free_folder
-    from sal_height.runs.simulate import run
+    from sal_height.runs.simulate import RELIEF_MAP, run
 
     preset = _changed(load_preset(options.preset), options)
     out = options.out or free_folder(Path("out") / preset.name)
     outcome = run(preset, options.seed, out, _collected(options.param), options.processes)
     pictured = (out / "height.png").is_file()
-    print(f"{outcome.dwells} dwells{' (interrupted)' if outcome.interrupted else ''}; see "
-          f"{f'{out}/height.png, ' if pictured else ''}{out}/report.json and {out}/bag")  # fmt: skip
+    files = [str(out / name) for name in ("height.png", RELIEF_MAP, "report.json") if (out / name).is_file()]
+    interrupted = " (interrupted)" if outcome.interrupted else ""
+    print(f"{outcome.dwells} dwells{interrupted}; see {', '.join(files)} and {out}/bag")
     if outcome.interrupted:
         return 130
     if not pictured:

@@ -18,8 +18,9 @@ from std_msgs.msg import Header
 
 from sal_height.beam_table import BeamTable
 from sal_height.errors import Rejected, UserError
+from sal_height.estimate import Validity
 from sal_height.focusing import Slc
-from sal_height.geometry import EARTH_RADIUS, Aperture, Grid
+from sal_height.geometry import EARTH_RADIUS, Aperture, Grid, plumb
 from sal_height.height import HeightField, Surface
 from sal_height.phase_history import PhaseHistory
 from sal_height.sensor import Sensor
@@ -332,24 +333,11 @@ def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
             f"{where}: samples has {len(image.samples)} entries, {image.grid.rows} x {image.grid.cols} complex "
             f"pixels need {count}.",
         )
-    grid, aperture = grid_from_message(image.grid), image.aperture
-    numbers = [grid.origin, grid.row_direction, grid.col_direction, _vector(aperture.pose.pose.position)]
-    numbers += [_vector(aperture.velocity), np.array([grid.row_spacing, grid.col_spacing])]
-    numbers += [np.array([image.noise_power, image.saturated_share])]
-    if not np.all(np.isfinite(np.concatenate(numbers))):
+    if not np.all(np.isfinite([image.noise_power, image.saturated_share])):
         raise Rejected(
-            "not finite",
-            f"{where}: grid, aperture, noise_power or saturated_share is NaN or infinite; all must be finite.",
+            "not finite", f"{where}: noise_power or saturated_share is NaN or infinite; both must be finite."
         )
-    q = aperture.pose.pose.orientation
-    norms = [np.linalg.norm(v) for v in (grid.row_direction, grid.col_direction, [q.x, q.y, q.z, q.w])]
-    if not (np.allclose(norms, 1, atol=0.01) and grid.row_spacing > 0 and grid.col_spacing > 0):
-        raise Rejected(
-            "wrong geometry",
-            f"{where}: directions and orientation must have norm 1, spacings be greater than 0.",
-        )
-    if not np.linalg.norm(_vector(aperture.velocity)) > 0:
-        raise Rejected("wrong geometry", f"{where}: aperture.velocity is 0; a synthetic aperture needs motion.")
+    _check_geometry(image.grid, image.aperture, where)
 
 
 def slc_from_messages(images: Sequence[messages.ComplexImage]) -> tuple[ComplexArray, Grid, Aperture, Array]:
@@ -401,24 +389,69 @@ def height_to_message(
     return image
 
 
+def check_height(image: messages.HeightImage) -> None:
+    """Make sure the heights of an image have sigmas and a place on our sphere.
+
+    Raises:
+        Rejected: they do not; the sentence names the field, the value and what is allowed.
+    """
+    where = f"HeightImage of dwell {image.dwell}"
+    if image.header.frame_id != MAP_FRAME:
+        raise Rejected("wrong frames", f"{where} is in {image.header.frame_id!r}; it must be in {MAP_FRAME!r} (ENU).")
+    if image.earth_radius != EARTH_RADIUS:
+        raise Rejected(
+            "wrong earth radius",
+            f"{where}: earth_radius is {image.earth_radius:.10g} m; heights must be above {EARTH_RADIUS:.10g} m.",
+        )
+    count = image.grid.rows * image.grid.cols
+    for field in ("height", "sigma", "east", "north", "validity"):
+        if len(getattr(image, field)) != count or count == 0:
+            raise Rejected(
+                "wrong size",
+                f"{where}: {field} has {len(getattr(image, field))} entries, {image.grid.rows} x {image.grid.cols} "
+                f"pixels need {count}.",
+            )
+    _check_geometry(image.grid, image.aperture, where)
+    height, sigma = (np.asarray(values) for values in (image.height, image.sigma))
+    if np.any(sigma[np.isfinite(height)] <= 0):
+        raise Rejected("wrong sigma", f"{where}: sigma must be greater than 0 wherever there is a height.")
+
+
+def surface_from_message(image: messages.HeightImage) -> Surface:
+    """The only or the stronger scatterer of each pixel of a checked image; NaN where its validity says no."""
+    grid = grid_from_message(image.grid)
+    usable = np.isin(np.asarray(image.validity), (Validity.OK, Validity.TWO_SCATTERERS)).reshape(grid.shape)
+    height, sigma, east, north = (
+        np.where(usable, float_view(values, grid.shape), np.nan).astype(np.float64)
+        for values in (image.height, image.sigma, image.east, image.north)
+    )
+    x, y = east + grid.origin[0], north + grid.origin[1]
+    positions = np.stack([x, y, plumb(x, y, height)], axis=-1)
+    return Surface(height, sigma, np.full(grid.shape, np.nan), positions)
+
+
 def height_picture(image: messages.HeightImage) -> Image:
     """The heights as a 32FC1 image, NaN where not valid: for any image viewer."""
-    return Image(
-        header=image.header,
-        height=image.grid.rows,
-        width=image.grid.cols,
-        encoding="32FC1",
-        step=4 * image.grid.cols,
-        data=array.array("B", memoryview(image.height).cast("B").tobytes()),
-    )
+    return float_picture(float_view(image.height, (image.grid.rows, image.grid.cols)), image.header)
+
+
+def float_picture(values: npt.NDArray[np.float32], header: Header) -> Image:
+    """An array (rows, cols) as a 32FC1 image."""
+    rows, cols = values.shape
+    data = array.array("B", values.tobytes())
+    return Image(header=header, height=rows, width=cols, encoding="32FC1", step=4 * cols, data=data)
 
 
 def height_points(field: HeightField, image: messages.HeightImage) -> PointCloud2:
     """All scatterers as points x, y, z in map with height, sigma and cnr_db: for any point-cloud viewer."""
     points = np.concatenate([_points(surface) for surface in (field.first, field.second) if surface])
-    names = ("x", "y", "z", "height", "sigma", "cnr_db")
+    return point_cloud(points, ("x", "y", "z", "height", "sigma", "cnr_db"), image.header)
+
+
+def point_cloud(points: npt.NDArray[np.float32], names: Sequence[str], header: Header) -> PointCloud2:
+    """Points of shape (points, fields) whose fields have these `names`."""
     return PointCloud2(
-        header=image.header,
+        header=header,
         height=1,
         width=len(points),
         fields=[PointField(name=n, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, n in enumerate(names)],
@@ -490,6 +523,28 @@ def _xyz(vector: Array) -> dict[str, float]:
 
 def _vector(message: Point | Vector3) -> Array:
     return np.array([message.x, message.y, message.z])
+
+
+def _check_geometry(image_grid: messages.ImageGrid, aperture: messages.Aperture, where: str) -> None:
+    """Make sure that the pixels of an image lie somewhere, and that something flew past them.
+
+    Raises:
+        Rejected: they do not; the sentence begins with `where`.
+    """
+    grid = grid_from_message(image_grid)
+    numbers = [grid.origin, grid.row_direction, grid.col_direction, _vector(aperture.pose.pose.position)]
+    numbers += [_vector(aperture.velocity), np.array([grid.row_spacing, grid.col_spacing])]
+    if not np.all(np.isfinite(np.concatenate(numbers))):
+        raise Rejected("not finite", f"{where}: grid or aperture is NaN or infinite; all must be finite.")
+    q = aperture.pose.pose.orientation
+    norms = [np.linalg.norm(v) for v in (grid.row_direction, grid.col_direction, [q.x, q.y, q.z, q.w])]
+    if not (np.allclose(norms, 1, atol=0.01) and grid.row_spacing > 0 and grid.col_spacing > 0):
+        raise Rejected(
+            "wrong geometry",
+            f"{where}: directions and orientation must have norm 1, spacings be greater than 0.",
+        )
+    if not np.linalg.norm(_vector(aperture.velocity)) > 0:
+        raise Rejected("wrong geometry", f"{where}: aperture.velocity is 0; a synthetic aperture needs motion.")
 
 
 def _check_detector(detector: int, sensor: Sensor, where: str) -> None:

@@ -170,6 +170,18 @@ def sphere_coordinates(points: Array) -> tuple[Array, Array, Array]:
     return scale * x, scale * y, height_of(points)
 
 
+def plumb(x: npt.ArrayLike, y: npt.ArrayLike, height: npt.ArrayLike) -> Array:
+    """Coordinate z (m) in map of points at `height` (m) above the sphere, without cancellation: undoes `height_of`.
+
+    NaN where `x` and `y` (m) are beyond the sphere's horizon.
+    """
+    x, y, height = np.asarray(x), np.asarray(y), np.asarray(height)
+    level = x**2 + y**2
+    with np.errstate(invalid="ignore"):
+        above_centre = np.sqrt((EARTH_RADIUS + height) ** 2 - level)
+    return np.asarray((height * (height + 2 * EARTH_RADIUS) - level) / (above_centre + EARTH_RADIUS))
+
+
 def height_of(points: Array) -> Array:
     """Height (m) above the sphere of map positions of shape (..., 3), without cancellation.
 

@@ -10,12 +10,13 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion
 from rclpy.serialization import deserialize_message, serialize_message
 from sal_height_msgs.msg import ComplexImage, DetectorFrame, HeightImage, Provenance, SensorInfo
+from std_msgs.msg import Header
 
 from sal_height import convert
 from sal_height.errors import Rejected, UserError
 from sal_height.estimate import Validity
 from sal_height.focusing import Slc
-from sal_height.geometry import Aperture, Grid
+from sal_height.geometry import Aperture, Grid, sphere_point
 from sal_height.height import HeightField, Surface
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import load_preset
@@ -196,3 +197,25 @@ def test_validity_values_are_those_of_the_message() -> None:
 
 def test_look_sides_are_those_of_the_message() -> None:
     assert (SensorInfo.RIGHT, SensorInfo.LEFT) == (1, -1)
+
+
+def test_the_scatterers_of_a_height_image_are_where_they_were(rng: np.random.Generator) -> None:
+    """Within the float32 of their distance from the grid's origin, 7 m at most; heights that are not valid are not."""
+    shape = (5, 4)
+    north, height = rng.uniform(-5, 5, shape) - 80_000, rng.uniform(0, 30, shape)
+    positions = sphere_point(rng.uniform(-5, 5, shape) + 60_000, north, height)
+    grid = Grid(positions.mean(axis=(0, 1)), np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, *shape)
+    aperture = Aperture(np.array([0.0, 0.0, 5e3]), np.array([50.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
+    validity = np.full(shape, Validity.OK, np.uint8)
+    validity[1], validity[2, 2] = Validity.TWO_SCATTERERS, Validity.LOW_CNR
+    field = HeightField(grid, validity, Surface(height, height / 10 + 1, height, positions), None)
+    slc = ComplexImage(header=Header(frame_id="map"))
+    message = through_the_wire(convert.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance()))
+    convert.check_height(message)
+    surface = convert.surface_from_message(message)
+    usable = validity != Validity.LOW_CNR
+    np.testing.assert_allclose(surface.positions[usable], positions[usable], rtol=0, atol=3e-6)
+    np.testing.assert_allclose(surface.height[usable], height[usable], rtol=1e-7)
+    np.testing.assert_allclose(surface.sigma[usable], height[usable] / 10 + 1, rtol=1e-7)
+    assert np.isnan(surface.height[~usable]).all()
+    assert np.isnan(surface.positions[~usable]).all()

@@ -13,6 +13,7 @@ from sal_height.geometry import (
     height_of,
     locate,
     look_direction,
+    plumb,
     sphere_coordinates,
     sphere_point,
     squint_on_cone,
@@ -100,6 +101,15 @@ def test_sphere_coordinates_undo_sphere_point() -> None:
     east[0] = north[0] = 0.0
     back = sphere_coordinates(sphere_point(east, north, height))
     np.testing.assert_allclose(back, [east, north, height], atol=1e-8)
+
+
+def test_plumb_undoes_height_of_to_the_last_digit() -> None:
+    """And there is nothing beyond the horizon."""
+    rng = np.random.default_rng(6)
+    points = sphere_point(*rng.uniform(-2e5, 2e5, (2, 100)), rng.uniform(-100, 9000, 100))
+    height = height_of(points)
+    np.testing.assert_allclose(plumb(points[:, 0], points[:, 1], height), points[:, 2], rtol=0, atol=1e-11)
+    assert np.isnan(plumb(EARTH_RADIUS, EARTH_RADIUS, 0.0))
 
 
 def test_height_does_not_suffer_from_the_size_of_the_earth() -> None:

@@ -89,21 +89,30 @@ class Interruption:
 class Conductor(Node):
     """Watches the accounts of all stages on /diagnostics, and asks the source for dwells."""
 
-    def __init__(self, source: str, stages: list[str], recorded: list[str], **node_arguments: Any) -> None:
-        """Conduct from node `source` through `stages` (sar_compression first) to a recorder of topics `recorded`."""
+    def __init__(
+        self, source: str, stages: list[str], recorded: list[str], mapped: str = "ml", **node_arguments: Any
+    ) -> None:
+        """Conduct from node `source` through `stages` (sar_compression first) to a recorder of topics `recorded`.
+
+        The heights of estimator `mapped` go to the relief_mapper, if that is one of the stages.
+        """
         super().__init__("conductor", **node_arguments)
         self.accounts: dict[str, dict[str, float]] = {}
         self._source = source
         self._stages = stages
         self._watched = {source, *stages, "recorder"}
         self._recorded = recorded
+        self._mapped = mapped
         self._steps = 0
         self._step = self.create_client(Trigger, f"{source}/step")
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
     def connected(self) -> bool:
         """Whether every topic has its subscribers, as its publisher counts them: nothing will be lost."""
-        consumers = {"slc": len(self._stages) - 1, "phase_history": 1, "platform/odometry": 1}
+        height_nodes = sum(name in ESTIMATORS for name in self._stages)
+        consumers = {"slc": height_nodes, "phase_history": 1, "platform/odometry": 1}
+        if "relief_mapper" in self._stages:
+            consumers[f"{self._mapped}/height"] = 1
         counts = {
             key.removeprefix("subscribers./"): count
             for account in self.accounts.values()
@@ -157,6 +166,8 @@ class Conductor(Node):
             self._source: self._steps,
             self._stages[0]: source["out"],
         }
+        if "relief_mapper" in self._stages:
+            expected["relief_mapper"] = self.accounts[_height_node(self._mapped)]["out"]
         if any(
             self.accounts[name]["in"] != count or self.accounts[name]["waiting"] for name, count in expected.items()
         ):
@@ -208,14 +219,18 @@ def perform(
         processes: each node in its own process.
 
     Raises:
-        UserError: a node or the bag refuses its parameters, or somebody else publishes frames.
+        UserError: a node or the bag refuses its parameters, the relief_mapper waits for heights of an estimator that is
+            not there, or somebody else publishes frames.
     """
+    mapped = parameters.get("relief_mapper", {}).get("estimator", "ml")
+    if "relief_mapper" in stages and _height_node(mapped) not in stages:
+        raise UserError(f"The heights of estimator {mapped!r} are not made here; allowed are {_estimators(stages)}.")
     names = ["recorder", *reversed(stages), source]
     values = {**parameters, "recorder": {"directory": str(bag), "topics": [f"/{topic}" for topic in recorded]}}
     played, interrupted = 0, False
     failure: UserError | None = None
     with Graph() as graph:
-        conductor = graph.add(Conductor(source, stages, recorded, context=graph.context))
+        conductor = graph.add(Conductor(source, stages, recorded, mapped, context=graph.context))
         _refuse_company(graph, conductor)
         with Interruption() as interruption, Ensemble(graph, names, values, processes) as ensemble:
 
@@ -256,6 +271,16 @@ def _refuse_company(graph: Graph, conductor: Conductor) -> None:
         return False
 
     graph.spin_until(found, COMPANY_TIMEOUT_S)
+
+
+def _height_node(estimator: str) -> str:
+    """Node whose heights have that prefix; empty if there is none."""
+    return next((node for node, prefix in ESTIMATORS.items() if prefix == estimator), "")
+
+
+def _estimators(stages: list[str]) -> str:
+    """Prefixes of the heights that the stages make, in words."""
+    return ", ".join(ESTIMATORS[name] for name in stages if name in ESTIMATORS)
 
 
 def _number(text: str) -> float | None:

@@ -23,6 +23,7 @@ from sal_height.nodes.monopulse import Monopulse
 from sal_height.nodes.parameters import accepted
 from sal_height.nodes.player import Player
 from sal_height.nodes.recorder import Recorder
+from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.simulator import Simulator
 
@@ -32,6 +33,7 @@ NODES: dict[str, Any] = {
     "sar_compression": SarCompression,
     "monopulse": Monopulse,
     "ml_height": MlHeight,
+    "relief_mapper": ReliefMapper,
     "recorder": Recorder,
 }
 """Every node by its name; a new estimator is entered here and in ESTIMATORS."""
@@ -42,9 +44,11 @@ ESTIMATORS = {"monopulse": "monopulse", "ml_height": "ml"}
 NodeParameters = Mapping[str, Mapping[str, Any]]
 """Parameter values by node name and parameter name."""
 
-SETTABLE = ["sar_compression", *ESTIMATORS]
+SETTABLE = ["sar_compression", *ESTIMATORS, "relief_mapper"]
 """Nodes whose parameters users may set."""
 
+COMPLETING = ("recorder", "relief_mapper")
+"""Nodes that complete a file when they end."""
 
 PR_SET_PDEATHSIG = 1
 """Option of prctl: the signal that a process gets when the one that started it ends (Linux)."""
@@ -139,10 +143,10 @@ def _command(name: str, values: Mapping[str, Any]) -> list[str]:
 def main() -> int:
     """Be the node argv[1] for as long as process argv[2], which started this one, lives, however that one ends.
 
-    The recorder then completes its bag; the others hold nothing that anybody waits for.
+    Those that complete a file are then asked to end; the others hold nothing that anybody waits for.
     """
     name, parent = sys.argv[1], int(sys.argv[2])
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM if name == "recorder" else signal.SIGKILL)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM if name in COMPLETING else signal.SIGKILL)
     if os.getppid() != parent:  # it has ended already
         return 1
     return int(sys.modules[NODES[name].__module__].main())

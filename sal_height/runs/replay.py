@@ -24,7 +24,8 @@ from sal_height.runs.simulate import RECORDED, conclude, merged, reporting
 def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, dict[str, HeightComparison]]:
     """Play the phase history of `bag` through the graph and record the products in `out`/bag.
 
-    A bag of a single detector is focused only: its images (topic slc) are recorded instead of heights.
+    A bag of a single detector is focused only: its images (topic slc) are recorded instead of heights. There is no
+    relief map: it follows from the heights, which are compared value for value.
 
     Args:
         bag: folder of the recorded bag; the parameters.yaml in it, if any, holds the parameters it was made with.

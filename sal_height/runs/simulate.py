@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,10 @@ from sal_height.runs.report import Mosaic, mosaic, stage_report, statistics
 RECORDED = ["sensor_info", "platform/odometry", "phase_history", "diagnostics"] + [
     f"{prefix}/height" for prefix in ESTIMATORS.values()
 ]
-"""Topics that a run records; images can be made again from the phase history."""
+"""Topics that a run records; images can be made again from the phase history, and the relief map from the heights."""
+
+RELIEF_MAP = "relief_map.tif"
+"""File of the relief map in the folder of a run."""
 
 
 @contextmanager
@@ -66,9 +70,9 @@ def conclude(outcome: Outcome, bag: Path, values: NodeParameters, report: dict[s
 
 
 def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, processes: bool) -> Outcome:
-    """Simulate all dwells of `preset`, leaving bag, report.json, height.png and preset.yaml in `out`.
+    """Simulate all dwells of `preset`, leaving bag, report.json, height.png, relief_map.tif and preset.yaml in `out`.
 
-    Without one valid height there is no height.png.
+    Without one valid height there is no height.png and no relief_map.tif, nor is there the latter without rasterio.
 
     Args:
         preset: sensor, flight, scene and processing.
@@ -92,14 +96,16 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
     }
     values = merged(values, parameters)
     simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0}
-    stages = ["sar_compression", *ESTIMATORS]
+    relief = {"file": str(folder / RELIEF_MAP)} if find_spec("rasterio") else {}
+    stages = ["sar_compression", *ESTIMATORS, "relief_mapper"]
     bag = folder / "bag"
     known = {"preset": preset.name, "seed": seed, "cnr_db": preset.cnr_db, "looks": list(preset.looks)}
     with reporting(folder, known) as report:
         write_text(settings, yaml.safe_dump(json.loads(json.dumps(dataclasses.asdict(preset))), sort_keys=False))
-        nodes = {**values, "simulator": simulator}
+        nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
         outcome = perform("simulator", stages, RECORDED, bag, nodes, preset.dwells, processes)
         conclude(outcome, bag, values, report)
+        report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
         mosaics = read_mosaics(bag, flight)
         report["estimators"] = {name: statistics(mosaics.get(name)) for name in ESTIMATORS.values()}
     if mosaics:

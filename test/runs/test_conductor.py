@@ -68,6 +68,21 @@ def test_diagnostics_of_others_are_ignored(graph: Graph) -> None:
     }
 
 
+def test_a_dwell_is_settled_when_its_heights_are_in_the_map(graph: Graph) -> None:
+    stages = ["sar_compression", "monopulse", "ml_height", "relief_mapper"]
+    watching = graph.add(Conductor("simulator", stages, [], "monopulse", context=graph.context))
+    watching.accounts = {
+        "recorder": {"unwritten": 0},
+        "simulator": {"in": 0, "out": 8, "waiting": 0},
+        "sar_compression": {"in": 8, "out": 8, "waiting": 0},
+        "monopulse": {"in": 8, "out": 1, "waiting": 0},
+        "ml_height": {"in": 8, "out": 0, "waiting": 0},
+    }
+    for entered, waiting, settled in ((0, 0, False), (1, 1, False), (1, 0, True), (2, 0, False)):
+        watching.accounts["relief_mapper"] = {"in": entered, "out": 0, "waiting": waiting}
+        assert watching.settled() is settled
+
+
 def test_a_full_disk_ends_the_run_at_once(long: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(self: BagWriter, topic: str, *_: Any) -> None:  # noqa: ARG001
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rasterio
 from mcap.reader import make_reader
 
 from sal_height.errors import UserError
@@ -49,12 +50,14 @@ def test_no_process_survives_the_run(number: signal.Signals, tmp_path: Path) -> 
         nodes = children(program.pid)
         program.send_signal(number)
         status = program.wait(60)
-    assert len(nodes) == 5
+    assert len(nodes) == 6
     wait_for(lambda: not any(runs(node) for node in nodes))
     assert status == {signal.SIGHUP: 130, signal.SIGKILL: -signal.SIGKILL}[number]
     with bag.open("rb") as stream:  # whole, for the recorder had time to end it
         summary = make_reader(stream).get_summary()
     assert summary is not None
+    with rasterio.open(out / "relief_map.tif") as relief:  # so had the relief mapper
+        assert relief.read(4).sum() > 0
 
 
 def test_a_node_whose_parent_has_ended_does_not_begin() -> None:

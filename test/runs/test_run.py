@@ -12,12 +12,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from mcap.reader import make_reader
 from PIL import Image
 from rosbags.highlevel import AnyReader
 
+from sal_height import convert
 from sal_height.bag.compare import compare_heights
+from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
 from sal_height.preset import Preset, load_preset
+from sal_height.relief_map import ReliefMap
 from sal_height.runs.simulate import RECORDED, run
 
 SEED = 3
@@ -144,3 +149,29 @@ def test_the_lidar_is_as_accurate_as_theory_allows(tmp_path: Path) -> None:
     # A bound that an efficient estimator cannot beat by more than the error of a width of n samples.
     assert ml["s68_m"] > (1 - 4 / np.sqrt(ml["cells"])) * 0.85 * ml["crb_m"]
     assert ml["s68_m"] < 0.7 * monopulse["s68_m"]
+
+
+def test_the_relief_map_holds_all_dwells(recorded: Path, report: Any) -> None:
+    """What the node wrote is what the heights in the bag give, read from there by somebody else."""
+    assert report["relief_map"] == "relief_map.tif"
+    assert report["stages"]["relief_mapper"]["processed"] == 2
+    with rasterio.open(recorded / "relief_map.tif") as file:
+        height, count, images = file.read(1)[::-1], file.read(4), file.tags()["images"]
+        relief_map = ReliefMap(file.transform.a, 10**6)
+    reader = BagReader(recorded / "bag")
+    for message in reader.messages(["/ml/height"]):
+        image = reader.decode(message.type_name, message.cdr)
+        relief_map.add(convert.surface_from_message(image), convert.aperture_from_message(image.aperture))
+    relief = relief_map.relief()
+    assert relief is not None
+    np.testing.assert_array_equal(height, relief.height)
+    assert images == "2"
+    assert np.mean(count) > 0.5
+
+
+def test_the_relief_map_can_be_of_another_estimator_but_not_of_none(two_dwells: Preset, tmp_path: Path) -> None:
+    run(two_dwells, SEED, tmp_path / "run", {"relief_mapper": {"estimator": "monopulse"}}, processes=False)
+    with rasterio.open(tmp_path / "run" / "relief_map.tif") as file:
+        assert (file.tags()["estimator"], file.tags()["images"]) == ("monopulse", "2")
+    with pytest.raises(UserError, match="estimator 'music' are not made here; allowed are monopulse, ml"):
+        run(two_dwells, SEED, tmp_path / "other", {"relief_mapper": {"estimator": "music"}}, processes=False)

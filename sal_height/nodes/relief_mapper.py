@@ -1,0 +1,211 @@
+"""Node relief_mapper: <estimator>/height of all dwells → map/relief, image and points; a GeoTIFF at the end."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
+from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
+from sensor_msgs.msg import Image, PointCloud2
+
+from sal_height import __version__, convert, relief_map
+from sal_height.errors import Rejected, UserError
+from sal_height.geotiff import check_geotiff, write_geotiff
+from sal_height.nodes.parameters import as_json, declare_parameters, parameter, read_parameters
+from sal_height.nodes.program import run_node
+from sal_height.nodes.relief_messages import relief_picture, relief_points, relief_to_message
+from sal_height.nodes.stage import LATCHED_QOS, Stage
+
+LAST_WORDS_S = 2.0
+"""How long the end waits for subscribers to have the last map."""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the node."""
+
+    estimator: str = parameter("ml", "whose heights: the topic is <estimator>/height", read_only=True)
+    cell_size_m: float = parameter(
+        0.0,
+        "side of a cell, m; 0: 1, 2 or 5 times a power of ten, the least that holds a pixel of the first height image",
+        minimum=0.0,
+        maximum=1e5,
+        read_only=True,
+    )
+    max_cells: int = parameter(
+        4_000_000,
+        "greatest number of cells of the rectangle around all that was seen; heights beyond are left out",
+        minimum=1,
+        maximum=1_000_000_000,
+        read_only=True,
+    )
+    period_s: float = parameter(
+        2.0, "least time between two maps published, s", minimum=0.1, maximum=3600.0, read_only=True
+    )
+    file: str = parameter(
+        "",
+        "GeoTIFF that the map is written to when the node ends; a file there is replaced; empty: none",
+        read_only=True,
+    )
+    origin_latitude_deg: float = parameter(
+        0.0, "latitude of the map's origin, for the GeoTIFF, deg", minimum=-90.0, maximum=90.0, read_only=True
+    )
+    origin_longitude_deg: float = parameter(
+        0.0, "longitude of the map's origin, for the GeoTIFF, deg", minimum=-180.0, maximum=180.0, read_only=True
+    )
+
+
+class ReliefMapper(Stage):
+    """Enters height images into one map, publishes it, and writes it when the node or its context ends.
+
+    Map and image reach those who come late; points are made only while somebody listens.
+    """
+
+    parameters = Parameters
+
+    def __init__(self, **node_arguments: Any) -> None:
+        """Make the node; `node_arguments` go to rclpy's Node.
+
+        Raises:
+            UserError: a parameter has a value that is not allowed, or the file could not be written at the end.
+        """
+        super().__init__("relief_mapper", **node_arguments)
+        declare_parameters(self, Parameters)
+        self._settings = read_parameters(self, Parameters)
+        if self._settings.file:
+            check_geotiff(Path(self._settings.file))
+        self.failure = ""
+        """Why the file could not be written, one sentence; empty if it was, or none was wanted."""
+        self._map: relief_map.ReliefMap | None = None
+        self._images = 0
+        self._last: HeightImage | None = None
+        self._unpublished = False
+        self._ended = False
+        self._ending = threading.Lock()  # the context may be shut down in another thread than the executor's
+        self._relief = self.offer(ReliefMap, "map/relief", LATCHED_QOS)
+        self._image = self.offer(Image, "map/image", LATCHED_QOS)
+        self._points = self.offer(PointCloud2, "map/points", LATCHED_QOS)
+        self._listen_to(f"{self._settings.estimator}/height")
+        self.create_timer(self._settings.period_s, self._publish_when_changed, clock=self.steady_clock)
+        self.context.on_shutdown(self.conclude)
+
+    def conclude(self) -> None:
+        """Enter the heights that wait, publish the map and write the file; may be called twice."""
+        with self._ending:
+            if self._ended:
+                return
+            self._ended = True
+            self._jobs.put(None)
+            self._worker.join()
+            self._publish()
+            with suppress(RCLError):
+                self._relief.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
+            if self._settings.file:
+                self._write(Path(self._settings.file))
+
+    def destroy_node(self) -> None:
+        """Conclude, then end the node."""
+        self.conclude()
+        super().destroy_node()
+
+    def _listen_to(self, topic: str) -> None:
+        try:
+            self.listen(HeightImage, topic, self._on_height)
+        except InvalidTopicNameException as error:
+            raise UserError(
+                f"Parameter estimator is {self._settings.estimator!r}; it must be the prefix of a topic, as in "
+                "ml/height."
+            ) from error
+
+    def _on_height(self, image: HeightImage) -> None:
+        self.tally.receive()
+        if self._ended:
+            self.reject(1, Rejected("ended", "The map is written; heights that come later are left out."))
+        else:
+            self.submit(1, lambda: self._enter(image))
+
+    def _enter(self, image: HeightImage) -> int:
+        """Enter a height image into the map, which stays as it is if that is refused."""
+        convert.check_height(image)
+        aperture = convert.aperture_from_message(image.aperture)
+        if self._map is None:
+            cell_size = self._settings.cell_size_m or relief_map.fitting_cell_size(
+                convert.grid_from_message(image.grid), aperture
+            )
+            grown = relief_map.ReliefMap(cell_size, self._settings.max_cells)
+        else:
+            grown = self._map
+        grown.add(convert.surface_from_message(image), aperture)
+        self._map, self._last = grown, image
+        self._images += 1
+        self._unpublished = True
+        return 0
+
+    def _publish_when_changed(self) -> None:
+        if self._unpublished and not self._jobs.full():
+            self._unpublished = False
+            self.submit(0, self._publish)
+
+    def _publish(self) -> int:
+        """Publish the map as it stands; the number of messages."""
+        relief = self._map.relief() if self._map else None
+        if relief is None or self._last is None:
+            return 0
+        message = relief_to_message(relief, self._images, self._last, self._provenance(self._last))
+        with suppress(RCLError):  # the context may have ended: nobody is left to publish to
+            self._image.publish(relief_picture(relief, self._last))
+            if self._points.get_subscription_count():  # heights wait while they are made: a second for millions
+                self._points.publish(relief_points(relief, self._last))
+            self._relief.publish(message)
+        return 1
+
+    def _provenance(self, last: HeightImage) -> Provenance:
+        """That of the last height image, with the parameters of this node."""
+        before = last.provenance
+        return Provenance(
+            code_version=__version__,
+            config_hash=before.config_hash,
+            calibration_id=before.calibration_id,
+            parameters=as_json(self.get_name(), self._settings, before.parameters),
+        )
+
+    def _write(self, path: Path) -> None:
+        relief = self._map.relief() if self._map else None
+        if relief is None or self._last is None:
+            self.get_logger().warning(f"No height was seen: there is no map to write to {path}.")
+            return
+        provenance = self._provenance(self._last)
+        tags = {
+            "estimator": self._last.estimator,
+            "images": str(self._images),
+            **{
+                key: getattr(provenance, key) for key in ("code_version", "config_hash", "calibration_id", "parameters")
+            },
+        }
+        origin = self._settings.origin_latitude_deg, self._settings.origin_longitude_deg
+        try:
+            write_geotiff(path, relief, *origin, tags)
+        except UserError as error:
+            self.failure = str(error)
+            self.get_logger().error(self.failure)
+
+
+def main() -> int:
+    """Console script; status 1 if the map could not be written."""
+    made: list[ReliefMapper] = []
+
+    def make() -> ReliefMapper:
+        made.append(ReliefMapper())
+        return made[0]
+
+    return run_node(make) or int(bool(made[0].failure))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,431 @@
+"""The relief mapper among real publishers: the map is right, survives what is refused, is written however it ends."""
+
+from __future__ import annotations
+
+import array
+import functools
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from helpers import assert_one_sentence, make_aperture
+from rasterio.warp import transform
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, ReliefMap
+from sensor_msgs.msg import Image, PointCloud2
+from std_msgs.msg import Header
+
+from sal_height import convert
+from sal_height.errors import UserError
+from sal_height.estimate import Validity
+from sal_height.geometry import EARTH_RADIUS, Grid, sphere_coordinates, sphere_point
+from sal_height.height import HeightField, Surface
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.relief_mapper import ReliefMapper
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, QUEUED_JOBS
+
+TIMEOUT_S = 20.0
+ROWS, COLS = 6, 9
+WEST, SOUTH = -4.0, -3503.0
+RUN_MAIN = "from sal_height.nodes.relief_mapper import main; raise SystemExit(main())"
+
+
+def height_image(dwell: int, shift: int = 0, level: float = 2.0) -> HeightImage:
+    """Pixels in the centres of cells of 1 m that rise by 0.1 m per metre east, `shift` metres further east.
+
+    The north-west corner has no height.
+    """
+    east, north = (
+        g.astype(float) for g in np.meshgrid(WEST + shift + 0.5 + np.arange(COLS), SOUTH + 0.5 + np.arange(ROWS))
+    )
+    height = level + 0.1 * east
+    height[-1, 0] = np.nan
+    sigma = np.full(height.shape, 0.5)
+    validity = np.where(np.isfinite(height), Validity.OK, Validity.LOW_CNR).astype(np.uint8)
+    axes = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    grid = Grid(sphere_point(WEST + shift + 0.5, SOUTH + 0.5, 0.0), *axes, 1.0, 1.0, ROWS, COLS)
+    field = HeightField(grid, validity, Surface(height, sigma, sigma, sphere_point(east, north, height)), None)
+    slc = ComplexImage(dwell=dwell, header=Header(frame_id="map", stamp=convert.to_stamp(1_000_000_000 * (dwell + 1))))
+    provenance = Provenance(config_hash="of the sensor", calibration_id="of the lens", parameters='{"ml_height": {}}')
+    return convert.height_to_message(field, make_aperture(), (2, 2), "ml", slc, provenance)
+
+
+class Mapped:
+    """A relief mapper with somebody who publishes heights and listens to what comes of them."""
+
+    def __init__(self, graph: Graph, mapper: ReliefMapper | None) -> None:
+        self.graph = graph
+        self.mapper = mapper
+        self.maps: list[ReliefMap] = []
+        self.images: list[Image] = []
+        self.points: list[PointCloud2] = []
+        self.status: dict[str, str] = {}
+        node = graph.add(Node("feeder", context=graph.context))
+        self.publisher = node.create_publisher(HeightImage, "ml/height", FRAMES_QOS)
+        node.create_subscription(ReliefMap, "map/relief", self.maps.append, LATCHED_QOS)
+        node.create_subscription(Image, "map/image", self.images.append, LATCHED_QOS)
+        node.create_subscription(PointCloud2, "map/points", self.points.append, LATCHED_QOS)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._watch, 10)
+        self.wait(lambda: self.publisher.get_subscription_count() == 1, "the mapper")
+        topics = ("map/relief", "map/image", "map/points")
+        self.wait(lambda: all(node.count_publishers(topic) == 1 for topic in topics), "its products")
+
+    def feed(self, *images: HeightImage) -> None:
+        """Publish, and wait until the mapper has accounted for all."""
+        goal = int(self.status.get("in", 0)) + len(images)
+        for image in images:
+            self.publisher.publish(image)
+        self.wait(lambda: (self.status.get("in"), self.status.get("waiting")) == (str(goal), "0"), "the account")
+
+    def map_of(self, images: int) -> ReliefMap:
+        """The map of so many height images."""
+        self.wait(lambda: bool(self.maps) and self.maps[-1].images == images, f"a map of {images}")
+        return self.maps[-1]
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        assert self.graph.spin_until(condition, TIMEOUT_S), f"waited in vain for {what}: {self.status}"
+
+    def _watch(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == "relief_mapper":
+                self.status = {"level": str(status.level), "message": status.message}
+                self.status |= {entry.key: entry.value for entry in status.values}
+
+
+def start(graph: Graph, **parameters: Any) -> ReliefMapper:
+    values = {"period_s": 0.1, **parameters}
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    return graph.add(ReliefMapper(context=graph.context, parameter_overrides=overrides))
+
+
+@pytest.fixture
+def mapped(graph: Graph, tmp_path: Path) -> Mapped:
+    """A mapper of cells of 1 m that writes map.tif."""
+    return Mapped(graph, start(graph, cell_size_m=1.0, file=str(tmp_path / "map.tif")))
+
+
+def layer(message: ReliefMap, name: str) -> np.ndarray:
+    return np.asarray(getattr(message, name)).reshape(message.rows, message.cols)
+
+
+def expected_height(first: int, last: int) -> np.ndarray:
+    """Heights of `height_image` shifted by `first` to `last` together."""
+    row = 2.0 + 0.1 * (WEST + 0.5 + np.arange(first, COLS + last))
+    return np.tile(row, (ROWS, 1))
+
+
+def test_dwells_become_one_map(mapped: Mapped) -> None:
+    mapped.feed(*(height_image(dwell, shift=dwell) for dwell in range(3)))
+    message = mapped.map_of(3)
+    assert (message.rows, message.cols, message.cell_size) == (ROWS, COLS + 2, 1.0)
+    assert (message.origin_east, message.origin_north) == (WEST + 0.5, SOUTH + 0.5)
+    assert (message.header.frame_id, message.earth_radius) == ("map", EARTH_RADIUS)
+    assert (message.header.stamp.sec, message.dwell, message.estimator) == (3, 2, "ml")
+    count = np.tile([1, 2, *[3] * (COLS - 2), 2, 1], (ROWS, 1))
+    count[-1] = [0, 0, 0, *[3] * (COLS - 3), 2, 1] + (np.arange(COLS + 2) == 1) + 2 * (np.arange(COLS + 2) == 2)
+    np.testing.assert_array_equal(layer(message, "count"), count)
+    seen = count > 0
+    np.testing.assert_allclose(layer(message, "height")[seen], expected_height(0, 2)[seen], rtol=1e-5)
+    np.testing.assert_allclose(layer(message, "sigma")[seen], 0.5 / np.sqrt(count[seen]), rtol=1e-5)
+    assert np.isnan(layer(message, "height")[~seen]).all()
+    assert np.isnan(layer(message, "sigma")[~seen]).all()
+    assert np.array_equal(np.isfinite(layer(message, "disagreement")), count > 1)
+
+
+def test_provenance_names_this_stage_after_those_before(mapped: Mapped) -> None:
+    mapped.feed(height_image(0))
+    provenance = mapped.map_of(1).provenance
+    assert (provenance.config_hash, provenance.calibration_id) == ("of the sensor", "of the lens")
+    parameters = json.loads(provenance.parameters)
+    assert set(parameters) == {"ml_height", "relief_mapper"}
+    assert parameters["relief_mapper"]["cell_size_m"] == 1.0
+
+
+def test_any_viewer_sees_the_map(mapped: Mapped) -> None:
+    """The image has north up; points lie where the cells do, on the sphere."""
+    mapped.wait(lambda: mapped.status.get("subscribers./map/points") == "1", "the points to be listened to")
+    mapped.feed(height_image(0))
+    height = layer(mapped.map_of(1), "height")
+    mapped.wait(lambda: bool(mapped.images and mapped.points), "image and points")
+    picture, cloud = mapped.images[-1], mapped.points[-1]
+    pixels = np.frombuffer(picture.data, np.float32).reshape(picture.height, picture.width)
+    assert picture.encoding == "32FC1"
+    np.testing.assert_array_equal(pixels, height[::-1])
+    points = np.frombuffer(cloud.data, np.float32).reshape(cloud.width, len(cloud.fields))
+    assert [field.name for field in cloud.fields] == ["x", "y", "z", "height", "sigma"]
+    assert len(points) == np.isfinite(height).sum()
+    east, north, above = sphere_coordinates(points[:, :3].astype(float))
+    np.testing.assert_allclose(above, points[:, 3], atol=1e-3)
+    cells = {(round(e - WEST - 0.5), round(n - SOUTH - 0.5)): h for e, n, h in zip(east, north, above, strict=True)}
+    assert all(abs(height[row, col] - h) < 1e-3 for (col, row), h in cells.items())
+    assert len(cells) == len(points)
+
+
+def test_who_comes_late_gets_the_last_map(graph: Graph, mapped: Mapped) -> None:
+    mapped.feed(height_image(0), height_image(1))
+    mapped.map_of(2)
+    late: list[ReliefMap] = []
+    graph.add(Node("late", context=graph.context)).create_subscription(
+        ReliefMap, "map/relief", late.append, LATCHED_QOS
+    )
+    mapped.wait(lambda: bool(late), "the latched map")
+    assert late[0].images == 2
+
+
+def test_maps_are_not_published_more_often_than_asked(graph: Graph) -> None:
+    mapped = Mapped(graph, start(graph, period_s=3600.0))
+    mapped.feed(*(height_image(dwell) for dwell in range(4)))
+    assert mapped.maps == []
+    mapped.mapper.conclude()
+    assert mapped.map_of(4).count[0] == 4
+    assert len(mapped.maps) == 1
+
+
+@pytest.mark.parametrize(("given", "size"), [(0.0, 2.0), (5.0, 5.0)])
+def test_the_cell_size_follows_from_the_first_image_unless_given(graph: Graph, given: float, size: float) -> None:
+    """At 45 degrees and in the ground plane a pixel of 1 m stays one; the aim point is a little lower."""
+    mapped = Mapped(graph, start(graph, cell_size_m=given))
+    image = height_image(0)
+    image.grid.col_spacing = 1.01
+    mapped.feed(image)
+    assert mapped.map_of(1).cell_size == size
+
+
+REFUSED: dict[str, tuple[str, Any, str, str]] = {
+    "other frame": ("header.frame_id", "odom", "wrong frames", "'odom'"),
+    "other earth": ("earth_radius", 6_378_137.0, "wrong earth radius", "6378137"),
+    "no earth": ("earth_radius", float("nan"), "wrong earth radius", "nan"),
+    "too few heights": ("height", array.array("f", [1.0]), "wrong size", "height has 1 entries"),
+    "too few places": ("east", array.array("f"), "wrong size", "east has 0 entries"),
+    "no pixels": ("grid.rows", 0, "wrong size", "0 x 9"),
+    "origin nowhere": ("grid.origin.x", float("inf"), "not finite", "grid"),
+    "no motion": ("aperture.velocity.x", 0.0, "wrong geometry", "velocity"),
+    "no rotation": ("aperture.pose.pose.orientation.w", 5.0, "wrong geometry", "orientation"),
+    "negative sigma": ("sigma", array.array("f", [-0.5] * ROWS * COLS), "wrong sigma", "greater than 0"),
+    "zero sigma": ("sigma", array.array("f", [0.0] * ROWS * COLS), "wrong sigma", "greater than 0"),
+    "far away": ("grid.origin.x", 1e6, "map full", "max_cells"),
+}
+"""A field of a height image, what it is set to, and for what reason and with what words it is refused then."""
+
+
+def broken(field: str, value: Any) -> HeightImage:
+    """A height image with another value of a field."""
+    image = height_image(9)
+    *path, last = field.split(".")
+    setattr(functools.reduce(getattr, path, image), last, value)
+    return image
+
+
+def test_what_cannot_be_used_is_counted_and_leaves_the_map_as_it_is(mapped: Mapped) -> None:
+    mapped.feed(height_image(0))
+    before = mapped.map_of(1)
+    for name, (field, value, reason, words) in REFUSED.items():
+        dropped = int(mapped.status.get(f"dropped.{reason}", 0))
+        mapped.feed(broken(field, value))
+        assert mapped.status[f"dropped.{reason}"] == str(dropped + 1), name
+        assert_one_sentence(mapped.mapper.last_rejection.removeprefix(f"{reason}: "), words)
+    assert mapped.status["level"] == str(DiagnosticStatus.WARN)
+    mapped.feed(height_image(1))
+    after = mapped.map_of(2)
+    np.testing.assert_array_equal(after.height, before.height)
+    assert (mapped.status["in"], mapped.status["processed"]) == (str(len(REFUSED) + 2), "2")
+
+
+def test_a_first_image_that_is_refused_does_not_choose_the_cells(graph: Graph) -> None:
+    mapped = Mapped(graph, start(graph, max_cells=ROWS * (COLS + 1)))
+    large = height_image(0)
+    large.grid.row_spacing, large.east[0] = 0.01, 1e5
+    mapped.feed(large, height_image(1))
+    assert mapped.map_of(1).cell_size == 1.0
+    assert mapped.status["dropped.map full"] == "1"
+
+
+def test_pixels_that_validity_rules_out_and_places_without_height_do_not_enter(mapped: Mapped) -> None:
+    image = height_image(0)
+    image.validity[0] = Validity.NOT_ONE_SCATTERER
+    image.validity[1] = Validity.TWO_SCATTERERS
+    image.east[2] = float("nan")
+    mapped.feed(image)
+    np.testing.assert_array_equal(mapped.map_of(1).count[:4], [0, 1, 0, 1])
+
+
+def test_the_file_is_what_was_published(graph: Graph, mapped: Mapped, tmp_path: Path) -> None:
+    mapped.feed(*(height_image(dwell, shift=dwell) for dwell in range(3)))
+    message = mapped.map_of(3)
+    assert list(tmp_path.iterdir()) == []
+    graph.close()
+    assert [path.name for path in tmp_path.iterdir()] == ["map.tif"]
+    with rasterio.open(tmp_path / "map.tif") as file:
+        assert file.descriptions == ("height", "sigma", "disagreement", "count")
+        for band, name in enumerate(file.descriptions, start=1):
+            np.testing.assert_array_equal(file.read(band)[::-1], layer(message, name).astype(np.float32))
+        assert np.isnan(file.nodata)
+        assert file.transform.e == -1.0, "north up"
+        tags = file.tags()
+        assert (tags["estimator"], tags["images"], tags["config_hash"]) == ("ml", "3", "of the sensor")
+        assert set(json.loads(tags["parameters"])) == {"ml_height", "relief_mapper"}
+
+
+def test_the_file_has_its_place_on_the_earth(graph: Graph, tmp_path: Path) -> None:
+    """The arc to a cell leaves the origin in its direction: by spherical trigonometry, to 0.1 mm on the ground."""
+    latitude, longitude = 47.5, -8.25
+    path = tmp_path / "map.tif"
+    origin = {"origin_latitude_deg": latitude, "origin_longitude_deg": longitude}
+    mapped = Mapped(graph, start(graph, cell_size_m=1.0, file=str(path), **origin))
+    mapped.feed(height_image(0, shift=40_000))
+    graph.close()
+    with rasterio.open(path) as file:
+        crs, (easting, northing) = file.crs, file.xy(2, 3)
+    (east,), (north,) = transform(crs, f"+proj=longlat +R={EARTH_RADIUS} +no_defs", [easting], [northing])
+    true_east, true_north = WEST + 40_000 + 3.5, SOUTH + ROWS - 2.5
+    angle, azimuth = np.hypot(true_east, true_north) / EARTH_RADIUS, np.arctan2(true_east, true_north)
+    lat = np.radians(latitude)
+    expected = np.arcsin(np.sin(lat) * np.cos(angle) + np.cos(lat) * np.sin(angle) * np.cos(azimuth))
+    turn = np.arctan2(np.sin(azimuth) * np.sin(angle) * np.cos(lat), np.cos(angle) - np.sin(lat) * np.sin(expected))
+    tolerance = np.degrees(1e-4 / EARTH_RADIUS)
+    assert abs(north - np.degrees(expected)) < tolerance
+    assert abs(east - longitude - np.degrees(turn)) < tolerance / np.cos(lat)
+
+
+def test_shutting_the_context_down_writes_the_file(graph: Graph, mapped: Mapped, tmp_path: Path) -> None:
+    mapped.feed(height_image(0))
+    rclpy.shutdown(context=graph.context)
+    with rasterio.open(tmp_path / "map.tif") as file:
+        assert file.read(4).sum() == ROWS * COLS - 1
+    graph.close()
+
+
+def test_a_file_that_was_there_is_replaced_as_a_whole(graph: Graph, mapped: Mapped, tmp_path: Path) -> None:
+    (tmp_path / "map.tif").write_text("an older one")
+    mapped.feed(height_image(0))
+    assert (tmp_path / "map.tif").read_text() == "an older one"
+    graph.close()
+    with rasterio.open(tmp_path / "map.tif") as file:
+        assert file.shape == (ROWS, COLS)
+
+
+def test_without_a_height_there_is_no_file(graph: Graph, mapped: Mapped, tmp_path: Path) -> None:
+    image = height_image(0)
+    image.validity = bytes([Validity.LOW_CNR]) * len(image.validity)
+    mapped.feed(image)
+    graph.close()
+    assert list(tmp_path.iterdir()) == []
+    assert mapped.mapper.failure == ""
+
+
+@contextmanager
+def file_size_limit(size: int) -> Iterator[None]:
+    """No file may grow beyond `size` bytes: write() fails as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_disk_that_is_full_leaves_the_older_file_and_nothing_half_written(mapped: Mapped, tmp_path: Path) -> None:
+    (tmp_path / "map.tif").write_text("an older one")
+    mapped.feed(height_image(0))
+    mapped.map_of(1)
+    with file_size_limit(100):
+        mapped.mapper.conclude()
+    assert_one_sentence(mapped.mapper.failure, str(tmp_path / "map.tif"), "File too large")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["an older one"]
+    assert mapped.maps[-1].images == 1
+
+
+def test_heights_that_wait_for_the_worker_are_in_the_map(graph: Graph, tmp_path: Path) -> None:
+    mapper = start(graph, cell_size_m=1.0, file=str(tmp_path / "map.tif"))
+    for dwell in range(QUEUED_JOBS):
+        mapper._on_height(height_image(dwell))
+    mapper.conclude()
+    with rasterio.open(tmp_path / "map.tif") as file:
+        assert file.read(4).max() == QUEUED_JOBS
+
+
+def test_heights_after_the_end_are_counted(mapped: Mapped) -> None:
+    mapped.feed(height_image(0))
+    mapped.mapper.conclude()
+    mapped.feed(height_image(1))
+    assert mapped.status["dropped.ended"] == "1"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"cell_size_m": -1.0}, "cell_size_m is -1.0"),
+        ({"max_cells": 0}, "max_cells is 0"),
+        ({"period_s": 0.0}, "period_s is 0.0"),
+        ({"origin_latitude_deg": 91.0}, "origin_latitude_deg is 91.0"),
+        ({"estimator": "no topic"}, "estimator is 'no topic'"),
+        ({"file": "/tmp"}, "it is a folder"),  # noqa: S108 (nothing is written)
+        ({"file": "/nowhere/at/all/map.tif"}, "folder /nowhere/at/all does not exist"),
+    ],
+)
+def test_parameters_that_cannot_be_used_are_refused(graph: Graph, parameters: dict[str, Any], words: str) -> None:
+    with pytest.raises(UserError) as refused:
+        start(graph, **parameters)
+    assert_one_sentence(str(refused.value), words)
+
+
+def test_without_rasterio_a_file_is_refused_at_the_start(
+    graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rasterio.io", None)
+    with pytest.raises(UserError) as refused:
+        start(graph, file=str(tmp_path / "map.tif"))
+    assert "needs rasterio; install it with: pip install 'sal_height[dem]'." in str(refused.value)
+    start(graph)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_program_with_a_whole_file(
+    graph: Graph, tmp_path: Path, domain_id: int, number: signal.Signals
+) -> None:
+    path = tmp_path / "map.tif"
+    process = run_main(domain_id, "-p", f"file:={path}", "-p", "cell_size_m:=1.0", "-p", "period_s:=0.1")
+    mapped = Mapped(graph, None)
+    mapped.feed(*(height_image(dwell) for dwell in range(5)))
+    process.send_signal(number)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=TIMEOUT_S)
+    assert (process.returncode, errors) == (0, "")
+    with rasterio.open(path) as file:
+        assert np.nanmax(file.read(4)) == 5
+
+
+def test_the_program_ends_with_status_1_and_a_sentence_if_the_folder_is_gone(
+    graph: Graph, tmp_path: Path, domain_id: int
+) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    process = run_main(domain_id, "-p", f"file:={folder / 'map.tif'}")
+    mapped = Mapped(graph, None)
+    mapped.feed(height_image(0))
+    folder.rmdir()
+    process.terminate()
+    _, errors = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 1
+    assert errors.count("\n") == 1
+    assert f"File {folder / 'map.tif'} cannot be written: No such file or directory." in errors
+    assert mapped.map_of(1).rows == ROWS
+
+
+def run_main(domain_id: int, *arguments: str) -> subprocess.Popen[str]:
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
+    command = [sys.executable, "-c", RUN_MAIN, "--ros-args", *arguments]
+    return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)  # noqa: S603

@@ -11,8 +11,6 @@ or w^H R w with the weights w = a / |a| or w = a.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
@@ -80,27 +78,8 @@ def peak_elevation(covariance: Covariances, beams: Beams, squint: Array, objecti
         UserError: the beams have no elevation in common, or are complex where the covariance is not.
     """
     searches = PeakSearches.over(beams, np.unique(squint), objective, guard)
-    (elevation,) = _of_pixels(searches, covariance, squint, 1, lambda search, pixels, *_: search.peaks(pixels)[0])
+    (elevation,) = searches.of_pixels(covariance, squint, 1, lambda search, pixels, *_: search.peaks(pixels)[0])
     return np.asarray(elevation)
-
-
-def _of_pixels(
-    searches: PeakSearches,
-    covariance: Covariances,
-    squint: Array,
-    count: int,
-    find: Callable[[PeakSearch, Covariance, slice, Columns], Array],
-) -> Array:
-    """`count` numbers of every pixel, (count, rows, cols), which `find` gives for rows and columns of one squint."""
-    result = np.empty((count, *covariance.shape[:2]))
-
-    def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
-        pixels = covariance[rows, cols]
-        found = find(search, pixels.reshape(-1, *pixels.shape[2:]), rows, cols)
-        result[:, rows, cols] = found.reshape(count, *pixels.shape[:2])
-
-    searches.each(squint, covariance.shape[0], work)
-    return result
 
 
 def best_elevation(covariance: Covariances, beams: Beams, squint: Array, objective: Objective) -> Array:
@@ -139,7 +118,7 @@ def ml_elevation(
         return np.vstack([peaks, share, search.fit(pixels, peaks)])
 
     searches = PeakSearches.over(beams, np.unique(squint), objective, search_guard(beams))
-    elevation, share, explained, gain, turning = _of_pixels(searches, looks.covariance, squint, 5, find)
+    elevation, share, explained, gain, turning = searches.of_pixels(looks.covariance, squint, 5, find)
     estimate = _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr)
     ambiguous = (estimate.validity == Validity.OK) & ((1 - share) * explained < margin * noise_power)
     estimate.validity[ambiguous] = Validity.AMBIGUOUS
@@ -158,7 +137,7 @@ def estimate_at(
         return search.fit(pixels, elevation[rows, cols].reshape(-1))
 
     searches = PeakSearches.over(beams, np.unique(squint), _normalised, search_guard(beams))
-    explained, gain, turning = _of_pixels(searches, looks.covariance, squint, 3, find)
+    explained, gain, turning = searches.of_pixels(looks.covariance, squint, 3, find)
     return _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -109,27 +108,6 @@ def validity_of(
         [Validity.MISSING_DATA, Validity.LOW_CNR, Validity.OUTSIDE_ARRAY, Validity.NOT_ONE_SCATTERER],
         Validity.OK,
     ).astype(np.uint8)
-
-
-def by_rows(looks: Looks, estimate: Callable[[Looks, slice], ElevationEstimate]) -> ElevationEstimate:
-    """What `estimate` makes of blocks of rows, whose covariances are held, on all processors; without second ones."""
-    rows, cols = looks.count.shape
-    high = max(1, PIXELS_OF_THREAD // cols)
-    blocks = [slice(first, min(first + high, rows)) for first in range(0, rows, high)]
-    found: dict[int, ElevationEstimate] = {}
-
-    def work(part: slice) -> None:
-        for block in blocks[part]:
-            found[block.start] = estimate(looks.rows(block), block)
-
-    in_parallel(work, len(blocks))
-    parts = [found[block.start] for block in blocks]
-    return ElevationEstimate(
-        elevation=np.concatenate([part.elevation for part in parts]),
-        sigma=np.concatenate([part.sigma for part in parts]),
-        cnr=np.concatenate([part.cnr for part in parts]),
-        validity=np.concatenate([part.validity for part in parts]),
-    )
 
 
 def explained_power(covariance: Covariance, response: Array) -> Array:

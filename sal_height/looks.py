@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Protocol, Self, TypeAlias
 
 import numpy as np
@@ -111,11 +111,6 @@ class Looks:
     col: Array
     power: Array
     finite: npt.NDArray[np.bool_]
-
-    def rows(self, part: slice) -> Self:
-        """Those of some rows, with their covariances as an array."""
-        others = (getattr(self, field.name)[part] for field in fields(self)[1:])
-        return type(self)(self.covariance[part, slice(None)], *others)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ w. Both take the beams as they are: of any pattern, complex or not, turned, or a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Self
 
@@ -18,7 +18,7 @@ from numpy.polynomial.chebyshev import chebvander
 from sal_height.beams import Beams
 from sal_height.compiled import compiled, in_parallel
 from sal_height.errors import UserError
-from sal_height.looks import Covariance
+from sal_height.looks import Covariance, Covariances
 
 Array = npt.NDArray[np.float64]
 FloatArray = npt.NDArray[np.float32]
@@ -174,6 +174,9 @@ class PeakSearch:
         return np.ascontiguousarray(np.block([[real, -imaginary], [imaginary, real]]), dtype=np.float32)
 
 
+Find = Callable[[PeakSearch, Covariance, slice, Columns], Array]
+
+
 @dataclass(frozen=True)
 class PeakSearches:
     """Searches over the same elevations at several squints.
@@ -185,15 +188,17 @@ class PeakSearches:
         nodes: elevations of the table, rad.
         beams: of the channels.
         objective: what w is of the beams.
-        squints: at which `samples` were taken, rad; empty: the beams are asked themselves.
-        samples: response and slope, shape (squints, 2, nodes, detectors).
+        squints: of which the searches in `stack` are, rad; empty: each is made of the beams.
+        stack: grid, pieces and power of those searches, with a first axis for them.
+        like: one of those searches; None: there is none.
     """
 
     nodes: Array
     beams: Beams
     objective: Objective
     squints: Array
-    samples: Array
+    stack: tuple[FloatArray, ...]
+    like: PeakSearch | None = None
 
     @classmethod
     def over(cls, beams: Beams, squints: Array, objective: Objective, guard: float) -> Self:
@@ -205,21 +210,45 @@ class PeakSearches:
         first, last = beams.domain(guard)
         grid_steps = max(1, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))))
         nodes = np.linspace(first, last, TABLE_STEPS * grid_steps + 1)
+        each = cls(nodes, beams, objective, np.empty(0), ())
         count = SQUINTS_MORE + int(np.ceil(np.pi * np.ptp(squints) / beams.beamwidth))
-        few = np.empty(0)
-        if len(squints) > count:
-            chebyshev = np.cos(np.pi * (np.arange(count) + 0.5) / count)
-            few = squints.min() + np.ptp(squints) * (1 + chebyshev) / 2
-        samples = [[beams.response(nodes, angle), beams.slope(nodes, angle)] for angle in few.tolist()]
-        return cls(nodes, beams, objective, few, np.array(samples))
+        if len(squints) <= count:
+            return each
+        chebyshev = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+        few = squints.min() + np.ptp(squints) * (1 + chebyshev) / 2
+        searches = [each.at(squint) for squint in few.tolist()]
+        own = [(search.grid, search.pieces, search.power) for search in searches]
+        stack = tuple(np.stack(values) for values in zip(*own, strict=True))
+        return replace(each, squints=few, stack=stack, like=searches[0])
 
     def at(self, squint: float) -> PeakSearch:
         """The search at one of the squints (rad)."""
-        if len(self.squints):
-            response, slope = np.tensordot(_lagrange(self.squints, squint), self.samples, axes=1)
-        else:
-            response, slope = self.beams.response(self.nodes, squint), self.beams.slope(self.nodes, squint)
+        if self.like:
+            weights = _lagrange(self.squints, squint).astype(np.float32)
+            grid, pieces, power = (_weighted_sum(weights, values) for values in self.stack)
+            return replace(self.like, grid=grid, pieces=pieces, power=power)
+        response, slope = self.beams.response(self.nodes, squint), self.beams.slope(self.nodes, squint)
         return PeakSearch.of(self.nodes, response, slope, self.objective)
+
+    def of_pixels(self, covariance: Covariances, squint: Array, count: int, find: Find) -> Array:
+        """`count` numbers of every pixel, (count, rows, cols), which `find` gives for blocks of one squint each.
+
+        Args:
+            covariance: shape (rows, cols, channels, channels); blocks of it are asked for on all processors.
+            squint: of each column, rad, shape (cols,).
+            count: of numbers.
+            find: gives (count, pixels) from the search, the covariance (pixels, channels, channels), and the rows and
+                columns of a block.
+        """
+        result = np.empty((count, *covariance.shape[:2]))
+
+        def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
+            pixels = covariance[rows, cols]
+            found = find(search, pixels.reshape(-1, *pixels.shape[2:]), rows, cols)
+            result[:, rows, cols] = found.reshape(count, *pixels.shape[:2])
+
+        self.each(squint, covariance.shape[0], work)
+        return result
 
     def each(self, squint: Array, rows: int, work: Callable[[PeakSearch, slice, Columns], object]) -> None:
         """Do `work` on the search, the rows and the columns of all pixels, on all processors.
@@ -269,7 +298,22 @@ def _hermite(value: Array, slope: Array) -> Array:
     return np.stack([value[:-1], start, 3 * rise - 2 * start - end, start + end - 2 * rise], axis=1)
 
 
+def _weighted_sum(weights: FloatArray, values: FloatArray) -> FloatArray:
+    """Sum of `values` over their first axis; that of BLAS waits for threads."""
+    total = np.zeros(values.shape[1:], np.float32)
+    _add_weighted(weights, values.reshape(len(values), -1), total.reshape(-1))
+    return total
+
+
 # The loops below are compiled. Positions are in steps of the table; sums over detectors are vectorised.
+
+
+@compiled
+def _add_weighted(weights: FloatArray, values: FloatArray, total: FloatArray) -> None:
+    for k in range(len(weights)):
+        weight, line = weights[k], values[k]
+        for i in range(total.size):
+            total[i] += weight * line[i]
 
 
 @compiled

@@ -6,7 +6,7 @@ theta_0 + theta_h with the complex amplitude beta, the channels receive
     Sigma = upper + lower = 2 G(delta/2) beta,   Delta = upper - lower = gamma Sigma,   gamma = g theta_h to first order
 
 (relief paper, eq. 3 to 9), each with noise of its own. gamma is estimated from sums of products (`Products`) by one of
-`monopulse.DISCRIMINANTS`: `ratio` is the real part of the relief paper's eq. 17; `total_least_squares` is the exact
+`products.DISCRIMINANTS`: `ratio` is the real part of the relief paper's eq. 17; `total_least_squares` is the exact
 maximum likelihood for a real gamma, tan(1/2 atan2(2 Re Sigma* Delta, |Sigma|^2 - |Delta|^2)), which eq. 17 is for a
 complex one only. `discriminant.invert`, `invert_linear` or a `SlopeTable` then say which elevation has that gamma.
 """
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,74 +22,29 @@ from scipy.interpolate import PchipInterpolator
 from scipy.stats import gamma as gamma_law
 
 from sal_height.beams import Beams
-from sal_height.compiled import in_parallel
 from sal_height.discriminant import LEAST_SLOPE, Inversion, Reason, discriminant, discriminant_slope, invert
 from sal_height.errors import UserError
 from sal_height.estimate import FALSE_ALARMS, MISFIT_SHARE, ElevationEstimate, Validity
-from sal_height.looks import Covariance, Looks
-from sal_height.monopulse import Estimator, total_least_squares
+from sal_height.looks import Looks
 from sal_height.optics import Pattern
-from sal_height.sum_difference_theory import products_variance
+from sal_height.products import (
+    Estimator,
+    NoisePowers,
+    Products,
+    accuracy,
+    discriminate,
+    products_of_looks,
+    total_least_squares,
+    whitened_products,
+)
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
-NoisePowers = tuple[float, float]
-"""E|n|^2 of one sample of Sigma and of Delta; the two noises are independent."""
-
 Inverse = Callable[[Beams, Array, Array], Inversion]
 """Elevations from the pair of beams, gamma, and the squint of each (rad, broadcasts): see `discriminant.invert`."""
 
 MATRIX_ROUNDING = 1e-6
 """Share of a channel matrix by which it may differ from one that forms sum and difference."""
-
-
-@dataclass(frozen=True)
-class Products:
-    """Sums over looks or pulses, as the estimates in `monopulse.DISCRIMINANTS` take them; arrays of one shape.
-
-    Attributes:
-        sum_power: of |Sigma|^2.
-        difference_power: of |Delta|^2.
-        cross_power: of Delta Sigma*; its real part alone where gamma is real, as noise alone is left in the other.
-        count: number of looks or pulses K of each, or of all.
-    """
-
-    sum_power: Array
-    difference_power: Array
-    cross_power: npt.NDArray[np.inexact[Any]]
-    count: int | Array
-
-
-def products(total: ComplexArray, difference: ComplexArray) -> Products:
-    """Products of Sigma and Delta, shape (..., K), for a real gamma, summed over the last axis.
-
-    Phases common to both channels drop out, so that pulses may be summed with or without phase compensation. That is
-    also why it is no coherent accumulation: noise adds to the powers with each pulse (`products_variance`). Use it for
-    looks, and `synthesise` for pulses.
-    """
-    return Products(
-        np.sum(np.abs(total) ** 2, axis=-1, dtype=np.float64),
-        np.sum(np.abs(difference) ** 2, axis=-1, dtype=np.float64),
-        np.sum((difference * total.conj()).real, axis=-1, dtype=np.float64),
-        total.shape[-1],
-    )
-
-
-def products_of_looks(looks: Looks) -> Products:
-    """Products of multi-looked images whose channels are Sigma and Delta, in this order; shape (rows, cols)."""
-    parts: dict[int, Covariance] = {}
-
-    def work(part: slice) -> None:
-        parts[part.start] = looks.covariance[part, slice(None)]
-
-    in_parallel(work, len(looks.count))
-    covariance = np.concatenate([parts[first] for first in sorted(parts)])
-    return Products(
-        covariance[..., 0, 0].real.astype(np.float64),
-        covariance[..., 1, 1].real.astype(np.float64),
-        covariance[..., 1, 0].astype(np.complex128 if np.iscomplexobj(covariance) else np.float64),
-        looks.count,
-    )
 
 
 def synthesise(pulses: ComplexArray, phase: Array) -> ComplexArray:
@@ -100,40 +54,6 @@ def synthesise(pulses: ComplexArray, phase: Array) -> ComplexArray:
     estimate of gamma is not linear and must come last.
     """
     return np.asarray(np.sum(pulses * np.exp(-1j * phase), axis=-1))
-
-
-def discriminate(sums: Products, estimator: Estimator, noise_powers: NoisePowers) -> Array:
-    """Estimate of gamma from products, in their shape.
-
-    Delta is scaled until its noise equals that of Sigma, as total least squares needs it, and gamma is scaled back:
-    that makes `total_least_squares` the exact maximum likelihood for unequal noise, too. The others are not changed.
-
-    Args:
-        sums: of Sigma and Delta.
-        estimator: one of `monopulse.DISCRIMINANTS`.
-        noise_powers: of Sigma and Delta.
-
-    Raises:
-        UserError: a noise power is not known (0), negative or not finite.
-    """
-    even, scale = _whitened(sums, noise_powers)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        estimate = estimator(
-            even.sum_power, even.difference_power, even.cross_power.astype(np.complex128), sums.count * noise_powers[0]
-        )
-    return np.asarray(estimate / scale)
-
-
-def _whitened(sums: Products, noise_powers: NoisePowers) -> tuple[Products, float]:
-    """Products with the noise of Sigma in both channels, and the factor by which Delta was scaled."""
-    if not all(np.isfinite(power) and power > 0 for power in noise_powers):
-        raise UserError(
-            f"The noise powers of Sigma and Delta are {tuple(float(power) for power in noise_powers)}; both must be "
-            "known, finite and greater than 0."
-        )
-    scale = float(np.sqrt(noise_powers[0] / noise_powers[1]))
-    scaled = Products(sums.sum_power, sums.difference_power * scale**2, sums.cross_power * scale, sums.count)
-    return scaled, scale
 
 
 def crossover_slope(pattern: Pattern, separation: float, beamwidth: float) -> float:
@@ -254,7 +174,7 @@ class Discriminator:
     """How an elevation comes from Sigma and Delta.
 
     Attributes:
-        estimator: of gamma, one of `monopulse.DISCRIMINANTS`.
+        estimator: of gamma, one of `products.DISCRIMINANTS`.
         inverse: elevation of gamma: one of INVERSES, or the `invert` of a `SlopeTable`.
     """
 
@@ -267,9 +187,7 @@ def sum_difference_elevation(
 ) -> ElevationEstimate:
     """Elevation of the scatterer in every pixel of images whose channels are Sigma and Delta.
 
-    Its standard deviation is from the variance of gamma (`products_variance`), with the energy that these looks have,
-    and the slope of the discriminator. The noise of the hypothetical detector in `ElevationEstimate.cnr` is
-    1 / (1/N_Sigma + 1/N_Delta): that of each of two detectors whose sum and difference have equal noise.
+    Sigma and CNR are those of `products.accuracy`.
 
     LOW_CNR: what both channels have in common is not clear of noise, or below `min_cnr`. OUTSIDE_PAIR: gamma has no
     elevation, as where there is a signal in Delta and none in Sigma. NOT_ONE_SCATTERER: of two whitened channels one
@@ -294,16 +212,7 @@ def sum_difference_elevation(
     sums = products_of_looks(looks)
     gamma = discriminate(sums, discriminator.estimator, noise_powers)
     found = discriminator.inverse(pair, gamma, np.broadcast_to(squint, gamma.shape))
-    response = pair.response(found.elevation, squint)
-    total_gain = np.abs(response[..., 1] + response[..., 0]) ** 2
-    difference_gain = np.abs(response[..., 1] - response[..., 0]) ** 2
-    energy = sums.sum_power - sums.count * noise_powers[0]
-    detector_noise = 1 / (1 / noise_powers[0] + 1 / noise_powers[1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        modulus = np.sqrt(difference_gain / total_gain)
-        variance = products_variance(modulus, energy, sums.count, noise_powers) / found.slope**2
-        cnr = energy / total_gain / sums.count / detector_noise
-    sigma = np.sqrt(np.where(energy > 0, variance, np.inf))
+    sigma, cnr = accuracy(sums, pair.response(found.elevation, squint), found.slope, noise_powers)
     return ElevationEstimate(found.elevation, sigma, cnr, _validity(looks, sums, noise_powers, found, cnr >= min_cnr))
 
 
@@ -311,7 +220,7 @@ def _validity(
     looks: Looks, sums: Products, noise_powers: NoisePowers, found: Inversion, strong: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.uint8]:
     """Reason for which each pixel's estimate cannot be used, the first that applies, or OK."""
-    explained, left = _eigenvalues(_whitened(sums, noise_powers)[0]) / noise_powers[0]
+    explained, left = _eigenvalues(whitened_products(sums, noise_powers)[0]) / noise_powers[0]
     count = looks.count
     counts, which = np.unique(count, return_inverse=True)
     detected = explained >= gamma_law.isf(FALSE_ALARMS / 2, counts)[which]

@@ -26,8 +26,9 @@ from sal_height.bounds import stochastic_crb
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate, Validity, whitening
 from sal_height.looks import Looks, live_detectors, multilook
-from sal_height.monopulse import DISCRIMINANTS, monopulse_elevation
+from sal_height.monopulse import monopulse_elevation
 from sal_height.optics import PATTERNS, Pattern
+from sal_height.products import DISCRIMINANTS
 
 MIN_CNR = 10**0.5
 PATTERN_NAMES = pytest.mark.parametrize("pattern", sorted(PATTERNS))

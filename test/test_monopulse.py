@@ -26,15 +26,9 @@ from sal_height.bounds import stochastic_crb
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate, Validity, whitening
 from sal_height.looks import Looks, multilook
-from sal_height.monopulse import (
-    DISCRIMINANTS,
-    _strongest_pair,
-    monopulse_elevation,
-    noise_subtraction,
-    ratio,
-    total_least_squares,
-)
+from sal_height.monopulse import _strongest_pair, monopulse_elevation
 from sal_height.optics import GAUSSIAN_WIDTH, PATTERNS
+from sal_height.products import DISCRIMINANTS, noise_subtraction, ratio, sum_and_difference, total_least_squares
 
 PATTERN_NAMES = pytest.mark.parametrize("pattern", sorted(PATTERNS))
 
@@ -245,12 +239,13 @@ def test_hermitian_covariance_gives_the_complex_ratio() -> None:
     """Of the pair with the most power in Sigma, Delta Sigma* has the sign of upper minus lower."""
     response = np.array([0.1, 0.9 * np.exp(0.3j), 1.1 * np.exp(-0.2j), 0.2j])
     covariance = np.multiply.outer(response, response.conj()).astype(np.complex64)[None, None]
-    pair, sum_power, difference_power, cross = _strongest_pair(covariance)
+    pair, lower, upper, real, imaginary = _strongest_pair(covariance)
+    sums = sum_and_difference(lower, upper, real + 1j * imaginary, 1)
     sigma, delta = response[2] + response[1], response[2] - response[1]
     assert pair.item() == 1
-    assert sum_power.item() == pytest.approx(np.abs(sigma) ** 2, rel=1e-6)
-    assert difference_power.item() == pytest.approx(np.abs(delta) ** 2, rel=1e-6)
-    assert cross.item() == pytest.approx(delta * np.conj(sigma), rel=1e-6)
+    assert sums.sum_power.item() == pytest.approx(np.abs(sigma) ** 2, rel=1e-6)
+    assert sums.difference_power.item() == pytest.approx(np.abs(delta) ** 2, rel=1e-6)
+    assert sums.cross_power.item() == pytest.approx(delta * np.conj(sigma), rel=1e-6)
 
 
 @pytest.mark.parametrize("offset", [5.0, -5.0])

@@ -28,20 +28,17 @@ from sal_height.discriminant import Reason, discriminant, discriminant_domain, d
 from sal_height.errors import UserError
 from sal_height.estimate import ElevationEstimate, Validity
 from sal_height.looks import Looks, multilook
-from sal_height.monopulse import DISCRIMINANTS, monopulse_elevation, ratio, total_least_squares
+from sal_height.monopulse import monopulse_elevation
 from sal_height.noise_theory import steady_looks_mean, steady_mean
 from sal_height.optics import GAUSSIAN_WIDTH, PATTERNS, pattern_named
+from sal_height.products import DISCRIMINANTS, NoisePowers, Products, discriminate, products, ratio, total_least_squares
 from sal_height.sum_difference import (
     INVERSES,
     Discriminator,
-    NoisePowers,
-    Products,
     SlopeTable,
     calibration,
     crossover_slope,
-    discriminate,
     invert_linear,
-    products,
     separated_gains,
     sum_difference_elevation,
     synthesise,

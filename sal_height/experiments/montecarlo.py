@@ -20,9 +20,10 @@ from sal_height.errors import UserError
 from sal_height.experiments.arrays import array_of
 from sal_height.experiments.sample_statistics import Measured, mean, median, s68, share, std
 from sal_height.looks import Covariance, Looks, covariance
-from sal_height.monopulse import DISCRIMINANTS, monopulse_elevation, sum_and_difference
+from sal_height.monopulse import monopulse_elevation
 from sal_height.noise_theory import cnr_detector_of, gaussian_law, steady_looks_mean, straight_power
 from sal_height.optics import PATTERNS, detector_pattern, tabulated_pattern
+from sal_height.products import DISCRIMINANTS, discriminate, sum_and_difference
 
 Array = npt.NDArray[np.float64]
 
@@ -261,8 +262,8 @@ def _discriminants(experiment: Experiment, power: float, estimator: str) -> Arra
 
     def discriminants(matrices: Covariance) -> Array:
         wide = matrices.astype(np.complex128)
-        sums = sum_and_difference(wide[:, 0, 0].real, wide[:, 1, 1].real, wide[:, 0, 1])
-        return DISCRIMINANTS[estimator](*sums, 2.0 * experiment.looks)
+        sums = sum_and_difference(wide[:, 0, 0].real, wide[:, 1, 1].real, wide[:, 0, 1], experiment.looks)
+        return discriminate(sums, DISCRIMINANTS[estimator], (2.0, 2.0))
 
     return _from_covariances(experiment, power, discriminants)
 

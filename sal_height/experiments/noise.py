@@ -12,8 +12,8 @@ import numpy.typing as npt
 from sal_height.compiled import WORKERS
 from sal_height.experiments.curve import Curve
 from sal_height.experiments.sample_statistics import Measured, mean, median, s68, std
-from sal_height.monopulse import DISCRIMINANTS
 from sal_height.noise_theory import SteadyLaw, gaussian_law, gaussian_mean, steady_mean
+from sal_height.products import DISCRIMINANTS
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

@@ -12,10 +12,11 @@ from sal_height.beams import Beams
 from sal_height.errors import Rejected
 from sal_height.estimate import ElevationEstimate
 from sal_height.looks import Looks
-from sal_height.monopulse import DISCRIMINANTS, monopulse_elevation
+from sal_height.monopulse import monopulse_elevation
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
+from sal_height.products import DISCRIMINANTS
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,14 @@ from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import polar
 from scipy.stats import gamma
 
 from sal_height.beams import Beams
 from sal_height.bounds import beam_power
 from sal_height.compiled import compiled, in_parallel
-from sal_height.errors import UserError
 from sal_height.looks import Covariance, Looks
 
 Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 class Validity(IntEnum):
@@ -141,43 +138,6 @@ def _quadratic_forms(matrices: Covariance, weights: Array, result: Array) -> Non
         result[i] = total
 
 
-def whitening(noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> tuple[float, ComplexArray]:
-    """Channels of equal and independent noise, as the estimators take it, that are the beams as far as can be.
-
-    The channels are M times the beams with noise of covariance N. With the polar decomposition N^(-1/2) M = U P (U
-    unitary, P Hermitian and positive), T = sqrt(power) U^H N^(-1/2) makes channels of independent noise of that power
-    that are sqrt(power) P times the beams: of all that whiten, those next to the beams. So a lossless hybrid is undone,
-    and complex calibration constants lose their phases, so that real beams stay real.
-
-    The power is detectors / trace(M^H N^-1 M), so that the squares of the beams' gains have the mean 1, and a detector
-    of much noise weighs little in CNRs, too. Without a channel matrix and with independent noise that is the harmonic
-    mean of the noise powers, and T multiplies each channel by sqrt(power / its noise power).
-
-    Args:
-        noise_covariance: N, E n n^H of the channels, shape (channels, channels).
-        channel_matrix: M, invertible, shape (channels, detectors), as many.
-
-    Returns:
-        The noise power of the new channels, and T, shape (channels, channels): for `looks.multilook`, and T M for
-        `Beams.combined`.
-
-    Raises:
-        UserError: a noise power is not known (0), negative or not finite, or no noise has such a covariance.
-    """
-    powers = np.diag(noise_covariance).real
-    if not np.all(np.isfinite(powers) & (powers > 0)):
-        raise UserError(
-            f"The channels' noise powers are {powers.tolist()}; all must be known, finite and greater than 0."
-        )
-    values, vectors = np.linalg.eigh(noise_covariance)
-    if not values[0] > 0:
-        raise UserError("The covariance of the channels' noise is not positive definite; it must be.")
-    inverse_root = (vectors / np.sqrt(values)) @ vectors.conj().T
-    unitary, positive = polar(inverse_root @ channel_matrix)
-    power = len(channel_matrix) / float(np.sum(np.abs(positive) ** 2))
-    return power, np.sqrt(power) * (unitary.conj().T @ inverse_root)
-
-
 def without_saturated(estimate: ElevationEstimate) -> ElevationEstimate:
     """The estimate of a dwell whose samples are clipped: what would be usable is SATURATED, and without a second."""
     usable = np.isin(estimate.validity, (Validity.OK, Validity.TWO_SCATTERERS))
@@ -187,20 +147,3 @@ def without_saturated(estimate: ElevationEstimate) -> ElevationEstimate:
         validity=np.where(usable, Validity.SATURATED, estimate.validity).astype(np.uint8),
         second=SecondScatterer(nowhere, nowhere, nowhere) if estimate.second else None,
     )
-
-
-def with_powers(noise_covariance: ComplexArray, powers: Array) -> ComplexArray:
-    """The covariance of noise that has these powers, and the correlations of `noise_covariance`.
-
-    Processing that is linear and the same for all channels leaves correlations as they are: so the noise of images
-    follows from that of the phase history. Correlations with a power that is not known (0) are 0.
-
-    Args:
-        noise_covariance: shape (channels, channels).
-        powers: E|n|^2, shape (channels,).
-    """
-    before = np.diag(noise_covariance).real
-    gains = np.sqrt(np.divide(powers, before, out=np.zeros(len(powers)), where=(before > 0) & (powers > 0)))
-    scaled = gains[:, None] * noise_covariance * gains
-    np.fill_diagonal(scaled, powers)
-    return scaled

@@ -226,7 +226,7 @@ def windowed_looks(
         down: looks in range.
         across: looks in azimuth.
         hermitian: whether the covariance is complex, as complex beams need it (`Beams.is_complex`).
-        transform: matrix that the channels are multiplied by (`estimate.whitening`), shape (channels, channels); None:
+        transform: matrix that the channels are multiplied by (`channels.whitening`), shape (channels, channels); None:
             they stay as they are.
 
     Raises:

@@ -1,7 +1,7 @@
 """Pairwise amplitude-comparison monopulse (SAL paper, sections 2 and 3).
 
 Of each two neighbouring detectors, Sigma is the sum and Delta the upper minus the lower, both of channels with the same
-noise (`estimate.whitening`): then that of Sigma and Delta is equal and independent, too. The pair with the most power
+noise (`channels.whitening`): then that of Sigma and Delta is equal and independent, too. The pair with the most power
 in Sigma is taken in each pixel; its discriminant mu = Re(Delta / Sigma) is estimated and inverted (`discriminant`).
 """
 
@@ -37,7 +37,7 @@ def monopulse_elevation(
         looks: covariance of M channels in each pixel.
         beams: of the M detectors.
         squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in every channel (`estimate.whitening`).
+        noise_power: E|n|^2 of one SLC pixel in every channel (`channels.whitening`).
         discriminant: one of DISCRIMINANTS.
         min_cnr: pixels below this power ratio are LOW_CNR.
 

@@ -22,6 +22,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.stats import gamma as gamma_law
 
 from sal_height.beams import Beams
+from sal_height.channels import Channels
 from sal_height.discriminant import LEAST_SLOPE, Inversion, Reason, discriminant, discriminant_slope, invert
 from sal_height.errors import UserError
 from sal_height.estimate import FALSE_ALARMS, MISFIT_SHARE, ElevationEstimate, Validity
@@ -194,7 +195,7 @@ def sum_difference_elevation(
     scatterer leaves K noise powers and not more, as in `estimate.validity_of`.
 
     Args:
-        looks: covariance of Sigma = upper + lower and Delta = upper - lower in each pixel (`calibration`).
+        looks: covariance of Sigma = upper + lower and Delta = upper - lower in each pixel (`sum_difference_channels`).
         pair: the two beams, lower and upper.
         squint: of each column, rad, shape (cols,).
         noise_powers: of one SLC pixel of Sigma and of Delta.
@@ -246,33 +247,20 @@ def _eigenvalues(sums: Products) -> Array:
     return np.stack([mean + apart, mean - apart])
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """What makes Sigma = upper + lower and Delta = upper - lower of the channels of a sensor with a hybrid.
+def sum_difference_channels(noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> Channels:
+    """Sigma = upper + lower and Delta = upper - lower from a sensor's channels, for `sum_difference_elevation`.
 
-    Attributes:
-        transform: that the channels are multiplied by (`looks.multilook`), shape (2, 2), diagonal.
-        beam_gains: that the beams, lower and upper, are scaled by (`Beams.scaled`), shape (2,).
-        noise_powers: of Sigma and Delta.
-    """
-
-    transform: ComplexArray
-    beam_gains: Array | ComplexArray
-    noise_powers: NoisePowers
-
-
-def calibration(matrix: ComplexArray, noise_covariance: ComplexArray) -> Calibration:
-    """How to make Sigma and Delta of a sensor's two channels.
+    The matrix of these `Channels` is that of the gains of the beams, lower and upper.
 
     Args:
-        matrix: the channels from the beams (lower, upper), shape (2, 2): see `separated_gains`.
         noise_covariance: E n n^H of the channels, shape (2, 2).
+        channel_matrix: the channels from the beams (lower, upper), shape (2, 2): see `separated_gains`.
 
     Raises:
         UserError: the matrix forms no sum and difference, or the channels' noise is correlated: that of receivers
             before the hybrid that are not alike. The estimators for the whole array take any noise.
     """
-    channels, beams = separated_gains(matrix)
+    channels, beams = separated_gains(channel_matrix)
     transform = np.diag(1 / channels)
     noise = transform @ noise_covariance @ transform.conj().T
     sum_noise, difference_noise = (float(power) for power in np.diag(noise).real)
@@ -282,7 +270,7 @@ def calibration(matrix: ComplexArray, noise_covariance: ComplexArray) -> Calibra
             f"The noise of Sigma and Delta has a correlation of {correlation:.3g}; their discriminator needs it "
             "independent."
         )
-    return Calibration(transform, beams, (sum_noise, difference_noise))
+    return Channels(transform, np.eye(2) * beams, np.array([sum_noise, difference_noise]))
 
 
 def separated_gains(matrix: ComplexArray) -> tuple[ComplexArray, Array | ComplexArray]:

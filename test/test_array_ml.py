@@ -23,8 +23,9 @@ from sal_height import peak_search
 from sal_height.array_ml import OBJECTIVES, ml_elevation, peak_elevation
 from sal_height.beams import Beams
 from sal_height.bounds import stochastic_crb
+from sal_height.channels import whitening
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, Validity, whitening
+from sal_height.estimate import ElevationEstimate, Validity
 from sal_height.looks import Looks, live_detectors, multilook
 from sal_height.monopulse import monopulse_elevation
 from sal_height.optics import PATTERNS, Pattern

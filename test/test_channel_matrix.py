@@ -18,8 +18,9 @@ from helpers import (
 )
 
 from sal_height.array_ml import OBJECTIVES, ml_elevation
+from sal_height.channels import whitening, with_powers
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, Validity, whitening, with_powers
+from sal_height.estimate import ElevationEstimate, Validity
 from sal_height.looks import multilook
 from sal_height.sensor import Sensor
 from sal_height.simulator import form_channels, received, receiver_noise

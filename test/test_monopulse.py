@@ -23,8 +23,9 @@ from scipy.integrate import quad
 
 from sal_height.beams import Beams
 from sal_height.bounds import stochastic_crb
+from sal_height.channels import whitening
 from sal_height.errors import UserError
-from sal_height.estimate import ElevationEstimate, Validity, whitening
+from sal_height.estimate import ElevationEstimate, Validity
 from sal_height.looks import Looks, multilook
 from sal_height.monopulse import _strongest_pair, monopulse_elevation
 from sal_height.optics import GAUSSIAN_WIDTH, PATTERNS

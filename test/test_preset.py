@@ -12,9 +12,9 @@ import yaml
 from helpers import RAW_SETTINGS, RAW_WAVEFORMS, assert_one_sentence, with_waveform
 
 from sal_height import stripmap
+from sal_height.channels import whitening
 from sal_height.compression import slant_plane_grid
 from sal_height.errors import UserError
-from sal_height.estimate import whitening
 from sal_height.flight import SimulatedFlight, flight_of
 from sal_height.preset import load_preset, parse_preset, preset_names
 from sal_height.scene import PointTarget

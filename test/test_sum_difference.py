@@ -36,10 +36,10 @@ from sal_height.sum_difference import (
     INVERSES,
     Discriminator,
     SlopeTable,
-    calibration,
     crossover_slope,
     invert_linear,
     separated_gains,
+    sum_difference_channels,
     sum_difference_elevation,
     synthesise,
 )
@@ -288,10 +288,10 @@ def test_a_lossless_hybrid_gives_the_elevations_and_sigmas_of_the_bare_pair() ->
     lower_upper = np.sqrt(50.0) * pair.response(elevation_at(0.1), 0.0)[:, None, None] * circular(rng, shape)
     lower_upper = lower_upper + circular(rng, (2, *shape))
     bare = monopulse_elevation(multilook(lower_upper, 1, 8), pair, np.zeros(1), 1.0, total_least_squares, 1.0)
-    made = calibration(HYBRID, np.eye(2))
+    made = sum_difference_channels(np.eye(2), HYBRID)
     formed = np.tensordot(made.transform @ HYBRID, lower_upper, 1)
     assert made.noise_powers == pytest.approx((2.0, 2.0))
-    found = estimate(images_of(formed[0], formed[1], 8), pair.scaled(made.beam_gains), made.noise_powers)
+    found = estimate(images_of(formed[0], formed[1], 8), pair.combined(made.matrix), tuple(made.noise_powers))
     np.testing.assert_allclose(offset_of(found.elevation), offset_of(bare.elevation), atol=2e-5)
     np.testing.assert_allclose(found.sigma, bare.sigma, rtol=1e-4)
     np.testing.assert_allclose(found.cnr, bare.cnr, rtol=1e-4)
@@ -450,8 +450,8 @@ def test_calibrated_channels_are_sum_and_difference_with_the_noise_that_is_said(
     """Receivers of unlike gain and noise behind a hybrid, and beams of unlike gain before it."""
     receivers, before, rng = np.diag([0.7 * np.exp(2j), 0.5]), np.array([0.9, 1.1]), np.random.default_rng(62)
     matrix = receivers @ SUM_DIFFERENCE @ np.diag(before)
-    made = calibration(matrix, np.diag([2.0, 3.0]))
-    beams = np.diag(made.beam_gains)
+    made = sum_difference_channels(np.diag([2.0, 3.0]), matrix)
+    beams = made.matrix
     np.testing.assert_allclose(made.transform @ matrix, SUM_DIFFERENCE @ beams, atol=1e-12)
     noise = made.transform @ (np.sqrt([[2.0], [3.0]]) * circular(rng, (2, 40_000)))
     powers = np.mean(np.abs(noise) ** 2, axis=1)
@@ -459,10 +459,10 @@ def test_calibrated_channels_are_sum_and_difference_with_the_noise_that_is_said(
 
 
 def test_correlated_noise_is_refused_and_that_of_equal_receivers_before_the_hybrid_is_not() -> None:
-    made = calibration(HYBRID, HYBRID @ np.diag([3.0, 3.0]) @ HYBRID.T)
+    made = sum_difference_channels(HYBRID @ np.diag([3.0, 3.0]) @ HYBRID.T, HYBRID)
     assert made.noise_powers == pytest.approx((6.0, 6.0))
     with pytest.raises(UserError) as refused:
-        calibration(HYBRID, HYBRID @ np.diag([1.0, 1.5]) @ HYBRID.T)
+        sum_difference_channels(HYBRID @ np.diag([1.0, 1.5]) @ HYBRID.T, HYBRID)
     assert_one_sentence(str(refused.value), "correlation of 0.2", "independent")
 
 

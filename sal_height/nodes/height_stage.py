@@ -13,9 +13,10 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import __version__, convert
 from sal_height.beams import Beams
+from sal_height.channels import Channels, whitened_channels, with_powers
 from sal_height.discriminant import moving_squint
 from sal_height.errors import Rejected, UserError
-from sal_height.estimate import ElevationEstimate, whitening, with_powers, without_saturated
+from sal_height.estimate import ElevationEstimate, without_saturated
 from sal_height.height import column_squint, height_field, look_grid
 from sal_height.looks import LOOK_WINDOWS, Looks, Window, live_detectors, windowed_looks
 from sal_height.nodes.dwell_stage import DwellStage
@@ -24,6 +25,9 @@ from sal_height.saturation import MAX_SHARE
 from sal_height.sensor import Sensor
 from sal_height.stripmap import image_beams
 from sal_height.windows import WINDOWS
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -118,11 +122,15 @@ class HeightStage(DwellStage):
         self._image = self.offer(Image, f"{self.estimator}/image")
         self._points = self.offer(PointCloud2, f"{self.estimator}/points")
 
+    def channels(self, noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> Channels:
+        """The channels that the estimator takes, from those of the sensor: of equal noise (`channels.whitening`)."""
+        return whitened_channels(noise_covariance, channel_matrix)
+
     @abstractmethod
     def estimate(
-        self, looks: Looks, beams: Beams, squint: npt.NDArray[np.float64], noise_power: float, parameters: Any
+        self, looks: Looks, beams: Beams, squint: Array, noise_powers: Array, parameters: Any
     ) -> ElevationEstimate:
-        """Elevation of every pixel, by the core's estimator."""
+        """Elevation of every pixel, by the core's estimator; looks, beams and noise powers are of `channels`."""
 
     def identity(self, message: ComplexImage) -> str:
         """The config_hash of the sensor info that the image was made with."""
@@ -139,16 +147,15 @@ class HeightStage(DwellStage):
         live = live_channels(slc, sensor)
         slc = slc if len(live) == len(slc) else slc[live]
         noise = with_powers(sensor.noise_covariance, noise_powers)[np.ix_(live, live)]
-        mixing = sensor.mixing[np.ix_(live, live)]
-        noise_power, transform = whitening(noise, mixing)
+        channels = self.channels(noise, sensor.mixing[np.ix_(live, live)])
         before = messages[0].provenance
-        beams = processed_beams(sensor, before.parameters).detectors(live).combined(transform @ mixing)
+        beams = processed_beams(sensor, before.parameters).detectors(live).combined(channels.matrix)
         down, across = parameters.windows
-        looks = windowed_looks(slc, down, across, beams.is_complex, transform)
+        looks = windowed_looks(slc, down, across, beams.is_complex, channels.transform)
         grid = look_grid(slc_grid, down, across)
         velocity, speed = parameters.radial_velocity_mps, np.linalg.norm(aperture.velocity)
         squint = moving_squint(column_squint(grid, aperture, sensor.beams, sensor.look_side), velocity, speed)
-        estimate = self.estimate(looks, beams, squint, noise_power, parameters)
+        estimate = self.estimate(looks, beams, squint, channels.noise_powers, parameters)
         share = max(messages[channel].saturated_share for channel in live)
         if share > parameters.max_saturated_share:
             estimate = without_saturated(estimate)

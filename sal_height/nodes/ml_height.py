@@ -18,6 +18,8 @@ from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.spatial_prior import RECOMMENDED_STRENGTH, prior_elevation
 
+Array = npt.NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Parameters(HeightParameters):
@@ -49,10 +51,10 @@ class MlHeight(HeightStage):
         super().__init__("ml_height", **node_arguments)
 
     def estimate(
-        self, looks: Looks, beams: Beams, squint: npt.NDArray[np.float64], noise_power: float, parameters: Parameters
+        self, looks: Looks, beams: Beams, squint: Array, noise_powers: Array, parameters: Parameters
     ) -> ElevationEstimate:
         """Elevation of every pixel."""
-        strength, min_cnr = parameters.prior_strength, parameters.min_cnr
+        noise_power, strength, min_cnr = float(noise_powers[0]), parameters.prior_strength, parameters.min_cnr
         if strength:
             estimate = prior_elevation(looks, beams, squint, noise_power, strength, min_cnr)
         else:

@@ -18,6 +18,8 @@ from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.products import DISCRIMINANTS
 
+Array = npt.NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Parameters(HeightParameters):
@@ -42,7 +44,7 @@ class Monopulse(HeightStage):
         super().__init__("monopulse", **node_arguments)
 
     def estimate(
-        self, looks: Looks, beams: Beams, squint: npt.NDArray[np.float64], noise_power: float, parameters: Parameters
+        self, looks: Looks, beams: Beams, squint: Array, noise_powers: Array, parameters: Parameters
     ) -> ElevationEstimate:
         """Elevation of every pixel.
 
@@ -55,9 +57,8 @@ class Monopulse(HeightStage):
                 "The channel matrix of SensorInfo is no lossless hybrid, so that the detectors' noise is dependent: "
                 "they make no pairs; use ml_height, or sum_difference_height for a sum and a difference.",
             )
-        return monopulse_elevation(
-            looks, beams, squint, noise_power, DISCRIMINANTS[parameters.discriminant], parameters.min_cnr
-        )
+        discriminant, min_cnr = DISCRIMINANTS[parameters.discriminant], parameters.min_cnr
+        return monopulse_elevation(looks, beams, squint, float(noise_powers[0]), discriminant, min_cnr)
 
 
 def main() -> int:

@@ -15,6 +15,7 @@ from sal_height_msgs.msg import DetectorFrame, HeightImage, SensorInfo
 from sal_height import convert
 from sal_height.flight import SimulatedFlight
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.height_stage import HeightStage
 from sal_height.nodes.ml_height import MlHeight
 from sal_height.nodes.monopulse import Monopulse
 from sal_height.nodes.sar_compression import SarCompression
@@ -26,8 +27,11 @@ TIMEOUT_S = 30.0
 DETECTORS = 8
 
 
+ESTIMATORS: dict[str, type[HeightStage]] = {"monopulse": Monopulse, "ml": MlHeight}
+
+
 class Chain:
-    """sar_compression, monopulse and ml_height in one graph; frames go in by hand, heights are collected."""
+    """sar_compression and height nodes in one graph; frames go in by hand, heights are collected."""
 
     def __init__(
         self,
@@ -38,10 +42,13 @@ class Chain:
         heights: Mapping[str, Any] = MappingProxyType({}),
         monopulse: Mapping[str, Any] = MappingProxyType({}),
         ml_height: Mapping[str, Any] = MappingProxyType({}),
+        estimators: Mapping[str, type[HeightStage]] = MappingProxyType(ESTIMATORS),
     ) -> None:
-        """Parameters: `image` of sar_compression, `heights` of both height nodes, the others of one each."""
+        """Parameters: `image` of sar_compression, `heights` of all height nodes, the others of one each."""
         self.graph = graph
         self.flight = flight
+        self.estimators = tuple(estimators)
+        own = {"monopulse": monopulse, "ml": ml_height}
 
         def overrides(parameters: Mapping[str, Any]) -> dict[str, Any]:
             values = {"timeout_s": missing_after_s, **parameters}
@@ -49,8 +56,10 @@ class Chain:
 
         nodes = [
             SarCompression(context=graph.context, **overrides(image)),
-            Monopulse(context=graph.context, **overrides({**heights, **monopulse})),
-            MlHeight(context=graph.context, **overrides({**heights, **ml_height})),
+            *(
+                node(context=graph.context, **overrides({**heights, **own.get(name, {})}))
+                for name, node in estimators.items()
+            ),
         ]
         self.stages = {node.get_name(): graph.add(node) for node in nodes}
         self.heights: dict[tuple[str, int], HeightImage] = {}
@@ -60,10 +69,13 @@ class Chain:
             Odometry: self._feeder.create_publisher(Odometry, "platform/odometry", ODOMETRY_QOS),
             DetectorFrame: self._feeder.create_publisher(DetectorFrame, "phase_history", FRAMES_QOS),
         }
-        for name in ("monopulse", "ml"):
+        for name in self.estimators:
             self._feeder.create_subscription(HeightImage, f"{name}/height", self._keep, FRAMES_QOS)
         self.wait(lambda: all(p.get_subscription_count() for p in self._publishers.values()), "the nodes to connect")
-        self.wait(lambda: self._feeder.count_publishers("ml/height") == 1, "the height nodes to connect")
+        self.wait(
+            lambda: all(self._feeder.count_publishers(f"{name}/height") == 1 for name in self.estimators),
+            "the height nodes to connect",
+        )
 
     def wait(self, condition: Any, what: str) -> None:
         assert self.graph.spin_until(condition, TIMEOUT_S), f"waited in vain for {what}: {self.accounts()}"
@@ -87,7 +99,8 @@ class Chain:
         return convert.history_to_messages(history, self.flight.sensor, dwell, stamp)
 
     def await_heights(self, dwell: int) -> None:
-        self.wait(lambda: {("ml", dwell), ("monopulse", dwell)} <= set(self.heights), f"the heights of dwell {dwell}")
+        expected = {(name, dwell) for name in self.estimators}
+        self.wait(lambda: expected <= set(self.heights), f"the heights of dwell {dwell}")
 
     def await_drops(self, stage: str, reason: str, count: int) -> None:
         self.wait(lambda: self.dropped(stage).get(reason) == count, f"{count} x {reason!r} in {stage}")

@@ -1,0 +1,85 @@
+"""Node sum_difference_height: slc of Sigma and Delta → sum_difference/height, by their discriminator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.beams import Beams
+from sal_height.channels import Channels
+from sal_height.errors import Rejected, UserError
+from sal_height.estimate import ElevationEstimate
+from sal_height.looks import Looks
+from sal_height.nodes.height_stage import HeightParameters, HeightStage
+from sal_height.nodes.parameters import parameter
+from sal_height.nodes.program import run_node
+from sal_height.products import DISCRIMINANTS
+from sal_height.sum_difference import (
+    INVERSES,
+    Discriminator,
+    sum_difference_channels,
+    sum_difference_elevation,
+)
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Parameters(HeightParameters):
+    """Parameters of the node."""
+
+    discriminant: str = parameter(
+        "tls",
+        "estimate of Delta / Sigma: tls (exact maximum likelihood), ratio (as published; biased at low CNR) or "
+        "noise_subtraction (ratio less the noise power in Sigma)",
+        choices=tuple(DISCRIMINANTS),
+    )
+    inverse: str = parameter(
+        "exact",
+        "elevation of Delta / Sigma: exact (by the beams) or linear (as published: by the slope in the equisignal "
+        "direction)",
+        choices=tuple(INVERSES),
+    )
+
+
+class SumDifferenceHeight(HeightStage):
+    """Heights by the discriminator of a sensor whose two channels are sum and difference of two beams."""
+
+    estimator = "sum_difference"
+    parameters = Parameters
+
+    def __init__(self, **node_arguments: Any) -> None:
+        """Make the node; `node_arguments` go to rclpy's Node."""
+        super().__init__("sum_difference_height", **node_arguments)
+
+    def channels(self, noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> Channels:
+        """Sigma and Delta with gains that are equal, each with its own noise.
+
+        Raises:
+            Rejected: the channels are no sum and difference of two beams, or their noise is correlated.
+        """
+        try:
+            return sum_difference_channels(noise_covariance, channel_matrix)
+        except UserError as error:
+            raise Rejected("no sum and difference", str(error)) from error
+
+    def estimate(
+        self, looks: Looks, beams: Beams, squint: Array, noise_powers: Array, parameters: Parameters
+    ) -> ElevationEstimate:
+        """Elevation of every pixel."""
+        discriminator = Discriminator(DISCRIMINANTS[parameters.discriminant], INVERSES[parameters.inverse])
+        powers = float(noise_powers[0]), float(noise_powers[1])
+        return sum_difference_elevation(looks, beams, squint, powers, discriminator, parameters.min_cnr)
+
+
+def main() -> int:
+    """Console script."""
+    return run_node(SumDifferenceHeight)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

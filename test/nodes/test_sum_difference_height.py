@@ -1,0 +1,107 @@
+"""Sum and difference channels through the real nodes, from frames to heights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from chain_fixture import ESTIMATORS, Chain
+from rclpy.parameter import Parameter
+from sal_height_msgs.msg import HeightImage
+
+from sal_height.estimate import Validity
+from sal_height.flight import SimulatedFlight
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.sum_difference_height import SumDifferenceHeight
+from sal_height.preset import HybridSettings, load_preset
+from sal_height.terrain import load_scene
+
+WITH_SUM_DIFFERENCE = {**ESTIMATORS, "sum_difference": SumDifferenceHeight}
+
+
+def flown(**hybrid: Any) -> SimulatedFlight:
+    """Two beams a beamwidth apart over the street, with a hybrid."""
+    small = load_preset("small")
+    sensor = replace(small.sensor, detectors=2, pitch_beamwidths=1.0, hybrid=HybridSettings(**hybrid))
+    preset = replace(small, sensor=sensor)
+    return SimulatedFlight(preset, preset.make_sensor(), load_scene(preset.scene), preset.dwells, seed=7)
+
+
+def connected(graph: Graph, **hybrid: Any) -> Chain:
+    """A chain that knows the sensor, and has seen dwell 0."""
+    chain = Chain(graph, flown(**hybrid), missing_after_s=30.0, estimators=WITH_SUM_DIFFERENCE)
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+    return chain
+
+
+def valid(image: HeightImage) -> np.ndarray:
+    return np.array(image.validity) == Validity.OK
+
+
+def in_both(field: str, one: HeightImage, other: HeightImage) -> tuple[np.ndarray, np.ndarray]:
+    """Values of a field of both images, in the pixels that are valid in both: some 20, as two beams see no more."""
+    both = valid(one) & valid(other)
+    assert np.count_nonzero(both) > 15
+    return np.array(getattr(one, field))[both], np.array(getattr(other, field))[both]
+
+
+@pytest.mark.parametrize("place", ["antenna", "receiver"])
+def test_heights_are_those_of_the_pair_that_the_hybrid_was_made_of(graph: Graph, place: str) -> None:
+    """The exact maximum likelihood is that of two detectors by total least squares, and the array's for a pair."""
+    chain = connected(graph, place=place)
+    chain.await_heights(0)
+    ours, pair, array = (chain.heights[name, 0] for name in ("sum_difference", "monopulse", "ml"))
+    for theirs in (pair, array):
+        np.testing.assert_allclose(*in_both("height", ours, theirs), atol=2e-3)
+    np.testing.assert_allclose(*in_both("sigma", ours, pair), rtol=1e-3)
+    np.testing.assert_allclose(*in_both("cnr_db", ours, pair), atol=0.01)
+
+
+def test_the_published_ratio_and_its_linear_inverse_can_be_had_at_run_time(graph: Graph) -> None:
+    chain = connected(graph, place="antenna")
+    chain.await_heights(0)
+    changes = [Parameter("discriminant", value="ratio"), Parameter("inverse", value="linear")]
+    assert all(answer.successful for answer in chain.stages["sum_difference_height"].set_parameters(changes))
+    chain.publish(*chain.odometry(1), *chain.frames(1))
+    chain.await_heights(1)
+    ours = chain.heights["sum_difference", 1]
+    for value in ('"discriminant": "ratio"', '"inverse": "linear"'):
+        assert value in ours.provenance.parameters
+        assert value not in chain.heights["sum_difference", 0].provenance.parameters
+    linear, exact = in_both("height", ours, chain.heights["monopulse", 1])
+    assert np.abs(linear - exact).max() > 5e-3  # twice what the exact ones differ by
+
+
+@pytest.mark.parametrize(
+    "hybrid", [{"delta_gain_db": 3.0, "delta_phase_rad": 0.5}, {"coupling": 1.0}, {"loss_db": 2.0}], ids=str
+)
+def test_heights_agree_with_those_of_the_array_whatever_the_hybrid(graph: Graph, hybrid: dict[str, float]) -> None:
+    chain = connected(graph, place="antenna", **hybrid)
+    chain.await_heights(0)
+    np.testing.assert_allclose(
+        *in_both("height", chain.heights["sum_difference", 0], chain.heights["ml", 0]), atol=2e-3
+    )
+
+
+def test_channels_that_are_no_sum_and_difference_are_refused_by_this_node_alone(
+    graph: Graph, flight: SimulatedFlight, reference: Any
+) -> None:
+    chain = Chain(graph, flight, missing_after_s=30.0, estimators=WITH_SUM_DIFFERENCE)
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+    chain.await_drops("sum_difference_height", "no sum and difference", 8)
+    chain.wait(lambda: ("ml", 0) in chain.heights, "ML heights")
+    assert np.array_equal(chain.heights["ml", 0].validity, reference["ml", 0].validity)
+    assert "forms no sum and difference" in chain.stages["sum_difference_height"].last_rejection
+
+
+def test_a_dead_sum_channel_gives_no_height_and_ends_nothing(graph: Graph) -> None:
+    chain = Chain(graph, flown(place="antenna"), missing_after_s=30.0, estimators=WITH_SUM_DIFFERENCE)
+    frames = chain.frames(0)
+    frames[0].samples = np.zeros(len(frames[0].samples), np.float32)
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
+    chain.await_drops("sum_difference_height", "dead detectors", 2)
+    chain.publish(*chain.odometry(1), *chain.frames(1))
+    chain.await_heights(1)
+    assert valid(chain.heights["sum_difference", 1]).any()

@@ -1,0 +1,228 @@
+"""Heights tracked along range: neighbours on the ground tell of each other what the noise of each hides.
+
+The relief paper finds the angle of each range cell and leaves the tracking of the relief from cell to cell to Bayesian
+filtering of a virtual target. Here the relief is a stationary Gauss-Markov (Ornstein-Uhlenbeck) process along range,
+
+    h_(i+1) - m = phi (h_i - m) + w_i,    phi = exp(-d / l),    var w = s^2 (1 - phi^2),
+
+with the mean m, the standard deviation s and the correlation length l of a `ReliefPrior` and the way d on the ground
+from cell to cell. Each cell is measured with its own standard deviation, or not at all. The Kalman filter then gives
+the heights' posterior from all cells up to each one, the smoother of Rauch, Tung and Striebel (AIAA Journal 3, 1965)
+that from all cells of the swath; every column is a track of its own.
+
+A measurement farther from its prediction than `gate` standard deviations of their difference (the validation gate of
+Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001) is an outlier and not
+used. The variance of the prediction then grows on, as far as s^2, and the gate with it: behind a cliff the track is
+found again after a fraction of l, unless the ground stays more than `gate` s from the mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.compiled import compiled, in_parallel
+from sal_height.errors import UserError
+
+Array = npt.NDArray[np.float64]
+Heights = npt.NDArray[np.floating[Any]]
+Mask = npt.NDArray[np.bool_]
+
+GATE = 4.0
+"""Standard deviations: of Gaussian errors, 1 in 16 000 lies beyond."""
+
+LEAST_SIGMA = 1e-100
+"""Anything greater has a precision that is a number, m."""
+
+COLUMNS_AT_ONCE = 64
+"""Tracks that are followed side by side: what belongs to 1000 rows of them fits the cache."""
+
+
+@dataclass(frozen=True)
+class ReliefPrior:
+    """What is known of the relief before it is measured.
+
+    Attributes:
+        length: correlation length on the ground, m: the correlation of heights falls to 1 / e.
+        sigma: standard deviation of heights, m.
+        mean: of heights, m.
+
+    Raises:
+        UserError: length or sigma is not greater than 0, or a value is not finite.
+    """
+
+    length: float
+    sigma: float
+    mean: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse values that no relief has."""
+        if not (np.all(np.isfinite([self.length, self.sigma, self.mean])) and self.length > 0 and self.sigma > 0):
+            raise UserError(
+                f"The prior of the relief has length {self.length:g} m, sigma {self.sigma:g} m and mean "
+                f"{self.mean:g} m; all must be finite, the first two greater than 0."
+            )
+
+    def correlation(self, distance: npt.ArrayLike) -> Array:
+        """Correlation of two heights `distance` (m) apart; broadcasts."""
+        return np.exp(-np.abs(distance) / self.length)
+
+    def noise(self, spacing: float) -> float:
+        """Variance (m^2) of what a step of `spacing` (m) adds to the relief: s^2 (1 - phi^2)."""
+        return float(-(self.sigma**2) * np.expm1(-2 * spacing / self.length))
+
+
+@dataclass(frozen=True)
+class TrackedRelief:
+    """Heights of all cells from the measurements of many; arrays of shape (rows, cols).
+
+    Attributes:
+        height: posterior mean, m.
+        sigma: posterior standard deviation, m.
+        outlier: True where there was a measurement that the gate left out.
+    """
+
+    height: Heights
+    sigma: Heights
+    outlier: Mask
+
+
+def filtered(
+    height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float = GATE
+) -> TrackedRelief:
+    """Heights from the cells up to each one, in the order of rows: the Kalman filter.
+
+    Args:
+        height: measured, m, float32 or float64, shape (rows, cols), rows in the order of range.
+        sigma: its standard deviation, m, same shape. A cell is not measured where either is not finite or sigma is
+            not greater than 0.
+        spacing: way on the ground from row to row, m.
+        prior: of the relief.
+        gate: measurements farther from their prediction are outliers, standard deviations; infinite: none is.
+
+    Returns:
+        Heights and standard deviations of all cells, in the precision of `height`; computed in double precision.
+
+    Raises:
+        UserError: the shapes differ or are not (rows, cols), or spacing or gate is not greater than 0.
+    """
+    return _tracked(height, sigma, spacing, prior, gate, both_ways=False)
+
+
+def smoothed(
+    height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float = GATE
+) -> TrackedRelief:
+    """Heights from all cells of each column: `filtered`, then the smoother of Rauch, Tung and Striebel back to row 0.
+
+    Arguments, result and errors are those of `filtered`, which also decides what is an outlier.
+    """
+    return _tracked(height, sigma, spacing, prior, gate, both_ways=True)
+
+
+def steady_sigmas(prior: ReliefPrior, spacing: float, measured_sigma: float) -> tuple[float, float]:
+    """Standard deviations (m) of `filtered` and `smoothed` heights far from the swath's edges.
+
+    All cells being measured with `measured_sigma` (m) and none being an outlier. The filter's predicted variance is
+    the positive root of P^2 + P (R (1 - phi^2) - q) - q R = 0, what follows the measurement P R / (P + R); the
+    smoother's is the fixed point of its recursion.
+    """
+    phi, q, r = float(prior.correlation(spacing)), prior.noise(spacing), measured_sigma**2
+    off = q - r * q / prior.sigma**2
+    predicted = (off + np.sqrt(off**2 + 4 * q * r)) / 2
+    updated = predicted * r / (predicted + r)
+    back = phi * updated / predicted
+    return float(np.sqrt(updated)), float(np.sqrt((updated - back**2 * predicted) / (1 - back**2)))
+
+
+def measurements(height: Heights, sigma: Heights, mean: float) -> tuple[Array, Array]:
+    """Deviations of measured heights from `mean` (m) and their precisions 1 / sigma^2 (1 / m^2); 0 where not measured.
+
+    Arguments as of `filtered`.
+    """
+    deviation, precision = np.empty(height.shape), np.empty(height.shape)
+    _measure(height, sigma, mean, deviation, precision)
+    return deviation, precision
+
+
+def _measure(height: Heights, sigma: Heights, mean: float, deviation: Array, precision: Array) -> None:
+    """Fill `deviation` and `precision` as `measurements` returns them."""
+    missing = ~((sigma > LEAST_SIGMA) & np.isfinite(height))
+    np.subtract(height, mean, out=deviation, dtype=np.float64)
+    np.multiply(sigma, sigma, out=precision, dtype=np.float64)
+    deviation[missing], precision[missing] = 0.0, np.inf
+    np.reciprocal(precision, out=precision)
+
+
+def check_measurements(height: Heights, sigma: Heights, spacing: float, gate: float = GATE) -> None:
+    """Make sure that heights can be tracked; see `filtered`.
+
+    Raises:
+        UserError: they cannot.
+    """
+    if height.ndim != 2 or height.shape != sigma.shape:
+        raise UserError(
+            f"Heights have the shape {height.shape}, their sigmas {sigma.shape}; both must have the same (rows, cols)."
+        )
+    if not (spacing > 0 and np.isfinite(spacing)):
+        raise UserError(f"The rows of the heights are {spacing:g} m apart; it must be finite and greater than 0.")
+    if not gate > 0:
+        raise UserError(f"The gate is {gate:g} standard deviations; it must be greater than 0.")
+
+
+def _tracked(
+    height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float, both_ways: bool
+) -> TrackedRelief:
+    check_measurements(height, sigma, spacing, gate)
+    phi, q, square = float(prior.correlation(spacing)), prior.noise(spacing), min(gate**2, np.finfo(float).max)
+    result = TrackedRelief(np.empty_like(height), np.empty_like(height), np.empty(height.shape, np.bool_))
+
+    def work(part: slice) -> None:
+        scratch = np.empty((2, len(height), COLUMNS_AT_ONCE))
+        for first in range(part.start, part.stop, COLUMNS_AT_ONCE):
+            block = np.s_[:, first : min(first + COLUMNS_AT_ONCE, part.stop)]
+            state, variance = scratch[..., : result.height[block].shape[1]]
+            _measure(height[block], sigma[block], prior.mean, state, variance)
+            _filter(phi, q, prior.sigma**2, square, state, variance, result.outlier[block])
+            if both_ways:
+                _smooth(phi, q, state, variance)
+            np.add(state, prior.mean, out=result.height[block], casting="same_kind")
+            np.sqrt(variance, out=result.sigma[block], casting="same_kind")
+
+    in_parallel(work, height.shape[1], COLUMNS_AT_ONCE)
+    return result
+
+
+# The loops below are compiled; all columns of a row are worked on at a time.
+
+
+@compiled
+def _filter(
+    phi: float, q: float, prior_variance: float, square_gate: float, state: Array, variance: Array, outlier: Mask
+) -> None:
+    """Turn measured deviations and their precisions (0: not measured) into filtered states and variances."""
+    rows, cols = state.shape
+    predicted, spread = np.zeros(cols), np.full(cols, prior_variance)
+    for i in range(rows):
+        for c in range(cols):
+            innovation, weight = state[i, c] - predicted[c], variance[i, c]
+            outlier[i, c] = innovation**2 * weight > square_gate * (1 + spread[c] * weight)
+            weight = 0.0 if outlier[i, c] else weight
+            variance[i, c] = spread[c] / (1 + spread[c] * weight)
+            state[i, c] = predicted[c] + variance[i, c] * weight * innovation
+            predicted[c] = phi * state[i, c]
+            spread[c] = phi**2 * variance[i, c] + q
+
+
+@compiled
+def _smooth(phi: float, q: float, state: Array, variance: Array) -> None:
+    """Turn filtered states and variances into smoothed ones, from the last row to the first."""
+    rows, cols = state.shape
+    for i in range(rows - 2, -1, -1):
+        for c in range(cols):
+            predicted = phi**2 * variance[i, c] + q
+            back = phi * variance[i, c] / predicted
+            state[i, c] += back * (state[i + 1, c] - phi * state[i, c])
+            variance[i, c] += back**2 * (variance[i + 1, c] - predicted)

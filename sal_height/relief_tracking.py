@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import minimize
 
 from sal_height.compiled import compiled, in_parallel
 from sal_height.errors import UserError
@@ -36,6 +37,18 @@ GATE = 4.0
 
 LEAST_SIGMA = 1e-100
 """Anything greater has a precision that is a number, m."""
+
+OUTLIER_SHARE = 0.05
+"""Of the measurements from which a prior is estimated; what it is in truth matters little."""
+
+COLUMNS_OF_PRIOR = 64
+"""Columns from which a prior is estimated: more tell little more of one relief."""
+
+LEAST_STEPS = 30
+"""Steps from one measured cell of a column to the next from which a prior can be estimated."""
+
+FLATTEST = 0.01
+"""Least standard deviation of an estimated relief over that of its measurements: less cannot be told from level."""
 
 COLUMNS_AT_ONCE = 64
 """Tracks that are followed side by side: what belongs to 1000 rows of them fits the cache."""
@@ -122,6 +135,85 @@ def smoothed(
     return _tracked(height, sigma, spacing, prior, gate, both_ways=True)
 
 
+def estimated_prior(
+    height: Heights, sigma: Heights, spacing: float, length: float | None = None, relief_sigma: float | None = None
+) -> ReliefPrior:
+    """The prior under which the measured heights are most likely: all of it, or what of length and sigma is not given.
+
+    The likelihood of a Gauss-Markov process is the product of those of the filter's innovations (Schweppe, IEEE Trans.
+    Information Theory 11, 1965). Outliers would take it for a rough relief: a measurement is one with the probability
+    OUTLIER_SHARE, and then has any height between the least and the greatest; the filter weighs it by the probability
+    that it is none (the probabilistic data association of Bar-Shalom and Tse, Automatica 11, 1975).
+
+    Up to COLUMNS_OF_PRIOR columns are used, each as a track of its own. Lengths are searched from a third of `spacing`
+    to ten swaths, standard deviations from FLATTEST of the measurements' own on: level ground is a relief of that.
+
+    Args:
+        height: measured, m, shape (rows, cols), as of `filtered`.
+        sigma: its standard deviation, m.
+        spacing: way on the ground from row to row, m.
+        length: correlation length, m; None: estimated.
+        relief_sigma: standard deviation of the relief, m; None: estimated.
+
+    Raises:
+        UserError: fewer than LEAST_STEPS steps from one measured cell of a column to the next, or what `filtered` and
+            `ReliefPrior` refuse.
+    """
+    check_measurements(height, sigma, spacing)
+    deviation, precision = measurements(*_columns_of_prior(height, sigma), 0.0)
+    measured = precision > 0
+    steps = int(np.sum(np.maximum(np.count_nonzero(measured, axis=0) - 1, 0)))
+    if steps < LEAST_STEPS:
+        raise UserError(
+            f"The heights have {steps} steps from one measured cell of a column to the next; a prior of the relief can "
+            f"be estimated from {LEAST_STEPS} or more."
+        )
+    known = deviation[measured]
+    error = float(np.median(1 / np.sqrt(precision[measured])))
+    low, middle, high = np.percentile(known, [16, 50, 84])
+    density = 1 / (float(np.ptp(known)) + error)
+    swath = spacing * len(height)
+    lowest = np.log([spacing / 3, FLATTEST * error])
+    highest = np.log([10 * swath, 10 * (float(np.ptp(known)) + error)])
+
+    def misfit(values: Array) -> float:
+        """Minus the log-likelihood for the logarithms of length and sigma, and the mean off the median over error."""
+        prior = ReliefPrior(*np.exp(values[:2]).tolist())
+        phi, q = float(prior.correlation(spacing)), prior.noise(spacing)
+        centred = deviation - (middle + values[2] * error)
+        return -float(_log_likelihood(centred, precision, phi, q, prior.sigma**2, OUTLIER_SHARE, density))
+
+    lengths = [length] if length else np.geomspace(spacing, swath, 6).tolist()
+    sigmas = [relief_sigma] if relief_sigma else (max((high - low) / 2, error) * np.array([0.1, 0.4, 1.0])).tolist()
+    starts = [np.array([*np.log([some, other]), 0.0]) for some in lengths for other in sigmas]
+    start = min(starts, key=misfit)
+    free = np.array([length is None, relief_sigma is None, True])
+    bounds = np.array([*zip(lowest, highest, strict=True), (-np.inf, np.inf)])[free]
+
+    def at(values: Array) -> Array:
+        result = start.copy()
+        result[free] = values
+        return result
+
+    best = minimize(
+        lambda values: misfit(at(values)),
+        np.clip(start[free], *bounds.T),
+        method="Nelder-Mead",
+        bounds=bounds,
+        options={"xatol": 0.01, "fatol": 0.01, "initial_simplex": None},
+    )
+    found = at(best.x)
+    return ReliefPrior(float(np.exp(found[0])), float(np.exp(found[1])), float(middle + found[2] * error))
+
+
+def _columns_of_prior(height: Heights, sigma: Heights) -> tuple[Heights, Heights]:
+    """Up to COLUMNS_OF_PRIOR of the columns that hold a height, evenly spaced."""
+    seen = np.flatnonzero(np.any(np.isfinite(height), axis=0))
+    count = min(len(seen), COLUMNS_OF_PRIOR)
+    chosen = seen[np.linspace(0, len(seen) - 1, count).astype(np.intp)]
+    return height[:, chosen], sigma[:, chosen]
+
+
 def steady_sigmas(prior: ReliefPrior, spacing: float, measured_sigma: float) -> tuple[float, float]:
     """Standard deviations (m) of `filtered` and `smoothed` heights far from the swath's edges.
 
@@ -185,7 +277,7 @@ def _tracked(
             block = np.s_[:, first : min(first + COLUMNS_AT_ONCE, part.stop)]
             state, variance = scratch[..., : result.height[block].shape[1]]
             _measure(height[block], sigma[block], prior.mean, state, variance)
-            _filter(phi, q, prior.sigma**2, square, state, variance, result.outlier[block])
+            _filter(phi, q, float(prior.sigma**2), square, state, variance, result.outlier[block])
             if both_ways:
                 _smooth(phi, q, state, variance)
             np.add(state, prior.mean, out=result.height[block], casting="same_kind")
@@ -226,3 +318,25 @@ def _smooth(phi: float, q: float, state: Array, variance: Array) -> None:
             back = phi * variance[i, c] / predicted
             state[i, c] += back * (state[i + 1, c] - phi * state[i, c])
             variance[i, c] += back**2 * (variance[i + 1, c] - predicted)
+
+
+@compiled
+def _log_likelihood(
+    deviation: Array, precision: Array, phi: float, q: float, prior_variance: float, share: float, density: float
+) -> float:
+    """Log-likelihood of measurements of which a `share` are outliers of uniform `density` (1/m)."""
+    total = 0.0
+    for c in range(deviation.shape[1]):
+        state, spread = 0.0, prior_variance
+        for i in range(deviation.shape[0]):
+            if precision[i, c] > 0:
+                innovation, variance = deviation[i, c] - state, spread + 1 / precision[i, c]
+                near = (1 - share) * np.exp(-(innovation**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
+                likelihood = near + share * density
+                inlier, gain = near / likelihood, spread / variance
+                total += np.log(likelihood)
+                state += inlier * gain * innovation
+                spread += inlier * gain * ((1 - inlier) * gain * innovation**2 - spread)
+            state *= phi
+            spread = phi**2 * spread + q
+    return total

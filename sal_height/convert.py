@@ -19,7 +19,8 @@ from std_msgs.msg import Header
 from sal_height.beam_table import BeamTable
 from sal_height.errors import Rejected, UserError
 from sal_height.focusing import Slc
-from sal_height.geometry import EARTH_RADIUS, Aperture, Grid
+from sal_height.estimate import Validity
+from sal_height.geometry import EARTH_RADIUS, Aperture, Grid, above_place
 from sal_height.height import HeightField, Surface
 from sal_height.phase_history import PhaseHistory
 from sal_height.sensor import Sensor
@@ -312,20 +313,7 @@ def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
             f"{where}: samples has {len(image.samples)} entries, {image.grid.rows} x {image.grid.cols} complex "
             f"pixels need {count}.",
         )
-    grid, aperture = grid_from_message(image.grid), image.aperture
-    numbers = [grid.origin, grid.row_direction, grid.col_direction, _vector(aperture.pose.pose.position)]
-    numbers += [_vector(aperture.velocity), np.array([grid.row_spacing, grid.col_spacing, image.noise_power])]
-    if not np.all(np.isfinite(np.concatenate(numbers))):
-        raise Rejected("not finite", f"{where}: grid, aperture or noise_power is NaN or infinite; all must be finite.")
-    q = aperture.pose.pose.orientation
-    norms = [np.linalg.norm(v) for v in (grid.row_direction, grid.col_direction, [q.x, q.y, q.z, q.w])]
-    if not (np.allclose(norms, 1, atol=0.01) and grid.row_spacing > 0 and grid.col_spacing > 0):
-        raise Rejected(
-            "wrong geometry",
-            f"{where}: directions and orientation must have norm 1, spacings be greater than 0.",
-        )
-    if not np.linalg.norm(_vector(aperture.velocity)) > 0:
-        raise Rejected("wrong geometry", f"{where}: aperture.velocity is 0; a synthetic aperture needs motion.")
+    _check_geometry(image.grid, image.aperture, image.noise_power, where)
 
 
 def slc_from_messages(images: Sequence[messages.ComplexImage]) -> tuple[ComplexArray, Grid, Aperture, Array]:
@@ -352,13 +340,13 @@ def height_to_message(
     aperture: Aperture,
     looks: tuple[int, int],
     estimator: str,
-    slc: messages.ComplexImage,
+    source: messages.ComplexImage | messages.HeightImage,
     provenance: messages.Provenance,
 ) -> messages.HeightImage:
-    """HeightImage with the stamp and dwell of `slc`."""
+    """HeightImage with the stamp and dwell of its `source`."""
     image = messages.HeightImage(
-        header=slc.header,
-        dwell=slc.dwell,
+        header=source.header,
+        dwell=source.dwell,
         estimator=estimator,
         grid=_grid_to_message(field.grid),
         aperture=_aperture_to_message(aperture),
@@ -375,6 +363,37 @@ def height_to_message(
             for name, numbers in zip(("height", "sigma", "cnr_db", "east", "north"), values, strict=True):
                 setattr(image, prefix + name, to_floats(numbers))
     return image
+
+
+def field_from_message(image: messages.HeightImage) -> HeightField:
+    """The heights that a HeightImage holds, without second scatterers.
+
+    Raises:
+        Rejected: they cannot be used; the sentence names the field, the value and what is allowed.
+    """
+    where = f"HeightImage of dwell {image.dwell}"
+    grid, names = grid_from_message(image.grid), ("height", "sigma", "cnr_db", "east", "north", "validity")
+    count = grid.rows * grid.cols
+    for name in names:
+        if len(getattr(image, name)) != count or count == 0:
+            raise Rejected(
+                "wrong size",
+                f"{where}: {name} has {len(getattr(image, name))} entries, {grid.rows} x {grid.cols} pixels need "
+                f"{count} (at least 1).",
+            )
+    _check_geometry(image.grid, image.aperture, 0.0, where)
+    validity = np.array(image.validity, dtype=np.uint8).reshape(grid.shape)
+    usable = np.isin(validity, (Validity.OK, Validity.TWO_SCATTERERS, Validity.INTERPOLATED))
+    height, sigma, cnr_db, east, north = (
+        float_view(getattr(image, name), grid.shape).astype(np.float64) for name in names[:-1]
+    )
+    if not np.all(np.isfinite(np.stack([height, sigma, east, north])[:, usable])):
+        raise Rejected("not finite", f"{where}: a usable pixel's height, sigma, east or north is NaN or infinite.")
+    if not np.all(sigma[usable] > 0):
+        raise Rejected("wrong sigma", f"{where}: a usable pixel's sigma is {sigma[usable].min():g} m; it must be > 0.")
+    positions = above_place(grid.origin[0] + east, grid.origin[1] + north, height)
+    there = [np.where(usable, values, np.nan) for values in (height, sigma)]
+    return HeightField(grid, validity, Surface(*there, cnr_db, np.where(usable[..., None], positions, np.nan)), None)
 
 
 def height_picture(image: messages.HeightImage) -> Image:
@@ -471,3 +490,23 @@ def _vector(message: Point | Vector3) -> Array:
 def _check_detector(detector: int, sensor: Sensor, where: str) -> None:
     if detector >= sensor.detector_count:
         raise Rejected("unknown detector", f"{where}: SensorInfo has detectors 0 to {sensor.detector_count - 1}.")
+
+
+def _check_geometry(
+    image_grid: messages.ImageGrid, aperture: messages.Aperture, noise_power: float, where: str
+) -> None:
+    """Make sure that pixels lie somewhere and that the platform moves; raises Rejected."""
+    grid = grid_from_message(image_grid)
+    numbers = [grid.origin, grid.row_direction, grid.col_direction, _vector(aperture.pose.pose.position)]
+    numbers += [_vector(aperture.velocity), np.array([grid.row_spacing, grid.col_spacing, noise_power])]
+    if not np.all(np.isfinite(np.concatenate(numbers))):
+        raise Rejected("not finite", f"{where}: grid, aperture or noise_power is NaN or infinite; all must be finite.")
+    q = aperture.pose.pose.orientation
+    norms = [np.linalg.norm(v) for v in (grid.row_direction, grid.col_direction, [q.x, q.y, q.z, q.w])]
+    if not (np.allclose(norms, 1, atol=0.01) and grid.row_spacing > 0 and grid.col_spacing > 0):
+        raise Rejected(
+            "wrong geometry",
+            f"{where}: directions and orientation must have norm 1, spacings be greater than 0.",
+        )
+    if not np.linalg.norm(_vector(aperture.velocity)) > 0:
+        raise Rejected("wrong geometry", f"{where}: aperture.velocity is 0; a synthetic aperture needs motion.")

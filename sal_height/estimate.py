@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Validity(IntEnum):
-    """Why a pixel has no height, or has two; the same values as the constants of sal_height_msgs/HeightImage."""
+    """Why a pixel has no height, has two or has that of its neighbours; the same values as the constants of sal_height_msgs/HeightImage."""
 
     OK = 0
     LOW_CNR = 1
@@ -28,6 +28,7 @@ class Validity(IntEnum):
     NOT_ONE_SCATTERER = 4
     MISSING_DATA = 5
     TWO_SCATTERERS = 6
+    INTERPOLATED = 9
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from tqdm import tqdm
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.player import INPUTS
-from sal_height.runs.ensemble import ESTIMATORS, Ensemble, NodeParameters
+from sal_height.runs.ensemble import ESTIMATORS, HEIGHTS, TRACKER, Ensemble, NodeParameters, tracked_node
 
 UNWATCHED = ("diagnostics",)
 """Recorded topics that no stage counts the subscribers of."""
@@ -89,12 +89,18 @@ class Interruption:
 class Conductor(Node):
     """Watches the accounts of all stages on /diagnostics, and asks the source for dwells."""
 
-    def __init__(self, source: str, stages: list[str], recorded: list[str], **node_arguments: Any) -> None:
-        """Conduct from node `source` through `stages` (sar_compression first) to a recorder of topics `recorded`."""
+    def __init__(
+        self, source: str, stages: list[str], recorded: list[str], tracked: str = "ml_height", **node_arguments: Any
+    ) -> None:
+        """Conduct from node `source` through `stages` (sar_compression first) to a recorder of topics `recorded`.
+
+        Node `tracked` is the one whose heights the relief tracker takes, if that is among the stages.
+        """
         super().__init__("conductor", **node_arguments)
         self.accounts: dict[str, dict[str, float]] = {}
         self._source = source
         self._stages = stages
+        self._tracked = tracked
         self._watched = {source, *stages, "recorder"}
         self._recorded = recorded
         self._steps = 0
@@ -103,7 +109,10 @@ class Conductor(Node):
 
     def connected(self) -> bool:
         """Whether every topic has its subscribers, as its publisher counts them: nothing will be lost."""
-        consumers = {"slc": len(self._stages) - 1, "phase_history": 1, "platform/odometry": 1}
+        estimators = [name for name in self._stages if name in ESTIMATORS]
+        consumers = {"slc": len(estimators), "phase_history": 1, "platform/odometry": 1}
+        if TRACKER in self._stages:
+            consumers[f"{ESTIMATORS[self._tracked]}/height"] = 1
         counts = {
             key.removeprefix("subscribers./"): count
             for account in self.accounts.values()
@@ -157,12 +166,14 @@ class Conductor(Node):
             self._source: self._steps,
             self._stages[0]: source["out"],
         }
+        if TRACKER in self._stages:
+            expected[TRACKER] = self.accounts[self._tracked]["out"]
         if any(
             self.accounts[name]["in"] != count or self.accounts[name]["waiting"] for name, count in expected.items()
         ):
             return False
         outputs = {"phase_history": source["out"]} | {
-            f"{ESTIMATORS[name]}/height": self.accounts[name]["out"] for name in self._stages if name in ESTIMATORS
+            f"{HEIGHTS[name]}/height": self.accounts[name]["out"] for name in self._stages if name in HEIGHTS
         }
         recorder = self.accounts["recorder"]
         return all(recorder.get(f"recorded./{t}", 0) == n for t, n in outputs.items() if t in self._recorded)
@@ -215,7 +226,7 @@ def perform(
     played, interrupted = 0, False
     failure: UserError | None = None
     with Graph() as graph:
-        conductor = graph.add(Conductor(source, stages, recorded, context=graph.context))
+        conductor = graph.add(Conductor(source, stages, recorded, tracked_node(parameters), context=graph.context))
         _refuse_company(graph, conductor)
         with Interruption() as interruption, Ensemble(graph, names, values, processes) as ensemble:
 

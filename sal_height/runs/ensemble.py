@@ -23,6 +23,7 @@ from sal_height.nodes.monopulse import Monopulse
 from sal_height.nodes.parameters import accepted
 from sal_height.nodes.player import Player
 from sal_height.nodes.recorder import Recorder
+from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.simulator import Simulator
 
@@ -32,6 +33,7 @@ NODES: dict[str, Any] = {
     "sar_compression": SarCompression,
     "monopulse": Monopulse,
     "ml_height": MlHeight,
+    "relief_tracker": ReliefTracker,
     "recorder": Recorder,
 }
 """Every node by its name; a new estimator is entered here and in ESTIMATORS."""
@@ -39,10 +41,16 @@ NODES: dict[str, Any] = {
 ESTIMATORS = {"monopulse": "monopulse", "ml_height": "ml"}
 """Height nodes and the prefix of their topics."""
 
+TRACKER = "relief_tracker"
+"""Node that tracks the heights of one of the ESTIMATORS."""
+
+HEIGHTS = {**ESTIMATORS, TRACKER: "tracked"}
+"""Nodes whose products are height images, and the prefix of their topics."""
+
 NodeParameters = Mapping[str, Mapping[str, Any]]
 """Parameter values by node name and parameter name."""
 
-SETTABLE = ["sar_compression", *ESTIMATORS]
+SETTABLE = ["sar_compression", *HEIGHTS]
 """Nodes whose parameters users may set."""
 
 
@@ -68,6 +76,12 @@ def check_parameters(parameters: NodeParameters) -> dict[str, dict[str, Any]]:
         except UserError as error:
             raise UserError(f"Node {name}: {error}") from error
     return checked
+
+
+def tracked_node(parameters: NodeParameters) -> str:
+    """The node whose heights the relief tracker takes with these parameters of all nodes."""
+    prefix = parameters.get(TRACKER, {}).get("estimator", "ml")
+    return next(name for name, its_prefix in ESTIMATORS.items() if its_prefix == prefix)
 
 
 class Ensemble:

@@ -14,7 +14,7 @@ from sal_height.errors import UserError
 from sal_height.folders import new_folder, writing
 from sal_height.impulse_response import measure_brightest
 from sal_height.runs.conductor import Outcome, perform
-from sal_height.runs.ensemble import ESTIMATORS, NodeParameters, check_parameters
+from sal_height.runs.ensemble import HEIGHTS, NodeParameters, check_parameters
 from sal_height.runs.images import recorded_slc
 from sal_height.runs.picture import draw_image
 from sal_height.runs.report import or_null
@@ -41,7 +41,7 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, d
     values = check_parameters(merged(_recorded_parameters(bag), parameters))
     reader = BagReader(bag)
     detectors, dwells = _contents(reader)
-    stages = ["sar_compression", *(ESTIMATORS if detectors > 1 else ())]
+    stages = ["sar_compression", *(HEIGHTS if detectors > 1 else ())]
     recorded = RECORDED if detectors > 1 else [*RECORDED[:4], "slc"]
     folder = new_folder(out)
     made = folder / "bag"
@@ -49,7 +49,7 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, d
         outcome = perform("player", stages, recorded, made, {**values, "player": {"bag": str(bag)}}, dwells)
         conclude(outcome, made, values, report)
         compared = {}
-        if any(f"/{prefix}/height" in reader.topics for prefix in ESTIMATORS.values()) and not outcome.interrupted:
+        if any(f"/{prefix}/height" in reader.topics for prefix in HEIGHTS.values()) and not outcome.interrupted:
             compared = compare_heights(bag, made)
         report["comparison"] = {topic: dataclasses.asdict(result) for topic, result in compared.items()}
         report["images"] = [] if detectors > 1 else _measure_images(folder)

@@ -18,12 +18,12 @@ from sal_height.flight import SimulatedFlight, flight_of
 from sal_height.folders import new_folder, write_text, writing
 from sal_height.preset import Preset
 from sal_height.runs.conductor import Outcome, perform
-from sal_height.runs.ensemble import ESTIMATORS, NodeParameters, check_parameters
+from sal_height.runs.ensemble import ESTIMATORS, HEIGHTS, NodeParameters, check_parameters
 from sal_height.runs.picture import draw_heights
 from sal_height.runs.report import Mosaic, mosaic, stage_report, statistics
 
 RECORDED = ["sensor_info", "platform/odometry", "phase_history", "diagnostics"] + [
-    f"{prefix}/height" for prefix in ESTIMATORS.values()
+    f"{prefix}/height" for prefix in HEIGHTS.values()
 ]
 """Topics that a run records; images can be made again from the phase history."""
 
@@ -92,7 +92,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
     }
     values = merged(values, parameters)
     simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0}
-    stages = ["sar_compression", *ESTIMATORS]
+    stages = ["sar_compression", *HEIGHTS]
     bag = folder / "bag"
     known = {"preset": preset.name, "seed": seed, "cnr_db": preset.cnr_db, "looks": list(preset.looks)}
     with reporting(folder, known) as report:
@@ -101,7 +101,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
         outcome = perform("simulator", stages, RECORDED, bag, nodes, preset.dwells, processes)
         conclude(outcome, bag, values, report)
         mosaics = read_mosaics(bag, flight)
-        report["estimators"] = {name: statistics(mosaics.get(name)) for name in ESTIMATORS.values()}
+        report["estimators"] = {name: statistics(mosaics.get(name)) for name in HEIGHTS.values()}
     if mosaics:
         with writing(folder / "height.png"):
             draw_heights(mosaics, flight.scene, preset, folder / "height.png")
@@ -111,7 +111,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
 def read_mosaics(bag: Path, flight: SimulatedFlight) -> dict[str, Mosaic]:
     """Mosaic of each estimator's height images in a bag; those without any valid pixel are left out."""
     reader = BagReader(bag)
-    images: dict[str, list[Any]] = {prefix: [] for prefix in ESTIMATORS.values()}
+    images: dict[str, list[Any]] = {prefix: [] for prefix in HEIGHTS.values()}
     for message in reader.messages([f"/{prefix}/height" for prefix in images]):
         image = reader.decode(message.type_name, message.cdr)
         images[image.estimator].append(image)

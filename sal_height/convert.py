@@ -18,8 +18,8 @@ from std_msgs.msg import Header
 
 from sal_height.beam_table import BeamTable
 from sal_height.errors import Rejected, UserError
-from sal_height.focusing import Slc
 from sal_height.estimate import Validity
+from sal_height.focusing import Slc
 from sal_height.geometry import EARTH_RADIUS, Aperture, Grid, above_place
 from sal_height.height import HeightField, Surface
 from sal_height.phase_history import PhaseHistory
@@ -392,8 +392,9 @@ def field_from_message(image: messages.HeightImage) -> HeightField:
     if not np.all(sigma[usable] > 0):
         raise Rejected("wrong sigma", f"{where}: a usable pixel's sigma is {sigma[usable].min():g} m; it must be > 0.")
     positions = above_place(grid.origin[0] + east, grid.origin[1] + north, height)
-    there = [np.where(usable, values, np.nan) for values in (height, sigma)]
-    return HeightField(grid, validity, Surface(*there, cnr_db, np.where(usable[..., None], positions, np.nan)), None)
+    positions[~usable] = np.nan
+    height, sigma = (np.where(usable, values, np.nan) for values in (height, sigma))
+    return HeightField(grid, validity, Surface(height, sigma, cnr_db, positions), None)
 
 
 def height_picture(image: messages.HeightImage) -> Image:

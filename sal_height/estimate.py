@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Validity(IntEnum):
-    """Why a pixel has no height, has two or has that of its neighbours; the same values as the constants of sal_height_msgs/HeightImage."""
+    """Why a pixel has no height, two or that of its neighbours; as the constants of sal_height_msgs/HeightImage."""
 
     OK = 0
     LOW_CNR = 1

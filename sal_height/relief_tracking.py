@@ -18,6 +18,7 @@ found again after a fraction of l, unless the ground stays more than `gate` s fr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,6 +50,9 @@ LEAST_STEPS = 30
 
 FLATTEST = 0.01
 """Least standard deviation of an estimated relief over that of its measurements: less cannot be told from level."""
+
+TOLERANCE = 0.02
+"""Of the logarithms of length and sigma, and of the log-likelihood, to which a prior is searched."""
 
 COLUMNS_AT_ONCE = 64
 """Tracks that are followed side by side: what belongs to 1000 rows of them fits the cache."""
@@ -103,9 +107,7 @@ class TrackedRelief:
     outlier: Mask
 
 
-def filtered(
-    height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float = GATE
-) -> TrackedRelief:
+def filtered(height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float = GATE) -> TrackedRelief:
     """Heights from the cells up to each one, in the order of rows: the Kalman filter.
 
     Args:
@@ -125,9 +127,7 @@ def filtered(
     return _tracked(height, sigma, spacing, prior, gate, both_ways=False)
 
 
-def smoothed(
-    height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float = GATE
-) -> TrackedRelief:
+def smoothed(height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float = GATE) -> TrackedRelief:
     """Heights from all cells of each column: `filtered`, then the smoother of Rauch, Tung and Striebel back to row 0.
 
     Arguments, result and errors are those of `filtered`, which also decides what is an outlier.
@@ -171,39 +171,47 @@ def estimated_prior(
     known = deviation[measured]
     error = float(np.median(1 / np.sqrt(precision[measured])))
     low, middle, high = np.percentile(known, [16, 50, 84])
-    density = 1 / (float(np.ptp(known)) + error)
-    swath = spacing * len(height)
-    lowest = np.log([spacing / 3, FLATTEST * error])
-    highest = np.log([10 * swath, 10 * (float(np.ptp(known)) + error)])
+    extent = float(np.ptp(known)) + error
 
     def misfit(values: Array) -> float:
-        """Minus the log-likelihood for the logarithms of length and sigma, and the mean off the median over error."""
+        """Of the logarithms of length and sigma, and the distance of the mean from the median in median errors."""
         prior = ReliefPrior(*np.exp(values[:2]).tolist())
-        phi, q = float(prior.correlation(spacing)), prior.noise(spacing)
-        centred = deviation - (middle + values[2] * error)
-        return -float(_log_likelihood(centred, precision, phi, q, prior.sigma**2, OUTLIER_SHARE, density))
+        centred, phi, q = (
+            deviation - (middle + values[2] * error),
+            float(prior.correlation(spacing)),
+            prior.noise(spacing),
+        )
+        return -float(_log_likelihood(centred, precision, phi, q, prior.sigma**2, OUTLIER_SHARE, 1 / extent))
 
+    swath = spacing * len(height)
     lengths = [length] if length else np.geomspace(spacing, swath, 6).tolist()
     sigmas = [relief_sigma] if relief_sigma else (max((high - low) / 2, error) * np.array([0.1, 0.4, 1.0])).tolist()
     starts = [np.array([*np.log([some, other]), 0.0]) for some in lengths for other in sigmas]
-    start = min(starts, key=misfit)
+    lowest = np.array([*np.log([spacing / 3, FLATTEST * error]), -np.inf])
+    highest = np.array([*np.log([10 * swath, 10 * extent]), np.inf])
     free = np.array([length is None, relief_sigma is None, True])
-    bounds = np.array([*zip(lowest, highest, strict=True), (-np.inf, np.inf)])[free]
+    found = minimised(misfit, min(starts, key=misfit), free, lowest, highest)
+    return ReliefPrior(float(np.exp(found[0])), float(np.exp(found[1])), float(middle + found[2] * error))
 
-    def at(values: Array) -> Array:
-        result = start.copy()
-        result[free] = values
-        return result
 
+def minimised(misfit: Callable[[Array], float], start: Array, free: Mask, lowest: Array, highest: Array) -> Array:
+    """Values near `start` for which a misfit is least, by the simplex of Nelder and Mead; only `free` ones differ."""
+    found = start.copy()
+
+    def misfit_of_free(values: Array) -> float:
+        found[free] = values
+        return misfit(found)
+
+    bounds = np.stack([lowest, highest], axis=-1)[free]
     best = minimize(
-        lambda values: misfit(at(values)),
+        misfit_of_free,
         np.clip(start[free], *bounds.T),
         method="Nelder-Mead",
         bounds=bounds,
-        options={"xatol": 0.01, "fatol": 0.01, "initial_simplex": None},
+        options={"xatol": TOLERANCE, "fatol": TOLERANCE},
     )
-    found = at(best.x)
-    return ReliefPrior(float(np.exp(found[0])), float(np.exp(found[1])), float(middle + found[2] * error))
+    found[free] = best.x
+    return found
 
 
 def _columns_of_prior(height: Heights, sigma: Heights) -> tuple[Heights, Heights]:

@@ -43,9 +43,11 @@ def tracked_field(field: HeightField, relief: TrackedRelief, prior: ReliefPrior,
     """The height image with tracked heights, each at its place on the circle that its pixel's range and Doppler leave.
 
     Pixels that were measured, be it with one scatterer or two, become OK. The others, outliers among them, become
-    INTERPOLATED where the standard deviation is at most INTERPOLATED_SIGMA of the relief's; elsewhere they have no
-    height, and an outlier becomes LOW_CNR: a peak of noise. Pixels that were not measured have the range and Doppler of
-    their centres.
+    INTERPOLATED where pixels of their column were measured on both sides in range, and the standard deviation is at
+    most INTERPOLATED_SIGMA of the relief's; elsewhere they have no height, and an outlier becomes LOW_CNR: a peak of
+    noise.
+    Beyond the last measured pixel the ground has most often left the array's span, and the relief's law says nothing of
+    that. Pixels that were not measured have the range and Doppler of their centres.
 
     Args:
         field: measured heights.
@@ -61,7 +63,7 @@ def tracked_field(field: HeightField, relief: TrackedRelief, prior: ReliefPrior,
     positions = locate_at_height(relief.height, slant_range, along, aperture_of_pixel, look_side)
     located = np.isfinite(positions).all(axis=-1)
     used = measured & ~relief.outlier
-    known = located & (used | (relief.sigma <= INTERPOLATED_SIGMA * prior.sigma))
+    known = located & (used | (_between(used) & (relief.sigma <= INTERPOLATED_SIGMA * prior.sigma)))
     validity = np.select(
         [known & used, known, used, relief.outlier],
         [Validity.OK, Validity.INTERPOLATED, Validity.OUTSIDE_ARRAY, Validity.LOW_CNR],
@@ -75,6 +77,12 @@ def tracked_field(field: HeightField, relief: TrackedRelief, prior: ReliefPrior,
         positions=np.where(known[..., None], positions, np.nan),
     )
     return HeightField(field.grid, validity.astype(np.uint8), surface, None)
+
+
+def _between(used: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Where pixels of the same column are used in rows before and after."""
+    before, after = np.logical_or.accumulate(used), np.logical_or.accumulate(used[::-1])[::-1]
+    return np.asarray(before & after)
 
 
 def _pose_variance(positions: Array, grid: Grid, aperture: Aperture) -> Array:

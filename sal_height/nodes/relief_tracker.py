@@ -13,7 +13,7 @@ from sal_height import __version__, convert
 from sal_height.nodes.parameters import as_json, declare_parameters, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import Stage
-from sal_height.relief_field import smoothed_field
+from sal_height.relief_field import estimated_field_prior, smoothed_field
 from sal_height.relief_tracking import GATE, ReliefPrior, estimated_prior, smoothed
 from sal_height.tracked_height import ground_spacings, own_sigma, tracked_field
 
@@ -70,11 +70,12 @@ class ReliefTracker(Stage):
         field, aperture = convert.field_from_message(message), convert.aperture_from_message(message.aperture)
         spacings, sigma = ground_spacings(field.grid), own_sigma(field, aperture)
         height = field.first.height
-        length, relief_sigma = parameters.correlation_length_m or None, parameters.relief_sigma_m or None
-        prior = estimated_prior(height, sigma, spacings[0], length, relief_sigma)
+        known = parameters.correlation_length_m or None, parameters.relief_sigma_m or None
         if parameters.along_track:
+            prior = estimated_field_prior(height, sigma, spacings, *known)
             relief = smoothed_field(height, sigma, spacings, prior, parameters.gate)
         else:
+            prior = estimated_prior(height, sigma, spacings[0], *known)
             relief = smoothed(height, sigma, spacings[0], prior, parameters.gate)
         tracked = tracked_field(field, relief, prior, aperture)
         before = message.provenance

@@ -174,7 +174,9 @@ def _add_figures(commands: Subcommands) -> None:
         description=FIGURES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    figures.add_argument("names", nargs="*", metavar="NAME", help="fig3 to fig6, fig8 to fig11, or all (default)")
+    figures.add_argument(
+        "names", nargs="*", metavar="NAME", help="fig3 to fig6, fig8 to fig11, relief_tracking, or all (default)"
+    )
     figures.add_argument(
         "--trials",
         type=int,

@@ -50,7 +50,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of the SAL paper.
+    """A figure of one of the papers, or beside them.
 
     Attributes:
         title: what it shows.

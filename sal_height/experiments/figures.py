@@ -1,4 +1,4 @@
-"""`sal-height figures`: figures of the SAL paper as tables and pictures, with checks against theory."""
+"""`sal-height figures`: figures of the papers as tables and pictures, with checks against theory."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from sal_height.experiments.curve import Curve, Figure, check_of, holds, rows_of
 from sal_height.experiments.draw import draw
 from sal_height.experiments.noise import CNR_DB, fig5, fig6
 from sal_height.experiments.patterns import fig3, fig4
+from sal_height.experiments.relief_tracking import relief_tracking
 from sal_height.folders import new_folder, write_text, writing
 
 COLUMNS = ("figure", "curve", "x", "value", "standard_error", "closed_form")
@@ -34,6 +35,7 @@ _PAIR_AXES = {
 }
 _NOISE_AXES = ("discriminant without noise", "of the estimated discriminant")
 _TRUE = "true elevation (beamwidths)"
+_LENGTH = "correlation length of the relief (m)"
 
 FIGURES = {
     "fig3": Figure("Figure 3: point detectors half a beamwidth apart", _PAIR_AXES, 9, lambda _trials, _seed: fig3()),
@@ -87,8 +89,18 @@ FIGURES = {
         4,
         fig11,
     ),
+    "relief_tracking": Figure(
+        "Relief paper: heights tracked along range, a relief of 1 m measured to 1 m every 0.5 m",
+        {
+            "RMSE": (_LENGTH, "RMSE of heights (m)"),
+            "gain": (_LENGTH, "gain over single cells (dB)"),
+            "RMSE with noise that varies": (_LENGTH, "RMSE of heights (m)"),
+        },
+        6,
+        relief_tracking,
+    ),
 }
-"""By name, as the paper numbers them."""
+"""By name: those of the SAL paper as it numbers them, and one of what the relief paper leaves to others."""
 
 
 def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> list[dict[str, Any]]:

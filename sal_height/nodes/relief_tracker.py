@@ -29,7 +29,7 @@ class Parameters:
     relief_sigma_m: float = parameter(
         0.0, "standard deviation of the relief, m; 0: estimated from each image", minimum=0.0, maximum=1e5
     )
-    along_track: bool = parameter(False, "whether neighbours along the flight have a say, too")
+    along_track: bool = parameter(True, "whether neighbours along the flight have a say, too")
     gate: float = parameter(
         GATE, "heights farther from their prediction are outliers, standard deviations", minimum=1.0, maximum=1000.0
     )

@@ -32,8 +32,8 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, d
         parameters: of nodes, on top of the recorded ones.
 
     Returns:
-        What the replay did, and the comparison with the recorded heights by topic; empty if none were recorded or the
-        replay was interrupted.
+        What the replay did, and the comparison with the recorded heights by topic of the bag; empty if none were
+        recorded or the replay was interrupted.
 
     Raises:
         UserError: the bag cannot be used.
@@ -50,7 +50,8 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, d
         conclude(outcome, made, values, report)
         compared = {}
         if any(f"/{prefix}/height" in reader.topics for prefix in HEIGHTS.values()) and not outcome.interrupted:
-            compared = compare_heights(bag, made)
+            results = compare_heights(bag, made)
+            compared = {topic: result for topic, result in results.items() if topic in reader.topics}
         report["comparison"] = {topic: dataclasses.asdict(result) for topic, result in compared.items()}
         report["images"] = [] if detectors > 1 else _measure_images(folder)
     return outcome, compared

@@ -55,12 +55,11 @@ def tracked_field(field: HeightField, relief: TrackedRelief, prior: ReliefPrior,
         prior: they were tracked with.
         aperture: state of the platform.
     """
-    centres = field.grid.pixels()
     measured = np.isfinite(field.first.height)
-    look_side, aperture_of_pixel = look_side_of(field.grid, aperture), aperture_at(centres, aperture)
-    sight = np.where(measured[..., None], field.first.positions, centres) - aperture_of_pixel.position
+    # A circle about the line of flight is the same from wherever on that line a sliding aperture has seen it.
+    sight = np.where(measured[..., None], field.first.positions, field.grid.pixels()) - aperture.position
     slant_range, along = np.linalg.norm(sight, axis=-1), sight @ aperture.direction
-    positions = locate_at_height(relief.height, slant_range, along, aperture_of_pixel, look_side)
+    positions = locate_at_height(relief.height, slant_range, along, aperture, look_side_of(field.grid, aperture))
     located = np.isfinite(positions).all(axis=-1)
     used = measured & ~relief.outlier
     known = located & (used | (_between(used) & (relief.sigma <= INTERPOLATED_SIGMA * prior.sigma)))

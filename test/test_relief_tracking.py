@@ -265,7 +265,7 @@ def test_a_field_of_one_window_is_what_conditioning_on_all_cells_gives() -> None
 
 @pytest.mark.parametrize("cols", [1, 33, 48, 49, 100])
 def test_windows_lose_little_of_a_wide_field(cols: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Against one window as wide as the image: the sigma of every cell is a tenth greater at most, 4 % in the mean."""
+    """Against one window as wide as the image: every sigma is 4 % greater at most, 2 % in the mean."""
     rng = np.random.default_rng(11)
     spacings = (SPACING, SPACING)
     sigma = np.ones((60, cols))
@@ -275,8 +275,8 @@ def test_windows_lose_little_of_a_wide_field(cols: int, monkeypatch: pytest.Monk
     whole = smoothed_field(measured, sigma, spacings, PRIOR, ALL)
     ratio = windows.sigma / whole.sigma
     assert np.all(ratio > 1 - 1e-9)
-    assert np.max(ratio) < 1.1
-    assert np.mean(ratio) < 1.04
+    assert np.max(ratio) < 1.04
+    assert np.mean(ratio) < 1.02
 
 
 def test_a_field_is_calibrated_and_better_than_tracks_along_range() -> None:

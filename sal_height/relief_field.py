@@ -190,12 +190,13 @@ def _filtered_lines(deviation: Array, precision: Array, line: _Line) -> Iterator
     for measured, weight in zip(deviation, precision, strict=True):
         root = np.sqrt(weight)
         scaled = root[:, :, None] * spread
-        whitened = np.eye(size) + scaled * root[:, None, :]
-        innovation = root * (measured - state)
-        square = float(np.sum(innovation * _times(np.linalg.inv(whitened), innovation)))
-        log_likelihood = -(square + float(np.sum(np.linalg.slogdet(whitened)[1]))) / 2
-        covariance = spread - (spread * root[:, None, :]) @ np.linalg.solve(whitened, scaled)
-        state = state + _times(covariance, weight * (measured - state))
+        factor = np.linalg.cholesky(np.eye(size) + scaled * root[:, None, :])
+        whitened = np.linalg.solve(factor, np.concatenate([scaled, (root * (measured - state))[..., None]], axis=-1))
+        gain, innovation = np.swapaxes(whitened[..., :-1], -1, -2), whitened[..., -1]
+        log_volume = float(np.sum(np.log(np.diagonal(factor, axis1=-2, axis2=-1))))
+        log_likelihood = -float(np.sum(innovation**2)) / 2 - log_volume
+        covariance = spread - gain @ whitened[..., :-1]
+        state = state + _times(gain, innovation)
         yield _Step(state, covariance, log_likelihood)
         state, spread = line.phi * state, line.phi**2 * covariance + line.noise
 

@@ -28,6 +28,7 @@ from sal_height.relief_tracking import (
     ReliefPrior,
     TrackedRelief,
     estimated_prior,
+    flattest,
     measurements,
     minimised,
     smoothed,
@@ -110,7 +111,8 @@ def estimated_field_prior(
     free = np.array([length is None, relief_sigma is None])
     start = np.log([alone.length, alone.sigma])
     if np.any(free):
-        start = minimised(misfit, start, free, start - np.log(100), start + np.log(100))
+        lowest = np.array([start[0] - np.log(100), np.log(flattest(precision))])
+        start = minimised(misfit, start, free, lowest, start + np.log(100))
     return ReliefPrior(float(np.exp(start[0])), float(np.exp(start[1])), alone.mean)
 
 

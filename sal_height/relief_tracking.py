@@ -48,8 +48,11 @@ COLUMNS_OF_PRIOR = 64
 LEAST_STEPS = 30
 """Steps from one measured cell of a column to the next from which a prior can be estimated."""
 
-FLATTEST = 0.01
-"""Least standard deviation of an estimated relief over that of its measurements: less cannot be told from level."""
+FLATTEST = 2.0
+"""Least standard deviation of an estimated relief over that of the mean of all measurements.
+
+Less cannot be told from level ground, and would promise heights that are surer than the level itself.
+"""
 
 TOLERANCE = 0.02
 """Of the logarithms of length and sigma, and of the log-likelihood, to which a prior is searched."""
@@ -146,7 +149,7 @@ def estimated_prior(
     that it is none (the probabilistic data association of Bar-Shalom and Tse, Automatica 11, 1975).
 
     Up to COLUMNS_OF_PRIOR columns are used, each as a track of its own. Lengths are searched from a third of `spacing`
-    to ten swaths, standard deviations from FLATTEST of the measurements' own on: level ground is a relief of that.
+    to ten swaths, standard deviations from `flattest` on: level ground is a relief of that.
 
     Args:
         height: measured, m, shape (rows, cols), as of `filtered`.
@@ -187,11 +190,21 @@ def estimated_prior(
     lengths = [length] if length else np.geomspace(spacing, swath, 6).tolist()
     sigmas = [relief_sigma] if relief_sigma else (max((high - low) / 2, error) * np.array([0.1, 0.4, 1.0])).tolist()
     starts = [np.array([*np.log([some, other]), 0.0]) for some in lengths for other in sigmas]
-    lowest = np.array([*np.log([spacing / 3, FLATTEST * error]), -np.inf])
+    lowest = np.array([*np.log([spacing / 3, flattest(precision)]), -np.inf])
     highest = np.array([*np.log([10 * swath, 10 * extent]), np.inf])
     free = np.array([length is None, relief_sigma is None, True])
     found = minimised(misfit, min(starts, key=misfit), free, lowest, highest)
     return ReliefPrior(float(np.exp(found[0])), float(np.exp(found[1])), float(middle + found[2] * error))
+
+
+def flattest(precision: Array) -> float:
+    """Least standard deviation (m) of a relief that can be told from level: FLATTEST times that of the mean.
+
+    Args:
+        precision: of the measurements (`measurements`), of which there is one or more.
+    """
+    known = precision[precision > 0]
+    return FLATTEST * float(np.median(1 / np.sqrt(known)) / np.sqrt(len(known)))
 
 
 def minimised(misfit: Callable[[Array], float], start: Array, free: Mask, lowest: Array, highest: Array) -> Array:

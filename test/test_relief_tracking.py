@@ -192,13 +192,20 @@ def test_what_is_known_of_the_prior_is_kept() -> None:
     assert (field.length, field.sigma) == pytest.approx((7.0, 2.0))
 
 
-def test_level_ground_is_averaged() -> None:
-    """A plane in noise of 1 m: 6000 cells tell its height to 13 mm."""
+def test_level_ground_is_averaged_and_no_surer_than_its_level() -> None:
+    """Planes in noise of 1 m, in 1200 cells: 29 mm. Of 30 heights all but one or two are within two sigmas."""
     rng = np.random.default_rng(7)
-    measured = 5 + rng.standard_normal((200, 30))
-    sigma = np.ones_like(measured)
-    result = smoothed(measured, sigma, SPACING, estimated_prior(measured, sigma, SPACING))
-    assert rms(result.height - 5) < 0.1
+    off = []
+    for _ in range(15):
+        measured = 5 + rng.standard_normal((60, 20))
+        sigma = np.ones_like(measured)
+        alone = estimated_prior(measured, sigma, SPACING)
+        field = estimated_field_prior(measured, sigma, (SPACING, SPACING))
+        along_range = smoothed(measured, sigma, SPACING, alone)
+        for result in (along_range, smoothed_field(measured, sigma, (SPACING, SPACING), field)):
+            assert rms(result.height - 5) < 0.2
+            off.append(rms((result.height - 5) / result.sigma))
+    assert np.count_nonzero(np.array(off) > 2) <= 2
 
 
 def test_an_outlier_is_marked_and_does_no_harm() -> None:
@@ -263,12 +270,12 @@ def test_a_field_of_one_window_is_what_conditioning_on_all_cells_gives() -> None
     np.testing.assert_allclose(result.sigma.ravel(), spread, atol=1e-9)
 
 
-@pytest.mark.parametrize("cols", [1, 33, 48, 49, 100])
+@pytest.mark.parametrize("cols", [1, 33, 48, 49, 80])
 def test_windows_lose_little_of_a_wide_field(cols: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Against one window as wide as the image: every sigma is 4 % greater at most, 2 % in the mean."""
     rng = np.random.default_rng(11)
     spacings = (SPACING, SPACING)
-    sigma = np.ones((60, cols))
+    sigma = np.ones((40, cols))
     measured = measure(rng, draw(rng, PRIOR, sigma.shape, spacings), sigma)
     windows = smoothed_field(measured, sigma, spacings, PRIOR, ALL)
     monkeypatch.setattr(relief_field, "WINDOW", cols)

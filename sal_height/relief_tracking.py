@@ -263,9 +263,10 @@ def measurements(height: Heights, sigma: Heights, mean: float) -> tuple[Array, A
 def _measure(height: Heights, sigma: Heights, mean: float, deviation: Array, precision: Array) -> None:
     """Fill `deviation` and `precision` as `measurements` returns them."""
     missing = ~((sigma > LEAST_SIGMA) & np.isfinite(height))
-    np.subtract(height, mean, out=deviation, dtype=np.float64)
-    np.multiply(sigma, sigma, out=precision, dtype=np.float64)
+    deviation[:], precision[:] = height, sigma
+    deviation -= mean
     deviation[missing], precision[missing] = 0.0, np.inf
+    np.square(precision, out=precision)
     np.reciprocal(precision, out=precision)
 
 
@@ -301,8 +302,7 @@ def _tracked(
             _filter(phi, q, float(prior.sigma**2), square, state, variance, result.outlier[block])
             if both_ways:
                 _smooth(phi, q, state, variance)
-            np.add(state, prior.mean, out=result.height[block], casting="same_kind")
-            np.sqrt(variance, out=result.sigma[block], casting="same_kind")
+            _write(state, variance, float(prior.mean), result.height[block], result.sigma[block])
 
     in_parallel(work, height.shape[1], COLUMNS_AT_ONCE)
     return result
@@ -339,6 +339,15 @@ def _smooth(phi: float, q: float, state: Array, variance: Array) -> None:
             back = phi * variance[i, c] / predicted
             state[i, c] += back * (state[i + 1, c] - phi * state[i, c])
             variance[i, c] += back**2 * (variance[i + 1, c] - predicted)
+
+
+@compiled
+def _write(state: Array, variance: Array, mean: float, height: Heights, sigma: Heights) -> None:
+    """Fill height and sigma."""
+    for i in range(state.shape[0]):
+        for c in range(state.shape[1]):
+            height[i, c] = state[i, c] + mean
+            sigma[i, c] = np.sqrt(variance[i, c])
 
 
 @compiled

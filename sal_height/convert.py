@@ -382,6 +382,10 @@ def field_from_message(image: messages.HeightImage) -> HeightField:
                 f"{count} (at least 1).",
             )
     _check_geometry(image.grid, image.aperture, 0.0, where)
+    if image.earth_radius != EARTH_RADIUS:
+        raise Rejected(
+            "wrong earth radius", f"{where}: earth_radius is {image.earth_radius:.10g} m; it must be {EARTH_RADIUS} m."
+        )
     validity = np.array(image.validity, dtype=np.uint8).reshape(grid.shape)
     usable = np.isin(validity, (Validity.OK, Validity.TWO_SCATTERERS, Validity.INTERPOLATED))
     height, sigma, cnr_db, east, north = (

@@ -211,6 +211,10 @@ def no_direction(image: HeightImage) -> None:
     image.grid.row_direction.y = image.grid.row_direction.z = 0.0
 
 
+def other_sphere(image: HeightImage) -> None:
+    image.earth_radius = 6_378_137.0
+
+
 def nowhere(image: HeightImage) -> None:
     image.grid.origin.x = math.nan
 
@@ -228,6 +232,7 @@ def nowhere(image: HeightImage) -> None:
         (no_motion, "wrong geometry", "velocity"),
         (no_direction, "wrong geometry", "norm 1"),
         (nowhere, "not finite", "grid"),
+        (other_sphere, "wrong earth radius", "6378137"),
     ],
 )
 def test_a_bad_image_is_counted_and_the_next_one_tracked(graph: Graph, spoil: Any, reason: str, words: str) -> None:

@@ -39,6 +39,9 @@ GATE = 4.0
 LEAST_SIGMA = 1e-100
 """Anything greater has a precision that is a number, m."""
 
+WIDEST_GATE = 1e15
+"""Standard deviations that nothing is beyond: compiled loops take numbers to be finite."""
+
 OUTLIER_SHARE = 0.05
 """Of the measurements from which a prior is estimated; what it is in truth matters little."""
 
@@ -179,16 +182,14 @@ def estimated_prior(
     def misfit(values: Array) -> float:
         """Of the logarithms of length and sigma, and the distance of the mean from the median in median errors."""
         prior = ReliefPrior(*np.exp(values[:2]).tolist())
-        centred, phi, q = (
-            deviation - (middle + values[2] * error),
-            float(prior.correlation(spacing)),
-            prior.noise(spacing),
-        )
+        centred = deviation - (middle + values[2] * error)
+        phi, q = float(prior.correlation(spacing)), prior.noise(spacing)
         return -float(_log_likelihood(centred, precision, phi, q, prior.sigma**2, OUTLIER_SHARE, 1 / extent))
 
     swath = spacing * len(height)
-    lengths = [length] if length else np.geomspace(spacing, swath, 6).tolist()
-    sigmas = [relief_sigma] if relief_sigma else (max((high - low) / 2, error) * np.array([0.1, 0.4, 1.0])).tolist()
+    lengths = [length] if length is not None else np.geomspace(spacing, swath, 6).tolist()
+    spread = max(float(high - low) / 2, error)
+    sigmas = [relief_sigma] if relief_sigma is not None else [0.1 * spread, 0.4 * spread, spread]
     starts = [np.array([*np.log([some, other]), 0.0]) for some in lengths for other in sigmas]
     lowest = np.array([*np.log([spacing / 3, flattest(precision)]), -np.inf])
     highest = np.array([*np.log([10 * swath, 10 * extent]), np.inf])
@@ -290,7 +291,7 @@ def _tracked(
     height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float, both_ways: bool
 ) -> TrackedRelief:
     check_measurements(height, sigma, spacing, gate)
-    phi, q, square = float(prior.correlation(spacing)), prior.noise(spacing), min(gate**2, np.finfo(float).max)
+    phi, q, square = float(prior.correlation(spacing)), prior.noise(spacing), min(gate, WIDEST_GATE) ** 2
     result = TrackedRelief(np.empty_like(height), np.empty_like(height), np.empty(height.shape, np.bool_))
 
     def work(part: slice) -> None:

@@ -48,6 +48,7 @@ setup(
             "sar_compression = sal_height.nodes.sar_compression:main",
             "monopulse = sal_height.nodes.monopulse:main",
             "ml_height = sal_height.nodes.ml_height:main",
+            "relief_tracker = sal_height.nodes.relief_tracker:main",
             "player = sal_height.nodes.player:main",
             "recorder = sal_height.nodes.recorder:main",
             "relief_mapper = sal_height.nodes.relief_mapper:main",

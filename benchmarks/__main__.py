@@ -13,7 +13,16 @@ from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from benchmarks import array_estimator, backprojection, fast_formers, figures, layover, memory, relief_map
+from benchmarks import (
+    array_estimator,
+    backprojection,
+    fast_formers,
+    figures,
+    layover,
+    memory,
+    relief_map,
+    relief_tracking,
+)
 from benchmarks.row import REPEATS, Row
 from sal_height.compiled import WORKERS
 
@@ -24,6 +33,7 @@ GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
     "array-images": array_estimator.throughput,
     "layover": layover.throughput,
     "relief-map": relief_map.throughput,
+    "relief-tracking": relief_tracking.throughput,
     "figures": figures.all_figures,
     "memory": memory.peak_memory,
     "accuracy-backprojection": backprojection.accuracy,

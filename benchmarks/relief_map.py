@@ -15,7 +15,7 @@ from benchmarks.cases import spotlight
 from benchmarks.memory import resident
 from benchmarks.row import Row, medians
 from sal_height import convert
-from sal_height.geometry import Aperture, plumb
+from sal_height.geometry import Aperture, above_place
 from sal_height.height import HeightField, Surface
 from sal_height.relief_map import ReliefMap
 
@@ -58,8 +58,7 @@ def throughput() -> Iterator[Row]:
 
 def _enter(relief_map: ReliefMap, image: HeightImage) -> None:
     """What the node does with a message."""
-    convert.check_height(image)
-    relief_map.add(convert.surface_from_message(image), convert.aperture_from_message(image.aperture))
+    relief_map.add(convert.field_from_message(image).first, convert.aperture_from_message(image.aperture))
 
 
 def _height_image() -> HeightImage:
@@ -75,7 +74,7 @@ def _height_image() -> HeightImage:
     )
     height = np.random.default_rng(1).normal(0.1, 0.1, ground.shape)
     positions = ground.pixels()
-    positions[..., 2] = plumb(positions[..., 0], positions[..., 1], height)
+    positions[..., 2] = above_place(positions[..., 0], positions[..., 1], height)[..., 2]
     surface = Surface(height, np.full(ground.shape, 0.15), np.full(ground.shape, 20.0), positions)
     field = HeightField(ground, np.zeros(ground.shape, np.uint8), surface, None)
     slc = ComplexImage(header=Header(frame_id=convert.MAP_FRAME))

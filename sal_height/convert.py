@@ -20,7 +20,7 @@ from sal_height.beam_table import BeamTable
 from sal_height.errors import Rejected, UserError
 from sal_height.estimate import Validity
 from sal_height.focusing import Slc
-from sal_height.geometry import EARTH_RADIUS, Aperture, Grid, plumb
+from sal_height.geometry import EARTH_RADIUS, Aperture, Grid, above_place
 from sal_height.height import HeightField, Surface
 from sal_height.phase_history import PhaseHistory
 from sal_height.sensor import Sensor
@@ -364,13 +364,13 @@ def height_to_message(
     aperture: Aperture,
     looks: tuple[int, int],
     estimator: str,
-    slc: messages.ComplexImage,
+    source: messages.ComplexImage | messages.HeightImage,
     provenance: messages.Provenance,
 ) -> messages.HeightImage:
-    """HeightImage with the stamp and dwell of `slc`."""
+    """HeightImage with the stamp and dwell of its `source`."""
     image = messages.HeightImage(
-        header=slc.header,
-        dwell=slc.dwell,
+        header=source.header,
+        dwell=source.dwell,
         estimator=estimator,
         grid=_grid_to_message(field.grid),
         aperture=_aperture_to_message(aperture),
@@ -389,45 +389,44 @@ def height_to_message(
     return image
 
 
-def check_height(image: messages.HeightImage) -> None:
-    """Make sure the heights of an image have sigmas and a place on our sphere.
+def field_from_message(image: messages.HeightImage) -> HeightField:
+    """The heights that a HeightImage holds, without second scatterers.
 
     Raises:
-        Rejected: they do not; the sentence names the field, the value and what is allowed.
+        Rejected: they cannot be used; the sentence names the field, the value and what is allowed.
     """
     where = f"HeightImage of dwell {image.dwell}"
     if image.header.frame_id != MAP_FRAME:
         raise Rejected("wrong frames", f"{where} is in {image.header.frame_id!r}; it must be in {MAP_FRAME!r} (ENU).")
-    if image.earth_radius != EARTH_RADIUS:
-        raise Rejected(
-            "wrong earth radius",
-            f"{where}: earth_radius is {image.earth_radius:.10g} m; heights must be above {EARTH_RADIUS:.10g} m.",
-        )
-    count = image.grid.rows * image.grid.cols
-    for field in ("height", "sigma", "east", "north", "validity"):
-        if len(getattr(image, field)) != count or count == 0:
+    grid, names = grid_from_message(image.grid), ("height", "sigma", "cnr_db", "east", "north", "validity")
+    count = grid.rows * grid.cols
+    for name in names:
+        if len(getattr(image, name)) != count or count == 0:
             raise Rejected(
                 "wrong size",
-                f"{where}: {field} has {len(getattr(image, field))} entries, {image.grid.rows} x {image.grid.cols} "
-                f"pixels need {count}.",
+                f"{where}: {name} has {len(getattr(image, name))} entries, {grid.rows} x {grid.cols} pixels need "
+                f"{count} (at least 1).",
             )
     _check_geometry(image.grid, image.aperture, where)
-    height, sigma = (np.asarray(values) for values in (image.height, image.sigma))
-    if np.any(sigma[np.isfinite(height)] <= 0):
-        raise Rejected("wrong sigma", f"{where}: sigma must be greater than 0 wherever there is a height.")
-
-
-def surface_from_message(image: messages.HeightImage) -> Surface:
-    """The only or the stronger scatterer of each pixel of a checked image; NaN where its validity says no."""
-    grid = grid_from_message(image.grid)
-    usable = np.isin(np.asarray(image.validity), (Validity.OK, Validity.TWO_SCATTERERS)).reshape(grid.shape)
-    height, sigma, east, north = (
-        np.where(usable, float_view(values, grid.shape), np.nan).astype(np.float64)
-        for values in (image.height, image.sigma, image.east, image.north)
+    if image.earth_radius != EARTH_RADIUS:
+        raise Rejected(
+            "wrong earth radius", f"{where}: earth_radius is {image.earth_radius:.10g} m; it must be {EARTH_RADIUS} m."
+        )
+    validity = np.array(image.validity, dtype=np.uint8).reshape(grid.shape)
+    usable = np.isin(validity, (Validity.OK, Validity.TWO_SCATTERERS, Validity.INTERPOLATED))
+    height, sigma, cnr_db, east, north = (
+        float_view(getattr(image, name), grid.shape).astype(np.float64) for name in names[:-1]
     )
-    x, y = east + grid.origin[0], north + grid.origin[1]
-    positions = np.stack([x, y, plumb(x, y, height)], axis=-1)
-    return Surface(height, sigma, np.full(grid.shape, np.nan), positions)
+    if not np.all(np.isfinite(np.stack([height, sigma, east, north])[:, usable])):
+        raise Rejected("not finite", f"{where}: a usable pixel's height, sigma, east or north is NaN or infinite.")
+    if not np.all(sigma[usable] > 0):
+        raise Rejected(
+            "wrong sigma", f"{where}: a usable pixel's sigma is {sigma[usable].min():g} m; it must be greater than 0."
+        )
+    positions = above_place(grid.origin[0] + east, grid.origin[1] + north, height)
+    positions[~usable] = np.nan
+    height, sigma = (np.where(usable, values, np.nan) for values in (height, sigma))
+    return HeightField(grid, validity, Surface(height, sigma, cnr_db, positions), None)
 
 
 def height_picture(image: messages.HeightImage) -> Image:

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Validity(IntEnum):
-    """Why a pixel has no height, or has two; the same values as the constants of sal_height_msgs/HeightImage."""
+    """Why a pixel has no height, two or that of its neighbours; as the constants of sal_height_msgs/HeightImage."""
 
     OK = 0
     LOW_CNR = 1
@@ -29,6 +29,7 @@ class Validity(IntEnum):
     TWO_SCATTERERS = 6
     AMBIGUOUS = 7
     SATURATED = 8
+    INTERPOLATED = 9
 
 
 @dataclass(frozen=True)

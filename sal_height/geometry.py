@@ -170,18 +170,6 @@ def sphere_coordinates(points: Array) -> tuple[Array, Array, Array]:
     return scale * x, scale * y, height_of(points)
 
 
-def plumb(x: npt.ArrayLike, y: npt.ArrayLike, height: npt.ArrayLike) -> Array:
-    """Coordinate z (m) in map of points at `height` (m) above the sphere, without cancellation: undoes `height_of`.
-
-    NaN where `x` and `y` (m) are beyond the sphere's horizon.
-    """
-    x, y, height = np.asarray(x), np.asarray(y), np.asarray(height)
-    level = x**2 + y**2
-    with np.errstate(invalid="ignore"):
-        above_centre = np.sqrt((EARTH_RADIUS + height) ** 2 - level)
-    return np.asarray((height * (height + 2 * EARTH_RADIUS) - level) / (above_centre + EARTH_RADIUS))
-
-
 def height_of(points: Array) -> Array:
     """Height (m) above the sphere of map positions of shape (..., 3), without cancellation.
 
@@ -190,6 +178,17 @@ def height_of(points: Array) -> Array:
     x, y, z = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
     radius = np.sqrt(x**2 + y**2 + (z + EARTH_RADIUS) ** 2)
     return np.asarray((x**2 + y**2 + z**2 + 2 * EARTH_RADIUS * z) / (radius + EARTH_RADIUS))
+
+
+def above_place(x: npt.ArrayLike, y: npt.ArrayLike, height: npt.ArrayLike) -> Array:
+    """Map position (m) of the point at the map coordinates `x`, `y` (m) that is `height` (m) above the sphere.
+
+    z = sqrt((R + h)^2 - x^2 - y^2) - R, without cancellation; shape (..., 3). NaN beyond the sphere's horizon.
+    """
+    x, y, height = (np.asarray(value, dtype=np.float64) for value in np.broadcast_arrays(x, y, height))
+    growth = height * (2 * EARTH_RADIUS + height) - x**2 - y**2
+    with np.errstate(invalid="ignore"):
+        return np.stack([x, y, growth / (np.sqrt(EARTH_RADIUS**2 + growth) + EARTH_RADIUS)], axis=-1)
 
 
 def locate(
@@ -210,3 +209,32 @@ def locate(
     squint = squint_on_cone(elevation, np.asarray(along) / slant_range, aperture, look_side)
     direction = look_direction(elevation, squint, look_side) @ aperture.rotation.T
     return aperture.position + np.asarray(slant_range)[..., None] * direction
+
+
+def locate_at_height(
+    height: npt.ArrayLike, slant_range: npt.ArrayLike, along: npt.ArrayLike, aperture: Aperture, look_side: int
+) -> Array:
+    """Map position (m) of the target at `height` (m) above the sphere on the circle that range and Doppler leave.
+
+    The sight s has the length `slant_range`, `along` as its component along the flight and, with the platform at e
+    from the earth's centre, |e + s| = EARTH_RADIUS + height. That fixes its component along what of e is square to the
+    flight; of the two points left, one lies on the look side of the vertical plane through the flight.
+
+    Arguments and result are those of `locate`, with the height in place of the elevation; NaN where the circle has no
+    such point.
+    """
+    height, slant_range, along = (np.asarray(value, dtype=np.float64) for value in (height, slant_range, along))
+    platform = height_of(aperture.position)
+    centre = aperture.position + np.array([0.0, 0.0, EARTH_RADIUS])
+    ahead = centre @ aperture.direction
+    upright = centre - ahead[..., None] * aperture.direction
+    distance = np.linalg.norm(upright, axis=-1)
+    upward = upright / distance[..., None]
+    aside = look_side * np.cross(aperture.direction, upward)
+    # (e + s)^2 - e^2 = 2 e s + s^2, with the difference of the squares taken analytically.
+    growth = (height - platform) * (2 * EARTH_RADIUS + height + platform)
+    up = ((growth - slant_range**2) / 2 - along * ahead) / distance
+    with np.errstate(invalid="ignore"):
+        across = np.sqrt(slant_range**2 - along**2 - up**2)
+    parts = (along, aperture.direction), (up, upward), (across, aside)
+    return aperture.position + sum(np.asarray(length)[..., None] * axis for length, axis in parts)

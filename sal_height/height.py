@@ -51,8 +51,8 @@ class HeightField:
     Attributes:
         grid: pixels of the height image.
         validity: `Validity` of each pixel, uint8, shape (rows, cols).
-        first: the only or the stronger scatterer of the pixels with OK or TWO_SCATTERERS; `cnr_db` of all pixels that
-            have a signal.
+        first: the only or the stronger scatterer of the pixels with OK, TWO_SCATTERERS or INTERPOLATED; `cnr_db` of
+            all pixels that have a signal.
         second: the weaker one of the pixels with TWO_SCATTERERS; None: not looked for.
     """
 

@@ -211,8 +211,7 @@ def test_the_scatterers_of_a_height_image_are_where_they_were(rng: np.random.Gen
     field = HeightField(grid, validity, Surface(height, height / 10 + 1, height, positions), None)
     slc = ComplexImage(header=Header(frame_id="map"))
     message = through_the_wire(convert.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance()))
-    convert.check_height(message)
-    surface = convert.surface_from_message(message)
+    surface = convert.field_from_message(message).first
     usable = validity != Validity.LOW_CNR
     np.testing.assert_allclose(surface.positions[usable], positions[usable], rtol=0, atol=3e-6)
     np.testing.assert_allclose(surface.height[usable], height[usable], rtol=1e-7)

@@ -9,11 +9,11 @@ from helpers import make_aperture
 from sal_height.geometry import (
     EARTH_RADIUS,
     Grid,
+    above_place,
     angles_of,
     height_of,
     locate,
     look_direction,
-    plumb,
     sphere_coordinates,
     sphere_point,
     squint_on_cone,
@@ -108,8 +108,8 @@ def test_plumb_undoes_height_of_to_the_last_digit() -> None:
     rng = np.random.default_rng(6)
     points = sphere_point(*rng.uniform(-2e5, 2e5, (2, 100)), rng.uniform(-100, 9000, 100))
     height = height_of(points)
-    np.testing.assert_allclose(plumb(points[:, 0], points[:, 1], height), points[:, 2], rtol=0, atol=1e-11)
-    assert np.isnan(plumb(EARTH_RADIUS, EARTH_RADIUS, 0.0))
+    np.testing.assert_allclose(above_place(points[:, 0], points[:, 1], height), points, rtol=0, atol=1e-11)
+    assert np.isnan(above_place(EARTH_RADIUS, EARTH_RADIUS, 0.0)[2])
 
 
 def test_height_does_not_suffer_from_the_size_of_the_earth() -> None:

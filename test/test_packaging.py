@@ -34,8 +34,10 @@ def test_every_program_can_be_started() -> None:
         "sar_compression",
         "monopulse",
         "ml_height",
-        "recorder",
+        "sum_difference_height",
+        "relief_tracker",
         "relief_mapper",
+        "recorder",
         "player",
     } == set(programs)
     for value in programs.values():

@@ -18,6 +18,7 @@ from sal_height.experiments.draw import draw
 from sal_height.experiments.noise import CNR_DB, fig5, fig6
 from sal_height.experiments.patterns import fig3, fig4
 from sal_height.experiments.relief import RELIEF_FIGURES
+from sal_height.experiments.relief_tracking import relief_tracking
 from sal_height.folders import new_folder, write_text, writing
 
 COLUMNS = ("figure", "curve", "x", "value", "standard_error", "closed_form")
@@ -35,6 +36,7 @@ _PAIR_AXES = {
 }
 _NOISE_AXES = ("discriminant without noise", "of the estimated discriminant")
 _TRUE = "true elevation (beamwidths)"
+_LENGTH = "correlation length of the relief (m)"
 
 FIGURES = {
     "fig3": Figure("Figure 3: point detectors half a beamwidth apart", _PAIR_AXES, 9, lambda _trials, _seed: fig3()),
@@ -89,8 +91,18 @@ FIGURES = {
         fig11,
     ),
     **RELIEF_FIGURES,
+    "relief_tracking": Figure(
+        "Relief paper: heights tracked along range, a relief of 1 m measured to 1 m every 0.5 m",
+        {
+            "RMSE": (_LENGTH, "RMSE of heights (m)"),
+            "gain": (_LENGTH, "gain over single cells (dB)"),
+            "RMSE with noise that varies": (_LENGTH, "RMSE of heights (m)"),
+        },
+        6,
+        relief_tracking,
+    ),
 }
-"""By name, as the SAL paper numbers them; then those of the relief paper."""
+"""By name: of the SAL paper as it numbers them, then of the relief paper, and of what that leaves to others."""
 
 
 def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> list[dict[str, Any]]:

@@ -132,16 +132,14 @@ class ReliefMapper(Stage):
 
     def _enter(self, image: HeightImage) -> int:
         """Enter a height image into the map, which stays as it is if that is refused."""
-        convert.check_height(image)
+        field = convert.field_from_message(image)
         aperture = convert.aperture_from_message(image.aperture)
         if self._map is None:
-            cell_size = self._settings.cell_size_m or relief_map.fitting_cell_size(
-                convert.grid_from_message(image.grid), aperture
-            )
+            cell_size = self._settings.cell_size_m or relief_map.fitting_cell_size(field.grid, aperture)
             grown = relief_map.ReliefMap(cell_size, self._settings.max_cells)
         else:
             grown = self._map
-        grown.add(convert.surface_from_message(image), aperture)
+        grown.add(field.first, aperture)
         self._map, self._last = grown, image
         self._images += 1
         self._unpublished = True

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import signal
-from collections.abc import Callable
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -18,7 +19,7 @@ from tqdm import tqdm
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.player import INPUTS
-from sal_height.runs.ensemble import ESTIMATORS, Ensemble, NodeParameters
+from sal_height.runs.ensemble import ESTIMATORS, HEIGHTS, Ensemble, NodeParameters, height_sources
 
 UNWATCHED = ("diagnostics",)
 """Recorded topics that no stage counts the subscribers of."""
@@ -90,29 +91,28 @@ class Conductor(Node):
     """Watches the accounts of all stages on /diagnostics, and asks the source for dwells."""
 
     def __init__(
-        self, source: str, stages: list[str], recorded: list[str], mapped: str = "ml", **node_arguments: Any
+        self, source: str, stages: list[str], recorded: list[str], takes: Mapping[str, str], **node_arguments: Any
     ) -> None:
         """Conduct from node `source` through `stages` (sar_compression first) to a recorder of topics `recorded`.
 
-        The heights of estimator `mapped` go to the relief_mapper, if that is one of the stages.
+        `takes` tells whose heights (a node of HEIGHTS) other stages take (`ensemble.height_sources`).
         """
         super().__init__("conductor", **node_arguments)
         self.accounts: dict[str, dict[str, float]] = {}
         self._source = source
         self._stages = stages
+        self._takes = takes
         self._watched = {source, *stages, "recorder"}
         self._recorded = recorded
-        self._mapped = mapped
         self._steps = 0
         self._step = self.create_client(Trigger, f"{source}/step")
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
     def connected(self) -> bool:
         """Whether every topic has its subscribers, as its publisher counts them: nothing will be lost."""
-        height_nodes = sum(name in ESTIMATORS for name in self._stages)
-        consumers = {"slc": height_nodes, "phase_history": 1, "platform/odometry": 1}
-        if "relief_mapper" in self._stages:
-            consumers[f"{self._mapped}/height"] = 1
+        consumers = Counter({"slc": sum(name in ESTIMATORS for name in self._stages)})
+        consumers.update({"phase_history": 1, "platform/odometry": 1})
+        consumers.update(f"{HEIGHTS[node]}/height" for node in self._takes.values())
         counts = {
             key.removeprefix("subscribers./"): count
             for account in self.accounts.values()
@@ -166,14 +166,14 @@ class Conductor(Node):
             self._source: self._steps,
             self._stages[0]: source["out"],
         }
-        if "relief_mapper" in self._stages:
-            expected["relief_mapper"] = self.accounts[_height_node(self._mapped)]["out"]
+        for name, node in self._takes.items():
+            expected[name] = self.accounts[node]["out"]
         if any(
             self.accounts[name]["in"] != count or self.accounts[name]["waiting"] for name, count in expected.items()
         ):
             return False
         outputs = {"phase_history": source["out"]} | {
-            f"{ESTIMATORS[name]}/height": self.accounts[name]["out"] for name in self._stages if name in ESTIMATORS
+            f"{HEIGHTS[name]}/height": self.accounts[name]["out"] for name in self._stages if name in HEIGHTS
         }
         recorder = self.accounts["recorder"]
         return all(recorder.get(f"recorded./{t}", 0) == n for t, n in outputs.items() if t in self._recorded)
@@ -219,18 +219,16 @@ def perform(
         processes: each node in its own process.
 
     Raises:
-        UserError: a node or the bag refuses its parameters, the relief_mapper waits for heights of an estimator that is
-            not there, or somebody else publishes frames.
+        UserError: a node or the bag refuses its parameters, a stage takes heights that no other makes, or somebody else
+            publishes frames.
     """
-    mapped = parameters.get("relief_mapper", {}).get("estimator", "ml")
-    if "relief_mapper" in stages and _height_node(mapped) not in stages:
-        raise UserError(f"The heights of estimator {mapped!r} are not made here; allowed are {_estimators(stages)}.")
+    takes = height_sources(stages, parameters)
     names = ["recorder", *reversed(stages), source]
     values = {**parameters, "recorder": {"directory": str(bag), "topics": [f"/{topic}" for topic in recorded]}}
     played, interrupted = 0, False
     failure: UserError | None = None
     with Graph() as graph:
-        conductor = graph.add(Conductor(source, stages, recorded, mapped, context=graph.context))
+        conductor = graph.add(Conductor(source, stages, recorded, takes, context=graph.context))
         _refuse_company(graph, conductor)
         with Interruption() as interruption, Ensemble(graph, names, values, processes) as ensemble:
 
@@ -271,16 +269,6 @@ def _refuse_company(graph: Graph, conductor: Conductor) -> None:
         return False
 
     graph.spin_until(found, COMPANY_TIMEOUT_S)
-
-
-def _height_node(estimator: str) -> str:
-    """Node whose heights have that prefix; empty if there is none."""
-    return next((node for node, prefix in ESTIMATORS.items() if prefix == estimator), "")
-
-
-def _estimators(stages: list[str]) -> str:
-    """Prefixes of the heights that the stages make, in words."""
-    return ", ".join(ESTIMATORS[name] for name in stages if name in ESTIMATORS)
 
 
 def _number(text: str) -> float | None:

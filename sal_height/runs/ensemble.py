@@ -10,12 +10,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from types import TracebackType
 from typing import Any, Self
 
 from rclpy.parameter import Parameter
 
+from sal_height.channels import whitened_channels
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ml_height import MlHeight
@@ -24,8 +25,12 @@ from sal_height.nodes.parameters import accepted
 from sal_height.nodes.player import Player
 from sal_height.nodes.recorder import Recorder
 from sal_height.nodes.relief_mapper import ReliefMapper
+from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.simulator import Simulator
+from sal_height.nodes.sum_difference_height import SumDifferenceHeight
+from sal_height.sensor import Sensor
+from sal_height.sum_difference import sum_difference_channels
 
 NODES: dict[str, Any] = {
     "simulator": Simulator,
@@ -33,18 +38,29 @@ NODES: dict[str, Any] = {
     "sar_compression": SarCompression,
     "monopulse": Monopulse,
     "ml_height": MlHeight,
+    "sum_difference_height": SumDifferenceHeight,
     "relief_mapper": ReliefMapper,
+    "relief_tracker": ReliefTracker,
     "recorder": Recorder,
 }
 """Every node by its name; a new estimator is entered here and in ESTIMATORS."""
 
-ESTIMATORS = {"monopulse": "monopulse", "ml_height": "ml"}
+ESTIMATORS = {"monopulse": "monopulse", "ml_height": "ml", "sum_difference_height": "sum_difference"}
 """Height nodes and the prefix of their topics."""
+
+TRACKER = "relief_tracker"
+"""Node that tracks the heights of one of the ESTIMATORS."""
+
+HEIGHTS = {**ESTIMATORS, TRACKER: "tracked"}
+"""Nodes whose products are height images, and the prefix of their topics."""
+
+CONSUMERS = {TRACKER, "relief_mapper"}
+"""Nodes that take the heights of the estimator that their parameter names."""
 
 NodeParameters = Mapping[str, Mapping[str, Any]]
 """Parameter values by node name and parameter name."""
 
-SETTABLE = ["sar_compression", *ESTIMATORS, "relief_mapper"]
+SETTABLE = ["sar_compression", *HEIGHTS, "relief_mapper"]
 """Nodes whose parameters users may set."""
 
 COMPLETING = ("recorder", "relief_mapper")
@@ -72,6 +88,39 @@ def check_parameters(parameters: NodeParameters) -> dict[str, dict[str, Any]]:
         except UserError as error:
             raise UserError(f"Node {name}: {error}") from error
     return checked
+
+
+def suited(sensor: Sensor) -> list[str]:
+    """The height nodes that can do with the sensor's channels; none for a single one."""
+    if sensor.detector_count < 2:
+        return []
+    if not sensor.is_mixed:
+        return ["monopulse", "ml_height"]
+    channels = whitened_channels(sensor.noise_covariance, sensor.mixing)
+    nodes = ["ml_height"] if sensor.beams.combined(channels.matrix).matrix is not None else ["monopulse", "ml_height"]
+    with suppress(UserError):
+        sum_difference_channels(sensor.noise_covariance, sensor.mixing)
+        nodes.append("sum_difference_height")
+    return nodes
+
+
+def height_sources(stages: list[str], parameters: NodeParameters) -> dict[str, str]:
+    """The node whose heights each of the CONSUMERS among `stages` takes, with these parameters of all nodes.
+
+    Raises:
+        UserError: none of the stages makes those heights.
+    """
+    sources = {}
+    for name in CONSUMERS & set(stages):
+        prefix = parameters.get(name, {}).get("estimator", "ml")
+        makers = {HEIGHTS[node]: node for node in stages if node in HEIGHTS and node != name}
+        if prefix not in makers:
+            raise UserError(
+                f"The heights of estimator {prefix!r}, which {name} takes, are not made here; allowed are "
+                f"{', '.join(makers)}."
+            )
+        sources[name] = makers[prefix]
+    return sources
 
 
 class Ensemble:

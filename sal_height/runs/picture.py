@@ -26,7 +26,12 @@ PIXELS_SHOWN = 300
 
 HALF_POWER_DB = 10 * np.log10(0.5)
 
-TITLES = {"monopulse": "monopulse", "ml": "array maximum likelihood"}
+TITLES = {
+    "monopulse": "monopulse",
+    "ml": "array maximum likelihood",
+    "sum_difference": "sum and difference",
+    "tracked": "tracked",
+}
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]

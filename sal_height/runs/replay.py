@@ -8,17 +8,19 @@ from typing import Any
 
 import yaml
 
+from sal_height import convert
 from sal_height.bag.compare import HeightComparison, compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.folders import new_folder, writing
 from sal_height.impulse_response import measure_brightest
 from sal_height.runs.conductor import Outcome, perform
-from sal_height.runs.ensemble import ESTIMATORS, NodeParameters, check_parameters
+from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, suited
 from sal_height.runs.images import recorded_slc
 from sal_height.runs.picture import draw_image
 from sal_height.runs.report import or_null
 from sal_height.runs.simulate import RECORDED, conclude, merged, reporting
+from sal_height.sensor import Sensor
 
 
 def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, dict[str, HeightComparison]]:
@@ -33,27 +35,29 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, d
         parameters: of nodes, on top of the recorded ones.
 
     Returns:
-        What the replay did, and the comparison with the recorded heights by topic; empty if none were recorded or the
-        replay was interrupted.
+        What the replay did, and the comparison with the recorded heights by topic of the bag; empty if none were
+        recorded or the replay was interrupted.
 
     Raises:
         UserError: the bag cannot be used.
     """
     values = check_parameters(merged(_recorded_parameters(bag), parameters))
     reader = BagReader(bag)
-    detectors, dwells = _contents(reader)
-    stages = ["sar_compression", *(ESTIMATORS if detectors > 1 else ())]
-    recorded = RECORDED if detectors > 1 else [*RECORDED[:4], "slc"]
+    sensor, dwells = _contents(reader)
+    estimators = suited(sensor)
+    stages = ["sar_compression", *((*estimators, TRACKER) if estimators else ())]
+    recorded = RECORDED if estimators else [*RECORDED[:4], "slc"]
     folder = new_folder(out)
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
         outcome = perform("player", stages, recorded, made, {**values, "player": {"bag": str(bag)}}, dwells)
         conclude(outcome, made, values, report)
         compared = {}
-        if any(f"/{prefix}/height" in reader.topics for prefix in ESTIMATORS.values()) and not outcome.interrupted:
-            compared = compare_heights(bag, made)
+        if any(f"/{prefix}/height" in reader.topics for prefix in HEIGHTS.values()) and not outcome.interrupted:
+            results = compare_heights(bag, made)
+            compared = {topic: result for topic, result in results.items() if topic in reader.topics}
         report["comparison"] = {topic: dataclasses.asdict(result) for topic, result in compared.items()}
-        report["images"] = [] if detectors > 1 else _measure_images(folder)
+        report["images"] = [] if estimators else _measure_images(folder)
     return outcome, compared
 
 
@@ -77,19 +81,19 @@ def _measure_images(folder: Path) -> list[dict[str, Any]]:
     return measured
 
 
-def _contents(reader: BagReader) -> tuple[int, int]:
-    """Number of detectors and of dwells of a bag.
+def _contents(reader: BagReader) -> tuple[Sensor, int]:
+    """The sensor of a bag, and the number of its dwells.
 
     Raises:
-        UserError: there is no sensor info or no phase history.
+        UserError: there is no sensor info that is valid, or no phase history.
     """
     topics = reader.topics
     for name in ("/sensor_info", "/phase_history"):
         if name not in topics or not topics[name].count:
             raise UserError(f"Bag {reader.path} has no messages on {name}; it cannot be replayed.")
     first = next(reader.messages(["/sensor_info"]))
-    detectors = len(reader.decode(first.type_name, first.cdr).elevation_boresights)
-    return detectors, -(-topics["/phase_history"].count // max(1, detectors))
+    sensor = convert.sensor_from_message(reader.decode(first.type_name, first.cdr))
+    return sensor, -(-topics["/phase_history"].count // sensor.detector_count)
 
 
 def _recorded_parameters(bag: Path) -> dict[str, dict[str, Any]]:

@@ -19,12 +19,12 @@ from sal_height.flight import SimulatedFlight, flight_of
 from sal_height.folders import new_folder, write_text, writing
 from sal_height.preset import Preset
 from sal_height.runs.conductor import Outcome, perform
-from sal_height.runs.ensemble import ESTIMATORS, NodeParameters, check_parameters
+from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, suited
 from sal_height.runs.picture import draw_heights
 from sal_height.runs.report import Mosaic, mosaic, stage_report, statistics
 
 RECORDED = ["sensor_info", "platform/odometry", "phase_history", "diagnostics"] + [
-    f"{prefix}/height" for prefix in ESTIMATORS.values()
+    f"{prefix}/height" for prefix in HEIGHTS.values()
 ]
 """Topics that a run records; images can be made again from the phase history, and the relief map from the heights."""
 
@@ -92,12 +92,12 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
     looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
     values: dict[str, dict[str, Any]] = {
         "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols},
-        **{name: dict(looks) for name in ESTIMATORS},
+        **{name: dict(looks) for name in suited(flight.sensor)},
     }
     values = merged(values, parameters)
     simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0}
     relief = {"file": str(folder / RELIEF_MAP)} if find_spec("rasterio") else {}
-    stages = ["sar_compression", *ESTIMATORS, "relief_mapper"]
+    stages = ["sar_compression", *suited(flight.sensor), TRACKER, "relief_mapper"]
     bag = folder / "bag"
     known = {"preset": preset.name, "seed": seed, "cnr_db": preset.cnr_db, "looks": list(preset.looks)}
     with reporting(folder, known) as report:
@@ -107,7 +107,9 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
         conclude(outcome, bag, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
         mosaics = read_mosaics(bag, flight)
-        report["estimators"] = {name: statistics(mosaics.get(name)) for name in ESTIMATORS.values()}
+        report["estimators"] = {
+            HEIGHTS[name]: statistics(mosaics.get(HEIGHTS[name])) for name in stages if name in HEIGHTS
+        }
     if mosaics:
         with writing(folder / "height.png"):
             draw_heights(mosaics, flight.scene, preset, folder / "height.png")
@@ -117,7 +119,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
 def read_mosaics(bag: Path, flight: SimulatedFlight) -> dict[str, Mosaic]:
     """Mosaic of each estimator's height images in a bag; those without any valid pixel are left out."""
     reader = BagReader(bag)
-    images: dict[str, list[Any]] = {prefix: [] for prefix in ESTIMATORS.values()}
+    images: dict[str, list[Any]] = {prefix: [] for prefix in HEIGHTS.values()}
     for message in reader.messages([f"/{prefix}/height" for prefix in images]):
         image = reader.decode(message.type_name, message.cdr)
         images[image.estimator].append(image)

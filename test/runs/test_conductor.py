@@ -49,7 +49,7 @@ def status(name: str, **values: object) -> DiagnosticStatus:
 
 
 def test_diagnostics_of_others_are_ignored(graph: Graph) -> None:
-    watching = graph.add(Conductor("simulator", ["monopulse"], [], context=graph.context))
+    watching = graph.add(Conductor("simulator", ["monopulse"], [], {}, context=graph.context))
     publisher = graph.add(Node("stages", context=graph.context)).create_publisher(DiagnosticArray, "/diagnostics", 10)
     assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, 10)
     ours = [status("recorder", unwritten=0), status("simulator", **{"in": 1, "out": 8, "waiting": 0, "note": "slow"})]
@@ -70,7 +70,7 @@ def test_diagnostics_of_others_are_ignored(graph: Graph) -> None:
 
 def test_a_dwell_is_settled_when_its_heights_are_in_the_map(graph: Graph) -> None:
     stages = ["sar_compression", "monopulse", "ml_height", "relief_mapper"]
-    watching = graph.add(Conductor("simulator", stages, [], "monopulse", context=graph.context))
+    watching = graph.add(Conductor("simulator", stages, [], {"relief_mapper": "monopulse"}, context=graph.context))
     watching.accounts = {
         "recorder": {"unwritten": 0},
         "simulator": {"in": 0, "out": 8, "waiting": 0},

@@ -28,7 +28,7 @@ CPU_TOLERANCE_M = 1e-5
 
 def test_replay_equals_the_recording_value_for_value(recorded: Path, tmp_path: Path) -> None:
     _, compared = replay(recorded / "bag", tmp_path / "replay", {})
-    assert set(compared) == {"/ml/height", "/monopulse/height"}
+    assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
     for result in compared.values():
         assert result.equal
         assert result.matched == 2
@@ -118,6 +118,7 @@ def test_a_replay_that_drops_everything_says_that_all_is_missing(recorded: Path,
     assert {topic: (r.matched, r.missing) for topic, r in compared.items()} == {
         "/ml/height": (0, 2),
         "/monopulse/height": (0, 2),
+        "/tracked/height": (0, 2),
     }
     report = json.loads((out / "report.json").read_text())
     assert report["comparison"]["/ml/height"]["missing"] == 2

@@ -42,6 +42,8 @@ def test_the_report_accounts_for_every_frame(report: Any) -> None:
         assert stages[name]["out"] == out
         assert stages[name]["dropped"] == {}
         assert 0 < stages[name]["latency_p50_ms"] <= stages[name]["latency_p95_ms"]
+    tracker = stages["relief_tracker"]
+    assert (tracker["in"], tracker["processed"], tracker["out"], tracker["dropped"]) == (2, 2, 2, {})
 
 
 def test_the_report_has_the_errors_of_each_estimator(report: Any) -> None:
@@ -52,6 +54,12 @@ def test_the_report_has_the_errors_of_each_estimator(report: Any) -> None:
         assert 0 < numbers["s68_m"] < 0.1
         assert abs(numbers["median_m"]) < 4 * 1.25 * numbers["s68_m"] / np.sqrt(numbers["cells"])
         assert 0 < numbers["crb_m"] < numbers["sigma_m"] * 2
+
+
+def test_tracked_heights_have_less_noise_than_those_they_were_tracked_from(report: Any) -> None:
+    tracked, ml = report["estimators"]["tracked"], report["estimators"]["ml"]
+    assert tracked["cells"] > 0.8 * ml["cells"]
+    assert tracked["s68_m"] < 0.8 * ml["s68_m"]
 
 
 def test_the_picture_is_a_picture(recorded: Path) -> None:
@@ -100,7 +108,7 @@ def test_the_same_seed_gives_the_same_heights_and_another_does_not(
 def test_nodes_in_processes_give_the_same_heights(recorded: Path, two_dwells: Preset, tmp_path: Path) -> None:
     run(two_dwells, SEED, tmp_path / "run", {}, processes=True)
     compared = compare_heights(recorded / "bag", tmp_path / "run" / "bag")
-    assert set(compared) == {"/ml/height", "/monopulse/height"}
+    assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
     assert all(result.equal for result in compared.values())
 
 
@@ -161,7 +169,7 @@ def test_the_relief_map_holds_all_dwells(recorded: Path, report: Any) -> None:
     reader = BagReader(recorded / "bag")
     for message in reader.messages(["/ml/height"]):
         image = reader.decode(message.type_name, message.cdr)
-        relief_map.add(convert.surface_from_message(image), convert.aperture_from_message(image.aperture))
+        relief_map.add(convert.field_from_message(image).first, convert.aperture_from_message(image.aperture))
     relief = relief_map.relief()
     assert relief is not None
     np.testing.assert_array_equal(height, relief.height)

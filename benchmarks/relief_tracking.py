@@ -1,0 +1,49 @@
+"""Heights tracked along range and along the flight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from benchmarks.row import Row, medians
+from sal_height.relief_field import smoothed_field
+from sal_height.relief_tracking import ReliefPrior, smoothed
+
+ROWS, COLS = 1024, 1024
+SPACING = 0.5
+PRIOR = ReliefPrior(20.0, 1.0)
+
+FIELD_ROWS, FIELD_COLS = 256, 256
+"""Of the image that is tracked along the flight, too."""
+
+
+def throughput() -> Iterator[Row]:
+    """Filter and smoother over heights as messages hold them, over a plain copy of heights and sigmas."""
+    rng = np.random.default_rng(4)
+    height = rng.standard_normal((ROWS, COLS), dtype=np.float32)
+    sigma = np.ones_like(height)
+    there = np.zeros_like(height), np.zeros_like(sigma)
+
+    def copy() -> None:
+        np.copyto(there[0], height)
+        np.copyto(there[1], sigma)
+
+    tracking, copying = medians(lambda: smoothed(height, sigma, SPACING, PRIOR), copy)
+    yield Row(
+        "relief tracked along range, over a copy",
+        tracking / copying,
+        "1",
+        "<= 15",
+        f"{ROWS} × {COLS} cells, filter and smoother: {1e3 * tracking:.1f} ms; one plain copy of heights and sigmas to "
+        f"memory at hand: {1e3 * copying:.2f} ms",
+    )
+    part = np.s_[:FIELD_ROWS, :FIELD_COLS]
+    (field,) = medians(lambda: smoothed_field(height[part], sigma[part], (SPACING, SPACING), PRIOR))
+    yield Row(
+        "relief tracked along the flight, too",
+        FIELD_ROWS * FIELD_COLS / 1e6 / field,
+        "Mpixel/s",
+        ">= 0.1",
+        f"{FIELD_ROWS} × {FIELD_COLS} cells: {1e3 * field:.0f} ms",
+    )

@@ -1,0 +1,249 @@
+"""Node relief_tracker: what it makes of height images, good and bad."""
+
+from __future__ import annotations
+
+import array
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from helpers import assert_one_sentence
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sal_height_msgs.msg import HeightImage, Provenance
+from sensor_msgs.msg import Image, PointCloud2
+
+from sal_height import convert
+from sal_height.errors import UserError
+from sal_height.geometry import Aperture, Grid, height_of, locate_at_height
+from sal_height.height import HeightField, Surface
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.relief_tracker import ReliefTracker
+from sal_height.nodes.stage import FRAMES_QOS
+
+Array = npt.NDArray[np.float64]
+
+SHAPE, SPACING, LENGTH, SIGMA, NOISE = (120, 10), 0.5, 12.0, 1.0, 0.8
+TIMEOUT_S = 30.0
+
+APERTURE = Aperture(
+    np.array([0.0, 0.0, 3500.0]), np.array([50.0, 0.0, 0.0]), np.eye(3), 5.0, np.zeros((6, 6)), sliding=False
+)
+SIGHT = np.array([0.0, -1.0, -1.0]) / np.sqrt(2)
+GRID = Grid(APERTURE.position + 4900 * SIGHT - [5.0, 0.0, 0.0], SIGHT, np.array([1.0, 0.0, 0.0]), SPACING, 1.0, *SHAPE)
+
+
+def relief(seed: int) -> Array:
+    """True heights, m: tracks along range whose cells are SPACING sqrt(2) apart on the ground."""
+    rng = np.random.default_rng(seed)
+    height = SIGMA * rng.standard_normal(SHAPE)
+    phi = np.exp(-SPACING * np.sqrt(2) / LENGTH)
+    for i in range(1, SHAPE[0]):
+        height[i] = phi * height[i - 1] + np.sqrt(1 - phi**2) * height[i]
+    return height
+
+
+def height_image(dwell: int = 0) -> HeightImage:
+    """Noisy heights; pixel (60, 3) is of too little signal, (70, 4) an outlier, (80, 5) holds two scatterers."""
+    rng = np.random.default_rng(100 + dwell)
+    height = relief(dwell) + NOISE * rng.standard_normal(SHAPE)
+    validity = np.full(SHAPE, HeightImage.OK, dtype=np.uint8)
+    validity[60, 3], height[60, 3] = HeightImage.LOW_CNR, np.nan
+    validity[80, 5], height[70, 4] = HeightImage.TWO_SCATTERERS, 30.0
+    sight = GRID.pixels() - APERTURE.position
+    positions = locate_at_height(height, np.linalg.norm(sight, axis=-1), sight[..., 0], APERTURE, 1)
+    sigma, cnr_db = np.where(np.isfinite(height), NOISE, np.nan), np.full(SHAPE, 12.0)
+    two = validity == HeightImage.TWO_SCATTERERS
+    other = Surface(
+        *(np.where(two, v, np.nan) for v in (height, sigma, cnr_db)), np.where(two[..., None], positions, np.nan)
+    )
+    field = HeightField(GRID, validity, Surface(height, sigma, cnr_db, positions), other)
+    source = HeightImage(dwell=dwell)
+    source.header.stamp = convert.to_stamp(1_700_000_000_000_000_000 + dwell)
+    source.header.frame_id = "map"
+    provenance = Provenance(config_hash="abc", calibration_id="c", parameters='{"ml_height": {"layover": true}}')
+    return convert.height_to_message(field, APERTURE, (2, 3), "ml", source, provenance)
+
+
+class Tracking:
+    """A tracker fed by hand, and what it publishes."""
+
+    def __init__(self, graph: Graph, topic: str = "ml/height", **parameters: Any) -> None:
+        """Start it with these parameters, and wait until it is connected."""
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        self.node = graph.add(ReliefTracker(context=graph.context, parameter_overrides=overrides))
+        self.graph = graph
+        self.received: dict[type, list[Any]] = {HeightImage: [], Image: [], PointCloud2: []}
+        feeder = graph.add(Node("feeder", context=graph.context))
+        self.publisher = feeder.create_publisher(HeightImage, topic, FRAMES_QOS)
+        names = {HeightImage: "height", Image: "image", PointCloud2: "points"}
+        for kind, messages in self.received.items():
+            feeder.create_subscription(kind, f"tracked/{names[kind]}", messages.append, FRAMES_QOS)
+        self.wait(lambda: self.publisher.get_subscription_count() == 1)
+        self.wait(lambda: all(feeder.count_publishers(f"tracked/{name}") == 1 for name in names.values()))
+
+    def wait(self, condition: Callable[[], bool]) -> None:
+        assert self.graph.spin_until(condition, TIMEOUT_S), self.node.tally.summary()
+
+    def track(self, image: HeightImage) -> HeightImage:
+        """The tracked image of one."""
+        count = len(self.received[HeightImage])
+        self.publisher.publish(image)
+        self.wait(lambda: all(len(messages) > count for messages in self.received.values()))
+        return self.received[HeightImage][-1]
+
+
+def of(image: HeightImage, name: str) -> Array:
+    return np.array(getattr(image, name)).reshape(SHAPE)
+
+
+def test_heights_are_tracked_and_in_their_places(graph: Graph) -> None:
+    """The error of 1200 cells, which hold 100 independent ones or more, is half of what it was."""
+    tracking = Tracking(graph)
+    before = height_image()
+    after = tracking.track(before)
+    assert (after.header, after.dwell, after.grid, after.aperture) == (
+        *(before.header, before.dwell, before.grid, before.aperture),
+    )
+    assert (after.estimator, after.range_looks, after.azimuth_looks) == ("tracked", 2, 3)
+    assert after.earth_radius == before.earth_radius
+    validity, height = of(after, "validity"), of(after, "height")
+    expected = np.zeros(SHAPE, dtype=np.uint8)
+    expected[60, 3] = expected[70, 4] = HeightImage.INTERPOLATED
+    np.testing.assert_array_equal(validity, expected)
+    assert len(after.second_height) == 0
+    error = height - relief(0)
+    assert np.sqrt(np.mean(error**2)) < 0.65 * NOISE
+    assert np.mean(np.abs(error) < of(after, "sigma")) == pytest.approx(0.68, abs=0.12)
+    field = convert.field_from_message(after)
+    sight = GRID.pixels() - APERTURE.position
+    now = field.first.positions - APERTURE.position
+    np.testing.assert_allclose(np.linalg.norm(now, axis=-1), np.linalg.norm(sight, axis=-1), atol=1e-3)
+    np.testing.assert_allclose(now[..., 0], sight[..., 0], atol=1e-3)
+    np.testing.assert_allclose(height_of(field.first.positions), height, atol=1e-3)
+
+
+def test_picture_points_and_provenance_come_along(graph: Graph) -> None:
+    tracking = Tracking(graph)
+    after = tracking.track(height_image())
+    (picture,), (points,) = tracking.received[Image], tracking.received[PointCloud2]
+    np.testing.assert_array_equal(np.frombuffer(bytes(picture.data), np.float32), np.array(after.height, np.float32))
+    assert points.width == SHAPE[0] * SHAPE[1]
+    assert (after.provenance.config_hash, after.provenance.calibration_id) == ("abc", "c")
+    stages = json.loads(after.provenance.parameters)
+    assert stages["ml_height"] == {"layover": True}
+    recorded = stages["relief_tracker"]
+    assert (recorded["estimator"], recorded["correlation_length_m"], recorded["along_track"]) == ("ml", 0.0, True)
+    assert set(recorded["prior"]) == {"length", "sigma", "mean"}
+    assert 0.1 < recorded["prior"]["sigma"] < 3
+    assert tracking.node.tally.summary()["processed"] == 1
+
+
+def test_parameters_are_followed(graph: Graph) -> None:
+    """From image to image; a prior that is given is not estimated, and neighbours that have a say change heights."""
+    tracking = Tracking(graph, "monopulse/height", estimator="monopulse")
+    after = []
+    for values in (
+        {"correlation_length_m": 5.0, "relief_sigma_m": 2.0, "along_track": False},
+        {"along_track": True},
+        {"gate": 1000.0},
+    ):
+        tracking.node.set_parameters([Parameter(name, value=value) for name, value in values.items()])
+        after.append(tracking.track(height_image()))
+        recorded = json.loads(after[-1].provenance.parameters)["relief_tracker"]
+        assert (recorded["prior"]["length"], recorded["prior"]["sigma"]) == pytest.approx((5.0, 2.0))
+        assert recorded.items() >= values.items()
+    assert not np.array_equal(of(after[0], "height"), of(after[1], "height"))
+    assert of(after[1], "validity")[70, 4] == HeightImage.INTERPOLATED
+    assert of(after[2], "validity")[70, 4] == HeightImage.OK
+    assert of(after[2], "height")[70, 4] > 5
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("estimator", "best"), ("gate", 0.0), ("correlation_length_m", -1.0), ("relief_sigma_m", math.nan)],
+)
+def test_a_parameter_that_is_not_allowed_is_refused(graph: Graph, name: str, value: Any) -> None:
+    with pytest.raises(UserError, match=f"Parameter {name}"):
+        ReliefTracker(context=graph.context, parameter_overrides=[Parameter(name, value=value)])
+
+
+def empty(image: HeightImage) -> None:
+    image.grid.rows = image.grid.cols = 0
+    for name in ("height", "sigma", "cnr_db", "east", "north"):
+        setattr(image, name, array.array("f"))
+    image.validity = array.array("B")
+
+
+def all_nan(image: HeightImage) -> None:
+    image.height = convert.to_floats(np.full(SHAPE, np.nan))
+
+
+def nothing_valid(image: HeightImage) -> None:
+    image.validity = convert.to_bytes(np.full(SHAPE, HeightImage.LOW_CNR, np.uint8))
+
+
+def too_few_sigmas(image: HeightImage) -> None:
+    image.sigma = image.sigma[:-1]
+
+
+def no_sigma(image: HeightImage) -> None:
+    image.sigma[17] = 0.0
+
+
+def negative_sigma(image: HeightImage) -> None:
+    image.sigma[17] = -1.0
+
+
+def infinite_place(image: HeightImage) -> None:
+    image.east[3] = math.inf
+
+
+def no_motion(image: HeightImage) -> None:
+    image.aperture.velocity.x = 0.0
+
+
+def no_direction(image: HeightImage) -> None:
+    image.grid.row_direction.y = image.grid.row_direction.z = 0.0
+
+
+def other_sphere(image: HeightImage) -> None:
+    image.earth_radius = 6_378_137.0
+
+
+def nowhere(image: HeightImage) -> None:
+    image.grid.origin.x = math.nan
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason", "words"),
+    [
+        (empty, "wrong size", "at least 1"),
+        (all_nan, "not finite", "height"),
+        (nothing_valid, "cannot be processed", "0 steps"),
+        (too_few_sigmas, "wrong size", "sigma has 1199 entries"),
+        (no_sigma, "wrong sigma", "0 m"),
+        (negative_sigma, "wrong sigma", "-1 m"),
+        (infinite_place, "not finite", "east"),
+        (no_motion, "wrong geometry", "velocity"),
+        (no_direction, "wrong geometry", "norm 1"),
+        (nowhere, "not finite", "grid"),
+        (other_sphere, "wrong earth radius", "6378137"),
+    ],
+)
+def test_a_bad_image_is_counted_and_the_next_one_tracked(graph: Graph, spoil: Any, reason: str, words: str) -> None:
+    tracking = Tracking(graph)
+    bad = height_image()
+    spoil(bad)
+    tracking.publisher.publish(bad)
+    tracking.wait(lambda: tracking.node.tally.summary().get(f"dropped.{reason}") == 1)
+    said, _, sentence = tracking.node.last_rejection.partition(": ")
+    assert said == reason
+    assert_one_sentence(sentence, words)
+    assert tracking.track(height_image(1)).dwell == 1
+    summary = tracking.node.tally.summary()
+    assert (summary["in"], summary["processed"], summary["waiting"]) == (2, 1, 0)

@@ -14,6 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from benchmarks import (
+    array_accuracy,
     array_estimator,
     backprojection,
     fast_formers,
@@ -31,11 +32,15 @@ GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
     "backprojection": backprojection.throughput,
     "array-trials": array_estimator.against_random_numbers,
     "array-images": array_estimator.throughput,
+    "array-node": array_estimator.node_over_core,
+    "array-memory": memory.array_memory,
     "layover": layover.throughput,
     "relief-map": relief_map.throughput,
     "relief-tracking": relief_tracking.throughput,
     "figures": figures.all_figures,
     "memory": memory.peak_memory,
+    "accuracy-array": array_accuracy.against_theory,
+    "accuracy-array-search": array_accuracy.against_dense_search,
     "accuracy-backprojection": backprojection.accuracy,
     "accuracy-fast-formers": fast_formers.against_backprojection,
 }

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
+from rclpy.parameter import Parameter
+from sal_height_msgs.msg import DetectorFrame, Provenance
+from std_msgs.msg import Header
 
+from benchmarks.cases import spotlight
 from benchmarks.row import Row, medians
-from sal_height import array_trials
+from sal_height import array_trials, convert
 from sal_height.array_ml import OBJECTIVES, ml_elevation
 from sal_height.beams import Beams
 from sal_height.compiled import in_parallel
 from sal_height.estimate import ElevationEstimate
-from sal_height.looks import multilook
+from sal_height.focusing import Slc
+from sal_height.geometry import Aperture, Grid
+from sal_height.height import column_squint, height_field, look_grid
+from sal_height.layover import resolve_layover
+from sal_height.looks import blocks, multilook, windowed_looks
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.ml_height import MlHeight
 from sal_height.optics import pattern_named
+from sal_height.sensor import Sensor
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
@@ -34,10 +46,53 @@ PIXELS_AT_ONCE = 256
 """Whose convolutions NumPy holds at a time."""
 
 
+def node_over_core() -> Iterator[Row]:
+    """A dwell through node ml_height, from the images' messages to published heights, against the core's own time."""
+    samples = _slc("jinc")
+    grid, aperture, sensor = _scene()
+    slc = Slc(samples, grid, aperture, [1.0] * DETECTORS)
+    stamp, shares = convert.to_stamp(0), np.zeros(DETECTORS)
+    frame = DetectorFrame(header=Header(stamp=stamp), dwell=0)
+    messages = convert.slc_to_messages(slc, shares, frame, Provenance(config_hash=sensor.config_hash))
+    down, across = blocks(1, LOOKS)
+    coarse = look_grid(grid, down, across)
+    with Graph() as graph:
+        looks = [Parameter("range_looks", value=1), Parameter("azimuth_looks", value=LOOKS)]
+        node = graph.add(MlHeight(context=graph.context, parameter_overrides=looks))
+
+        def core() -> None:
+            seen = windowed_looks(samples, down, across)
+            squint = column_squint(coarse, aperture, sensor.beams, sensor.look_side)
+            found = ml_elevation(seen, sensor.beams, squint, 1.0, OBJECTIVES["normalised"], MIN_CNR)
+            found = resolve_layover(found, seen, sensor.beams, squint, 1.0, MIN_CNR)
+            height_field(found, seen, grid, coarse, aperture, sensor.look_side)
+
+        through, alone = medians(lambda: node.process(messages, sensor), core)
+    yield Row(
+        "node ml_height over the core",
+        through / alone,
+        "1",
+        "<= 1.2",
+        f"{ROWS} × {COLS * LOOKS} images of {DETECTORS} detectors, every column its squint: {1e3 * through:.0f} ms "
+        f"with messages, image and points over {1e3 * alone:.0f} ms of estimate, layover and heights",
+    )
+
+
+def _scene() -> tuple[Grid, Aperture, Sensor]:
+    """Pixels, platform and sensor of a spotlight image of ROWS x COLS * LOOKS pixels."""
+    case = spotlight(DETECTORS, 64, ROWS, ROWS, COLS * LOOKS)
+    sensor = replace(case.sensor, aperture=case.sensor.wavelength / BEAMWIDTH, config_hash="")
+    steps = np.arange(DETECTORS) - (DETECTORS - 1) / 2
+    sensor = replace(sensor, elevation_boresights=tuple(elevation_at(0) + PITCH * BEAMWIDTH * steps), config_hash="")
+    middle = case.antenna.mean(axis=0)
+    aperture = Aperture(middle, np.array([50.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
+    return case.grid, aperture, sensor
+
+
 def against_random_numbers() -> Iterator[Row]:
     """Draw targets and noise, sum up covariances, find the peaks; over drawing the same numbers on as many threads."""
-    beams, target = _beams("sinc"), array_trials.TARGETS["gaussian"]
-    elevation, normalised = _elevation(1.75), OBJECTIVES["normalised"]
+    beams, target = beams_of("sinc"), array_trials.TARGETS["gaussian"]
+    elevation, normalised = elevation_at(1.75), OBJECTIVES["normalised"]
 
     def draw(rng: np.random.Generator, part: slice) -> None:
         count = part.stop - part.start
@@ -65,10 +120,7 @@ def throughput() -> Iterator[Row]:
 
 
 def _throughput(name: str) -> Iterator[Row]:
-    beams, normalised, target = _beams(name), OBJECTIVES["normalised"], array_trials.TARGETS["gaussian"]
-    rng = np.random.default_rng(2)
-    samples = array_trials.draw_pixels(rng, beams, _elevation(1.75), 0.0, CNR, LOOKS, ROWS * COLS, target)
-    slc = np.ascontiguousarray(samples.reshape(ROWS, COLS * LOOKS, DETECTORS).transpose(2, 0, 1))
+    beams, normalised, slc = beams_of(name), OBJECTIVES["normalised"], _slc(name)
     one, many = np.zeros(COLS), np.linspace(-0.5, 0.5, COLS) * BEAMWIDTH
 
     def estimate(squint: Array) -> ElevationEstimate:
@@ -107,6 +159,13 @@ def _throughput(name: str) -> Iterator[Row]:
     )
 
 
+def _slc(name: str) -> ComplexArray:
+    """Images of single looks at a fluctuating target in unit noise, (detectors, ROWS, COLS * LOOKS)."""
+    rng, target = np.random.default_rng(2), array_trials.TARGETS["gaussian"]
+    samples = array_trials.draw_pixels(rng, beams_of(name), elevation_at(1.75), 0.0, CNR, LOOKS, ROWS * COLS, target)
+    return np.ascontiguousarray(samples.reshape(ROWS, COLS * LOOKS, DETECTORS).transpose(2, 0, 1))
+
+
 def by_convolution(slc: ComplexArray, looks: int, beams: Beams) -> Array:
     """Elevation (rad) as the paper has it: profiles convolved with the beam, upsampled, powers averaged, the highest.
 
@@ -143,12 +202,13 @@ def by_convolution(slc: ComplexArray, looks: int, beams: Beams) -> Array:
     return elevation.reshape(rows, -1)
 
 
-def _beams(name: str) -> Beams:
+def beams_of(name: str) -> Beams:
+    """16 beams of that pattern, half a beamwidth apart."""
     steps = np.arange(DETECTORS, dtype=np.float64) - (DETECTORS - 1) / 2
-    boresights = _elevation(0) + PITCH * BEAMWIDTH * steps
+    boresights = elevation_at(0) + PITCH * BEAMWIDTH * steps
     return Beams((pattern_named(name),), boresights, BEAMWIDTH)
 
 
-def _elevation(offset: float) -> float:
+def elevation_at(offset: float) -> float:
     """Elevation (rad) that many beamwidths above the middle of the array."""
     return float(np.pi / 4 + offset * BEAMWIDTH)

@@ -7,11 +7,20 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.array_estimator import beams_of
 from benchmarks.cases import Case, spotlight, stripmap
 from benchmarks.row import Row
+from sal_height.array_ml import OBJECTIVES, ml_elevation
 from sal_height.formers import FORMERS
+from sal_height.looks import multilook
 
 DETECTORS, PULSES, FREQUENCIES, ROWS, COLS = 16, 512, 1024, 1024, 512
+
+ARRAY = "array"
+"""Instead of the name of a former: the array estimate."""
 
 
 def peak_memory() -> Iterator[Row]:
@@ -29,10 +38,39 @@ def peak_memory() -> Iterator[Row]:
         )
 
 
+def array_memory() -> Iterator[Row]:
+    """Images and all that estimating their elevations adds to the resident memory, over the images."""
+    command = [sys.executable, "-m", "benchmarks.memory", ARRAY]
+    result = subprocess.run(command, check=True, capture_output=True, text=True)  # noqa: S603 (our own module)
+    images, growth = map(int, result.stdout.split())
+    yield Row(
+        "array estimate with sigma and validity, peak memory",
+        (images + growth) / images,
+        "1",
+        "<= 2",
+        f"images of {images / 1e6:.0f} MB, 4 looks; growth of the resident memory (VmHWM) {growth / 1e6:.0f} MB",
+    )
+
+
 def _case(former: str, detectors: int, pulses: int, frequencies: int, rows: int) -> Case:
     if former == "range_doppler":
         return stripmap(detectors, pulses, frequencies, rows)
     return spotlight(detectors, pulses, frequencies, rows, COLS)
+
+
+def _measure_array() -> None:
+    """Print the bytes of images, and those by which the peak of their estimate lies above what was resident before."""
+    beams, squint = beams_of("jinc"), np.zeros(COLS // 4)
+
+    def estimate(slc: npt.NDArray[np.complex64]) -> None:
+        ml_elevation(multilook(slc, 1, 4), beams, squint, 1.0, OBJECTIVES["normalised"], 3.0)
+
+    rng = np.random.default_rng(1)
+    slc = rng.standard_normal((DETECTORS, ROWS, 2 * COLS), dtype=np.float32).view(np.complex64)
+    estimate(slc[:, :16].copy())  # so that code and libraries are loaded
+    before = resident("VmRSS")
+    estimate(slc)
+    sys.stdout.write(f"{slc.nbytes} {resident('VmHWM') - before}\n")
 
 
 def _measure(former: str) -> None:
@@ -51,4 +89,7 @@ def resident(key: str) -> int:
 
 
 if __name__ == "__main__":
-    _measure(sys.argv[1])
+    if sys.argv[1] == ARRAY:
+        _measure_array()
+    else:
+        _measure(sys.argv[1])

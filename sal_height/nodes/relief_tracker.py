@@ -22,7 +22,9 @@ from sal_height.tracked_height import ground_spacings, own_sigma, tracked_field
 class Parameters:
     """Parameters of the node."""
 
-    estimator: str = parameter("ml", "whose heights are tracked", choices=("ml", "monopulse"), read_only=True)
+    estimator: str = parameter(
+        "ml", "whose heights are tracked", choices=("ml", "monopulse", "sum_difference"), read_only=True
+    )
     correlation_length_m: float = parameter(
         0.0, "correlation length of the relief on the ground, m; 0: estimated from each image", minimum=0.0, maximum=1e6
     )

@@ -104,6 +104,15 @@ def suited(sensor: Sensor) -> list[str]:
     return nodes
 
 
+def recorded_topics(stages: list[str]) -> list[str]:
+    """Topics that a run through `stages` records: what is needed to do it again, and the heights, or else the images.
+
+    Images can be made again from the phase history, and the relief map from the heights.
+    """
+    heights = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
+    return ["sensor_info", "platform/odometry", "phase_history", "diagnostics", *(heights or ["slc"])]
+
+
 def height_sources(stages: list[str], parameters: NodeParameters) -> dict[str, str]:
     """The node whose heights each of the CONSUMERS among `stages` takes, with these parameters of all nodes.
 

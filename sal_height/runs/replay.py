@@ -15,11 +15,11 @@ from sal_height.errors import UserError
 from sal_height.folders import new_folder, writing
 from sal_height.impulse_response import measure_brightest
 from sal_height.runs.conductor import Outcome, perform
-from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, suited
+from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, recorded_topics, suited
 from sal_height.runs.images import recorded_slc
 from sal_height.runs.picture import draw_image
 from sal_height.runs.report import or_null
-from sal_height.runs.simulate import RECORDED, conclude, merged, reporting
+from sal_height.runs.simulate import conclude, merged, reporting
 from sal_height.sensor import Sensor
 
 
@@ -46,11 +46,12 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, d
     sensor, dwells = _contents(reader)
     estimators = suited(sensor)
     stages = ["sar_compression", *((*estimators, TRACKER) if estimators else ())]
-    recorded = RECORDED if estimators else [*RECORDED[:4], "slc"]
     folder = new_folder(out)
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
-        outcome = perform("player", stages, recorded, made, {**values, "player": {"bag": str(bag)}}, dwells)
+        outcome = perform(
+            "player", stages, recorded_topics(stages), made, {**values, "player": {"bag": str(bag)}}, dwells
+        )
         conclude(outcome, made, values, report)
         compared = {}
         if any(f"/{prefix}/height" in reader.topics for prefix in HEIGHTS.values()) and not outcome.interrupted:

@@ -19,14 +19,9 @@ from sal_height.flight import SimulatedFlight, flight_of
 from sal_height.folders import new_folder, write_text, writing
 from sal_height.preset import Preset
 from sal_height.runs.conductor import Outcome, perform
-from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, suited
+from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, recorded_topics, suited
 from sal_height.runs.picture import draw_heights
 from sal_height.runs.report import Mosaic, mosaic, stage_report, statistics
-
-RECORDED = ["sensor_info", "platform/odometry", "phase_history", "diagnostics"] + [
-    f"{prefix}/height" for prefix in HEIGHTS.values()
-]
-"""Topics that a run records; images can be made again from the phase history, and the relief map from the heights."""
 
 RELIEF_MAP = "relief_map.tif"
 """File of the relief map in the folder of a run."""
@@ -103,7 +98,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
     with reporting(folder, known) as report:
         write_text(settings, yaml.safe_dump(json.loads(json.dumps(dataclasses.asdict(preset))), sort_keys=False))
         nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
-        outcome = perform("simulator", stages, RECORDED, bag, nodes, preset.dwells, processes)
+        outcome = perform("simulator", stages, recorded_topics(stages), bag, nodes, preset.dwells, processes)
         conclude(outcome, bag, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
         mosaics = read_mosaics(bag, flight)

@@ -214,6 +214,7 @@ REFUSED: dict[str, tuple[str, Any, str, str]] = {
     "origin nowhere": ("grid.origin.x", float("inf"), "not finite", "grid"),
     "no motion": ("aperture.velocity.x", 0.0, "wrong geometry", "velocity"),
     "no rotation": ("aperture.pose.pose.orientation.w", 5.0, "wrong geometry", "orientation"),
+    "place nowhere": ("east", array.array("f", [float("nan")] * ROWS * COLS), "not finite", "east or north"),
     "negative sigma": ("sigma", array.array("f", [-0.5] * ROWS * COLS), "wrong sigma", "greater than 0"),
     "zero sigma": ("sigma", array.array("f", [0.0] * ROWS * COLS), "wrong sigma", "greater than 0"),
     "far away": ("grid.origin.x", 1e6, "map full", "max_cells"),
@@ -253,13 +254,12 @@ def test_a_first_image_that_is_refused_does_not_choose_the_cells(graph: Graph) -
     assert mapped.status["dropped.map full"] == "1"
 
 
-def test_pixels_that_validity_rules_out_and_places_without_height_do_not_enter(mapped: Mapped) -> None:
+def test_pixels_that_validity_rules_out_do_not_enter(mapped: Mapped) -> None:
     image = height_image(0)
     image.validity[0] = Validity.NOT_ONE_SCATTERER
     image.validity[1] = Validity.TWO_SCATTERERS
-    image.east[2] = float("nan")
     mapped.feed(image)
-    np.testing.assert_array_equal(mapped.map_of(1).count[:4], [0, 1, 0, 1])
+    np.testing.assert_array_equal(mapped.map_of(1).count[:4], [0, 1, 1, 1])
 
 
 def test_the_file_is_what_was_published(graph: Graph, mapped: Mapped, tmp_path: Path) -> None:

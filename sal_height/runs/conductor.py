@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import signal
 import math
+import signal
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

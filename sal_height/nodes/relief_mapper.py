@@ -19,7 +19,6 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geotiff import check_geotiff, write_geotiff
 from sal_height.nodes.parameters import as_json, declare_parameters, parameter, read_parameters
 from sal_height.nodes.program import run_node
-from sal_height.nodes.relief_messages import relief_picture, relief_points, relief_to_message
 from sal_height.nodes.stage import LATCHED_QOS, Stage
 
 LAST_WORDS_S = 2.0
@@ -155,11 +154,11 @@ class ReliefMapper(Stage):
         relief = self._map.relief() if self._map else None
         if relief is None or self._last is None:
             return 0
-        message = relief_to_message(relief, self._images, self._last, self._provenance(self._last))
+        message = convert.relief_to_message(relief, self._images, self._last, self._provenance(self._last))
         with suppress(RCLError):  # the context may have ended: nobody is left to publish to
-            self._image.publish(relief_picture(relief, self._last))
+            self._image.publish(convert.relief_picture(relief, self._last))
             if self._points.get_subscription_count():  # heights wait while they are made: a second for millions
-                self._points.publish(relief_points(relief, self._last))
+                self._points.publish(convert.relief_points(relief, self._last))
             self._relief.publish(message)
         return 1
 

@@ -1,4 +1,4 @@
-"""Relief maps as messages; everything else that is a message and arrays is in `convert`."""
+"""Relief maps, and pictures and points for viewers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
 from sensor_msgs.msg import Image, PointCloud2
 
-from sal_height import convert
+from sal_height.convert.basics import to_floats
+from sal_height.convert.heights import float_picture, point_cloud
 from sal_height.geometry import EARTH_RADIUS, sphere_point
 from sal_height.relief_map import Relief
 
@@ -27,9 +28,9 @@ def relief_to_message(relief: Relief, images: int, last: HeightImage, provenance
         cell_size=relief.cell_size,
         rows=rows,
         cols=cols,
-        height=convert.to_floats(relief.height),
-        sigma=convert.to_floats(relief.sigma),
-        disagreement=convert.to_floats(relief.disagreement),
+        height=to_floats(relief.height),
+        sigma=to_floats(relief.sigma),
+        disagreement=to_floats(relief.disagreement),
         count=array.array("I", relief.count.tobytes()),
         provenance=provenance,
     )
@@ -37,7 +38,7 @@ def relief_to_message(relief: Relief, images: int, last: HeightImage, provenance
 
 def relief_picture(relief: Relief, last: HeightImage) -> Image:
     """The heights as a 32FC1 image with north up, NaN where nothing was seen: for any image viewer."""
-    return convert.float_picture(relief.height[::-1], last.header)
+    return float_picture(relief.height[::-1], last.header)
 
 
 def relief_points(relief: Relief, last: HeightImage) -> PointCloud2:
@@ -46,4 +47,4 @@ def relief_points(relief: Relief, last: HeightImage) -> PointCloud2:
     height, sigma = (layer[row, col].astype(np.float64) for layer in (relief.height, relief.sigma))
     east, north = relief.east + relief.cell_size * col, relief.north + relief.cell_size * row
     points = np.column_stack([sphere_point(east, north, height), height, sigma]).astype(np.float32)
-    return convert.point_cloud(points, ("x", "y", "z", "height", "sigma"), last.header)
+    return point_cloud(points, ("x", "y", "z", "height", "sigma"), last.header)

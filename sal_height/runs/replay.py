@@ -49,9 +49,8 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, d
     folder = new_folder(out)
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
-        outcome = perform(
-            "player", stages, recorded_topics(stages), made, {**values, "player": {"bag": str(bag)}}, dwells
-        )
+        nodes = {**values, "player": {"bag": str(bag)}}
+        outcome = perform("player", stages, recorded_topics(stages), made, nodes, dwells)
         conclude(outcome, made, values, report)
         compared = {}
         if any(f"/{prefix}/height" in reader.topics for prefix in HEIGHTS.values()) and not outcome.interrupted:

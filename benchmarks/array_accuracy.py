@@ -90,9 +90,9 @@ def against_dense_search() -> Iterator[Row]:
         reference = f"{count + unclear} pixels of {SEARCH_LOOKS} looks at {levels} dB"
         yield Row(
             f"array search, {pattern}: rms error",
-            1e3 * float(np.sqrt(squares / count)),
-            "1e-3 beamwidths",
-            "<= 1",
+            1e6 * float(np.sqrt(squares / count)),
+            "1e-6 beamwidths",
+            "<= 1000",
             reference,
         )
         yield Row(f"array search, {pattern}: worst error", 1e3 * worst, "1e-3 beamwidths", "<= 5", reference)

@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from sal_height_msgs.msg import DetectorFrame, Provenance
 from std_msgs.msg import Header
 
-from benchmarks.cases import spotlight
+from benchmarks.cases import SLANT_RANGE, spotlight
 from benchmarks.row import Row, medians
 from sal_height import array_trials, convert
 from sal_height.array_ml import OBJECTIVES, ml_elevation
@@ -79,14 +79,21 @@ def node_over_core() -> Iterator[Row]:
 
 
 def _scene() -> tuple[Grid, Aperture, Sensor]:
-    """Pixels, platform and sensor of a spotlight image of ROWS x COLS * LOOKS pixels."""
-    case = spotlight(DETECTORS, 64, ROWS, ROWS, COLS * LOOKS)
-    sensor = replace(case.sensor, aperture=case.sensor.wavelength / BEAMWIDTH, config_hash="")
+    """Pixels, platform and sensor of a spotlight image of ROWS x COLS * LOOKS pixels, half a beamwidth wide."""
+    case = spotlight(DETECTORS, 64, ROWS, 2, COLS * LOOKS)
     steps = np.arange(DETECTORS) - (DETECTORS - 1) / 2
-    sensor = replace(sensor, elevation_boresights=tuple(elevation_at(0) + PITCH * BEAMWIDTH * steps), config_hash="")
-    middle = case.antenna.mean(axis=0)
-    aperture = Aperture(middle, np.array([50.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
-    return case.grid, aperture, sensor
+    sensor = replace(
+        case.sensor,
+        aperture=case.sensor.wavelength / BEAMWIDTH,
+        elevation_boresights=tuple(elevation_at(0) + PITCH * BEAMWIDTH * steps),
+        config_hash="",
+    )
+    spacing, middle = BEAMWIDTH / 2 * SLANT_RANGE / (COLS * LOOKS), case.grid.points(0.5, (COLS * LOOKS - 1) / 2)
+    row_spacing = 1e-3  # the target fills the image at one elevation
+    origin = middle - (COLS * LOOKS - 1) / 2 * spacing * case.grid.col_direction
+    grid = replace(case.grid, origin=origin, row_spacing=row_spacing, col_spacing=spacing, rows=ROWS)
+    aperture = Aperture(case.antenna.mean(axis=0), np.array([50.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
+    return grid, aperture, sensor
 
 
 def against_random_numbers() -> Iterator[Row]:

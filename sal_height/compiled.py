@@ -23,6 +23,11 @@ def compiled(function: Function) -> Function:
     return cast("Function", njit(nogil=True, fastmath=True, error_model="numpy", cache=True)(function))
 
 
+def inlined(function: Function) -> Function:
+    """The function as a part of the `compiled` ones that call it: what a call costs, small ones save."""
+    return cast("Function", njit(nogil=True, fastmath=True, error_model="numpy", inline="always")(function))
+
+
 def in_parallel(work: Callable[[slice], object], count: int, least: int = 1) -> None:
     """Do `work` on slices that make up `count` items, one for each processor but of `least` items or more."""
     size = max(least, -(-count // WORKERS))

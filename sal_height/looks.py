@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import get_window
 
-from sal_height.compiled import compiled, in_parallel
+from sal_height.compiled import compiled, in_parallel, inlined
 from sal_height.errors import Rejected, UserError
 
 Array = npt.NDArray[np.float64]
@@ -354,7 +354,7 @@ def _sums(numbers: FloatArray, parts: FloatArray) -> None:
         _sum_outer_products(x, y, looks, parts[i])
 
 
-@compiled
+@inlined
 def _sum_outer_products(x: FloatArray, y: FloatArray, count: int, parts: FloatArray) -> None:
     """Sum of g g^H over `count` samples g = x + j y, as parts (1 or 2, M, M); spare rows of x and y are overwritten."""
     padded = max(1, -(-count // LOOKS_AT_ONCE)) * LOOKS_AT_ONCE
@@ -368,7 +368,7 @@ def _sum_outer_products(x: FloatArray, y: FloatArray, count: int, parts: FloatAr
             _add_four(y, x, np.float32(-1), x, y, k, parts[1])
 
 
-@compiled
+@inlined
 def _add_four(
     p: FloatArray, q: FloatArray, sign: np.float32, x: FloatArray, y: FloatArray, k: int, result: FloatArray
 ) -> None:

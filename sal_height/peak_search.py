@@ -16,7 +16,7 @@ import numpy.typing as npt
 from numpy.polynomial.chebyshev import chebvander
 
 from sal_height.beams import Beams
-from sal_height.compiled import compiled, in_parallel
+from sal_height.compiled import compiled, in_parallel, inlined
 from sal_height.errors import UserError
 from sal_height.looks import Covariance, Covariances
 
@@ -57,7 +57,7 @@ TILE = 4
 SQUINTS_MORE = 14
 """Of the squints that stand for many, beyond pi for each beamwidth: leaves an error of 1e-9."""
 
-PIXELS_AT_ONCE = 1024
+PIXELS_AT_ONCE = 2048
 """Pixels whose covariance and objective are held at a time: what fits into a processor's cache."""
 
 
@@ -368,7 +368,8 @@ def _climb_highest(
         for g in range(line.size):
             if line[g] < enough:
                 continue
-            if (g > 0 and line[g] < line[g - 1]) or (g < last and line[g] <= line[g + 1]):
+            rises, falls = g == 0 or line[g] >= line[g - 1], g == last or line[g] > line[g + 1]
+            if not (rises and falls) and not _behind_a_dip(line, g):
                 continue
             peak, height = _climb(matrices[i], pieces, max(g - 1, 0), _start(line, g), min(g + 1, last), work)
             if height > best:
@@ -394,14 +395,22 @@ def _climb_uphill(
 
 
 @compiled
+def _behind_a_dip(line: FloatArray, g: int) -> bool:
+    """Whether a higher neighbour of a node bends upwards: between peaks so near that the grid shows one only."""
+    if g > 1 and line[g - 1] > line[g] and line[g - 2] + line[g] > 2 * line[g - 1]:
+        return True
+    return g < line.size - 2 and line[g + 1] >= line[g] and line[g + 2] + line[g] > 2 * line[g + 1]
+
+
+@compiled
 def _start(line: FloatArray, g: int) -> float:
-    """Vertex of the parabola through a node of the grid and its neighbours; the node itself at an end."""
-    if g in (0, line.size - 1):
+    """Vertex of the parabola through a node of the grid and its neighbours, if it is a peak; else the node itself."""
+    if g == 0 or g == line.size - 1 or line[g] < line[g - 1] or line[g] < line[g + 1]:
         return float(g)
     return g + 0.5 * float(line[g + 1] - line[g - 1]) / float(2 * line[g] - line[g - 1] - line[g + 1])
 
 
-@compiled
+@inlined
 def _climb(
     matrix: FloatArray, pieces: FloatArray, low: float, start: float, high: float, work: FloatArray
 ) -> tuple[float, float]:
@@ -424,7 +433,7 @@ def _climb(
     return place, height
 
 
-@compiled
+@inlined
 def _objective_at(place: float, matrix: FloatArray, pieces: FloatArray, work: FloatArray) -> tuple[float, float, float]:
     """w^T R w, and its first and second derivative per step of the table."""
     node = min(int(place), len(pieces) - 1)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers import BEAMWIDTH, circular, elevation_at, make_beams
 
+from sal_height import peak_search
 from sal_height.array_ml import GUARD, OBJECTIVES
 from sal_height.beams import Beams
 from sal_height.bounds import beam_power, information
@@ -66,3 +67,14 @@ def test_fit_of_no_elevation_is_none_and_beyond_the_domain_is_its_end() -> None:
 
 def search(beams: Beams, squint: float, objective: str = "normalised") -> PeakSearch:
     return PeakSearches.over(beams, np.array([squint]), OBJECTIVES[objective], GUARD * BEAMWIDTH).at(squint)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_peak_behind_a_dip_that_falls_between_nodes_is_climbed(mirrored: bool) -> None:
+    """Of two peaks a third of a beamwidth apart the grid shows the lower one; the other is beside a bend upwards."""
+    line = np.array([9.0, 12.20, 12.376, 12.3676, 12.3645, 11.78, 9.0], np.float32)
+    line = line[::-1].copy() if mirrored else line
+    behind = [peak_search._behind_a_dip(line, g) for g in range(len(line))]
+    assert behind == [g == (2 if mirrored else 4) for g in range(len(line))]
+    single = np.cos(np.linspace(-1.2, 1.2, 13)).astype(np.float32) ** 2
+    assert not any(peak_search._behind_a_dip(single, g) for g in range(2, 11))

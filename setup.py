@@ -48,6 +48,7 @@ setup(
             "sar_compression = sal_height.nodes.sar_compression:main",
             "monopulse = sal_height.nodes.monopulse:main",
             "ml_height = sal_height.nodes.ml_height:main",
+            "sum_difference_height = sal_height.nodes.sum_difference_height:main",
             "relief_tracker = sal_height.nodes.relief_tracker:main",
             "player = sal_height.nodes.player:main",
             "recorder = sal_height.nodes.recorder:main",

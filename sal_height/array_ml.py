@@ -44,7 +44,7 @@ AMBIGUOUS_RATIO = 100.0
 
 With detectors half a beamwidth apart, at 5 dB or more in every look, this is less than 1 % of the pixels that are valid
 otherwise, and about half of those that are beside another peak. Detectors farther apart than a beamwidth see targets in
-several directions alike: there it is what tells.
+several directions alike: there it is what tells. Two detectors always do, and are taken at their word.
 """
 
 
@@ -120,8 +120,9 @@ def ml_elevation(
     searches = PeakSearches.over(beams, np.unique(squint), objective, search_guard(beams))
     elevation, share, explained, gain, turning = searches.of_pixels(looks.covariance, squint, 5, find)
     estimate = _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr)
-    ambiguous = (estimate.validity == Validity.OK) & ((1 - share) * explained < margin * noise_power)
-    estimate.validity[ambiguous] = Validity.AMBIGUOUS
+    if beams.count > 2:
+        ambiguous = (estimate.validity == Validity.OK) & ((1 - share) * explained < margin * noise_power)
+        estimate.validity[ambiguous] = Validity.AMBIGUOUS
     return estimate
 
 

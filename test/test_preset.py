@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -367,15 +368,11 @@ def test_channels_that_do_not_fit_the_detectors_are_refused(key: str, value: Any
     assert_one_sentence(str(refusal.value), "mine.yaml", *parts)
 
 
-def test_the_sum_difference_radar_sees_all_the_ground_of_the_sixteen_beams() -> None:
+def test_the_sum_difference_radar_sees_the_middle_of_the_ground_of_the_sixteen_beams() -> None:
     """Beams of an antenna 9 times lower, whose boresights lie beyond those of the sixteen; flown the same way."""
     two, sixteen = load_preset("xband_sumdiff"), load_preset("xband_relief")
-    assert (two.flight, two.image, two.scene, two.looks) == (
-        sixteen.flight,
-        sixteen.image,
-        sixteen.scene,
-        sixteen.looks,
-    )
+    assert (two.flight, two.scene, two.looks) == (sixteen.flight, sixteen.scene, sixteen.looks)
+    assert two.image == replace(sixteen.image, rows=112)
     sensor, other = two.make_sensor(), sixteen.make_sensor()
     outer = sensor.beams.span[0] - other.beams.span[0], other.beams.span[1] - sensor.beams.span[1]
     assert max(outer) < -0.01

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import assert_one_sentence, make_aperture, make_sensor
+from helpers import assert_one_sentence, looks_of, make_aperture, make_sensor
 from scipy.spatial.transform import Rotation
 
 from sal_height.compression import slant_plane_grid
@@ -15,7 +15,7 @@ from sal_height.errors import Rejected
 from sal_height.estimate import ElevationEstimate, Validity
 from sal_height.geometry import Aperture, Grid, height_of, locate, sphere_point
 from sal_height.height import HeightField, Surface, height_field, look_grid
-from sal_height.looks import Looks
+from sal_height.looks import blocks
 from sal_height.relief_map import TILE, Relief, ReliefMap, common_variance, fitting_cell_size
 
 Array = npt.NDArray[np.float64]
@@ -99,7 +99,7 @@ def test_the_common_part_is_what_the_pose_adds_to_the_sigma_of_heights(side: int
     grid = replace(slant_plane_grid(make_sensor(look_side=side), aperture, 5000.0, 30, 20, 1.188), col_spacing=20.0)
     row, col = np.meshgrid(np.arange(30.0), np.arange(20.0), indexing="ij")
     elevation = np.full(row.shape, np.pi / 4 + 1e-3)
-    certain = Looks(np.zeros((30, 20, 2, 2)), 10**12, row, col, np.ones(row.shape, dtype=bool))
+    certain = replace(looks_of(np.zeros((30, 20, 2, 2)), 1e12), row=row, col=col)
     zero = np.zeros(row.shape)
     estimate = ElevationEstimate(elevation, zero, zero + 50, zero.astype(np.uint8))
     field = height_field(estimate, certain, grid, grid, aperture, side)
@@ -148,8 +148,8 @@ def simulated_dwell(true: Aperture, known: Aperture, rng: np.random.Generator) -
     estimate = ElevationEstimate(
         elevation, np.full(shape, sigma), np.full(shape, 50.0), np.full(shape, Validity.OK, np.uint8)
     )
-    centres = Looks(np.zeros((*shape, 2, 2)), looks, row, col, np.ones(shape, dtype=bool))
-    return height_field(estimate, centres, grid, look_grid(grid, 1, 1), known, 1)
+    centres = replace(looks_of(np.zeros((*shape, 2, 2)), looks), row=row, col=col)
+    return height_field(estimate, centres, grid, look_grid(grid, *blocks(1, 1)), known, 1)
 
 
 def level_elevation(slant_range: Array, along: Array, aperture: Aperture) -> Array:

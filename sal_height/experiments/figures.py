@@ -97,8 +97,9 @@ FIGURES = {
             "RMSE": (_LENGTH, "RMSE of heights (m)"),
             "gain": (_LENGTH, "gain over single cells (dB)"),
             "RMSE with noise that varies": (_LENGTH, "RMSE of heights (m)"),
+            "RMSE over SNR": ("SNR of the sum channel in a cell (dB)", "RMSE of heights (m)"),
         },
-        6,
+        9,
         relief_tracking,
     ),
 }

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sal_height.experiments.curve import Curve
 from sal_height.experiments.sample_statistics import Measured
 from sal_height.relief_tracking import ReliefPrior, TrackedRelief, filtered, smoothed, steady_sigmas
+from sal_height.sum_difference_theory import discriminator_variance
 
 Array = npt.NDArray[np.float64]
 Track = Callable[[Array, Array, float, ReliefPrior, float], TrackedRelief]
@@ -31,6 +32,15 @@ MEASURED_SIGMA = 1.0
 ROWS = 301
 """Cells of a swath; what lies 150 cells away has no say in the middle."""
 
+SNR_DB = np.arange(0.0, 31.0, 5.0)
+"""Of the sum channel in a cell, for RMSE against it."""
+
+UNIT_SNR_DB = 10.0
+"""At which a measurement in the equisignal direction has MEASURED_SIGMA, by range and slope of the discriminator."""
+
+SNR_LENGTH = 20.0
+"""Correlation length of the relief there, m."""
+
 LOOKS = 4
 """Independent pixels whose mean power says how noisy a cell is where noise varies."""
 
@@ -45,12 +55,13 @@ ALL = np.inf
 
 
 def relief_tracking(trials: int, seed: int) -> Iterator[Curve]:
-    """RMSE and gain of filter and smoother over the correlation length; RMSE with noise that varies from cell to cell.
+    """RMSE and gain of filter and smoother over the correlation length; RMSE over SNR, and with noise that varies.
 
     The closed forms are those of the steady state (`steady_sigmas`). Where noise varies (variances as 1 / power of
     LOOKS looks of speckle), the smoother that knows each cell's variance stands beside one that takes the mean; there
     the closed form is linear algebra with the covariance of the whole swath.
     """
+    yield from _over_snr(trials, seed)
     varying = MEASURED_SIGMA / np.sqrt(np.random.default_rng((seed, STREAM)).gamma(LOOKS, 1 / LOOKS, ROWS))
     level = np.full(ROWS, float(np.sqrt(np.mean(varying**2))))
     priors = [ReliefPrior(length, RELIEF_SIGMA) for length in LENGTHS.tolist()]
@@ -65,6 +76,28 @@ def relief_tracking(trials: int, seed: int) -> Iterator[Curve]:
         rmse = [_rmse(seed, trials, prior, varying, taken, smoothed) for prior in priors]
         expected = np.array([_expected_rmse(prior, varying, taken) for prior in priors])
         yield _curve("RMSE with noise that varies", f"variance taken: {name}", index, rmse, expected)
+
+
+def _over_snr(trials: int, seed: int) -> Iterator[Curve]:
+    """Single cells, filter and smoother where the variance of a height is as 1 / SNR (`discriminator_variance`)."""
+    prior, snr = ReliefPrior(SNR_LENGTH, RELIEF_SIGMA), 10 ** (SNR_DB / 10)
+    first_order = np.sqrt(discriminator_variance(0.0, snr, (1.0, 1.0)))
+    unit = np.sqrt(discriminator_variance(0.0, 10 ** (UNIT_SNR_DB / 10), (1.0, 1.0)))
+    sigmas = MEASURED_SIGMA * first_order / unit
+    steady = np.array([steady_sigmas(prior, SPACING, sigma) for sigma in sigmas.tolist()])
+    cases: list[tuple[str, Track, Array]] = [
+        ("single cells", _untracked, sigmas),
+        ("filter", filtered, steady[:, 0]),
+        ("smoother", smoothed, steady[:, 1]),
+    ]
+    for index, (name, track, closed_form) in enumerate(cases):
+        noise = [np.full(ROWS, sigma) for sigma in sigmas.tolist()]
+        rmse = [_rmse(seed, trials, prior, sigma, sigma, track) for sigma in noise]
+        yield _curve("RMSE over SNR", name, index, rmse, closed_form, SNR_DB)
+
+
+def _untracked(height: Array, sigma: Array, _spacing: float, _prior: ReliefPrior, _gate: float) -> TrackedRelief:
+    return TrackedRelief(height, sigma, np.zeros(height.shape, dtype=np.bool_))
 
 
 def draw_relief(rng: np.random.Generator, prior: ReliefPrior, spacing: float, rows: int, cols: int) -> Array:
@@ -105,6 +138,8 @@ def _decibels(rmse: float) -> float:
     return float(20 * np.log10(MEASURED_SIGMA / rmse))
 
 
-def _curve(quantity: str, case: str, colour: int, measured: list[Measured], closed_form: Array) -> Curve:
+def _curve(
+    quantity: str, case: str, colour: int, measured: list[Measured], closed_form: Array, x: Array = LENGTHS
+) -> Curve:
     values, errors = np.array(measured).T
-    return Curve(quantity, case, LENGTHS, values, errors, closed_form, colour=colour)
+    return Curve(quantity, case, x, values, errors, closed_form, colour=colour)

@@ -22,6 +22,9 @@ from sal_height.scene import VisibleSurface
 Array = npt.NDArray[np.float64]
 
 
+TRACKED = "tracked"
+"""Estimator whose pixels share their errors with their neighbours, so that a mean of them is not surer than one."""
+
 CELL_PIXELS = 1.5
 """Side of a ground cell in pixels on level ground: large enough that few cells stay empty."""
 
@@ -106,7 +109,7 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
             north=(first_row + np.arange(shape[0])) * step[0],
             height=total(weight * pixels.height) / weights,
             error=error,
-            sigma=1 / np.sqrt(weights),
+            sigma=total(weight * pixels.sigma) / weights if images[0].estimator == TRACKED else 1 / np.sqrt(weights),
             bound=1 / np.sqrt((count * looks - 1) * information),
             single=(total((real & ~pixels.single).astype(np.float64)) == 0) & (count > 0),
             valid_share=_share(images, HeightImage.OK),

@@ -19,8 +19,17 @@ from sal_height.flight import SimulatedFlight, flight_of
 from sal_height.folders import new_folder, write_text, writing
 from sal_height.preset import Preset
 from sal_height.runs.conductor import Outcome, perform
-from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, recorded_topics, suited
+from sal_height.runs.ensemble import (
+    HEIGHTS,
+    TRACKER,
+    NodeParameters,
+    check_parameters,
+    height_sources,
+    recorded_topics,
+    suited,
+)
 from sal_height.runs.picture import draw_heights
+from sal_height.runs.profile import draw_profile
 from sal_height.runs.report import Mosaic, mosaic, stage_report, statistics
 
 RELIEF_MAP = "relief_map.tif"
@@ -65,9 +74,9 @@ def conclude(outcome: Outcome, bag: Path, values: NodeParameters, report: dict[s
 
 
 def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, processes: bool) -> Outcome:
-    """Simulate all dwells of `preset`, leaving bag, report.json, height.png, relief_map.tif and preset.yaml in `out`.
+    """Simulate all dwells of `preset`, leaving its bag, report, pictures, relief_map.tif and preset.yaml in `out`.
 
-    Without one valid height there is no height.png and no relief_map.tif, nor is there the latter without rasterio.
+    Without one valid height there is no picture and no relief_map.tif, nor is there the latter without rasterio.
 
     Args:
         preset: sensor, flight, scene and processing.
@@ -108,6 +117,8 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
     if mosaics:
         with writing(folder / "height.png"):
             draw_heights(mosaics, flight.scene, preset, folder / "height.png")
+        with writing(folder / "profile.png"):
+            draw_profile(bag, HEIGHTS[height_sources(stages, values)[TRACKER]], flight.scene, folder / "profile.png")
     return outcome
 
 

@@ -50,7 +50,7 @@ def test_no_process_survives_the_run(number: signal.Signals, tmp_path: Path) -> 
         nodes = children(program.pid)
         program.send_signal(number)
         status = program.wait(60)
-    assert len(nodes) == 6
+    assert len(nodes) == 7
     wait_for(lambda: not any(runs(node) for node in nodes))
     assert status == {signal.SIGHUP: 130, signal.SIGKILL: -signal.SIGKILL}[number]
     with bag.open("rb") as stream:  # whole, for the recorder had time to end it

@@ -24,7 +24,9 @@ from sal_height.errors import UserError
 from sal_height.preset import Preset, load_preset
 from sal_height.relief_map import ReliefMap
 from sal_height.runs.ensemble import recorded_topics
+from sal_height.runs.profile import draw_profile
 from sal_height.runs.simulate import run
+from sal_height.terrain import load_scene
 
 SEED = 3
 
@@ -68,6 +70,18 @@ def test_the_picture_is_a_picture(recorded: Path) -> None:
         pixels = np.asarray(picture.convert("L"))
     assert min(pixels.shape) > 500
     assert np.ptp(pixels) > 200
+
+
+def test_the_profile_shows_tracked_heights_with_their_band(recorded: Path, tmp_path: Path) -> None:
+    with Image.open(recorded / "profile.png") as picture:
+        pixels = np.asarray(picture.convert("RGB")).astype(int)
+    band = (np.abs(pixels - [188, 210, 225]).max(axis=2) < 12).mean()  # light blue
+    assert 0.005 < band < 0.7
+    scene = load_scene("street")
+    assert draw_profile(recorded / "bag", "monopulse", scene, tmp_path / "other.png")
+    assert (tmp_path / "other.png").is_file()
+    assert not draw_profile(recorded / "bag", "nothing", scene, tmp_path / "none.png")
+    assert not (tmp_path / "none.png").exists()
 
 
 def test_rosbags_reads_the_heights_by_the_schema_in_the_bag(recorded: Path) -> None:

@@ -80,6 +80,20 @@ def test_bound_of_a_strip_knows_that_every_column_is_seen_from_abeam(flight: Sim
     np.testing.assert_allclose(row[:, row.shape[1] // 2], 1, rtol=0.03)
 
 
+def test_cells_of_tracked_heights_are_as_sure_as_one_pixel(flight: SimulatedFlight) -> None:
+    """Others have the sigma of a mean of independent pixels, which are one to four in a cell."""
+    image = exact_image(flight, 4, 0.0)
+    sigmas = {}
+    for estimator in ("ml", "tracked"):
+        image.estimator = estimator
+        sigma = mosaic([image], flight, {4: flight.surface(4)}).sigma
+        sigmas[estimator] = sigma[np.isfinite(sigma)]
+    np.testing.assert_allclose(sigmas["tracked"], 0.01, rtol=1e-6)
+    counts = (0.01 / sigmas["ml"]) ** 2
+    np.testing.assert_allclose(counts, np.rint(counts), atol=1e-3)
+    assert counts.max() > 1.5
+
+
 def test_a_flight_beside_the_scene_is_refused_at_its_first_dwell(flight: SimulatedFlight) -> None:
     far = replace(flight, scene=replace(flight.scene, east=flight.scene.east + 500))
     with pytest.raises(UserError, match="no terrain"):

@@ -13,6 +13,7 @@ from sal_height.geometry import (
     EARTH_RADIUS,
     Aperture,
     Grid,
+    angles_of,
     aperture_at,
     height_of,
     locate,
@@ -22,6 +23,9 @@ from sal_height.geometry import (
 from sal_height.looks import Looks, Window
 
 Array = npt.NDArray[np.float64]
+
+RIGHT = 1
+"""Side from which elevations may be counted for both sides: those on the left are then negative."""
 
 SLOPE_STEP = 1e-6
 """Half step in rad of the central difference that gives the slope of height over elevation."""
@@ -203,3 +207,20 @@ def pose_variance(elevation: Array, slope: Array, positions: Array, aperture: Ap
     up = centre / np.linalg.norm(centre, axis=-1, keepdims=True)
     gradient = np.concatenate([up, slope[..., None] * turned], axis=-1)
     return np.asarray(np.maximum(np.sum(gradient @ aperture.covariance * gradient, axis=-1), 0.0))
+
+
+def shared_variance(positions: Array, aperture: Aperture) -> Array:
+    """`pose_variance` of scatterers from where they lie in map, shape (..., 3): an error that all of a dwell share.
+
+    On their circles of range and Doppler about the flight; NaN where a position is.
+    """
+    if not np.any(aperture.covariance):
+        return np.zeros(positions.shape[:-1])
+    aperture = aperture_at(positions, aperture)
+    sight = positions - aperture.position
+    slant_range, elevation, _ = angles_of(positions, aperture, RIGHT)
+    circles = slant_range, sight @ aperture.direction
+    below, above = (
+        height_of(locate(elevation + step, *circles, aperture, RIGHT)) for step in (-SLOPE_STEP, SLOPE_STEP)
+    )
+    return pose_variance(elevation, (above - below) / (2 * SLOPE_STEP), positions, aperture, RIGHT)

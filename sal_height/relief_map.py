@@ -21,17 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import Rejected
-from sal_height.geometry import (
-    Aperture,
-    Grid,
-    angles_of,
-    aperture_at,
-    height_of,
-    locate,
-    sphere_coordinates,
-    sphere_point,
-)
-from sal_height.height import SLOPE_STEP, Surface, pose_variance
+from sal_height.geometry import Aperture, Grid, height_of, sphere_coordinates, sphere_point
+from sal_height.height import Surface, shared_variance
 
 Array = npt.NDArray[np.float64]
 FloatImage = npt.NDArray[np.float32]
@@ -41,9 +32,6 @@ TILE = 256
 
 SMOOTH = 1e-3
 """Part of the flight height over which the variance of height by the platform's pose hardly changes."""
-
-RIGHT = 1
-"""Side from which elevations are counted here; those on the left are negative."""
 
 HEIGHT, WEIGHT, CHI_SQUARE, COUNT = range(4)
 """What a tile holds of each cell: mean height (m), its 1 / variance (1/m^2), chi-square, number of dwells."""
@@ -201,24 +189,6 @@ class ReliefMap:
                     _update(cells[(slice(None), *box.within(tile))], dwell.height[part], dwell.weight[part])
 
 
-def common_variance(positions: Array, aperture: Aperture) -> Array:
-    """Variance of height (m^2) that the platform's pose leaves to points of shape (n, 3), errors that they share.
-
-    The part of a height's variance that `height.height_field` takes from `height.pose_variance`, found from where the
-    scatterers lie in map: on their circles of range and Doppler about the flight.
-    """
-    if not np.any(aperture.covariance):
-        return np.zeros(len(positions))
-    aperture = aperture_at(positions, aperture)
-    sight = positions - aperture.position
-    slant_range, elevation, _ = angles_of(positions, aperture, RIGHT)
-    along = sight @ aperture.direction
-    above, below = (
-        height_of(locate(elevation + step, slant_range, along, aperture, RIGHT)) for step in (SLOPE_STEP, -SLOPE_STEP)
-    )
-    return pose_variance(elevation, (above - below) / (2 * SLOPE_STEP), positions, aperture, RIGHT)
-
-
 def fitting_cell_size(grid: Grid, aperture: Aperture) -> float:
     """The least 1, 2 or 5 times a power of ten (m) into which a pixel of `grid` fits on level ground.
 
@@ -267,7 +237,7 @@ def _averaged(
 def _common_in_cells(
     cell: npt.NDArray[np.int64], height: Array, box: Box, cell_size: float, aperture: Aperture
 ) -> Array:
-    """`common_variance` of the cells with these indices in the raveled box.
+    """`shared_variance` of the cells with these indices in the raveled box.
 
     It changes by parts of the range, and is computed for one cell in each square of SMOOTH times the flight height.
     """
@@ -277,7 +247,7 @@ def _common_in_cells(
     chosen = np.zeros(square.max() + 1, dtype=np.int64)
     chosen[square] = np.arange(len(cell))
     east, north = (cell_size * (first + index[chosen] + 0.5) for first, index in ((box.west, col), (box.south, row)))
-    variance = common_variance(sphere_point(east, north, height[chosen]), aperture)
+    variance = shared_variance(sphere_point(east, north, height[chosen]), aperture)
     return np.asarray(variance[square])
 
 

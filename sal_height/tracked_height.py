@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.estimate import Validity
-from sal_height.geometry import Aperture, Grid, angles_of, aperture_at, height_of, locate, locate_at_height
-from sal_height.height import SLOPE_STEP, HeightField, Surface, pose_variance
+from sal_height.geometry import Aperture, Grid, locate_at_height
+from sal_height.height import HeightField, Surface, shared_variance
 from sal_height.relief_tracking import ReliefPrior, TrackedRelief
 
 Array = npt.NDArray[np.float64]
@@ -35,7 +35,7 @@ def own_sigma(field: HeightField, aperture: Aperture) -> Array:
 
     All pixels of a dwell share the error of the pose: neighbours say nothing of it, so that it must not be averaged.
     """
-    shared = _pose_variance(field.first.positions, field.grid, aperture)
+    shared = shared_variance(field.first.positions, aperture)
     return np.asarray(np.sqrt(np.maximum(field.first.sigma**2 - shared, LEAST_OWN_VARIANCE * field.first.sigma**2)))
 
 
@@ -68,7 +68,7 @@ def tracked_field(field: HeightField, relief: TrackedRelief, prior: ReliefPrior,
         [Validity.OK, Validity.INTERPOLATED, Validity.OUTSIDE_ARRAY, Validity.LOW_CNR],
         field.validity,
     )
-    sigma = np.sqrt(relief.sigma**2 + _pose_variance(positions, field.grid, aperture))
+    sigma = np.sqrt(relief.sigma**2 + shared_variance(positions, aperture))
     surface = Surface(
         height=np.where(known, relief.height, np.nan),
         sigma=np.where(known, sigma, np.nan),
@@ -82,15 +82,3 @@ def _between(used: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     """Where pixels of the same column are used in rows before and after."""
     before, after = np.logical_or.accumulate(used), np.logical_or.accumulate(used[::-1])[::-1]
     return np.asarray(before & after)
-
-
-def _pose_variance(positions: Array, grid: Grid, aperture: Aperture) -> Array:
-    """`height.pose_variance` of scatterers at `positions` in the pixels of `grid`; NaN where there are none."""
-    look_side, aperture = look_side_of(grid, aperture), aperture_at(grid.pixels(), aperture)
-    slant_range, elevation, _ = angles_of(positions, aperture, look_side)
-    along = (positions - aperture.position) @ aperture.direction
-    below, above = (
-        height_of(locate(elevation + step, slant_range, along, aperture, look_side))
-        for step in (-SLOPE_STEP, SLOPE_STEP)
-    )
-    return pose_variance(elevation, (above - below) / (2 * SLOPE_STEP), positions, aperture, look_side)

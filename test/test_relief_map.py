@@ -14,9 +14,9 @@ from sal_height.compression import slant_plane_grid
 from sal_height.errors import Rejected
 from sal_height.estimate import ElevationEstimate, Validity
 from sal_height.geometry import Aperture, Grid, height_of, locate, sphere_point
-from sal_height.height import HeightField, Surface, height_field, look_grid
+from sal_height.height import HeightField, Surface, height_field, look_grid, shared_variance
 from sal_height.looks import blocks
-from sal_height.relief_map import TILE, Relief, ReliefMap, common_variance, fitting_cell_size
+from sal_height.relief_map import TILE, Relief, ReliefMap, fitting_cell_size
 
 Array = npt.NDArray[np.float64]
 
@@ -103,7 +103,7 @@ def test_the_common_part_is_what_the_pose_adds_to_the_sigma_of_heights(side: int
     zero = np.zeros(row.shape)
     estimate = ElevationEstimate(elevation, zero, zero + 50, zero.astype(np.uint8))
     field = height_field(estimate, certain, grid, grid, aperture, side)
-    common = common_variance(field.first.positions.reshape(-1, 3), aperture)
+    common = shared_variance(field.first.positions.reshape(-1, 3), aperture)
     np.testing.assert_allclose(np.sqrt(common), field.first.sigma.ravel(), rtol=1e-5)
     assert 0.05 < field.first.sigma.min() < field.first.sigma.max() < 0.3
 
@@ -111,7 +111,7 @@ def test_the_common_part_is_what_the_pose_adds_to_the_sigma_of_heights(side: int
 def test_the_common_part_is_not_averaged_away_within_a_dwell_but_among_dwells() -> None:
     """Pixels of one variance: (sigma^2 - c) / n + c; and the same again over the number of dwells."""
     east, north, pixels, dwells, own = -500.5, -3500.5, 400, 5, 0.3
-    common = float(common_variance(sphere_point([east], [north], [2.0]), KNOWN_POSE)[0])
+    common = float(shared_variance(sphere_point([east], [north], [2.0]), KNOWN_POSE)[0])
     surface = surface_at(np.full(pixels, east), north, 2.0, np.sqrt(own**2 + common))
     for count in (1, dwells):
         relief = relief_of(*[surface] * count, aperture=KNOWN_POSE)
@@ -126,7 +126,7 @@ def test_the_common_part_follows_the_ground() -> None:
     """
     index = np.arange(150) + 0.5
     east, north = (0.2 * g.ravel() for g in np.meshgrid(index - 75, index - 17_750))
-    common = common_variance(sphere_point(east, north, 0.0), KNOWN_POSE)
+    common = shared_variance(sphere_point(east, north, 0.0), KNOWN_POSE)
     pixels = surface_at(*(np.repeat(values, 10) for values in (east, north, np.zeros(len(east)), np.sqrt(common))))
     relief = relief_of(pixels, aperture=KNOWN_POSE, cell_size=0.2)
     np.testing.assert_allclose(relief.sigma**2, common.reshape(150, 150), rtol=1e-3)

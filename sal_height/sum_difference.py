@@ -13,8 +13,10 @@ complex one only. `discriminant.invert`, `invert_linear` or a `SlopeTable` then 
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -43,6 +45,9 @@ Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 Inverse = Callable[[Beams, Array, Array], Inversion]
 """Elevations from the pair of beams, gamma, and the squint of each (rad, broadcasts): see `discriminant.invert`."""
+
+SLOPE_COLUMNS = ["angle_rad", "gamma"]
+"""First line of the file of a slope table."""
 
 MATRIX_ROUNDING = 1e-6
 """Share of a channel matrix by which it may differ from one that forms sum and difference."""
@@ -145,6 +150,27 @@ class SlopeTable:
         elevation = _equisignal(pair, squint) + PchipInterpolator(values, angles)(np.clip(gamma, values[0], values[-1]))
         slope = (np.diff(values) / np.diff(angles))[section]
         return _inversion(elevation, slope, gamma, (values[0], values[-1]), np.ones(gamma.shape, dtype=np.bool_))
+
+
+def read_slope_table(path: Path) -> SlopeTable:
+    """The slope table in a CSV file: a line `angle_rad,gamma`, then one for each node.
+
+    Raises:
+        UserError: the file cannot be read, has another first line, or a line that is not two numbers; or what
+            `SlopeTable` refuses.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            header, *rows = [row for row in csv.reader(stream) if row] or [[]]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise UserError(f"Slope table {path} cannot be read: {error}.") from error
+    if [name.strip() for name in header] != SLOPE_COLUMNS:
+        raise UserError(f"Slope table {path} begins with {','.join(header)!r}; it must be '{','.join(SLOPE_COLUMNS)}'.")
+    try:
+        angle, gamma = zip(*((float(a), float(g)) for a, g in rows), strict=True) if rows else ((), ())
+    except ValueError as error:
+        raise UserError(f"Slope table {path} has a row that is not two numbers; all must be: {error}.") from error
+    return SlopeTable(angle, gamma)
 
 
 def _equisignal(pair: Beams, squint: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from sal_height.products import DISCRIMINANTS
 from sal_height.sum_difference import (
     INVERSES,
     Discriminator,
+    read_slope_table,
     sum_difference_channels,
     sum_difference_elevation,
 )
@@ -44,6 +46,12 @@ class Parameters(HeightParameters):
         "direction)",
         choices=tuple(INVERSES),
     )
+    slope_table: str = parameter(
+        "",
+        "CSV of a measured characteristic, angle_rad from the equisignal direction and gamma, in the place of inverse; "
+        "empty: none",
+        read_only=True,
+    )
 
 
 class SumDifferenceHeight(HeightStage):
@@ -53,8 +61,14 @@ class SumDifferenceHeight(HeightStage):
     parameters = Parameters
 
     def __init__(self, **node_arguments: Any) -> None:
-        """Make the node; `node_arguments` go to rclpy's Node."""
+        """Make the node; `node_arguments` go to rclpy's Node.
+
+        Raises:
+            UserError: the slope table cannot be used.
+        """
         super().__init__("sum_difference_height", **node_arguments)
+        table = self.current_parameters().slope_table
+        self._table = read_slope_table(Path(table)) if table else None
 
     def channels(self, noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> Channels:
         """Sigma and Delta with gains that are equal, each with its own noise.
@@ -71,7 +85,8 @@ class SumDifferenceHeight(HeightStage):
         self, looks: Looks, beams: Beams, squint: Array, noise_powers: Array, parameters: Parameters
     ) -> ElevationEstimate:
         """Elevation of every pixel."""
-        discriminator = Discriminator(DISCRIMINANTS[parameters.discriminant], INVERSES[parameters.inverse])
+        inverse = self._table.invert if self._table else INVERSES[parameters.inverse]
+        discriminator = Discriminator(DISCRIMINANTS[parameters.discriminant], inverse)
         powers = float(noise_powers[0]), float(noise_powers[1])
         return sum_difference_elevation(looks, beams, squint, powers, discriminator, parameters.min_cnr)
 

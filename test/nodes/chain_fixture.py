@@ -43,12 +43,13 @@ class Chain:
         monopulse: Mapping[str, Any] = MappingProxyType({}),
         ml_height: Mapping[str, Any] = MappingProxyType({}),
         estimators: Mapping[str, type[HeightStage]] = MappingProxyType(ESTIMATORS),
+        own: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
     ) -> None:
-        """Parameters: `image` of sar_compression, `heights` of all height nodes, the others of one each."""
+        """Parameters: `image` of sar_compression, `heights` of all height nodes, the others of one (`own` by name)."""
         self.graph = graph
         self.flight = flight
         self.estimators = tuple(estimators)
-        own = {"monopulse": monopulse, "ml": ml_height}
+        own = {"monopulse": monopulse, "ml": ml_height, **own}
 
         def overrides(parameters: Mapping[str, Any]) -> dict[str, Any]:
             values = {"timeout_s": missing_after_s, **parameters}

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from chain_fixture import ESTIMATORS, Chain
+from helpers import assert_one_sentence
 from rclpy.parameter import Parameter
 from sal_height_msgs.msg import HeightImage
 
+from sal_height.errors import UserError
 from sal_height.estimate import Validity
 from sal_height.flight import SimulatedFlight
 from sal_height.nodes.graph import Graph
@@ -21,10 +24,10 @@ from sal_height.terrain import load_scene
 WITH_SUM_DIFFERENCE = {**ESTIMATORS, "sum_difference": SumDifferenceHeight}
 
 
-def flown(**hybrid: Any) -> SimulatedFlight:
+def flown(pattern: str = "jinc", **hybrid: Any) -> SimulatedFlight:
     """Two beams a beamwidth apart over the street, with a hybrid."""
     small = load_preset("small")
-    sensor = replace(small.sensor, detectors=2, pitch_beamwidths=1.0, hybrid=HybridSettings(**hybrid))
+    sensor = replace(small.sensor, detectors=2, pitch_beamwidths=1.0, pattern=pattern, hybrid=HybridSettings(**hybrid))
     preset = replace(small, sensor=sensor)
     return SimulatedFlight(preset, preset.make_sensor(), load_scene(preset.scene), preset.dwells, seed=7)
 
@@ -105,3 +108,43 @@ def test_a_dead_sum_channel_gives_no_height_and_ends_nothing(graph: Graph) -> No
     chain.publish(*chain.odometry(1), *chain.frames(1))
     chain.await_heights(1)
     assert valid(chain.heights["sum_difference", 1]).any()
+
+
+def test_a_measured_characteristic_gives_the_heights_of_the_beams(graph: Graph, tmp_path: Path) -> None:
+    """Of beams whose ratio is the same at all squints: a table has only one."""
+    flight = flown("sinc", place="antenna")
+    beams = flight.sensor.beams
+    angle = np.linspace(-0.49, 0.49, 99) * flight.sensor.beamwidth
+    lower, upper = beams.response(np.pi / 4 + angle, 0.0).T
+    table = tmp_path / "slope.csv"
+    rows = zip(angle.tolist(), ((upper - lower) / (upper + lower)).tolist(), strict=True)
+    table.write_text("angle_rad,gamma\n" + "".join(f"{a},{g}\n" for a, g in rows))
+    own = {"sum_difference": {"slope_table": str(table)}}
+    chain = Chain(graph, flight, missing_after_s=30.0, estimators=WITH_SUM_DIFFERENCE, own=own)
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+    chain.await_heights(0)
+    np.testing.assert_allclose(
+        *in_both("height", chain.heights["sum_difference", 0], chain.heights["monopulse", 0]), atol=5e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        (None, ["cannot be read"]),
+        ("angle,gamma\n0,0\n1,1\n", ["begins with 'angle,gamma'", "angle_rad,gamma"]),
+        ("angle_rad,gamma\n0,0\n1,one\n", ["not two numbers"]),
+        ("angle_rad,gamma\n0,0\n1\n", ["not two numbers"]),
+        ("angle_rad,gamma\n", ["0 angles", "2 or more"]),
+        ("angle_rad,gamma\n-1,-1\n0,0\n1,-0.5\n", ["changes sign between 0 and 1 rad"]),
+    ],
+)
+def test_a_slope_table_that_cannot_be_used_is_refused_at_the_start(
+    graph: Graph, tmp_path: Path, text: str | None, parts: list[str]
+) -> None:
+    table = tmp_path / "slope.csv"
+    if text is not None:
+        table.write_text(text)
+    with pytest.raises(UserError) as refused:
+        SumDifferenceHeight(context=graph.context, parameter_overrides=[Parameter("slope_table", value=str(table))])
+    assert_one_sentence(str(refused.value), *parts)

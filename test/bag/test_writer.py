@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from helpers import file_size_limit
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import CRCValidationError
 from nav_msgs.msg import Odometry
@@ -223,17 +221,6 @@ def test_an_error_in_the_recording_program_still_leaves_a_complete_bag(tmp_path:
     with pytest.raises(ZeroDivisionError):
         fail_while_recording()
     assert BagReader(tmp_path / "run").message_count == 1
-
-
-@contextmanager
-def file_size_limit(size: int) -> Iterator[None]:
-    """No file may grow beyond `size` bytes: write() fails as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_after_a_full_disk_the_bag_is_cut_where_it_was_full(tmp_path: Path) -> None:

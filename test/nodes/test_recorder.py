@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from helpers import file_size_limit
 from mcap.reader import make_reader
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Log
@@ -308,17 +306,6 @@ def values(message: DiagnosticArray) -> dict[str, str]:
     """Level and values of the one status in the message."""
     (status,) = message.status
     return {"level": str(status.level)} | {entry.key: entry.value for entry in status.values}
-
-
-@contextmanager
-def file_size_limit(size: int) -> Iterator[None]:
-    """No file may grow beyond `size` bytes: write() fails as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def logged(graph: Graph, level: int) -> list[str]:

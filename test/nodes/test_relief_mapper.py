@@ -6,12 +6,10 @@ import array
 import functools
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,7 @@ import pytest
 import rasterio
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from helpers import assert_one_sentence, make_aperture
+from helpers import assert_one_sentence, file_size_limit, make_aperture
 from rasterio.warp import transform
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -324,17 +322,6 @@ def test_without_a_height_there_is_no_file(graph: Graph, mapped: Mapped, tmp_pat
     graph.close()
     assert list(tmp_path.iterdir()) == []
     assert mapped.mapper.failure == ""
-
-
-@contextmanager
-def file_size_limit(size: int) -> Iterator[None]:
-    """No file may grow beyond `size` bytes: write() fails as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_disk_that_is_full_leaves_the_older_file_and_nothing_half_written(mapped: Mapped, tmp_path: Path) -> None:

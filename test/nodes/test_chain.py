@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chain_fixture import Chain
+from chain_fixture import DETECTORS, Chain
 from diagnostic_msgs.msg import DiagnosticArray
 from helpers import RAW_WAVEFORMS, with_waveform
 from rclpy.node import Node
@@ -132,6 +132,32 @@ def test_every_message_is_accounted_for_in_the_diagnostics(fed: Any, graph: Grap
         assert accounts[stage]["in"] == accounts[stage]["processed"] == "8"
         assert accounts[stage]["out"] == str(out)
         assert float(accounts[stage]["latency_p95_ms"]) >= float(accounts[stage]["latency_p50_ms"]) > 0
+
+
+def test_more_looks_than_pixels_cost_the_dwell_and_no_more(fed: Any) -> None:
+    node = fed.stages["ml_height"]
+    assert node.set_parameters([Parameter("range_looks", value=47)])[0].successful
+    fed.publish(*fed.odometry(1), *fed.frames(1))
+    fed.await_drops("ml_height", "cannot be processed", DETECTORS)
+    assert "Looks are 47 x 2 in an image of 46 x 12 pixels" in node.last_rejection
+    assert node.set_parameters([Parameter("range_looks", value=46)])[0].successful
+    fed.publish(*fed.odometry(2), *fed.frames(2))
+    fed.await_heights(2)
+    assert fed.heights["ml", 2].grid.rows == 1
+
+
+def test_looks_that_slide_give_a_height_to_every_pixel(fed: Any) -> None:
+    before = fed.heights["ml", 0]
+    changes = {"range_step": 1, "azimuth_step": 1, "look_window": "triang", "range_looks": 4, "azimuth_looks": 3}
+    results = fed.stages["ml_height"].set_parameters([Parameter(name, value=value) for name, value in changes.items()])
+    assert all(result.successful for result in results)
+    fed.publish(*fed.odometry(1), *fed.frames(1))
+    fed.await_heights(1)
+    after = fed.heights["ml", 1]
+    assert (after.grid.rows, after.grid.cols) == (46, 12)
+    assert after.grid.row_spacing == pytest.approx(before.grid.row_spacing / 2)
+    assert '"look_window": "triang"' in after.provenance.parameters
+    assert np.isfinite(np.array(after.height)).mean() > 0.3
 
 
 def test_a_parameter_set_at_run_time_takes_effect_at_the_next_dwell(fed: Any) -> None:

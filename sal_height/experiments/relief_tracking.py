@@ -69,13 +69,14 @@ def relief_tracking(trials: int, seed: int) -> Iterator[Curve]:
     steady = np.array([steady_sigmas(prior, SPACING, MEASURED_SIGMA) for prior in priors])
     for index, (name, track) in enumerate((("filter", filtered), ("smoother", smoothed))):
         rmse = [_rmse(seed, trials, prior, constant, constant, track) for prior in priors]
-        yield _curve("RMSE", name, index, rmse, steady[:, index])
+        yield _curve("RMSE", name, index, rmse, steady[:, index], LENGTHS)
         gain = [Measured(_decibels(m.value), 20 / np.log(10) * m.standard_error / m.value) for m in rmse]
-        yield _curve("gain", name, index, gain, np.array([_decibels(sigma) for sigma in steady[:, index]]))
+        expected = np.array([_decibels(sigma) for sigma in steady[:, index]])
+        yield _curve("gain", name, index, gain, expected, LENGTHS)
     for index, (name, taken) in enumerate((("each cell's own", varying), ("their mean", level))):
         rmse = [_rmse(seed, trials, prior, varying, taken, smoothed) for prior in priors]
         expected = np.array([_expected_rmse(prior, varying, taken) for prior in priors])
-        yield _curve("RMSE with noise that varies", f"variance taken: {name}", index, rmse, expected)
+        yield _curve("RMSE with noise that varies", f"variance taken: {name}", index, rmse, expected, LENGTHS)
 
 
 def _over_snr(trials: int, seed: int) -> Iterator[Curve]:
@@ -138,8 +139,6 @@ def _decibels(rmse: float) -> float:
     return float(20 * np.log10(MEASURED_SIGMA / rmse))
 
 
-def _curve(
-    quantity: str, case: str, colour: int, measured: list[Measured], closed_form: Array, x: Array = LENGTHS
-) -> Curve:
+def _curve(quantity: str, case: str, colour: int, measured: list[Measured], closed_form: Array, x: Array) -> Curve:
     values, errors = np.array(measured).T
     return Curve(quantity, case, x, values, errors, closed_form, colour=colour)

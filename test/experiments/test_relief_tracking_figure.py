@@ -32,7 +32,7 @@ def made() -> dict[str, Curve]:
 def test_theory_holds_at_every_point(made: dict[str, Curve]) -> None:
     """Within 3 standard errors; all points have a closed form."""
     checks = checks_of(made)
-    assert len(checks) == 6 * len(figure.LENGTHS)
+    assert len(checks) == 6 * len(figure.LENGTHS) + 3 * len(figure.SNR_DB)
     assert [check for check in checks if not holds(check)] == []
     assert all(abs(check["standard_error"]) > 0 for check in checks)
 

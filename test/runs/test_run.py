@@ -145,9 +145,10 @@ def test_interrupting_leaves_a_whole_bag(tmp_path: Path, processes: list[str], n
     ) as program:
         deadline = time.monotonic() + 60
         bag = out / "bag" / "bag_0.mcap"
-        while not (bag.is_file() and bag.stat().st_size > 600_000):
+        while not (bag.is_file() and bag.stat().st_size > 300_000):
             assert time.monotonic() < deadline
-            assert program.poll() is None
+            with pytest.raises(subprocess.TimeoutExpired):  # it runs on, and has the processors for itself
+                program.wait(0.1)
         program.send_signal(number)
         output, log = program.communicate(timeout=60)
     assert program.returncode == 130, log

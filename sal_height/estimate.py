@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import gamma
+from scipy.special import gammainccinv
 
 from sal_height.beams import Beams
 from sal_height.bounds import beam_power
@@ -97,7 +97,7 @@ def validity_of(
     """
     degrees = (beams.count - 1) * looks.count
     counts, which = np.unique(looks.count, return_inverse=True)
-    detected = explained >= gamma.isf(FALSE_ALARMS / beams.count, counts)[which]
+    detected = explained >= gammainccinv(counts, FALSE_ALARMS / beams.count)[which]
     left = looks.power / noise_power - explained
     misfit = (left > degrees + 5 * np.sqrt(degrees)) & (left - degrees > MISFIT_SHARE * explained)
     first, last = beams.span

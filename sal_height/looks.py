@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import get_window
 
 from sal_height.compiled import compiled, in_parallel, inlined
 from sal_height.errors import Rejected, UserError
@@ -18,8 +18,12 @@ ComplexArray = npt.NDArray[np.complex64]
 Indices = slice | npt.NDArray[np.intp]
 Covariance: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.complex64]
 
-LOOK_WINDOWS = ("boxcar", "triang", "hamming")
-"""Weights of the looks of a pixel, as scipy.signal has them; all greater than 0."""
+LOOK_WINDOWS: dict[str, Callable[[int], Array]] = {
+    "boxcar": np.ones,
+    "triangular": lambda count: np.bartlett(count + 2)[1:-1],
+    "hamming": np.hamming,
+}
+"""Weights of the looks of a pixel, all greater than 0."""
 
 LOOKS_AT_ONCE = 4
 """Whose outer products are added at a time: what stays in registers."""
@@ -67,7 +71,7 @@ class Window:
     @classmethod
     def named(cls, name: str, looks: int, step: int = 0) -> Self:
         """The window of that name (LOOK_WINDOWS) over `looks` samples; step 0: blocks without overlap."""
-        return cls(get_window(name, looks, fftbins=False) if looks > 0 else np.empty(0), step or max(looks, 1))
+        return cls(LOOK_WINDOWS[name](looks) if looks > 0 else np.empty(0), step or max(looks, 1))
 
     def pixels(self, samples: int) -> int:
         """Number of pixels along an axis of `samples`: all samples are looks of one of them."""

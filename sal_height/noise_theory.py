@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
-from scipy.special import hyp1f1, i0e
+from scipy.special import hyp1f1, i0e, ive
 from scipy.stats import ncx2, t
 
 from sal_height.beams import Beams
@@ -184,3 +184,26 @@ class SteadyLaw:
         """Half the width from 16 to 84 %."""
         low, high = (self.quantile(share) for share in NORMAL_SHARES)
         return (high - low) / 2
+
+
+class SteadyMlLaw(SteadyLaw):
+    """Law of the exact maximum likelihood estimate of gamma (`kappa`) from one look at a target of constant brightness.
+
+    tan of half the phase between Sigma + j Delta and Sigma - j Delta: these have equal independent noise and, without
+    it, equal powers and the phases plus and minus atan(gamma). It has neither mean nor variance.
+    """
+
+    def cdf(self, mu: npt.ArrayLike) -> Array:
+        """Probability of less than `mu`; broadcasts.
+
+        The phase of each, less that without noise, has the coefficients c_n = E cos(n phase) = sqrt(pi y / 2) / 2
+        exp(-y / 2) (I_(n-1)/2 (y / 2) + I_(n+1)/2 (y / 2)) with y = x (1 + gamma^2) / 2 (Middleton 1960); that of their
+        difference has c_n^2. Its Fourier series is integrated term by term from -pi / 2, where tan begins.
+        """
+        power = self.cnr_sum * (1 + self.kappa**2) / 2
+        order = np.arange(1, 40 + int(10 * np.sqrt(power)))
+        bessel = ive((order - 1) / 2, power / 2) + ive((order + 1) / 2, power / 2)
+        coefficient = np.pi * power / 4 * bessel**2
+        truth, angle = np.arctan(self.kappa), np.arctan(np.asarray(mu, dtype=np.float64))[..., None]
+        turned = np.sin(2 * order * (angle - truth)) - np.sin(2 * order * (-np.pi / 2 - truth))
+        return np.asarray(0.5 + angle[..., 0] / np.pi + np.sum(coefficient / order * turned, axis=-1) / np.pi)

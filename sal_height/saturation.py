@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from sal_height.sensor import Sensor
 
@@ -62,7 +62,8 @@ def distortion(share: npt.ArrayLike) -> Array:
         share: of the real and imaginary parts that are clipped, above 0 and below 1.
     """
     tail = np.asarray(share) / 2
-    limit = norm.isf(tail)
+    limit = -ndtri(tail)
+    density = np.exp(-(limit**2) / 2) / np.sqrt(2 * np.pi)
     left = 1 - 2 * tail
-    power = left - 2 * limit * norm.pdf(limit) + 2 * limit**2 * tail
+    power = left - 2 * limit * density + 2 * limit**2 * tail
     return np.asarray(power / left**2 - 1)

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import PchipInterpolator
-from scipy.stats import gamma as gamma_law
+from scipy.special import gammainccinv
 
 from sal_height.beams import Beams
 from sal_height.channels import Channels
@@ -250,7 +250,7 @@ def _validity(
     explained, left = _eigenvalues(whitened_products(sums, noise_powers)[0]) / noise_powers[0]
     count = looks.count
     counts, which = np.unique(count, return_inverse=True)
-    detected = explained >= gamma_law.isf(FALSE_ALARMS / 2, counts)[which]
+    detected = explained >= gammainccinv(counts, FALSE_ALARMS / 2)[which]
     outside = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN])
     misfit = (left > count + 5 * np.sqrt(count)) & (left - count > MISFIT_SHARE * explained)
     return np.select(

@@ -1,18 +1,15 @@
 """Noise of the sum-difference discriminator in closed form, and what a hybrid before the receivers gains.
 
 Of one accumulated pulse train, Sigma = S + n and Delta = gamma S + n' (relief paper, eq. 8 and 9); x is the
-signal-to-noise power ratio in Sigma. Means and laws of the relief paper's ratio are those of `noise_theory`: of
-coherent sums of N pulses `steady_mean` and `SteadyLaw` at N x, of sums of N pulses' products `steady_looks_mean`, of a
-mean of N pulses' ratios `steady_mean` at x.
+signal-to-noise power ratio in Sigma. Means and laws are those of `noise_theory`: of coherent sums of N pulses
+`steady_mean` and `SteadyLaw` at N x, or `SteadyMlLaw` for the maximum likelihood; of sums of N pulses' products
+`steady_looks_mean`; of a mean of N pulses' ratios `steady_mean` at x.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ive
-
-from sal_height.noise_theory import SteadyLaw
 
 Array = npt.NDArray[np.float64]
 
@@ -66,26 +63,3 @@ def hybrid_gain(coupling: npt.ArrayLike, loss: npt.ArrayLike) -> Array:
         loss: L, power ratio, 1 or more.
     """
     return np.asarray(2 * np.asarray(coupling) ** 2 / np.asarray(loss))
-
-
-class SteadyMlLaw(SteadyLaw):
-    """Law of the exact maximum likelihood estimate of gamma (`kappa`) from one look at a target of constant brightness.
-
-    tan of half the phase between Sigma + j Delta and Sigma - j Delta: these have equal independent noise and, without
-    it, equal powers and the phases plus and minus atan(gamma). It has neither mean nor variance.
-    """
-
-    def cdf(self, mu: npt.ArrayLike) -> Array:
-        """Probability of less than `mu`; broadcasts.
-
-        The phase of each, less that without noise, has the coefficients c_n = E cos(n phase) = sqrt(pi y / 2) / 2
-        exp(-y / 2) (I_(n-1)/2 (y / 2) + I_(n+1)/2 (y / 2)) with y = x (1 + gamma^2) / 2 (Middleton 1960); that of their
-        difference has c_n^2. Its Fourier series is integrated term by term from -pi / 2, where tan begins.
-        """
-        power = self.cnr_sum * (1 + self.kappa**2) / 2
-        order = np.arange(1, 40 + int(10 * np.sqrt(power)))
-        bessel = ive((order - 1) / 2, power / 2) + ive((order + 1) / 2, power / 2)
-        coefficient = np.pi * power / 4 * bessel**2
-        truth, angle = np.arctan(self.kappa), np.arctan(np.asarray(mu, dtype=np.float64))[..., None]
-        turned = np.sin(2 * order * (angle - truth)) - np.sin(2 * order * (-np.pi / 2 - truth))
-        return np.asarray(0.5 + angle[..., 0] / np.pi + np.sum(coefficient / order * turned, axis=-1) / np.pi)

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
-from scipy.signal import windows
 
 from sal_height.errors import UserError
 
 Array = npt.NDArray[np.float64]
 
-WINDOWS = {
-    "rectangular": np.ones,
-    "taylor": lambda count: windows.taylor(count, nbar=5, sll=35),
-    "hamming": windows.hamming,
-}
+
+def _taylor(count: int) -> Array:
+    """Sidelobes of -35 dB, of which 4 on each side fall off little."""
+    from scipy.signal import windows  # noqa: PLC0415 (brings scipy.stats, 0.4 s of every node's start)
+
+    return np.asarray(windows.taylor(count, nbar=5, sll=35))
+
+
+WINDOWS: dict[str, Callable[[int], Array]] = {"rectangular": np.ones, "taylor": _taylor, "hamming": np.hamming}
 """Windows by name, as functions of the number of samples."""
 
 

@@ -190,7 +190,7 @@ def test_pixels_of_a_height_image_are_the_middles_of_their_looks() -> None:
 
 def test_pixels_of_sliding_windows_are_the_middles_of_their_looks() -> None:
     grid = slant_grid(make_aperture(angles=TILTED, velocity=(49.0, 4.0, -2.0)))
-    slid = look_grid(grid, Window.named("boxcar", 3, 1), Window.named("triang", 4, 2))
+    slid = look_grid(grid, Window.named("boxcar", 3, 1), Window.named("triangular", 4, 2))
     assert slid.shape == (30, 10)
     first = grid.pixels()[8:11, 5:9].mean(axis=(0, 1))
     np.testing.assert_allclose(slid.pixels()[9, 3], first, atol=1e-9)

@@ -18,7 +18,7 @@ SINGLE = 3e-6
 
 BLOCKS = Window.named("boxcar", HIGH), Window.named("boxcar", WIDE)
 SLIDING = Window.named("boxcar", HIGH, 1), Window.named("boxcar", WIDE, 1)
-WEIGHTED = Window.named("triang", 5, 2), Window.named("hamming", 4, 3)
+WEIGHTED = Window.named("triangular", 5, 2), Window.named("hamming", 4, 3)
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_blocks_at_the_edges_have_what_is_left(slc: np.ndarray) -> None:
 def test_noise_in_weighted_looks_has_mean_and_variance_of_so_many_looks() -> None:
     """Of one channel in unit noise: K and K, with 40 000 pixels to 3.5 standard errors."""
     noise = circular(np.random.default_rng(12), (1, 800, 800)).astype(np.complex64)
-    down, across = Window.named("triang", 4), Window.named("hamming", 4)
+    down, across = Window.named("triangular", 4), Window.named("hamming", 4)
     looks = windowed_looks(noise, down, across)
     count = looks.count[0, 0]
     assert 4 < count < 14

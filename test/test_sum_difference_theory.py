@@ -8,10 +8,10 @@ from helpers import circular, standard_error_of_rms
 from scipy import stats
 from scipy.integrate import quad
 
-from sal_height.noise_theory import SteadyLaw
+from sal_height.noise_theory import SteadyLaw, SteadyMlLaw
 from sal_height.products import DISCRIMINANTS, NoisePowers, discriminate, products, ratio, total_least_squares
 from sal_height.sum_difference import synthesise
-from sal_height.sum_difference_theory import SteadyMlLaw, discriminator_variance, hybrid_gain, products_variance
+from sal_height.sum_difference_theory import discriminator_variance, hybrid_gain, products_variance
 
 Array = np.ndarray
 EQUAL: NoisePowers = (1.0, 1.0)

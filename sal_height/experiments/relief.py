@@ -21,11 +21,11 @@ from sal_height.experiments.noise import BLOCK, circular
 from sal_height.experiments.patterns import FROM_PUPIL
 from sal_height.experiments.sample_statistics import Measured, mean, median, s68, std
 from sal_height.geometry import EARTH_RADIUS, Aperture, height_of, locate
-from sal_height.noise_theory import SteadyLaw, steady_looks_mean, steady_mean
+from sal_height.noise_theory import SteadyLaw, SteadyMlLaw, steady_looks_mean, steady_mean
 from sal_height.optics import GAUSSIAN_WIDTH, pattern_named
 from sal_height.products import Estimator, discriminate, products, ratio, total_least_squares
 from sal_height.sum_difference import crossover_slope, synthesise
-from sal_height.sum_difference_theory import SteadyMlLaw, discriminator_variance, hybrid_gain
+from sal_height.sum_difference_theory import discriminator_variance, hybrid_gain
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

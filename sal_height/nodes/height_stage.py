@@ -43,7 +43,7 @@ class HeightParameters:
         maximum=4096,
     )
     azimuth_step: int = parameter(0, "the same in azimuth", minimum=0, maximum=4096)
-    look_window: str = parameter("boxcar", "weights of the looks over range and azimuth", choices=LOOK_WINDOWS)
+    look_window: str = parameter("boxcar", "weights of the looks over range and azimuth", choices=tuple(LOOK_WINDOWS))
     min_cnr_db: float = parameter(5.0, "least CNR of a valid pixel, dB", minimum=-60.0, maximum=100.0)
     radial_velocity_mps: float = parameter(
         0.0,

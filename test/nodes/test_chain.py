@@ -148,7 +148,7 @@ def test_more_looks_than_pixels_cost_the_dwell_and_no_more(fed: Any) -> None:
 
 def test_looks_that_slide_give_a_height_to_every_pixel(fed: Any) -> None:
     before = fed.heights["ml", 0]
-    changes = {"range_step": 1, "azimuth_step": 1, "look_window": "triang", "range_looks": 4, "azimuth_looks": 3}
+    changes = {"range_step": 1, "azimuth_step": 1, "look_window": "triangular", "range_looks": 4, "azimuth_looks": 3}
     results = fed.stages["ml_height"].set_parameters([Parameter(name, value=value) for name, value in changes.items()])
     assert all(result.successful for result in results)
     fed.publish(*fed.odometry(1), *fed.frames(1))
@@ -156,7 +156,7 @@ def test_looks_that_slide_give_a_height_to_every_pixel(fed: Any) -> None:
     after = fed.heights["ml", 1]
     assert (after.grid.rows, after.grid.cols) == (46, 12)
     assert after.grid.row_spacing == pytest.approx(before.grid.row_spacing / 2)
-    assert '"look_window": "triang"' in after.provenance.parameters
+    assert '"look_window": "triangular"' in after.provenance.parameters
     assert np.isfinite(np.array(after.height)).mean() > 0.3
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.row import Row, medians
 from sal_height import array_trials
-from sal_height.array_ml import OBJECTIVES, best_elevation
+from sal_height.array_ml import OBJECTIVES, peak_elevation, search_guard
 from sal_height.beams import Beams
 from sal_height.layover import two_scatterers
 from sal_height.looks import Covariance
@@ -32,7 +32,7 @@ def throughput() -> Iterator[Row]:
 
 def _throughput(beams: Beams, share: float) -> Row:
     covariance, squint = _image(beams, share), np.zeros(SIDE)
-    single = best_elevation(covariance, beams, squint, OBJECTIVES["normalised"])
+    single = peak_elevation(covariance, beams, squint, OBJECTIVES["normalised"], search_guard(beams))
     (seconds,) = medians(lambda: two_scatterers(covariance, beams, squint, 1.0, LOOKS, single, FALSE_ALARM))
     return Row(
         f"layover, {100 * share:.0f} % of the pixels hold two",

@@ -72,7 +72,7 @@ def peak_elevation(covariance: Covariances, beams: Beams, squint: Array, objecti
         beams: of the channels.
         squint: of each column, rad, shape (cols,).
         objective: one of OBJECTIVES.
-        guard: how far beyond the array is searched, rad (`Beams.domain`).
+        guard: how far beyond the array is searched, rad (`Beams.domain`): `search_guard` reveals targets outside.
 
     Raises:
         UserError: the beams have no elevation in common, or are complex where the covariance is not.
@@ -80,11 +80,6 @@ def peak_elevation(covariance: Covariances, beams: Beams, squint: Array, objecti
     searches = PeakSearches.over(beams, np.unique(squint), objective, guard)
     (elevation,) = searches.of_pixels(covariance, squint, 1, lambda search, pixels, *_: search.peaks(pixels)[0])
     return np.asarray(elevation)
-
-
-def best_elevation(covariance: Covariances, beams: Beams, squint: Array, objective: Objective) -> Array:
-    """`peak_elevation` over the array, its ends and the guard beyond, which reveals targets outside."""
-    return peak_elevation(covariance, beams, squint, objective, search_guard(beams))
 
 
 def search_guard(beams: Beams) -> float:

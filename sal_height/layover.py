@@ -98,7 +98,7 @@ def two_scatterers(
         squint: of each column, rad, shape (cols,).
         noise_power: E|n|^2 of one SLC pixel in one channel.
         looks_count: K, for all pixels or each.
-        single: elevation of the most likely single scatterer (`array_ml.best_elevation`), rad, shape (rows, cols).
+        single: elevation of the most likely single scatterer (`array_ml.peak_elevation`), rad, shape (rows, cols).
         false_alarm: share of single scatterers that may be taken for two, above 0 and up to 0.1.
 
     Raises:

@@ -7,7 +7,7 @@ w. Both take the beams as they are: of any pattern, complex or not, turned, or a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Self
 
@@ -191,6 +191,7 @@ class PeakSearches:
         squints: of which the searches in `stack` are, rad; empty: each is made of the beams.
         stack: grid, pieces and power of those searches, with a first axis for them.
         like: one of those searches; None: there is none.
+        made: of the beams so far, by squint.
     """
 
     nodes: Array
@@ -199,6 +200,7 @@ class PeakSearches:
     squints: Array
     stack: tuple[FloatArray, ...]
     like: PeakSearch | None = None
+    made: dict[float, PeakSearch] = field(default_factory=dict)
 
     @classmethod
     def over(cls, beams: Beams, squints: Array, objective: Objective, guard: float) -> Self:
@@ -227,8 +229,10 @@ class PeakSearches:
             weights = _lagrange(self.squints, squint).astype(np.float32)
             grid, pieces, power = (_weighted_sum(weights, values) for values in self.stack)
             return replace(self.like, grid=grid, pieces=pieces, power=power)
-        response, slope = self.beams.response(self.nodes, squint), self.beams.slope(self.nodes, squint)
-        return PeakSearch.of(self.nodes, response, slope, self.objective)
+        if squint not in self.made:
+            response, slope = self.beams.response(self.nodes, squint), self.beams.slope(self.nodes, squint)
+            self.made[squint] = PeakSearch.of(self.nodes, response, slope, self.objective)
+        return self.made[squint]
 
     def of_pixels(self, covariance: Covariances, squint: Array, count: int, find: Find) -> Array:
         """`count` numbers of every pixel, (count, rows, cols), which `find` gives for blocks of one squint each.

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.compiled import in_parallel
 from sal_height.errors import UserError
-from sal_height.looks import Covariance, Looks
+from sal_height.looks import Looks
 from sal_height.sum_difference_theory import products_variance
 
 Array = npt.NDArray[np.float64]
@@ -58,13 +57,7 @@ def products(total: ComplexArray, difference: ComplexArray) -> Products:
 
 def products_of_looks(looks: Looks) -> Products:
     """Products of multi-looked images whose channels are Sigma and Delta, in this order; shape (rows, cols)."""
-    parts: dict[int, Covariance] = {}
-
-    def work(part: slice) -> None:
-        parts[part.start] = looks.covariance[part, slice(None)]
-
-    in_parallel(work, len(looks.count))
-    covariance = np.concatenate([parts[first] for first in sorted(parts)])
+    covariance = looks.covariance[:, :]
     return Products(
         covariance[..., 0, 0].real.astype(np.float64),
         covariance[..., 1, 1].real.astype(np.float64),

@@ -8,7 +8,8 @@ import numpy.typing as npt
 from sal_height.estimate import Validity
 from sal_height.geometry import Aperture, Grid, locate_at_height
 from sal_height.height import HeightField, Surface, shared_variance
-from sal_height.relief_tracking import ReliefPrior, TrackedRelief
+from sal_height.relief_field import estimated_field_prior, smoothed_field
+from sal_height.relief_tracking import ReliefPrior, TrackedRelief, estimated_prior, smoothed
 
 Array = npt.NDArray[np.float64]
 
@@ -37,6 +38,37 @@ def own_sigma(field: HeightField, aperture: Aperture) -> Array:
     """
     shared = shared_variance(field.first.positions, aperture)
     return np.asarray(np.sqrt(np.maximum(field.first.sigma**2 - shared, LEAST_OWN_VARIANCE * field.first.sigma**2)))
+
+
+def track(
+    field: HeightField,
+    aperture: Aperture,
+    length: float | None,
+    relief_sigma: float | None,
+    gate: float,
+    along_track: bool,
+) -> tuple[HeightField, ReliefPrior]:
+    """The height image tracked (`tracked_field`), and the prior it was tracked with.
+
+    Args:
+        field: measured heights.
+        aperture: state of the platform.
+        length: correlation length of the relief, m; None: estimated.
+        relief_sigma: its standard deviation, m; None: estimated.
+        gate: measurements farther from their prediction are outliers, standard deviations.
+        along_track: whether neighbours along the flight have a say, too (`relief_field`).
+
+    Raises:
+        UserError: no prior can be estimated (`relief_tracking.estimated_prior`).
+    """
+    height, sigma, spacings = field.first.height, own_sigma(field, aperture), ground_spacings(field.grid)
+    if along_track:
+        prior = estimated_field_prior(height, sigma, spacings, length, relief_sigma)
+        relief = smoothed_field(height, sigma, spacings, prior, gate)
+    else:
+        prior = estimated_prior(height, sigma, spacings[0], length, relief_sigma)
+        relief = smoothed(height, sigma, spacings[0], prior, gate)
+    return tracked_field(field, relief, prior, aperture), prior
 
 
 def tracked_field(field: HeightField, relief: TrackedRelief, prior: ReliefPrior, aperture: Aperture) -> HeightField:

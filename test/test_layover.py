@@ -9,7 +9,7 @@ import pytest
 from helpers import BEAMWIDTH, assert_one_sentence, circular, elevation_at, make_beams, offset_of
 
 from sal_height import layover
-from sal_height.array_ml import OBJECTIVES, best_elevation
+from sal_height.array_ml import OBJECTIVES, peak_elevation, search_guard
 from sal_height.beams import Beams
 from sal_height.errors import UserError
 from sal_height.layover import TwoScatterers, detection_threshold, two_scatterers, two_source_crb
@@ -58,7 +58,7 @@ def pixels_of(
 def find(covariance: np.ndarray, beams: Beams, looks: int, squint: np.ndarray | None = None) -> TwoScatterers:
     """At unit noise and 1 % false alarms, of images with one column or as many as `squint`."""
     squint = np.zeros(1) if squint is None else squint
-    single = best_elevation(covariance, beams, squint, OBJECTIVES["normalised"])
+    single = peak_elevation(covariance, beams, squint, OBJECTIVES["normalised"], search_guard(beams))
     return two_scatterers(covariance, beams, squint, 1.0, looks, single, ONE_PERCENT)
 
 
@@ -306,7 +306,7 @@ def test_blocks_and_units_of_power_change_nothing(monkeypatch: pytest.MonkeyPatc
     beams, rng = make_beams("jinc"), np.random.default_rng(58)
     covariance = pixels_of(beams, rng.uniform(-3, 3, (60, 2)), (20.0, 20.0), 4, rng).reshape(10, 6, 16, 16)
     squint = np.array([0.0, 0.1, 0.0, 0.2, 0.1, 0.0]) * BEAMWIDTH
-    single = best_elevation(covariance, beams, squint, OBJECTIVES["normalised"])
+    single = peak_elevation(covariance, beams, squint, OBJECTIVES["normalised"], search_guard(beams))
     whole = two_scatterers(covariance, beams, squint, 1.0, 4, single, ONE_PERCENT)
     monkeypatch.setattr(layover, "PIXELS_AT_ONCE", 3)
     parts = two_scatterers(2**-30 * covariance, beams, squint, 2**-30, 4, single, ONE_PERCENT)

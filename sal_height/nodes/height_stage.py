@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance
+from sal_height_msgs.msg import ComplexImage, HeightImage
 from sensor_msgs.msg import Image, PointCloud2
 
-from sal_height import __version__, convert
+from sal_height import convert
 from sal_height.beams import Beams
 from sal_height.channels import Channels, whitened_channels, with_powers
 from sal_height.discriminant import moving_squint
@@ -20,7 +20,7 @@ from sal_height.estimate import ElevationEstimate, without_saturated
 from sal_height.height import column_squint, height_field, look_grid
 from sal_height.looks import LOOK_WINDOWS, Looks, Window, live_detectors, windowed_looks
 from sal_height.nodes.dwell_stage import DwellStage
-from sal_height.nodes.parameters import as_json, parameter, recorded
+from sal_height.nodes.parameters import derived, parameter, recorded
 from sal_height.saturation import MAX_SHARE
 from sal_height.sensor import Sensor
 from sal_height.stripmap import image_beams
@@ -161,12 +161,7 @@ class HeightStage(DwellStage):
             estimate = without_saturated(estimate)
             self.ignore("saturated", UserError(f"Dwell {messages[0].dwell}: {_saturated(share, parameters)}"))
         field = height_field(estimate, looks, slc_grid, grid, aperture, sensor.look_side, velocity)
-        provenance = Provenance(
-            code_version=__version__,
-            config_hash=before.config_hash,
-            calibration_id=before.calibration_id,
-            parameters=as_json(self.get_name(), parameters, before.parameters),
-        )
+        provenance = derived(before, self.get_name(), parameters)
         number_of_looks = (parameters.range_looks, parameters.azimuth_looks)
         image = convert.height_to_message(field, aperture, number_of_looks, self.estimator, messages[0], provenance)
         self._image.publish(convert.height_picture(image))

@@ -10,7 +10,9 @@ from typing import Any, TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from sal_height_msgs.msg import Provenance
 
+from sal_height import __version__
 from sal_height.errors import UserError
 
 Table = TypeVar("Table")
@@ -84,6 +86,16 @@ def as_json(stage: str, values: Any, before: str = "{}") -> str:
     if not isinstance(stages, dict):
         stages = {"before": stages}
     return json.dumps(stages | {stage: dataclasses.asdict(values)}, sort_keys=True)
+
+
+def derived(before: Provenance, stage: str, values: Any) -> Provenance:
+    """Provenance of what `stage` with these parameters made of a product with the provenance `before`."""
+    return Provenance(
+        code_version=__version__,
+        config_hash=before.config_hash,
+        calibration_id=before.calibration_id,
+        parameters=as_json(stage, values, before.parameters),
+    )
 
 
 def recorded(parameters: str, stage: str, name: str) -> Any:

@@ -14,10 +14,10 @@ from rclpy.exceptions import InvalidTopicNameException
 from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
 from sensor_msgs.msg import Image, PointCloud2
 
-from sal_height import __version__, convert, relief_map
+from sal_height import convert, relief_map
 from sal_height.errors import Rejected, UserError
 from sal_height.geotiff import check_geotiff, write_geotiff
-from sal_height.nodes.parameters import as_json, declare_parameters, parameter, read_parameters
+from sal_height.nodes.parameters import declare_parameters, derived, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, Stage
 
@@ -164,13 +164,7 @@ class ReliefMapper(Stage):
 
     def _provenance(self, last: HeightImage) -> Provenance:
         """That of the last height image, with the parameters of this node."""
-        before = last.provenance
-        return Provenance(
-            code_version=__version__,
-            config_hash=before.config_hash,
-            calibration_id=before.calibration_id,
-            parameters=as_json(self.get_name(), self._settings, before.parameters),
-        )
+        return derived(last.provenance, self.get_name(), self._settings)
 
     def _write(self, path: Path) -> None:
         relief = self._map.relief() if self._map else None

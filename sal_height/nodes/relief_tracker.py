@@ -6,16 +6,18 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from sal_height_msgs.msg import HeightImage, Provenance
+from sal_height_msgs.msg import HeightImage
 from sensor_msgs.msg import Image, PointCloud2
 
-from sal_height import __version__, convert
-from sal_height.nodes.parameters import as_json, declare_parameters, parameter, read_parameters
+from sal_height import convert
+from sal_height.nodes.parameters import declare_parameters, derived, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import Stage
-from sal_height.relief_field import estimated_field_prior, smoothed_field
-from sal_height.relief_tracking import GATE, ReliefPrior, estimated_prior, smoothed
-from sal_height.tracked_height import ground_spacings, own_sigma, tracked_field
+from sal_height.relief_tracking import GATE, ReliefPrior
+from sal_height.tracked_height import track
+
+PREFIX = "tracked"
+"""Of the topics, and HeightImage.estimator."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +59,9 @@ class ReliefTracker(Stage):
         """
         super().__init__("relief_tracker", **node_arguments)
         declare_parameters(self, Parameters)
-        self._height = self.offer(HeightImage, "tracked/height")
-        self._image = self.offer(Image, "tracked/image")
-        self._points = self.offer(PointCloud2, "tracked/points")
+        self._height = self.offer(HeightImage, f"{PREFIX}/height")
+        self._image = self.offer(Image, f"{PREFIX}/image")
+        self._points = self.offer(PointCloud2, f"{PREFIX}/points")
         self.listen(HeightImage, f"{read_parameters(self, Parameters).estimator}/height", self._on_height)
 
     def _on_height(self, message: HeightImage) -> None:
@@ -70,26 +72,12 @@ class ReliefTracker(Stage):
         """Track the heights of a dwell (on the worker) and publish them; returns the number of height images."""
         parameters = read_parameters(self, Parameters)
         field, aperture = convert.field_from_message(message), convert.aperture_from_message(message.aperture)
-        spacings, sigma = ground_spacings(field.grid), own_sigma(field, aperture)
-        height = field.first.height
         known = parameters.correlation_length_m or None, parameters.relief_sigma_m or None
-        if parameters.along_track:
-            prior = estimated_field_prior(height, sigma, spacings, *known)
-            relief = smoothed_field(height, sigma, spacings, prior, parameters.gate)
-        else:
-            prior = estimated_prior(height, sigma, spacings[0], *known)
-            relief = smoothed(height, sigma, spacings[0], prior, parameters.gate)
-        tracked = tracked_field(field, relief, prior, aperture)
-        before = message.provenance
+        tracked, prior = track(field, aperture, *known, parameters.gate, parameters.along_track)
         recorded = _Recorded(**dataclasses.asdict(parameters), prior=prior)
-        provenance = Provenance(
-            code_version=__version__,
-            config_hash=before.config_hash,
-            calibration_id=before.calibration_id,
-            parameters=as_json(self.get_name(), recorded, before.parameters),
-        )
+        provenance = derived(message.provenance, self.get_name(), recorded)
         looks = message.range_looks, message.azimuth_looks
-        image = convert.height_to_message(tracked, aperture, looks, "tracked", message, provenance)
+        image = convert.height_to_message(tracked, aperture, looks, PREFIX, message, provenance)
         self._image.publish(convert.height_picture(image))
         self._points.publish(convert.height_points(tracked, image))
         self._height.publish(image)

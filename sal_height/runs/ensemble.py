@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter
 
 from sal_height.channels import whitened_channels
 from sal_height.errors import UserError
+from sal_height.nodes import relief_tracker
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ml_height import MlHeight
 from sal_height.nodes.monopulse import Monopulse
@@ -51,7 +52,7 @@ ESTIMATORS = {"monopulse": "monopulse", "ml_height": "ml", "sum_difference_heigh
 TRACKER = "relief_tracker"
 """Node that tracks the heights of one of the ESTIMATORS."""
 
-HEIGHTS = {**ESTIMATORS, TRACKER: "tracked"}
+HEIGHTS = {**ESTIMATORS, TRACKER: relief_tracker.PREFIX}
 """Nodes whose products are height images, and the prefix of their topics."""
 
 CONSUMERS = {TRACKER, "relief_mapper"}

@@ -17,13 +17,11 @@ from sal_height.flight import SimulatedFlight
 from sal_height.geometry import sphere_coordinates
 from sal_height.height import column_squint
 from sal_height.nodes.height_stage import processed_beams
+from sal_height.nodes.relief_tracker import PREFIX
 from sal_height.scene import VisibleSurface
 
 Array = npt.NDArray[np.float64]
 
-
-TRACKED = "tracked"
-"""Estimator whose pixels share their errors with their neighbours, so that a mean of them is not surer than one."""
 
 CELL_PIXELS = 1.5
 """Side of a ground cell in pixels on level ground: large enough that few cells stay empty."""
@@ -39,7 +37,7 @@ class Mosaic:
         height: estimate, m, shape (rows, cols).
         error: estimate minus true height of the same pixels with the same weights, m; without pixels that hold no
             scatterer.
-        sigma: predicted standard deviation, m.
+        sigma: predicted standard deviation, m; of tracked pixels, which share their errors, that of one.
         bound: Cramer-Rao bound averaged over speckle for all looks in the cell, m.
         single: True where all pixels hold a single scatterer.
         valid_share: valid pixels over all pixels of the images.
@@ -109,7 +107,7 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
             north=(first_row + np.arange(shape[0])) * step[0],
             height=total(weight * pixels.height) / weights,
             error=error,
-            sigma=total(weight * pixels.sigma) / weights if images[0].estimator == TRACKED else 1 / np.sqrt(weights),
+            sigma=total(weight * pixels.sigma) / weights if images[0].estimator == PREFIX else 1 / np.sqrt(weights),
             bound=1 / np.sqrt((count * looks - 1) * information),
             single=(total((real & ~pixels.single).astype(np.float64)) == 0) & (count > 0),
             valid_share=_share(images, HeightImage.OK),

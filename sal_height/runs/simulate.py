@@ -90,18 +90,19 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
     """
     parameters = check_parameters(parameters)
     flight = flight_of(preset, seed)
+    estimators = suited(flight.sensor)
     flight.surface(0)  # refuses a flight beside the scene before anything is started
     folder = new_folder(out)
     settings = folder / "preset.yaml"
     looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
     values: dict[str, dict[str, Any]] = {
         "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols},
-        **{name: dict(looks) for name in suited(flight.sensor)},
+        **{name: dict(looks) for name in estimators},
     }
     values = merged(values, parameters)
     simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0}
     relief = {"file": str(folder / RELIEF_MAP)} if find_spec("rasterio") else {}
-    stages = ["sar_compression", *suited(flight.sensor), TRACKER, "relief_mapper"]
+    stages = ["sar_compression", *estimators, TRACKER, "relief_mapper"]
     bag = folder / "bag"
     known = {"preset": preset.name, "seed": seed, "cnr_db": preset.cnr_db, "looks": list(preset.looks)}
     with reporting(folder, known) as report:

@@ -9,7 +9,7 @@ import pytest
 from helpers import BEAMWIDTH, elevation_at, make_beams
 
 from sal_height.beams import Beams
-from sal_height.bounds import conditional_crb, information, speckle_crb, stochastic_crb
+from sal_height.bounds import conditional_crb, information, speckle_crb, stochastic_crb, stochastic_deviation
 from sal_height.optics import PATTERNS, Pattern
 
 STEP = 1e-3
@@ -133,3 +133,9 @@ def test_bounds_without_a_target_are_infinite_and_all_broadcast() -> None:
         result = bound(beams, elevation_at(np.array([0.0, 1.0])), squint, np.array([0.0, 2.0]), 4)
         assert result.shape == (3, 2)
         np.testing.assert_array_equal(np.isinf(result), np.tile([True, False], (3, 1)))
+
+
+@pytest.mark.parametrize("determined", [0.0, -1e-12])
+def test_bound_is_infinite_where_nothing_tells_of_elevation(determined: float) -> None:
+    """Rounding leaves D a little below 0 where a pixel's beams do not turn."""
+    assert stochastic_deviation(np.array([5.0]), 4, np.array([2.0]), np.array([determined])) == np.inf

@@ -124,7 +124,7 @@ def test_a_measured_characteristic_gives_the_heights_of_the_beams(graph: Graph, 
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
     np.testing.assert_allclose(
-        *in_both("height", chain.heights["sum_difference", 0], chain.heights["monopulse", 0]), atol=5e-3
+        *in_both("height", chain.heights["sum_difference", 0], chain.heights["monopulse", 0]), atol=2e-4
     )
 
 

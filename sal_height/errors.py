@@ -19,3 +19,10 @@ class Rejected(UserError):  # noqa: N818 (not an error of the program)
     def __init__(self, reason: str, sentence: str) -> None:
         super().__init__(sentence)
         self.reason = reason
+
+
+class NotDetermined(UserError):  # noqa: N818 (not an error of the program)
+    """The data do not tell what was to be estimated.
+
+    The sentence says what is missing, and what would be needed.
+    """

@@ -58,8 +58,9 @@ demo: setup
 	.venv/bin/sal-height run --preset sal_stripmap --out out/sal_stripmap
 	.venv/bin/sal-height run --preset xband_relief --out out/xband_relief
 
+# Two files at a time: while one waits for its nodes, the other computes.
 test: lint
-	.venv/bin/pytest
+	.venv/bin/pytest --numprocesses 2 --dist loadfile
 
 lint: setup
 	.venv/bin/ruff format --check

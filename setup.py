@@ -37,7 +37,7 @@ setup(
     ],
     extras_require={
         "dem": ["rasterio"],
-        "test": ["h5py", "pytest", "rosbags"],
+        "test": ["h5py", "pytest", "pytest-xdist", "rosbags"],
         "fast": ["pyfftw"],
         "dev": ["colcon-common-extensions", "mypy", "pre-commit", "ruff", "types-PyYAML"],
     },

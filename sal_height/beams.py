@@ -77,6 +77,10 @@ class Beams:
         pairs = zip(patterns, gains, strict=True)
         return replace(self, patterns=tuple(pattern.scaled(gain) for pattern, gain in pairs))
 
+    def widened(self, factor: float) -> Self:
+        """The beams `factor` times as wide, around the same boresights."""
+        return replace(self, beamwidth=self.beamwidth * factor)
+
     def combined(self, matrix: Array | ComplexArray) -> Self:
         """The beams of channels that are `matrix` times these, shape (channels, channels).
 

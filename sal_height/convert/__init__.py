@@ -14,6 +14,7 @@ from sal_height.convert.basics import (
     to_ns,
     to_stamp,
 )
+from sal_height.convert.calibrations import calibration_from_message, calibration_to_message
 from sal_height.convert.frames import (
     LONGEST_DWELL,
     check_frame,
@@ -31,6 +32,8 @@ __all__ = [
     "LONGEST_DWELL",
     "MAP_FRAME",
     "aperture_from_message",
+    "calibration_from_message",
+    "calibration_to_message",
     "check_frame",
     "check_slc",
     "complex_view",

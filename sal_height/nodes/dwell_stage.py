@@ -74,6 +74,10 @@ class DwellStage(Stage):
         """The config_hash of the sensor info that a message was made with."""
         return str(message.config_hash)
 
+    def sensor_of(self, message: Any) -> Sensor:
+        """The sensor that a message was made with, which has been heard."""
+        return self._streams[self.identity(message)].sensor
+
     def missing(self, dwell: Dwell[Any]) -> Rejected | None:  # noqa: ARG002 (subclasses use it)
         """What a dwell of all detectors still waits for, or None."""
         return None

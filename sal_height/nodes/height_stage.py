@@ -8,19 +8,23 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ComplexImage, HeightImage
 from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import convert
 from sal_height.beams import Beams
+from sal_height.calibration import Calibration
 from sal_height.channels import Channels, whitened_channels, with_powers
 from sal_height.discriminant import moving_squint
+from sal_height.dwell import Dwell
 from sal_height.errors import Rejected, UserError
 from sal_height.estimate import ElevationEstimate, without_saturated
 from sal_height.height import column_squint, height_field, look_grid
 from sal_height.looks import LOOK_WINDOWS, Looks, Window, live_detectors, windowed_looks
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import derived, parameter, recorded
+from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.saturation import MAX_SHARE
 from sal_height.sensor import Sensor
 from sal_height.stripmap import image_beams
@@ -28,6 +32,9 @@ from sal_height.windows import WINDOWS
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
+
+HELD_CALIBRATIONS = 4
+"""Calibrations held: images made with one may come after the next."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +125,8 @@ class HeightStage(DwellStage):
     def __init__(self, name: str, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node."""
         super().__init__(name, ComplexImage, "slc", **node_arguments)
+        self._calibrations: dict[str, Calibration] = {}
+        self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS)
         self._height = self.offer(HeightImage, f"{self.estimator}/height")
         self._image = self.offer(Image, f"{self.estimator}/image")
         self._points = self.offer(PointCloud2, f"{self.estimator}/points")
@@ -140,6 +149,15 @@ class HeightStage(DwellStage):
         """Size of an image; single bad pixels are marked as such."""
         convert.check_slc(message, sensor)
 
+    def missing(self, dwell: Dwell[ComplexImage]) -> Rejected | None:
+        """The calibration that the images were made with: it may have changed the beams."""
+        image = next(iter(dwell.items.values()))
+        try:
+            self._width_factor(image, self.sensor_of(image))
+        except Rejected as error:
+            return error
+        return None
+
     def process(self, messages: list[ComplexImage], sensor: Sensor) -> int:
         """Estimate the heights of a dwell and publish them."""
         parameters = self.current_parameters()
@@ -149,7 +167,8 @@ class HeightStage(DwellStage):
         noise = with_powers(sensor.noise_covariance, noise_powers)[np.ix_(live, live)]
         channels = self.channels(noise, sensor.mixing[np.ix_(live, live)])
         before = messages[0].provenance
-        beams = processed_beams(sensor, before.parameters).detectors(live).combined(channels.matrix)
+        beams = processed_beams(sensor, before.parameters).widened(self._width_factor(messages[0], sensor))
+        beams = beams.detectors(live).combined(channels.matrix)
         down, across = parameters.windows
         looks = windowed_looks(slc, down, across, beams.is_complex, channels.transform)
         grid = look_grid(slc_grid, down, across)
@@ -168,3 +187,31 @@ class HeightStage(DwellStage):
         self._points.publish(convert.height_points(field, image))
         self._height.publish(image)
         return 1
+
+    def _width_factor(self, image: ComplexImage, sensor: Sensor) -> float:
+        """Width of the beams over that described, as the calibration has it that the image was made with.
+
+        Raises:
+            Rejected: it is not known here.
+        """
+        applied = image.provenance.calibration_id
+        if applied in {"", sensor.calibration_id}:
+            return 1.0
+        calibration = self._calibrations.get(applied)
+        if calibration is None:
+            raise Rejected(
+                "no calibration",
+                f"Dwell {image.dwell}: its images were made with calibration {applied!r}, which has not come on topic "
+                "calibration (transient local).",
+            )
+        return calibration.width_factor
+
+    def _on_calibration(self, message: CalibrationMessage) -> None:
+        try:
+            calibration = convert.calibration_from_message(message)
+        except UserError as error:
+            self.ignore("calibration", error)
+            return
+        held = [*self._calibrations.values(), calibration][-HELD_CALIBRATIONS:]
+        self._calibrations = {one.id: one for one in held}
+        self.advance()

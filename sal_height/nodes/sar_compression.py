@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from nav_msgs.msg import Odometry
+from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ComplexImage, DetectorFrame, Provenance
 
 from sal_height import __version__, convert
+from sal_height.calibration import Calibration, load_calibration
 from sal_height.dwell import Dwell
 from sal_height.errors import Rejected, UserError
 from sal_height.focusing import Settings, Slc, StripFocuser, focus_dwell
@@ -20,8 +23,9 @@ from sal_height.formers import FORMERS
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import as_json, parameter
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import ODOMETRY_QOS
+from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.phase_history import PhaseHistory
+from sal_height.processing import Processing
 from sal_height.saturation import saturated_shares
 from sal_height.sensor import Sensor
 from sal_height.trajectory import PlatformState, Trajectory
@@ -32,6 +36,9 @@ Array = npt.NDArray[np.float64]
 
 HELD_STATES = 20_000
 """Odometry samples held: 100 s at 200 Hz."""
+
+HEARD = "topic"
+"""Value of the parameter calibration for that which comes on the topic."""
 
 NOT_TRUSTED = "autofocus found nothing that it could trust, the image is as navigation focuses it."
 
@@ -56,6 +63,12 @@ class Parameters:
     range_window: str = parameter("taylor", "window over the bandwidth", choices=tuple(sorted(WINDOWS)))
     azimuth_window: str = parameter("rectangular", "window over the aperture", choices=tuple(sorted(WINDOWS)))
     autofocus: bool = parameter(False, "take off the phase error that all detectors share (spotlight only)")
+    calibration: str = parameter(
+        "",
+        "file of a calibration that is applied and published on topic calibration; topic: the last one heard there, as "
+        "soon as there is one; empty: none",
+        read_only=True,
+    )
     max_odometry_gap_s: float = parameter(
         0.5, "longest time between two odometry samples during a dwell, s", minimum=1e-6, maximum=3600.0
     )
@@ -84,10 +97,16 @@ class SarCompression(DwellStage):
     parameters = Parameters
 
     def __init__(self, **node_arguments: Any) -> None:
-        """Make the node; `node_arguments` go to rclpy's Node."""
+        """Make the node; `node_arguments` go to rclpy's Node.
+
+        Raises:
+            UserError: a parameter has a value that is not allowed, or the calibration cannot be used.
+        """
         super().__init__("sar_compression", DetectorFrame, "phase_history", **node_arguments)
         self._states: list[PlatformState] = []
-        self._strip = ("", StripFocuser())
+        self._strip = (("", ""), StripFocuser())
+        self._calibration: Calibration | None = None
+        self._begin_calibration(self.current_parameters().calibration)
         self._blocks: list[tuple[int, Array]] = []  # end (ns) and saturated shares of those whose pulses are held
         self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS)
         self._slc = self.offer(ComplexImage, "slc")
@@ -118,15 +137,21 @@ class SarCompression(DwellStage):
         raw = convert.history_from_messages(messages)
         history, spectrum = range_compressed(raw, sensor)
         self._blocks.append((_end_ns(raw), saturated_shares(raw.samples, sensor)))
-        slc = self._focus(history, spectrum, parameters.settings)
+        calibration = self._calibration_for(spectrum)
+        if calibration:
+            history = calibration.equalised(history)
+        slc = self._focus(history, spectrum, parameters.settings, calibration.id if calibration else "")
         if slc is None:
             return 0
+        if calibration:
+            weights = Processing(parameters.range_window).range_weights(spectrum.sample_count)
+            slc = replace(slc, noise_power=(calibration.noise_gains(weights) * slc.noise_power).tolist())
         if slc.focus and not slc.focus.trusted:
             self.ignore("autofocus", UserError(f"Dwell {messages[0].dwell}: {NOT_TRUSTED}"))
         provenance = Provenance(
             code_version=__version__,
             config_hash=sensor.config_hash,
-            calibration_id=sensor.calibration_id,
+            calibration_id=calibration.id if calibration else sensor.calibration_id,
             parameters=as_json(self.get_name(), parameters),
             autofocus_phase=slc.autofocus_phase.tolist(),
         )
@@ -136,18 +161,48 @@ class SarCompression(DwellStage):
             self._slc.publish(image)
         return len(images)
 
-    def _focus(self, history: PhaseHistory, sensor: Sensor, settings: Settings) -> Slc | None:
+    def _focus(self, history: PhaseHistory, sensor: Sensor, settings: Settings, calibration_id: str) -> Slc | None:
         if sensor.mode == "spotlight":
             self._blocks = self._blocks[-1:]
             return focus_dwell(history, self._track(history.stamp_ns, _end_ns(history)), sensor, settings)
         of, strip = self._strip
-        if of != sensor.config_hash:
+        if of != (sensor.config_hash, calibration_id):
             strip = StripFocuser()
-            self._strip = (sensor.config_hash, strip)
+            self._strip = ((sensor.config_hash, calibration_id), strip)
             self._blocks = self._blocks[-1:]
         first_ns, last_ns = strip.needs_track_from(history, sensor), _end_ns(history)
         self._blocks = [block for block in self._blocks if first_ns <= block[0] <= last_ns]
         return strip.focus_block(history, self._track(first_ns, last_ns), sensor, settings)
+
+    def _begin_calibration(self, source: str) -> None:
+        """Load the calibration of a file and publish it, or listen to the topic; nothing if `source` is empty."""
+        if source == HEARD:
+            self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS)
+        elif source:
+            self._calibration = load_calibration(Path(source))
+            stamp = self.get_clock().now().to_msg()
+            self.offer(CalibrationMessage, "calibration", LATCHED_QOS).publish(
+                convert.calibration_to_message(self._calibration, stamp)
+            )
+
+    def _calibration_for(self, sensor: Sensor) -> Calibration | None:
+        """The calibration to apply to the frames of a sensor; of those heard, only its own.
+
+        Raises:
+            UserError: that of the file is not for the sensor.
+        """
+        calibration = self._calibration
+        heard = self.current_parameters().calibration == HEARD
+        if calibration is None or (heard and calibration.config_hash != sensor.config_hash):
+            return None
+        calibration.check(sensor)
+        return calibration
+
+    def _on_calibration(self, message: CalibrationMessage) -> None:
+        try:
+            self._calibration = convert.calibration_from_message(message)
+        except UserError as error:
+            self.ignore("calibration", error)
 
     def _track(self, start_ns: int, end_ns: int) -> Trajectory:
         return Trajectory(self._states_around(start_ns, (end_ns - start_ns) * 1e-9))

@@ -52,6 +52,7 @@ setup(
             "relief_tracker = sal_height.nodes.relief_tracker:main",
             "player = sal_height.nodes.player:main",
             "recorder = sal_height.nodes.recorder:main",
+            "psf_calibration = sal_height.nodes.psf_calibration:main",
             "relief_mapper = sal_height.nodes.relief_mapper:main",
         ],
     },

@@ -1,4 +1,4 @@
-"""The command line: sal-height run | replay | irf | figures | montecarlo | import-gotcha | salvage."""
+"""The command line: sal-height run | replay | calibrate | irf | figures | montecarlo | import-gotcha | salvage."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from sal_height import __version__
 from sal_height.errors import UserError
 from sal_height.experiments.help_texts import ARRAY, DEFAULT_TRIALS, FIGURES, MONTE_CARLO, PAIR
 from sal_height.preset import Preset, load_preset, parse_preset, preset_names
+from sal_height.runs.help_texts import CALIBRATE, IRF
 
 if TYPE_CHECKING:
     from sal_height.beams import Beams
@@ -33,32 +34,10 @@ EXAMPLES = """examples:
   sal-height run --cnr-db 10 --looks 4x2 --out out/noisy
   sal-height replay out/sal_spotlight/bag           make the heights anew and compare
   sal-height replay out/sal_spotlight/bag --param ml_height.objective=numerator
+  sal-height calibrate out/sal_spotlight/bag        receivers and beams, from whatever was flown over
   sal-height irf out/replay_gotcha/bag              width and sidelobes of the brightest target
   sal-height figures                                the papers' figures beside theory
   sal-height montecarlo array --cnr-db 10 --theta 1.75 --looks 4
-"""
-
-IRF = """An image is one of
-  .npy, .npz   the complex array in it: (rows, cols) or (detectors, rows, cols)
-  bag          folder or .mcap file: every ComplexImage in it (topic slc), with its sensor_info, by which the phase of
-               range is removed first; adds positions and widths in m
-
-Measured are, in the cuts through the target's peak (32 samples per pixel):
-  width        at -3 dB
-  PSLR         greatest sidelobe over the peak
-  ISLR         energy of the sidelobes, up to 10 widths from the peak, over that of the main lobe
-  peak         brightest pixel over the median of the image
-  entropy      of the shares of energy of all pixels
-A dash, null in irf.json, stands for what an image does not show: it is too small, or the target too near its edge.
-The pixels must be closer than the resolution. Those of the default images, in the slant plane, are not in range: focus
-in the ground plane for a measurement.
-
-A replay records images of single detectors only. To have those of several, record while they are made:
-  .venv/bin/recorder --ros-args -p directory:=my_slc -p topics:=[/slc,/sensor_info] &
-  sal-height replay BAG --param sar_compression.image_plane=ground --param sar_compression.ground_spacing_m=0.02 \\
-    --param sar_compression.rows=300 --param sar_compression.cols=60
-  kill -INT %1
-  sal-height irf my_slc --detector 4
 """
 
 EXIT_STATUS = """exit status:
@@ -118,7 +97,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     replay.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or its .mcap file")
     replay.set_defaults(command=_replay)
-    for command, default in ((run, "out/PRESET"), (replay, "out/replay_BAG")):
+    calibrate = commands.add_parser(
+        "calibrate",
+        help="measure a sensor's receivers and beams on what it has flown over; leaves calibration.npz",
+        description=CALIBRATE,
+        **shown,
+    )
+    calibrate.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or its .mcap file")
+    calibrate.set_defaults(command=_calibrate)
+    for command, default in (
+        (run, "out/PRESET"),
+        (replay, "out/replay_BAG"),
+        (calibrate, "out/calibrate_BAG"),
+    ):
         _add_out(command, default)
         command.add_argument(
             "--param",
@@ -308,6 +299,20 @@ def _replay(options: argparse.Namespace) -> int:
     if outcome.interrupted:
         return 130
     return int(not options.param and not all(result.equal for result in compared.values()))
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    from sal_height.folders import free_folder
+    from sal_height.runs.calibrate import CALIBRATION, calibrate, calibration_table
+
+    out = options.out or free_folder(Path("out") / f"calibrate_{_bag_name(options.bag)}")
+    _, calibration = calibrate(options.bag, out, _collected(options.param))
+    if calibration is None:
+        print(f"interrupted; see {out}/report.json")
+        return 130
+    print(calibration_table(calibration))
+    print(f"see {out}/calibration.png; apply it with --param sar_compression.calibration={out / CALIBRATION}")
+    return 0
 
 
 def _bag_name(bag: Path) -> str:

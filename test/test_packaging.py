@@ -37,6 +37,7 @@ def test_every_program_can_be_started() -> None:
         "sum_difference_height",
         "relief_tracker",
         "relief_mapper",
+        "psf_calibration",
         "recorder",
         "player",
     } == set(programs)

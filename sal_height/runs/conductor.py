@@ -19,7 +19,7 @@ from tqdm import tqdm
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.player import INPUTS
-from sal_height.runs.ensemble import ESTIMATORS, HEIGHTS, Ensemble, NodeParameters, height_sources
+from sal_height.runs.ensemble import CALIBRATOR, ESTIMATORS, HEIGHTS, Ensemble, NodeParameters, height_sources
 
 UNWATCHED = ("diagnostics",)
 """Recorded topics that no stage counts the subscribers of."""
@@ -110,7 +110,7 @@ class Conductor(Node):
 
     def connected(self) -> bool:
         """Whether every topic has its subscribers, as its publisher counts them: nothing will be lost."""
-        consumers = Counter({"slc": sum(name in ESTIMATORS for name in self._stages)})
+        consumers = Counter({"slc": sum(name in {*ESTIMATORS, CALIBRATOR} for name in self._stages)})
         consumers.update({"phase_history": 1, "platform/odometry": 1})
         consumers.update(f"{HEIGHTS[node]}/height" for node in self._takes.values())
         counts = {

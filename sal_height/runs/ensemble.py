@@ -24,6 +24,7 @@ from sal_height.nodes.ml_height import MlHeight
 from sal_height.nodes.monopulse import Monopulse
 from sal_height.nodes.parameters import accepted
 from sal_height.nodes.player import Player
+from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.recorder import Recorder
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.relief_tracker import ReliefTracker
@@ -40,6 +41,7 @@ NODES: dict[str, Any] = {
     "monopulse": Monopulse,
     "ml_height": MlHeight,
     "sum_difference_height": SumDifferenceHeight,
+    "psf_calibration": PsfCalibration,
     "relief_mapper": ReliefMapper,
     "relief_tracker": ReliefTracker,
     "recorder": Recorder,
@@ -61,7 +63,10 @@ CONSUMERS = {TRACKER, "relief_mapper"}
 NodeParameters = Mapping[str, Mapping[str, Any]]
 """Parameter values by node name and parameter name."""
 
-SETTABLE = ["sar_compression", *HEIGHTS, "relief_mapper"]
+CALIBRATOR = "psf_calibration"
+"""Node that calibrates the sensor on its images."""
+
+SETTABLE = ["sar_compression", CALIBRATOR, *HEIGHTS, "relief_mapper"]
 """Nodes whose parameters users may set."""
 
 COMPLETING = ("recorder", "relief_mapper")

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
+from sal_height.calibration import Calibration
 from sal_height.geometry import Grid
 from sal_height.impulse_response import OVERSAMPLING, REACH, Chip, CutResponse, ImpulseResponse
 from sal_height.preset import Preset
@@ -70,6 +71,25 @@ def draw_heights(mosaics: Mapping[str, Mosaic], scene: Scene, preset: Preset, pa
         f"{preset.looks[0]} x {preset.looks[1]} looks, slant range {flight.slant_range_m / 1e3:g} km. "
         "Grey: no valid height."
     )
+    figure.savefig(path, dpi=110)
+
+
+def draw_calibration(calibration: Calibration, sensor: str, path: Path) -> None:
+    """Write a PNG: amplitude and phase of each channel's response over the band."""
+    channels, frequencies = calibration.response.shape
+    place = (np.arange(frequencies) - (frequencies - 1) / 2) / frequencies
+    figure = Figure(figsize=(9.6, 6.4), layout="constrained")
+    amplitude, phase = figure.subplots(2, 1, sharex=True)
+    for channel, response in enumerate(calibration.response):
+        shade = mpl.colormaps["viridis"](channel / max(1, channels - 1))
+        amplitude.plot(place, 20 * np.log10(np.maximum(np.abs(response), 1e-3)), color=shade, label=str(channel))
+        phase.plot(place, np.degrees(np.angle(response)), color=shade)
+    amplitude.set(ylabel="amplitude over that described (dB)")
+    phase.set(ylabel="phase over that described (deg)", xlabel="fast-time frequency (bandwidths from the carrier)")
+    amplitude.legend(title="channel", fontsize="x-small", ncols=8)
+    for axes in (amplitude, phase):
+        axes.grid(alpha=0.3)
+    figure.suptitle(f"{sensor}: receivers, from {calibration.dwells} dwells")
     figure.savefig(path, dpi=110)
 
 

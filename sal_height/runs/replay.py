@@ -41,9 +41,9 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, d
     Raises:
         UserError: the bag cannot be used.
     """
-    values = check_parameters(merged(_recorded_parameters(bag), parameters))
+    values = check_parameters(merged(recorded_parameters(bag), parameters))
     reader = BagReader(bag)
-    sensor, dwells = _contents(reader)
+    sensor, dwells = contents(reader)
     estimators = suited(sensor)
     stages = ["sar_compression", *((*estimators, TRACKER) if estimators else ())]
     folder = new_folder(out)
@@ -81,7 +81,7 @@ def _measure_images(folder: Path) -> list[dict[str, Any]]:
     return measured
 
 
-def _contents(reader: BagReader) -> tuple[Sensor, int]:
+def contents(reader: BagReader) -> tuple[Sensor, int]:
     """The sensor of a bag, and the number of its dwells.
 
     Raises:
@@ -96,7 +96,7 @@ def _contents(reader: BagReader) -> tuple[Sensor, int]:
     return sensor, -(-topics["/phase_history"].count // sensor.detector_count)
 
 
-def _recorded_parameters(bag: Path) -> dict[str, dict[str, Any]]:
+def recorded_parameters(bag: Path) -> dict[str, dict[str, Any]]:
     """Node parameters that lie beside a bag.
 
     Raises:

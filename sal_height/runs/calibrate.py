@@ -1,0 +1,98 @@
+"""`sal-height calibrate`: a recorded bag through compression and calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sal_height.bag.reader import BagReader
+from sal_height.calibration import Calibration, load_calibration
+from sal_height.errors import UserError
+from sal_height.folders import new_folder, writing
+from sal_height.runs.conductor import Outcome, perform
+from sal_height.runs.ensemble import CALIBRATOR, NodeParameters, check_parameters
+from sal_height.runs.picture import draw_calibration
+from sal_height.runs.replay import contents, recorded_parameters
+from sal_height.runs.simulate import conclude, merged, reporting
+
+CALIBRATION = "calibration.npz"
+"""File of the calibration in the folder of a run."""
+
+
+def calibrate(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, Calibration | None]:
+    """Calibrate a sensor on what it has flown over, leaving calibration.npz, its picture and report.json in `out`.
+
+    Images are made as the recording made them, but of the whole range window, without weights in range and without a
+    calibration.
+
+    Args:
+        bag: folder of the recorded bag, or its .mcap file.
+        out: folder; must be new or empty.
+        parameters: of nodes, on top of the recorded ones.
+
+    Returns:
+        What the run did, and the calibration; None: it was interrupted before.
+
+    Raises:
+        UserError: the bag cannot be used, or too much of it was dropped for a calibration.
+    """
+    sensor, dwells = contents(BagReader(bag))
+    unweighted = {"sar_compression": {"range_window": "rectangular", "rows": 0, "calibration": ""}}
+    wanted = {CALIBRATOR: {"dwells": dwells, "file": str(out / CALIBRATION)}}
+    recorded = {"sar_compression": recorded_parameters(bag).get("sar_compression", {})}
+    values = check_parameters(merged(merged(merged(recorded, unweighted), wanted), parameters))
+    folder = new_folder(out)
+    made = folder / "bag"
+    with reporting(folder, {"bag": bag.name}) as report:
+        nodes = {**values, "player": {"bag": str(bag)}}
+        topics = ["sensor_info", "calibration", "diagnostics"]
+        outcome = perform("player", ["sar_compression", CALIBRATOR], topics, made, nodes, dwells)
+        conclude(outcome, made, values, report)
+        path = Path(values[CALIBRATOR]["file"])
+        if outcome.interrupted:
+            return outcome, None
+        if not path.is_file():
+            raise UserError(
+                f"No calibration came of the {dwells} dwells of {bag}; {folder}/report.json says what was dropped."
+            )
+        calibration = load_calibration(path)
+        report["calibration"] = _summary(calibration)
+    with writing(folder / "calibration.png"):
+        draw_calibration(calibration, sensor.name, folder / "calibration.png")
+    return outcome, calibration
+
+
+def calibration_table(calibration: Calibration) -> str:
+    """The calibration as lines for people."""
+    summary = _summary(calibration)
+    heading = f"{'channel':>8}{'gain dB':>10}{'phase deg':>11}{'ripple dB rms':>15}{'sigma dB':>10}"
+    lines = [
+        f"{channel:8d}{gain:10.3f}{np.degrees(phase):11.2f}{ripple:15.3f}{sigma:10.3f}"
+        for channel, (gain, phase, ripple, sigma) in enumerate(
+            zip(*(summary[key] for key in ("gain_db", "phase_rad", "ripple_db", "sigma_db")), strict=True)
+        )
+    ]
+    width = f"{calibration.width_factor:.4f} +- {calibration.width_sigma:.4f}"
+    width = width if calibration.width_sigma else "not determined"
+    return "\n".join(
+        [heading, *lines, f"width of the beams over that described: {width}", f"calibration {calibration.id}"]
+    )
+
+
+def _summary(calibration: Calibration) -> dict[str, Any]:
+    gain = calibration.response.mean(axis=1)
+    ripple = np.abs(calibration.response / gain[:, None] - 1)
+    decibels = 20 / np.log(10)
+    return {
+        "id": calibration.id,
+        "config_hash": calibration.config_hash,
+        "dwells": calibration.dwells,
+        "gain_db": (decibels * np.log(np.abs(gain))).tolist(),
+        "phase_rad": np.angle(gain).tolist(),
+        "ripple_db": (decibels * np.sqrt(np.mean(ripple**2, axis=1))).tolist(),
+        "sigma_db": (decibels * calibration.response_sigma).tolist(),
+        "width_factor": calibration.width_factor,
+        "width_sigma": calibration.width_sigma,
+    }

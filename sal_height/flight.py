@@ -140,8 +140,8 @@ class SimulatedFlight:
         """What the dwell illuminates, in the range window.
 
         In spotlight that is as far along the flight as main lobes reach to each side, however they swing. In stripmap
-        it is the ground abeam of the block and as much, and TURN_BEAMWIDTHS, before and behind it, each scatterer as it is
-        seen from abeam. Positions are those in the middle of the dwell.
+        it is the ground abeam of the block and as much, and TURN_BEAMWIDTHS, before and behind it, each scatterer as
+        it is seen from abeam. Positions are those in the middle of the dwell.
 
         Raises:
             UserError: there is no terrain.

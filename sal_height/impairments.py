@@ -157,7 +157,8 @@ class Impairments:
             sensor: as it is described, of any waveform.
 
         Returns:
-            complex128, shape (receivers, frequencies); 1 where there is no impairment.
+            complex128, shape (receivers, frequencies), frequencies ascending: with waveform "spectrum" the first is at
+            -1/2 cycle per range cell of the image. 1 where there is no impairment.
         """
         frequency = _cycles_per_cell(sensor)
         gains = 10 ** (np.array(self.undescribed_gains_db or (0.0,)) / 20)

@@ -171,7 +171,7 @@ def simulate_block(
         elevation = np.arctan2(sight[1].astype(np.float32), sight[2].astype(np.float32))
         squint = np.arcsin((sight[0] / distance).astype(np.float32))
         response = beams.response(elevation, squint)
-        beam_phase = quartic_phase * (squint / (sensor.beamwidth / 2)) ** 4
+        beam_phase = quartic_phase * np.square(np.square(squint * (2 / sensor.beamwidth)))
         echoes = strengths[lit] * phasors(beam_phase - sensor.centre_wavenumber * delay)
         place = np.mod(delay * (dense / sensor.range_window) + dense // 2, dense)
         before = np.floor(place).astype(np.int32)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from sal_height.geometry import Aperture, look_direction, sphere_point
 from sal_height.gust import GustMotion, gust_motion
+from sal_height.impairments import as_built, pointing_rotation, through_receivers
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import Preset
 from sal_height.scene import SAMPLES_PER_CELL, PointTarget, Scene, VisibleSurface, visible_surface
@@ -43,7 +44,7 @@ class SimulatedFlight:
 
     Attributes:
         preset: sensor, flight and CNR.
-        sensor: of the preset.
+        sensor: of the preset, as it is described; the preset's impairments come on top.
         scene: the ground.
         dwells: number of dwells; they are centred on the scene.
         seed: of all random numbers.
@@ -79,6 +80,11 @@ class SimulatedFlight:
     def spectrum(self) -> Sensor:
         """The sensor after range compression: whose range window and resolution the images have."""
         return spectrum_sensor(self.sensor)
+
+    @cached_property
+    def built(self) -> Sensor:
+        """The sensor with the beams that it really has."""
+        return as_built(self.sensor, self.preset.impairments)
 
     @property
     def pulse_times(self) -> Array:
@@ -133,9 +139,9 @@ class SimulatedFlight:
     def surface(self, dwell: int) -> VisibleSurface:
         """What the dwell illuminates, in the range window.
 
-        In spotlight that is `lit_angle` along the flight to each side. In stripmap it is the ground abeam of the block
-        and as much, and TURN_BEAMWIDTHS, before and behind it, each scatterer as it is seen from abeam. Positions are
-        those in the middle of the dwell.
+        In spotlight that is as far along the flight as main lobes reach to each side, however they swing. In stripmap
+        it is the ground abeam of the block and as much, and TURN_BEAMWIDTHS, before and behind it, each scatterer as
+        it is seen from abeam. Positions are those in the middle of the dwell.
 
         Raises:
             UserError: there is no terrain.
@@ -143,12 +149,17 @@ class SimulatedFlight:
         if self.sensor.mode == "stripmap":
             return _joined([self._ground(tile)[0].after(self._seconds(tile, dwell)) for tile in self._tiles(dwell)])
         aperture = self.aperture(dwell)
-        half_width = lit_angle(self.sensor.beams) * self.preset.flight.slant_range_m
+        half_width = self._lit_angle * self.preset.flight.slant_range_m
         return self._visible(aperture, (aperture.position[0] - half_width, aperture.position[0] + half_width))
+
+    @property
+    def _lit_angle(self) -> float:
+        """Angle along the flight to each side within which main lobes lie, however the beams swing, rad."""
+        return lit_angle(self.built.beams) + self.preset.impairments.antenna_swing.amplitude_rad
 
     def _tiles(self, dwell: int) -> range:
         """The tiles of ground that a stripmap block lights up; tile n is what lies abeam of block n without gusts."""
-        angle = lit_angle(self.sensor.beams) + TURN_BEAMWIDTHS * self.sensor.beamwidth
+        angle = self._lit_angle + TURN_BEAMWIDTHS * self.sensor.beamwidth
         reach = angle * self.preset.flight.slant_range_m
         neighbours = math.ceil(reach / self.preset.dwell_spacing_m)
         abeam = math.floor(self.aperture(dwell).position[0] / self.preset.dwell_spacing_m + self.dwells / 2)
@@ -198,24 +209,40 @@ class SimulatedFlight:
         """
         rng = np.random.default_rng([self.seed, dwell])
         start_ns = self.dwell_start_ns(dwell)
-        antenna = self.position(start_ns * 1e-9 + self.pulse_times)
+        times = start_ns * 1e-9 + self.pulse_times
         reference = np.full(self.sensor.pulse_count, self.preset.flight.slant_range_m)
-        if self.sensor.mode == "stripmap":
-            clean = self._block(dwell, antenna, reference)
-        else:
-            surface = self.surface(dwell)
-            amplitudes = draw_amplitudes(surface, 10 ** (self.preset.cnr_db / 10), self.spectrum, rng)
-            since = self.pulse_times - self._middle_of_dwell
-            clean = simulate_dwell(echo_sensor(self.sensor), surface, amplitudes, antenna, reference, since)
+        simulated = self._block if self.sensor.mode == "stripmap" else self._spotlight
+        clean = through_receivers(simulated(dwell, times, reference, rng), self.sensor, self.preset.impairments)
         samples = received(from_spectrum(clean, self.sensor), self.sensor, rng)
         return PhaseHistory(start_ns, self.pulse_times, reference, samples)
 
-    def _block(self, dwell: int, antenna: Array, reference: Array) -> ComplexArray:
-        """Noise-free phase history of a stripmap block."""
+    def _spotlight(self, dwell: int, times: Array, reference: Array, rng: np.random.Generator) -> ComplexArray:
+        """Noise-free phase history of a spotlight dwell, whose speckle is drawn."""
+        surface, impairments = self.surface(dwell), self.preset.impairments
+        amplitudes = draw_amplitudes(surface, 10 ** (self.preset.cnr_db / 10), self.spectrum, rng)
+        since = self.pulse_times - self._middle_of_dwell
+        pointing = impairments.antenna_swing.pointing(times)
+        sensor, antenna = echo_sensor(self.built), self.position(times)
+        echoes = simulate_dwell(sensor, surface, amplitudes, antenna, reference, since, pointing)
+        return np.asarray(echoes * np.exp(1j * impairments.dwell_phase(len(times)))[:, None])
+
+    def _block(self, dwell: int, times: Array, reference: Array, _: np.random.Generator) -> ComplexArray:
+        """Noise-free phase history of a stripmap block, whose speckle is that of the ground."""
+        impairments = self.preset.impairments
         amplitudes = np.concatenate([self._ground(tile)[1] for tile in self._tiles(dwell)])
-        rotation = self._gust.rotation(self.dwell_start_ns(dwell) * 1e-9 + self.pulse_times).as_matrix()
-        sensor, since = echo_sensor(self.sensor), self.pulse_times - self._middle_of_dwell
-        return simulate_block(sensor, self.surface(dwell), amplitudes, antenna, rotation, reference, since)
+        swing = pointing_rotation(impairments.antenna_swing.pointing(times), self.sensor)
+        rotation = self._gust.rotation(times).as_matrix() @ swing
+        sensor, since = echo_sensor(self.built), self.pulse_times - self._middle_of_dwell
+        return simulate_block(
+            sensor,
+            self.surface(dwell),
+            amplitudes,
+            self.position(times),
+            rotation,
+            reference,
+            since,
+            impairments.quartic_phase_rad,
+        )
 
 
 def flight_of(preset: Preset, seed: int) -> SimulatedFlight:

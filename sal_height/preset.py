@@ -12,22 +12,15 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 from annotated_types import Ge, Gt, Le, Lt, MinLen
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
+from pydantic import AfterValidator, TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
 from sal_height.beam_table import BeamTable, read_beam_tables
 from sal_height.errors import UserError
+from sal_height.impairments import MOST_SWING_BEAMWIDTHS, UNIMPAIRED, Impairments
 from sal_height.optics import PATTERNS
 from sal_height.sensor import MAX_DETECTORS, Sensor
-
-_STRICT_KEYS = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-def _not_boolean(value: Any) -> Any:
-    if isinstance(value, bool):
-        raise PydanticCustomError("boolean", "input should be a number, not true or false")
-    return value
-
+from sal_height.settings import STRICT_KEYS, Decibels, Float, Int
 
 BEAM_TABLES = ".csv"
 """Suffix of the file of measured beams that a preset may name as its pattern."""
@@ -41,10 +34,6 @@ def _pattern_or_file(value: str) -> str:
     return value
 
 
-Float = Annotated[float, BeforeValidator(_not_boolean)]
-Int = Annotated[int, BeforeValidator(_not_boolean)]
-
-
 @dataclass(frozen=True)
 class HybridSettings:
     """A hybrid of two beams, with the channels Sigma = c (upper + lower) and Delta = c (upper - lower).
@@ -56,12 +45,12 @@ class HybridSettings:
     `delta_gain_db` and `delta_phase_rad` are of the Delta channel's receiver against Sigma's; its noise goes along.
     """
 
-    __pydantic_config__ = _STRICT_KEYS
+    __pydantic_config__ = STRICT_KEYS
 
     place: Literal["antenna", "receiver"]
     coupling: Annotated[Float, Gt(0), Le(1)] = 1 / np.sqrt(2)
     loss_db: Annotated[Float, Ge(0), Le(60)] = 0.0
-    delta_gain_db: Annotated[Float, Ge(-60), Le(60)] = 0.0
+    delta_gain_db: Decibels = 0.0
     delta_phase_rad: Annotated[Float, Ge(-np.pi), Le(np.pi)] = 0.0
 
     @property
@@ -91,7 +80,7 @@ class SensorSettings:
     With waveform chirp or deramped, `sample_count` is that of the record: it holds the pulse and the range window.
     """
 
-    __pydantic_config__ = _STRICT_KEYS
+    __pydantic_config__ = STRICT_KEYS
 
     look_side: Literal["left", "right"]
     wavelength_m: Annotated[Float, Ge(1e-9), Le(100)]
@@ -110,7 +99,7 @@ class SensorSettings:
     detector_size_beamwidths: tuple[Annotated[Float, Ge(0), Le(100)], Annotated[Float, Ge(0), Le(100)]] = (0.0, 0.0)
     detector_rotation_rad: Annotated[Float, Ge(-np.pi / 2), Le(np.pi / 2)] = 0.0
     hybrid: HybridSettings | None = None
-    detector_gains_db: tuple[Annotated[Float, Ge(-60), Le(60)], ...] = ()
+    detector_gains_db: tuple[Decibels, ...] = ()
     detector_phases_rad: tuple[Annotated[Float, Ge(-np.pi), Le(np.pi)], ...] = ()
     full_scale_over_noise_db: Annotated[Float, Ge(-60), Le(300)] | None = None
 
@@ -177,7 +166,7 @@ class Flight:
     It is straight but for what gusts of `gust_mps` (rms, in each axis) do to it, see `gust`.
     """
 
-    __pydantic_config__ = _STRICT_KEYS
+    __pydantic_config__ = STRICT_KEYS
 
     slant_range_m: Annotated[Float, Ge(1), Le(1e7)]
     look_angle_rad: Annotated[Float, Gt(0), Lt(np.pi / 2)]
@@ -191,7 +180,7 @@ class Flight:
 class ImageSize:
     """Pixels of the SLC, at the resolution in range (rows) and azimuth (cols)."""
 
-    __pydantic_config__ = _STRICT_KEYS
+    __pydantic_config__ = STRICT_KEYS
 
     rows: Annotated[Int, Ge(1), Le(65536)]
     cols: Annotated[Int, Ge(1), Le(65536)]
@@ -201,7 +190,7 @@ class ImageSize:
 class TargetSettings:
     """A point target beside those of the scene, a `PointTarget`; power over a resolution cell of brightness 1."""
 
-    __pydantic_config__ = _STRICT_KEYS
+    __pydantic_config__ = STRICT_KEYS
 
     east_m: Annotated[Float, Ge(-1e7), Le(1e7)]
     north_m: Annotated[Float, Ge(-1e7), Le(1e7)]
@@ -217,10 +206,10 @@ class Preset:
 
     In stripmap it looks straight at the cell in elevation; what its beam loses over the aperture is made good.
     `scene_extent_m` spreads the scatterers in height about the scene's terrain (`Scene.extent`); `targets` are added to
-    it, at rest or moving.
+    it, at rest or moving. `impairments` are what the description of the sensor does not tell of.
     """
 
-    __pydantic_config__ = _STRICT_KEYS
+    __pydantic_config__ = STRICT_KEYS
 
     name: Annotated[str, MinLen(1)]
     sensor: SensorSettings
@@ -232,6 +221,7 @@ class Preset:
     dwells: Annotated[Int, Ge(1), Le(1_000_000)]
     scene_extent_m: Annotated[Float, Ge(0), Le(10_000)] = 0.0
     targets: tuple[TargetSettings, ...] = ()
+    impairments: Impairments = UNIMPAIRED
 
     @property
     def dwell_spacing_m(self) -> float:
@@ -340,6 +330,7 @@ def parse_preset(content: Any, source: str) -> Preset:
     if preset.looks[0] > size[0] or preset.looks[1] > size[1]:
         raise UserError(f"Preset {source}: looks is {preset.looks}; they must fit in the image of {size} pixels.")
     _check_channels(preset.sensor, source)
+    _check_impairments(preset, source)
     _check_dwell_spacing(preset, source)
     doppler_band = 4 * preset.flight.speed_mps / preset.sensor.aperture_m * preset.sensor.lit_beamwidths
     if preset.sensor.pulse_repetition_frequency_hz < doppler_band:
@@ -363,12 +354,48 @@ def _check_channels(sensor: SensorSettings, source: str) -> None:
             "difference of 2."
         )
     for key in ("detector_gains_db", "detector_phases_rad"):
-        count = len(getattr(sensor, key))
-        if count not in (0, sensor.detectors):
-            raise UserError(
-                f"Preset {source}: sensor.{key} has {count} entries; it must have {sensor.detectors}, one per "
-                "detector, or none."
-            )
+        _check_one_per_detector(f"sensor.{key}", getattr(sensor, key), sensor, source)
+
+
+def _check_one_per_detector(key: str, values: tuple[float, ...], sensor: SensorSettings, source: str) -> None:
+    if len(values) not in (0, sensor.detectors):
+        raise UserError(
+            f"Preset {source}: {key} has {len(values)} entries; it must have {sensor.detectors}, one per "
+            "detector, or none."
+        )
+
+
+def _check_impairments(preset: Preset, source: str) -> None:
+    """Impairments are of receivers that there are and of frequencies that samples are; beams stay on what is lit.
+
+    Raises:
+        UserError: they are not.
+    """
+    sensor, impairments = preset.sensor, preset.impairments
+    for key in ("undescribed_gains_db", "undescribed_phases_rad"):
+        _check_one_per_detector(f"impairments.{key}", getattr(impairments, key), sensor, source)
+    sawtooth, swing = impairments.range_sawtooth, impairments.antenna_swing.amplitude_rad
+    if sawtooth and max(sawtooth.receivers, default=0) >= sensor.detectors:
+        raise UserError(
+            f"Preset {source}: impairments.range_sawtooth.receivers names {max(sawtooth.receivers)}; receivers are "
+            f"numbered from 0 to {sensor.detectors - 1}."
+        )
+    if sawtooth and sawtooth.teeth > sensor.sample_count / 2:
+        raise UserError(
+            f"Preset {source}: impairments.range_sawtooth.teeth is {sawtooth.teeth:g}; {sensor.sample_count} samples "
+            f"show at most {sensor.sample_count // 2}."
+        )
+    if impairments.nyquist_spur_over_noise and (sensor.waveform != "spectrum" or sensor.sample_count % 2):
+        raise UserError(
+            f"Preset {source}: impairments.nyquist_spur_over_noise is {impairments.nyquist_spur_over_noise:g}; "
+            "with a sensor.waveform other than 'spectrum', or an odd sensor.sample_count, it must be 0."
+        )
+    most = MOST_SWING_BEAMWIDTHS * sensor.beamwidth_rad
+    if swing > most:
+        raise UserError(
+            f"Preset {source}: impairments.antenna_swing.amplitude_rad is {swing:g}; it must be {most:g}, "
+            f"{MOST_SWING_BEAMWIDTHS:g} beamwidths, or less."
+        )
 
 
 def _check_dwell_spacing(preset: Preset, source: str) -> None:

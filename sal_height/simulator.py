@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import finufft
 import numpy as np
@@ -41,11 +42,12 @@ def simulate_dwell(
     antenna: Array,
     reference_range: Array,
     seconds: npt.ArrayLike = 0.0,
+    pointing: npt.ArrayLike = 0.0,
 ) -> ComplexArray:
     """Noise-free phase history of every detector.
 
-    The beam is held on the scene, so that a scatterer keeps its weight in each detector's beam during the dwell.
-    The sum over scatterers at every frequency is a type-1 non-uniform FFT in range, one per pulse.
+    The beam is held on the scene, so that a scatterer keeps its weight in each detector's beam as long as `pointing`
+    stays the same. The sum over scatterers at every frequency is a type-1 non-uniform FFT in range, one per pulse.
 
     Args:
         sensor: wavelength, frequencies and beams.
@@ -54,13 +56,14 @@ def simulate_dwell(
         antenna: position at each pulse, m, shape (pulses, 3).
         reference_range: m, shape (pulses,).
         seconds: times of the pulses after that of the surface's positions; broadcasts with (pulses,).
+        pointing: angle by which the beams point ahead in each pulse, rad; broadcasts with (pulses,).
 
     Returns:
         Complex128 samples, shape (detectors, pulses, frequencies).
     """
-    weighted = np.ascontiguousarray(sensor.beams.response(surface.elevation, surface.squint).T) * amplitudes
+    seconds, pointing = (np.broadcast_to(values, len(antenna)) for values in (seconds, pointing))
 
-    def pulse_samples(position: Array, reference: float, second: float) -> ComplexArray:
+    def pulse_samples(weighted: ComplexArray, position: Array, reference: float, second: float) -> ComplexArray:
         delay = np.linalg.norm(surface.positions_after(second) - position, axis=-1) - reference
         strengths = weighted * np.exp(-1j * sensor.centre_wavenumber * delay)
         phase = sensor.wavenumber_step * delay
@@ -68,9 +71,16 @@ def simulate_dwell(
             finufft.nufft1d1(phase, strengths, sensor.sample_count, isign=-1, eps=NUFFT_TOLERANCE, nthreads=1)
         )
 
+    samples = np.empty((sensor.detector_count, len(antenna), sensor.sample_count), dtype=np.complex128)
     with ThreadPoolExecutor() as pool:
-        pulses = list(pool.map(pulse_samples, antenna, reference_range, np.broadcast_to(seconds, len(antenna))))
-    return np.stack(pulses, axis=1)
+        for angle in np.unique(pointing):
+            weighted = np.ascontiguousarray(sensor.beams.response(surface.elevation, surface.squint - angle).T)
+            pulses = np.flatnonzero(pointing == angle)
+            made = pool.map(
+                partial(pulse_samples, weighted * amplitudes), antenna[pulses], reference_range[pulses], seconds[pulses]
+            )
+            samples[:, pulses] = np.stack(list(made), axis=1)
+    return samples
 
 
 def received(samples: npt.NDArray[np.complex64], sensor: Sensor, rng: np.random.Generator) -> npt.NDArray[np.complex64]:

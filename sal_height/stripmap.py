@@ -121,6 +121,7 @@ def simulate_block(
     rotation: Array,
     reference_range: Array,
     seconds: npt.ArrayLike = 0.0,
+    quartic_phase: float = 0.0,
 ) -> ComplexArray:
     """Noise-free phase history of every detector with the antenna fixed to the body.
 
@@ -142,6 +143,8 @@ def simulate_block(
         rotation: matrix that turns body into map axes at each pulse, shape (pulses, 3, 3).
         reference_range: m, shape (pulses,).
         seconds: times of the pulses after that of the surface's positions; broadcasts with (pulses,).
+        quartic_phase: of a scatterer half a beamwidth off the beams' middle along the flight, growing with the fourth
+            power of that angle, rad.
 
     Returns:
         Complex64 samples, shape (detectors, pulses, frequencies).
@@ -168,7 +171,8 @@ def simulate_block(
         elevation = np.arctan2(sight[1].astype(np.float32), sight[2].astype(np.float32))
         squint = np.arcsin((sight[0] / distance).astype(np.float32))
         response = beams.response(elevation, squint)
-        echoes = strengths[lit] * phasors(-sensor.centre_wavenumber * delay)
+        beam_phase = quartic_phase * np.square(np.square(squint * (2 / sensor.beamwidth)))
+        echoes = strengths[lit] * phasors(beam_phase - sensor.centre_wavenumber * delay)
         place = np.mod(delay * (dense / sensor.range_window) + dense // 2, dense)
         before = np.floor(place).astype(np.int32)
         profile = np.zeros((dense + TAPS, 2 * sensor.detector_count), dtype=np.float32)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from sal_height.channels import whitening
 from sal_height.compression import slant_plane_grid
 from sal_height.errors import UserError
 from sal_height.flight import SimulatedFlight, flight_of
+from sal_height.impairments import UNIMPAIRED, RangeSawtooth, RangeTaper
 from sal_height.preset import load_preset, parse_preset, preset_names
 from sal_height.scene import PointTarget
 from sal_height.sensor import Sensor
@@ -546,3 +548,76 @@ def test_unknown_key_of_two_lines_is_refused_in_one() -> None:
 def test_preset_name_that_no_file_can_have_is_refused(name: str) -> None:
     with pytest.raises(UserError, match="neither a readable file nor one of"):
         load_preset(name)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"magic": 1}, "impairments.magic is not a known key"),
+        ({"range_sawtooth": {"depth": 0.1}}, "impairments.range_sawtooth.teeth is missing"),
+        ({"range_sawtooth": {"depth": 1.1, "teeth": 4}}, "range_sawtooth.depth is 1.1; input should be less than"),
+        ({"range_sawtooth": {"depth": 0, "teeth": 4}}, "range_sawtooth.depth is 0; input should be greater than 0"),
+        ({"range_sawtooth": {"depth": 0.1, "teeth": 33}}, "range_sawtooth.teeth is 33; 64 samples show at most 32"),
+        (
+            {"range_sawtooth": {"depth": 0.1, "teeth": 4, "receivers": [0, 8]}},
+            "range_sawtooth.receivers names 8; receivers are numbered from 0 to 7",
+        ),
+        (
+            {"range_sawtooth": {"depth": 0.1, "teeth": 4, "receivers": [-1]}},
+            "impairments.range_sawtooth.receivers.0 is -1; input should be greater than or equal to 0",
+        ),
+        ({"range_taper": {"sidelobe_db": 12}}, "range_taper.sidelobe_db is 12; input should be greater than"),
+        ({"range_taper": {"band_share": 1.1}}, "range_taper.band_share is 1.1; input should be less than"),
+        ({"undescribed_gains_db": [0, 1]}, "impairments.undescribed_gains_db has 2 entries; it must have 8"),
+        ({"undescribed_phases_rad": [0]}, "impairments.undescribed_phases_rad has 1 entries; it must have 8"),
+        ({"undescribed_gains_db": [61] * 8}, "undescribed_gains_db.0 is 61; input should be less than"),
+        ({"undescribed_phases_rad": [4] * 8}, "undescribed_phases_rad.0 is 4; input should be less than"),
+        ({"nyquist_spur_over_noise": -1}, "nyquist_spur_over_noise is -1; input should be greater than"),
+        ({"beam_width_factor": 2.1}, "beam_width_factor is 2.1; input should be less than"),
+        ({"beam_width_factor": True}, "beam_width_factor is True; input should be a number, not true or false"),
+        ({"antenna_swing": {"amplitude_rad": 1e-5}}, "antenna_swing.period_s is missing"),
+        (
+            {"antenna_swing": {"amplitude_rad": 7.8e-5, "period_s": 1}},
+            "antenna_swing.amplitude_rad is 7.8e-05; it must be 7.75e-05, 0.5 beamwidths, or less",
+        ),
+        ({"antenna_swing": {"amplitude_rad": 1e-5, "period_s": 0}}, "antenna_swing.period_s is 0; input should be"),
+        ({"quartic_phase_rad": 101}, "quartic_phase_rad is 101; input should be less than"),
+    ],
+)
+def test_a_wrong_impairment_is_refused(changes: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with("impairments", changes), "mine.yaml")
+    assert_one_sentence(str(refusal.value), complaint)
+
+
+@pytest.mark.parametrize(
+    "changes", [*(RAW_SETTINGS[name] | {"waveform": name} for name in RAW_WAVEFORMS), {"sample_count": 63}]
+)
+def test_a_spur_needs_an_even_number_of_frequencies(changes: dict[str, Any]) -> None:
+    content = content_with("impairments", {"nyquist_spur_over_noise": 1.0})
+    parse_preset(content, "mine.yaml")
+    content["sensor"] |= changes
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content, "mine.yaml")
+    assert_one_sentence(str(refusal.value), "impairments.nyquist_spur_over_noise is 1; ", "'spectrum'", "must be 0")
+
+
+def test_impairments_are_off_and_at_their_limits_accepted() -> None:
+    assert load_preset("small").impairments == UNIMPAIRED
+    limits = {
+        "range_sawtooth": {"depth": 1, "teeth": 32, "receivers": [7]},
+        "range_taper": {},
+        "antenna_swing": {"amplitude_rad": 7.7499e-5, "period_s": 1},
+    }
+    preset = parse_preset(content_with("impairments", limits), "mine.yaml")
+    assert preset.impairments.range_sawtooth == RangeSawtooth(1, 32, (7,))
+    assert preset.impairments.range_taper == RangeTaper(35.0, 1.0)
+
+
+def test_impairments_survive_the_file_that_a_run_leaves(tmp_path: Path) -> None:
+    """`run` writes the preset with all its keys, of which those that are not set are null."""
+    changes = {"range_sawtooth": {"depth": 0.1, "teeth": 4, "receivers": [3]}, "beam_width_factor": 1.1}
+    preset = parse_preset(content_with("impairments", changes), "mine.yaml")
+    path = tmp_path / "preset.yaml"
+    path.write_text(yaml.safe_dump(json.loads(json.dumps(asdict(preset)))))
+    assert load_preset(str(path)) == preset

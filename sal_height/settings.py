@@ -1,0 +1,23 @@
+"""What settings read from YAML have in common."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from annotated_types import Ge, Le
+from pydantic import BeforeValidator, ConfigDict
+from pydantic_core import PydanticCustomError
+
+STRICT_KEYS = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""Of a settings class: unknown keys, infinities and NaN are refused."""
+
+
+def _not_boolean(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise PydanticCustomError("boolean", "input should be a number, not true or false")
+    return value
+
+
+Float = Annotated[float, BeforeValidator(_not_boolean)]
+Int = Annotated[int, BeforeValidator(_not_boolean)]
+Decibels = Annotated[Float, Ge(-60), Le(60)]

@@ -44,7 +44,7 @@ SURROUNDINGS = 5
 LEAST_OVER_CLUTTER_DB = 20.0
 """Peak power over that of the clutter: speckle of 1e6 pixels has peaks of 11 dB."""
 
-MAX_CHIPS = 48
+MAX_CHIPS = 50
 """That are looked at, those of the brightest candidates: the paper's 25, and as many again."""
 
 FOREIGN = 0.01
@@ -209,6 +209,7 @@ def chip_at(image: ComplexArray, row: int, col: int, clutter: float, shape: tupl
     spectrum = window.spectrum
     for axis in (0, 1):
         spectrum = _moved(spectrum, axis, frequencies[axis] * (peak[axis] - window.start[axis]))
+    scale = image[row, col] / spectrum.mean()
     for axis in (0, 1) * PEAK_ROUNDS:
         step = peak_offset(spectrum.mean(axis=1 - axis), frequencies[axis])
         spectrum = _moved(spectrum, axis, frequencies[axis] * step)
@@ -216,7 +217,7 @@ def chip_at(image: ComplexArray, row: int, col: int, clutter: float, shape: tupl
     moved = scipy.fft.ifft2(spectrum)
     down, across = (np.arange(size) - size // 2 for size in shape)
     chip = np.roll(moved[np.ix_(down, across)] / moved[0, 0], (-(shape[0] // 2), -(shape[1] // 2)), axis=(0, 1))
-    power = float(np.abs(moved[0, 0] * np.abs(image[row, col])) ** 2)  # the window's greatest amplitude is 1
+    power = float(np.abs(moved[0, 0] * scale) ** 2)
     return PointTarget(peak[0], peak[1], power / clutter, np.asarray(scipy.fft.fftshift(scipy.fft.fft2(chip))))
 
 

@@ -95,8 +95,10 @@ def cut_through(response: ComplexArray, fineness: int) -> ComplexArray:
 def anomalous_sidelobes(response: ComplexArray, sigma: Array) -> tuple[Sidelobe, ...]:
     """Sidelobes that stand above the ones nearer to the peak, from the greatest on.
 
-    Those of a smooth response fall, or stay alike, from the peak outwards; what makes one rise above the median of the
-    NEIGHBOURS before it by SIGNIFICANT standard errors is a ripple of the response.
+    Those of a smooth response fall, or stay alike, from the peak outwards; what makes one rise above both its
+    neighbours, and above the median of the NEIGHBOURS before it by SIGNIFICANT standard errors, is a ripple of the
+    response. Both sides are searched together, in the root of their mean power. An echo adds to the sidelobes that are
+    there without it, so that its level and its place are those of the sum.
 
     Args:
         response: as in `cut_through`.
@@ -108,10 +110,11 @@ def anomalous_sidelobes(response: ComplexArray, sigma: Array) -> tuple[Sidelobe,
     both = np.sqrt(np.mean(sides**2, axis=0))
     error = float(np.sqrt(np.sum(sigma**2) / 2) / len(sigma))
     tops = np.concatenate([[0], _tops(both)])
+    levels = both[tops]
     found = []
-    for i in range(1, len(tops)):
-        usual = float(np.median(both[tops[max(0, i - NEIGHBOURS) : i]]))
-        excess = float(both[tops[i]]) - usual
+    for i in _tops(np.append(levels, 0.0)):
+        usual = float(np.quantile(levels[max(0, i - NEIGHBOURS) : i], 0.5, method="lower"))
+        excess = float(levels[i]) - usual
         if excess > SIGNIFICANT * error:
             significance = excess / error if error else float("inf")
             found += [

@@ -65,9 +65,8 @@ def estimate_transfer_function(targets: Sequence[PointTarget]) -> TransferFuncti
     The clutter has passed through the same system as the targets, so that all bins of a chip's spectrum G tell the same
     of a target, be the response strong or weak there: R is the mean over k_a of G / A, and A the mean over k_r of
     G / R, where the other response is well over FLOOR. Under an even beam that is the paper's mean over k_a (figure
-    10), the transform of the row through the peak, whose bins have the variance cols |R|^2 / (mean |R|^2 TCR) at a
-    target-to-clutter ratio TCR and R of mean 1; cols is then the rows' number. Targets, of peak 1, count by their
-    target-to-clutter ratio: the reciprocal of their variance.
+    10), the transform of the line through the peak, whose bins have the variance rows |R|^2 / (TCR mean |R|^2) at a
+    target-to-clutter ratio TCR. Targets, of peak 1, count by that ratio: the reciprocal of their variance.
 
     Args:
         targets: chips of one shape.

@@ -149,11 +149,15 @@ class TargetSurvey:
             NotDetermined: there is none; the sentence counts the verdicts and says what is needed.
         """
         if not self.targets:
+            level = f"{LEAST_OVER_CLUTTER_DB:g} dB"
             found = ", ".join(f"{count} {verdict}" for verdict, count in self.verdicts.items())
             raise NotDetermined(
-                f"No point target shows the response of the system: of {len(self.candidates)} candidates that stand "
-                f"{LEAST_OVER_CLUTTER_DB:g} dB over their surroundings {found or 'there is none'}; needed is one at "
-                "least that is finite, not clipped and alone in a chip that lies within the image."
+                f"No point target shows the response of the system: of {len(self.candidates)} that stand {level} over "
+                f"their surroundings, {found}; needed is one at least that is finite, not clipped and alone "
+                "in a chip that lies within the image."
+                if self.candidates
+                else f"No pixel stands {level} over its surroundings and could show the response of the system; needed "
+                "is one point target at least that does, alone in a chip that lies within the image."
             )
         return self.targets
 
@@ -173,7 +177,8 @@ def find_targets(image: ComplexArray, chip: tuple[int, int] = CHIP) -> TargetSur
         UserError: the image is not a complex matrix, or the chip does not fit into it.
     """
     _check(image, chip)
-    pixels = np.ascontiguousarray(image, dtype=np.complex64)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too great is not finite
+        pixels = np.ascontiguousarray(image, dtype=np.complex64)
     candidates, clutter = _survey(pixels)
     candidates = _crowds_marked(candidates, clutter, chip, pixels.shape)
     promising = [index for index, one in enumerate(candidates) if one.verdict is Verdict.ACCEPTED]

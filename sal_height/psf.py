@@ -114,7 +114,7 @@ def anomalous_sidelobes(response: ComplexArray, sigma: Array) -> tuple[Sidelobe,
     found = []
     for i in _tops(np.append(levels, 0.0)):
         usual = float(np.quantile(levels[max(0, i - NEIGHBOURS) : i], 0.5, method="lower"))
-        excess = float(levels[i]) - usual
+        excess = float(levels[i] - usual)
         if excess > SIGNIFICANT * error:
             significance = excess / error if error else float("inf")
             found += [
@@ -134,7 +134,7 @@ def _tops(amplitude: Array) -> IntArray:
 def _top_near(amplitude: Array, index: int) -> int:
     """Index of the greatest value up to half a pixel from an index."""
     first = max(0, index - OVERSAMPLING // 2)
-    return first + int(np.argmax(amplitude[first : index + OVERSAMPLING // 2 + 1]))
+    return int(first + np.argmax(amplitude[first : index + OVERSAMPLING // 2 + 1]))
 
 
 def _measured(response: ComplexArray) -> CutResponse:

@@ -240,9 +240,7 @@ def peak_offset(spectrum: npt.NDArray[np.complex128], frequencies: Array) -> flo
         value, slope, curvature = moved.sum(), moved @ waves, moved @ waves**2
         rise = np.real(np.conj(value) * slope)
         bend = np.real(np.conj(value) * curvature) + np.abs(slope) ** 2
-        if bend >= 0:
-            break
-        place -= float(np.clip(rise / bend, -0.25, 0.25))
+        place += float(np.clip(-rise / bend, -0.25, 0.25) if bend < 0 else np.copysign(0.25, rise))
     return place
 
 

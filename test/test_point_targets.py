@@ -133,6 +133,11 @@ def test_what_is_much_fainter_does_not_crowd() -> None:
     assert verdicts(with_gap(0.0, 4)) == [Verdict.ACCEPTED]
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_speckle_does_not_make_a_faint_target_complicated(seed: int) -> None:
+    assert verdicts(tape(Target(120, 130, 24.0), seed=seed)) == [Verdict.ACCEPTED]
+
+
 def test_two_that_are_not_resolved_are_wider_than_the_others() -> None:
     # In one row the pair is the product of its cuts: alone it would pass.
     others = (Target(190, 60, 40), Target(60, 190, 40))

@@ -178,7 +178,7 @@ def test_the_papers_cross_has_no_effect_on_the_range_response() -> None:
 def test_the_papers_way_too_takes_the_phase_of_the_range_response_away() -> None:
     """With it A errs by no more than without that phase, but for what the peak, which is lower, stands less out."""
     rng = np.random.default_rng(21)
-    bend = np.exp(3j * (2 * frequencies(COUNT)) ** 2)[:, None]
+    bend = np.exp(12j * (2 * frequencies(COUNT)) ** 2)[:, None]
     plain, bent = [], []
     for _ in range(20):
         targets = cyclic(rng, 40.0)

@@ -32,7 +32,7 @@ CONTEXT = 2
 PEAK_STEPS = 5
 """Of Newton's method towards a peak, each of which doubles the digits."""
 
-PEAK_ROUNDS = 3
+PEAK_ROUNDS = 2
 """Of the search for a peak along range, then along azimuth."""
 
 BLOCK = 16
@@ -44,8 +44,8 @@ SURROUNDINGS = 5
 LEAST_OVER_CLUTTER_DB = 20.0
 """Peak power over that of the clutter: speckle of 1e6 pixels has peaks of 11 dB."""
 
-MAX_CHIPS = 50
-"""That are looked at, those of the brightest candidates: the paper's 25, and as many again."""
+MAX_CHIPS = 25
+"""That are looked at, those of the brightest candidates; the paper's number."""
 
 FOREIGN = 0.01
 """Power beside a target, over its own, from which on it does not count as alone: sidelobes far from it are less."""
@@ -209,21 +209,22 @@ def chip_at(image: ComplexArray, row: int, col: int, clutter: float, shape: tupl
         shape: rows and columns of the chip.
     """
     window = chip_around(image, row, col, (CONTEXT * shape[0], CONTEXT * shape[1]))
-    peak = [float(row), float(col)]
-    frequencies = [bins / len(bins) for bins in window.frequencies]
-    spectrum = window.spectrum
-    for axis in (0, 1):
-        spectrum = _moved(spectrum, axis, frequencies[axis] * (peak[axis] - window.start[axis]))
-    scale = image[row, col] / spectrum.mean()
-    for axis in (0, 1) * PEAK_ROUNDS:
-        step = peak_offset(spectrum.mean(axis=1 - axis), frequencies[axis])
-        spectrum = _moved(spectrum, axis, frequencies[axis] * step)
-        peak[axis] += step
-    moved = scipy.fft.ifft2(spectrum)
-    down, across = (np.arange(size) - size // 2 for size in shape)
-    chip = np.roll(moved[np.ix_(down, across)] / moved[0, 0], (-(shape[0] // 2), -(shape[1] // 2)), axis=(0, 1))
-    power = float(np.abs(moved[0, 0] * scale) ** 2)
-    return PointTarget(peak[0], peak[1], power / clutter, np.asarray(scipy.fft.fftshift(scipy.fft.fft2(chip))))
+    down, across = (bins / len(bins) for bins in window.frequencies)
+    peak_row, peak_col = float(row), float(col)
+    turns, along = _turns(down, row - window.start[0]), _turns(across, col - window.start[1])
+    scale = image[row, col] / (turns @ window.spectrum @ along)
+    for _ in range(PEAK_ROUNDS):
+        step = peak_offset(turns * np.einsum("rc,c->r", window.spectrum, along), down)
+        peak_row, turns = peak_row + step, turns * _turns(down, step)
+        step = peak_offset(along * np.einsum("r,rc->c", turns, window.spectrum), across)
+        peak_col, along = peak_col + step, along * _turns(across, step)
+    moved = scipy.fft.ifft2(window.spectrum * turns[:, None] * along)
+    peak = moved[0, 0]
+    power = float(np.abs(peak * moved.size * scale) ** 2)
+    rows, cols = (scipy.fft.ifftshift(np.arange(size) - size // 2) for size in shape)
+    chip = moved[np.ix_(rows, cols)] / peak
+    spectrum = np.asarray(scipy.fft.fftshift(scipy.fft.fft2(chip)))
+    return PointTarget(peak_row, peak_col, power / clutter, spectrum)
 
 
 def peak_offset(spectrum: npt.NDArray[np.complex128], frequencies: Array) -> float:
@@ -244,9 +245,9 @@ def peak_offset(spectrum: npt.NDArray[np.complex128], frequencies: Array) -> flo
     return place
 
 
-def _moved(spectrum: npt.NDArray[np.complex128], axis: int, turns: Array) -> npt.NDArray[np.complex128]:
-    """The spectrum of a chip of which along an axis the place where the waves have made these turns comes first."""
-    return np.asarray(spectrum * np.expand_dims(np.exp(2j * np.pi * turns), 1 - axis))
+def _turns(frequencies: Array, place: float) -> npt.NDArray[np.complex128]:
+    """What waves turn by from the first pixel to a place (pixels)."""
+    return np.asarray(np.exp(2j * np.pi * frequencies * place))
 
 
 def _check(image: ComplexArray, chip: tuple[int, int]) -> None:

@@ -212,7 +212,7 @@ def chip_at(image: ComplexArray, row: int, col: int, clutter: float, shape: tupl
     down, across = (bins / len(bins) for bins in window.frequencies)
     peak_row, peak_col = float(row), float(col)
     turns, along = _turns(down, row - window.start[0]), _turns(across, col - window.start[1])
-    scale = image[row, col] / (turns @ window.spectrum @ along)
+    scale = image[row, col] / np.einsum("r,rc,c", turns, window.spectrum, along)
     for _ in range(PEAK_ROUNDS):
         step = peak_offset(turns * np.einsum("rc,c->r", window.spectrum, along), down)
         peak_row, turns = peak_row + step, turns * _turns(down, step)

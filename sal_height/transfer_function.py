@@ -75,16 +75,16 @@ def estimate_transfer_function(targets: Sequence[PointTarget]) -> TransferFuncti
         NotDetermined: there is no target.
     """
     spectra, shares = _stacked(targets)
-    mean = np.tensordot(shares, spectra, axes=1)
+    mean = np.einsum("t,trc->rc", shares, spectra)
     in_range = _inverse(centred(mean.mean(axis=1)))
     in_azimuth = _inverse(centred(in_range @ mean))
-    ranges = spectra @ in_azimuth
+    ranges = np.einsum("trc,c->tr", spectra, in_azimuth)
     range_response = centred(shares @ ranges)
     in_range = _inverse(range_response)
     azimuths = np.einsum("r,trc->tc", in_range, spectra)
     azimuth_response = centred(shares @ azimuths)
     rest = np.abs(spectra - range_response[:, None] * azimuth_response) ** 2
-    left = np.tensordot(shares, rest, axes=1) / len(targets)
+    left = np.einsum("t,trc->rc", shares, rest) / len(targets)
     range_sigma, range_disagreement = _errors(left @ np.abs(in_azimuth) ** 2, ranges, shares, range_response)
     azimuth_sigma, azimuth_disagreement = _errors(np.abs(in_range) ** 2 @ left, azimuths, shares, azimuth_response)
     return TransferFunction(

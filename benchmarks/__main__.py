@@ -21,6 +21,7 @@ from benchmarks import (
     figures,
     layover,
     memory,
+    psf,
     relief_map,
     relief_tracking,
 )
@@ -35,6 +36,7 @@ GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
     "array-node": array_estimator.node_over_core,
     "array-memory": memory.array_memory,
     "layover": layover.throughput,
+    "psf-targets": psf.target_route,
     "relief-map": relief_map.throughput,
     "relief-tracking": relief_tracking.throughput,
     "figures": figures.all_figures,

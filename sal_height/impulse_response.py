@@ -160,12 +160,13 @@ def without_range_phase(image: ComplexArray, grid: Grid, aperture: Aperture, wav
     return np.asarray(image * np.exp(-4j * np.pi / wavelength * distance))
 
 
-def chip_around(image: ComplexArray, row: int, col: int) -> Chip:
-    """The chip of CHIP x CHIP pixels, or as many as there are, around a pixel that is finite and not 0."""
+def chip_around(image: ComplexArray, row: int, col: int, size: tuple[int, int] = (CHIP, CHIP)) -> Chip:
+    """The chip of `size` rows and columns, or as many as there are, around a pixel that is finite and not 0."""
     first_row, first_col = (
-        int(np.clip(p - CHIP // 2, 0, max(0, n - CHIP))) for p, n in zip((row, col), image.shape, strict=True)
+        int(np.clip(p - count // 2, 0, max(0, n - count)))
+        for p, n, count in zip((row, col), image.shape, size, strict=True)
     )
-    pixels = image[first_row : first_row + CHIP, first_col : first_col + CHIP].astype(np.complex128)
+    pixels = image[first_row : first_row + size[0], first_col : first_col + size[1]].astype(np.complex128)
     finite = np.isfinite(pixels)
     pixels[~finite] = 0
     pixels /= np.abs(pixels).max()
@@ -174,7 +175,7 @@ def chip_around(image: ComplexArray, row: int, col: int) -> Chip:
     return Chip(
         start=(first_row, first_col),
         spectrum=np.asarray(spectrum),
-        frequencies=(_frequencies(energy.sum(axis=1)), _frequencies(energy.sum(axis=0))),
+        frequencies=(band_frequencies(energy.sum(axis=1)), band_frequencies(energy.sum(axis=0))),
         finite=(
             _run(finite[:, col - first_col], row - first_row, first_row),
             _run(finite[row - first_row], col - first_col, first_col),
@@ -247,7 +248,7 @@ def _run(finite: npt.NDArray[np.bool_], at: int, start: int) -> tuple[int, int]:
     return start + (int(before[-1]) + 1 if len(before) else 0), start + int(after[0] if len(after) else len(finite)) - 1
 
 
-def _frequencies(energy: Array) -> IntArray:
+def band_frequencies(energy: Array) -> IntArray:
     """Frequencies (cycles per chip) of the bins of a spectrum: of all those a bin stands for, that in its band.
 
     The band may lie anywhere. It is centred on the energy's centre of gravity on the circle of frequencies or, if the

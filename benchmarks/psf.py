@@ -1,0 +1,44 @@
+"""The calibration of the point-spread function: time of its routes over that of an FFT and its inverse."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+from benchmarks.row import Row, medians
+from sal_height.compiled import WORKERS
+from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
+from sal_height.point_targets import find_targets
+from sal_height.psf import PointSpread, point_spread
+from sal_height.transfer_function import estimate_transfer_function
+
+SIDE = 2048
+TARGETS = tuple(Target(row + 0.3, col + 0.6, 40.0) for row in (300, 1600) for col in (500, 1300))
+
+
+def target_route() -> Iterator[Row]:
+    """Survey, transfer function and point-spread function of an image, with few targets and with many candidates."""
+    rng = np.random.default_rng(1)
+    crowd = tuple(Target(row, col, over) for row, col, over in rng.uniform((0, 0, 25), (SIDE, SIDE, 45), (300, 3)))
+    for name, targets in (("4 targets", TARGETS), ("300 targets", crowd)):
+        image = make_tape((SIDE, SIDE), rng, targets, RangeFault(), AzimuthFault())
+        calibration, pair = medians(partial(_calibrate, image), partial(_there_and_back, image))
+        yield Row(
+            f"survey and calibrate, target route, {name}",
+            calibration / pair,
+            "1",
+            "<= 1.5",
+            f"{1e3 * calibration:.0f} ms over {1e3 * pair:.0f} ms of scipy's fft2 and ifft2 of {SIDE} × {SIDE}",
+        )
+
+
+def _calibrate(image: npt.NDArray[np.complex64]) -> PointSpread:
+    return point_spread(estimate_transfer_function(find_targets(image).require()))
+
+
+def _there_and_back(image: npt.NDArray[np.complex64]) -> object:
+    return scipy.fft.ifft2(scipy.fft.fft2(image, workers=WORKERS), workers=WORKERS)

@@ -46,9 +46,8 @@ class CrossSpectra:
     """Sums of the cross-spectra between channels, over the columns of images; sums of dwells are added.
 
     Attributes:
-        power: sum of x x^H over columns, x the channels' spectra at a fast-time frequency, scaled to the same mean
-            power in every column, so that none counts more than others: complex128, shape (frequencies, channels,
-            channels).
+        power: sum of x x^H over columns, x the channels' spectra at a fast-time frequency, scaled to the mean power 1
+            in every column, so that none counts more than others: complex128, shape (frequencies, channels, channels).
         noise: the same sum of the noise alone, at any frequency: complex128, shape (channels, channels).
         columns: that were summed; without those that are 0 or not finite.
     """
@@ -83,17 +82,19 @@ class DifferentialResponse:
     echoes: npt.NDArray[np.int64]
 
 
-def cross_spectra(
-    slc: npt.NDArray[np.complex64], grid: Grid, aperture: Aperture, sensor: Sensor, noise_powers: Array
-) -> CrossSpectra:
-    """Cross-spectra of the images of a dwell.
+def unwound(
+    slc: npt.NDArray[np.complex64], grid: Grid, aperture: Aperture, sensor: Sensor
+) -> npt.NDArray[np.complex64]:
+    """Images whose spectrum along range is that over the fast-time frequencies, their middle one at 0.
 
     Args:
         slc: of all channels, unweighted in range, shape (channels, rows, cols).
         grid: pixels; rows a range cell apart.
         aperture: the images were made with.
         sensor: with waveform "spectrum".
-        noise_powers: E|n|^2 of a pixel of each channel.
+
+    Returns:
+        complex64, the rows that lie within the range window.
 
     Raises:
         NotDetermined: rows are not a range cell apart: the images are weighted or in another plane.
@@ -103,16 +104,28 @@ def cross_spectra(
             f"Rows are {grid.row_spacing:.6g} m apart and range cells {sensor.range_resolution:.6g} m; receivers are "
             "calibrated on images with range_window rectangular in the slant plane, where both are equal."
         )
-    count, used = sensor.sample_count, min(grid.rows, sensor.sample_count)
     turn = without_range_phase(np.ones(grid.shape, np.complex64), grid, aperture, 4 * np.pi / sensor.centre_wavenumber)
-    pixels = slc[:, :used] * turn[:used].astype(np.complex64)
-    spectra = scipy.fft.fft(pixels, count, axis=1, workers=WORKERS) / np.float32(np.sqrt(used))
-    brightness = np.mean(np.abs(spectra) ** 2, axis=(0, 1), dtype=np.float64)
+    return np.asarray(slc[:, : sensor.sample_count] * turn[: sensor.sample_count].astype(np.complex64))
+
+
+def cross_spectra(pixels: npt.NDArray[np.complex64], sensor: Sensor, noise_powers: Array) -> CrossSpectra:
+    """Cross-spectra of the images of a dwell.
+
+    Args:
+        pixels: of all channels, as `unwound` makes them, shape (channels, rows, cols).
+        sensor: with waveform "spectrum".
+        noise_powers: E|n|^2 of a pixel of each channel.
+    """
+    brightness = np.einsum("crk,crk->k", pixels, pixels.conj()).real / len(pixels)
     lit = np.isfinite(brightness) & (brightness > 0)
-    by_frequency = scipy.fft.fftshift(spectra[..., lit], axes=1).transpose(1, 0, 2)
-    power = (by_frequency / brightness[lit].astype(np.float32)) @ by_frequency.conj().transpose(0, 2, 1)
-    noise = with_powers(sensor.noise_covariance, noise_powers) * np.sum(1 / brightness[lit])
-    return CrossSpectra(power.astype(np.complex128), noise, int(np.count_nonzero(lit)))
+    weights = np.zeros(len(brightness), dtype=np.float32)
+    np.divide(1, np.sqrt(brightness), out=weights, where=lit)
+    even = np.multiply(pixels, weights, out=np.zeros_like(pixels), where=lit)
+    spectra = scipy.fft.fft(even, sensor.sample_count, axis=1, workers=WORKERS, overwrite_x=True)
+    by_frequency = scipy.fft.fftshift(spectra, axes=1).transpose(1, 0, 2)
+    power = by_frequency @ by_frequency.conj().transpose(0, 2, 1)
+    noise = with_powers(sensor.noise_covariance, noise_powers) * np.sum(weights.astype(np.float64) ** 2)
+    return CrossSpectra(power.astype(np.complex128), noise * pixels.shape[1], int(np.count_nonzero(lit)))
 
 
 def differential_response(spectra: CrossSpectra) -> DifferentialResponse:

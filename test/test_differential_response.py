@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sal_height.differential_response import CrossSpectra, cross_spectra, differential_response
+from sal_height.differential_response import CrossSpectra, cross_spectra, differential_response, unwound
 from sal_height.errors import NotDetermined
 from sal_height.flight import flight_of
 from sal_height.focusing import Settings, focus_dwell
@@ -105,7 +105,8 @@ def test_spectra_of_images_are_those_of_the_frames() -> None:
         samples[3] *= fault.astype(np.complex64)
         history = replace(history, samples=samples)
         slc = focus_dwell(history, track, sensor, Settings(range_window="rectangular", cols=12))
-        spectra += cross_spectra(slc.images, slc.grid, slc.aperture, sensor, np.array(slc.noise_power))
+        pixels = unwound(slc.images, slc.grid, slc.aperture, sensor)
+        spectra += cross_spectra(pixels, sensor, np.array(slc.noise_power))
     found = differential_response(spectra)
     assert found.echoes[3] >= 2
     assert found.echoes[[0, 1, 2, 4, 5, 6, 7]].sum() <= 1
@@ -117,4 +118,4 @@ def test_weighted_images_are_refused() -> None:
     track = Trajectory(flight.platform_states(0))
     slc = focus_dwell(flight.phase_history(0), track, flight.sensor, Settings(cols=12))
     with pytest.raises(NotDetermined, match="range_window rectangular in the slant plane"):
-        cross_spectra(slc.images, slc.grid, slc.aperture, flight.sensor, np.array(slc.noise_power))
+        unwound(slc.images, slc.grid, slc.aperture, flight.sensor)

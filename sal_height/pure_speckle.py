@@ -98,7 +98,7 @@ def find_pure_speckle(
         UserError: the image is not complex or not two-dimensional.
         NotDetermined: no tile is pure speckle.
     """
-    image = _checked(image)
+    image = checked_image(image)
     rows, cols = (min(most, size) for most, size in zip(tile, image.shape, strict=True))
     if min(rows, cols) < LEAST_TILE:
         raise NotDetermined(
@@ -126,7 +126,8 @@ def find_pure_speckle(
     return found
 
 
-def _checked(image: ComplexImage) -> ComplexImage:
+def checked_image(image: ComplexImage) -> ComplexImage:
+    """The image in complex64, row by row; UserError if it is not complex or not two-dimensional."""
     if image.ndim != 2 or not np.iscomplexobj(image):
         raise UserError(f"The image has {image.ndim} axes of {image.dtype}; speckle needs 2 axes of complex pixels.")
     return np.ascontiguousarray(image, dtype=np.complex64)
@@ -222,13 +223,24 @@ def _field_correlation(
     return np.asarray(np.where(np.abs(rho) ** 2 > 9 * error, rho, 0))
 
 
-def sum_of_powers(correlation: npt.NDArray[np.complex128], size: tuple[int, int], exponent: float) -> float:
-    """Sum over a rectangle's lags of |rho|^exponent, each times the share of the rectangle's pixels that are that far."""
-    shares = [
+def sum_of_powers(
+    correlation: npt.NDArray[np.complex128], size: tuple[int, int], exponent: float, along: int | None = None
+) -> float:
+    """Sum over the lags of a rectangle of |rho|^exponent, each times the share of its pixels that are that far apart.
+
+    Args:
+        correlation: rho, lag (0, 0) in the middle.
+        size: rows and columns of the rectangle.
+        exponent: 2 for means of intensity, 4 for its second moment.
+        along: sum over the lags along this axis only; None: both.
+    """
+    down, across = (
         np.maximum(0, 1 - np.abs(np.arange(count) - count // 2) / side)
         for count, side in zip(correlation.shape, size, strict=True)
-    ]
-    return float(shares[0] @ np.abs(correlation) ** exponent @ shares[1])
+    )
+    if along is not None:
+        (across, down)[along][:] = np.arange(correlation.shape[1 - along]) == correlation.shape[1 - along] // 2
+    return float(down @ np.abs(correlation) ** exponent @ across)
 
 
 def _moment_tail(moment: Array, correlation: npt.NDArray[np.complex128], tile: tuple[int, int]) -> Array:

@@ -83,9 +83,7 @@ class SpeckleTiles:
         return {reason: int(np.sum(self.verdict == index)) for index, reason in enumerate(REASONS)}
 
 
-def find_pure_speckle(
-    image: ComplexImage, tile: tuple[int, int] = TILE, significance: float = 0.001
-) -> SpeckleTiles:
+def find_pure_speckle(image: ComplexImage, tile: tuple[int, int] = TILE, significance: float = 0.001) -> SpeckleTiles:
     """Test every tile of an image; axis 0 is range, axis 1 azimuth.
 
     Args:
@@ -173,7 +171,7 @@ def _measure_strip(
                 square += np.float64(power) * power
                 zeros += power == 0
                 imaginary += imag != 0
-                greatest = max(greatest, max(abs(real), abs(imag)))
+                greatest = max(greatest, abs(real), abs(imag))
         limit = greatest * np.float32(1 - 1e-6)
         for i in range(pixels.shape[0]):
             for j in range(width):
@@ -199,7 +197,7 @@ def _unusable(sums: Array, pixels: int) -> npt.NDArray[np.uint8]:
 def _field_correlation(
     image: ComplexImage, tile: tuple[int, int], usable: npt.NDArray[np.intp]
 ) -> npt.NDArray[np.complex128]:
-    """Correlation of the field: the median over some of the usable tiles, (n, 2), so that a few bright ones do not tell.
+    """Correlation of the field: the median over some of the usable tiles, so that a few bright ones do not tell.
 
     The error of a lag has the power sum |rho|^2 / pixels or less; what is not above 9 times that is 0.
     """

@@ -40,7 +40,7 @@ SPUR_EXCESS = 0.5
 """Least power of a spur, of its neighbours': a response may have edges."""
 
 LAG_ERRORS = 2.0
-"""Standard errors by which the covariance at a lag stands out if it is taken for one."""
+"""Standard errors up to which the covariance at a lag is taken for 0."""
 
 GREATEST_POINTING_ERROR = 0.1
 """Standard error of a pointing, cycles per pixel, from which on the azimuth response is too flat to have a centre."""
@@ -71,7 +71,7 @@ class AxisSpectrum:
 
     @property
     def power(self) -> Array:
-        """Mean periodogram of the sub-images without a spur: |R|^2 convolved with Fejer's kernel; mean 1, shape (M,)."""
+        """Mean periodogram of the sub-images, no spur: |R|^2 convolved with Fejer's kernel; mean 1, shape (M,)."""
         return fejer_power(self.covariance)
 
     @property
@@ -82,11 +82,13 @@ class AxisSpectrum:
     def unfolded(self, count: int) -> tuple[Array, Array]:
         """|R|^2 at `count` frequencies, of mean 1, without Fejer's kernel; and its standard error.
 
-        From the lags that stand out of their errors: the kernel is undone, and noise is not raised by it. It may be
-        negative by its error, which is that of the mean periodogram carried through the division by the triangle.
+        The covariance at each lag is shrunk by its error, to 0 if that is half of it, so that undoing the kernel does
+        not raise noise. The result may be negative by its error, which is that of the mean periodogram carried through
+        the division by the triangle; what a response has finer than a sub-image shows, such as steps, comes on top.
         """
         size = len(self.covariance)
-        known = np.abs(self.covariance) ** 2 > LAG_ERRORS**2 * self._lag_variance
+        error = LAG_ERRORS**2 * self._lag_variance
+        known = np.maximum(0, 1 - error / np.maximum(np.abs(self.covariance) ** 2, error))
         lag = np.arange(1 - size, size)
         weight = known[np.abs(lag)] / (1 - np.abs(lag) / size)
         apart = frequencies(count)[:, None] - frequencies(2 * size)
@@ -142,8 +144,8 @@ class SpeckleSpectra:
         floors = []
         for axis in (self.range, self.azimuth):
             power, _ = axis.unfolded(len(axis.covariance))
-            floors.append(np.mean(np.sort(power)[: max(1, len(power) // QUIETEST)]))
-        return float(max(0.0, min(floors)))
+            floors.append(float(np.mean(np.sort(power)[: max(1, len(power) // QUIETEST)])))
+        return max(0.0, min(floors))
 
 
 def speckle_spectra(image: ComplexImage, tiles: SpeckleTiles) -> SpeckleSpectra:
@@ -180,8 +182,8 @@ def mean_modulus(image: ComplexImage, tiles: SpeckleTiles) -> tuple[Array, Array
     """The paper's estimates of |R| and |A|: mean moduli of the two-dimensional transforms of the tiles.
 
     Returns:
-        Averaged over azimuth frequency, shape (rows of a tile,), and over range frequency, (columns of a tile,); a white
-        image of mean power 1 has sqrt(pi) / 2.
+        Averaged over azimuth frequency, shape (rows of a tile,), and over range frequency, (columns of a tile,); a
+        white image has sqrt(pi) / 2.
     """
     image, (rows, cols) = checked_image(image), tiles.tile
     modulus = np.zeros(tiles.tile)
@@ -212,8 +214,8 @@ def fejer_power(covariance: ComplexArray) -> Array:
 def periodogram_covariance(covariance: ComplexArray, count: int) -> Array:
     """Covariance of the periodogram of M pixels of a circular Gaussian field between `count` frequencies.
 
-    |K(f, f')|^2 with K = 1 / M sum over m, m' of c(m - m') exp(-j 2 pi (f m - f' m')), after Isserlis' theorem: neighbours
-    correlate as far as the kernel reaches. The diagonal is the square of the periodogram's mean.
+    |K(f, f')|^2 with K = 1 / M sum over m, m' of c(m - m') exp(-j 2 pi (f m - f' m')), after Isserlis' theorem:
+    neighbours correlate as far as the kernel reaches. The diagonal is the square of the periodogram's mean.
 
     Args:
         covariance: c at lags 0 to M - 1.
@@ -233,8 +235,8 @@ def _periodograms(image: ComplexImage, tiles: SpeckleTiles) -> tuple[Array, Arra
     """Energy spectra of every pure tile at twice as many frequencies as pixels, in the order of an FFT.
 
     Returns:
-        Summed over columns, shape (pure tiles, 2 rows of a tile); summed over rows, (.., 2 columns); and the part of the
-        latter that is at half a cycle per row.
+        Summed over columns, shape (pure tiles, 2 rows of a tile); summed over rows, (.., 2 columns); and the part of
+        the latter that is at half a cycle per row.
     """
     rows, cols = tiles.tile
     count = tiles.pure.sum(axis=1)
@@ -260,7 +262,7 @@ def _periodograms(image: ComplexImage, tiles: SpeckleTiles) -> tuple[Array, Arra
 
 @compiled
 def _add_down(spectra: ComplexImage, power: Array) -> None:
-    """|spectra|^2, shape (frequencies, tiles x columns), summed over the columns of a tile into (tiles, frequencies)."""
+    """|spectra|^2, shape (frequencies, tiles x columns), summed over a tile's columns into (tiles, frequencies)."""
     width = spectra.shape[1] // power.shape[0]
     for k in range(spectra.shape[0]):
         for tile in range(power.shape[0]):
@@ -310,15 +312,15 @@ def _aligned(
     turn = np.angle(beat * np.conj(beat.sum()))
     lags = np.arange(covariance.shape[1])
     middle = (columns + 0.5) * tiles.tile[1] - 0.5
-    pointing = Pointing(middle, np.angle(beat) / (2 * np.pi), sigma)
+    pointing = Pointing(middle, np.angle(beat) / (2 * np.pi), np.asarray(sigma, dtype=np.float64))
     return pointing, np.asarray(covariance * np.exp(-1j * turn[group][:, None] * lags))
 
 
 def _pointing_error(coherence: float, tiles: SpeckleTiles) -> float:
     """Standard error of the Doppler centroid of one tile, cycles per pixel; infinite if neighbours do not correlate.
 
-    The error d of the estimated c(1), which is real once the centroid is out, has E|d|^2 = sum |rho(m, l)|^2 / pixels and
-    E d^2 = sum rho(m, l + 1) rho(m, l - 1)* / pixels (Bartlett); its imaginary part over c(1) is that of the phase.
+    The error d of the estimated c(1), which is real once the centroid is out, has E|d|^2 = sum |rho(m, l)|^2 / pixels
+    and E d^2 = sum rho(m, l + 1) rho(m, l - 1)* / pixels (Bartlett); its imaginary part over c(1) is that of the phase.
 
     Args:
         coherence: |c(1)| along azimuth, without bias.

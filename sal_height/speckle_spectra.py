@@ -87,15 +87,16 @@ class AxisSpectrum:
         the division by the triangle; what a response has finer than a sub-image shows, such as steps, comes on top.
         """
         size = len(self.covariance)
-        error = LAG_ERRORS**2 * self._lag_variance
-        known = np.maximum(0, 1 - error / np.maximum(np.abs(self.covariance) ** 2, error))
+        lost = LAG_ERRORS**2 * self._lag_variance / np.maximum(np.abs(self.covariance) ** 2, np.finfo(float).tiny)
+        shrunk = self.covariance * np.maximum(0, 1 - lost)
+        passed = np.where(lost < 1, np.sqrt(1 + lost**2), 0)
         lag = np.arange(1 - size, size)
-        weight = known[np.abs(lag)] / (1 - np.abs(lag) / size)
+        weight = passed[np.abs(lag)] / (1 - np.abs(lag) / size)
         apart = frequencies(count)[:, None] - frequencies(2 * size)
         undo = (np.exp(-2j * np.pi * apart[..., None] * lag) @ weight).real / (2 * size)
         covariance = periodogram_covariance(self.covariance, 2 * size)
         variance = np.einsum("fk,kl,fl->f", undo, covariance, undo, optimize=True) / self.independent
-        return transform(self.covariance * known, frequencies(count)), np.sqrt(np.maximum(variance, 0))
+        return transform(shrunk, frequencies(count)), np.sqrt(np.maximum(variance, 0))
 
     @property
     def _lag_variance(self) -> Array:
@@ -285,7 +286,7 @@ def _add_across(spectra: ComplexImage, power: Array) -> None:
 def _covariance(power: Array) -> ComplexArray:
     """Covariance at lags 0 to M - 1 of each row of spectra at 2 M frequencies: divided by the triangle."""
     size = power.shape[-1] // 2
-    return np.asarray(scipy.fft.ifft(power, axis=-1)[:, :size] * 2 / (1 - np.arange(size) / size))
+    return np.asarray(scipy.fft.ifft(power, axis=-1)[:, :size] / (1 - np.arange(size) / size))
 
 
 def _nyquist_spur(covariance: ComplexArray, independent: float) -> float:
@@ -311,8 +312,9 @@ def _aligned(
         return None, covariance
     turn = np.angle(beat * np.conj(beat.sum()))
     lags = np.arange(covariance.shape[1])
-    middle = (columns + 0.5) * tiles.tile[1] - 0.5
-    pointing = Pointing(middle, np.angle(beat) / (2 * np.pi), np.asarray(sigma, dtype=np.float64))
+    middle = np.asarray((columns + 0.5) * tiles.tile[1] - 0.5, dtype=np.float64)
+    displacement = np.asarray(np.angle(beat) / (2 * np.pi), dtype=np.float64)
+    pointing = Pointing(middle, displacement, np.asarray(sigma, dtype=np.float64))
     return pointing, np.asarray(covariance * np.exp(-1j * turn[group][:, None] * lags))
 
 

@@ -1,8 +1,8 @@
 """Does the system respond to bright targets as it does to speckle? If it is linear it must: superposition.
 
 The PSF paper compares |R| of targets (figure 10) with that of speckle (figure 24) by eye, finds a shallower sawtooth
-on a higher pedestal in speckle, and concludes that the system is not linear. But a linear one shows the same: sub-images
-of speckle convolve |R|^2 with Fejer's kernel, and noise lifts it. The test allows for both,
+on a higher pedestal in speckle, and concludes that the system is not linear. But a linear one shows the same:
+sub-images of speckle convolve |R|^2 with Fejer's kernel, and noise lifts it. The test allows for both,
 
     P = c (|R_target|^2 convolved with Fejer's kernel) + n,
 

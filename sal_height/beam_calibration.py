@@ -204,8 +204,6 @@ def _solve(normal: Normal, basis: Array) -> tuple[Array, Array]:
         NotDetermined: a combination of parameters remains unknown.
     """
     information = basis.T @ normal.information @ basis
-    if not np.all(np.isfinite(information)):
-        raise NotDetermined("The beams do not change with elevation; width and gains need beams that do.")
     values, vectors = np.linalg.eigh(information)
     deviation = 1 / np.sqrt(values[0]) if values[0] > 1e-12 * values[-1] else np.inf
     if not deviation <= UNDETERMINED:

@@ -240,10 +240,12 @@ def _all_parameters(channels: int) -> Array:
 
 
 def _gains(channels: int) -> Array:
+    """Basis of gains but for that factor: amplitudes, then phases."""
     return np.hstack([np.roll(_phases(channels), channels + 1, axis=0), _phases(channels)])
 
 
 def _phases(channels: int) -> Array:
+    """Basis of phases of the mean 0."""
     differences = np.linalg.svd(np.ones((1, channels)))[2][1:].T
     return np.vstack([np.zeros((channels + 1, channels - 1)), differences])
 

@@ -5,6 +5,8 @@ covariance R of the looks and e = b / |b|, profiling out the A_k leaves the log-
 ln w, ln |g_m| and arg g_m, in this order. Along e, and for unknown angles along de/dtheta, changes of e make no
 difference to first order: geometry is that of what is left.
 
+Sums are einsum's, not those of BLAS, whose threads would wait for each other beside those at work on other pixels.
+
 At its peak over theta the likelihood's derivatives have a mean that more pixels do not reduce (Neyman and Scott,
 Econometrica 16, 1948): errors along the curve e(theta) bring it, bent as it is, nearer to the data on its inner side.
 With n the part of d^2e/dtheta^2 orthogonal to the curve over |de/dtheta|^2, that mean is -Re(n^H de) / 2 for a change
@@ -126,7 +128,7 @@ def with_unknown_angles(curve: Curve, pixels: Covariance, count: Array) -> Norma
 
 def _residual(curve: Curve, pixels: Covariance) -> tuple[Array, ComplexArray]:
     """Power that is explained, e^H R e, (pixels,), and R e without its part along e, (pixels, channels)."""
-    output = np.matmul(pixels, curve.unit[..., None].astype(pixels.dtype))[..., 0].astype(np.complex128)
+    output = np.einsum("pmn,pn->pm", pixels, curve.unit.astype(pixels.dtype)).astype(np.complex128)
     explained = _inner(curve.unit, output).real
     return explained[:, 0], output - explained * curve.unit
 
@@ -147,9 +149,9 @@ def _gram(curve: Curve, weight: Array) -> Array:
     channels = curve.unit.shape[1]
     amplitudes, phases = slice(1, channels + 1), slice(channels + 1, None)
     total = np.zeros((2 * channels + 1, 2 * channels + 1))
-    share = np.diag(weight @ np.abs(curve.unit) ** 2)
-    crossed = weight @ (curve.wider.conj() * curve.unit)
-    total[0, 0] = weight @ np.sum(np.abs(curve.wider) ** 2, axis=-1)
+    share = np.diag(np.einsum("p,pm->m", weight, np.abs(curve.unit) ** 2))
+    crossed = np.einsum("p,pm,pm->m", weight, curve.wider.conj(), curve.unit)
+    total[0, 0] = np.sum(weight * np.sum(np.abs(curve.wider) ** 2, axis=-1))
     total[amplitudes, amplitudes] = total[phases, phases] = share
     total[0, amplitudes] = total[amplitudes, 0] = crossed.real
     total[0, phases] = total[phases, 0] = -crossed.imag
@@ -159,7 +161,7 @@ def _gram(curve: Curve, weight: Array) -> Array:
 
 def _square(values: Array, weight: Array) -> Array:
     """Weighted sum over pixels of v v^T, from v of the shape (pixels, parameters)."""
-    return np.asarray(values.T @ (values * weight[:, None]))
+    return np.asarray(np.einsum("pi,pj->ij", values, values * weight[:, None]))
 
 
 def _inner(a: ComplexArray, b: ComplexArray) -> ComplexArray:

@@ -266,6 +266,14 @@ def test_bad_pixels_and_layover_are_left_out() -> None:
     assert found.width_factor == pytest.approx(1, abs=0.004)
 
 
+def test_scatterers_beyond_the_boresights_are_left_out() -> None:
+    """Of elevations over twice the array half are used; the standard error of 4000 is 1.2 %."""
+    rng, beams = np.random.default_rng(13), make_beams("sinc", 6)
+    elevation = elevation_at(rng.uniform(-2.5, 2.5, 4000))
+    looks = looks_of(draw_samples(rng, beams, elevation, np.zeros(4000), 100.0, 4))
+    assert calibrate_beams(looks, beams, NADIR, 1.0).pixels == pytest.approx(2000, rel=0.06)
+
+
 def test_two_detectors_tell_their_phase() -> None:
     rng, beams = np.random.default_rng(8), make_beams("jinc", 2)
     truth = draw_truth(rng, 2, width=1.0, gain_db=0.0)
@@ -289,6 +297,9 @@ def test_scenes_that_do_not_tell() -> None:
         calibrate_beams(draw_scene(rng, beams, 150, 30.0), beams, NADIR, 1.0)
     with pytest.raises(NotDetermined, match=r"^0 pixels"):
         calibrate_beams(draw_scene(rng, beams, 2000, 0.1), beams, NADIR, 1.0)
+    looks = draw_scene(rng, beams, 2000, 30.0)
+    with pytest.raises(NotDetermined, match=r"^0 pixels"):
+        calibrate_beams(replace(looks, finite=np.zeros_like(looks.finite)), beams, NADIR, 1.0)
     same = looks_of(draw_samples(rng, beams, np.full(3000, elevation_at(0.2)), np.zeros(3000), 30.0, 4))
     with pytest.raises(NotDetermined, match="elevations"):
         calibrate_beams(same, beams, NADIR, 1.0)

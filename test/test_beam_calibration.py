@@ -22,9 +22,11 @@ from sal_height.beam_calibration import (
 )
 from sal_height.beam_likelihood import curve_of, with_known_angles, with_unknown_angles
 from sal_height.beams import Beams
+from sal_height.channels import whitened_channels
 from sal_height.errors import NotDetermined, UserError
 from sal_height.looks import Looks, covariance, multilook
 from sal_height.optics import Pattern, pattern_named, sample_pattern
+from sal_height.sensor import Sensor
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
@@ -372,3 +374,39 @@ def test_sensor_has_the_beams(kind: str) -> None:
     direct = truth.gains[0] * pattern_named("jinc").amplitude(offset, 0.2 * BEAMWIDTH / (1.05 * sensor.beamwidth))
     assert made.response(elevation[0], squint)[0] == pytest.approx(direct, abs=1e-3 if kind == "table" else 1e-9)
     assert changed.config_hash != sensor.config_hash
+
+
+def test_nothing_is_left_to_calibrate() -> None:
+    """Channels of unequal noise, made as the height nodes make them: once with the sensor as described, once corrected.
+
+    The first time something is wrong by 20 standard deviations or more, the second nothing by a tenth of one.
+    """
+    rng, count = np.random.default_rng(14), 6
+    steps = (np.arange(count) - 2.5) / 2
+    described = make_sensor(
+        elevation_boresights=tuple(elevation_at(steps).tolist()),
+        noise_power=tuple(np.linspace(1, 2, count).tolist()),
+        channel_matrix=tuple(map(tuple, np.diag(np.exp(2j * steps)).tolist())),
+    )
+    actual = sensor_with(described, draw_truth(rng, count))
+    first, last = described.beams.span
+    target = np.repeat(rng.uniform(first, last, 12_000), 4)
+    seen = 6 * circular(rng, (48_000, 1)) * actual.beams.combined(actual.mixing).response(target, 0.0)
+    noise = np.sqrt(described.noise_power) * circular(rng, (48_000, count))
+    slc = (seen + noise).reshape(120, 400, count).transpose(2, 0, 1).astype(np.complex64)
+
+    def calibrated(sensor: Sensor) -> BeamCalibration:
+        channels = whitened_channels(sensor.noise_covariance, sensor.mixing)
+        looks = multilook(slc, 1, 4, hermitian=True, transform=channels.transform)
+        beams = sensor.beams.combined(channels.matrix)
+        return calibrate_beams(looks, beams, np.zeros(100), float(channels.noise_powers[0]))
+
+    found = calibrated(described)
+    left = calibrated(sensor_with(described, found))
+    for result, least, most in ((found, 20.0, np.inf), (left, 0.0, 0.1)):
+        worst = np.max(np.abs(errors(result, BeamCalibration.none(count))) / sigmas(result))
+        assert least <= worst <= most
+    again = sensor_with(described, found)
+    assert again.aperture == pytest.approx(actual.aperture, rel=0.003)
+    relative = np.diag(again.mixing / np.where(np.eye(count) > 0, actual.mixing, 1))
+    assert relative == pytest.approx(np.ones(count), abs=0.02)

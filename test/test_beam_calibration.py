@@ -205,6 +205,28 @@ def test_curvature_is_that_of_the_curve(kind: str) -> None:
     assert found == pytest.approx(bend / speed**2, abs=1e-4 * np.linalg.norm(found))
 
 
+def test_information_is_that_of_turning_unit_vectors() -> None:
+    """2 (e^H R e - K) Re(de^H de), de without its part along e; and none of its part along de/dtheta."""
+    beams = make_beams("jinc", 4)
+    beams = replace(beams, patterns=(with_phase(beams.patterns[0]),))
+    here, gains, step = elevation_at([0.2]), np.array([1.1, 0.9, 1.0, 1.2]), 1e-5
+
+    def unit(values: Array) -> npt.NDArray[np.complex128]:
+        wide = replace(beams, beamwidth=BEAMWIDTH * np.exp(values[0]))
+        response = gains * np.exp(values[1:5] + 1j * values[5:9]) * wide.response(here + values[9] * BEAMWIDTH, 0.0)[0]
+        return response / np.linalg.norm(response)
+
+    moves, middle = step * np.eye(10), unit(np.zeros(10))
+    turns = np.array([(unit(move) - unit(-move)) / (2 * step) for move in moves])
+    turns -= (turns @ middle.conj())[:, None] * middle
+    gram = (turns.conj() @ turns.T).real
+    curve, pixels = curve_of(beams, gains, here, np.zeros(1)), 50 * np.outer(middle, middle.conj())[None]
+    known = with_known_angles(curve, pixels, np.full(1, 4.0)).information
+    unknown = with_unknown_angles(curve, pixels, np.full(1, 4.0)).information
+    assert known == pytest.approx(2 * 46 * gram[:9, :9], abs=1e-3)
+    assert unknown == pytest.approx(2 * 46 * (gram - np.outer(gram[9], gram[9]) / gram[9, 9])[:9, :9], abs=1e-3)
+
+
 def test_correction_is_half_the_curvature() -> None:
     """Without noise the likelihood is stationary, and the score is the correction alone."""
     beams, elevation = make_beams("sinc", 4), elevation_at([0.2, -0.4])

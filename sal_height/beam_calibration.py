@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.array_ml import OBJECTIVES, search_guard
-from sal_height.beam_likelihood import Normal, curve_of, widened, with_known_angles, with_unknown_angles
+from sal_height.beam_likelihood import Normal, curve_of, with_known_angles, with_unknown_angles
 from sal_height.beam_table import BeamTable
 from sal_height.beams import Beams
 from sal_height.errors import NotDetermined, UserError
@@ -94,7 +94,7 @@ def beams_with(beams: Beams, calibration: BeamCalibration) -> Beams:
         UserError: the channels are mixtures of detectors, or of another number than the gains.
     """
     _check_channels(beams, len(calibration.gains))
-    return widened(beams, calibration.width_factor).combined(np.diag(calibration.gains))
+    return beams.widened(calibration.width_factor).combined(np.diag(calibration.gains))
 
 
 def sensor_with(sensor: Sensor, calibration: BeamCalibration) -> Sensor:
@@ -258,7 +258,7 @@ def _of_scene(looks: Looks, beams: Beams, squint: Array, noise_power: float) -> 
 
     def equations(calibration: BeamCalibration) -> Normal:
         phases = calibration.gains / np.abs(calibration.gains)
-        wide = widened(beams, calibration.width_factor)
+        wide = beams.widened(calibration.width_factor)
         amplitudes = wide.scaled(np.abs(calibration.gains))
         searches = PeakSearches.over(amplitudes, squints, OBJECTIVES["normalised"], search_guard(beams))
         share = MISFIT_SHARE if calibration.steps > 1 else FIRST_MISFIT_SHARE
@@ -300,7 +300,7 @@ def _of_target(
     def equations(calibration: BeamCalibration) -> Normal:
         phases = calibration.gains / np.abs(calibration.gains)
         pixels = covariance * (phases.conj()[:, None] * phases / noise_power).astype(np.complex64)
-        wide = widened(beams, calibration.width_factor)
+        wide = beams.widened(calibration.width_factor)
         return with_known_angles(curve_of(wide, np.abs(calibration.gains), elevation, squint), pixels, looks)
 
     return equations

@@ -15,7 +15,7 @@ de of the curve, whatever energy and number of the looks; it is taken off. What 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -79,15 +79,10 @@ class Curve:
     curvature: ComplexArray
 
 
-def widened(beams: Beams, factor: float) -> Beams:
-    """All patterns wider by a factor, on the same boresights."""
-    return replace(beams, beamwidth=beams.beamwidth * factor)
-
-
 def curve_of(beams: Beams, gains: Array, elevation: Array, squint: Array) -> Curve:
     """The curve at some pixels' elevations and squints (rad, (pixels,)), of beams times `gains` (channels,)."""
     beamwidth = beams.beamwidth
-    narrow, wide = (widened(beams, 1 + sign * DIFFERENCE).response(elevation, squint) for sign in (-1, 1))
+    narrow, wide = (beams.widened(1 + sign * DIFFERENCE).response(elevation, squint) for sign in (-1, 1))
     before, after = (beams.slope(elevation + sign * DIFFERENCE * beamwidth, squint) for sign in (-1, 1))
     response = gains * beams.response(elevation, squint).astype(np.complex128)
     norm = np.linalg.norm(response, axis=-1, keepdims=True)

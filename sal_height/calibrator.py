@@ -6,30 +6,57 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
+from sal_height.beam_calibration import MIXED, BeamCalibration, calibrate_beams, calibrate_phases
+from sal_height.beams import Beams
 from sal_height.calibration import Calibration
+from sal_height.channels import whitened_channels, with_powers
+from sal_height.compiled import WORKERS
 from sal_height.differential_response import CrossSpectra, cross_spectra, differential_response, unwound
 from sal_height.errors import NotDetermined
 from sal_height.geometry import Aperture, Grid
+from sal_height.height import column_squint
+from sal_height.looks import Window, windowed_looks
 from sal_height.point_targets import CHIP, LEAST_OVER_CLUTTER_DB, PointTarget, find_targets
 from sal_height.sensor import Sensor
 from sal_height.transfer_function import estimate_transfer_function, without_clutter
+from sal_height.windows import window
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 
 
+LOOKS = 4
+"""Columns averaged to a pixel that tells of the beams; rows are not, so that slopes do not mix elevations."""
+
+PIXELS = 256
+"""Kept of each dwell, to tell of the beams: thousands are enough, and one scoring takes 10 us for each."""
+
+SQUINT_STEP = 0.01
+"""Beamwidths to which squints of columns are rounded, so that beams are computed for few."""
+
+
 class Calibrator:
     """Gathers what the images of a sensor tell, dwell by dwell."""
 
-    def __init__(self, sensor: Sensor) -> None:
-        """Begin with the description of the sensor, whose waveform is "spectrum"."""
+    def __init__(self, sensor: Sensor, beams: Beams) -> None:
+        """Begin with the description of the sensor, whose waveform is "spectrum", and the beams as images have them."""
         self.sensor = sensor
         self.dwells = 0
+        self._beams = beams
         self._spectra = CrossSpectra.none(sensor.detector_count, sensor.sample_count)
         self._targets: list[PointTarget] = []
+        self._columns: list[npt.NDArray[np.complex64]] = []
+        self._squints: list[Array] = []
+        self._noise_powers = np.zeros(sensor.detector_count)
 
     def add(self, slc: npt.NDArray[np.complex64], grid: Grid, aperture: Aperture, noise_powers: Array) -> None:
-        """Take in the images of a dwell; arguments as of `cross_spectra`.
+        """Take in the images of a dwell.
+
+        Args:
+            slc: of all channels, unweighted in range, shape (channels, rows, cols).
+            grid: pixels; rows a range cell apart.
+            aperture: the images were made with.
+            noise_powers: E|n|^2 of a pixel of each channel.
 
         Raises:
             NotDetermined: the images are weighted in range or not in the slant plane.
@@ -37,23 +64,77 @@ class Calibrator:
         pixels = unwound(slc, grid, aperture, self.sensor)
         self._spectra += cross_spectra(pixels, self.sensor, noise_powers)
         self._targets += targets_in(pixels.sum(axis=0))
+        squint = column_squint(grid, aperture, self._beams, self.sensor.look_side)
+        for block in self._blocks(*pixels.shape[1:]):
+            columns = slice(LOOKS * block, LOOKS * (block + 1))
+            self._columns.append(pixels[..., columns].copy())
+            self._squints.append(squint[columns].mean())
+        self._noise_powers += noise_powers
         self.dwells += 1
 
     def calibration(self) -> tuple[Calibration, list[str]]:
         """The calibration, and a sentence for each part that could not be determined and stays as described."""
         channels, frequencies = self.sensor.detector_count, self.sensor.sample_count
         response, sigma = np.ones((channels, frequencies), dtype=np.complex128), np.zeros(channels)
+        beams = BeamCalibration.none(channels)
         undetermined = []
         try:
             differential = differential_response(self._spectra)
-            response, sigma = response * differential.response, differential.sigma
+            response, sigma = differential.response, differential.sigma
         except NotDetermined as error:
-            undetermined.append(f"How receivers differ: {error}")
+            undetermined.append(f"How receivers differ over the band: {error}")
+        try:
+            beams = self._calibrated_beams(response)
+        except NotDetermined as error:
+            undetermined.append(f"Gains and width of the beams: {error}")
         try:
             response = response * common_response(self._targets, frequencies)
         except NotDetermined as error:
-            undetermined.append(f"What receivers have in common: {error}")
-        return Calibration(self.sensor.config_hash, response, sigma, dwells=self.dwells), undetermined
+            undetermined.append(f"What receivers do to the band in common: {error}")
+        return Calibration(
+            self.sensor.config_hash,
+            response * beams.gains[:, None],
+            sigma,
+            beams.width_factor,
+            float(np.nan_to_num(beams.width_sigma)),
+            self.dwells,
+        ), undetermined
+
+    def _blocks(self, rows: int, cols: int) -> list[int]:
+        """Blocks of LOOKS columns that are kept of a dwell's images; others in the next dwell."""
+        blocks = cols // LOOKS
+        kept = min(blocks, -(-PIXELS // rows))
+        return [(self.dwells * kept + index) % blocks for index in range(kept)]
+
+    def _calibrated_beams(self, response: ComplexArray) -> BeamCalibration:
+        """Width and gains of the beams, by images of weighted range and equal receivers.
+
+        Raises:
+            NotDetermined: they cannot be told.
+        """
+        if self.sensor.is_mixed:
+            raise NotDetermined(MIXED)
+        if not self._columns:
+            raise NotDetermined(f"No image has {LOOKS} columns; needed are as many or more.")
+        weights = window("taylor", self.sensor.sample_count) / response
+        noise = self._noise_powers / self.dwells * np.mean(np.abs(weights) ** 2, axis=1)
+        channels = whitened_channels(with_powers(self.sensor.noise_covariance, noise), self.sensor.mixing)
+        columns = [_in_length(columns, self.sensor.sample_count) for columns in self._columns]
+        spectra = scipy.fft.fft(np.concatenate(columns, axis=2), axis=1, workers=WORKERS)
+        spectra *= scipy.fft.ifftshift(weights, axes=1)[..., None].astype(np.complex64)
+        images = scipy.fft.ifft(spectra, axis=1, workers=WORKERS, overwrite_x=True)
+        one, across = Window.named("boxcar", 1, 0), Window.named("boxcar", LOOKS, 0)
+        looks = windowed_looks(images, one, across, True, channels.transform)
+        step = SQUINT_STEP * self.sensor.beamwidth
+        squint = np.round(np.array(self._squints) / step) * step
+        calibrate = calibrate_beams if self.sensor.detector_count > 2 else calibrate_phases
+        beams = self._beams.combined(channels.matrix)
+        return calibrate(looks, beams, squint, float(channels.noise_powers[0]))
+
+
+def _in_length(columns: npt.NDArray[np.complex64], rows: int) -> npt.NDArray[np.complex64]:
+    """Columns (channels, rows, cols) with zeros up to as many rows."""
+    return np.pad(columns, ((0, 0), (0, rows - columns.shape[1]), (0, 0)))
 
 
 def targets_in(image: npt.NDArray[np.complex64]) -> tuple[PointTarget, ...]:

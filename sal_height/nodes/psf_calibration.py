@@ -13,6 +13,7 @@ from sal_height.calibration import save_calibration
 from sal_height.calibrator import Calibrator
 from sal_height.errors import Rejected
 from sal_height.nodes.dwell_stage import DwellStage
+from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS
@@ -61,7 +62,8 @@ class PsfCalibration(DwellStage):
     def process(self, messages: list[ComplexImage], sensor: Sensor) -> int:
         """Take in the images of a dwell; publish a calibration if it is the last one needed."""
         if self._calibrator is None or self._calibrator.sensor.config_hash != sensor.config_hash:
-            self._calibrator = Calibrator(spectrum_sensor(sensor))
+            beams = processed_beams(sensor, messages[0].provenance.parameters)
+            self._calibrator = Calibrator(spectrum_sensor(sensor), beams)
         self._calibrator.add(*convert.slc_from_messages(messages))
         parameters = self.current_parameters()
         if self._calibrator.dwells < parameters.dwells:

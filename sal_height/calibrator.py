@@ -29,7 +29,7 @@ LOOKS = 4
 """Columns averaged to a pixel that tells of the beams; rows are not, so that slopes do not mix elevations."""
 
 PIXELS = 256
-"""Kept of each dwell, to tell of the beams: thousands are enough, and one scoring takes 10 us for each."""
+"""Kept of each dwell at least, to tell of the beams: 8000 of 15 dB tell the width within 0.1 %."""
 
 SQUINT_STEP = 0.01
 """Beamwidths to which squints of columns are rounded, so that beams are computed for few."""

@@ -34,7 +34,7 @@ def test_equalised_channels_have_one_response() -> None:
     after = made(response).equalised(history).samples
     np.testing.assert_allclose(after, np.broadcast_to(after[:1], after.shape), atol=3e-7)
     strong = np.abs(response).min(axis=0) > 0.8
-    np.testing.assert_allclose(after[0, 0, strong], 1, atol=0.01)
+    np.testing.assert_allclose(after[0, 0, strong], 1, atol=5e-4)
 
 
 def test_ratios_are_right_even_where_a_channel_hears_next_to_nothing() -> None:
@@ -42,7 +42,7 @@ def test_ratios_are_right_even_where_a_channel_hears_next_to_nothing() -> None:
     response[1, 10:20] = 1e-3
     response[2, 30] = 0
     equaliser = made(response).equaliser
-    assert np.abs(equaliser).max() < 1 / (2 * 0.1) * 1.01
+    assert np.abs(equaliser).max() < 27**0.25 / 4 / 0.1 * 1.01
     np.testing.assert_allclose((equaliser * response)[1, 10:20], (equaliser * response)[0, 10:20], rtol=1e-5)
     np.testing.assert_array_equal(equaliser[:, 30], 0)
 
@@ -59,7 +59,7 @@ def test_noise_grows_by_the_equaliser() -> None:
 
 
 def test_nothing_to_correct_changes_nothing() -> None:
-    np.testing.assert_allclose(made(np.ones(SHAPE)).equaliser, 1, rtol=1e-6)
+    np.testing.assert_allclose(made(np.ones(SHAPE)).equaliser, 1, rtol=2e-4)
 
 
 def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:

@@ -26,6 +26,9 @@ class Parameters:
     """Parameters of the node."""
 
     dwells: int = parameter(64, "dwells that a calibration is made of; then the next begins", minimum=1, maximum=4096)
+    dwell_step: int = parameter(
+        8, "of so many dwells one is taken in: receivers change slowly, and time is short", minimum=1, maximum=1_000_000
+    )
     file: str = parameter(
         "", "file that each calibration is written to, .npz; one that is there is replaced; empty: none"
     )
@@ -41,6 +44,7 @@ class PsfCalibration(DwellStage):
         """Make the node; `node_arguments` go to rclpy's Node."""
         super().__init__("psf_calibration", ComplexImage, "slc", **node_arguments)
         self._calibrator: Calibrator | None = None
+        self._dwells = 0
         self._calibration = self.offer(Calibration, "calibration", LATCHED_QOS)
 
     def identity(self, message: ComplexImage) -> str:
@@ -60,12 +64,15 @@ class PsfCalibration(DwellStage):
             )
 
     def process(self, messages: list[ComplexImage], sensor: Sensor) -> int:
-        """Take in the images of a dwell; publish a calibration if it is the last one needed."""
+        """Take in the images of a dwell, or pass it by; publish a calibration if it is the last one needed."""
+        parameters = self.current_parameters()
+        self._dwells += 1
+        if (self._dwells - 1) % parameters.dwell_step:
+            return 0
         if self._calibrator is None or self._calibrator.sensor.config_hash != sensor.config_hash:
             beams = processed_beams(sensor, messages[0].provenance.parameters)
             self._calibrator = Calibrator(spectrum_sensor(sensor), beams)
         self._calibrator.add(*convert.slc_from_messages(messages))
-        parameters = self.current_parameters()
         if self._calibrator.dwells < parameters.dwells:
             return 0
         calibration, undetermined = self._calibrator.calibration()

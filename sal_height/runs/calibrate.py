@@ -40,7 +40,7 @@ def calibrate(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome
     """
     sensor, dwells = contents(BagReader(bag))
     unweighted = {"sar_compression": {"range_window": "rectangular", "rows": 0, "calibration": ""}}
-    wanted = {CALIBRATOR: {"dwells": dwells, "file": str(out / CALIBRATION)}}
+    wanted = {CALIBRATOR: {"dwells": dwells, "dwell_step": 1, "file": str(out / CALIBRATION)}}
     recorded = {"sar_compression": recorded_parameters(bag).get("sar_compression", {})}
     values = check_parameters(merged(merged(merged(recorded, unweighted), wanted), parameters))
     folder = new_folder(out)

@@ -1,0 +1,69 @@
+"""Node psf_calibration beside the compression of the same dwells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sal_height_msgs.msg import ComplexImage
+
+from benchmarks.row import Row, medians
+from sal_height import convert
+from sal_height.flight import flight_of
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.psf_calibration import PsfCalibration
+from sal_height.nodes.sar_compression import SarCompression
+from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.preset import load_preset
+from sal_height.sensor import Sensor
+
+DWELLS = 512
+"""After which there is a calibration, as the node has it by default: of every eighth."""
+
+TIMEOUT_S = 10.0
+
+
+def beside_compression() -> Iterator[Row]:
+    """A dwell of each radar and lidar through both nodes, all that they compute and publish; one calibration in 512."""
+    for name in ("sal_spotlight", "xband_relief"):
+        yield from _beside_compression(name)
+
+
+def _beside_compression(name: str) -> Iterator[Row]:
+    flight = flight_of(load_preset(name), seed=1)
+    sensor = convert.sensor_from_message(convert.sensor_to_message(flight.sensor, convert.to_stamp(0)))
+    frames = convert.history_to_messages(flight.phase_history(0), flight.sensor, 0, convert.to_stamp(0))
+    unweighted = [Parameter("range_window", value="rectangular"), Parameter("cols", value=flight.preset.image.cols)]
+    with Graph() as graph:
+        compression = graph.add(SarCompression(context=graph.context, parameter_overrides=unweighted))
+        for state in flight.platform_states(0):
+            compression._on_odometry(convert.state_to_message(state, convert.to_stamp(state.stamp_ns)))
+        images = _images(graph, compression, frames, sensor)
+        calibration = graph.add(PsfCalibration(context=graph.context))
+
+        def calibrate() -> None:
+            for _ in range(DWELLS):
+                calibration.process(images, sensor)
+
+        one, many = medians(lambda: compression.process(frames, sensor), calibrate)
+    yield Row(
+        f"node psf_calibration over sar_compression, {name}",
+        many / DWELLS / one,
+        "1",
+        "<= 0.1",
+        f"{1e3 * many / DWELLS:.2f} ms a dwell, with a calibration every {DWELLS}, over {1e3 * one:.1f} ms",
+    )
+
+
+def _images(graph: Graph, compression: SarCompression, frames: list[object], sensor: Sensor) -> list[ComplexImage]:
+    """The images that node sar_compression publishes of a dwell."""
+    images: list[ComplexImage] = []
+    listener = graph.add(Node("listener", context=graph.context))
+    listener.create_subscription(ComplexImage, "slc", images.append, FRAMES_QOS)
+    if not graph.spin_until(lambda: compression._slc.get_subscription_count() > 0, TIMEOUT_S):
+        raise TimeoutError("The images found no subscriber.")
+    compression.process(frames, sensor)
+    if not graph.spin_until(lambda: len(images) == sensor.detector_count, TIMEOUT_S):
+        raise TimeoutError("The images did not arrive.")
+    return sorted(images, key=lambda image: int(image.detector))

@@ -155,7 +155,7 @@ def differential_response(spectra: CrossSpectra) -> DifferentialResponse:
     for _ in range(SCORINGS):
         step, covariance = _scoring(measured, noise, np.exp(logarithm))
         logarithm += _without_gauge(step, signal)
-    variance = _gauge_variance(covariance, signal) / spectra.columns
+    variance = _variance_beyond_mean(covariance) / spectra.columns
     echoes = _beyond_median(scipy.fft.ifft(logarithm, axis=0))
     real = np.abs(echoes) > SIGNIFICANCE * np.maximum(np.sqrt(variance / count), _rms_around(echoes))
     kept = scipy.fft.fft(np.where(real, echoes, 0), axis=0)
@@ -214,10 +214,10 @@ def _rms_around(echoes: ComplexArray) -> Array:
     return np.asarray(np.sqrt(np.median(np.abs(echoes[around % len(echoes)]) ** 2, axis=1) / np.log(2)))
 
 
-def _gauge_variance(covariance: Array, signal: Array) -> Array:
+def _variance_beyond_mean(covariance: Array) -> Array:
     """Variance of each channel's logarithm, both parts together, relative to the mean of the channels."""
-    channels = len(signal)
-    relative = np.eye(channels) - signal / signal.sum()
+    channels = len(covariance) // 2
+    relative = np.eye(channels) - 1 / channels
     amplitudes = relative @ covariance[:channels, :channels] @ relative.T
     phases = relative @ covariance[channels:, channels:] @ relative.T
     return np.diag(amplitudes) + np.diag(phases)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from builtin_interfaces.msg import Time
+from rclpy._rclpy_pybind11 import RCLError
 from sal_height_msgs.msg import Calibration, ComplexImage
 
 from sal_height import convert
 from sal_height.calibration import save_calibration
 from sal_height.calibrator import Calibrator
-from sal_height.errors import Rejected
+from sal_height.errors import Rejected, UserError
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.parameters import parameter
@@ -20,12 +24,17 @@ from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.sensor import Sensor
 from sal_height.waveform import spectrum_sensor
 
+MOST_DWELLS = 1024
+"""That a calibration may be made of: 130 MB of pixels from 16 detectors."""
+
 
 @dataclass(frozen=True)
 class Parameters:
     """Parameters of the node."""
 
-    dwells: int = parameter(64, "dwells that a calibration is made of; then the next begins", minimum=1, maximum=4096)
+    dwells: int = parameter(
+        64, "dwells that a calibration is made of; then the next begins", minimum=1, maximum=MOST_DWELLS
+    )
     dwell_step: int = parameter(
         8, "of so many dwells one is taken in: receivers change slowly, and time is short", minimum=1, maximum=1_000_000
     )
@@ -45,7 +54,11 @@ class PsfCalibration(DwellStage):
         super().__init__("psf_calibration", ComplexImage, "slc", **node_arguments)
         self._calibrator: Calibrator | None = None
         self._dwells = 0
+        self._made = False
+        self._stamp = Time()
+        self._ending = threading.Lock()  # the context may be shut down in another thread than the executor's
         self._calibration = self.offer(Calibration, "calibration", LATCHED_QOS)
+        self.context.on_shutdown(self.conclude)
 
     def identity(self, message: ComplexImage) -> str:
         """The config_hash of the sensor info that the image was made with."""
@@ -73,15 +86,39 @@ class PsfCalibration(DwellStage):
             beams = processed_beams(sensor, messages[0].provenance.parameters)
             self._calibrator = Calibrator(spectrum_sensor(sensor), beams)
         self._calibrator.add(*convert.slc_from_messages(messages))
-        if self._calibrator.dwells < parameters.dwells:
+        self._stamp = messages[0].header.stamp
+        return self._complete() if self._calibrator.dwells >= parameters.dwells else 0
+
+    def conclude(self) -> None:
+        """Make a calibration of the dwells that there are if there has been none; may be called twice."""
+        with self._ending:
+            self._jobs.put(None)
+            self._worker.join()
+            if self._calibrator and self._calibrator.dwells and not self._made:
+                self._complete()
+
+    def destroy_node(self) -> None:
+        """Conclude, then end the node."""
+        self.conclude()
+        super().destroy_node()
+
+    def _complete(self) -> int:
+        """Publish the calibration that the dwells taken in make, and write it; the number of messages."""
+        if self._calibrator is None:
             return 0
         calibration, undetermined = self._calibrator.calibration()
         self._calibrator = None
+        self._made = True
         for sentence in undetermined:
             self.get_logger().warning(sentence)
-        if parameters.file:
-            save_calibration(Path(parameters.file), calibration)
-        self._calibration.publish(convert.calibration_to_message(calibration, messages[0].header.stamp, undetermined))
+        with suppress(RCLError):  # the context may have ended: nobody is left to publish to
+            self._calibration.publish(convert.calibration_to_message(calibration, self._stamp, undetermined))
+        file = self.current_parameters().file
+        if file:
+            try:
+                save_calibration(Path(file), calibration)
+            except UserError as error:
+                self.ignore("file", error)
         return 1
 
 

@@ -11,6 +11,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import UserError
 from sal_height.folders import new_folder, writing
+from sal_height.nodes.psf_calibration import MOST_DWELLS
 from sal_height.runs.conductor import Outcome, perform
 from sal_height.runs.ensemble import CALIBRATOR, NodeParameters, check_parameters
 from sal_height.runs.picture import draw_calibration
@@ -40,7 +41,7 @@ def calibrate(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome
     """
     sensor, dwells = contents(BagReader(bag))
     unweighted = {"sar_compression": {"range_window": "rectangular", "rows": 0, "calibration": ""}}
-    wanted = {CALIBRATOR: {"dwells": dwells, "dwell_step": 1, "file": str(out / CALIBRATION)}}
+    wanted = {CALIBRATOR: {"dwells": min(dwells, MOST_DWELLS), "dwell_step": 1, "file": str(out / CALIBRATION)}}
     recorded = {"sar_compression": recorded_parameters(bag).get("sar_compression", {})}
     values = check_parameters(merged(merged(merged(recorded, unweighted), wanted), parameters))
     folder = new_folder(out)

@@ -69,7 +69,7 @@ CALIBRATOR = "psf_calibration"
 SETTABLE = ["sar_compression", CALIBRATOR, *HEIGHTS, "relief_mapper"]
 """Nodes whose parameters users may set."""
 
-COMPLETING = ("recorder", "relief_mapper")
+COMPLETING = ("recorder", "relief_mapper", CALIBRATOR)
 """Nodes that complete a file when they end."""
 
 PR_SET_PDEATHSIG = 1

@@ -139,7 +139,7 @@ def test_the_graph_calibrates_itself(
     for dwell in range(8):
         chain.publish(chain.sensor_info(), *chain.odometry(dwell), *chain.frames(dwell))
         chain.await_heights(dwell)
-    chain.wait(lambda: heard, "a calibration")
+    chain.wait(lambda: heard and (tmp_path / "found.npz").is_file(), "a calibration")
     found = convert.calibration_from_message(heard[0])
     assert found.id == load_calibration(tmp_path / "found.npz").id == heard[0].id
     assert any("in common: No point target" in sentence for sentence in heard[0].undetermined)
@@ -259,3 +259,29 @@ def test_a_file_for_another_sensor_stops_every_frame_with_a_sentence(
     chain = flown(graph, flight, saved(tmp_path, other), missing_after_s=0.5)
     chain.await_drops("sar_compression", "cannot be processed", DETECTORS)
     assert "is of sensor 'other'" in chain.stages["sar_compression"].last_rejection
+
+
+def test_what_there_is_at_the_end_makes_a_calibration_if_there_was_none(
+    graph: Graph, flight: SimulatedFlight, heard: list[CalibrationMessage], tmp_path: Path
+) -> None:
+    node = calibrator(graph, dwells=100, file=str(tmp_path / "found.npz"))
+    chain = Chain(graph, flight, 30.0, {"range_window": "rectangular", "cols": 12})
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+    chain.wait(lambda: node.tally.summary()["in"] == DETECTORS and not node.tally.summary()["waiting"], "the images")
+    node.conclude()
+    node.conclude()
+    chain.wait(lambda: heard, "a calibration")
+    assert load_calibration(tmp_path / "found.npz").id == heard[0].id
+    assert heard[0].dwells == 1
+
+
+def test_a_file_that_cannot_be_written_costs_nothing_else(
+    graph: Graph, flight: SimulatedFlight, heard: list[CalibrationMessage], tmp_path: Path
+) -> None:
+    node = calibrator(graph, dwells=1, file=str(tmp_path / "nowhere" / "found.npz"))
+    chain = Chain(graph, flight, 30.0, {"range_window": "rectangular", "cols": 12})
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+    chain.wait(lambda: heard, "a calibration")
+    chain.wait(lambda: node.tally.summary().get("ignored.file") == 1, "the file to be missed")
+    assert "nowhere" in node.last_rejection
+    assert not node.tally.summary()["waiting"]

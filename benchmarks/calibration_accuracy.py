@@ -1,0 +1,120 @@
+"""What calibration leaves of the height errors of a sensor that is not as described: on flights, by the core alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.row import Row
+from sal_height.array_ml import OBJECTIVES, ml_elevation
+from sal_height.calibration import Calibration
+from sal_height.calibrator import Calibrator
+from sal_height.channels import whitened_channels, with_powers
+from sal_height.estimate import ElevationEstimate
+from sal_height.flight import SimulatedFlight, flight_of
+from sal_height.focusing import Settings, focus_dwell
+from sal_height.height import column_squint, look_grid
+from sal_height.impairments import Impairments, RangeSawtooth
+from sal_height.looks import Window, windowed_looks
+from sal_height.phase_history import PhaseHistory
+from sal_height.preset import load_preset
+from sal_height.processing import Processing
+from sal_height.trajectory import Trajectory
+
+Array = npt.NDArray[np.float64]
+
+DWELLS = 100
+"""Of preset small: a second of flight."""
+
+COMPARED = 8
+"""Dwells whose heights are compared."""
+
+CNR_DB, CLEAR_DB = 20.0, 40.0
+"""At which the sensor is calibrated, and at which heights are compared, so that not the noise is."""
+
+MIN_CNR = 3.0
+
+SAWTOOTH = Impairments(range_sawtooth=RangeSawtooth(depth=0.1, teeth=16, receivers=(3,)))
+GAINS_DB = (0.5, -0.5, 0.5, -0.5, -0.5, 0.5, -0.5, 0.5)
+PHASES_RAD = tuple(np.radians([5.0, 5.0, -5.0, -5.0, 5.0, 5.0, -5.0, -5.0]).tolist())
+BEAMS = Impairments(beam_width_factor=1.05, undescribed_gains_db=GAINS_DB, undescribed_phases_rad=PHASES_RAD)
+
+
+def left_of_errors() -> Iterator[Row]:
+    """Elevations less those that the true calibration gives of the same frames: rms after over before."""
+    for name, impairments, of_kind in (
+        ("sawtooth of 10 % on one receiver", SAWTOOTH, _of_the_band),
+        ("beams 5 %, .5 dB, 5 deg", BEAMS, lambda calibration: calibration),
+    ):
+        calibration = of_kind(_calibrated(_flight(impairments, CNR_DB)))
+        before, after = _errors(_flight(impairments, CLEAR_DB), calibration)
+        yield Row(
+            f"elevation error left by calibration, {name}",
+            after / before,
+            "1",
+            "<= 0.1",
+            f"{DWELLS} dwells of small; rms {1e3 * before:.2f} before, {1e3 * after:.2f} after, 1e-3 beamwidths, in "
+            f"{COMPARED} dwells; width factor {calibration.width_factor:.4f}",
+        )
+
+
+def _of_the_band(calibration: Calibration) -> Calibration:
+    """The calibration without gains and width, whose own errors are greater than what a sawtooth does."""
+    return replace(
+        calibration, response=calibration.response / calibration.response.mean(axis=1)[:, None], width_factor=1
+    )
+
+
+def _flight(impairments: Impairments, cnr_db: float) -> SimulatedFlight:
+    return flight_of(replace(load_preset("small"), dwells=DWELLS, impairments=impairments, cnr_db=cnr_db), seed=1)
+
+
+def _track(flight: SimulatedFlight, dwells: int) -> Trajectory:
+    return Trajectory([state for dwell in range(dwells) for state in flight.platform_states(dwell)])
+
+
+def _calibrated(flight: SimulatedFlight) -> Calibration:
+    sensor, track = flight.sensor, _track(flight, DWELLS)
+    calibrator = Calibrator(sensor, sensor.beams)
+    settings = Settings(range_window="rectangular", cols=flight.preset.image.cols)
+    for dwell in range(DWELLS):
+        slc = focus_dwell(flight.phase_history(dwell), track, sensor, settings)
+        calibrator.add(slc.images, slc.grid, slc.aperture, np.array(slc.noise_power))
+    return calibrator.calibration()[0]
+
+
+def _errors(flight: SimulatedFlight, calibration: Calibration) -> tuple[float, float]:
+    """Rms before and after calibration, beamwidths, from the elevations that the true calibration gives.
+
+    Of pixels that are valid in all.
+    """
+    impairments, sensor = flight.preset.impairments, flight.sensor
+    none = replace(calibration, response=np.ones_like(calibration.response), width_factor=1.0)
+    true = replace(none, response=impairments.receiver_response(sensor), width_factor=impairments.beam_width_factor)
+    squares = []
+    for dwell in range(COMPARED):
+        history = flight.phase_history(dwell)
+        truth, *estimates = (_estimate(flight, dwell, history, one) for one in (true, none, calibration))
+        valid = np.all([one.validity == 0 for one in (truth, *estimates)], axis=0)
+        squares.append([(one.elevation - truth.elevation)[valid] ** 2 for one in estimates])
+    before, after = (np.sqrt(np.mean(np.concatenate(column))) for column in zip(*squares, strict=True))
+    return float(before / sensor.beamwidth), float(after / sensor.beamwidth)
+
+
+def _estimate(
+    flight: SimulatedFlight, dwell: int, history: PhaseHistory, calibration: Calibration
+) -> ElevationEstimate:
+    sensor, image = flight.sensor, flight.preset.image
+    settings = Settings(rows=image.rows, cols=image.cols)
+    slc = focus_dwell(calibration.equalised(history), _track(flight, dwell + 1), sensor, settings)
+    weights = Processing(settings.range_window).range_weights(sensor.sample_count)
+    powers = calibration.noise_gains(weights) * slc.noise_power
+    channels = whitened_channels(with_powers(sensor.noise_covariance, powers), sensor.mixing)
+    down, across = Window.named("boxcar", 2, 0), Window.named("boxcar", 2, 0)
+    looks = windowed_looks(slc.images, down, across, transform=channels.transform)
+    squint = column_squint(look_grid(slc.grid, down, across), slc.aperture, sensor.beams, sensor.look_side)
+    beams = sensor.beams.widened(calibration.width_factor).combined(channels.matrix)
+    return ml_elevation(looks, beams, squint, float(channels.noise_powers[0]), OBJECTIVES["normalised"], MIN_CNR)

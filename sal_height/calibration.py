@@ -35,7 +35,10 @@ class Calibration:
         config_hash: of the sensor.
         response: of each channel at the fast-time frequencies, gain included: complex128, shape (channels,
             frequencies), those of waveform "spectrum" (`waveform.spectrum_sensor`); 1: as described.
-        response_sigma: standard error of a channel's response at a frequency, shape (channels,).
+        response_sigma: standard error of the shape of a channel's response, at a frequency, shape (channels,); 0: not
+            measured.
+        gain_sigma: standard error of ln |gain| of each channel, shape (channels,); 0: not measured.
+        phase_sigma: of the gain's phase, rad.
         width_factor: width of the beams over that described.
         width_sigma: standard error of it; 0: the width was not measured.
         dwells: that it was made of.
@@ -44,6 +47,8 @@ class Calibration:
     config_hash: str
     response: ComplexArray
     response_sigma: Array
+    gain_sigma: Array
+    phase_sigma: Array
     width_factor: float = 1.0
     width_sigma: float = 0.0
     dwells: int = 0
@@ -51,10 +56,12 @@ class Calibration:
     def __post_init__(self) -> None:
         if not self.config_hash:
             raise UserError("The calibration has no config_hash; it must be that of the sensor it belongs to.")
-        if self.response.ndim != 2 or self.response_sigma.shape != self.response.shape[:1]:
+        sigmas = self.response_sigma, self.gain_sigma, self.phase_sigma
+        if self.response.ndim != 2 or any(sigma.shape != self.response.shape[:1] for sigma in sigmas):
             raise UserError(
-                f"The calibration has responses of shape {self.response.shape} and standard errors of shape "
-                f"{self.response_sigma.shape}; they must be (channels, frequencies) and (channels,)."
+                f"The calibration has responses of shape {self.response.shape} and standard errors of shapes "
+                f"{', '.join(str(sigma.shape) for sigma in sigmas)}; they must be (channels, frequencies) and "
+                "(channels,)."
             )
         amplitude = np.abs(self.response)
         if not (np.all(np.isfinite(amplitude)) and np.all(amplitude.max(axis=1, initial=0) > 0)):
@@ -67,7 +74,7 @@ class Calibration:
             raise UserError(
                 f"The calibration's width factor of the beams is {self.width_factor}; allowed are {low} to {high}."
             )
-        if not (np.all(np.isfinite(self.response_sigma)) and np.isfinite(self.width_sigma)):
+        if not (np.all(np.isfinite(sigmas)) and np.isfinite(self.width_sigma)):
             raise UserError("The calibration has standard errors that are not finite; all must be.")
 
     @cached_property
@@ -144,6 +151,8 @@ def load_calibration(path: Path) -> Calibration:
                 config_hash=str(stored["config_hash"]),
                 response=np.asarray(stored["response"], dtype=np.complex128),
                 response_sigma=np.asarray(stored["response_sigma"], dtype=np.float64),
+                gain_sigma=np.asarray(stored["gain_sigma"], dtype=np.float64),
+                phase_sigma=np.asarray(stored["phase_sigma"], dtype=np.float64),
                 width_factor=float(stored["width_factor"]),
                 width_sigma=float(stored["width_sigma"]),
                 dwells=int(stored["dwells"]),

@@ -91,14 +91,17 @@ class Calibrator:
             response = response * common_response(self._targets, frequencies)
         except NotDetermined as error:
             undetermined.append(f"What receivers do to the band in common: {error}")
-        return Calibration(
+        calibration = Calibration(
             self.sensor.config_hash,
-            response * beams.gains[:, None],
-            sigma,
-            beams.width_factor,
-            float(np.nan_to_num(beams.width_sigma)),
-            self.dwells,
-        ), undetermined
+            response=response * beams.gains[:, None],
+            response_sigma=sigma,
+            gain_sigma=np.nan_to_num(beams.gain_sigmas),
+            phase_sigma=np.nan_to_num(beams.phase_sigmas),
+            width_factor=beams.width_factor,
+            width_sigma=float(np.nan_to_num(beams.width_sigma)),
+            dwells=self.dwells,
+        )
+        return calibration, undetermined
 
     def _blocks(self, rows: int, cols: int) -> list[int]:
         """Blocks of LOOKS columns that are kept of a dwell's images; others in the next dwell."""

@@ -18,7 +18,8 @@ SHAPE = SENSOR.detector_count, SENSOR.sample_count
 
 
 def made(response: np.ndarray, **changes: object) -> Calibration:
-    values = {"config_hash": SENSOR.config_hash, "response_sigma": np.zeros(len(response)), "dwells": 3} | changes
+    sigmas = {f"{what}_sigma": np.zeros(len(response)) for what in ("response", "gain", "phase")}
+    values = {"config_hash": SENSOR.config_hash, "dwells": 3} | sigmas | changes
     return Calibration(response=response.astype(complex), **values)
 
 
@@ -79,6 +80,8 @@ def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:
         {"dwells": 4},
         {"config_hash": "x"},
         {"response_sigma": np.ones(SHAPE[0])},
+        {"gain_sigma": np.ones(SHAPE[0])},
+        {"phase_sigma": np.ones(SHAPE[0])},
     ],
     ids=str,
 )
@@ -116,9 +119,8 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
         load_calibration(tmp_path / "none.npz")
     (tmp_path / "text.npz").write_text("text")
     np.savez(tmp_path / "other.npz", a=1)
-    np.savez(
-        tmp_path / "bad.npz", config_hash="", response=1, response_sigma=1, width_factor=1, width_sigma=0, dwells=1
-    )
+    numbers = ("response", "response_sigma", "gain_sigma", "phase_sigma", "width_factor", "width_sigma", "dwells")
+    np.savez(tmp_path / "bad.npz", config_hash="", **dict.fromkeys(numbers, 1))
     for name, sentence in (
         ("text", "is no calibration"),
         ("other", "is no calibration"),

@@ -66,13 +66,15 @@ def calibrate(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome
 
 
 def calibration_table(calibration: Calibration) -> str:
-    """The calibration as lines for people."""
+    """The calibration as lines for people; +- 0 stands for what was not measured."""
     summary = _summary(calibration)
-    heading = f"{'channel':>8}{'gain dB':>10}{'phase deg':>11}{'ripple dB rms':>15}{'sigma dB':>10}"
+    keys = ("gain_db", "gain_sigma_db", "phase_rad", "phase_sigma_rad", "ripple_db", "ripple_sigma_db")
+    heading = f"{'channel':>8}{'gain dB':>10}{'+-':>7}{'phase deg':>11}{'+-':>7}{'ripple dB rms':>15}{'+-':>7}"
     lines = [
-        f"{channel:8d}{gain:10.3f}{np.degrees(phase):11.2f}{ripple:15.3f}{sigma:10.3f}"
-        for channel, (gain, phase, ripple, sigma) in enumerate(
-            zip(*(summary[key] for key in ("gain_db", "phase_rad", "ripple_db", "sigma_db")), strict=True)
+        f"{channel:8d}{gain:10.3f}{of_gain:7.3f}{np.degrees(phase):11.2f}{np.degrees(of_phase):7.2f}{ripple:15.3f}"
+        f"{of_ripple:7.3f}"
+        for channel, (gain, of_gain, phase, of_phase, ripple, of_ripple) in enumerate(
+            zip(*(summary[key] for key in keys), strict=True)
         )
     ]
     width = f"{calibration.width_factor:.4f} +- {calibration.width_sigma:.4f}"
@@ -93,7 +95,9 @@ def _summary(calibration: Calibration) -> dict[str, Any]:
         "gain_db": (decibels * np.log(np.abs(gain))).tolist(),
         "phase_rad": np.angle(gain).tolist(),
         "ripple_db": (decibels * np.sqrt(np.mean(ripple**2, axis=1))).tolist(),
-        "sigma_db": (decibels * calibration.response_sigma).tolist(),
+        "ripple_sigma_db": (decibels * calibration.response_sigma).tolist(),
+        "gain_sigma_db": (decibels * calibration.gain_sigma).tolist(),
+        "phase_sigma_rad": calibration.phase_sigma.tolist(),
         "width_factor": calibration.width_factor,
         "width_sigma": calibration.width_sigma,
     }

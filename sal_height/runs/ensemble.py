@@ -28,7 +28,7 @@ from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.recorder import Recorder
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.relief_tracker import ReliefTracker
-from sal_height.nodes.sar_compression import SarCompression
+from sal_height.nodes.sar_compression import HEARD, SarCompression
 from sal_height.nodes.simulator import Simulator
 from sal_height.nodes.sum_difference_height import SumDifferenceHeight
 from sal_height.sensor import Sensor
@@ -110,13 +110,15 @@ def suited(sensor: Sensor) -> list[str]:
     return nodes
 
 
-def recorded_topics(stages: list[str]) -> list[str]:
+def recorded_topics(stages: list[str], parameters: NodeParameters) -> list[str]:
     """Topics that a run through `stages` records: what is needed to do it again, and the heights, or else the images.
 
     Images can be made again from the phase history, and the relief map from the heights.
     """
     heights = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
-    return ["sensor_info", "platform/odometry", "phase_history", "diagnostics", *(heights or ["slc"])]
+    applied = parameters.get("sar_compression", {}).get("calibration", "") not in {"", HEARD}
+    calibration = ["calibration"] if applied else []
+    return ["sensor_info", "platform/odometry", "phase_history", "diagnostics", *calibration, *(heights or ["slc"])]
 
 
 def height_sources(stages: list[str], parameters: NodeParameters) -> dict[str, str]:

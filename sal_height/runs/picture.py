@@ -89,7 +89,9 @@ def draw_calibration(calibration: Calibration, sensor: str, path: Path) -> None:
     amplitude.legend(title="channel", fontsize="x-small", ncols=8)
     for axes in (amplitude, phase):
         axes.grid(alpha=0.3)
-    figure.suptitle(f"{sensor}: receivers, from {calibration.dwells} dwells")
+    width = f"beams {calibration.width_factor:.4f} ± {calibration.width_sigma:.4f} as wide as described"
+    width = width if calibration.width_sigma else "width of the beams not determined"
+    figure.suptitle(f"{sensor}: receivers, from {calibration.dwells} dwells; {width}")
     figure.savefig(path, dpi=110)
 
 

@@ -50,7 +50,7 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, d
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
         nodes = {**values, "player": {"bag": str(bag)}}
-        outcome = perform("player", stages, recorded_topics(stages), made, nodes, dwells)
+        outcome = perform("player", stages, recorded_topics(stages, values), made, nodes, dwells)
         conclude(outcome, made, values, report)
         compared = {}
         if any(f"/{prefix}/height" in reader.topics for prefix in HEIGHTS.values()) and not outcome.interrupted:

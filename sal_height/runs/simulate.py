@@ -108,7 +108,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
     with reporting(folder, known) as report:
         write_text(settings, yaml.safe_dump(json.loads(json.dumps(dataclasses.asdict(preset))), sort_keys=False))
         nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
-        outcome = perform("simulator", stages, recorded_topics(stages), bag, nodes, preset.dwells, processes)
+        outcome = perform("simulator", stages, recorded_topics(stages, values), bag, nodes, preset.dwells, processes)
         conclude(outcome, bag, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
         mosaics = read_mosaics(bag, flight)

@@ -51,7 +51,8 @@ def faulty(flight: SimulatedFlight, dwells: int = 3) -> FaultyFlight:
 
 
 def calibration_of(flight: SimulatedFlight, **values: Any) -> Calibration:
-    given = {"response": fault(), "response_sigma": np.zeros(DETECTORS), "dwells": 1} | values
+    sigmas = {f"{what}_sigma": np.zeros(DETECTORS) for what in ("response", "gain", "phase")}
+    given = {"response": fault(), "dwells": 1} | sigmas | values
     return Calibration(flight.sensor.config_hash, **given)
 
 

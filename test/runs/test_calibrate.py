@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import assert_one_sentence
+from rosbags.highlevel import AnyReader
 
 from sal_height.bag.reader import BagReader
 from sal_height.calibration import load_calibration
@@ -50,12 +51,15 @@ def calibrated(flown: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_beams_and_gains_are_found(calibrated: Path) -> None:
-    """Within 4 standard errors, of which there are few percent; gains within .3 dB, a third of the greatest."""
+    """Within 4 standard errors, which are small: .5 % of the width, .2 dB."""
     found = load_calibration(calibrated / CALIBRATION)
     assert 0 < found.width_sigma < 0.005
     assert abs(found.width_factor - WIDTH) < 4 * found.width_sigma
     gains_db = 20 * np.log10(np.abs(found.response.mean(axis=1)))
-    np.testing.assert_allclose(gains_db - gains_db.mean(), np.array(GAINS_DB) - np.mean(GAINS_DB), atol=0.3)
+    error = gains_db - gains_db.mean() - (np.array(GAINS_DB) - np.mean(GAINS_DB))
+    sigma_db = 20 / np.log(10) * found.gain_sigma
+    assert np.all((sigma_db > 0) & (sigma_db < 0.2))
+    assert np.all(np.abs(error) < 4 * sigma_db)
     report = json.loads((calibrated / "report.json").read_text())
     assert report["calibration"]["id"] == found.id
     assert report["calibration"]["width_factor"] == found.width_factor
@@ -76,15 +80,23 @@ def test_heights_are_better_with_it(impaired: Preset, flown: Path, calibrated: P
     assert after["ml"] < 0.8 * before["ml"]
     reader = BagReader(tmp_path / "again" / "bag")
     found = load_calibration(calibrated / CALIBRATION).id
+    assert [reader.topics[name].count for name in ("/calibration",)] == [1]
     topics = [f"/{prefix}/height" for prefix in HEIGHTS.values()]
     images = [reader.decode(one.type_name, one.cdr) for one in reader.messages(topics)]
     assert {image.provenance.calibration_id for image in images} == {found}
 
 
-def test_the_calibration_is_recorded(calibrated: Path) -> None:
-    reader = BagReader(calibrated / "bag")
-    (message,) = [reader.decode(one.type_name, one.cdr) for one in reader.messages(["/calibration"])]
-    assert message.id == load_calibration(calibrated / CALIBRATION).id
+def test_rosbags_reads_the_calibration_by_the_schema_in_the_bag(calibrated: Path) -> None:
+    found = load_calibration(calibrated / CALIBRATION)
+    with AnyReader([calibrated / "bag"]) as reader:
+        (connection,) = [one for one in reader.connections if one.topic == "/calibration"]
+        ((_, _, raw),) = reader.messages([connection])
+        message = reader.deserialize(raw, connection.msgtype)
+    assert message.id == found.id
+    response = message.response_real + 1j * message.response_imaginary
+    assert np.array_equal(response.reshape(message.channels, message.frequencies), found.response)
+    assert np.array_equal(message.gain_sigma, found.gain_sigma)
+    assert np.all(found.gain_sigma > 0)
 
 
 def test_what_tells_too_little_says_what_is_needed(recorded: Path, tmp_path: Path) -> None:

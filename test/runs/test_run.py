@@ -87,7 +87,7 @@ def test_the_profile_shows_tracked_heights_with_their_band(recorded: Path, tmp_p
 def test_rosbags_reads_the_heights_by_the_schema_in_the_bag(recorded: Path) -> None:
     with AnyReader([recorded / "bag"]) as reader:
         assert {c.topic for c in reader.connections} == {
-            f"/{topic}" for topic in recorded_topics(["monopulse", "ml_height", "relief_tracker"])
+            f"/{topic}" for topic in recorded_topics(["monopulse", "ml_height", "relief_tracker"], {})
         }
         dwells = []
         for connection, _, raw in reader.messages([c for c in reader.connections if c.topic == "/ml/height"]):

@@ -12,7 +12,7 @@ from sal_height.calibration import Calibration
 from sal_height.channels import whitened_channels, with_powers
 from sal_height.compiled import WORKERS
 from sal_height.differential_response import CrossSpectra, cross_spectra, differential_response, unwound
-from sal_height.errors import NotDetermined
+from sal_height.errors import NotDetermined, UserError
 from sal_height.geometry import Aperture, Grid
 from sal_height.height import column_squint
 from sal_height.looks import Window, windowed_looks
@@ -30,6 +30,9 @@ LOOKS = 4
 
 PIXELS = 256
 """Kept of each dwell at least, to tell of the beams: 8000 of 15 dB tell the width within 0.1 %."""
+
+NARROWEST = 4
+"""Rows or columns of a chip that can be told from a point."""
 
 SQUINT_STEP = 0.01
 """Beamwidths to which squints of columns are rounded, so that beams are computed for few."""
@@ -85,7 +88,7 @@ class Calibrator:
             undetermined.append(f"How receivers differ over the band: {error}")
         try:
             beams = self._calibrated_beams(response)
-        except NotDetermined as error:
+        except UserError as error:
             undetermined.append(f"Gains and width of the beams: {error}")
         try:
             response = response * common_response(self._targets, frequencies)
@@ -141,11 +144,11 @@ def _in_length(columns: npt.NDArray[np.complex64], rows: int) -> npt.NDArray[np.
 
 
 def targets_in(image: npt.NDArray[np.complex64]) -> tuple[PointTarget, ...]:
-    """Point targets of an image; none where no pixel stands out from its mean."""
+    """Point targets of an image; none where no pixel stands out from its mean, or it is too narrow to tell."""
     power = image.real**2 + image.imag**2
-    if not power.max() > 10 ** (LEAST_OVER_CLUTTER_DB / 10) * power.mean():
-        return ()
     rows, cols = (min(size, length) for size, length in zip(CHIP, image.shape, strict=True))
+    if min(rows, cols) < NARROWEST or not power.max() > 10 ** (LEAST_OVER_CLUTTER_DB / 10) * power.mean():
+        return ()
     return find_targets(image, (rows, cols)).targets
 
 

@@ -21,6 +21,7 @@ from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS
+from sal_height.saturation import MAX_SHARE
 from sal_height.sensor import Sensor
 from sal_height.waveform import spectrum_sensor
 
@@ -82,6 +83,13 @@ class PsfCalibration(DwellStage):
         self._dwells += 1
         if (self._dwells - 1) % parameters.dwell_step:
             return 0
+        share = max(image.saturated_share for image in messages)
+        if share > MAX_SHARE:
+            raise Rejected(
+                "saturated",
+                f"Dwell {messages[0].dwell}: {share:.3g} of a channel's samples are clipped; calibration needs "
+                f"{MAX_SHARE:g} or less.",
+            )
         if self._calibrator is None or self._calibrator.sensor.config_hash != sensor.config_hash:
             beams = processed_beams(sensor, messages[0].provenance.parameters)
             self._calibrator = Calibrator(spectrum_sensor(sensor), beams)

@@ -286,3 +286,19 @@ def test_a_file_that_cannot_be_written_costs_nothing_else(
     chain.wait(lambda: node.tally.summary().get("ignored.file") == 1, "the file to be missed")
     assert "nowhere" in node.last_rejection
     assert not node.tally.summary()["waiting"]
+
+
+def test_clipped_dwells_are_left_out(graph: Graph, flight: SimulatedFlight, heard: list[CalibrationMessage]) -> None:
+    node = calibrator(graph, dwells=1)
+    clipped = replace(flight.sensor, full_scale=0.5, config_hash="")
+    chain = Chain(
+        graph,
+        SimulatedFlight(flight.preset, clipped, flight.scene, 1, flight.seed),
+        30.0,
+        {"range_window": "rectangular", "cols": 12},
+    )
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+    chain.await_heights(0)
+    assert graph.spin_until(lambda: node.tally.summary().get("dropped.saturated") == DETECTORS, TIMEOUT_S)
+    assert_one_sentence(node.last_rejection.partition(": ")[2])
+    assert not heard

@@ -1,0 +1,131 @@
+"""All that is measured of a sensor, from images of flights by the core alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import assert_one_sentence
+
+from sal_height.calibrator import Calibrator, common_response, targets_in
+from sal_height.errors import NotDetermined
+from sal_height.experiments.synthetic_tape import RangeFault, Target, make_tape
+from sal_height.flight import SimulatedFlight, flight_of
+from sal_height.focusing import Settings, Slc, focus_dwell
+from sal_height.impairments import Impairments, RangeSawtooth
+from sal_height.preset import TargetSettings, load_preset
+from sal_height.trajectory import Trajectory
+
+
+def flown(dwells: int, **changes: Any) -> SimulatedFlight:
+    return flight_of(replace(load_preset("small"), dwells=dwells, **changes), seed=4)
+
+
+def images(flight: SimulatedFlight) -> Iterator[Slc]:
+    track = Trajectory([state for dwell in range(flight.dwells) for state in flight.platform_states(dwell)])
+    settings = Settings(range_window="rectangular", cols=flight.preset.image.cols)
+    for dwell in range(flight.dwells):
+        yield focus_dwell(flight.phase_history(dwell), track, flight.sensor, settings)
+
+
+def calibrated(flight: SimulatedFlight, slcs: Iterator[Slc] | list[Slc]) -> Any:
+    calibrator = Calibrator(flight.sensor, flight.sensor.beams)
+    for slc in slcs:
+        calibrator.add(slc.images, slc.grid, slc.aperture, np.array(slc.noise_power))
+    return calibrator.calibration()
+
+
+def test_what_receivers_have_in_common_is_told_by_a_target() -> None:
+    """A sawtooth of 10 % in all receivers; one target among speckle leaves 2 %."""
+    sawtooth = Impairments(range_sawtooth=RangeSawtooth(depth=0.1, teeth=8))
+    target = TargetSettings(east_m=0.0, north_m=0.3, height_m=0.5, power_db=45.0)
+    flight = flown(1, impairments=sawtooth, targets=(target,))
+    (slc,) = images(flight)
+    calibration, undetermined = calibrated(flight, [slc])
+    true = sawtooth.receiver_response(flight.sensor)[0]
+    shape = calibration.response / calibration.response.mean(axis=1)[:, None]
+    error = np.abs(shape.mean(axis=0) - true / true.mean())
+    assert np.sqrt(np.mean(error**2)) < 0.45 * np.std(true)
+    assert not any("common" in sentence for sentence in undetermined)
+
+
+def test_the_common_response_is_that_of_a_tape_at_its_frequencies() -> None:
+    """Four targets of 50 dB; the chip of 64 rows does not hold all that the step at the edge of the band makes."""
+    places = ((120.0, 100.0), (120.4, 300.3), (380.2, 100.7), (380.0, 400.0))
+    fault = RangeFault(support=0.8, sawtooth=0.05)
+    tape = make_tape((512, 512), np.random.default_rng(5), tuple(Target(*place, 50.0) for place in places), fault)
+    targets = targets_in(tape)
+    assert len(targets) == 4
+    found, true = common_response(list(targets), 256), fault.response(256)
+    assert np.sqrt(np.mean(np.abs(found - true / true.mean()) ** 2)) < 0.04
+    with pytest.raises(NotDetermined, match="No point target stands 20 dB"):
+        common_response([], 256)
+
+
+def test_a_sensor_that_is_as_described_stays_so() -> None:
+    """Gains within 4 of their standard errors, the width too, and no echoes."""
+    flight = flown(10)
+    calibration, undetermined = calibrated(flight, images(flight))
+    gain = calibration.response.mean(axis=1)
+    assert np.all(np.abs(np.log(np.abs(gain))) < 4 * calibration.gain_sigma)
+    assert np.all(np.abs(np.angle(gain)) < 4 * calibration.phase_sigma)
+    assert abs(calibration.width_factor - 1) < 4 * calibration.width_sigma < 0.02
+    assert np.ptp(np.abs(calibration.response), axis=1).max() < 0.01
+    assert len(undetermined) == 1
+
+
+def _zeros(slc: Slc) -> Slc:
+    return replace(slc, images=np.zeros_like(slc.images))
+
+
+def _bad(slc: Slc) -> Slc:
+    return replace(slc, images=np.full_like(slc.images, np.nan))
+
+
+def _dead(slc: Slc) -> Slc:
+    dead = slc.images.copy()
+    dead[2] = 0
+    return replace(slc, images=dead)
+
+
+def _narrow(slc: Slc) -> Slc:
+    return replace(slc, images=slc.images[..., :3], grid=replace(slc.grid, cols=3))
+
+
+def _silent(slc: Slc) -> Slc:
+    return replace(slc, noise_power=[0.0] * len(slc.noise_power))
+
+
+@pytest.mark.parametrize("spoil", [_zeros, _bad, _dead, _narrow, _silent])
+def test_images_that_do_not_tell_leave_all_as_described_and_say_why(spoil: Any) -> None:
+    flight = flown(2)
+    with np.errstate(invalid="raise"):
+        calibration, undetermined = calibrated(flight, [spoil(slc) for slc in images(flight)])
+    assert calibration.width_factor == 1.0
+    assert np.all(np.isfinite(calibration.response))
+    assert len(undetermined) >= 2
+    for sentence in undetermined:
+        assert_one_sentence(sentence)
+
+
+def test_two_detectors_tell_their_phase_and_no_more() -> None:
+    preset = load_preset("small")
+    sensor = replace(preset.sensor, detectors=2, pitch_beamwidths=0.7)
+    phases = Impairments(undescribed_phases_rad=(0.2, -0.2))
+    flight = flown(8, sensor=sensor, impairments=phases)
+    calibration, _ = calibrated(flight, images(flight))
+    gain = calibration.response.mean(axis=1)
+    np.testing.assert_allclose(np.angle(gain), [0.2, -0.2], atol=0.03)
+    np.testing.assert_allclose(np.abs(gain), 1, atol=1e-9)
+    assert np.all(calibration.gain_sigma == 0)
+    assert calibration.width_sigma == 0
+
+
+def test_mixtures_of_detectors_have_no_gains_of_their_own() -> None:
+    flight = flight_of(replace(load_preset("xband_sumdiff"), dwells=2), seed=1)
+    calibration, undetermined = calibrated(flight, images(flight))
+    assert any("mixtures of detectors" in sentence for sentence in undetermined)
+    assert calibration.width_sigma == 0

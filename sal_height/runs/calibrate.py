@@ -18,6 +18,8 @@ from sal_height.runs.picture import draw_calibration
 from sal_height.runs.replay import contents, recorded_parameters
 from sal_height.runs.simulate import conclude, merged, reporting
 
+STAGES = ["sar_compression", CALIBRATOR]
+
 CALIBRATION = "calibration.npz"
 """File of the calibration in the folder of a run."""
 
@@ -43,13 +45,13 @@ def calibrate(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome
     unweighted = {"sar_compression": {"range_window": "rectangular", "rows": 0, "calibration": ""}}
     wanted = {CALIBRATOR: {"dwells": min(dwells, MOST_DWELLS), "dwell_step": 1, "file": str(out / CALIBRATION)}}
     recorded = {"sar_compression": recorded_parameters(bag).get("sar_compression", {})}
-    values = check_parameters(merged(merged(merged(recorded, unweighted), wanted), parameters))
+    values = check_parameters(merged(merged(merged(recorded, unweighted), wanted), parameters), STAGES)
     folder = new_folder(out)
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
         nodes = {**values, "player": {"bag": str(bag)}}
         topics = ["sensor_info", "calibration", "diagnostics"]
-        outcome = perform("player", ["sar_compression", CALIBRATOR], topics, made, nodes, dwells)
+        outcome = perform("player", STAGES, topics, made, nodes, dwells)
         conclude(outcome, made, values, report)
         path = Path(values[CALIBRATOR]["file"])
         if outcome.interrupted:

@@ -9,7 +9,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from types import TracebackType
 from typing import Any, Self
@@ -66,8 +66,8 @@ NodeParameters = Mapping[str, Mapping[str, Any]]
 CALIBRATOR = "psf_calibration"
 """Node that calibrates the sensor on its images."""
 
-SETTABLE = ["sar_compression", CALIBRATOR, *HEIGHTS, "relief_mapper"]
-"""Nodes whose parameters users may set."""
+SETTABLE = ("sar_compression", *HEIGHTS, "relief_mapper")
+"""Nodes of a run or replay whose parameters users may set."""
 
 COMPLETING = ("recorder", "relief_mapper", CALIBRATOR)
 """Nodes that complete a file when they end."""
@@ -76,16 +76,16 @@ PR_SET_PDEATHSIG = 1
 """Option of prctl: the signal that a process gets when the one that started it ends (Linux)."""
 
 
-def check_parameters(parameters: NodeParameters) -> dict[str, dict[str, Any]]:
-    """The parameters in the types that their nodes declare: a whole number is taken for a float, too.
+def check_parameters(parameters: NodeParameters, settable: Sequence[str] = SETTABLE) -> dict[str, dict[str, Any]]:
+    """The parameters of `settable` nodes in the types that these declare: a whole number is taken for a float, too.
 
     Raises:
         UserError: a node or parameter does not exist, or a value is not allowed.
     """
     checked: dict[str, dict[str, Any]] = {}
     for name, values in parameters.items():
-        if name not in SETTABLE:
-            raise UserError(f"There is no node {name!r} with parameters to set; allowed are {', '.join(SETTABLE)}.")
+        if name not in settable:
+            raise UserError(f"There is no node {name!r} with parameters to set; allowed are {', '.join(settable)}.")
         known = {field.name: field for field in dataclasses.fields(NODES[name].parameters)}
         if unknown := [key for key in values if key not in known]:
             raise UserError(f"Node {name} has no parameter {unknown[0]!r}; allowed are {', '.join(known)}.")

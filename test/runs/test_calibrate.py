@@ -118,3 +118,11 @@ def test_weighted_images_make_no_calibration(recorded: Path, tmp_path: Path) -> 
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["stages"]["psf_calibration"]["dropped"] == {"cannot be processed": 16}
     assert "No calibration came" in report["failed"]
+
+
+def test_parameters_of_nodes_that_are_not_there_are_refused(recorded: Path, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"no node 'ml_height' .* allowed are sar_compression, psf_calibration"):
+        calibrate(recorded / "bag", tmp_path / "out", {"ml_height": {"objective": "numerator"}})
+    with pytest.raises(UserError, match="no node 'psf_calibration'"):
+        replay(recorded / "bag", tmp_path / "out", {"psf_calibration": {"dwells": 3}})
+    assert not (tmp_path / "out").exists()

@@ -6,7 +6,14 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from sal_height.beam_calibration import MIXED, BeamCalibration, calibrate_beams, calibrate_phases
+from sal_height.beam_calibration import (
+    MIXED,
+    BeamCalibration,
+    calibrate_beams,
+    calibrate_gains_on_target,
+    calibrate_on_target,
+    calibrate_phases,
+)
 from sal_height.beams import Beams
 from sal_height.calibration import Calibration
 from sal_height.channels import whitened_channels, with_powers
@@ -17,6 +24,7 @@ from sal_height.geometry import Aperture, Grid
 from sal_height.height import column_squint
 from sal_height.looks import Window, windowed_looks
 from sal_height.point_targets import CHIP, LEAST_OVER_CLUTTER_DB, PointTarget, find_targets
+from sal_height.reference_target import Sighting, sighting
 from sal_height.sensor import Sensor
 from sal_height.transfer_function import estimate_transfer_function, without_clutter
 from sal_height.windows import window
@@ -41,9 +49,17 @@ SQUINT_STEP = 0.01
 class Calibrator:
     """Gathers what the images of a sensor tell, dwell by dwell."""
 
-    def __init__(self, sensor: Sensor, beams: Beams) -> None:
-        """Begin with the description of the sensor, whose waveform is "spectrum", and the beams as images have them."""
+    def __init__(self, sensor: Sensor, beams: Beams, target: Array | None = None) -> None:
+        """Begin.
+
+        Args:
+            sensor: its description, with waveform "spectrum".
+            beams: as images have them.
+            target: place of a reference target in the map, m, shape (3,); None: there is none.
+        """
         self.sensor = sensor
+        self._target = target
+        self._sightings: list[Sighting] = []
         self.dwells = 0
         self._beams = beams
         self._spectra = CrossSpectra.none(sensor.detector_count, sensor.sample_count)
@@ -67,6 +83,9 @@ class Calibrator:
         pixels = unwound(slc, grid, aperture, self.sensor)
         self._spectra += cross_spectra(pixels, self.sensor, noise_powers)
         self._targets += targets_in(pixels.sum(axis=0))
+        if self._target is not None:
+            seen = sighting(pixels, grid, aperture, self.sensor.look_side, self._target)
+            self._sightings += [seen] if seen else []
         squint = column_squint(grid, aperture, self._beams, self.sensor.look_side)
         for block in self._blocks(*pixels.shape[1:]):
             columns = slice(LOOKS * block, LOOKS * (block + 1))
@@ -86,10 +105,13 @@ class Calibrator:
             response, sigma = differential.response, differential.sigma
         except NotDetermined as error:
             undetermined.append(f"How receivers differ over the band: {error}")
-        try:
-            beams = self._calibrated_beams(response)
-        except UserError as error:
-            undetermined.append(f"Gains and width of the beams: {error}")
+        for what, calibrated in (("by the reference target", self._by_target), ("by the scene", self._by_scene)):
+            try:
+                beams = calibrated(response) or beams
+            except UserError as error:
+                undetermined.append(f"Gains and width of the beams {what}: {error}")
+            if beams.pixels:
+                break
         try:
             response = response * common_response(self._targets, frequencies)
         except NotDetermined as error:
@@ -112,7 +134,31 @@ class Calibrator:
         kept = min(blocks, -(-PIXELS // rows))
         return [(self.dwells * kept + index) % blocks for index in range(kept)]
 
-    def _calibrated_beams(self, response: ComplexArray) -> BeamCalibration:
+    def _by_target(self, _response: ComplexArray) -> BeamCalibration | None:
+        """Gains of the beams, and their width if elevations differ, by a reference target; None: there is none.
+
+        Raises:
+            NotDetermined: it was not seen, or not by all detectors.
+        """
+        if self._target is None:
+            return None
+        if self.sensor.is_mixed:
+            raise NotDetermined(MIXED)
+        if not self._sightings:
+            raise NotDetermined("No dwell shows the target 20 dB over its image; one at least must.")
+        channels = whitened_channels(
+            with_powers(self.sensor.noise_covariance, self._noise_powers / self.dwells), self.sensor.mixing
+        )
+        samples = np.array([one.samples for one in self._sightings]) @ channels.transform.T
+        covariance = (samples[:, :, None] * samples[:, None].conj()).astype(np.complex64)
+        angles = np.array([[one.elevation, one.squint] for one in self._sightings]).T
+        known = covariance, 1, self._beams.combined(channels.matrix), *angles, float(channels.noise_powers[0])
+        try:
+            return calibrate_on_target(*known)
+        except NotDetermined:
+            return calibrate_gains_on_target(*known)
+
+    def _by_scene(self, response: ComplexArray) -> BeamCalibration:
         """Width and gains of the beams, by images of weighted range and equal receivers.
 
         Raises:

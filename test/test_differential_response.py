@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sal_height.differential_response import CrossSpectra, cross_spectra, differential_response, unwound
+from sal_height.differential_response import CrossSpectra, _information, cross_spectra, differential_response, unwound
 from sal_height.errors import NotDetermined
 from sal_height.flight import flight_of
 from sal_height.focusing import Settings, focus_dwell
@@ -119,3 +119,18 @@ def test_weighted_images_are_refused() -> None:
     slc = focus_dwell(flight.phase_history(0), track, flight.sensor, Settings(cols=12))
     with pytest.raises(NotDetermined, match="range_window rectangular in the slant plane"):
         unwound(slc.images, slc.grid, slc.aperture, flight.sensor)
+
+
+def test_information_is_that_of_the_wishart_distribution() -> None:
+    """tr(A dS A dS'), with derivatives of the covariance by differences."""
+    signal = coherent()
+    weight = np.linalg.inv(signal + np.diag([1.0, 2.0, 1.0, 0.5, 1.0]))
+
+    def covariance(logarithms: np.ndarray) -> np.ndarray:
+        response = np.exp(logarithms[:CHANNELS] + 1j * logarithms[CHANNELS:])
+        return response[:, None] * signal * response.conj()
+
+    steps = 1e-6 * np.eye(2 * CHANNELS)
+    slopes = [(covariance(step) - covariance(-step)) / 2e-6 for step in steps]
+    expected = [[np.trace(weight @ one @ weight @ other).real for other in slopes] for one in slopes]
+    np.testing.assert_allclose(_information(signal, weight), expected, rtol=1e-6, atol=1e-8)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from rclpy._rclpy_pybind11 import RCLError
 from sal_height_msgs.msg import Calibration, ComplexImage
@@ -16,6 +18,7 @@ from sal_height import convert
 from sal_height.calibration import save_calibration
 from sal_height.calibrator import Calibrator
 from sal_height.errors import Rejected, UserError
+from sal_height.geometry import sphere_point
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.parameters import parameter
@@ -39,6 +42,11 @@ class Parameters:
     dwell_step: int = parameter(
         8, "of so many dwells one is taken in: receivers change slowly, and time is short", minimum=1, maximum=1_000_000
     )
+    target: str = parameter(
+        "",
+        "reference target: arc distances east and north of the map's origin, and height, m: E,N,H; empty: none",
+        read_only=True,
+    )
     file: str = parameter(
         "", "file that each calibration is written to, .npz; one that is there is replaced; empty: none"
     )
@@ -51,9 +59,14 @@ class PsfCalibration(DwellStage):
     parameters = Parameters
 
     def __init__(self, **node_arguments: Any) -> None:
-        """Make the node; `node_arguments` go to rclpy's Node."""
+        """Make the node; `node_arguments` go to rclpy's Node.
+
+        Raises:
+            UserError: a parameter has a value that is not allowed.
+        """
         super().__init__("psf_calibration", ComplexImage, "slc", **node_arguments)
         self._calibrator: Calibrator | None = None
+        self._target = _place(self.current_parameters().target)
         self._dwells = 0
         self._made = False
         self._stamp = Time()
@@ -92,7 +105,7 @@ class PsfCalibration(DwellStage):
             )
         if self._calibrator is None or self._calibrator.sensor.config_hash != sensor.config_hash:
             beams = processed_beams(sensor, messages[0].provenance.parameters)
-            self._calibrator = Calibrator(spectrum_sensor(sensor), beams)
+            self._calibrator = Calibrator(spectrum_sensor(sensor), beams, self._target)
         self._calibrator.add(*convert.slc_from_messages(messages))
         self._stamp = messages[0].header.stamp
         return self._complete() if self._calibrator.dwells >= parameters.dwells else 0
@@ -128,6 +141,23 @@ class PsfCalibration(DwellStage):
             except UserError as error:
                 self.ignore("file", error)
         return 1
+
+
+def _place(text: str) -> npt.NDArray[np.float64] | None:
+    """Place of the reference target in the map, m; None: there is none.
+
+    Raises:
+        UserError: the text is not three numbers.
+    """
+    if not text:
+        return None
+    try:
+        east, north, height = (float(number) for number in text.split(","))
+    except ValueError as error:
+        raise UserError(
+            f"Parameter target is {text!r}; it must be three numbers, E,N,H in m, as in 12.5,-3,1.2, or empty."
+        ) from error
+    return sphere_point(east, north, height)
 
 
 def main() -> int:

@@ -25,7 +25,10 @@ A replay records images of single detectors only. To have those of several, reco
 
 CALIBRATE = """Plays a bag through compression, without weights in range, and measures on the images of all its dwells
   receivers    how each channel's receiver shapes the band, beyond what sensor_info says: relative to the others by the
-               cross-spectra between channels, on any scene
+               cross-spectra between channels, on any scene; what they have in common, by point targets
+  gains, width complex gains of the detectors and the width of their beams, by the scene; of two detectors the phase
+               only, unless a reflector of known place (E,N,H in m) is in the images:
+               --param psf_calibration.target=12.5,-3,1.2
 A calibration belongs to the sensor_info it was measured with. It is applied where images are made:
 
   sal-height calibrate out/sal_spotlight/bag --out out/calibrated

@@ -17,6 +17,7 @@ from sal_height_msgs.msg import HeightImage
 
 from sal_height import convert
 from sal_height.calibration import Calibration, load_calibration, save_calibration
+from sal_height.errors import UserError
 from sal_height.flight import SimulatedFlight
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.psf_calibration import PsfCalibration
@@ -302,3 +303,10 @@ def test_clipped_dwells_are_left_out(graph: Graph, flight: SimulatedFlight, hear
     assert graph.spin_until(lambda: node.tally.summary().get("dropped.saturated") == DETECTORS, TIMEOUT_S)
     assert_one_sentence(node.last_rejection.partition(": ")[2])
     assert not heard
+
+
+@pytest.mark.parametrize("text", ["1,2", "a,b,c", "1;2;3"])
+def test_a_target_that_is_no_place_is_refused(graph: Graph, text: str) -> None:
+    with pytest.raises(UserError, match="must be three numbers, E,N,H in m") as refusal:
+        calibrator(graph, target=text)
+    assert_one_sentence(str(refusal.value))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
@@ -27,7 +29,7 @@ from sal_height.point_targets import CHIP, LEAST_OVER_CLUTTER_DB, PointTarget, f
 from sal_height.reference_target import Sighting, sighting
 from sal_height.sensor import Sensor
 from sal_height.transfer_function import estimate_transfer_function, without_clutter
-from sal_height.windows import window
+from sal_height.windows import noise_gain, window
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -168,7 +170,8 @@ class Calibrator:
             raise NotDetermined(MIXED)
         if not self._columns:
             raise NotDetermined(f"No image has {LOOKS} columns; needed are as many or more.")
-        weights = window("taylor", self.sensor.sample_count) / response
+        taper = window("taylor", self.sensor.sample_count)
+        weights = taper / response
         noise = self._noise_powers / self.dwells * np.mean(np.abs(weights) ** 2, axis=1)
         channels = whitened_channels(with_powers(self.sensor.noise_covariance, noise), self.sensor.mixing)
         columns = [_in_length(columns, self.sensor.sample_count) for columns in self._columns]
@@ -181,7 +184,14 @@ class Calibrator:
         squint = np.round(np.array(self._squints) / step) * step
         calibrate = calibrate_beams if self.sensor.detector_count > 2 else calibrate_phases
         beams = self._beams.combined(channels.matrix)
-        return calibrate(looks, beams, squint, float(channels.noise_powers[0]))
+        found = calibrate(looks, beams, squint, float(channels.noise_powers[0]))
+        alike = np.sqrt(noise_gain(taper**2)) / noise_gain(taper)  # speckle of rows that are neighbours
+        return replace(
+            found,
+            width_sigma=found.width_sigma * alike,
+            gain_sigmas=found.gain_sigmas * alike,
+            phase_sigmas=found.phase_sigmas * alike,
+        )
 
 
 def _in_length(columns: npt.NDArray[np.complex64], rows: int) -> npt.NDArray[np.complex64]:

@@ -214,4 +214,3 @@ class HeightStage(DwellStage):
             return
         held = [*self._calibrations.values(), calibration][-HELD_CALIBRATIONS:]
         self._calibrations = {one.id: one for one in held}
-        self.advance()

@@ -37,6 +37,7 @@ GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
     "array-memory": memory.array_memory,
     "layover": layover.throughput,
     "psf-targets": psf.target_route,
+    "psf-both": psf.both_routes,
     "relief-map": relief_map.throughput,
     "relief-tracking": relief_tracking.throughput,
     "figures": figures.all_figures,

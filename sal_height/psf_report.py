@@ -7,7 +7,7 @@ sections 3 and 4). Axis 0 of images is range, axis 1 azimuth.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from sal_height.errors import NotDetermined, UserError
 from sal_height.point_targets import CHIP, PointTarget, TargetSurvey, find_targets
 from sal_height.psf import PointSpread, point_spread
-from sal_height.pure_speckle import TILE, SpeckleTiles, find_pure_speckle
+from sal_height.pure_speckle import REASONS, TILE, SpeckleTiles, find_pure_speckle
 from sal_height.speckle_spectra import SpeckleSpectra, speckle_spectra
 from sal_height.superposition import Superposition, superposition
 from sal_height.transfer_function import TransferFunction, estimate_transfer_function
@@ -40,7 +40,7 @@ class PsfReport:
         spread: the point-spread function they make.
         tiles: of the images side by side along azimuth, each cut to whole tiles.
         spectra: of the tiles of pure speckle.
-        linearity: comparison of the responses to targets and to speckle.
+        linearity: comparison of the responses to targets and to speckle, that of tiles away from bright points.
         linearity_rows: of the chips of the targets compared; 0: none were.
         undetermined: for each part that is None ("targets", "speckle", "pointing", "superposition"), one sentence: why,
             and what would be needed.
@@ -92,36 +92,37 @@ def report_on(images: Sequence[ComplexImage], chip: tuple[int, int] | None = Non
         chip: rows and columns around a target; None: 64 x 64 (PSF paper), or what the smallest image has.
 
     Raises:
-        UserError: there is no image, they are not complex matrices of as many rows, or the chip does not fit.
+        UserError: there is no image, they are not complex matrices of as many rows, one has no phase, or the chip does
+            not fit.
     """
     rows, cols = _common_shape(images)
-    chip = chip or (min(CHIP[0], rows), min(CHIP[1], cols))
-    undetermined: dict[str, str] = {}
-    surveys = tuple(find_targets(image, chip) for image in images)
-    transfer = _part("targets", undetermined, lambda: estimate_transfer_function(_pooled(surveys).require()))
-    tile = min(TILE[0], rows), min(TILE[1], cols)
-    mosaic = side_by_side(images, tile[1])
-    tiles = _part("speckle", undetermined, lambda: find_pure_speckle(mosaic, tile))
-    spectra = speckle_spectra(mosaic, tiles) if tiles else None
-    if not spectra:
-        undetermined["pointing"] = "Where the antenna points is told by pure speckle, and none was found."
-    elif not spectra.pointing:
-        undetermined["pointing"] = (
-            "The response along azimuth is too flat, or the pure speckle too little, to tell where the antenna points; "
-            "needed are neighbouring pixels that correlate, or more speckle in a column of tiles."
+    if any(image.real.any() and not image.imag.any() for image in images):
+        raise UserError(
+            "An image has no imaginary parts other than 0; a response takes complex pixels, not amplitudes."
         )
+    chip = chip or (min(CHIP[0], rows), min(CHIP[1], cols))
+    tile = min(TILE[0], rows), min(TILE[1], cols)
+    reasons: dict[str, str] = {}
+    surveys = tuple(find_targets(image, chip) for image in images)
+    transfer = _part("targets", reasons, lambda: estimate_transfer_function(_pooled(surveys).require()))
+    mosaic = side_by_side(images, tile[1])
+    tiles = _part("speckle", reasons, lambda: find_pure_speckle(mosaic, tile))
+    spectra = speckle_spectra(mosaic, tiles) if tiles else None
+    if not (spectra and spectra.pointing):
+        reasons["pointing"] = _why_no_pointing(spectra)
     linearity, length = None, 0
-    if transfer and spectra:
-        compared = _part("superposition", undetermined, lambda: _compared(images, chip[1], spectra))
+    if transfer and tiles:
+        away = _away_from_candidates(images, surveys, tiles)
+        compared = _part("superposition", reasons, lambda: _compared(images, mosaic, away, chip[1]))
         linearity, length = compared or (None, 0)
     else:
-        missing = " and ".join(what for what in ("targets", "speckle") if what in undetermined)
-        undetermined["superposition"] = (
-            f"Whether the system is linear is told by targets and speckle together, and there is no response of the "
+        missing = " and ".join(what for what in ("targets", "speckle") if what in reasons)
+        reasons["superposition"] = (
+            "Whether the system is linear is told by targets and speckle together; lacking is the response of "
             f"{missing}."
         )
     spread = point_spread(transfer) if transfer else None
-    return PsfReport(chip, surveys, transfer, spread, tiles, spectra, linearity, length, undetermined)
+    return PsfReport(chip, surveys, transfer, spread, tiles, spectra, linearity, length, reasons)
 
 
 def side_by_side(images: Sequence[ComplexImage], width: int) -> npt.NDArray[np.complex64]:
@@ -174,15 +175,55 @@ def _pooled(surveys: Sequence[TargetSurvey]) -> TargetSurvey:
     )
 
 
-def _compared(images: Sequence[ComplexImage], cols: int, spectra: SpeckleSpectra) -> tuple[Superposition, int]:
+def _why_no_pointing(spectra: SpeckleSpectra | None) -> str:
+    if spectra is None:
+        return "Where the antenna points is told by pure speckle, and none was found; needed is a tile of it."
+    return (
+        "The response along azimuth is too flat, or the pure speckle too little, to tell where the antenna points; "
+        "needed are neighbouring pixels that correlate, or more speckle in a column of tiles."
+    )
+
+
+def _compared(
+    images: Sequence[ComplexImage], mosaic: npt.NDArray[np.complex64], tiles: SpeckleTiles, cols: int
+) -> tuple[Superposition, int]:
     """Comparison of the targets' range response with that of speckle, and the rows of the chips it was made with."""
-    least, rows = len(spectra.range.covariance), images[0].shape[0]
+    least, rows = tiles.tile[0], images[0].shape[0]
+    if not tiles.pure.any():
+        raise NotDetermined(
+            f"Every tile of pure speckle is within {LONG_CHIPS[0] // 2} rows of a bright point, whose echoes are no "
+            "speckle; a comparison with targets needs one that is not."
+        )
     for length in dict.fromkeys(min(rows, most) for most in LONG_CHIPS):
         targets = _pooled([find_targets(image, (length, cols)) for image in images]).targets
         if targets and length >= least:
             transfer = estimate_transfer_function(targets)
+            spectra = speckle_spectra(mosaic, tiles)
             return superposition(transfer.range_response, transfer.range_sigma, spectra), length
     raise NotDetermined(
         f"No target is alone in a chip of {least} x {cols} pixels, as long as a sub-image of speckle; needed is one "
         "for a comparison of the two."
     )
+
+
+def _away_from_candidates(
+    images: Sequence[ComplexImage], surveys: Sequence[TargetSurvey], tiles: SpeckleTiles
+) -> SpeckleTiles:
+    """The tiles, those not pure any more that the chip of a bright point would touch, as long as LONG_CHIPS go.
+
+    What is left of a point in tiles around is too little for the tests of purity, but its echoes have deeper teeth than
+    the response: with them the comparison of a linear system fails.
+    """
+    verdict, first = tiles.verdict.copy(), 0
+    reach = LONG_CHIPS[0] // 2, CHIP[1] // 2
+    for image, survey in zip(images, surveys, strict=True):
+        across = image.shape[1] // tiles.tile[1]
+        own = verdict[:, first : first + across]
+        for one in survey.candidates:
+            down, along = (
+                slice(max(0, place - far) // side, (place + far) // side + 1)
+                for place, far, side in zip((one.row, one.col), reach, tiles.tile, strict=True)
+            )
+            own[down, along][own[down, along] == 0] = REASONS.index("beside a bright point")
+        first += across
+    return replace(tiles, verdict=verdict)

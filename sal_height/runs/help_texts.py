@@ -35,9 +35,9 @@ Images and heights then have its id in their provenance. In the air, node psf_ca
 topic calibration, which sar_compression takes with calibration:=topic.
 """
 
-PSF = """What the images of a detector have in common is the response of the system to a point: all those given of one detector
-are measured together, whatever their dwells and files. They must be of one sensor and mode, have as many rows, and be
-critically sampled or finer. An image is one of
+PSF = """What images of a detector have in common is the response of the system to a point: all those given of one
+detector are measured together, whatever their dwells and files. They must be of one sensor and mode, have as many rows,
+and be critically sampled or finer. An image is one of
   .npy, .npz   the complex array in it: (range, azimuth) or (detectors, range, azimuth)
   bag          folder or .mcap file: every ComplexImage in it (topic slc), with its sensor_info; adds m to pixels
 

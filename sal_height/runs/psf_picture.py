@@ -113,19 +113,19 @@ def _draw_response(panels: Sequence[Axes], response: ComplexArray, sigma: Array,
     angle = np.where(amplitude > PHASE_KNOWN * sigma, np.angle(response), np.nan)
     if axis is None:
         modulus.plot(frequency, amplitude, lw=0.6, color="0.6")
-        phase.plot(frequency, angle, lw=0.6, color="0.6")
+        phase.plot(frequency, angle, ".", ms=2, color="0.6")
         return
     error = sigma / np.sqrt(2)
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = error / amplitude
     modulus.plot(frequency, amplitude, color="tab:blue")
     modulus.fill_between(frequency, np.maximum(0, amplitude - error), amplitude + error, alpha=0.3, color="tab:blue")
-    phase.plot(frequency, angle, color="tab:blue")
-    phase.fill_between(frequency, angle - turn, angle + turn, alpha=0.3, color="tab:blue")
+    phase.errorbar(frequency, angle, turn, fmt=".", ms=4, lw=0.8, color="tab:blue")
     modulus.set(xlabel=f"{axis} frequency (cycles per pixel)", ylim=(0, None))
     phase.set(xlabel=f"{axis} frequency (cycles per pixel)", ylabel="rad", ylim=(-np.pi, np.pi))
     for axes in panels:
         axes.grid(alpha=0.3)
+        axes.set_xlim(-0.5, 0.5)
 
 
 def _draw_speckle(axes: Axes, name: str, report: PsfReport) -> None:

@@ -118,8 +118,8 @@ def report_on(images: Sequence[ComplexImage], chip: tuple[int, int] | None = Non
     else:
         missing = " and ".join(what for what in ("targets", "speckle") if what in reasons)
         reasons["superposition"] = (
-            "Whether the system is linear is told by targets and speckle together; lacking is the response of "
-            f"{missing}."
+            "Whether the system is linear is told by targets and speckle together; needed is also the response "
+            f"of {missing}."
         )
     spread = point_spread(transfer) if transfer else None
     return PsfReport(chip, surveys, transfer, spread, tiles, spectra, linearity, length, reasons)

@@ -45,8 +45,9 @@ Two ways lead to the response, and each may fail by itself:
   targets      chips around points that are bright, whole and alone tell the complex responses R along range and A
                along azimuth, and so the point-spread function: width at -3 dB, PSLR, ISLR, and anomalous sidelobes,
                which rise above those nearer to the peak and are a fault's
-  speckle      tiles that hold nothing else tell |R|^2 and |A|^2, an upper limit to the noise, a spur at half a cycle
-               per range pixel, and where the antenna points at each column of tiles
+  speckle      tiles that hold nothing else tell |R|^2 and |A|^2, a noise floor (the quietest eighth of the
+               frequencies), a spur at half a cycle per range pixel, and where the antenna points at each column of
+               tiles
   both         superposition: the probability that a linear system shows as large a difference, or a larger one,
                between its responses to targets and to speckle. A small one speaks against linearity.
 What cannot be determined is null in psf.json, its entry under "undetermined" says why and what would be needed, and

@@ -320,7 +320,7 @@ def _speckle_lines(entry: Entry) -> list[str]:
         one = entry["speckle"]
         counted = ", ".join(f"{number} {verdict}" for verdict, number in one["verdicts"].items())
         lines.append(
-            f"tiles of speckle: {counted}; noise at most {one['noise_floor']:.3g}, spur {one['nyquist_spur']:.2g} of "
+            f"tiles of speckle: {counted}; noise floor {one['noise_floor']:.3g}, spur {one['nyquist_spur']:.2g} of "
             "the mean power"
         )
     if entry["pointing"]:

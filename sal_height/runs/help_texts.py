@@ -36,8 +36,8 @@ topic calibration, which sar_compression takes with calibration:=topic.
 """
 
 PSF = """What images of a detector have in common is the response of the system to a point: all those given of one
-detector are measured together, whatever their dwells and files. They must be of one sensor and mode, have as many rows,
-and be critically sampled or finer. An image is one of
+detector are measured together, whatever their dwells and files. They must be of one sensor and mode, of as many range
+pixels, and critically sampled or finer. An image is one of
   .npy, .npz   the complex array in it: (range, azimuth) or (detectors, range, azimuth)
   bag          folder or .mcap file: every ComplexImage in it (topic slc), with its sensor_info; adds m to pixels
 
@@ -49,7 +49,8 @@ Two ways lead to the response, and each may fail by itself:
                frequencies), a spur at half a cycle per range pixel, and where the antenna points at each column of
                tiles
   both         superposition: the probability that a linear system shows as large a difference, or a larger one,
-               between its responses to targets and to speckle. A small one speaks against linearity.
+               between its responses to targets and to speckle. A small one speaks against linearity. Speckle
+               within 128 range pixels of a bright point is left out: the point's echoes are in it
 What cannot be determined is null in psf.json, its entry under "undetermined" says why and what would be needed, and
 psf.npz lacks its arrays. One entry of psf.json is one detector; with several, N's files are psf_N.npz and psf_N.png.
 

@@ -305,7 +305,7 @@ def _lines(entry: Entry) -> list[str]:
         lines.append(f"{axis:10}" + "".join(f"{_shown(number):>9}" for number in numbers))
     for axis in AXES if entry["range"] else ():
         lines += [
-            f"anomalous sidelobe in {axis} at {one['position_px']:+.1f} px ({_shown(one['position_m'])} m): "
+            f"anomalous sidelobe in {axis} at {one['position_px']:+.1f} px, {_shown(one['position_m'])} m: "
             f"{one['level_db']:.1f} dB, {_shown(one['significance'], '.1f')} standard errors"
             for one in entry[axis]["anomalous_sidelobes"]
         ]

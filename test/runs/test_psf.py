@@ -120,7 +120,7 @@ def test_the_sawtooth_is_named_by_its_echoes(tapes: Path) -> None:
 
 
 def test_a_linear_tape_keeps_superposition(tapes: Path) -> None:
-    """At 1 % it fires on 2 of 210 linear tapes."""
+    """At 1 % it fires on 3 of 210 linear tapes of 640 x 512 and 768 x 768."""
     for entry in measured(tapes):
         assert entry["superposition"]["p_value"] > 0.01
         assert entry["superposition"]["chip_rows"] == 256

@@ -43,6 +43,7 @@ GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
     "accuracy-calibration": calibration_accuracy.left_of_errors,
     "layover": layover.throughput,
     "psf-targets": psf.target_route,
+    "psf-both": psf.both_routes,
     "relief-map": relief_map.throughput,
     "relief-tracking": relief_tracking.throughput,
     "figures": figures.all_figures,

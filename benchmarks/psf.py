@@ -14,7 +14,9 @@ from sal_height.compiled import WORKERS
 from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
 from sal_height.point_targets import find_targets
 from sal_height.psf import PointSpread, point_spread
-from sal_height.transfer_function import estimate_transfer_function
+from sal_height.pure_speckle import find_pure_speckle
+from sal_height.speckle_spectra import SpeckleSpectra, speckle_spectra
+from sal_height.transfer_function import TransferFunction, estimate_transfer_function
 
 SIDE = 2048
 TARGETS = tuple(Target(row + 0.3, col + 0.6, 40.0) for row in (300, 1600) for col in (500, 1300))
@@ -34,6 +36,24 @@ def target_route() -> Iterator[Row]:
             "<= 1.5",
             f"{1e3 * calibration:.0f} ms over {1e3 * pair:.0f} ms of scipy's fft2 and ifft2 of {SIDE} × {SIDE}",
         )
+
+
+def both_routes() -> Iterator[Row]:
+    """Targets, transfer function, pure speckle and its spectra: all that an image tells."""
+    image = make_tape((SIDE, SIDE), np.random.default_rng(1), TARGETS, RangeFault(), AzimuthFault(), noise=0.3)
+    both, pair = medians(partial(_both, image), partial(_there_and_back, image))
+    yield Row(
+        "point-spread function, both routes together",
+        both / pair,
+        "1",
+        "<= 4",
+        f"{1e3 * both:.0f} ms over {1e3 * pair:.0f} ms of scipy's fft2 and ifft2 of {SIDE} × {SIDE}",
+    )
+
+
+def _both(image: npt.NDArray[np.complex64]) -> tuple[TransferFunction, SpeckleSpectra]:
+    transfer = estimate_transfer_function(find_targets(image).require())
+    return transfer, speckle_spectra(image, find_pure_speckle(image))
 
 
 def _calibrate(image: npt.NDArray[np.complex64]) -> PointSpread:

@@ -1,4 +1,4 @@
-"""The command line: sal-height run | replay | calibrate | irf | figures | montecarlo | import-gotcha | salvage."""
+"""The command line: sal-height run, replay, calibrate, irf, psf, figures, montecarlo, import-gotcha, salvage."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sal_height import __version__
 from sal_height.errors import UserError
 from sal_height.experiments.help_texts import ARRAY, DEFAULT_TRIALS, FIGURES, MONTE_CARLO, PAIR
 from sal_height.preset import Preset, load_preset, parse_preset, preset_names
-from sal_height.runs.help_texts import CALIBRATE, IRF
+from sal_height.runs.help_texts import CALIBRATE, IRF, PSF
 
 if TYPE_CHECKING:
     from sal_height.beams import Beams
@@ -36,6 +36,7 @@ EXAMPLES = """examples:
   sal-height replay out/sal_spotlight/bag --param ml_height.objective=numerator
   sal-height calibrate out/sal_spotlight/bag        receivers and beams, from whatever was flown over
   sal-height irf out/replay_gotcha/bag              width and sidelobes of the brightest target
+  sal-height psf tape.npy                           point-spread function, from targets and from speckle
   sal-height figures                                the papers' figures beside theory
   sal-height montecarlo array --cnr-db 10 --theta 1.75 --looks 4
 """
@@ -43,7 +44,8 @@ EXAMPLES = """examples:
 EXIT_STATUS = """exit status:
   0    done
   1    run: not one valid height came out;
-       replay: heights differ from the recorded ones, are missing or extra, and no --param was given
+       replay: heights differ from the recorded ones, are missing or extra, and no --param was given;
+       psf: neither targets nor speckle told anything
   2    something given cannot be used, or the run failed; one sentence on stderr says what
   130  interrupted by SIGINT (Ctrl-C), SIGTERM or SIGHUP; what was done until then is on disk
 """
@@ -126,22 +128,29 @@ def _parser() -> argparse.ArgumentParser:
         description=IRF,
         **shown,
     )
-    irf.add_argument("images", type=Path, nargs="*", metavar="IMAGE", help=".npy or .npz file, or bag")
+    _add_images(irf, "*")
     irf.add_argument(
         "--near", type=_pixel, metavar="ROW,COL", help="measure the brightest target within 8 pixels of it"
-    )
-    irf.add_argument("--dwell", type=int, metavar="N", help="only images of this dwell")
-    irf.add_argument("--detector", type=int, metavar="N", help="only images of this detector")
-    irf.add_argument(
-        "--azimuth-axis",
-        type=int,
-        choices=(0, 1),
-        default=1,
-        help="in .npy and .npz: 1 if columns follow each other along the flight, 0 if rows do (default: %(default)s)",
     )
     irf.add_argument("--windows", action="store_true", help="show what this program's windows cost and gain instead")
     _add_out(irf, "out/irf")
     irf.set_defaults(command=_irf)
+
+    psf = commands.add_parser(
+        "psf",
+        help="measure the complex point-spread function on images; leaves psf.json, psf.npz and psf.png",
+        description=PSF,
+        **shown,
+    )
+    _add_images(psf, "+")
+    psf.add_argument(
+        "--chip",
+        type=_looks,
+        metavar="RxA",
+        help="pixels around a target in range x azimuth (default: 64x64, or what the smallest image has)",
+    )
+    _add_out(psf, "out/psf")
+    psf.set_defaults(command=_psf)
 
     _add_figures(commands)
     _add_montecarlo(commands)
@@ -258,6 +267,19 @@ def _add_montecarlo(commands: Subcommands) -> None:
     array.set_defaults(command=_montecarlo, kind="array")
 
 
+def _add_images(command: argparse.ArgumentParser, count: str) -> None:
+    command.add_argument("images", type=Path, nargs=count, metavar="IMAGE", help=".npy or .npz file, or bag")
+    command.add_argument("--dwell", type=int, metavar="N", help="only images of this dwell")
+    command.add_argument("--detector", type=int, metavar="N", help="only images of this detector")
+    command.add_argument(
+        "--azimuth-axis",
+        type=int,
+        choices=(0, 1),
+        default=1,
+        help="in .npy and .npz: 1 if columns follow each other along the flight, 0 if rows do (default: %(default)s)",
+    )
+
+
 def _add_out(command: argparse.ArgumentParser, default: str) -> None:
     command.add_argument(
         "--out",
@@ -336,6 +358,16 @@ def _irf(options: argparse.Namespace) -> int:
     print(response_table(entries))
     print(f"see {out}/irf.json and {out}/irf.png")
     return 0
+
+
+def _psf(options: argparse.Namespace) -> int:
+    from sal_height.folders import free_folder
+    from sal_height.runs.psf import determined, psf, psf_table
+
+    out = options.out or free_folder(Path("out") / "psf")
+    entries = psf(options.images, out, options.chip, options.dwell, options.detector, options.azimuth_axis)
+    print(f"{psf_table(entries)}\nsee {out}/psf.json and {', '.join(sorted(str(p) for p in out.glob('psf*.png')))}")
+    return 0 if determined(entries) else 1
 
 
 def _figures(options: argparse.Namespace) -> int:

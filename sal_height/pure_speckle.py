@@ -34,8 +34,8 @@ TILE = (64, 64)
 LEAST_TILE = 8
 """Fewer rows or columns than this make no tile."""
 
-REASONS = ("pure", "not finite", "zero", "real", "clipped", "moment", "texture")
-"""What may become of a tile, in the order of the tests."""
+REASONS = ("pure", "not finite", "zero", "real", "clipped", "moment", "texture", "beside a bright point")
+"""What may become of a tile, in the order of the tests; the last is for those who know where bright points are."""
 
 CLIPPED_SHARE = 1e-3
 """Share of the real and imaginary parts at a tile's greatest one from which on it is clipped."""

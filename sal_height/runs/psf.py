@@ -1,0 +1,341 @@
+"""`sal-height psf`: the complex point-spread function of a system from its images, as numbers, arrays and a picture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from tqdm import tqdm
+
+from sal_height.errors import UserError
+from sal_height.folders import new_folder, write_text, writing
+from sal_height.impulse_response import CutResponse
+from sal_height.psf import Sidelobe
+from sal_height.psf_report import LONG_CHIPS, ImagePointing, PsfReport, pointing_of_images, report_on
+from sal_height.runs.images import AXES, Image, images_of
+from sal_height.runs.psf_picture import draw_psf
+from sal_height.runs.report import or_null
+from sal_height.speckle_spectra import frequencies
+from sal_height.transfer_function import without_clutter
+
+Entry = dict[str, Any]
+
+SAME_SPACING = 0.01
+"""Share by which the spacings of pooled images may differ."""
+
+
+def psf(
+    paths: list[Path],
+    out: Path,
+    chip: tuple[int, int] | None = None,
+    dwell: int | None = None,
+    detector: int | None = None,
+    azimuth_axis: int = 1,
+) -> list[Entry]:
+    """Measure the point-spread function of each detector on all its images, leaving psf.json, .npz and .png in `out`.
+
+    With several detectors the latter two are psf_N.npz and psf_N.png of detector N.
+
+    Args:
+        paths: of .npy and .npz files and of bags.
+        out: folder; must be new or empty.
+        chip: rows and columns around a target, range and azimuth; None: 64 x 64, or what the smallest image has.
+        dwell: only its images; None: all.
+        detector: only its images; None: all.
+        azimuth_axis: axis (0 or 1) along the flight in .npy and .npz; in bags it is 1.
+
+    Returns:
+        The entries of psf.json, one per detector. None stands for what could not be determined; "undetermined" says
+        why.
+
+    Raises:
+        UserError: something cannot be read, pooled or written.
+    """
+    groups: dict[int | None, list[Image]] = {}
+    images = (image for path in paths for image in images_of(path, dwell, detector, azimuth_axis))
+    for image in tqdm(images, desc="psf: reading", unit="image", delay=1, leave=False):
+        groups.setdefault(image.detector, []).append(image)
+    reports = [_measured(group, chip) for group in tqdm(groups.values(), desc="psf", delay=1, leave=False)]
+    measured = zip(groups, groups.values(), reports, strict=True)
+    pointings = [_pointing(group, report) for group, report in zip(groups.values(), reports, strict=True)]
+    entries = [_entry(*one, pointing) for one, pointing in zip(measured, pointings, strict=True)]
+    folder = new_folder(out)
+    write_text(folder / "psf.json", json.dumps(entries, indent=2, allow_nan=False) + "\n")
+    for number, report, pointing, entry in zip(groups, reports, pointings, entries, strict=True):
+        name = "psf" if len(groups) == 1 else f"psf_{number}"
+        with writing(folder / f"{name}.npz"):
+            np.savez(folder / f"{name}.npz", allow_pickle=False, **_arrays(report, pointing))
+        reasons = list(entry["undetermined"].values())
+        with writing(folder / f"{name}.png"):
+            draw_psf(report, pointing, _title(groups[number]), reasons, folder / f"{name}.png")
+    return entries
+
+
+def determined(entries: list[Entry]) -> bool:
+    """Whether the images of any detector tell anything."""
+    return any(entry[part] is not None for entry in entries for part in ("range", "speckle"))
+
+
+def psf_table(entries: list[Entry]) -> str:
+    """The entries of psf.json as lines for people; a dash stands for what could not be determined."""
+    return "\n\n".join("\n".join(_lines(entry)) for entry in entries)
+
+
+def _measured(group: list[Image], chip: tuple[int, int] | None) -> PsfReport:
+    try:
+        return report_on([_upright(image) for image in group], chip)
+    except UserError as error:
+        raise UserError(f"{_title(group)}: {error}") from error
+
+
+def _pointing(group: list[Image], report: PsfReport) -> list[ImagePointing]:
+    return pointing_of_images(report, [_upright(image) for image in group])
+
+
+def _upright(image: Image) -> npt.NDArray[np.complexfloating]:
+    """Pixels with range along axis 0."""
+    return image.pixels if image.axes == AXES else image.pixels.T
+
+
+def _title(group: list[Image]) -> str:
+    more = f" and {len(group) - 1} more" if len(group) > 1 else ""
+    return f"Image {group[0].name}{more}"
+
+
+def _spacing(group: list[Image]) -> tuple[float, float]:
+    """Of the pixels along range and azimuth, m; NaN if it is not known.
+
+    Raises:
+        UserError: it is not the same in all images.
+    """
+    grids = [image.grid for image in group if image.grid]
+    if len(grids) < len(group):
+        return float("nan"), float("nan")
+    both = np.array([(grid.row_spacing, grid.col_spacing) for grid in grids])
+    if np.any(np.ptp(both, axis=0) > SAME_SPACING * both.min(axis=0)):
+        low, high = both.min(axis=0), both.max(axis=0)
+        raise UserError(
+            f"{_title(group)} have pixels of {low[0]:g} to {high[0]:g} m in range and {low[1]:g} to {high[1]:g} m in "
+            f"azimuth; those measured together must agree to {100 * SAME_SPACING:g} %, choose with --dwell."
+        )
+    down, across = both.mean(axis=0)
+    return float(down), float(across)
+
+
+def _entry(number: int | None, group: list[Image], report: PsfReport, pointing: list[ImagePointing]) -> Entry:
+    """The entry of psf.json."""
+    spacing = _spacing(group)
+    spread, transfer = report.spread, report.transfer
+    figures = {
+        axis: _axis_entry(cut, sidelobes, metres)
+        for axis, cut, sidelobes, metres in (
+            zip(
+                AXES,
+                (spread.range_cut, spread.azimuth_cut),
+                (spread.range_sidelobes, spread.azimuth_sidelobes),
+                spacing,
+                strict=True,
+            )
+            if spread
+            else ()
+        )
+    }
+    return {
+        "detector": number,
+        "images": [{"image": str(one.path), "topic": one.topic, "dwell": one.dwell} for one in group],
+        "spacing_m": dict(zip(AXES, map(or_null, spacing), strict=True)),
+        "chip": list(report.chip),
+        "range": figures.get("range"),
+        "azimuth": figures.get("azimuth"),
+        "targets": _target_entries(group, report),
+        "verdicts": _verdicts(report),
+        "disagreement": {
+            "range": or_null(transfer.range_disagreement),
+            "azimuth": or_null(transfer.azimuth_disagreement),
+        }
+        if transfer
+        else None,
+        "speckle": _speckle_entry(report),
+        "pointing": _pointing_entries(pointing),
+        "superposition": _linearity_entry(report),
+        "undetermined": {**report.undetermined, **_missing_figures(figures, report), **_missing_metres(spacing)},
+    }
+
+
+def _axis_entry(cut: CutResponse, sidelobes: tuple[Sidelobe, ...], spacing: float) -> Entry:
+    return {
+        "width_px": or_null(cut.width),
+        "width_m": or_null(cut.width * spacing),
+        "pslr_db": or_null(cut.pslr_db),
+        "islr_db": or_null(cut.islr_db),
+        "anomalous_sidelobes": [
+            {
+                "position_px": one.position,
+                "position_m": or_null(one.position * spacing),
+                "level_db": one.level_db,
+                "significance": or_null(one.significance),
+            }
+            for one in sidelobes
+        ],
+    }
+
+
+def _target_entries(group: list[Image], report: PsfReport) -> list[Entry]:
+    """The accepted targets, at their rows and columns as the image has them in its file."""
+    entries = []
+    for index, (image, survey) in enumerate(zip(group, report.surveys, strict=True)):
+        for target in survey.targets:
+            row, col = (target.row, target.col) if image.axes == AXES else (target.col, target.row)
+            place = image.grid.points(row, col).tolist() if image.grid else None
+            over = 10 * float(np.log10(target.over_clutter))
+            entries.append({"image": index, "row": row, "col": col, "position_m": place, "over_clutter_db": over})
+    return entries
+
+
+def _verdicts(report: PsfReport) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for survey in report.surveys:
+        for verdict, count in survey.verdicts.items():
+            counts[str(verdict)] = counts.get(str(verdict), 0) + count
+    return counts
+
+
+def _speckle_entry(report: PsfReport) -> Entry | None:
+    tiles, spectra = report.tiles, report.spectra
+    if not tiles or not spectra:
+        return None
+    return {
+        "tile": list(tiles.tile),
+        "tiles": int(tiles.verdict.size),
+        "verdicts": {reason: count for reason, count in tiles.counts().items() if count},
+        "noise_floor": spectra.noise_floor,
+        "nyquist_spur": spectra.range.spur,
+    }
+
+
+def _pointing_entries(pointing: list[ImagePointing]) -> list[Entry] | None:
+    entries = [
+        {"image": index, "azimuth_px": col, "displacement_cycles_per_px": displacement, "sigma": sigma}
+        for index, one in enumerate(pointing)
+        for col, displacement, sigma in zip(
+            one.cols.tolist(), one.displacement.tolist(), one.sigma.tolist(), strict=True
+        )
+    ]
+    return entries or None
+
+
+def _linearity_entry(report: PsfReport) -> Entry | None:
+    found, rows = report.linearity, report.linearity_rows
+    if not found:
+        return None
+    cut = f"No target is alone in a longer chip than {rows} rows, so that less is known of echoes that speckle shows; "
+    return {
+        "p_value": found.p_value,
+        "chi_square": found.chi_square,
+        "freedom": found.freedom,
+        "scale": found.scale,
+        "noise": found.noise,
+        "chip_rows": rows,
+        "remark": f"{cut}{LONG_CHIPS[0]} rows would tell more." if rows < LONG_CHIPS[0] else None,
+    }
+
+
+def _missing_figures(figures: dict[str, Entry], report: PsfReport) -> dict[str, str]:
+    """A sentence for each axis whose cut does not show all figures, and on the agreement of a single target."""
+    reasons = {}
+    for axis, length in zip(figures, report.chip, strict=False):
+        missing = [name for name in ("width_px", "pslr_db", "islr_db") if figures[axis][name] is None]
+        if missing:
+            reasons[axis] = (
+                f"A chip of {length} pixels in {axis} does not show {', '.join(missing)}; needed is one of more widths "
+                "of the main lobe."
+            )
+    if report.transfer and report.transfer.targets < 2:
+        reasons["disagreement"] = "One target does not tell whether targets agree; needed are two."
+    return reasons
+
+
+def _missing_metres(spacing: tuple[float, float]) -> dict[str, str]:
+    if np.isfinite(spacing).all():
+        return {}
+    return {"metres": "An array does not tell how far apart its pixels are; needed is a bag, whose images do."}
+
+
+def _arrays(report: PsfReport, pointing: list[ImagePointing]) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of psf.npz: those of what could be determined."""
+    rows, cols = report.chip
+    arrays: dict[str, npt.NDArray[Any]] = {
+        "range_frequency": frequencies(rows),
+        "azimuth_frequency": frequencies(cols),
+    }
+    if report.transfer and report.spread:
+        one = report.transfer
+        arrays |= {
+            "R": one.range_response,
+            "R_sigma": one.range_sigma,
+            "R_without_clutter": without_clutter(one.range_response, one.range_sigma),
+            "A": one.azimuth_response,
+            "A_sigma": one.azimuth_sigma,
+            "A_without_clutter": without_clutter(one.azimuth_response, one.azimuth_sigma),
+            "psf": report.spread.pixels,
+        }
+    if report.spectra:
+        for name, axis, count in (("R", report.spectra.range, rows), ("A", report.spectra.azimuth, cols)):
+            arrays[f"speckle_{name}2"], arrays[f"speckle_{name}2_sigma"] = axis.unfolded(count)
+    if any(len(one.cols) for one in pointing):
+        arrays["pointing_image"] = np.repeat(np.arange(len(pointing)), [len(one.cols) for one in pointing])
+        arrays["pointing_azimuth_px"] = np.concatenate([one.cols for one in pointing])
+        arrays["pointing"] = np.concatenate([one.displacement for one in pointing])
+        arrays["pointing_sigma"] = np.concatenate([one.sigma for one in pointing])
+    return arrays
+
+
+def _lines(entry: Entry) -> list[str]:
+    """One detector's entry as lines for people."""
+    first, count = entry["images"][0]["image"], len(entry["images"])
+    detector = "" if entry["detector"] is None else f", detector {entry['detector']}"
+    lines = [f"{first}{detector}{f', {count} images' if count > 1 else ''}"]
+    if entry["range"]:
+        lines.append(f"{'':10}{'px':>9}{'m':>9}{'PSLR dB':>9}{'ISLR dB':>9}")
+    for axis in AXES if entry["range"] else ():
+        numbers = [entry[axis][key] for key in ("width_px", "width_m", "pslr_db", "islr_db")]
+        lines.append(f"{axis:10}" + "".join(f"{_shown(number):>9}" for number in numbers))
+    for axis in AXES if entry["range"] else ():
+        lines += [
+            f"anomalous sidelobe in {axis} at {one['position_px']:+.1f} px, {_shown(one['position_m'])} m: "
+            f"{one['level_db']:.1f} dB, {_shown(one['significance'], '.1f')} standard errors"
+            for one in entry[axis]["anomalous_sidelobes"]
+        ]
+    counted = ", ".join(f"{number} {verdict}" for verdict, number in entry["verdicts"].items())
+    lines.append(f"candidates for point targets: {counted or 'none'}")
+    return [*lines, *_speckle_lines(entry), *(f"not determined: {why}" for why in entry["undetermined"].values())]
+
+
+def _speckle_lines(entry: Entry) -> list[str]:
+    lines = []
+    if entry["speckle"]:
+        one = entry["speckle"]
+        counted = ", ".join(f"{number} {verdict}" for verdict, number in one["verdicts"].items())
+        lines.append(
+            f"tiles of speckle: {counted}; noise floor {one['noise_floor']:.3g}, spur {one['nyquist_spur']:.2g} of "
+            "the mean power"
+        )
+    if entry["pointing"]:
+        places = [one["displacement_cycles_per_px"] for one in entry["pointing"]]
+        sigma = float(np.median([one["sigma"] for one in entry["pointing"]]))
+        lines.append(f"pointing: {min(places):+.4f} to {max(places):+.4f} cycles per pixel, each +- {sigma:.4f}")
+    if entry["superposition"]:
+        one = entry["superposition"]
+        lines.append(
+            f"superposition of targets and speckle: p = {one['p_value']:.3g} (chi-square {one['chi_square']:.1f} of "
+            f"{one['freedom']}, chips of {one['chip_rows']} rows)"
+        )
+        lines += [one["remark"]] if one["remark"] else []
+    return lines
+
+
+def _shown(number: float | None, form: str = ".3f") -> str:
+    return "-" if number is None else format(number, form)

@@ -1,7 +1,7 @@
 """The PSF paper on synthetic tapes of known responses: what point targets tell of the range and the azimuth response.
 
 Four targets, as in the paper, are found in each tape; how far they are above the clutter, and the faults of the
-responses, are ours. All tapes are told apart by their clutter and the places of their targets alone.
+responses, are ours. Range, azimuth and cut are of the same tapes, as the paper has them from the same targets.
 """
 
 from __future__ import annotations
@@ -43,6 +43,9 @@ OVER_CLUTTER_DB = 40.0
 RANGE, AZIMUTH = RangeFault(), AzimuthFault(quartic=1.5)
 """Taylor weights of -35 dB and a sawtooth of 0.1; a cosine beam whose phase is 1.5 rad at the ends of the band."""
 
+TARGET_TAPES, GROUP_TAPES = 40, 41
+"""Numbers that tell tapes apart."""
+
 PIXELS = np.arange(COUNT, dtype=np.float64) - COUNT / 2
 
 DEPTHS = np.array([0.05, 0.1, 0.2])
@@ -64,7 +67,7 @@ def psf_range(trials: int, seed: int) -> Iterator[Curve]:
 
     Theory is what a chip of 64 pixels holds of R, of mean 1.
     """
-    found = [_targets(RANGE, rng) for rng in generators(trials, seed, 41)]
+    found = [_targets(RANGE, rng) for rng in generators(trials, seed, TARGET_TAPES)]
     truth, beam = _truth(RANGE)
     clutter = through_fejer(np.abs(RANGE.response(TAPE[0])) ** 2, COUNT)
     error = np.sqrt(COUNT * clutter / np.mean(clutter) / (2 * _over_clutter(beam) * len(found)))
@@ -75,7 +78,7 @@ def psf_range(trials: int, seed: int) -> Iterator[Curve]:
 
 def psf_azimuth(trials: int, seed: int) -> Iterator[Curve]:
     """|A| and arg A of four targets, the paper's way, and the average without its mask; figures 11 to 15."""
-    found = [_targets(RANGE, rng) for rng in generators(trials, seed, 42)]
+    found = [_targets(RANGE, rng) for rng in generators(trials, seed, TARGET_TAPES)]
     other, truth = _truth(RANGE)
     variance = relative_variance(truth, other, _over_clutter(truth) * len(found), FLOOR)
     average = np.mean([estimate_transfer_function(targets).azimuth_response for targets in found], axis=0)
@@ -96,7 +99,7 @@ def psf_cut(trials: int, seed: int) -> Iterator[Curve]:
     levels, errors = np.zeros((2, len(DEPTHS))), np.zeros(len(DEPTHS))
     for index, depth in enumerate(DEPTHS.tolist()):
         fault = RangeFault(sawtooth=depth)
-        found = [_targets(fault, rng) for rng in generators(trials, seed, 43)]
+        found = [_targets(fault, rng) for rng in generators(trials, seed, TARGET_TAPES)]
         response = np.mean([estimate_transfer_function(targets).range_response for targets in found], axis=0)
         cut = np.abs(cut_through(response, FINENESS))
         levels[:, index] = cut[[middle - echo, middle + echo]]
@@ -121,7 +124,7 @@ def psf_recovery(trials: int, seed: int) -> Iterator[Curve]:
     Moduli are over their greatest; all are over the band. Theory is of the first order.
     """
     truth = [response / response.mean() for response in (RANGE.response(COUNT), AZIMUTH.response(COUNT))]
-    squares = np.array([_squares(rng, truth) for rng in generators(trials, seed, 44, GROUPS)])
+    squares = np.array([_squares(rng, truth) for rng in generators(trials, seed, GROUP_TAPES, GROUPS)])
     mean, scatter = squares.mean(axis=0), squares.std(axis=0, ddof=1) / np.sqrt(len(squares))
     rms, error = np.sqrt(mean), scatter / (2 * np.sqrt(mean))
     for axis, name in enumerate("RA"):

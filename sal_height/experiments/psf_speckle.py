@@ -36,7 +36,7 @@ SWINGING = AzimuthFault(swing=0.1, swing_period=float(ROWS * IMAGES))
 """A beam that swings by a tenth of the band, once in the tape."""
 
 WITHIN = 0.45
-"""Frequency, cycles per pixel, up to which the tape's swinging beam is a cosine: it is interpolated between pointings."""
+"""Frequency up to which the tape's swinging beam is a cosine: images are interpolated between pointings."""
 
 SPECKLE_COLS, TARGETS, BINS = 960, 8, 128
 """Columns of speckle beside targets, their number, and the pixels of their chips along range."""
@@ -59,8 +59,11 @@ LEVELS = np.array([8.0, 12.0, 16.0, 24.0])
 
 SIGNIFICANCE = 0.05
 
-LINEAR_TAPES = 3.0
-"""Over the usual number: p-values need many."""
+LINEAR = 3.0
+"""Linear tapes over the usual number: p-values need many."""
+
+SPECKLE_TAPES, NOISY_TAPES, LINEAR_TAPES, LIMITED_TAPES, READINGS = 50, 51, 52, 53, 54
+"""Numbers that tell tapes apart."""
 
 
 def psf_speckle(trials: int, seed: int) -> Iterator[Curve]:
@@ -68,7 +71,7 @@ def psf_speckle(trials: int, seed: int) -> Iterator[Curve]:
 
     Moduli are over their mean. Beside the paper's |A|, which the swing smears, is the one with the swing taken out.
     """
-    rngs = generators(trials, seed, 51)
+    rngs = generators(trials, seed, SPECKLE_TAPES)
     moduli, powers, errors = [], [], []
     for number, rng in enumerate(rngs):
         tape = make_tape((ROWS, ROWS * IMAGES), rng, (), RANGE, SWINGING)
@@ -103,9 +106,9 @@ def _pointing(spectra: SpeckleSpectra) -> Curve:
     """Where the antenna points at each column of tiles; one in each image is held to the truth."""
     found = spectra.pointing
     nowhere = np.full(ROWS * IMAGES // COUNT, np.nan)
-    columns = (np.arange(len(nowhere)) + 0.5) * COUNT - 0.5
-    truth = SWINGING.swing * np.sin(2 * np.pi * columns / SWINGING.swing_period)
-    truth = np.where(np.arange(len(truth)) % (ROWS // COUNT) == 0, truth, np.nan)
+    columns = (np.arange(len(nowhere), dtype=np.float64) + 0.5) * COUNT - 0.5
+    swung = SWINGING.swing * np.sin(2 * np.pi * columns / SWINGING.swing_period)
+    truth = np.where(np.arange(len(swung)) % (ROWS // COUNT) == 0, swung, np.nan)
     value, sigma = (found.displacement, found.sigma) if found else (nowhere, nowhere)
     return Curve("pointing", "first tape", columns, value, sigma, truth)
 
@@ -137,15 +140,17 @@ def psf_superposition(trials: int, seed: int) -> Iterator[Curve]:
     All systems are linear but those with a limiter. Depth and pedestal of speckle are those of R convolved with Fejer's
     kernel, and of noise: no sign of what is not linear.
     """
-    tapes = {noise: [_compared(rng, noise) for rng in generators(trials, seed, 52)] for noise in NOISES.tolist()}
+    tapes = {
+        noise: [_compared(rng, noise) for rng in generators(trials, seed, NOISY_TAPES)] for noise in NOISES.tolist()
+    }
     yield from _powers(tapes[SHOWN_NOISE])
-    yield from _readings(tapes, np.random.default_rng((seed, 55)))
-    linear = [_compared(rng, SHOWN_NOISE).test.p_value for rng in generators(trials, seed, 53, LINEAR_TAPES)]
+    yield from _readings(tapes, np.random.default_rng((seed, READINGS)))
+    linear = [_compared(rng, SHOWN_NOISE).test.p_value for rng in generators(trials, seed, LINEAR_TAPES, LINEAR)]
     below = np.array(linear)[:, None] < P_VALUES
     yield _share("share of linear tapes", "p-value below", P_VALUES, below, P_VALUES)
     limited = [
         [_compared(rng, SHOWN_NOISE, level).test.p_value < SIGNIFICANCE for level in LEVELS.tolist()]
-        for rng in generators(trials, seed, 54)
+        for rng in generators(trials, seed, LIMITED_TAPES)
     ]
     none = np.full(len(LEVELS), np.nan)
     yield _share("share of limited tapes", "p-value below 0.05", LEVELS, np.array(limited), none)

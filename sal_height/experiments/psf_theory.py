@@ -70,8 +70,7 @@ def azimuth_psf(place: Array, fault: AzimuthFault) -> ComplexArray:
 
 def chip_transform(chip: ComplexArray) -> ComplexArray:
     """Spectrum, from -1/2 up, of pixels from -count / 2 up; shape (count,)."""
-    pixels = np.arange(len(chip)) - len(chip) // 2
-    return np.asarray(np.exp(-2j * np.pi * np.outer(frequencies(len(chip)), pixels)) @ chip)
+    return np.asarray(np.fft.fftshift(np.fft.fft(np.fft.ifftshift(chip))))
 
 
 def chip_response(psf: ComplexArray) -> ComplexArray:

@@ -92,8 +92,8 @@ def psf_azimuth(trials: int, seed: int) -> Iterator[Curve]:
 def psf_cut(trials: int, seed: int) -> Iterator[Curve]:
     """The point-spread function along range, and its echoes over the depth of the sawtooth; figure 26.
 
-    An echo of the amplitude depth / pi is in quadrature with Taylor's sidelobe at its place. All depths see the same
-    clutter.
+    An echo of the amplitude depth / pi is in quadrature with Taylor's sidelobe at its place. The band of 7 / 16 has a
+    null there, so that the echo is all there is. All depths see the same clutter.
     """
     middle, echo = COUNT * FINENESS // 2, int(RANGE.teeth) * FINENESS
     levels, errors = np.zeros((2, len(DEPTHS))), np.zeros(len(DEPTHS))

@@ -224,7 +224,8 @@ def _readings(tapes: dict[float, list[Comparison]], rng: np.random.Generator) ->
     """Depth of the sawtooth and pedestal, of targets and of speckle, over the noise.
 
     What noise in a spectrum does to such a reading, too, is in the closed form: it is the mean reading of spectra drawn
-    about the true one, and their scatter the standard error.
+    about the true one, and their scatter the standard error, or that of the tapes' readings if it is greater: without
+    noise the frequencies beside the band err more alike than a sub-image tells.
     """
     read = np.zeros((3, len(NOISES), 2, 2))
     for index, (noise, some) in enumerate(tapes.items()):
@@ -235,6 +236,8 @@ def _readings(tapes: dict[float, list[Comparison]], rng: np.random.Generator) ->
         lines = sum(tape.speckle.range.independent for tape in some)
         scatter = periodogram_covariance(_covariance(noise), COUNT) / lines
         read[:, index, 1] = _reading(power, rng.multivariate_normal(_prediction(noise), scatter, SPREADS))
+        of_tapes = np.std([depth_and_pedestal(tape.speckle.range.power, RANGE.teeth) for tape in some], axis=0, ddof=1)
+        read[2, index, 1] = np.maximum(read[2, index, 1], of_tapes / np.sqrt(len(some)))
     read[1, :, 0, 1] = np.nan  # what noise makes of the targets' pedestal, which is not there
     for kind, name in enumerate(("depth", "pedestal")):
         for source, whose in enumerate(("targets", "speckle")):

@@ -18,7 +18,7 @@ ComplexArray = npt.NDArray[np.complex128]
 NBAR = 5
 """Sidelobes of the tape's Taylor weights that fall off little, plus one."""
 
-HARMONICS = 2000
+HARMONICS = 500
 """Of the sawtooth that are summed; its echoes fall off with their number."""
 
 STEPS = 4096

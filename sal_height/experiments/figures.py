@@ -17,6 +17,7 @@ from sal_height.experiments.curve import Curve, Figure, check_of, holds, rows_of
 from sal_height.experiments.draw import draw
 from sal_height.experiments.noise import CNR_DB, fig5, fig6
 from sal_height.experiments.patterns import fig3, fig4
+from sal_height.experiments.psf import PSF_FIGURES
 from sal_height.experiments.relief import RELIEF_FIGURES
 from sal_height.experiments.relief_tracking import relief_tracking
 from sal_height.folders import new_folder, write_text, writing
@@ -102,8 +103,9 @@ FIGURES = {
         9,
         relief_tracking,
     ),
+    **PSF_FIGURES,
 }
-"""By name: of the SAL paper as it numbers them, then of the relief paper, and of what that leaves to others."""
+"""By name: of the SAL paper as it numbers them, of the relief paper and what it leaves to others, of the PSF paper."""
 
 
 def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> list[dict[str, Any]]:

@@ -5,7 +5,8 @@ DEFAULT_TRIALS = 20_000
 
 FIGURES = """Makes the SAL paper's figures 3 to 6 and 8 to 11 anew, and what the relief paper says: discriminator,
 geometry, noise, hybrids, orders of accumulation, and heights tracked along range, which it leaves to Bayesian
-filtering. In the output folder are, for each,
+filtering. Of the PSF paper, on synthetic tapes: responses of targets and of speckle, superposition, the point-spread
+function with its echoes, and errors. In the output folder are, for each,
   NAME.csv     figure, curve, x, value, standard_error (0: no random numbers), closed_form (empty: no theory)
   NAME.png     the same axes and families of curves as the paper's; black dots are the closed forms
 and
@@ -13,12 +14,13 @@ and
                difference in standard errors; z is null without random numbers, where 1e-9 are allowed
 
 Figures 3, 4, 8 and 9 are checked against quadrature, 5 and 6 against closed forms, 10 and 11 against the theory of high
-CNR and many looks, where that holds, and relief_* against closed forms and linear algebra. All points of a figure share
-their draws. Of the Monte Carlo points none should be 3 standard errors off or more; by chance alone, in about one seed
-of ten one is.
+CNR and many looks, where that holds, relief_* against closed forms and linear algebra, and psf_* against closed forms
+and quadrature, at every fifth frequency; of psf_* one tape is made for every 1000 trials, 4 to 40. All points of a
+figure share their draws, frequencies of psf_* excepted. Of the Monte Carlo points none should be 3 standard errors off
+or more; by chance alone, in about one seed of three one is.
 
 examples:
-  sal-height figures                                   all of them, about a minute
+  sal-height figures                                   all of them, about two minutes
   sal-height figures fig5 fig6 --trials 200000 --seed 7 --out out/noise
 """
 

@@ -138,9 +138,10 @@ class SpeckleSpectra:
 
     @property
     def noise_floor(self) -> float:
-        """Power of white noise over the mean of the image, at most: the quietest frequencies of the quieter axis.
+        """Power of white noise over the mean of the image: that of the quietest frequencies of the quieter axis.
 
-        A pedestal of the response looks the same, and a flat response all the more.
+        A pedestal of the response looks the same, and a flat response all the more; the least of estimates that err
+        lies below what is true.
         """
         floors = []
         for axis in (self.range, self.azimuth):

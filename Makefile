@@ -58,9 +58,10 @@ demo: setup
 	.venv/bin/sal-height run --preset sal_stripmap --out out/sal_stripmap
 	.venv/bin/sal-height run --preset xband_relief --out out/xband_relief
 
-# Two files at a time: while one waits for its nodes, the other computes.
+# Two files at a time: while one waits for its nodes, the other computes. Threads of matrix products would only wait for
+# each other.
 test: lint
-	.venv/bin/pytest --numprocesses 2 --dist loadfile
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest --numprocesses 2 --dist loadfile
 
 lint: setup
 	.venv/bin/ruff format --check

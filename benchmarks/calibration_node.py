@@ -18,14 +18,14 @@ from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.preset import load_preset
 from sal_height.sensor import Sensor
 
-DWELLS = 512
-"""After which there is a calibration, as the node has it by default: of every eighth."""
+DWELLS = 640
+"""After which there is a calibration, as the node has it by default: of every tenth."""
 
 TIMEOUT_S = 10.0
 
 
 def beside_compression() -> Iterator[Row]:
-    """A dwell of each radar and lidar through both nodes, all that they compute and publish; one calibration in 512."""
+    """A dwell of each radar and lidar through both nodes, all that they compute and publish; one calibration in 640."""
     for name in ("sal_spotlight", "xband_relief"):
         yield from _beside_compression(name)
 

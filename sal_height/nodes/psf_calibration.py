@@ -40,7 +40,10 @@ class Parameters:
         64, "dwells that a calibration is made of; then the next begins", minimum=1, maximum=MOST_DWELLS
     )
     dwell_step: int = parameter(
-        8, "of so many dwells one is taken in: receivers change slowly, and time is short", minimum=1, maximum=1_000_000
+        10,
+        "of so many dwells one is taken in: receivers change slowly, and time is short",
+        minimum=1,
+        maximum=1_000_000,
     )
     target: str = parameter(
         "",

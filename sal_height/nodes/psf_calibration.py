@@ -128,10 +128,10 @@ class PsfCalibration(DwellStage):
 
     def _complete(self) -> int:
         """Publish the calibration that the dwells taken in make, and write it; the number of messages."""
-        if self._calibrator is None:
+        calibrator, self._calibrator = self._calibrator, None
+        if calibrator is None:
             return 0
-        calibration, undetermined = self._calibrator.calibration()
-        self._calibrator = None
+        calibration, undetermined = calibrator.calibration()
         self._made = True
         for sentence in undetermined:
             self.get_logger().warning(sentence)

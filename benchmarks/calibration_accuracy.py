@@ -21,7 +21,6 @@ from sal_height.impairments import Impairments, RangeSawtooth
 from sal_height.looks import Window, windowed_looks
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import load_preset
-from sal_height.processing import Processing
 from sal_height.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -110,8 +109,7 @@ def _estimate(
     sensor, image = flight.sensor, flight.preset.image
     settings = Settings(rows=image.rows, cols=image.cols)
     slc = focus_dwell(calibration.equalised(history), _track(flight, dwell + 1), sensor, settings)
-    weights = Processing(settings.range_window).range_weights(sensor.sample_count)
-    powers = calibration.noise_gains(weights) * slc.noise_power
+    powers = calibration.noise_gains(settings.range_window) * slc.noise_power
     channels = whitened_channels(with_powers(sensor.noise_covariance, powers), sensor.mixing)
     down, across = Window.named("boxcar", 2, 0), Window.named("boxcar", 2, 0)
     looks = windowed_looks(slc.images, down, across, transform=channels.transform)

@@ -25,13 +25,11 @@ import numpy.typing as npt
 
 from sal_height.array_ml import OBJECTIVES, search_guard
 from sal_height.beam_likelihood import Normal, curve_of, with_known_angles, with_unknown_angles
-from sal_height.beam_table import BeamTable
 from sal_height.beams import Beams
 from sal_height.errors import NotDetermined, UserError
 from sal_height.estimate import MISFIT_SHARE
 from sal_height.looks import Covariance, Looks
 from sal_height.peak_search import Columns, PeakSearch, PeakSearches
-from sal_height.sensor import Sensor
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -95,27 +93,6 @@ def beams_with(beams: Beams, calibration: BeamCalibration) -> Beams:
     """
     _check_channels(beams, len(calibration.gains))
     return beams.widened(calibration.width_factor).combined(np.diag(calibration.gains))
-
-
-def sensor_with(sensor: Sensor, calibration: BeamCalibration) -> Sensor:
-    """The sensor with such beams, for all that is made of its description; its antenna is shorter by the width factor.
-
-    The gains go into the channel matrix, whose phases estimators take off the channels: real beams stay real.
-
-    Raises:
-        UserError: the channels are mixtures of detectors, or of another number than the gains.
-    """
-    if sensor.is_mixed:
-        raise UserError(MIXED)
-    _check_channels(sensor.beams, len(calibration.gains))
-    width = calibration.width_factor
-    return replace(
-        sensor,
-        aperture=sensor.aperture / width,
-        beam_tables=tuple(_stretched(table, width) for table in sensor.beam_tables),
-        channel_matrix=tuple(map(tuple, (calibration.gains[:, None] * sensor.mixing).tolist())),
-        config_hash="",
-    )
 
 
 def calibrate_beams(looks: Looks, beams: Beams, squint: Array, noise_power: float) -> BeamCalibration:
@@ -327,12 +304,6 @@ def _usable(
     degrees = (beams.count - 1) * count
     one = (left <= degrees + 5 * np.sqrt(degrees)) | (left - degrees <= share * explained)
     return np.asarray(one & (explained - count >= LEAST_ENERGY) & (elevation >= first) & (elevation <= last))
-
-
-def _stretched(table: BeamTable, factor: float) -> BeamTable:
-    """The table of a beam that is wider by a factor."""
-    elevation, azimuth = (tuple(factor * angle for angle in angles) for angles in (table.elevation, table.azimuth))
-    return replace(table, elevation=elevation, azimuth=azimuth)
 
 
 def _check_channels(beams: Beams, channels: int) -> None:

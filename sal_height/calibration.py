@@ -16,6 +16,7 @@ from sal_height.errors import UserError
 from sal_height.folders import writing
 from sal_height.phase_history import PhaseHistory
 from sal_height.sensor import Sensor
+from sal_height.windows import window
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -120,9 +121,14 @@ class Calibration:
         """The phase history (waveform "spectrum") with equal responses in all channels."""
         return replace(history, samples=history.samples * self.equaliser[:, None])
 
-    def noise_gains(self, weights: Array) -> Array:
-        """By how much equalising raises the noise power of images weighted in range so, shape (channels,)."""
-        return np.asarray(np.abs(self.equaliser) ** 2 @ weights**2 / np.sum(weights**2))
+    def noise_gains(self, range_window: str) -> Array:
+        """By how much equalising raises the noise power of images, shape (channels,).
+
+        Args:
+            range_window: of the images, a name of `windows.WINDOWS`.
+        """
+        power = window(range_window, self.response.shape[1]) ** 2
+        return np.asarray(np.abs(self.equaliser) ** 2 @ power / np.sum(power))
 
 
 def save_calibration(path: Path, calibration: Calibration) -> None:

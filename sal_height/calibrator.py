@@ -100,20 +100,13 @@ class Calibrator:
         """The calibration, and a sentence for each part that could not be determined and stays as described."""
         channels, frequencies = self.sensor.detector_count, self.sensor.sample_count
         response, sigma = np.ones((channels, frequencies), dtype=np.complex128), np.zeros(channels)
-        beams = BeamCalibration.none(channels)
-        undetermined = []
+        undetermined: list[str] = []
         try:
             differential = differential_response(self._spectra)
             response, sigma = differential.response, differential.sigma
         except NotDetermined as error:
             undetermined.append(f"How receivers differ over the band: {error}")
-        for what, calibrated in (("by the reference target", self._by_target), ("by the scene", self._by_scene)):
-            try:
-                beams = calibrated(response) or beams
-            except UserError as error:
-                undetermined.append(f"Gains and width of the beams {what}: {error}")
-            if beams.pixels:
-                break
+        beams = self._calibrated_beams(response, undetermined)
         try:
             response = response * common_response(self._targets, frequencies)
         except NotDetermined as error:
@@ -136,14 +129,25 @@ class Calibrator:
         kept = min(blocks, -(-PIXELS // rows))
         return [(self.dwells * kept + index) % blocks for index in range(kept)]
 
-    def _by_target(self, _response: ComplexArray) -> BeamCalibration | None:
-        """Gains of the beams, and their width if elevations differ, by a reference target; None: there is none.
+    def _calibrated_beams(self, response: ComplexArray, undetermined: list[str]) -> BeamCalibration:
+        """Gains and width of the beams, by the reference target if it tells them; enters what is not determined."""
+        if self._target is not None:
+            try:
+                return self._by_target()
+            except UserError as error:
+                undetermined.append(f"Gains and width of the beams by the reference target: {error}")
+        try:
+            return self._by_scene(response)
+        except UserError as error:
+            undetermined.append(f"Gains and width of the beams by the scene: {error}")
+        return BeamCalibration.none(self.sensor.detector_count)
+
+    def _by_target(self) -> BeamCalibration:
+        """Gains of the beams, and their width if elevations differ, by the reference target.
 
         Raises:
             NotDetermined: it was not seen, or not by all detectors.
         """
-        if self._target is None:
-            return None
         if self.sensor.is_mixed:
             raise NotDetermined(MIXED)
         if not self._sightings:

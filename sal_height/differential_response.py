@@ -116,7 +116,7 @@ def cross_spectra(pixels: npt.NDArray[np.complex64], sensor: Sensor, noise_power
         sensor: with waveform "spectrum".
         noise_powers: E|n|^2 of a pixel of each channel.
     """
-    brightness = np.einsum("crk,crk->k", pixels, pixels.conj()).real / len(pixels)
+    brightness = sum(np.einsum("crk,crk->k", part, part) for part in (pixels.real, pixels.imag)) / len(pixels)
     lit = np.isfinite(brightness) & (brightness > 0)
     weights = np.zeros(len(brightness), dtype=np.float32)
     np.divide(1, np.sqrt(brightness), out=weights, where=lit)
@@ -146,8 +146,8 @@ def differential_response(spectra: CrossSpectra) -> DifferentialResponse:
         )
     measured, noise = spectra.power / spectra.columns, spectra.noise / spectra.columns
     signal = np.diag(measured.mean(axis=0) - noise).real
-    if not np.all(signal > np.diag(noise).real * np.sqrt(2 / (spectra.columns * count))):
-        dark = np.flatnonzero(~(signal > 0)).tolist()
+    dark = np.flatnonzero(~(signal > np.diag(noise).real * np.sqrt(2 / (spectra.columns * count)))).tolist()
+    if dark:
         raise NotDetermined(
             f"The power of channels {dark} is not above their noise; every channel must see part of the scene."
         )

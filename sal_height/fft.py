@@ -98,3 +98,8 @@ def _multiply(values: ComplexArray, factor: ComplexArray) -> None:
         made, weight = values[i], factor[i if factor.shape[0] > 1 else 0]
         for j in range(made.size):
             made[j] *= weight[j]
+
+
+def frequencies(count: int) -> npt.NDArray[np.float64]:
+    """Of `count` bins, cycles per pixel: from -1/2 up, as `numpy.fft.fftshift` puts them."""
+    return np.asarray((np.arange(count) - count // 2) / count, dtype=np.float64)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sal_height.geometry import Aperture, look_direction, sphere_point
 from sal_height.gust import GustMotion, gust_motion
-from sal_height.impairments import as_built, pointing_rotation, through_receivers
+from sal_height.impairments import pointing_rotation, through_receivers
 from sal_height.phase_history import PhaseHistory
 from sal_height.preset import Preset
 from sal_height.scene import SAMPLES_PER_CELL, PointTarget, Scene, VisibleSurface, visible_surface
@@ -84,7 +84,7 @@ class SimulatedFlight:
     @cached_property
     def built(self) -> Sensor:
         """The sensor with the beams that it really has."""
-        return as_built(self.sensor, self.preset.impairments)
+        return self.sensor.widened(self.preset.impairments.beam_width_factor)
 
     @property
     def pulse_times(self) -> Array:

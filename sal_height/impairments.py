@@ -12,7 +12,7 @@ that it acts on the echo's frequencies, not on the samples of the record.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -211,20 +211,6 @@ def through_receivers(clean: ComplexArray, sensor: Sensor, impairments: Impairme
     arriving = np.tensordot(matrix, clean, axes=1)
     change = (impairments.receiver_response(sensor) - 1)[:, None] * arriving + impairments.spur(sensor)[:, None]
     return np.asarray(clean + np.tensordot(np.linalg.inv(matrix), change, axes=1))
-
-
-def as_built(sensor: Sensor, impairments: Impairments) -> Sensor:
-    """The sensor with the beams that it has instead of those described: wider, on the same boresights."""
-    factor = impairments.beam_width_factor
-    tables = tuple(
-        replace(
-            table,
-            elevation=tuple(factor * angle for angle in table.elevation),
-            azimuth=tuple(factor * angle for angle in table.azimuth),
-        )
-        for table in sensor.beam_tables
-    )
-    return replace(sensor, aperture=sensor.aperture / factor, beam_tables=tables)
 
 
 def pointing_rotation(pointing: Array, sensor: Sensor) -> Array:

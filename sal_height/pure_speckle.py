@@ -22,7 +22,7 @@ import numpy.typing as npt
 import scipy.fft
 from scipy.special import chdtrc, gammainc, gammaincc
 
-from sal_height.compiled import compiled, in_parallel
+from sal_height.compiled import WORKERS, compiled, in_parallel
 from sal_height.errors import NotDetermined, UserError
 
 Array = npt.NDArray[np.float64]
@@ -210,10 +210,10 @@ def _field_correlation(
     corners = chosen * np.array(tile)
     chips = np.stack([image[row : row + tile[0], col : col + tile[1]] for row, col in corners])
     size = (tile[0] + reach[0], tile[1] + reach[1])
-    power = np.abs(scipy.fft.fft2(chips, size, workers=-1)) ** 2
+    power = np.abs(scipy.fft.fft2(chips, size, workers=WORKERS)) ** 2
     lags = [np.arange(-most, most + 1) for most in reach]
     pairs = np.outer(tile[0] - np.abs(lags[0]), tile[1] - np.abs(lags[1]))
-    covariance = scipy.fft.ifft2(power, workers=-1)[:, lags[0][:, None], lags[1]] / pairs
+    covariance = scipy.fft.ifft2(power, workers=WORKERS)[:, lags[0][:, None], lags[1]] / pairs
     turn = np.angle(covariance[:, reach[0], reach[1] + 1])
     covariance *= np.exp(-1j * turn[:, None, None] * lags[1]) / covariance[:, reach[0], reach[1]].real[:, None, None]
     rho = np.median(covariance.real, axis=0) + 1j * np.median(covariance.imag, axis=0)

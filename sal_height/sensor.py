@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -269,6 +269,21 @@ class Sensor:
     def beams(self) -> Beams:
         """Beams of the detectors, as they receive from one direction; the channels are `mixing` times them."""
         return Beams(self._patterns, np.array(self.elevation_boresights), self.beamwidth, self.detector_rotation)
+
+    def widened(self, factor: float) -> Sensor:
+        """The sensor with beams `factor` times as wide, around the same boresights: that of a smaller antenna.
+
+        The config_hash stays: it is another antenna behind the same description.
+        """
+        tables = tuple(
+            replace(
+                table,
+                elevation=tuple(factor * angle for angle in table.elevation),
+                azimuth=tuple(factor * angle for angle in table.azimuth),
+            )
+            for table in self.beam_tables
+        )
+        return replace(self, aperture=self.aperture / factor, beam_tables=tables)
 
     @property
     def mixing(self) -> ComplexArray:

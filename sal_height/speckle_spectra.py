@@ -26,7 +26,7 @@ import scipy.fft
 from scipy.linalg import toeplitz
 
 from sal_height.compiled import compiled, in_parallel
-from sal_height.fft import blocks
+from sal_height.fft import blocks, frequencies
 from sal_height.pure_speckle import SpeckleTiles, checked_image, sum_of_powers
 
 Array = npt.NDArray[np.float64]
@@ -194,11 +194,6 @@ def mean_modulus(image: ComplexImage, tiles: SpeckleTiles) -> tuple[Array, Array
         modulus += np.abs(scipy.fft.fft2(part)) / np.sqrt(tiles.intensity[row, col] * rows * cols)
     modulus = scipy.fft.fftshift(modulus) / tiles.pure.sum()
     return modulus.mean(axis=1), modulus.mean(axis=0)
-
-
-def frequencies(count: int) -> Array:
-    """Of `count` bins, cycles per pixel: from -1/2 up."""
-    return np.asarray((np.arange(count) - count // 2) / count)
 
 
 def transform(covariance: ComplexArray, frequency: Array) -> Array:

@@ -26,7 +26,8 @@ from scipy.linalg import toeplitz
 from scipy.special import chdtrc
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.speckle_spectra import SpeckleSpectra, cross_spectrum, fejer_power, frequencies
+from sal_height.fft import frequencies
+from sal_height.speckle_spectra import SpeckleSpectra, cross_spectrum, fejer_power
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

@@ -12,6 +12,7 @@ from helpers import make_sensor
 from sal_height.calibration import Calibration, load_calibration, save_calibration
 from sal_height.errors import UserError
 from sal_height.phase_history import PhaseHistory
+from sal_height.windows import window
 
 SENSOR = make_sensor()
 SHAPE = SENSOR.detector_count, SENSOR.sample_count
@@ -53,10 +54,10 @@ def test_noise_grows_by_the_equaliser() -> None:
     rng = np.random.default_rng(2)
     noise = (rng.standard_normal((2, SHAPE[0], 4000, SHAPE[1]))).astype(np.float32)
     history = PhaseHistory(0, np.zeros(4000), np.zeros(4000), (noise[0] + 1j * noise[1]) / np.float32(np.sqrt(2)))
-    weights = np.hamming(SHAPE[1])
+    weights = window("hamming", SHAPE[1])
     calibration = made(response)
     after = np.mean(np.abs(calibration.equalised(history).samples @ weights) ** 2, axis=1) / np.sum(weights**2)
-    np.testing.assert_allclose(calibration.noise_gains(weights), after, rtol=5 / np.sqrt(4000))
+    np.testing.assert_allclose(calibration.noise_gains("hamming"), after, rtol=5 / np.sqrt(4000))
 
 
 def test_nothing_to_correct_changes_nothing() -> None:

@@ -88,8 +88,9 @@ def test_what_cannot_be_told_is_said() -> None:
         differential_response(drawn(np.ones((COUNT, CHANNELS)), 8, rng))
     dark = np.ones((COUNT, CHANNELS))
     dark[:, 3] = 1e-6
-    with pytest.raises(NotDetermined, match=r"power of channels \[3\] is not above their noise"):
-        differential_response(drawn(dark, 200, np.random.default_rng(1)))
+    for seed in range(4):  # power less noise is as often above 0 as below
+        with pytest.raises(NotDetermined, match=r"power of channels \[3\] is not above their noise"):
+            differential_response(drawn(dark, 200, np.random.default_rng(seed)))
 
 
 def test_spectra_of_images_are_those_of_the_frames() -> None:

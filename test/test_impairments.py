@@ -23,7 +23,6 @@ from sal_height.impairments import (
     Impairments,
     RangeSawtooth,
     RangeTaper,
-    as_built,
     through_receivers,
 )
 from sal_height.optics import pattern_named, sample_pattern
@@ -374,7 +373,7 @@ def test_wider_beams_change_the_ratio_of_a_pair(pattern: str) -> None:
         nodes = np.linspace(-2, 2, 401) * BEAMWIDTH
         table = sample_pattern(pattern_named("sinc"), nodes, [0.0], BEAMWIDTH)
         sensor = make_sensor(pattern="table", beam_tables=(table,))
-    built = as_built(sensor, Impairments(beam_width_factor=factor))
+    built = sensor.widened(factor)
     lower, _, upper = built.beams.response(elevation_at(offset), 0.0)
     expected = [np.sinc((offset - q) / factor) for q in (-0.5, 0.5)]
     assert upper / lower == pytest.approx(expected[1] / expected[0], abs=1e-6)

@@ -11,7 +11,8 @@ from helpers import circular
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault, Target, frequencies, make_tape
+from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
+from sal_height.fft import frequencies
 from sal_height.impulse_response import measure_brightest
 from sal_height.point_targets import find_targets
 from sal_height.psf import FINENESS, anomalous_sidelobes, cut_through, point_spread

@@ -10,8 +10,9 @@ from helpers import assert_one_sentence, circular
 
 from sal_height.errors import NotDetermined, UserError
 from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
+from sal_height.fft import frequencies
 from sal_height.pure_speckle import find_pure_speckle
-from sal_height.speckle_spectra import SpeckleSpectra, fejer_power, frequencies, speckle_spectra, transform
+from sal_height.speckle_spectra import SpeckleSpectra, fejer_power, speckle_spectra, transform
 from sal_height.superposition import Superposition, _target_covariance, depth_and_pedestal, superposition
 
 ROWS, SPECKLE_COLS, TARGETS = 256, 960, 8

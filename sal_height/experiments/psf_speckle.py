@@ -16,7 +16,8 @@ from sal_height.experiments.curve import Curve, Figure
 from sal_height.experiments.noise import circular
 from sal_height.experiments.psf_tapes import COUNT, FREQUENCY, generators, held, in_band, shown
 from sal_height.experiments.psf_theory import chip_transform, cosine_beam, swung_modulus, through_fejer
-from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, frequencies, make_tape
+from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
+from sal_height.fft import frequencies
 from sal_height.pure_speckle import find_pure_speckle
 from sal_height.speckle_spectra import SpeckleSpectra, mean_modulus, periodogram_covariance, speckle_spectra
 from sal_height.superposition import depth_and_pedestal, superposition

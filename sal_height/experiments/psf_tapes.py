@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.experiments.curve import Curve, exact_curve
-from sal_height.experiments.synthetic_tape import frequencies
+from sal_height.fft import frequencies
 
 Array = npt.NDArray[np.float64]
 

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault, frequencies
+from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault
+from sal_height.fft import frequencies
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
-from scipy.signal import windows
+
+from sal_height.fft import frequencies
+from sal_height.impairments import RangeSawtooth, RangeTaper
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -30,26 +32,18 @@ class RangeFault:
         sidelobe_db: of the Taylor weights, of which 4 on each side fall off little.
         sawtooth: depth of the sawtooth, of the amplitude.
         teeth: of the sawtooth in all frequencies: its echoes are this many pixels from the target.
-        slope: of the response's phase, pixels by which it displaces a target.
-        pedestal: amplitude outside the band, of its greatest.
     """
 
     support: float = 28 / 64
     sidelobe_db: float = 35.0
     sawtooth: float = 0.1
     teeth: float = 16.0
-    slope: float = 0.0
-    pedestal: float = 0.0
 
     def response(self, count: int) -> ComplexArray:
         """At `count` frequencies from -1/2 cycles per pixel, shape (count,)."""
         frequency = frequencies(count)
-        edges = np.linspace(-self.support / 2, self.support / 2, 4097)
-        weights = windows.taylor(4097, nbar=5, sll=self.sidelobe_db, norm=True)
-        taylor = np.interp(frequency, edges, weights, left=self.pedestal, right=self.pedestal)
-        phase = self.teeth * frequency
-        saw = 2 * (phase - np.floor(phase + 0.5))
-        return np.asarray(taylor * (1 + self.sawtooth * saw) * np.exp(-2j * np.pi * frequency * self.slope))
+        taper = RangeTaper(self.sidelobe_db, self.support).response(frequency)
+        return np.asarray(taper * RangeSawtooth(self.sawtooth, self.teeth).response(frequency), dtype=np.complex128)
 
 
 @dataclass(frozen=True)
@@ -99,11 +93,6 @@ class Target:
     row: float
     col: float
     over_clutter_db: float
-
-
-def frequencies(count: int) -> Array:
-    """Of the bins of responses, cycles per pixel: from -1/2 up."""
-    return (np.arange(count) - count // 2) / count
 
 
 def make_tape(

@@ -116,8 +116,7 @@ class PsfCalibration(DwellStage):
     def conclude(self) -> None:
         """Make a calibration of the dwells that there are if there has been none; may be called twice."""
         with self._ending:
-            self._jobs.put(None)
-            self._worker.join()
+            self.finish()
             if self._calibrator and self._calibrator.dwells and not self._made:
                 self._complete()
 

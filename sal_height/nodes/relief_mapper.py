@@ -100,8 +100,7 @@ class ReliefMapper(Stage):
             if self._ended:
                 return
             self._ended = True
-            self._jobs.put(None)
-            self._worker.join()
+            self.finish()
             self._publish()
             with suppress(RCLError):
                 self._relief.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))

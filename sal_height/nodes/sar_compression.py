@@ -25,7 +25,6 @@ from sal_height.nodes.parameters import as_json, parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.phase_history import PhaseHistory
-from sal_height.processing import Processing
 from sal_height.saturation import saturated_shares
 from sal_height.sensor import Sensor
 from sal_height.trajectory import PlatformState, Trajectory
@@ -144,8 +143,8 @@ class SarCompression(DwellStage):
         if slc is None:
             return 0
         if calibration:
-            weights = Processing(parameters.range_window).range_weights(spectrum.sample_count)
-            slc = replace(slc, noise_power=(calibration.noise_gains(weights) * slc.noise_power).tolist())
+            noise_power = calibration.noise_gains(parameters.range_window) * slc.noise_power
+            slc = replace(slc, noise_power=noise_power.tolist())
         if slc.focus and not slc.focus.trusted:
             self.ignore("autofocus", UserError(f"Dwell {messages[0].dwell}: {NOT_TRUSTED}"))
         provenance = Provenance(

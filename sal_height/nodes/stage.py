@@ -137,14 +137,19 @@ class Stage(Node):
         with suppress(RCLError):  # the context may end meanwhile
             self._diagnostics.publish(message)
 
+    def finish(self) -> None:
+        """Finish all jobs that wait, and take no more; may be called twice."""
+        if self._worker.is_alive():
+            self._jobs.put(None)
+            self._worker.join()
+
     def destroy_node(self) -> None:
         """Finish the job at hand, then end the node; jobs that still wait are given up."""
         if self._worker.is_alive():
             with suppress(queue.Empty):
                 while True:
                     self._jobs.get_nowait()
-            self._jobs.put(None)
-            self._worker.join()
+        self.finish()
         super().destroy_node()
 
     def _work(self) -> None:

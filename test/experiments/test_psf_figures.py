@@ -31,7 +31,8 @@ from sal_height.experiments.psf_theory import (
     through_fejer,
     tied,
 )
-from sal_height.experiments.synthetic_tape import RangeFault, frequencies
+from sal_height.experiments.synthetic_tape import RangeFault
+from sal_height.fft import frequencies
 from sal_height.impulse_response import OVERSAMPLING, cut_response
 from sal_height.psf import cut_through
 from sal_height.superposition import superposition

@@ -18,7 +18,8 @@ from sal_height_msgs.msg import DetectorFrame, Provenance
 from sal_height import convert
 from sal_height.bag.writer import BagWriter
 from sal_height.cli import main
-from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, frequencies, make_tape
+from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
+from sal_height.fft import frequencies
 from sal_height.focusing import Slc
 from sal_height.geometry import Grid
 from sal_height.impulse_response import measure_brightest

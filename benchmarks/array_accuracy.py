@@ -9,12 +9,12 @@ import numpy.typing as npt
 
 from benchmarks.array_estimator import BEAMWIDTH, DETECTORS, beams_of, elevation_at
 from benchmarks.row import Row
-from sal_height.array_ml import OBJECTIVES
-from sal_height.array_trials import TARGETS, array_trials, draw_pixels
-from sal_height.beams import Beams
-from sal_height.bounds import stochastic_crb
-from sal_height.looks import Covariance, covariance
-from sal_height.peak_search import PeakSearches
+from sal_height.beams.array import Beams
+from sal_height.elevation.bounds import stochastic_crb
+from sal_height.elevation.likelihood import OBJECTIVES
+from sal_height.elevation.looks import Covariance, covariance
+from sal_height.elevation.search import PeakSearches
+from sal_height.theory.array_trials import TARGETS, array_trials, draw_pixels
 
 Array = npt.NDArray[np.float64]
 

@@ -14,20 +14,21 @@ from std_msgs.msg import Header
 
 from benchmarks.cases import SLANT_RANGE, spotlight
 from benchmarks.row import Row, medians
-from sal_height import array_trials, convert
-from sal_height.array_ml import OBJECTIVES, ml_elevation
-from sal_height.beams import Beams
-from sal_height.compiled import in_parallel
-from sal_height.estimate import ElevationEstimate
-from sal_height.focusing import Slc
-from sal_height.geometry import Aperture, Grid
-from sal_height.height import column_squint, height_field, look_grid
-from sal_height.layover import resolve_layover
-from sal_height.looks import blocks, multilook, windowed_looks
+from sal_height import messages
+from sal_height.beams.array import Beams
+from sal_height.beams.pattern import pattern_named
+from sal_height.elevation.estimate import ElevationEstimate
+from sal_height.elevation.layover import resolve_layover
+from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
+from sal_height.elevation.looks import blocks, multilook, windowed_looks
+from sal_height.geometry.frames import ApertureState, Grid
+from sal_height.imaging.focus import Slc
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ml_height import MlHeight
-from sal_height.optics import pattern_named
-from sal_height.sensor import Sensor
+from sal_height.numeric.jit import in_parallel
+from sal_height.relief.heights import column_squint, height_field, look_grid
+from sal_height.sensor.sensor import Sensor
+from sal_height.theory import array_trials
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
@@ -51,9 +52,9 @@ def node_over_core() -> Iterator[Row]:
     samples = _slc("jinc")
     grid, aperture, sensor = _scene()
     slc = Slc(samples, grid, aperture, [1.0] * DETECTORS)
-    stamp, shares = convert.to_stamp(0), np.zeros(DETECTORS)
+    stamp, shares = messages.to_stamp(0), np.zeros(DETECTORS)
     frame = DetectorFrame(header=Header(stamp=stamp), dwell=0)
-    messages = convert.slc_to_messages(slc, shares, frame, Provenance(config_hash=sensor.config_hash))
+    images = messages.slc_to_messages(slc, shares, frame, Provenance(config_hash=sensor.config_hash))
     down, across = blocks(1, LOOKS)
     coarse = look_grid(grid, down, across)
     with Graph() as graph:
@@ -67,7 +68,7 @@ def node_over_core() -> Iterator[Row]:
             found = resolve_layover(found, seen, sensor.beams, squint, 1.0, MIN_CNR)
             height_field(found, seen, grid, coarse, aperture, sensor.look_side)
 
-        through, alone = medians(lambda: node.process(messages, sensor), core)
+        through, alone = medians(lambda: node.process(images, sensor), core)
     yield Row(
         "node ml_height over the core",
         through / alone,
@@ -78,7 +79,7 @@ def node_over_core() -> Iterator[Row]:
     )
 
 
-def _scene() -> tuple[Grid, Aperture, Sensor]:
+def _scene() -> tuple[Grid, ApertureState, Sensor]:
     """Pixels, platform and sensor of a spotlight image of ROWS x COLS * LOOKS pixels, half a beamwidth wide."""
     case = spotlight(DETECTORS, 64, ROWS, 2, COLS * LOOKS)
     steps = np.arange(DETECTORS) - (DETECTORS - 1) / 2
@@ -92,7 +93,7 @@ def _scene() -> tuple[Grid, Aperture, Sensor]:
     row_spacing = 1e-3  # the target fills the image at one elevation
     origin = middle - (COLS * LOOKS - 1) / 2 * spacing * case.grid.col_direction
     grid = replace(case.grid, origin=origin, row_spacing=row_spacing, col_spacing=spacing, rows=ROWS)
-    aperture = Aperture(case.antenna.mean(axis=0), np.array([50.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
+    aperture = ApertureState(case.antenna.mean(axis=0), np.array([50.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
     return grid, aperture, sensor
 
 

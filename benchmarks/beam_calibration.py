@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from benchmarks.array_estimator import beams_of, elevation_at
 from benchmarks.row import Row
-from sal_height import array_trials
-from sal_height.array_ml import OBJECTIVES, peak_elevation
-from sal_height.beam_calibration import BeamCalibration, beams_with, calibrate_beams
-from sal_height.beams import Beams
-from sal_height.looks import covariance, multilook
+from sal_height.beams.array import Beams
+from sal_height.calibration.beams import BeamCalibration, beams_with, calibrate_beams
+from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation
+from sal_height.elevation.looks import covariance, multilook
+from sal_height.theory import array_trials
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]

@@ -9,19 +9,19 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.row import Row
-from sal_height.array_ml import OBJECTIVES, ml_elevation
-from sal_height.calibration import Calibration
-from sal_height.calibrator import Calibrator
-from sal_height.channels import whitened_channels, with_powers
-from sal_height.estimate import ElevationEstimate
-from sal_height.flight import SimulatedFlight, flight_of
-from sal_height.focusing import Settings, focus_dwell
-from sal_height.height import column_squint, look_grid
-from sal_height.impairments import Impairments, RangeSawtooth
-from sal_height.looks import Window, windowed_looks
-from sal_height.phase_history import PhaseHistory
-from sal_height.preset import load_preset
-from sal_height.trajectory import Trajectory
+from sal_height.calibration.accumulate import Calibrator
+from sal_height.calibration.calibration import Calibration
+from sal_height.elevation.estimate import ElevationEstimate
+from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
+from sal_height.elevation.looks import Window, windowed_looks
+from sal_height.geometry.trajectory import Trajectory
+from sal_height.imaging.focus import Settings, focus_dwell
+from sal_height.relief.heights import column_squint, look_grid
+from sal_height.sensor.channels import whitened_channels, with_powers
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.simulation.flight import SimulatedFlight, flight_of
+from sal_height.simulation.impairments import Impairments, RangeSawtooth
+from sal_height.simulation.preset import load_preset
 
 Array = npt.NDArray[np.float64]
 

@@ -9,14 +9,14 @@ from rclpy.parameter import Parameter
 from sal_height_msgs.msg import ComplexImage
 
 from benchmarks.row import Row, medians
-from sal_height import convert
-from sal_height.flight import flight_of
+from sal_height import messages
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.stage import FRAMES_QOS
-from sal_height.preset import load_preset
-from sal_height.sensor import Sensor
+from sal_height.sensor.sensor import Sensor
+from sal_height.simulation.flight import flight_of
+from sal_height.simulation.preset import load_preset
 
 DWELLS = 640
 """After which there is a calibration, as the node has it by default: of every tenth."""
@@ -32,13 +32,13 @@ def beside_compression() -> Iterator[Row]:
 
 def _beside_compression(name: str) -> Iterator[Row]:
     flight = flight_of(load_preset(name), seed=1)
-    sensor = convert.sensor_from_message(convert.sensor_to_message(flight.sensor, convert.to_stamp(0)))
-    frames = convert.history_to_messages(flight.phase_history(0), flight.sensor, 0, convert.to_stamp(0))
+    sensor = messages.sensor_from_message(messages.sensor_to_message(flight.sensor, messages.to_stamp(0)))
+    frames = messages.history_to_messages(flight.phase_history(0), flight.sensor, 0, messages.to_stamp(0))
     unweighted = [Parameter("range_window", value="rectangular"), Parameter("cols", value=flight.preset.image.cols)]
     with Graph() as graph:
         compression = graph.add(SarCompression(context=graph.context, parameter_overrides=unweighted))
         for state in flight.platform_states(0):
-            compression._on_odometry(convert.state_to_message(state, convert.to_stamp(state.stamp_ns)))
+            compression._on_odometry(messages.state_to_message(state, messages.to_stamp(state.stamp_ns)))
         images = _images(graph, compression, frames, sensor)
         calibration = graph.add(PsfCalibration(context=graph.context))
 

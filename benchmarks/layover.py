@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.row import Row, medians
-from sal_height import array_trials
-from sal_height.array_ml import OBJECTIVES, peak_elevation, search_guard
-from sal_height.beams import Beams
-from sal_height.layover import two_scatterers
-from sal_height.looks import Covariance
-from sal_height.optics import pattern_named
+from sal_height.beams.array import Beams
+from sal_height.beams.pattern import pattern_named
+from sal_height.elevation.layover import two_scatterers
+from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation, search_guard
+from sal_height.elevation.looks import Covariance
+from sal_height.theory import array_trials
 
 DETECTORS, PITCH, BEAMWIDTH, LOOKS = 16, 0.5, 1.55e-4, 4
 SIDE = 256

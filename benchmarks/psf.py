@@ -10,13 +10,13 @@ import numpy.typing as npt
 import scipy.fft
 
 from benchmarks.row import Row, medians
-from sal_height.compiled import WORKERS
-from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
-from sal_height.point_targets import find_targets
-from sal_height.psf import PointSpread, point_spread
-from sal_height.pure_speckle import find_pure_speckle
-from sal_height.speckle_spectra import SpeckleSpectra, speckle_spectra
-from sal_height.transfer_function import TransferFunction, estimate_transfer_function
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
+from sal_height.numeric.jit import WORKERS
+from sal_height.response.point_spread import PointSpread, point_spread
+from sal_height.response.point_targets import find_targets
+from sal_height.response.speckle_spectra import SpeckleSpectra, speckle_spectra
+from sal_height.response.speckle_tiles import find_pure_speckle
+from sal_height.response.transfer_function import TransferFunction, estimate_transfer_function
 
 SIDE = 2048
 TARGETS = tuple(Target(row + 0.3, col + 0.6, 40.0) for row in (300, 1600) for col in (500, 1300))

@@ -14,10 +14,10 @@ from std_msgs.msg import Header
 from benchmarks.cases import spotlight
 from benchmarks.memory import resident
 from benchmarks.row import Row, medians
-from sal_height import convert
-from sal_height.geometry import Aperture, above_place
-from sal_height.height import HeightField, Surface
-from sal_height.relief_map import ReliefMap
+from sal_height import messages
+from sal_height.geometry.frames import ApertureState, above_place
+from sal_height.relief.heights import HeightField, Surface
+from sal_height.relief.map import ReliefMap
 
 SIDE = 512
 DWELLS = 1000
@@ -58,14 +58,14 @@ def throughput() -> Iterator[Row]:
 
 def _enter(relief_map: ReliefMap, image: HeightImage) -> None:
     """What the node does with a message."""
-    relief_map.add(convert.field_from_message(image).first, convert.aperture_from_message(image.aperture))
+    relief_map.add(messages.field_from_message(image).first, messages.aperture_from_message(image.aperture))
 
 
 def _height_image() -> HeightImage:
     """Level ground at 0.1 m, seen by a lidar with errors of 0.1 m whose pose is known to 0.1 m."""
     grid = replace(spotlight(1, 512, 64, SIDE, SIDE).grid, row_spacing=0.12, col_spacing=0.17)
     ground = replace(grid, row_direction=np.array([0.0, np.sign(grid.row_direction[1]), 0.0]))
-    aperture = Aperture(
+    aperture = ApertureState(
         position=grid.origin - 5000 * grid.row_direction,
         velocity=np.array([50.0, 0.0, 0.0]),
         rotation=np.eye(3),
@@ -77,8 +77,8 @@ def _height_image() -> HeightImage:
     positions[..., 2] = above_place(positions[..., 0], positions[..., 1], height)[..., 2]
     surface = Surface(height, np.full(ground.shape, 0.15), np.full(ground.shape, 20.0), positions)
     field = HeightField(ground, np.zeros(ground.shape, np.uint8), surface, None)
-    slc = ComplexImage(header=Header(frame_id=convert.MAP_FRAME))
-    return convert.height_to_message(field, aperture, (2, 2), "ml", slc, Provenance())
+    slc = ComplexImage(header=Header(frame_id=messages.MAP_FRAME))
+    return messages.height_to_message(field, aperture, (2, 2), "ml", slc, Provenance())
 
 
 def _cell_size(image: HeightImage) -> float:

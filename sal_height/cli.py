@@ -15,13 +15,13 @@ import yaml
 
 from sal_height import __version__
 from sal_height.errors import UserError
-from sal_height.experiments.help_texts import ARRAY, DEFAULT_TRIALS, FIGURES, MONTE_CARLO, PAIR
-from sal_height.preset import Preset, load_preset, parse_preset, preset_names
+from sal_height.figures.help_texts import ARRAY, DEFAULT_TRIALS, FIGURES, MONTE_CARLO, PAIR
 from sal_height.runs.help_texts import CALIBRATE, IRF, PSF
+from sal_height.simulation.preset import Preset, load_preset, parse_preset, preset_names
 
 if TYPE_CHECKING:
-    from sal_height.beams import Beams
-    from sal_height.experiments.montecarlo import Experiment
+    from sal_height.beams.array import Beams
+    from sal_height.figures.montecarlo import Experiment
 
 Subcommands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 (it has no other name)
 
@@ -290,7 +290,7 @@ def _add_out(command: argparse.ArgumentParser, default: str) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from sal_height.folders import free_folder
+    from sal_height.io import free_folder
     from sal_height.runs.simulate import RELIEF_MAP, run
 
     preset = _changed(load_preset(options.preset), options)
@@ -309,7 +309,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    from sal_height.folders import free_folder
+    from sal_height.io import free_folder
     from sal_height.runs.replay import replay
 
     out = options.out or free_folder(Path("out") / f"replay_{_bag_name(options.bag)}")
@@ -324,7 +324,7 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _calibrate(options: argparse.Namespace) -> int:
-    from sal_height.folders import free_folder
+    from sal_height.io import free_folder
     from sal_height.runs.calibrate import CALIBRATION, calibrate, calibration_table
 
     out = options.out or free_folder(Path("out") / f"calibrate_{_bag_name(options.bag)}")
@@ -345,7 +345,7 @@ def _bag_name(bag: Path) -> str:
 
 
 def _irf(options: argparse.Namespace) -> int:
-    from sal_height.folders import free_folder
+    from sal_height.io import free_folder
     from sal_height.runs.irf import irf, response_table, window_table
 
     if options.windows == bool(options.images):
@@ -361,7 +361,7 @@ def _irf(options: argparse.Namespace) -> int:
 
 
 def _psf(options: argparse.Namespace) -> int:
-    from sal_height.folders import free_folder
+    from sal_height.io import free_folder
     from sal_height.runs.psf import determined, psf, psf_table
 
     out = options.out or free_folder(Path("out") / "psf")
@@ -371,9 +371,9 @@ def _psf(options: argparse.Namespace) -> int:
 
 
 def _figures(options: argparse.Namespace) -> int:
-    from sal_height.experiments.figures import FIGURES as KNOWN
-    from sal_height.experiments.figures import make_figures, summary
-    from sal_height.folders import free_folder
+    from sal_height.figures.catalogue import FIGURES as KNOWN
+    from sal_height.figures.catalogue import make_figures, summary
+    from sal_height.io import free_folder
 
     names = [name for name in options.names if name != "all"]
     everything = not names or "all" in options.names
@@ -384,7 +384,7 @@ def _figures(options: argparse.Namespace) -> int:
 
 
 def _montecarlo(options: argparse.Namespace) -> int:
-    from sal_height.experiments.montecarlo import array_statistics, array_with, pair_statistics
+    from sal_height.figures.montecarlo import array_statistics, array_with, pair_statistics
 
     beams = array_with(options.pattern, options.pitch, options.detectors, options.size)
     measure = {"pair": pair_statistics, "array": array_statistics}[options.kind]
@@ -395,13 +395,13 @@ def _montecarlo(options: argparse.Namespace) -> int:
 
 
 def _experiment(options: argparse.Namespace, beams: Beams) -> Experiment:
-    from sal_height.experiments.montecarlo import Experiment
+    from sal_height.figures.montecarlo import Experiment
 
     return Experiment(beams, options.theta, options.cnr_db, options.looks, options.target, options.trials, options.seed)
 
 
 def _print_statistics(statistics: dict[str, Any], as_json: bool) -> None:
-    from sal_height.experiments.montecarlo import statistics_table
+    from sal_height.figures.montecarlo import statistics_table
 
     print(json.dumps(statistics, indent=2, allow_nan=False) if as_json else statistics_table(statistics))
 

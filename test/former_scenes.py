@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from helpers import circular, direct_history, make_sensor
 
-from sal_height.backprojection import backproject
-from sal_height.compression import slant_plane_grid
-from sal_height.geometry import Aperture, Grid, look_direction
-from sal_height.gust import gust_motion
-from sal_height.phase_history import PhaseHistory
-from sal_height.processing import Processing
-from sal_height.sensor import Sensor
+from sal_height.geometry.frames import ApertureState, Grid, look_direction
+from sal_height.imaging.formers.backprojection import backproject
+from sal_height.imaging.pixels import slant_plane_grid
+from sal_height.imaging.weighting import Processing
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import Sensor
+from sal_height.simulation.gust import gust_motion
 
 Array = npt.NDArray[np.float64]
 
@@ -103,7 +103,7 @@ def dwell(
     if gust:
         antenna, direction = gusty_track(antenna, steps / 50.0, gust, rng)
     antenna = antenna + jitter * rng.standard_normal(antenna.shape)
-    aperture = Aperture(antenna.mean(axis=0), 50.0 * direction, _level(direction), length, np.zeros((6, 6)))
+    aperture = ApertureState(antenna.mean(axis=0), 50.0 * direction, _level(direction), length, np.zeros((6, 6)))
     grid = slant_plane_grid(sensor, aperture, reach, rows, cols, 1.0)
     grid = replace(
         grid, row_spacing=grid.row_spacing * spread[0], col_spacing=grid.col_spacing * spread[1],

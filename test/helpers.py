@@ -13,13 +13,13 @@ import numpy.typing as npt
 from scipy.constants import speed_of_light
 from scipy.spatial.transform import Rotation
 
-from sal_height.beams import Beams
-from sal_height.geometry import Aperture
-from sal_height.looks import Looks
-from sal_height.optics import pattern_named
-from sal_height.preset import Preset
-from sal_height.scene import Scene, VisibleSurface
-from sal_height.sensor import Sensor
+from sal_height.beams.array import Beams
+from sal_height.beams.pattern import pattern_named
+from sal_height.elevation.looks import Looks
+from sal_height.geometry.frames import ApertureState
+from sal_height.sensor.sensor import Sensor
+from sal_height.simulation.preset import Preset
+from sal_height.simulation.scene import Scene, VisibleSurface
 
 Array = npt.NDArray[np.float64]
 
@@ -94,9 +94,9 @@ def make_aperture(
     angles: Sequence[float] = (0.0, 0.0, 0.0),
     velocity: Sequence[float] = (50.0, 0.0, 0.0),
     length: float = 0.08,
-) -> Aperture:
+) -> ApertureState:
     """A platform above the map origin, turned by roll, pitch and yaw (rad)."""
-    return Aperture(
+    return ApertureState(
         position=np.array([0.0, 0.0, height]),
         velocity=np.array(velocity),
         rotation=Rotation.from_euler("ZYX", angles[::-1]).as_matrix(),

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 from sal_height_msgs.msg import SensorInfo
 
-from sal_height import convert
-from sal_height.dwell import Dwell, DwellAssembler
+from sal_height import messages
 from sal_height.errors import Rejected, UserError
+from sal_height.nodes.dwell import Dwell, DwellAssembler
 from sal_height.nodes.parameters import declare_parameters, read_parameters
 from sal_height.nodes.stage import LATCHED_QOS, Stage
-from sal_height.sensor import Sensor
+from sal_height.sensor.sensor import Sensor
 
 HELD_DWELLS = 8
 """Unfinished dwells held before the oldest is dropped."""
@@ -67,7 +67,7 @@ class DwellStage(Stage):
         """Raise Rejected if the message cannot be processed with `sensor`."""
 
     @abstractmethod
-    def process(self, messages: list[Any], sensor: Sensor) -> int:
+    def process(self, dwell: list[Any], sensor: Sensor) -> int:
         """Process the messages of all detectors (on the worker); returns the number of messages published."""
 
     def identity(self, message: Any) -> str:
@@ -97,12 +97,12 @@ class DwellStage(Stage):
             self.reject(1, self._unmatched(message))
         self._early = self._early[len(overdue) :]
 
-    def _hand_over(self, messages: list[Any], sensor: Sensor) -> None:
-        self.submit(len(messages), lambda: self.process(messages, sensor))
+    def _hand_over(self, dwell: list[Any], sensor: Sensor) -> None:
+        self.submit(len(dwell), lambda: self.process(dwell, sensor))
 
     def _on_sensor_info(self, message: SensorInfo) -> None:
         try:
-            sensor = convert.sensor_from_message(message)
+            sensor = messages.sensor_from_message(message)
         except UserError as error:
             self.ignore("sensor info", error)
             return
@@ -132,7 +132,7 @@ class DwellStage(Stage):
             if len(self._early) > HELD_MESSAGES:
                 self.reject(1, self._unmatched(self._early.pop(0)[1]))
             return
-        key = (message.dwell, convert.to_ns(message.header.stamp))
+        key = (message.dwell, messages.to_ns(message.header.stamp))
         try:
             self.check(message, stream.sensor)
             stream.assembler.add(key, message.detector, message, arrived)

@@ -12,23 +12,23 @@ from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ComplexImage, HeightImage
 from sensor_msgs.msg import Image, PointCloud2
 
-from sal_height import convert
-from sal_height.beams import Beams
-from sal_height.calibration import Calibration
-from sal_height.channels import Channels, whitened_channels, with_powers
-from sal_height.discriminant import moving_squint
-from sal_height.dwell import Dwell
+from sal_height import messages
+from sal_height.beams.array import Beams
+from sal_height.calibration.calibration import Calibration
+from sal_height.elevation.estimate import ElevationEstimate, without_saturated
+from sal_height.elevation.looks import LOOK_WINDOWS, Looks, Window, live_detectors, windowed_looks
+from sal_height.elevation.monopulse.inversion import moving_squint
 from sal_height.errors import Rejected, UserError
-from sal_height.estimate import ElevationEstimate, without_saturated
-from sal_height.height import column_squint, height_field, look_grid
-from sal_height.looks import LOOK_WINDOWS, Looks, Window, live_detectors, windowed_looks
+from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import derived, parameter, recorded
 from sal_height.nodes.stage import LATCHED_QOS
-from sal_height.saturation import MAX_SHARE
-from sal_height.sensor import Sensor
-from sal_height.stripmap import image_beams
-from sal_height.windows import WINDOWS
+from sal_height.numeric.windows import WINDOWS
+from sal_height.relief.heights import column_squint, height_field, look_grid
+from sal_height.sensor.channels import Channels, whitened_channels, with_powers
+from sal_height.sensor.receivers import MAX_SHARE
+from sal_height.sensor.sensor import Sensor
+from sal_height.simulation.stripmap import image_beams
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -147,7 +147,7 @@ class HeightStage(DwellStage):
 
     def check(self, message: ComplexImage, sensor: Sensor) -> None:
         """Size of an image; single bad pixels are marked as such."""
-        convert.check_slc(message, sensor)
+        messages.check_slc(message, sensor)
 
     def missing(self, dwell: Dwell[ComplexImage]) -> Rejected | None:
         """The calibration that the images were made with: it may have changed the beams."""
@@ -158,16 +158,16 @@ class HeightStage(DwellStage):
             return error
         return None
 
-    def process(self, messages: list[ComplexImage], sensor: Sensor) -> int:
+    def process(self, images: list[ComplexImage], sensor: Sensor) -> int:
         """Estimate the heights of a dwell and publish them."""
         parameters = self.current_parameters()
-        slc, slc_grid, aperture, noise_powers = convert.slc_from_messages(messages)
+        slc, slc_grid, aperture, noise_powers = messages.slc_from_messages(images)
         live = live_channels(slc, sensor)
         slc = slc if len(live) == len(slc) else slc[live]
         noise = with_powers(sensor.noise_covariance, noise_powers)[np.ix_(live, live)]
         channels = self.channels(noise, sensor.mixing[np.ix_(live, live)])
-        before = messages[0].provenance
-        beams = processed_beams(sensor, before.parameters).widened(self._width_factor(messages[0], sensor))
+        before = images[0].provenance
+        beams = processed_beams(sensor, before.parameters).widened(self._width_factor(images[0], sensor))
         beams = beams.detectors(live).combined(channels.matrix)
         down, across = parameters.windows
         looks = windowed_looks(slc, down, across, beams.is_complex, channels.transform)
@@ -175,16 +175,16 @@ class HeightStage(DwellStage):
         velocity, speed = parameters.radial_velocity_mps, np.linalg.norm(aperture.velocity)
         squint = moving_squint(column_squint(grid, aperture, sensor.beams, sensor.look_side), velocity, speed)
         estimate = self.estimate(looks, beams, squint, channels.noise_powers, parameters)
-        share = max(messages[channel].saturated_share for channel in live)
+        share = max(images[channel].saturated_share for channel in live)
         if share > parameters.max_saturated_share:
             estimate = without_saturated(estimate)
-            self.ignore("saturated", UserError(f"Dwell {messages[0].dwell}: {_saturated(share, parameters)}"))
+            self.ignore("saturated", UserError(f"Dwell {images[0].dwell}: {_saturated(share, parameters)}"))
         field = height_field(estimate, looks, slc_grid, grid, aperture, sensor.look_side, velocity)
         provenance = derived(before, self.get_name(), parameters)
         number_of_looks = (parameters.range_looks, parameters.azimuth_looks)
-        image = convert.height_to_message(field, aperture, number_of_looks, self.estimator, messages[0], provenance)
-        self._image.publish(convert.height_picture(image))
-        self._points.publish(convert.height_points(field, image))
+        image = messages.height_to_message(field, aperture, number_of_looks, self.estimator, images[0], provenance)
+        self._image.publish(messages.height_picture(image))
+        self._points.publish(messages.height_points(field, image))
         self._height.publish(image)
         return 1
 
@@ -208,7 +208,7 @@ class HeightStage(DwellStage):
 
     def _on_calibration(self, message: CalibrationMessage) -> None:
         try:
-            calibration = convert.calibration_from_message(message)
+            calibration = messages.calibration_from_message(message)
         except UserError as error:
             self.ignore("calibration", error)
             return

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams import Beams
+from sal_height.beams.array import Beams
+from sal_height.elevation.estimate import ElevationEstimate
+from sal_height.elevation.looks import Looks
+from sal_height.elevation.monopulse.estimators import DISCRIMINANTS
+from sal_height.elevation.monopulse.pairs import monopulse_elevation
 from sal_height.errors import Rejected
-from sal_height.estimate import ElevationEstimate
-from sal_height.looks import Looks
-from sal_height.monopulse import monopulse_elevation
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
-from sal_height.products import DISCRIMINANTS
 
 Array = npt.NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import DetectorFrame, SensorInfo
 from std_srvs.srv import Trigger
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.bag.definitions import message_class
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
@@ -105,11 +105,11 @@ class _Group:
     def add(self, message: Any) -> None:
         """Take note of a message that is played."""
         if isinstance(message, Odometry):
-            self._last_odometry_ns = convert.to_ns(message.header.stamp)
+            self._last_odometry_ns = messages.to_ns(message.header.stamp)
         elif isinstance(message, DetectorFrame):
-            start_ns = convert.to_ns(message.header.stamp)
+            start_ns = messages.to_ns(message.header.stamp)
             self.frames[message.dwell, start_ns] += 1
-            duration = max((t for t in message.pulse_time if 0 < t <= convert.LONGEST_DWELL), default=0.0)
+            duration = max((t for t in message.pulse_time if 0 < t <= messages.LONGEST_DWELL), default=0.0)
             self._last_pulse_ns = max(self._last_pulse_ns, start_ns + round(duration * 1e9))
 
     def closed(self, detectors: int) -> bool:

@@ -14,19 +14,19 @@ from builtin_interfaces.msg import Time
 from rclpy._rclpy_pybind11 import RCLError
 from sal_height_msgs.msg import Calibration, ComplexImage
 
-from sal_height import convert
-from sal_height.calibration import save_calibration
-from sal_height.calibrator import Calibrator
+from sal_height import messages
+from sal_height.calibration.accumulate import Calibrator
+from sal_height.calibration.calibration import save_calibration
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import sphere_point
+from sal_height.geometry.frames import sphere_point
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS
-from sal_height.saturation import MAX_SHARE
-from sal_height.sensor import Sensor
-from sal_height.waveform import spectrum_sensor
+from sal_height.sensor.receivers import MAX_SHARE
+from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.waveform import spectrum_sensor
 
 MOST_DWELLS = 1024
 """That a calibration may be made of: 130 MB of pixels from 16 detectors."""
@@ -83,7 +83,7 @@ class PsfCalibration(DwellStage):
 
     def check(self, message: ComplexImage, sensor: Sensor) -> None:
         """Size of an image, and that no calibration has been applied to it."""
-        convert.check_slc(message, sensor)
+        messages.check_slc(message, sensor)
         applied = message.provenance.calibration_id
         if applied not in {"", sensor.calibration_id}:
             raise Rejected(
@@ -93,24 +93,24 @@ class PsfCalibration(DwellStage):
                 "sar_compression).",
             )
 
-    def process(self, messages: list[ComplexImage], sensor: Sensor) -> int:
+    def process(self, images: list[ComplexImage], sensor: Sensor) -> int:
         """Take in the images of a dwell, or pass it by; publish a calibration if it is the last one needed."""
         parameters = self.current_parameters()
         self._dwells += 1
         if (self._dwells - 1) % parameters.dwell_step:
             return 0
-        share = max(image.saturated_share for image in messages)
+        share = max(image.saturated_share for image in images)
         if share > MAX_SHARE:
             raise Rejected(
                 "saturated",
-                f"Dwell {messages[0].dwell}: {share:.3g} of a channel's samples are clipped; calibration needs "
+                f"Dwell {images[0].dwell}: {share:.3g} of a channel's samples are clipped; calibration needs "
                 f"{MAX_SHARE:g} or less.",
             )
         if self._calibrator is None or self._calibrator.sensor.config_hash != sensor.config_hash:
-            beams = processed_beams(sensor, messages[0].provenance.parameters)
+            beams = processed_beams(sensor, images[0].provenance.parameters)
             self._calibrator = Calibrator(spectrum_sensor(sensor), beams, self._target)
-        self._calibrator.add(*convert.slc_from_messages(messages))
-        self._stamp = messages[0].header.stamp
+        self._calibrator.add(*messages.slc_from_messages(images))
+        self._stamp = images[0].header.stamp
         return self._complete() if self._calibrator.dwells >= parameters.dwells else 0
 
     def conclude(self) -> None:
@@ -135,7 +135,7 @@ class PsfCalibration(DwellStage):
         for sentence in undetermined:
             self.get_logger().warning(sentence)
         with suppress(RCLError):  # the context may have ended: nobody is left to publish to
-            self._calibration.publish(convert.calibration_to_message(calibration, self._stamp, undetermined))
+            self._calibration.publish(messages.calibration_to_message(calibration, self._stamp, undetermined))
         file = self.current_parameters().file
         if file:
             try:

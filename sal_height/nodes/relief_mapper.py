@@ -14,12 +14,13 @@ from rclpy.exceptions import InvalidTopicNameException
 from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
 from sensor_msgs.msg import Image, PointCloud2
 
-from sal_height import convert, relief_map
+from sal_height import messages
 from sal_height.errors import Rejected, UserError
-from sal_height.geotiff import check_geotiff, write_geotiff
 from sal_height.nodes.parameters import declare_parameters, derived, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, Stage
+from sal_height.relief import map as relief_map
+from sal_height.relief.geotiff import check_geotiff, write_geotiff
 
 LAST_WORDS_S = 2.0
 """How long the end waits for subscribers to have the last map."""
@@ -130,8 +131,8 @@ class ReliefMapper(Stage):
 
     def _enter(self, image: HeightImage) -> int:
         """Enter a height image into the map, which stays as it is if that is refused."""
-        field = convert.field_from_message(image)
-        aperture = convert.aperture_from_message(image.aperture)
+        field = messages.field_from_message(image)
+        aperture = messages.aperture_from_message(image.aperture)
         if self._map is None:
             cell_size = self._settings.cell_size_m or relief_map.fitting_cell_size(field.grid, aperture)
             grown = relief_map.ReliefMap(cell_size, self._settings.max_cells)
@@ -153,11 +154,11 @@ class ReliefMapper(Stage):
         relief = self._map.relief() if self._map else None
         if relief is None or self._last is None:
             return 0
-        message = convert.relief_to_message(relief, self._images, self._last, self._provenance(self._last))
+        message = messages.relief_to_message(relief, self._images, self._last, self._provenance(self._last))
         with suppress(RCLError):  # the context may have ended: nobody is left to publish to
-            self._image.publish(convert.relief_picture(relief, self._last))
+            self._image.publish(messages.relief_picture(relief, self._last))
             if self._points.get_subscription_count():  # heights wait while they are made: a second for millions
-                self._points.publish(convert.relief_points(relief, self._last))
+                self._points.publish(messages.relief_points(relief, self._last))
             self._relief.publish(message)
         return 1
 

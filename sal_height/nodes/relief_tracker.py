@@ -9,12 +9,12 @@ from typing import Any
 from sal_height_msgs.msg import HeightImage
 from sensor_msgs.msg import Image, PointCloud2
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.nodes.parameters import declare_parameters, derived, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import Stage
-from sal_height.relief_tracking import GATE, ReliefPrior
-from sal_height.tracked_height import track
+from sal_height.relief.range_tracking import GATE, ReliefPrior
+from sal_height.relief.tracked import track
 
 PREFIX = "tracked"
 """Of the topics, and HeightImage.estimator."""
@@ -71,15 +71,15 @@ class ReliefTracker(Stage):
     def process(self, message: HeightImage) -> int:
         """Track the heights of a dwell (on the worker) and publish them; returns the number of height images."""
         parameters = read_parameters(self, Parameters)
-        field, aperture = convert.field_from_message(message), convert.aperture_from_message(message.aperture)
+        field, aperture = messages.field_from_message(message), messages.aperture_from_message(message.aperture)
         known = parameters.correlation_length_m or None, parameters.relief_sigma_m or None
         tracked, prior = track(field, aperture, *known, parameters.gate, parameters.along_track)
         recorded = _Recorded(**dataclasses.asdict(parameters), prior=prior)
         provenance = derived(message.provenance, self.get_name(), recorded)
         looks = message.range_looks, message.azimuth_looks
-        image = convert.height_to_message(tracked, aperture, looks, PREFIX, message, provenance)
-        self._image.publish(convert.height_picture(image))
-        self._points.publish(convert.height_points(tracked, image))
+        image = messages.height_to_message(tracked, aperture, looks, PREFIX, message, provenance)
+        self._image.publish(messages.height_picture(image))
+        self._points.publish(messages.height_points(tracked, image))
         self._height.publish(image)
         return 1
 

@@ -14,22 +14,22 @@ from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ComplexImage, DetectorFrame, Provenance
 
-from sal_height import __version__, convert
-from sal_height.calibration import Calibration, load_calibration
-from sal_height.dwell import Dwell
+from sal_height import __version__, messages
+from sal_height.calibration.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
-from sal_height.focusing import Settings, Slc, StripFocuser, focus_dwell
-from sal_height.formers import FORMERS
+from sal_height.geometry.trajectory import PlatformState, Trajectory
+from sal_height.imaging.focus import Settings, Slc, StripFocuser, focus_dwell
+from sal_height.imaging.formers.choice import FORMERS
+from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import as_json, parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
-from sal_height.phase_history import PhaseHistory
-from sal_height.saturation import saturated_shares
-from sal_height.sensor import Sensor
-from sal_height.trajectory import PlatformState, Trajectory
-from sal_height.waveform import range_compressed
-from sal_height.windows import WINDOWS
+from sal_height.numeric.windows import WINDOWS
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.receivers import saturated_shares
+from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.waveform import range_compressed
 
 Array = npt.NDArray[np.float64]
 
@@ -112,12 +112,12 @@ class SarCompression(DwellStage):
 
     def check(self, message: DetectorFrame, sensor: Sensor) -> None:
         """Size, numbers and pulse times of a frame."""
-        convert.check_frame(message, sensor)
+        messages.check_frame(message, sensor)
 
     def missing(self, dwell: Dwell[DetectorFrame]) -> Rejected | None:
         """Odometry from before the first pulse to after the last, without gaps."""
         frame = next(iter(dwell.items.values()))
-        start_ns = convert.to_ns(frame.header.stamp)
+        start_ns = messages.to_ns(frame.header.stamp)
         limit = self.current_parameters().max_odometry_gap_s
         stamps = [state.stamp_ns for state in self._states_around(start_ns, frame.pulse_time[-1])]
         gaps = [(later - earlier) * 1e-9 for earlier, later in pairwise(stamps)]
@@ -130,10 +130,10 @@ class SarCompression(DwellStage):
             + (f"there are {max(gaps):g} s between two." if gaps else "it does not (is its QoS compatible?)."),
         )
 
-    def process(self, messages: list[DetectorFrame], sensor: Sensor) -> int:
+    def process(self, frames: list[DetectorFrame], sensor: Sensor) -> int:
         """Compress a dwell, or what a block completes of a strip, and publish the image of each detector."""
         parameters = self.current_parameters()
-        raw = convert.history_from_messages(messages)
+        raw = messages.history_from_messages(frames)
         history, spectrum = range_compressed(raw, sensor)
         self._blocks.append((_end_ns(raw), saturated_shares(raw.samples, sensor)))
         calibration = self._calibration_for(spectrum)
@@ -146,7 +146,7 @@ class SarCompression(DwellStage):
             noise_power = calibration.noise_gains(parameters.range_window) * slc.noise_power
             slc = replace(slc, noise_power=noise_power.tolist())
         if slc.focus and not slc.focus.trusted:
-            self.ignore("autofocus", UserError(f"Dwell {messages[0].dwell}: {NOT_TRUSTED}"))
+            self.ignore("autofocus", UserError(f"Dwell {frames[0].dwell}: {NOT_TRUSTED}"))
         provenance = Provenance(
             code_version=__version__,
             config_hash=sensor.config_hash,
@@ -155,7 +155,7 @@ class SarCompression(DwellStage):
             autofocus_phase=slc.autofocus_phase.tolist(),
         )
         shares = np.max([share for _, share in self._blocks], axis=0)
-        images = convert.slc_to_messages(slc, shares, messages[0], provenance)
+        images = messages.slc_to_messages(slc, shares, frames[0], provenance)
         for image in images:
             self._slc.publish(image)
         return len(images)
@@ -181,7 +181,7 @@ class SarCompression(DwellStage):
             self._calibration = load_calibration(Path(source))
             stamp = self.get_clock().now().to_msg()
             self.offer(CalibrationMessage, "calibration", LATCHED_QOS).publish(
-                convert.calibration_to_message(self._calibration, stamp)
+                messages.calibration_to_message(self._calibration, stamp)
             )
 
     def _calibration_for(self, sensor: Sensor) -> Calibration | None:
@@ -199,7 +199,7 @@ class SarCompression(DwellStage):
 
     def _on_calibration(self, message: CalibrationMessage) -> None:
         try:
-            self._calibration = convert.calibration_from_message(message)
+            self._calibration = messages.calibration_from_message(message)
         except UserError as error:
             self.ignore("calibration", error)
 
@@ -208,7 +208,7 @@ class SarCompression(DwellStage):
 
     def _on_odometry(self, message: Odometry) -> None:
         try:
-            state = convert.state_from_message(message)
+            state = messages.state_from_message(message)
         except Rejected as error:
             self.ignore("odometry", error)
             return

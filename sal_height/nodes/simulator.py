@@ -9,12 +9,12 @@ from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import DetectorFrame, SensorInfo
 from std_srvs.srv import Trigger
 
-from sal_height import convert
-from sal_height.flight import flight_of
+from sal_height import messages
 from sal_height.nodes.parameters import declare_parameters, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, Stage
-from sal_height.preset import load_preset
+from sal_height.simulation.flight import flight_of
+from sal_height.simulation.preset import load_preset
 
 
 @dataclass(frozen=True)
@@ -49,13 +49,13 @@ class Simulator(Stage):
         self._info = self.offer(SensorInfo, "sensor_info", LATCHED_QOS)
         self._odometry = self.offer(Odometry, "platform/odometry", ODOMETRY_QOS)
         self._frames = self.offer(DetectorFrame, "phase_history")
-        self._info.publish(convert.sensor_to_message(self.flight.sensor, self._stamp(0)))
+        self._info.publish(messages.sensor_to_message(self.flight.sensor, self._stamp(0)))
         self.create_service(Trigger, "~/step", self._on_step)
         if parameters.period_s > 0:
             self.create_timer(parameters.period_s, self._begin_dwell)
 
     def _stamp(self, ns_after_start: int) -> Any:
-        return convert.to_stamp(self._start_ns + ns_after_start)
+        return messages.to_stamp(self._start_ns + ns_after_start)
 
     def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         dwell = self._begin_dwell()
@@ -75,10 +75,10 @@ class Simulator(Stage):
 
     def _publish_dwell(self, dwell: int) -> int:
         for state in self.flight.platform_states(dwell):
-            self._odometry.publish(convert.state_to_message(state, self._stamp(state.stamp_ns)))
+            self._odometry.publish(messages.state_to_message(state, self._stamp(state.stamp_ns)))
         history = self.flight.phase_history(dwell)
         stamp = self._stamp(history.stamp_ns)
-        frames = convert.history_to_messages(history, self.flight.sensor, dwell, stamp)
+        frames = messages.history_to_messages(history, self.flight.sensor, dwell, stamp)
         for frame in frames:
             self._frames.publish(frame)
         return len(frames)

@@ -20,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 
 from sal_height.errors import Rejected, UserError
-from sal_height.tally import Tally
+from sal_height.nodes.tally import Tally
 
 FRAMES_QOS = QoSProfile(depth=256, reliability=ReliabilityPolicy.RELIABLE)
 """Phase histories and images: nothing may be lost in the burst of frames that a dwell is."""

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from sal_height.bag.reader import BagReader
-from sal_height.calibration import Calibration, load_calibration
+from sal_height.calibration.calibration import Calibration, load_calibration
 from sal_height.errors import UserError
-from sal_height.folders import new_folder, writing
+from sal_height.io import new_folder, writing
 from sal_height.nodes.psf_calibration import MOST_DWELLS
 from sal_height.runs.conductor import Outcome, perform
 from sal_height.runs.ensemble import CALIBRATOR, NodeParameters, check_parameters

@@ -14,13 +14,13 @@ from scipy.constants import speed_of_light
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.geometry.trajectory import PlatformState
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
-from sal_height.phase_history import PhaseHistory
-from sal_height.sensor import Sensor
-from sal_height.trajectory import PlatformState
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import Sensor
 
 Array = npt.NDArray[np.float64]
 
@@ -147,14 +147,16 @@ def _write(out: Path, sensor: Sensor, history: PhaseHistory, states: list[Platfo
         "/phase_history": ("sal_height_msgs/msg/DetectorFrame", FRAMES_QOS),
     }
     end_ns = states[-1].stamp_ns
-    messages: list[tuple[str, Any, int]] = [("/sensor_info", convert.sensor_to_message(sensor, convert.to_stamp(0)), 0)]
-    messages += [
-        ("/platform/odometry", convert.state_to_message(s, convert.to_stamp(s.stamp_ns)), s.stamp_ns) for s in states
+    recorded: list[tuple[str, Any, int]] = [
+        ("/sensor_info", messages.sensor_to_message(sensor, messages.to_stamp(0)), 0)
     ]
-    frames = convert.history_to_messages(history, sensor, 0, convert.to_stamp(history.stamp_ns))
-    messages += [("/phase_history", frame, end_ns + 1) for frame in frames]
+    recorded += [
+        ("/platform/odometry", messages.state_to_message(s, messages.to_stamp(s.stamp_ns)), s.stamp_ns) for s in states
+    ]
+    frames = messages.history_to_messages(history, sensor, 0, messages.to_stamp(history.stamp_ns))
+    recorded += [("/phase_history", frame, end_ns + 1) for frame in frames]
     with BagWriter(out) as bag:
         for topic, (type_name, qos) in topics.items():
             bag.add_topic(topic, type_name, [qos])
-        for topic, message, time_ns in messages:
+        for topic, message, time_ns in recorded:
             bag.write(topic, serialize_message(message), time_ns, time_ns)

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.geometry import Grid
-from sal_height.impulse_response import without_range_phase
-from sal_height.sensor import Sensor
+from sal_height.geometry.frames import Grid
+from sal_height.response.impulse import without_range_phase
+from sal_height.sensor.sensor import Sensor
 
 ComplexArray = npt.NDArray[np.complexfloating]
 
@@ -144,7 +144,7 @@ def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, ComplexArray, Grid]]:
     sensors: dict[str, Sensor] = {}
     for recorded in reader.messages(_topics(reader, SENSOR_TYPE)):
         message = reader.decode(recorded.type_name, recorded.cdr)
-        sensors[message.config_hash] = convert.sensor_from_message(message)
+        sensors[message.config_hash] = messages.sensor_from_message(message)
     for recorded in reader.messages(_topics(reader, IMAGE_TYPE)):
         message = reader.decode(recorded.type_name, recorded.cdr)
         sensor = sensors.get(message.provenance.config_hash)
@@ -154,11 +154,11 @@ def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, ComplexArray, Grid]]:
                 "record topic sensor_info with the images."
             )
         try:
-            convert.check_slc(message, sensor)
+            messages.check_slc(message, sensor)
         except UserError as error:
             raise UserError(f"Bag {bag}: {error}") from error
-        grid, aperture = convert.grid_from_message(message.grid), convert.aperture_from_message(message.aperture)
-        stored = convert.complex_view(message.samples, grid.shape)
+        grid, aperture = messages.grid_from_message(message.grid), messages.aperture_from_message(message.aperture)
+        stored = messages.complex_view(message.samples, grid.shape)
         yield recorded.topic, message, without_range_phase(stored, grid, aperture, sensor.wavelength), grid
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from tqdm import tqdm
 
 from sal_height.errors import UserError
-from sal_height.folders import new_folder, write_text, writing
-from sal_height.impulse_response import CutResponse, ImpulseResponse, chip_around, measure_brightest, measure_windows
+from sal_height.io import new_folder, write_text, writing
+from sal_height.response.impulse import CutResponse, ImpulseResponse, chip_around, measure_brightest, measure_windows
 from sal_height.runs.images import AXES, Image, image_name, images_of
 from sal_height.runs.picture import Target, draw_responses
 from sal_height.runs.report import or_null

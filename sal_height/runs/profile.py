@@ -9,11 +9,11 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 from sal_height_msgs.msg import HeightImage
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.geometry import sphere_coordinates
-from sal_height.height import Surface
-from sal_height.scene import Scene
+from sal_height.geometry.frames import sphere_coordinates
+from sal_height.relief.heights import Surface
+from sal_height.simulation.scene import Scene
 
 Array = npt.NDArray[np.float64]
 
@@ -35,7 +35,7 @@ def draw_profile(bag: Path, source: str, scene: Scene, path: Path) -> bool:
     if not dwells:
         return False
     dwell = dwells[len(dwells) // 2]
-    fields = [convert.field_from_message(images[dwell]) for images in (tracked, measured)]
+    fields = [messages.field_from_message(images[dwell]) for images in (tracked, measured)]
     seen = np.isfinite(fields[0].first.height)
     if not seen.any():
         return False

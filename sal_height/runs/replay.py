@@ -8,19 +8,19 @@ from typing import Any
 
 import yaml
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.bag.compare import HeightComparison, compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.folders import new_folder, writing
-from sal_height.impulse_response import measure_brightest
+from sal_height.io import new_folder, writing
+from sal_height.response.impulse import measure_brightest
 from sal_height.runs.conductor import Outcome, perform
 from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, recorded_topics, suited
 from sal_height.runs.images import recorded_slc
 from sal_height.runs.picture import draw_image
 from sal_height.runs.report import or_null
 from sal_height.runs.simulate import conclude, merged, reporting
-from sal_height.sensor import Sensor
+from sal_height.sensor.sensor import Sensor
 
 
 def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, dict[str, HeightComparison]]:
@@ -92,7 +92,7 @@ def contents(reader: BagReader) -> tuple[Sensor, int]:
         if name not in topics or not topics[name].count:
             raise UserError(f"Bag {reader.path} has no messages on {name}; it cannot be replayed.")
     first = next(reader.messages(["/sensor_info"]))
-    sensor = convert.sensor_from_message(reader.decode(first.type_name, first.cdr))
+    sensor = messages.sensor_from_message(reader.decode(first.type_name, first.cdr))
     return sensor, -(-topics["/phase_history"].count // sensor.detector_count)
 
 

@@ -10,15 +10,15 @@ import numpy as np
 import numpy.typing as npt
 from sal_height_msgs.msg import HeightImage
 
-from sal_height import convert
-from sal_height.compression import azimuth_resolution
-from sal_height.evaluation import height_bound, truth_image
-from sal_height.flight import SimulatedFlight
-from sal_height.geometry import sphere_coordinates
-from sal_height.height import column_squint
+from sal_height import messages
+from sal_height.geometry.frames import sphere_coordinates
+from sal_height.imaging.pixels import azimuth_resolution
 from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.relief_tracker import PREFIX
-from sal_height.scene import VisibleSurface
+from sal_height.relief.heights import column_squint
+from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.scene import VisibleSurface
+from sal_height.simulation.truth import height_bound, truth_image
 
 Array = npt.NDArray[np.float64]
 
@@ -187,7 +187,7 @@ def _by_reason(account: Mapping[str, float], prefix: str) -> dict[str, int]:
 
 def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface) -> _Pixels:
     """The valid pixels of a height image, with the truth."""
-    grid, aperture = convert.grid_from_message(image.grid), convert.aperture_from_message(image.aperture)
+    grid, aperture = messages.grid_from_message(image.grid), messages.aperture_from_message(image.aperture)
     sensor, track = flight.sensor, flight.preset.flight
     cell = sensor.range_resolution * azimuth_resolution(sensor, aperture, track.slant_range_m)
     beams = processed_beams(sensor, image.provenance.parameters)
@@ -197,7 +197,7 @@ def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface
     bound = height_bound(truth, 10 ** (flight.preset.cnr_db / 10), 2, beams, squint, slope)
 
     height, sigma, east, north = (
-        convert.float_view(values, grid.shape).astype(np.float64)
+        messages.float_view(values, grid.shape).astype(np.float64)
         for values in (image.height, image.sigma, image.east, image.north)
     )
     valid = np.asarray(image.validity).reshape(grid.shape) == HeightImage.OK

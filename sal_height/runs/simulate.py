@@ -15,9 +15,7 @@ import yaml
 from sal_height import __version__
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.flight import SimulatedFlight, flight_of
-from sal_height.folders import new_folder, write_text, writing
-from sal_height.preset import Preset
+from sal_height.io import new_folder, write_text, writing
 from sal_height.runs.conductor import Outcome, perform
 from sal_height.runs.ensemble import (
     HEIGHTS,
@@ -31,6 +29,8 @@ from sal_height.runs.ensemble import (
 from sal_height.runs.picture import draw_heights
 from sal_height.runs.profile import draw_profile
 from sal_height.runs.report import Mosaic, mosaic, stage_report, statistics
+from sal_height.simulation.flight import SimulatedFlight, flight_of
+from sal_height.simulation.preset import Preset
 
 RELIEF_MAP = "relief_map.tif"
 """File of the relief map in the folder of a run."""

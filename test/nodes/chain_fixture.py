@@ -12,14 +12,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sal_height_msgs.msg import DetectorFrame, HeightImage, SensorInfo
 
-from sal_height import convert
-from sal_height.flight import SimulatedFlight
+from sal_height import messages
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height_stage import HeightStage
 from sal_height.nodes.ml_height import MlHeight
 from sal_height.nodes.monopulse import Monopulse
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.simulation.flight import SimulatedFlight
 
 START_NS = 1_700_000_000_123_456_789
 TIMEOUT_S = 30.0
@@ -86,18 +86,18 @@ class Chain:
             self._publishers[type(message)].publish(message)
 
     def sensor_info(self) -> SensorInfo:
-        return convert.sensor_to_message(self.flight.sensor, convert.to_stamp(START_NS))
+        return messages.sensor_to_message(self.flight.sensor, messages.to_stamp(START_NS))
 
     def odometry(self, dwell: int) -> list[Odometry]:
         return [
-            convert.state_to_message(state, convert.to_stamp(START_NS + state.stamp_ns))
+            messages.state_to_message(state, messages.to_stamp(START_NS + state.stamp_ns))
             for state in self.flight.platform_states(dwell)
         ]
 
     def frames(self, dwell: int) -> list[DetectorFrame]:
         history = self.flight.phase_history(dwell)
-        stamp = convert.to_stamp(START_NS + history.stamp_ns)
-        return convert.history_to_messages(history, self.flight.sensor, dwell, stamp)
+        stamp = messages.to_stamp(START_NS + history.stamp_ns)
+        return messages.history_to_messages(history, self.flight.sensor, dwell, stamp)
 
     def await_heights(self, dwell: int) -> None:
         expected = {(name, dwell) for name in self.estimators}

@@ -9,10 +9,10 @@ import pytest
 from chain_fixture import Chain
 from sal_height_msgs.msg import HeightImage
 
-from sal_height.flight import SimulatedFlight
 from sal_height.nodes.graph import Graph
-from sal_height.preset import load_preset
-from sal_height.terrain import load_scene
+from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.preset import load_preset
+from sal_height.simulation.scenes import load_scene
 
 
 @pytest.fixture(scope="session")

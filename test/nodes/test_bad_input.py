@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sal_height_msgs.msg import ComplexImage, DetectorFrame, HeightImage
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.errors import Rejected
 from sal_height.nodes.graph import Graph
 
@@ -135,10 +135,10 @@ def test_sensor_info_that_is_not_of_these_frames(chain: Chain, reference: Any) -
 @pytest.mark.parametrize("field", ["wavelength", "bandwidth", "aperture", "pulse_repetition_frequency"])
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
 def test_sensor_info_with_an_impossible_value_is_refused(field: str, value: float, flight: Any) -> None:
-    message = convert.sensor_to_message(flight.sensor, convert.to_stamp(0))
+    message = messages.sensor_to_message(flight.sensor, messages.to_stamp(0))
     setattr(message, field, value)
     with pytest.raises(ValueError, match=field):
-        convert.sensor_from_message(message)
+        messages.sensor_from_message(message)
 
 
 def test_useless_sensor_info_leaves_the_good_one_in_force(chain: Chain, reference: Any) -> None:
@@ -153,8 +153,8 @@ def test_useless_sensor_info_leaves_the_good_one_in_force(chain: Chain, referenc
 
 
 def test_odometry_that_ends_before_the_aperture(chain: Chain, reference: Any) -> None:
-    start = convert.to_ns(chain.frames(0)[0].header.stamp)
-    early = [message for message in chain.odometry(0) if convert.to_ns(message.header.stamp) <= start]
+    start = messages.to_ns(chain.frames(0)[0].header.stamp)
+    early = [message for message in chain.odometry(0) if messages.to_ns(message.header.stamp) <= start]
     assert early
     chain.publish(chain.sensor_info(), *early, *chain.frames(0))
     chain.await_drops("sar_compression", "odometry gap", DETECTORS)
@@ -261,9 +261,9 @@ def test_frames_are_processed_with_their_own_sensor_info(chain: Chain, reference
 
 def test_odometry_is_not_interpolated_over_a_gap(chain: Chain, reference: Any) -> None:
     far_before, far_after = chain.odometry(0)[0], chain.odometry(0)[-1]
-    start = convert.to_ns(chain.frames(0)[0].header.stamp)
+    start = messages.to_ns(chain.frames(0)[0].header.stamp)
     for message, seconds in ((far_before, -5), (far_after, 5)):
-        message.header.stamp = convert.to_stamp(start + seconds * 1_000_000_000)
+        message.header.stamp = messages.to_stamp(start + seconds * 1_000_000_000)
         message.pose.pose.position.x = 50.0 * seconds
     chain.publish(chain.sensor_info(), far_before, far_after, *chain.frames(0))
     chain.await_drops("sar_compression", "odometry gap", DETECTORS)
@@ -359,5 +359,5 @@ def test_impossible_times_and_ranges_are_rejected(chain: Chain, spoil: Any, reas
     frame = chain.frames(0)[0]
     spoil(frame)
     with pytest.raises(Rejected) as error:
-        convert.check_frame(frame, chain.flight.sensor)
+        messages.check_frame(frame, chain.flight.sensor)
     assert error.value.reason == reason

@@ -17,15 +17,15 @@ from rclpy.parameter import Parameter
 from sal_height_msgs.msg import HeightImage
 from sensor_msgs.msg import Image, PointCloud2
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.errors import UserError
-from sal_height.evaluation import truth_image
-from sal_height.flight import SimulatedFlight
-from sal_height.geometry import height_of
+from sal_height.geometry.frames import height_of
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ml_height import MlHeight
 from sal_height.nodes.monopulse import Monopulse
 from sal_height.nodes.sar_compression import SarCompression
+from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.truth import truth_image
 
 
 @pytest.fixture
@@ -37,12 +37,12 @@ def fed(chain: Any) -> Any:
 
 def assert_heights_agree(fed: Any) -> None:
     image = fed.heights["ml", 0]
-    grid, aperture = convert.grid_from_message(image.grid), convert.aperture_from_message(image.aperture)
+    grid, aperture = messages.grid_from_message(image.grid), messages.aperture_from_message(image.aperture)
     sensor = fed.flight.sensor
     cell = sensor.range_resolution * sensor.wavelength * 5000.0 / (2 * aperture.length)
     truth = truth_image(fed.flight.surface(0), aperture, grid, cell, sensor.beams)
-    height = convert.float_view(image.height, grid.shape)
-    sigma = convert.float_view(image.sigma, grid.shape)
+    height = messages.float_view(image.height, grid.shape)
+    sigma = messages.float_view(image.sigma, grid.shape)
     usable = np.isfinite(height) & truth.single
     scaled = ((height - truth.height) / sigma)[usable]
     assert usable.sum() > 50

@@ -10,10 +10,10 @@ from chain_fixture import Chain
 from rclpy.parameter import Parameter
 from sal_height_msgs.msg import HeightImage
 
-from sal_height.flight import SimulatedFlight
 from sal_height.nodes.graph import Graph
-from sal_height.preset import load_preset
-from sal_height.scene import Scene
+from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.preset import load_preset
+from sal_height.simulation.scene import Scene
 
 ROOF = 0.7
 """Height of the roof, m: 1.28 beamwidths above ground of the same range."""

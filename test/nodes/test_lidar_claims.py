@@ -14,18 +14,18 @@ from helpers import flat_scene
 from sal_height_msgs.msg import ComplexImage, DetectorFrame
 from scipy.special import erf
 
-from sal_height import convert
-from sal_height.evaluation import truth_image
-from sal_height.flight import SimulatedFlight
-from sal_height.geometry import look_direction, sphere_coordinates
-from sal_height.height import column_squint
+from sal_height import messages
+from sal_height.beams.pattern import GAUSSIAN_WIDTH
+from sal_height.geometry.frames import look_direction, sphere_coordinates
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.stage import FRAMES_QOS
-from sal_height.optics import GAUSSIAN_WIDTH
-from sal_height.phase_history import PhaseHistory
-from sal_height.preset import Preset, load_preset
-from sal_height.scene import PointTarget
-from sal_height.sensor import Sensor
+from sal_height.relief.heights import column_squint
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import Sensor
+from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.preset import Preset, load_preset
+from sal_height.simulation.scene import PointTarget
+from sal_height.simulation.truth import truth_image
 
 Array = npt.NDArray[np.float64]
 
@@ -82,14 +82,14 @@ class Claims(Chain):
     def complex_images(self) -> dict[tuple[int, int], npt.NDArray[np.complex64]]:
         """SLCs by dwell and detector."""
         return {
-            key: convert.complex_view(image.samples, (image.grid.rows, image.grid.cols))
+            key: messages.complex_view(image.samples, (image.grid.rows, image.grid.cols))
             for key, image in self.images.items()
         }
 
     def frames(self, dwell: int) -> list[DetectorFrame]:
         history = self.truth.phase_history(dwell)
-        stamp = convert.to_stamp(START_NS + history.stamp_ns)
-        return convert.history_to_messages(history, self.flight.sensor, dwell, stamp)
+        stamp = messages.to_stamp(START_NS + history.stamp_ns)
+        return messages.history_to_messages(history, self.flight.sensor, dwell, stamp)
 
     def fly(self, dwell: int) -> None:
         """Have a dwell processed."""
@@ -99,9 +99,9 @@ class Claims(Chain):
     def result(self, estimator: str, dwell: int) -> Heights:
         """What an estimator made of a dwell."""
         image = self.heights[estimator, dwell]
-        grid, aperture = convert.grid_from_message(image.grid), convert.aperture_from_message(image.aperture)
+        grid, aperture = messages.grid_from_message(image.grid), messages.aperture_from_message(image.aperture)
         squint = column_squint(grid, aperture, self.flight.sensor.beams, self.flight.sensor.look_side)
-        fields = (convert.float_view(getattr(image, n), grid.shape) for n in ("height", "sigma", "cnr_db", "east"))
+        fields = (messages.float_view(getattr(image, n), grid.shape) for n in ("height", "sigma", "cnr_db", "east"))
         height, sigma, cnr_db, east = (np.array(values, dtype=np.float64) for values in fields)
         return Heights(height, sigma, cnr_db, east + image.grid.origin.x, squint)
 
@@ -130,8 +130,8 @@ def pairs_of_discriminants(graph: Graph, discriminant: str, cnr_db: float) -> tu
     for dwell in range(BIAS_DWELLS):
         chain.fly(dwell)
         heights, image = chain.result("monopulse", dwell), chain.heights["monopulse", dwell]
-        aperture = convert.aperture_from_message(image.aperture)
-        grid = convert.grid_from_message(image.grid)
+        aperture = messages.aperture_from_message(image.aperture)
+        grid = messages.grid_from_message(image.grid)
         truth = truth_image(flight.surface(dwell), aperture, grid, 1.0, flight.sensor.beams)
         t = (truth.elevation - np.pi / 4) / BEAMWIDTH
         columns = heights.squint[None, :] / BEAMWIDTH + (np.arange(8) - 3.5)[:, None] / 32
@@ -303,7 +303,7 @@ def test_level_ground_tilts_when_the_rotation_of_the_detectors_is_not_known(
     for dwell in range(flight.dwells):
         chain.fly(dwell)
         heights, image = chain.result(estimator, dwell), chain.heights[estimator, dwell]
-        grid, aperture = convert.grid_from_message(image.grid), convert.aperture_from_message(image.aperture)
+        grid, aperture = messages.grid_from_message(image.grid), messages.aperture_from_message(image.aperture)
         truth = truth_image(flight.surface(dwell), aperture, grid, 1.0, flight.sensor.beams)
         x, y = truth.elevation - np.pi / 4, np.broadcast_to(heights.squint, grid.shape)
         valid = np.isfinite(heights.height) & (np.abs(x) < 1.2 * BEAMWIDTH)

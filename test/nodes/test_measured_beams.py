@@ -9,12 +9,12 @@ import yaml
 from chain_fixture import Chain
 from sal_height_msgs.msg import HeightImage
 
-from sal_height.beam_table import BeamTable, write_beam_tables
-from sal_height.flight import SimulatedFlight
+from sal_height.beams.pattern import pattern_named
+from sal_height.beams.table import BeamTable, write_beam_tables
 from sal_height.nodes.graph import Graph
-from sal_height.optics import pattern_named
-from sal_height.preset import load_preset
-from sal_height.terrain import load_scene
+from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.preset import load_preset
+from sal_height.simulation.scenes import load_scene
 
 SMALL = Path(__file__).parents[2] / "sal_height" / "presets" / "small.yaml"
 

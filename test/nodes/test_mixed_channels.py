@@ -13,8 +13,8 @@ from helpers import assert_one_sentence
 from sal_height_msgs.msg import HeightImage
 from scipy.linalg import dft
 
-from sal_height.flight import SimulatedFlight
 from sal_height.nodes.graph import Graph
+from sal_height.simulation.flight import SimulatedFlight
 
 BUTLER = dft(DETECTORS, scale="sqrtn")
 """A lossless network that makes all channels of all detectors."""

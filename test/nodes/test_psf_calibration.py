@@ -15,14 +15,14 @@ from rclpy.parameter import Parameter
 from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import HeightImage
 
-from sal_height import convert
-from sal_height.calibration import Calibration, load_calibration, save_calibration
+from sal_height import messages
+from sal_height.calibration.calibration import Calibration, load_calibration, save_calibration
 from sal_height.errors import UserError
-from sal_height.flight import SimulatedFlight
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.stage import LATCHED_QOS
-from sal_height.phase_history import PhaseHistory
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.simulation.flight import SimulatedFlight
 
 COUNT = 64
 
@@ -142,7 +142,7 @@ def test_the_graph_calibrates_itself(
         chain.publish(chain.sensor_info(), *chain.odometry(dwell), *chain.frames(dwell))
         chain.await_heights(dwell)
     chain.wait(lambda: heard and (tmp_path / "found.npz").is_file(), "a calibration")
-    found = convert.calibration_from_message(heard[0])
+    found = messages.calibration_from_message(heard[0])
     assert found.id == load_calibration(tmp_path / "found.npz").id == heard[0].id
     assert any("in common: No point target" in sentence for sentence in heard[0].undetermined)
     gains, true = (response.mean(axis=1) for response in (found.response, fault()))
@@ -170,7 +170,7 @@ def test_one_dwell_of_so_many_is_taken_in(
         chain.await_heights(dwell)
     chain.wait(lambda: heard, "a calibration")
     assert heard[0].dwells == 2
-    assert convert.to_ns(heard[0].header.stamp) == START_NS + flight.dwell_start_ns(2)
+    assert messages.to_ns(heard[0].header.stamp) == START_NS + flight.dwell_start_ns(2)
     assert node.tally.summary()["in"] == 3 * DETECTORS
 
 
@@ -232,11 +232,11 @@ def test_calibrations_that_are_none_are_counted_and_ignored(
     publisher = feeder.create_publisher(CalibrationMessage, "calibration", LATCHED_QOS)
     chain.wait(lambda: publisher.get_subscription_count() == 3, "the nodes to connect")
     stages = ["sar_compression", "ml_height", "monopulse"]
-    good = convert.calibration_to_message(calibration_of(flight), convert.to_stamp(START_NS))
+    good = messages.calibration_to_message(calibration_of(flight), messages.to_stamp(START_NS))
     for number, (field, value, sentence) in enumerate(
         [("id", "other", "make the id"), ("response_real", [1.0], "need 512"), ("width_factor", 9.0, "allowed are")], 1
     ):
-        bad = convert.calibration_to_message(calibration_of(flight), convert.to_stamp(START_NS))
+        bad = messages.calibration_to_message(calibration_of(flight), messages.to_stamp(START_NS))
         setattr(bad, field, value)
         publisher.publish(bad)
         chain.wait(
@@ -246,8 +246,8 @@ def test_calibrations_that_are_none_are_counted_and_ignored(
             "the calibration to be ignored",
         )
         assert sentence in chain.stages["ml_height"].last_rejection
-    other = convert.calibration_from_message(good)
-    publisher.publish(convert.calibration_to_message(replace(other, config_hash="other"), good.header.stamp))
+    other = messages.calibration_from_message(good)
+    publisher.publish(messages.calibration_to_message(replace(other, config_hash="other"), good.header.stamp))
     chain.wait(lambda: chain.stages["sar_compression"]._calibration is not None, "the calibration of another sensor")
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)

@@ -26,14 +26,14 @@ from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, ReliefMap
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
 
-from sal_height import convert
+from sal_height import messages
+from sal_height.elevation.estimate import Validity
 from sal_height.errors import UserError
-from sal_height.estimate import Validity
-from sal_height.geometry import EARTH_RADIUS, Grid, sphere_coordinates, sphere_point
-from sal_height.height import HeightField, Surface
+from sal_height.geometry.frames import EARTH_RADIUS, Grid, sphere_coordinates, sphere_point
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, QUEUED_JOBS
+from sal_height.relief.heights import HeightField, Surface
 
 TIMEOUT_S = 20.0
 ROWS, COLS = 6, 9
@@ -56,9 +56,9 @@ def height_image(dwell: int, shift: int = 0, level: float = 2.0) -> HeightImage:
     axes = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
     grid = Grid(sphere_point(WEST + shift + 0.5, SOUTH + 0.5, 0.0), *axes, 1.0, 1.0, ROWS, COLS)
     field = HeightField(grid, validity, Surface(height, sigma, sigma, sphere_point(east, north, height)), None)
-    slc = ComplexImage(dwell=dwell, header=Header(frame_id="map", stamp=convert.to_stamp(1_000_000_000 * (dwell + 1))))
+    slc = ComplexImage(dwell=dwell, header=Header(frame_id="map", stamp=messages.to_stamp(1_000_000_000 * (dwell + 1))))
     provenance = Provenance(config_hash="of the sensor", calibration_id="of the lens", parameters='{"ml_height": {}}')
-    return convert.height_to_message(field, make_aperture(), (2, 2), "ml", slc, provenance)
+    return messages.height_to_message(field, make_aperture(), (2, 2), "ml", slc, provenance)
 
 
 class Mapped:

@@ -17,20 +17,20 @@ from rclpy.parameter import Parameter
 from sal_height_msgs.msg import HeightImage, Provenance
 from sensor_msgs.msg import Image, PointCloud2
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.errors import UserError
-from sal_height.geometry import Aperture, Grid, height_of, locate_at_height
-from sal_height.height import HeightField, Surface
+from sal_height.geometry.frames import ApertureState, Grid, height_of, locate_at_height
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.relief.heights import HeightField, Surface
 
 Array = npt.NDArray[np.float64]
 
 SHAPE, SPACING, LENGTH, SIGMA, NOISE = (120, 10), 0.5, 12.0, 1.0, 0.8
 TIMEOUT_S = 30.0
 
-APERTURE = Aperture(
+APERTURE = ApertureState(
     np.array([0.0, 0.0, 3500.0]), np.array([50.0, 0.0, 0.0]), np.eye(3), 5.0, np.zeros((6, 6)), sliding=False
 )
 SIGHT = np.array([0.0, -1.0, -1.0]) / np.sqrt(2)
@@ -63,10 +63,10 @@ def height_image(dwell: int = 0) -> HeightImage:
     )
     field = HeightField(GRID, validity, Surface(height, sigma, cnr_db, positions), other)
     source = HeightImage(dwell=dwell)
-    source.header.stamp = convert.to_stamp(1_700_000_000_000_000_000 + dwell)
+    source.header.stamp = messages.to_stamp(1_700_000_000_000_000_000 + dwell)
     source.header.frame_id = "map"
     provenance = Provenance(config_hash="abc", calibration_id="c", parameters='{"ml_height": {"layover": true}}')
-    return convert.height_to_message(field, APERTURE, (2, 3), "ml", source, provenance)
+    return messages.height_to_message(field, APERTURE, (2, 3), "ml", source, provenance)
 
 
 class Tracking:
@@ -81,8 +81,8 @@ class Tracking:
         feeder = graph.add(Node("feeder", context=graph.context))
         self.publisher = feeder.create_publisher(HeightImage, topic, FRAMES_QOS)
         names = {HeightImage: "height", Image: "image", PointCloud2: "points"}
-        for kind, messages in self.received.items():
-            feeder.create_subscription(kind, f"tracked/{names[kind]}", messages.append, FRAMES_QOS)
+        for kind, heard in self.received.items():
+            feeder.create_subscription(kind, f"tracked/{names[kind]}", heard.append, FRAMES_QOS)
         self.wait(lambda: self.publisher.get_subscription_count() == 1)
         self.wait(lambda: all(feeder.count_publishers(f"tracked/{name}") == 1 for name in names.values()))
 
@@ -119,7 +119,7 @@ def test_heights_are_tracked_and_in_their_places(graph: Graph) -> None:
     error = height - relief(0)
     assert np.sqrt(np.mean(error**2)) < 0.65 * NOISE
     assert np.mean(np.abs(error) < of(after, "sigma")) == pytest.approx(0.68, abs=0.12)
-    field = convert.field_from_message(after)
+    field = messages.field_from_message(after)
     sight = GRID.pixels() - APERTURE.position
     now = field.first.positions - APERTURE.position
     np.testing.assert_allclose(np.linalg.norm(now, axis=-1), np.linalg.norm(sight, axis=-1), atol=1e-3)
@@ -180,11 +180,11 @@ def empty(image: HeightImage) -> None:
 
 
 def all_nan(image: HeightImage) -> None:
-    image.height = convert.to_floats(np.full(SHAPE, np.nan))
+    image.height = messages.to_floats(np.full(SHAPE, np.nan))
 
 
 def nothing_valid(image: HeightImage) -> None:
-    image.validity = convert.to_bytes(np.full(SHAPE, HeightImage.LOW_CNR, np.uint8))
+    image.validity = messages.to_bytes(np.full(SHAPE, HeightImage.LOW_CNR, np.uint8))
 
 
 def too_few_sigmas(image: HeightImage) -> None:

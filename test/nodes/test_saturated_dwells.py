@@ -12,14 +12,14 @@ from helpers import assert_one_sentence
 from rclpy.node import Node
 from sal_height_msgs.msg import ComplexImage, HeightImage
 
-from sal_height import convert
-from sal_height.flight import SimulatedFlight, flight_of
+from sal_height import messages
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.stage import FRAMES_QOS
-from sal_height.phase_history import PhaseHistory
-from sal_height.preset import load_preset
-from sal_height.saturation import clipped
-from sal_height.simulator import receiver_noise
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.receivers import clipped
+from sal_height.simulation.flight import SimulatedFlight, flight_of
+from sal_height.simulation.preset import load_preset
+from sal_height.simulation.spotlight import receiver_noise
 
 USABLE = (HeightImage.OK, HeightImage.TWO_SCATTERERS)
 
@@ -87,7 +87,7 @@ def test_a_clipped_block_is_told_by_the_images_of_a_strip_that_its_pulses_are_in
         start = flight.dwell_start_ns(block)
         reference = np.full(sensor.pulse_count, flight.preset.flight.slant_range_m)
         history = PhaseHistory(start, flight.pulse_times, reference, samples)
-        frames = convert.history_to_messages(history, sensor, block, convert.to_stamp(START_NS + start))
+        frames = messages.history_to_messages(history, sensor, block, messages.to_stamp(START_NS + start))
         chain.publish(*chain.odometry(block), *frames)
     chain.wait(lambda: (flight.dwells - 1, DETECTORS - 1) in images, "the last image")
     shares = {key: image.saturated_share for key, image in images.items()}

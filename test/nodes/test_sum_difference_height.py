@@ -13,13 +13,13 @@ from helpers import assert_one_sentence
 from rclpy.parameter import Parameter
 from sal_height_msgs.msg import HeightImage
 
+from sal_height.elevation.estimate import Validity
 from sal_height.errors import UserError
-from sal_height.estimate import Validity
-from sal_height.flight import SimulatedFlight
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.sum_difference_height import SumDifferenceHeight
-from sal_height.preset import HybridSettings, load_preset
-from sal_height.terrain import load_scene
+from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.preset import HybridSettings, load_preset
+from sal_height.simulation.scenes import load_scene
 
 WITH_SUM_DIFFERENCE = {**ESTIMATORS, "sum_difference": SumDifferenceHeight}
 

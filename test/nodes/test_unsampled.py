@@ -11,8 +11,8 @@ from chain_fixture import DETECTORS, Chain, next_dwell_is_exact
 from helpers import assert_one_sentence
 from scipy.spatial.transform import Rotation
 
-from sal_height import convert
-from sal_height.sensor import Sensor
+from sal_height import messages
+from sal_height.sensor.sensor import Sensor
 
 
 def sparse(sensor: Sensor) -> Sensor:
@@ -47,7 +47,7 @@ def test_a_dwell_that_does_not_sample_the_scene(
     frames = chain.frames(0)
     for frame in frames:
         frame.config_hash = sensor.config_hash
-    chain.publish(convert.sensor_to_message(sensor, frames[0].header.stamp), *chain.odometry(0), *frames)
+    chain.publish(messages.sensor_to_message(sensor, frames[0].header.stamp), *chain.odometry(0), *frames)
     chain.await_drops("sar_compression", reason, DETECTORS)
     assert_one_sentence(chain.stages["sar_compression"].last_rejection.partition(": ")[2], limit)
     chain.publish(chain.sensor_info())
@@ -58,10 +58,10 @@ def test_a_scene_outside_the_beams(chain: Chain, reference: Any) -> None:
     """Heading off by two beamwidths: what was lit is not what the image shows."""
     odometry = chain.odometry(0)
     for message in odometry:
-        state = convert.state_from_message(message)
+        state = messages.state_from_message(message)
         turned = dataclasses.replace(state, orientation=Rotation.from_euler("z", 3.1e-4).as_quat())
-        message.pose = convert.state_to_message(turned, message.header.stamp).pose
-        message.twist = convert.state_to_message(turned, message.header.stamp).twist
+        message.pose = messages.state_to_message(turned, message.header.stamp).pose
+        message.twist = messages.state_to_message(turned, message.header.stamp).twist
     chain.publish(chain.sensor_info(), *odometry, *chain.frames(0))
     chain.await_drops("sar_compression", "Doppler centroid outside the band", DETECTORS)
     assert_one_sentence(chain.stages["sar_compression"].last_rejection.partition(": ")[2], "to each side; attitude")
@@ -73,7 +73,7 @@ def test_a_track_that_jumps(chain: Chain, reference: Any) -> None:
     odometry = chain.odometry(0)
     start = chain.frames(0)[0].header.stamp
     for message in odometry:
-        if convert.to_ns(message.header.stamp) > convert.to_ns(start):
+        if messages.to_ns(message.header.stamp) > messages.to_ns(start):
             message.pose.pose.position.y += 1.0
     chain.publish(chain.sensor_info(), *odometry, *chain.frames(0))
     chain.await_drops("sar_compression", "cannot be processed", DETECTORS)

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from sal_height.preset import Preset, load_preset
 from sal_height.runs.simulate import run
+from sal_height.simulation.preset import Preset, load_preset
 
 SEED = 3
 

@@ -12,17 +12,17 @@ from helpers import assert_one_sentence
 from rosbags.highlevel import AnyReader
 
 from sal_height.bag.reader import BagReader
-from sal_height.calibration import load_calibration
+from sal_height.calibration.calibration import load_calibration
 from sal_height.cli import main
 from sal_height.errors import UserError
-from sal_height.flight import flight_of
-from sal_height.impairments import Impairments
-from sal_height.preset import Preset, load_preset
 from sal_height.runs.calibrate import CALIBRATION, calibrate
 from sal_height.runs.ensemble import HEIGHTS
 from sal_height.runs.replay import replay
 from sal_height.runs.report import statistics
 from sal_height.runs.simulate import read_mosaics, run
+from sal_height.simulation.flight import flight_of
+from sal_height.simulation.impairments import Impairments
+from sal_height.simulation.preset import Preset, load_preset
 
 DWELLS = 10
 WIDTH = 1.05

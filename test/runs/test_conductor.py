@@ -21,11 +21,11 @@ from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.simulator import Simulator
-from sal_height.preset import Preset
 from sal_height.runs import conductor
 from sal_height.runs.conductor import Conductor
 from sal_height.runs.ensemble import NODES, Ensemble
 from sal_height.runs.simulate import run
+from sal_height.simulation.preset import Preset
 
 SEED = 3
 INPUTS = {"phase_history": DetectorFrame, "sensor_info": SensorInfo, "platform/odometry": Odometry}

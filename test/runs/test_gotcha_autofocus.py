@@ -11,7 +11,7 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from sal_height.bag.reader import BagReader
-from sal_height.phase_error import residual_phase
+from sal_height.imaging.autofocus.phase_error import residual_phase
 from sal_height.runs.gotcha import FIELDS, import_gotcha
 from sal_height.runs.replay import replay
 

@@ -14,11 +14,11 @@ from matplotlib.image import imread
 from rclpy.serialization import serialize_message
 from sal_height_msgs.msg import DetectorFrame, Provenance
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.bag.writer import BagWriter
 from sal_height.cli import main
-from sal_height.focusing import Slc
-from sal_height.geometry import Grid
+from sal_height.geometry.frames import Grid
+from sal_height.imaging.focus import Slc
 from sal_height.runs import irf as irf_module
 
 REFERENCE = Path(__file__).parents[2] / "bags" / "small_street"
@@ -49,15 +49,17 @@ def write_bag(path: Path, dwells: int = 2, info: bool = True, **changes: Any) ->
     sensor, aperture = make_sensor(), make_aperture()
     distance = np.linalg.norm(GRID.pixels() - aperture.position, axis=-1)
     slc = np.array([point_image(place) for place in PLACES]) * np.exp(4j * np.pi / sensor.wavelength * distance)
-    stamp = convert.to_stamp(0)
+    stamp = messages.to_stamp(0)
     with BagWriter(path) as bag:
         bag.add_topic("/sensor_info", "sal_height_msgs/msg/SensorInfo")
         bag.add_topic("/slc", "sal_height_msgs/msg/ComplexImage")
         if info:
-            bag.write("/sensor_info", serialize_message(convert.sensor_to_message(sensor, stamp)), 0, 0)
+            bag.write("/sensor_info", serialize_message(messages.sensor_to_message(sensor, stamp)), 0, 0)
         for dwell in range(dwells):
             frame, provenance = DetectorFrame(dwell=dwell), Provenance(config_hash=sensor.config_hash)
-            for message in convert.slc_to_messages(Slc(slc, GRID, aperture, [0.0] * 3), np.zeros(3), frame, provenance):
+            for message in messages.slc_to_messages(
+                Slc(slc, GRID, aperture, [0.0] * 3), np.zeros(3), frame, provenance
+            ):
                 for name, value in changes.items():
                     setattr(message, name, value)
                 bag.write("/slc", serialize_message(message), dwell + 1, dwell + 1)

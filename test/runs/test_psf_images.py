@@ -15,19 +15,19 @@ from matplotlib.image import imread
 from rclpy.serialization import serialize_message
 from sal_height_msgs.msg import DetectorFrame, Provenance
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.bag.writer import BagWriter
 from sal_height.cli import main
-from sal_height.experiments.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
-from sal_height.fft import frequencies
-from sal_height.focusing import Slc
-from sal_height.geometry import Grid
-from sal_height.impulse_response import measure_brightest
-from sal_height.psf_report import pointing_of_images, report_on
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
+from sal_height.geometry.frames import Grid
+from sal_height.imaging.focus import Slc
+from sal_height.numeric.fft import frequencies
+from sal_height.response.impulse import measure_brightest
+from sal_height.response.linearity import depth_and_pedestal
+from sal_height.response.report import pointing_of_images, report_on
+from sal_height.response.transfer_function import centred
 from sal_height.runs import psf as psf_module
 from sal_height.runs.psf_picture import draw_psf
-from sal_height.superposition import depth_and_pedestal
-from sal_height.transfer_function import centred
 
 SIDE, TAPES, NOISE, SPUR = 768, 2, 0.2, 0.3
 RANGE, SWINGING = RangeFault(), AzimuthFault(swing=0.03, swing_period=2 * SIDE)
@@ -241,7 +241,7 @@ def write_bag(path: Path, dwells: int = 2, stretched: float = 1.0) -> Path:
     with BagWriter(path) as bag:
         bag.add_topic("/sensor_info", "sal_height_msgs/msg/SensorInfo")
         bag.add_topic("/slc", "sal_height_msgs/msg/ComplexImage")
-        bag.write("/sensor_info", serialize_message(convert.sensor_to_message(sensor, convert.to_stamp(0))), 0, 0)
+        bag.write("/sensor_info", serialize_message(messages.sensor_to_message(sensor, messages.to_stamp(0))), 0, 0)
         for dwell in range(dwells):
             spacing = GRID.col_spacing * (stretched if dwell == dwells - 1 else 1)
             grid = Grid(GRID.origin, GRID.row_direction, GRID.col_direction, GRID.row_spacing, spacing, *GRID.shape)
@@ -250,7 +250,7 @@ def write_bag(path: Path, dwells: int = 2, stretched: float = 1.0) -> Path:
             slc = np.array([tape(3 * dwell + m, GRID.shape, ((64, 35),), noise=NOISE) for m in range(3)]) * wound
             frame, provenance = DetectorFrame(dwell=dwell), Provenance(config_hash=sensor.config_hash)
             image = Slc(slc.astype(np.complex64), grid, aperture, [0.0] * 3)
-            for message in convert.slc_to_messages(image, np.zeros(3), frame, provenance):
+            for message in messages.slc_to_messages(image, np.zeros(3), frame, provenance):
                 bag.write("/slc", serialize_message(message), dwell + 1, dwell + 1)
     return path
 

@@ -17,16 +17,16 @@ from mcap.reader import make_reader
 from PIL import Image
 from rosbags.highlevel import AnyReader
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.bag.compare import compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.preset import Preset, load_preset
-from sal_height.relief_map import ReliefMap
+from sal_height.relief.map import ReliefMap
 from sal_height.runs.ensemble import recorded_topics
 from sal_height.runs.profile import draw_profile
 from sal_height.runs.simulate import run
-from sal_height.terrain import load_scene
+from sal_height.simulation.preset import Preset, load_preset
+from sal_height.simulation.scenes import load_scene
 
 SEED = 3
 
@@ -187,7 +187,7 @@ def test_the_relief_map_holds_all_dwells(recorded: Path, report: Any) -> None:
     reader = BagReader(recorded / "bag")
     for message in reader.messages(["/ml/height"]):
         image = reader.decode(message.type_name, message.cdr)
-        relief_map.add(convert.field_from_message(image).first, convert.aperture_from_message(image.aperture))
+        relief_map.add(messages.field_from_message(image).first, messages.aperture_from_message(image.aperture))
     relief = relief_map.relief()
     assert relief is not None
     np.testing.assert_array_equal(height, relief.height)

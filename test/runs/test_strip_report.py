@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance
 
-from sal_height import convert
-from sal_height.compression import azimuth_resolution, slant_plane_grid
+from sal_height import messages
+from sal_height.elevation.looks import blocks
 from sal_height.errors import UserError
-from sal_height.evaluation import truth_image
-from sal_height.flight import SimulatedFlight
-from sal_height.geometry import aperture_at, locate
-from sal_height.height import HeightField, Surface, look_grid
-from sal_height.looks import blocks
-from sal_height.preset import load_preset
+from sal_height.geometry.frames import aperture_at, locate
+from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
+from sal_height.relief.heights import HeightField, Surface, look_grid
 from sal_height.runs.report import mosaic, statistics
-from sal_height.scene import Scene
+from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.preset import load_preset
+from sal_height.simulation.scene import Scene
+from sal_height.simulation.truth import truth_image
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def exact_image(flight: SimulatedFlight, dwell: int, error: float) -> HeightImag
     surface = Surface(height, sigma, 0 * sigma, positions)
     field = HeightField(grid, np.where(seen, 0, 1).astype(np.uint8), surface, None)
     slc = ComplexImage(dwell=dwell)
-    return convert.height_to_message(field, aperture, preset.looks, "ml", slc, Provenance())
+    return messages.height_to_message(field, aperture, preset.looks, "ml", slc, Provenance())
 
 
 def test_exact_heights_of_a_strip_have_the_error_that_was_added_and_join(flight: SimulatedFlight) -> None:

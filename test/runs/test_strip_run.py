@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sal_height import convert
+from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.preset import load_preset
 from sal_height.runs.replay import replay
 from sal_height.runs.simulate import run
+from sal_height.simulation.preset import load_preset
 
 DWELLS = 4
 
@@ -34,7 +34,7 @@ def test_strip_images_join_and_their_heights_are_right(tmp_path: Path) -> None:
     images = [reader.decode(m.type_name, m.cdr) for m in reader.messages(["/ml/height"])]
     # Pulses held: DWELLS blocks of 256, less an aperture of 310; two pulses a column, columns in multiples of 64.
     assert sum(image.grid.cols for image in images) == (DWELLS * 256 - 310) // 2 // 64 * 4
-    grids = [convert.grid_from_message(image.grid) for image in images]
+    grids = [messages.grid_from_message(image.grid) for image in images]
     for one, other in pairwise(grids):
         end = one.points(0.0, one.cols - 1 + 0.5 + 0.5 * other.col_spacing / one.col_spacing)
         np.testing.assert_allclose(end, other.origin, atol=1e-6 * one.col_spacing)

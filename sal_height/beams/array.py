@@ -1,0 +1,208 @@
+"""The receive beams of a detector array: what each detector makes of a scatterer in a given direction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.beams.pattern import Pattern
+from sal_height.errors import UserError
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+NEGLIGIBLE = 1e-6
+"""Share of the greatest entry of a matrix, -120 dB, that is as good as none: samples have single precision."""
+
+
+@dataclass(frozen=True)
+class Beams:
+    """The receive beams of a detector array.
+
+    Detectors lie on an axis through the middle of the array that is turned by `rotation` (SAL paper, figure 8). A
+    target at elevation x above that middle and squint y has, on the axis, the place x cos psi + y sin psi, and beside
+    it -x sin psi + y cos psi.
+
+    Attributes:
+        patterns: amplitude pattern of every detector, or the one common to all.
+        boresights: angle of each beam along the detector axis in rad from nadir, shape (detectors,), increasing; of a
+            stack of pairs, which responds to one target each, (targets, 2).
+        beamwidth: wavelength / aperture diameter in rad.
+        rotation: psi of the detector axis from elevation towards the direction of flight, rad.
+        aspects: angles along the flight, relative to the squint, under which a target was seen while its image was
+            synthesised, rad; one of 0 where the antenna was held on it.
+        weights: of the aspects in the image; their sum is 1, but for beams scaled to the peak of such a mean.
+        middle: where the axis is turned, rad from nadir; None: half way between the first and the last boresight.
+        matrix: of channels that are made of the detectors, shape (channels, detectors), as many; None: they are the
+            detectors (`combined`).
+    """
+
+    patterns: tuple[Pattern, ...]
+    boresights: Array
+    beamwidth: float
+    rotation: float = 0.0
+    aspects: Array = field(default_factory=lambda: np.zeros(1))
+    weights: Array = field(default_factory=lambda: np.ones(1))
+    middle: float | None = None
+    matrix: Array | ComplexArray | None = None
+
+    def response(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+        """Amplitude of every channel for targets at `elevation` and `squint` (rad): shape (..., channels).
+
+        Float64, or complex128 if a pattern or the matrix is complex.
+        """
+        return self._in_channels(self._mean(self._amplitude, elevation, squint))
+
+    def slope(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+        """Derivative of `response` with respect to elevation, per rad: shape (..., channels)."""
+        return self._in_channels(self._mean(self._slope, elevation, squint))
+
+    def averaged(self, aspects: Array, weights: Array) -> Self:
+        """The beams as an image has them whose targets were seen under `aspects` (rad) with `weights` of any sum."""
+        return replace(self, aspects=aspects, weights=weights / np.sum(weights))
+
+    def scaled(self, gains: Array) -> Self:
+        """The beams of channels that are multiplied by `gains`, real or complex, shape (channels,)."""
+        if self.matrix is not None:
+            return replace(self, matrix=gains[:, None] * self.matrix)
+        if np.all(gains == gains[0]):
+            return replace(self, patterns=tuple(pattern.scaled(gains[0]) for pattern in self.patterns))
+        patterns = self.patterns if len(self.patterns) > 1 else self.patterns * self.count
+        pairs = zip(patterns, gains, strict=True)
+        return replace(self, patterns=tuple(pattern.scaled(gain) for pattern, gain in pairs))
+
+    def widened(self, factor: float) -> Self:
+        """The beams `factor` times as wide, around the same boresights."""
+        return replace(self, beamwidth=self.beamwidth * factor)
+
+    def combined(self, matrix: Array | ComplexArray) -> Self:
+        """The beams of channels that are `matrix` times these, shape (channels, channels).
+
+        Where they are no mixtures, as under a diagonal matrix or one that undoes a hybrid, they are `scaled`.
+        """
+        matrix = _without_rounding(matrix if self.matrix is None else matrix @ self.matrix)
+        mixed = np.any(matrix != np.diag(np.diag(matrix)))
+        return replace(self, matrix=matrix) if mixed else replace(self, matrix=None).scaled(np.diag(matrix))
+
+    def detectors(self, indices: npt.NDArray[np.intp]) -> Self:
+        """The beams of some detectors, in increasing order and on the same axis.
+
+        Raises:
+            UserError: the channels are mixtures of detectors.
+        """
+        self._check_unmixed()
+        patterns = self.patterns if len(self.patterns) == 1 else tuple(self.patterns[i] for i in indices)
+        return replace(self, patterns=patterns, boresights=self.boresights[indices], middle=self.axis_middle)
+
+    def pair(self, lower: int | npt.NDArray[np.intp]) -> Self:
+        """The beams of detectors `lower` and `lower` + 1, on the same axis.
+
+        A stack of pairs for an array, whose detectors must have one pattern in common.
+
+        Raises:
+            UserError: the channels are mixtures of detectors.
+        """
+        self._check_unmixed()
+        patterns = self.patterns if len(self.patterns) == 1 else self.patterns[int(lower) : int(lower) + 2]
+        boresights = self.boresights[np.asarray(lower)[..., None] + np.arange(2)]
+        return replace(self, patterns=patterns, boresights=boresights, middle=self.axis_middle)
+
+    @property
+    def count(self) -> int:
+        """Number of detectors."""
+        return int(self.boresights.shape[-1])
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether `response` is complex, so that the phases between channels matter (`looks.covariance`)."""
+        return np.iscomplexobj(self.response(self.domain(0.0)[0], 0.0))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Angles of the first and the last boresight (rad)."""
+        return float(self.boresights[0]), float(self.boresights[-1])
+
+    def domain(self, guard: float) -> tuple[float, float]:
+        """Elevations (rad) from half a pitch plus `guard` (rad) below the first boresight to as much above the last.
+
+        Less where the pattern of a detector is not known so far.
+
+        Raises:
+            UserError: no elevation lies within the patterns of all detectors.
+        """
+        first, last = self.span
+        margin = (last - first) / max(1, self.count - 1) / 2 + guard
+        low, high = self.known
+        return max(first - margin, float(low)), min(last + margin, float(high))
+
+    @property
+    def known(self) -> tuple[Array, Array]:
+        """Angles along the axis (rad) between which the patterns of all detectors are known.
+
+        Raises:
+            UserError: there is none.
+        """
+        ends = np.array([pattern.domain for pattern in self.patterns]) * self.beamwidth
+        low, high = np.max(self.boresights + ends[:, 0], axis=-1), np.min(self.boresights + ends[:, 1], axis=-1)
+        if np.any(low > high):
+            raise UserError(
+                f"The patterns of the {self.count} detectors have no elevation in common: they must overlap."
+            )
+        return low, high
+
+    @property
+    def axis_middle(self) -> float:
+        """Where the axis is turned, rad from nadir."""
+        return float(np.mean(self.span)) if self.middle is None else self.middle
+
+    def _check_unmixed(self) -> None:
+        if self.matrix is not None:
+            raise UserError("The channels are mixtures of detectors; single detectors cannot be picked from them.")
+
+    def _in_channels(self, values: Array) -> Array:
+        """What the channels make of the detectors' `values`, shape (..., detectors)."""
+        return values if self.matrix is None else np.asarray(values @ self.matrix.T)
+
+    def _mean(
+        self, function: Callable[[Array, Array], Array], elevation: npt.ArrayLike, squint: npt.ArrayLike
+    ) -> Array:
+        """Mean over the aspects of a function of the offsets from the boresights."""
+        seen = (function(*self._offsets(elevation, np.asarray(squint) + aspect)) for aspect in self.aspects.tolist())
+        return reduce(np.add, (weight * value for weight, value in zip(self.weights.tolist(), seen, strict=True)))
+
+    def _amplitude(self, e: Array, a: Array) -> Array:
+        return self._by_detector([pattern.amplitude for pattern in self.patterns], e, a)
+
+    def _slope(self, e: Array, a: Array) -> Array:
+        along = self._by_detector([pattern.slope for pattern in self.patterns], e, a)
+        if self.rotation:
+            beside = self._by_detector([pattern.azimuth_slope for pattern in self.patterns], e, a)
+            along = along * math.cos(self.rotation) - beside * math.sin(self.rotation)
+        return along / self.beamwidth
+
+    def _by_detector(self, functions: list[Callable[..., Array]], e: Array, a: Array) -> Array:
+        if len(functions) == 1:
+            return functions[0](e, a)
+        e, a = np.broadcast_arrays(e, a)
+        return np.stack([function(e[..., i], a[..., i]) for i, function in enumerate(functions)], axis=-1)
+
+    def _offsets(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> tuple[Array, Array]:
+        """Offsets from each boresight in beamwidths, along the detector axis and beside it."""
+        x, y = np.asarray(elevation)[..., None] - self.axis_middle, np.asarray(squint)[..., None]
+        cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
+        e = (x * cosine + y * sine - (self.boresights - self.axis_middle)) / self.beamwidth  # differences first: exact
+        a = (y * cosine - x * sine) / self.beamwidth
+        return e, a
+
+
+def _without_rounding(matrix: Array | ComplexArray) -> Array | ComplexArray:
+    """The matrix without entries, or imaginary parts, that are too small to matter; real if it can be."""
+    least = NEGLIGIBLE * np.abs(matrix).max()
+    kept = np.where(np.abs(matrix) > least, matrix, 0)
+    return kept if np.any(np.abs(kept.imag) > least) else kept.real

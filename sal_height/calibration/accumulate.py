@@ -1,0 +1,234 @@
+"""From the images of many dwells to the calibration of the sensor that took them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+from sal_height.beams.array import Beams
+from sal_height.calibration.beams import (
+    MIXED,
+    BeamCalibration,
+    calibrate_beams,
+    calibrate_gains_on_target,
+    calibrate_on_target,
+    calibrate_phases,
+)
+from sal_height.calibration.calibration import Calibration
+from sal_height.calibration.receivers import CrossSpectra, cross_spectra, differential_response, unwound
+from sal_height.calibration.reference_target import Sighting, sighting
+from sal_height.elevation.looks import Window, windowed_looks
+from sal_height.errors import NotDetermined, UserError
+from sal_height.geometry.frames import ApertureState, Grid
+from sal_height.numeric.jit import WORKERS
+from sal_height.numeric.windows import noise_gain, window
+from sal_height.relief.heights import column_squint
+from sal_height.response.point_targets import CHIP, LEAST_OVER_CLUTTER_DB, PointTarget, find_targets
+from sal_height.response.transfer_function import estimate_transfer_function, without_clutter
+from sal_height.sensor.channels import whitened_channels, with_powers
+from sal_height.sensor.sensor import Sensor
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+
+LOOKS = 4
+"""Columns averaged to a pixel that tells of the beams; rows are not, so that slopes do not mix elevations."""
+
+PIXELS = 256
+"""Kept of each dwell at least, to tell of the beams: 8000 of 15 dB tell the width within 0.1 %."""
+
+NARROWEST = 4
+"""Rows or columns of a chip that can be told from a point."""
+
+SQUINT_STEP = 0.01
+"""Beamwidths to which squints of columns are rounded, so that beams are computed for few."""
+
+
+class Calibrator:
+    """Gathers what the images of a sensor tell, dwell by dwell."""
+
+    def __init__(self, sensor: Sensor, beams: Beams, target: Array | None = None) -> None:
+        """Begin.
+
+        Args:
+            sensor: its description, with waveform "spectrum".
+            beams: as images have them.
+            target: place of a reference target in the map, m, shape (3,); None: there is none.
+        """
+        self.sensor = sensor
+        self._target = target
+        self._sightings: list[Sighting] = []
+        self.dwells = 0
+        self._beams = beams
+        self._spectra = CrossSpectra.none(sensor.detector_count, sensor.sample_count)
+        self._targets: list[PointTarget] = []
+        self._columns: list[npt.NDArray[np.complex64]] = []
+        self._squints: list[Array] = []
+        self._noise_powers = np.zeros(sensor.detector_count)
+
+    def add(self, slc: npt.NDArray[np.complex64], grid: Grid, aperture: ApertureState, noise_powers: Array) -> None:
+        """Take in the images of a dwell.
+
+        Args:
+            slc: of all channels, unweighted in range, shape (channels, rows, cols).
+            grid: pixels; rows a range cell apart.
+            aperture: the images were made with.
+            noise_powers: E|n|^2 of a pixel of each channel.
+
+        Raises:
+            NotDetermined: the images are weighted in range or not in the slant plane.
+        """
+        pixels = unwound(slc, grid, aperture, self.sensor)
+        self._spectra += cross_spectra(pixels, self.sensor, noise_powers)
+        self._targets += targets_in(pixels.sum(axis=0))
+        if self._target is not None:
+            seen = sighting(pixels, grid, aperture, self.sensor.look_side, self._target)
+            self._sightings += [seen] if seen else []
+        squint = column_squint(grid, aperture, self._beams, self.sensor.look_side)
+        for block in self._blocks(*pixels.shape[1:]):
+            columns = slice(LOOKS * block, LOOKS * (block + 1))
+            self._columns.append(pixels[..., columns].copy())
+            self._squints.append(squint[columns].mean())
+        self._noise_powers += noise_powers
+        self.dwells += 1
+
+    def calibration(self) -> tuple[Calibration, list[str]]:
+        """The calibration, and a sentence for each part that could not be determined and stays as described."""
+        channels, frequencies = self.sensor.detector_count, self.sensor.sample_count
+        response, sigma = np.ones((channels, frequencies), dtype=np.complex128), np.zeros(channels)
+        undetermined: list[str] = []
+        try:
+            differential = differential_response(self._spectra)
+            response, sigma = differential.response, differential.sigma
+        except NotDetermined as error:
+            undetermined.append(f"How receivers differ over the band: {error}")
+        beams = self._calibrated_beams(response, undetermined)
+        try:
+            response = response * common_response(self._targets, frequencies)
+        except NotDetermined as error:
+            undetermined.append(f"What receivers do to the band in common: {error}")
+        calibration = Calibration(
+            self.sensor.config_hash,
+            response=response * beams.gains[:, None],
+            response_sigma=sigma,
+            gain_sigma=np.nan_to_num(beams.gain_sigmas),
+            phase_sigma=np.nan_to_num(beams.phase_sigmas),
+            width_factor=beams.width_factor,
+            width_sigma=float(np.nan_to_num(beams.width_sigma)),
+            dwells=self.dwells,
+        )
+        return calibration, undetermined
+
+    def _blocks(self, rows: int, cols: int) -> list[int]:
+        """Blocks of LOOKS columns that are kept of a dwell's images; others in the next dwell."""
+        blocks = cols // LOOKS
+        kept = min(blocks, -(-PIXELS // rows))
+        return [(self.dwells * kept + index) % blocks for index in range(kept)]
+
+    def _calibrated_beams(self, response: ComplexArray, undetermined: list[str]) -> BeamCalibration:
+        """Gains and width of the beams, by the reference target if it tells them; enters what is not determined."""
+        if self._target is not None:
+            try:
+                return self._by_target()
+            except UserError as error:
+                undetermined.append(f"Gains and width of the beams by the reference target: {error}")
+        try:
+            return self._by_scene(response)
+        except UserError as error:
+            undetermined.append(f"Gains and width of the beams by the scene: {error}")
+        return BeamCalibration.none(self.sensor.detector_count)
+
+    def _by_target(self) -> BeamCalibration:
+        """Gains of the beams, and their width if elevations differ, by the reference target.
+
+        Raises:
+            NotDetermined: it was not seen, or not by all detectors.
+        """
+        if self.sensor.is_mixed:
+            raise NotDetermined(MIXED)
+        if not self._sightings:
+            raise NotDetermined("No dwell shows the target 20 dB over its image; one at least must.")
+        channels = whitened_channels(
+            with_powers(self.sensor.noise_covariance, self._noise_powers / self.dwells), self.sensor.mixing
+        )
+        samples = np.array([one.samples for one in self._sightings]) @ channels.transform.T
+        covariance = (samples[:, :, None] * samples[:, None].conj()).astype(np.complex64)
+        angles = np.array([[one.elevation, one.squint] for one in self._sightings]).T
+        known = covariance, 1, self._beams.combined(channels.matrix), *angles, float(channels.noise_powers[0])
+        try:
+            return calibrate_on_target(*known)
+        except NotDetermined:
+            return calibrate_gains_on_target(*known)
+
+    def _by_scene(self, response: ComplexArray) -> BeamCalibration:
+        """Width and gains of the beams, by images of weighted range and equal receivers.
+
+        Raises:
+            NotDetermined: they cannot be told.
+        """
+        if self.sensor.is_mixed:
+            raise NotDetermined(MIXED)
+        if not self._columns:
+            raise NotDetermined(f"No image has {LOOKS} columns; needed are as many or more.")
+        taper = window("taylor", self.sensor.sample_count)
+        weights = taper / response
+        noise = self._noise_powers / self.dwells * np.mean(np.abs(weights) ** 2, axis=1)
+        channels = whitened_channels(with_powers(self.sensor.noise_covariance, noise), self.sensor.mixing)
+        columns = [_in_length(columns, self.sensor.sample_count) for columns in self._columns]
+        spectra = scipy.fft.fft(np.concatenate(columns, axis=2), axis=1, workers=WORKERS)
+        spectra *= scipy.fft.ifftshift(weights, axes=1)[..., None].astype(np.complex64)
+        images = scipy.fft.ifft(spectra, axis=1, workers=WORKERS, overwrite_x=True)
+        one, across = Window.named("boxcar", 1, 0), Window.named("boxcar", LOOKS, 0)
+        looks = windowed_looks(images, one, across, True, channels.transform)
+        step = SQUINT_STEP * self.sensor.beamwidth
+        squint = np.round(np.array(self._squints) / step) * step
+        calibrate = calibrate_beams if self.sensor.detector_count > 2 else calibrate_phases
+        beams = self._beams.combined(channels.matrix)
+        found = calibrate(looks, beams, squint, float(channels.noise_powers[0]))
+        alike = np.sqrt(noise_gain(taper**2)) / noise_gain(taper)  # speckle of rows that are neighbours
+        return replace(
+            found,
+            width_sigma=found.width_sigma * alike,
+            gain_sigmas=found.gain_sigmas * alike,
+            phase_sigmas=found.phase_sigmas * alike,
+        )
+
+
+def _in_length(columns: npt.NDArray[np.complex64], rows: int) -> npt.NDArray[np.complex64]:
+    """Columns (channels, rows, cols) with zeros up to as many rows."""
+    return np.pad(columns, ((0, 0), (0, rows - columns.shape[1]), (0, 0)))
+
+
+def targets_in(image: npt.NDArray[np.complex64]) -> tuple[PointTarget, ...]:
+    """Point targets of an image; none where no pixel stands out from its mean, or it is too narrow to tell."""
+    power = image.real**2 + image.imag**2
+    rows, cols = (min(size, length) for size, length in zip(CHIP, image.shape, strict=True))
+    if min(rows, cols) < NARROWEST or not power.max() > 10 ** (LEAST_OVER_CLUTTER_DB / 10) * power.mean():
+        return ()
+    return find_targets(image, (rows, cols)).targets
+
+
+def common_response(targets: list[PointTarget], frequencies: int) -> ComplexArray:
+    """The range response that point targets show, at the fast-time frequencies, shape (frequencies,).
+
+    Args:
+        targets: in unweighted images, rows a range cell apart, of the sum of all channels.
+        frequencies: number of fast-time frequencies.
+
+    Raises:
+        NotDetermined: there is no target.
+    """
+    if not targets:
+        raise NotDetermined(
+            f"No point target stands {LEAST_OVER_CLUTTER_DB:g} dB over its surroundings, alone and as a point; needed "
+            "is one at least, in any dwell."
+        )
+    transfer = estimate_transfer_function(targets)
+    pixels = scipy.fft.ifft(scipy.fft.ifftshift(without_clutter(transfer.range_response, transfer.range_sigma)))
+    near, half = np.zeros(frequencies, dtype=np.complex128), min(len(pixels), frequencies) // 2
+    near[:half], near[-half:] = pixels[:half], pixels[-half:]
+    return np.asarray(scipy.fft.fftshift(scipy.fft.fft(near)))

@@ -1,0 +1,169 @@
+"""Likelihood of the width of the beams and of the detectors' gains, given the covariance of a pixel.
+
+A scatterer makes of look k the samples A_k b + n of noise I, with b_m = g_m h((theta - theta_m) / w). With the
+covariance R of the looks and e = b / |b|, profiling out the A_k leaves the log-likelihood e^H R e. Parameters are
+ln w, ln |g_m| and arg g_m, in this order. Along e, and for unknown angles along de/dtheta, changes of e make no
+difference to first order: geometry is that of what is left.
+
+Sums are einsum's, not those of BLAS, whose threads would wait for each other beside those at work on other pixels.
+
+At its peak over theta the likelihood's derivatives have a mean that more pixels do not reduce (Neyman and Scott,
+Econometrica 16, 1948): errors along the curve e(theta) bring it, bent as it is, nearer to the data on its inner side.
+With n the part of d^2e/dtheta^2 orthogonal to the curve over |de/dtheta|^2, that mean is -Re(n^H de) / 2 for a change
+de of the curve, whatever energy and number of the looks; it is taken off. What then remains falls off with the energy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.beams.array import Beams
+from sal_height.elevation.looks import Covariance
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+DIFFERENCE = 1e-3
+"""Half step, in beamwidths and relative widths, of derivatives as differences: they are right within 1e-5."""
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Sums over pixels that a step needs; parameters in the order ln w, ln |g_m|, arg g_m.
+
+    Attributes:
+        score: derivatives of the log-likelihood, mean 0 at the truth, shape (parameters,).
+        information: minus the mean of its second derivatives, (parameters, parameters).
+        variance: covariance of the score.
+        pixels: number of them.
+    """
+
+    score: Array
+    information: Array
+    variance: Array
+    pixels: int
+
+    def __add__(self, other: Normal) -> Normal:
+        return Normal(
+            self.score + other.score,
+            self.information + other.information,
+            self.variance + other.variance,
+            self.pixels + other.pixels,
+        )
+
+    @classmethod
+    def zero(cls, channels: int) -> Self:
+        """Of no pixel."""
+        size = 2 * channels + 1
+        return cls(np.zeros(size), np.zeros((size, size)), np.zeros((size, size)), 0)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The unit vectors e of some pixels, all of the shape (pixels, channels) and orthogonal to e.
+
+    Attributes:
+        unit: e.
+        wider: de / dln w.
+        tangent: de / dtheta, of length 1.
+        curvature: part of d^2e/dtheta^2 orthogonal to the tangent, over |de/dtheta|^2.
+    """
+
+    unit: ComplexArray
+    wider: ComplexArray
+    tangent: ComplexArray
+    curvature: ComplexArray
+
+
+def curve_of(beams: Beams, gains: Array, elevation: Array, squint: Array) -> Curve:
+    """The curve at some pixels' elevations and squints (rad, (pixels,)), of beams times `gains` (channels,)."""
+    beamwidth = beams.beamwidth
+    narrow, wide = (beams.widened(1 + sign * DIFFERENCE).response(elevation, squint) for sign in (-1, 1))
+    before, after = (beams.slope(elevation + sign * DIFFERENCE * beamwidth, squint) for sign in (-1, 1))
+    response = gains * beams.response(elevation, squint).astype(np.complex128)
+    norm = np.linalg.norm(response, axis=-1, keepdims=True)
+    unit = response / norm
+    slope, bend, wider = (
+        gains * change / norm
+        for change in (
+            (after + before) * beamwidth / 2,
+            (after - before) * beamwidth / (2 * DIFFERENCE),
+            (wide - narrow) / (2 * DIFFERENCE),
+        )
+    )
+    drift = _inner(unit, slope)
+    slope = slope - drift * unit
+    speed = np.linalg.norm(slope, axis=-1, keepdims=True)
+    tangent = slope / speed
+    bend = _without(bend - 2 * drift * slope, unit) / speed**2
+    return Curve(unit, _without(wider, unit), tangent, bend - _inner(tangent, bend).real * tangent)
+
+
+def with_known_angles(curve: Curve, pixels: Covariance, count: Array) -> Normal:
+    """Sums of a step over pixels (covariance over noise power, (pixels, M, M), of `count` looks)."""
+    explained, left = _residual(curve, pixels)
+    geometry = _gram(curve, explained), _gram(curve, explained - count)
+    return Normal(_derivatives(curve, 2 * left), 2 * geometry[1], 2 * geometry[0], len(pixels))
+
+
+def with_unknown_angles(curve: Curve, pixels: Covariance, count: Array) -> Normal:
+    """The same where the angles are those of the greatest likelihood: without what a shift of angle does."""
+    explained, left = _residual(curve, pixels)
+    left = left - _inner(curve.tangent, left).real * curve.tangent
+    along = _products(curve.tangent, curve).real
+    variance, information = (
+        2 * (_gram(curve, weight) - _square(along, weight)) for weight in (explained, explained - count)
+    )
+    return Normal(_derivatives(curve, 2 * left + curve.curvature / 2), information, variance, len(pixels))
+
+
+def _residual(curve: Curve, pixels: Covariance) -> tuple[Array, ComplexArray]:
+    """Power that is explained, e^H R e, (pixels,), and R e without its part along e, (pixels, channels)."""
+    output = np.einsum("pmn,pn->pm", pixels, curve.unit.astype(pixels.dtype)).astype(np.complex128)
+    explained = _inner(curve.unit, output).real
+    return explained[:, 0], output - explained * curve.unit
+
+
+def _derivatives(curve: Curve, direction: ComplexArray) -> Array:
+    """Sum over pixels of Re(direction^H de) for each parameter; `direction` is orthogonal to e."""
+    return np.asarray(np.sum(_products(direction, curve).real, axis=0))
+
+
+def _products(direction: ComplexArray, curve: Curve) -> ComplexArray:
+    """direction^H db/|b| for each parameter, shape (pixels, parameters)."""
+    each = direction.conj() * curve.unit
+    return np.concatenate([np.sum(direction.conj() * curve.wider, axis=-1, keepdims=True), each, 1j * each], axis=-1)
+
+
+def _gram(curve: Curve, weight: Array) -> Array:
+    """Weighted sum over pixels of Re(de^H de) for all pairs of parameters; de are without their part along e."""
+    channels = curve.unit.shape[1]
+    amplitudes, phases = slice(1, channels + 1), slice(channels + 1, None)
+    total = np.zeros((2 * channels + 1, 2 * channels + 1))
+    share = np.diag(np.einsum("p,pm->m", weight, np.abs(curve.unit) ** 2))
+    crossed = np.einsum("p,pm,pm->m", weight, curve.wider.conj(), curve.unit)
+    total[0, 0] = np.sum(weight * np.sum(np.abs(curve.wider) ** 2, axis=-1))
+    total[amplitudes, amplitudes] = total[phases, phases] = share
+    total[0, amplitudes] = total[amplitudes, 0] = crossed.real
+    total[0, phases] = total[phases, 0] = -crossed.imag
+    along = _products(curve.unit, curve)
+    return np.asarray(total - _square(along.real, weight) - _square(along.imag, weight))
+
+
+def _square(values: Array, weight: Array) -> Array:
+    """Weighted sum over pixels of v v^T, from v of the shape (pixels, parameters)."""
+    return np.asarray(np.einsum("pi,pj->ij", values, values * weight[:, None]))
+
+
+def _inner(a: ComplexArray, b: ComplexArray) -> ComplexArray:
+    """a^H b of each pixel, shape (pixels, 1)."""
+    return np.asarray(np.sum(a.conj() * b, axis=-1, keepdims=True))
+
+
+def _without(vector: ComplexArray, unit: ComplexArray) -> ComplexArray:
+    """The vectors' part orthogonal to unit vectors."""
+    return vector - _inner(unit, vector) * unit

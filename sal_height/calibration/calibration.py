@@ -1,0 +1,172 @@
+"""What was measured of a sensor, and how its phase history and its beams are corrected by it."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.errors import UserError
+from sal_height.io import writing
+from sal_height.numeric.windows import window
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import Sensor
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+FLOOR = 0.1
+"""Amplitude of a response that is raised to half of what it should be; weaker ones less, stronger ones more."""
+
+WIDTHS = (0.5, 2.0)
+"""Width factors of beams that can be believed."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Receivers' responses and beams of a sensor, as measured, over what its description says.
+
+    Attributes:
+        config_hash: of the sensor.
+        response: of each channel at the fast-time frequencies, gain included: complex128, shape (channels,
+            frequencies), those of waveform "spectrum" (`waveform.spectrum_sensor`); 1: as described.
+        response_sigma: standard error of the shape of a channel's response, at a frequency, shape (channels,); 0: not
+            measured.
+        gain_sigma: standard error of ln |gain| of each channel, shape (channels,); 0: not measured.
+        phase_sigma: of the gain's phase, rad.
+        width_factor: width of the beams over that described.
+        width_sigma: standard error of it; 0: the width was not measured.
+        dwells: that it was made of.
+    """
+
+    config_hash: str
+    response: ComplexArray
+    response_sigma: Array
+    gain_sigma: Array
+    phase_sigma: Array
+    width_factor: float = 1.0
+    width_sigma: float = 0.0
+    dwells: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.config_hash:
+            raise UserError("The calibration has no config_hash; it must be that of the sensor it belongs to.")
+        sigmas = self.response_sigma, self.gain_sigma, self.phase_sigma
+        if self.response.ndim != 2 or any(sigma.shape != self.response.shape[:1] for sigma in sigmas):
+            raise UserError(
+                f"The calibration has responses of shape {self.response.shape} and standard errors of shapes "
+                f"{', '.join(str(sigma.shape) for sigma in sigmas)}; they must be (channels, frequencies) and "
+                "(channels,)."
+            )
+        amplitude = np.abs(self.response)
+        if not (np.all(np.isfinite(amplitude)) and np.all(amplitude.max(axis=1, initial=0) > 0)):
+            raise UserError(
+                "The calibration has responses that are not finite or a channel without any; all must be finite, and "
+                "those of a channel not all 0."
+            )
+        low, high = WIDTHS
+        if not low <= self.width_factor <= high:
+            raise UserError(
+                f"The calibration's width factor of the beams is {self.width_factor}; allowed are {low} to {high}."
+            )
+        if not (np.all(np.isfinite(sigmas)) and np.isfinite(self.width_sigma)):
+            raise UserError("The calibration has standard errors that are not finite; all must be.")
+
+    @cached_property
+    def id(self) -> str:
+        """Identity: changes with any value."""
+        values = (np.asarray(getattr(self, field.name)) for field in fields(self))
+        return hashlib.sha256(b"".join(value.tobytes() for value in values)).hexdigest()[:16]
+
+    @cached_property
+    def equaliser(self) -> npt.NDArray[np.complex64]:
+        """Weights of the channels' frequencies that leave all channels with one response, flat where it can be.
+
+        The inverse of the responses, regularised: a frequency has the weight w = a^4 / (a^4 + FLOOR^4), with a the
+        amplitude of the channel that is weakest there, in all of them. So ratios between channels are right at any
+        frequency, and w is 1 within .2 % down to a = 0.5.
+
+        Returns:
+            complex64, shape (channels, frequencies).
+        """
+        weakest = np.min(np.abs(self.response), axis=0) ** 4
+        weight = weakest / (weakest + FLOOR**4)
+        safe = np.where(self.response == 0, 1, self.response)
+        return np.asarray(weight / safe, dtype=np.complex64)
+
+    def check(self, sensor: Sensor) -> None:
+        """Make sure that it is of this sensor, whose waveform is "spectrum".
+
+        Raises:
+            UserError: it is not.
+        """
+        if self.config_hash != sensor.config_hash:
+            raise UserError(
+                f"Calibration {self.id} is of sensor {self.config_hash!r}; the frames are of {sensor.config_hash!r}."
+            )
+        shape = sensor.detector_count, sensor.sample_count
+        if self.response.shape != shape:
+            raise UserError(
+                f"Calibration {self.id} has responses of {self.response.shape} channels and frequencies; the sensor "
+                f"has {shape}."
+            )
+
+    def equalised(self, history: PhaseHistory) -> PhaseHistory:
+        """The phase history (waveform "spectrum") with equal responses in all channels."""
+        return replace(history, samples=history.samples * self.equaliser[:, None])
+
+    def noise_gains(self, range_window: str) -> Array:
+        """By how much equalising raises the noise power of images, shape (channels,).
+
+        Args:
+            range_window: of the images, a name of `windows.WINDOWS`.
+        """
+        power = window(range_window, self.response.shape[1]) ** 2
+        return np.asarray(np.abs(self.equaliser) ** 2 @ power / np.sum(power))
+
+
+def save_calibration(path: Path, calibration: Calibration) -> None:
+    """Write a calibration to an .npz file, whole or not at all.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    stream = io.BytesIO()
+    np.savez(stream, **{field.name: getattr(calibration, field.name) for field in fields(calibration)})
+    unfinished = path.with_name(f".{path.name}.part")
+    with writing(path):
+        unfinished.write_bytes(stream.getvalue())
+        unfinished.replace(path)
+
+
+def load_calibration(path: Path) -> Calibration:
+    """Read what `save_calibration` wrote.
+
+    Raises:
+        UserError: it cannot be read, or is no calibration.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return Calibration(
+                config_hash=str(stored["config_hash"]),
+                response=np.asarray(stored["response"], dtype=np.complex128),
+                response_sigma=np.asarray(stored["response_sigma"], dtype=np.float64),
+                gain_sigma=np.asarray(stored["gain_sigma"], dtype=np.float64),
+                phase_sigma=np.asarray(stored["phase_sigma"], dtype=np.float64),
+                width_factor=float(stored["width_factor"]),
+                width_sigma=float(stored["width_sigma"]),
+                dwells=int(stored["dwells"]),
+            )
+    except OSError as error:
+        raise UserError(f"Calibration {path} cannot be read: {error.strerror or error}.") from error
+    except UserError as error:
+        raise UserError(f"File {path}: {error}") from error
+    except (ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+        reason = " ".join(str(error).split())
+        raise UserError(f"File {path} is no calibration that psf_calibration wrote: {reason}.") from error

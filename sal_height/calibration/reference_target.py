@@ -1,0 +1,64 @@
+"""A target whose place is known, such as a corner reflector, in the images of dwells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.geometry.frames import ApertureState, Grid, angles_of, aperture_at
+from sal_height.simulation.truth import pixels_at
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+REACH = 2
+"""Pixels around its place in which the target is looked for."""
+
+OVER_IMAGE = 100.0
+"""Power of the target, all channels together, over the median of the image."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A reference target in the images of a dwell.
+
+    Attributes:
+        samples: its pixel in each channel, complex128, shape (channels,).
+        elevation: under which it was seen, rad from nadir.
+        squint: rad.
+    """
+
+    samples: ComplexArray
+    elevation: float
+    squint: float
+
+
+def sighting(
+    pixels: npt.NDArray[np.complex64], grid: Grid, aperture: ApertureState, look_side: int, target: Array
+) -> Sighting | None:
+    """The reference target in the images of a dwell; None: it is not in them, or does not stand out.
+
+    Args:
+        pixels: of all channels, shape (channels, rows, cols).
+        grid: where they lie, in the slant plane.
+        aperture: the images were made with.
+        look_side: +1 looking right, -1 left.
+        target: its place in the map, m, shape (3,).
+    """
+    sight = target - aperture.position
+    along = sight @ aperture.direction
+    across = np.sqrt(np.maximum(sight @ sight - along**2, 0.0))
+    row, col = (int(np.rint(index)) for index in pixels_at(across, along, aperture, grid))
+    rows, cols = pixels.shape[1:]
+    if not (REACH <= row < rows - REACH and REACH <= col < cols - REACH):
+        return None
+    power = np.sum(pixels.real**2 + pixels.imag**2, axis=0)
+    near = power[row - REACH : row + REACH + 1, col - REACH : col + REACH + 1]
+    if not near.max() > OVER_IMAGE * np.median(power):
+        return None
+    down, right = np.unravel_index(np.argmax(near), near.shape)
+    _, elevation, squint = angles_of(target, aperture_at(target, aperture), look_side)
+    samples = pixels[:, row - REACH + int(down), col - REACH + int(right)].astype(np.complex128)
+    return Sighting(samples, float(elevation), float(squint))

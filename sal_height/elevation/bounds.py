@@ -1,0 +1,84 @@
+"""Least standard deviation of an elevation estimate from the detectors of an array.
+
+A target at elevation theta gives detector m the amplitude A_k a_m(theta) in look k, plus noise of variance sigma^2.
+Of the change a' = da/dtheta, the part along a looks like another amplitude; only the rest tells of elevation:
+
+    D = a'^H (I - a a^H / |a|^2) a'
+
+All bounds are Cramer-Rao bounds; they differ in what is known of the amplitudes (Stoica and Nehorai, IEEE Trans.
+Acoustics, Speech and Signal Processing 38, 1990). CNR is |A|^2 / sigma^2: that of a detector with h = 1 at the target.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.beams.array import Beams
+
+Array = npt.NDArray[np.float64]
+
+
+def information(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+    """D in 1/rad^2, for targets at `elevation` and `squint` (rad, shapes that broadcast)."""
+    return information_of(beams.response(elevation, squint), beams.slope(elevation, squint))
+
+
+def information_of(response: Array, slope: Array) -> Array:
+    """D of responses a and slopes a' of shape (..., detectors), 1/rad^2 if the slopes are per rad."""
+    overlap = np.abs(np.sum(response.conj() * slope, axis=-1)) ** 2
+    return np.asarray(np.sum(np.abs(slope) ** 2, axis=-1) - overlap / beam_power(response))
+
+
+def beam_power(response: Array) -> Array:
+    """|a|^2 of responses of shape (..., detectors), real or complex."""
+    return np.asarray(np.sum(np.abs(response) ** 2, axis=-1))
+
+
+def conditional_crb(
+    beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int
+) -> Array:
+    """Standard deviation, rad, if the looks together have the energy K C: 1 / sqrt(2 K C D).
+
+    Args:
+        beams: of the array.
+        elevation: of the target, rad; broadcasts with `squint` and `cnr`.
+        squint: of the target, rad.
+        cnr: C of one look, power ratio; the bound is infinite where it is not positive.
+        looks: K.
+    """
+    return _deviation(looks * np.asarray(cnr), information(beams, elevation, squint))
+
+
+def stochastic_crb(
+    beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int
+) -> Array:
+    """Standard deviation, rad, if the amplitudes are Gaussian of unknown power: conditional, less 1 + 1 / (C |a|^2).
+
+    Many looks approach it above the threshold; `speckle_crb` is nearer for a few. Arguments as of `conditional_crb`.
+    """
+    response = beams.response(elevation, squint)
+    determined = information_of(response, beams.slope(elevation, squint))
+    return stochastic_deviation(looks * np.asarray(cnr), looks, beam_power(response), determined)
+
+
+def stochastic_deviation(energy: Array, looks: npt.ArrayLike, power: Array, determined: Array) -> Array:
+    """`stochastic_crb` from the energy E = K C of the looks, |a|^2 and D; infinite where E is not positive."""
+    positive = np.maximum(energy, 0.0)
+    return _deviation(positive**2 / (positive + np.asarray(looks) / power), determined)
+
+
+def speckle_crb(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int) -> Array:
+    """Standard deviation, rad, by the mean of the conditional variance over Gaussian amplitudes.
+
+    The mean of 1 over their energy is 1 / ((K - 1) C): infinite for one look, which may be dark. Arguments as of
+    `conditional_crb`.
+    """
+    return conditional_crb(beams, elevation, squint, cnr, looks - 1)
+
+
+def _deviation(energy: npt.ArrayLike, information: Array) -> Array:
+    """1 / sqrt(2 E D), infinite where the energy or D is not positive."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = 1 / (2 * np.asarray(energy) * information)
+    return np.sqrt(np.where((np.asarray(energy) > 0) & (information > 0), variance, np.inf))

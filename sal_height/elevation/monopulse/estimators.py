@@ -1,0 +1,181 @@
+"""Sums over looks or pulses of the products of Sigma and Delta, and what they say of gamma = Delta / Sigma.
+
+Of two beams, Sigma is the sum and Delta the upper minus the lower; the SAL paper calls their ratio the discriminant mu.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.elevation.looks import Looks
+from sal_height.errors import UserError
+from sal_height.theory.sum_difference import products_variance
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+Estimator = Callable[[Array, Array, ComplexArray, float | Array], Array]
+NoisePowers = tuple[float, float]
+"""E|n|^2 of one sample of Sigma and of Delta; the two noises are independent."""
+
+
+@dataclass(frozen=True)
+class Products:
+    """Sums over looks or pulses, as the estimates in DISCRIMINANTS take them; arrays of one shape.
+
+    Attributes:
+        sum_power: of |Sigma|^2.
+        difference_power: of |Delta|^2.
+        cross_power: of Delta Sigma*; its real part alone where gamma is real, as noise alone is left in the other.
+        count: number of looks or pulses K of each, or of all.
+    """
+
+    sum_power: Array
+    difference_power: Array
+    cross_power: npt.NDArray[np.inexact[Any]]
+    count: int | Array
+
+
+def products(total: ComplexArray, difference: ComplexArray) -> Products:
+    """Products of Sigma and Delta, shape (..., K), for a real gamma, summed over the last axis.
+
+    Phases common to both channels drop out, so that pulses may be summed with or without phase compensation. That is
+    also why it is no coherent accumulation: noise adds to the powers with each pulse (`products_variance`). Use it for
+    looks, and `synthesise` for pulses.
+    """
+    return Products(
+        np.sum(np.abs(total) ** 2, axis=-1, dtype=np.float64),
+        np.sum(np.abs(difference) ** 2, axis=-1, dtype=np.float64),
+        np.sum((difference * total.conj()).real, axis=-1, dtype=np.float64),
+        total.shape[-1],
+    )
+
+
+def products_of_looks(looks: Looks) -> Products:
+    """Products of multi-looked images whose channels are Sigma and Delta, in this order; shape (rows, cols)."""
+    covariance = looks.covariance[:, :]
+    return Products(
+        covariance[..., 0, 0].real.astype(np.float64),
+        covariance[..., 1, 1].real.astype(np.float64),
+        covariance[..., 1, 0].astype(np.complex128 if np.iscomplexobj(covariance) else np.float64),
+        looks.count,
+    )
+
+
+def sum_and_difference(
+    lower: Array, upper: Array, product: npt.NDArray[np.inexact[Any]], count: int | Array
+) -> Products:
+    """Products of Sigma and Delta from those of the two detectors.
+
+    Args:
+        lower: sum of |l|^2 over looks, l the amplitude of the lower detector.
+        upper: of |u|^2.
+        product: of l u*; real where only its real part is known.
+        count: number of looks.
+    """
+    both, coherent = lower + upper, 2 * product
+    return Products(both + coherent.real, both - coherent.real, upper - lower - 1j * coherent.imag, count)
+
+
+def ratio(sum_power: Array, _difference_power: Array, cross_power: ComplexArray, _noise_energy: float | Array) -> Array:
+    """Power-weighted mean of Re(Delta / Sigma): Re sum Delta Sigma* / sum |Sigma|^2 (SAL paper, section 3).
+
+    Biased towards the middle of the pair by the factor CNR / (CNR + 1) for a fluctuating target, however many looks
+    (Kanter 1977).
+    """
+    return np.real(cross_power) / sum_power
+
+
+def noise_subtraction(
+    sum_power: Array, _difference_power: Array, cross_power: ComplexArray, noise_energy: float | Array
+) -> Array:
+    """`ratio` without the noise in its denominator: Re sum Delta Sigma* / (sum |Sigma|^2 - noise energy).
+
+    Free of the bias as the looks grow in number. NaN where there is no more power in Sigma than noise.
+    """
+    signal = sum_power - noise_energy
+    return np.where(signal > 0, np.real(cross_power) / np.where(signal > 0, signal, 1.0), np.nan)
+
+
+def total_least_squares(
+    sum_power: Array, difference_power: Array, cross_power: ComplexArray, _noise_energy: float | Array
+) -> Array:
+    """Exact two-channel maximum likelihood: noise in Sigma is accounted for, so the bias of `ratio` is gone.
+
+    The ratio of the principal eigenvector of the covariance of Sigma and Delta: its modulus is
+    tan(1/2 atan2(2 |R_DS|, R_SS - R_DD)), its phase that of R_DS. Needs equal noise in Sigma and Delta, not its value.
+    """
+    modulus = np.tan(np.arctan2(2 * np.abs(cross_power), sum_power - difference_power) / 2)
+    return np.asarray(modulus * np.cos(np.angle(cross_power)))
+
+
+DISCRIMINANTS: dict[str, Estimator] = {
+    "tls": total_least_squares,
+    "ratio": ratio,
+    "noise_subtraction": noise_subtraction,
+}
+"""Estimates of the discriminant by name, each from sums over looks: |Sigma|^2, |Delta|^2, Delta Sigma*, and the mean
+energy K sigma^2 of the noise in Sigma. Real beams make the mean of Delta Sigma* real: then only its real part is given,
+as noise alone is left in the other."""
+
+
+def discriminate(sums: Products, estimator: Estimator, noise_powers: NoisePowers) -> Array:
+    """Estimate of gamma from products, in their shape.
+
+    Delta is scaled until its noise equals that of Sigma, as total least squares needs it, and gamma is scaled back:
+    that makes `total_least_squares` the exact maximum likelihood for unequal noise, too. The others are not changed.
+
+    Args:
+        sums: of Sigma and Delta.
+        estimator: one of DISCRIMINANTS.
+        noise_powers: of Sigma and Delta.
+
+    Raises:
+        UserError: a noise power is not known (0), negative or not finite.
+    """
+    even, scale = whitened_products(sums, noise_powers)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        estimate = estimator(
+            even.sum_power, even.difference_power, even.cross_power.astype(np.complex128), sums.count * noise_powers[0]
+        )
+    return np.asarray(estimate / scale)
+
+
+def whitened_products(sums: Products, noise_powers: NoisePowers) -> tuple[Products, float]:
+    """Products with the noise of Sigma in both channels, and the factor by which Delta was scaled."""
+    if not all(np.isfinite(power) and power > 0 for power in noise_powers):
+        raise UserError(
+            f"The noise powers of Sigma and Delta are {tuple(float(power) for power in noise_powers)}; both must be "
+            "known, finite and greater than 0."
+        )
+    scale = float(np.sqrt(noise_powers[0] / noise_powers[1]))
+    scaled = Products(sums.sum_power, sums.difference_power * scale**2, sums.cross_power * scale, sums.count)
+    return scaled, scale
+
+
+def accuracy(sums: Products, response: Array, slope: Array, noise_powers: NoisePowers) -> tuple[Array, Array]:
+    """Standard deviation of elevation (rad), and the CNR of one look, from the energy that these looks have.
+
+    The deviation is that of gamma (`sum_difference_theory.products_variance`) over the discriminant's slope. The CNR is
+    in a detector looking straight at the scatterer with the noise 1 / (1/N_Sigma + 1/N_Delta): that of each of two
+    detectors whose sum and difference have equal noise.
+
+    Args:
+        sums: of Sigma and Delta.
+        response: of the lower and the upper beam where the scatterer is, in its unit, shape (..., 2).
+        slope: of gamma over elevation there, 1/rad.
+        noise_powers: of Sigma and Delta.
+    """
+    total_gain = np.abs(response[..., 1] + response[..., 0]) ** 2
+    difference_gain = np.abs(response[..., 1] - response[..., 0]) ** 2
+    energy = sums.sum_power - sums.count * noise_powers[0]
+    detector_noise = 1 / (1 / noise_powers[0] + 1 / noise_powers[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        modulus = np.sqrt(difference_gain / total_gain)
+        variance = products_variance(modulus, energy, sums.count, noise_powers) / slope**2
+        cnr = energy / total_gain / sums.count / detector_noise
+    return np.sqrt(np.where(energy > 0, variance, np.inf)), np.asarray(cnr)

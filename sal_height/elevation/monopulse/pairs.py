@@ -1,0 +1,109 @@
+"""Pairwise amplitude-comparison monopulse (SAL paper, sections 2 and 3).
+
+Of each two neighbouring detectors, Sigma is the sum and Delta the upper minus the lower, both of channels with the same
+noise (`channels.whitening`): then that of Sigma and Delta is equal and independent, too. The pair with the most power
+in Sigma is taken in each pixel; its discriminant mu = Re(Delta / Sigma) is estimated and inverted (`discriminant`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.beams.array import Beams
+from sal_height.elevation.estimate import ElevationEstimate, Validity, validity_of
+from sal_height.elevation.likelihood import OBJECTIVES, search_guard
+from sal_height.elevation.looks import Covariance, Looks
+from sal_height.elevation.monopulse.estimators import Estimator, accuracy, discriminate, sum_and_difference
+from sal_height.elevation.monopulse.inversion import Inversion, Reason, invert
+from sal_height.elevation.search import Columns, PeakSearch, PeakSearches
+from sal_height.errors import UserError
+
+Array = npt.NDArray[np.float64]
+
+OUTSIDE_MARGIN = 3.0
+"""Noise powers by which a direction outside the array must explain a pixel better to be believed."""
+
+
+def monopulse_elevation(
+    looks: Looks, beams: Beams, squint: Array, noise_power: float, discriminant: Estimator, min_cnr: float
+) -> ElevationEstimate:
+    """Elevation of the dominant scatterer in every pixel from its strongest pair.
+
+    Sigma and CNR are those of `products.accuracy`: the bound for the pair by itself. Pixels are OUTSIDE_PAIR where
+    their discriminant is outside the domain of their pair.
+
+    Args:
+        looks: covariance of M channels in each pixel.
+        beams: of the M detectors.
+        squint: of each column, rad, shape (cols,).
+        noise_power: E|n|^2 of one SLC pixel in every channel (`channels.whitening`).
+        discriminant: one of DISCRIMINANTS.
+        min_cnr: pixels below this power ratio are LOW_CNR.
+
+    Raises:
+        UserError: fewer than two detectors.
+    """
+    if beams.count < 2:
+        raise UserError(f"The sensor has {beams.count} detector; monopulse needs 2 or more.")
+    searches = PeakSearches.over(beams, np.unique(squint), OBJECTIVES["normalised"], search_guard(beams))
+
+    def strongest(search: PeakSearch, pixels: Covariance, *_where: object) -> Array:
+        best, _ = search.peaks(pixels)
+        return np.stack([*_strongest_pair(pixels), best, search.fit(pixels, best)[0]])
+
+    pair, lower, upper, real, imaginary, best, best_explained = searches.of_pixels(
+        looks.covariance, squint, 7, strongest
+    )
+    sums = sum_and_difference(lower, upper, real + 1j * imaginary, looks.count)
+    noise_powers = (2 * noise_power, 2 * noise_power)
+    mu = discriminate(sums, discriminant, noise_powers)
+    found, response = _invert_pairs(beams, pair.astype(np.intp), mu, np.broadcast_to(squint, mu.shape))
+    sigma, cnr = accuracy(sums, response, found.slope, noise_powers)
+
+    def at_found(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> Array:
+        return search.fit(pixels, found.elevation[rows, cols].reshape(-1))[:1]
+
+    (explained,) = searches.of_pixels(looks.covariance, squint, 1, at_found) / noise_power
+    validity = validity_of(looks, beams, noise_power, found.elevation, explained, cnr, min_cnr)
+    first, last = beams.span
+    outside = ((best < first) | (best > last)) & (best_explained / noise_power - explained > OUTSIDE_MARGIN)
+    validity = np.where((validity == Validity.OK) & outside, Validity.OUTSIDE_ARRAY, validity)
+    unpaired = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN]) & looks.finite
+    validity = np.where(unpaired, Validity.OUTSIDE_PAIR, validity).astype(np.uint8)
+    return ElevationEstimate(found.elevation, sigma, cnr, validity)
+
+
+def _strongest_pair(covariance: Covariance) -> tuple[Array, Array, Array, Array, Array]:
+    """Lower detector of the pair with the most power in Sigma, and sums over looks of its products.
+
+    Of pixels (..., M, M): the number of the lower detector, |l|^2, |u|^2, and real and imaginary part of l u*, which
+    may have been left out where the beams are real.
+    """
+    diagonal = np.diagonal(covariance, axis1=-2, axis2=-1).real.astype(np.float64)
+    beside = np.diagonal(covariance, offset=1, axis1=-2, axis2=-1).astype(np.complex128)
+    power = diagonal[..., :-1] + diagonal[..., 1:] + 2 * beside.real
+    pair = np.argmax(power, axis=-1, keepdims=True)
+    lower, upper = (np.take_along_axis(diagonal, pair + step, axis=-1)[..., 0] for step in (0, 1))
+    product = np.take_along_axis(beside, pair, axis=-1)[..., 0]
+    return pair[..., 0].astype(np.float64), lower, upper, product.real, product.imag
+
+
+def _invert_pairs(beams: Beams, pair: npt.NDArray[np.intp], mu: Array, squint: Array) -> tuple[Inversion, Array]:
+    """What `mu` of each pixel's `pair` means, and the response of the pair's beams there, (..., 2)."""
+    elevation, slope = np.full((2, *mu.shape), np.nan)
+    reason = np.full(mu.shape, Reason.NOT_FINITE, np.uint8)
+    response = np.full((*mu.shape, 2), np.nan, dtype=np.complex128)
+    for here in _inverted_together(beams, pair):
+        beams_here = beams.pair(pair[here] if len(beams.patterns) == 1 else pair[here][0])
+        found = invert(beams_here, mu[here], squint[here])
+        elevation[here], slope[here], reason[here] = found.elevation, found.slope, found.reason
+        response[here] = beams_here.response(found.elevation, squint[here])
+    return Inversion(elevation, slope, reason), response
+
+
+def _inverted_together(beams: Beams, pair: npt.NDArray[np.intp]) -> list[npt.NDArray[np.bool_]]:
+    """Pixels whose pairs make a stack: all where the detectors have one pattern, otherwise those of each pair."""
+    if len(beams.patterns) == 1:
+        return [np.ones(pair.shape, dtype=np.bool_)]
+    return [pair == lower for lower in np.unique(pair)]

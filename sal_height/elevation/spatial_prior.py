@@ -1,0 +1,271 @@
+"""Elevations that neighbours agree on: semi-global matching chooses among the peaks of each pixel's likelihood.
+
+At low CNR a pixel's highest peak may be one of noise, anywhere in the search domain, while the second or third is the
+target's. Which one it is, neighbours tell: along a line of pixels the elevation changes little from one to the next,
+or jumps, at the cost of `strength`. On a line that is a hidden Markov chain, and its best elevations follow by dynamic
+programming. Eight lines end in every pixel; what their neighbours say is added to the pixel's own log-likelihood.
+
+Hirschmueller, IEEE Trans. Pattern Analysis and Machine Intelligence 30, 2008 (matching along eight lines); Drory,
+Haubold, Avidan and Hamprecht, German Conference on Pattern Recognition, 2014 (why the pixel's own term counts once).
+
+Nothing is averaged: the elevation is always a peak of the pixel's own likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.beams.array import Beams
+from sal_height.elevation.estimate import ElevationEstimate
+from sal_height.elevation.likelihood import OBJECTIVES, estimate_at, peak_elevation, search_guard
+from sal_height.elevation.looks import Covariances, Looks
+from sal_height.elevation.search import Columns, FloatArray, PeakSearch, PeakSearches
+from sal_height.errors import UserError
+from sal_height.numeric.jit import compiled, in_parallel
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Nodes = npt.NDArray[np.intp]
+
+RECOMMENDED_STRENGTH = 0.75
+"""What cuts the outliers of four looks at 5 dB more than tenfold, and keeps steps of 3 beamwidths where they are.
+
+At 5 dB a lone pixel 3 beamwidths off its surroundings is then lost in a fifth of the cases with four looks and in two
+thirds with one (without the prior: 6 and 40 %); at 10 dB, in 2 and 40 % (0 and 14 %). Bars two pixels wide are found
+more often than without, squares of 2 x 2 pixels as often with four looks, less often with one. From 1 on more strength
+cuts little more.
+"""
+
+FREE_NODES = 2
+"""Nodes of the grid (0.2 beamwidths) by which elevation may change from pixel to pixel at no cost.
+
+Level ground and slopes change it from row to row. Where it is 0.4 beamwidths a row, the looks of a pixel differ by as
+much and count as several scatterers (`estimate.validity_of`).
+"""
+
+DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
+"""Steps in rows and columns along the lines."""
+
+TILE = 512
+"""Rows and columns whose likelihoods are held at a time: 41 to 71 nodes, twice, are 110 to 190 MB."""
+
+MARGIN = 32
+"""Pixels around a tile where lines start already; what lies farther away has faded."""
+
+LOWEST = np.float32(-1e30)
+"""Less than any log-likelihood, and finite as compiled loops want it."""
+
+
+@dataclass(frozen=True)
+class _Tile:
+    """A part of the image with its margin.
+
+    Attributes:
+        rows, cols: numbers of those of the part with its margin.
+        core: the part itself, within `rows` and `cols`.
+    """
+
+    rows: Nodes
+    cols: Nodes
+    core: tuple[slice, slice]
+
+
+def prior_elevation(
+    looks: Looks, beams: Beams, squint: Array, noise_power: float, strength: float, min_cnr: float
+) -> ElevationEstimate:
+    """`array_ml.ml_elevation` with the exact objective at the peaks that `smoothed_peaks` takes; arguments alike."""
+    guard = search_guard(beams)
+    elevation = smoothed_peaks(looks.covariance, beams, squint, noise_power, looks.count, strength, guard)
+    return estimate_at(elevation, looks, beams, squint, noise_power, min_cnr)
+
+
+def smoothed_peaks(
+    covariance: Covariances,
+    beams: Beams,
+    squint: Array,
+    noise_power: float,
+    looks_count: npt.ArrayLike,
+    strength: float,
+    guard: float,
+) -> Array:
+    """Elevation (rad) of the likelihood's peak that neighbours agree on, in every pixel, shape (rows, cols).
+
+    Pixels of zero covariance, which stand for missing data, say nothing and pass nothing on.
+
+    Args:
+        covariance: sum over looks, shape (rows, cols, channels, channels); complex if the beams are.
+        beams: of the channels.
+        squint: of each column, rad, shape (cols,).
+        noise_power: E|n|^2 of one look in one channel.
+        looks_count: number of looks K, of all pixels or each.
+        strength: loss of log-likelihood at a jump of elevation between neighbours, along each line; 0 gives
+            `array_ml.peak_elevation` with the normalised objective, RECOMMENDED_STRENGTH is a good one.
+        guard: how far beyond the array is searched, rad (`Beams.domain`).
+
+    Raises:
+        UserError: `strength` is negative, `noise_power` is not positive, or one is not finite; the beams have no
+            elevation in common, or are complex where the covariance is not.
+    """
+    if not (np.isfinite(strength) and strength >= 0):
+        raise UserError(f"The strength of the spatial prior is {strength:g}; it must be finite and 0 or greater.")
+    if not (np.isfinite(noise_power) and noise_power > 0):
+        raise UserError(f"The noise power is {noise_power:g}; the spatial prior needs it finite and greater than 0.")
+    normalised = OBJECTIVES["normalised"]
+    elevation = peak_elevation(covariance, beams, squint, normalised, guard)
+    searches = PeakSearches.over(beams, np.unique(squint), normalised, guard)
+    looks = np.broadcast_to(np.asarray(looks_count, dtype=np.float64), elevation.shape)
+    for tile in _tiles(*elevation.shape):
+        own, has_data = _log_likelihood(covariance, tile, searches, squint, noise_power, looks)
+        messages = _messages(own, has_data, strength)
+        _move(elevation, own[tile.core], messages[tile.core], covariance, tile, searches, squint)
+    return elevation
+
+
+def _tiles(rows: int, cols: int) -> Iterator[_Tile]:
+    for top, left in product(range(0, rows, TILE), range(0, cols, TILE)):
+        first_row, first_col = max(0, top - MARGIN), max(0, left - MARGIN)
+        yield _Tile(
+            rows=np.arange(first_row, min(top + TILE + MARGIN, rows)),
+            cols=np.arange(first_col, min(left + TILE + MARGIN, cols)),
+            core=(slice(top - first_row, top - first_row + TILE), slice(left - first_col, left - first_col + TILE)),
+        )
+
+
+def _log_likelihood(
+    covariance: Covariances, tile: _Tile, searches: PeakSearches, squint: Array, noise_power: float, looks: Array
+) -> tuple[FloatArray, Mask]:
+    """Log-likelihood at every node of the grid over that of noise alone, and which pixels of the tile have data.
+
+    K (q - ln q - 1) with q = a^H R a / (K sigma^2 |a|^2), or 0 for q < 1: the greatest over the power of Gaussian
+    amplitudes. Shapes (rows, cols, grid nodes) and (rows, cols).
+    """
+    shape, angles = (tile.rows.size, tile.cols.size), squint[tile.cols]
+    own = np.empty((*shape, searches.at(float(angles[0])).grid.shape[1]), np.float32)
+    has_data = np.empty(shape, dtype=np.bool_)
+
+    def work(search: PeakSearch, some: slice, columns: Columns) -> None:
+        here = tile.rows[some, None], tile.cols[columns]
+        pixels, count = covariance[here], looks[here]
+        has_data[some, columns] = np.any(np.diagonal(pixels, axis1=-2, axis2=-1) != 0, axis=-1)
+        values = search.on_grid(pixels.reshape(-1, *pixels.shape[2:]))
+        _concentrate(values, noise_power, count.reshape(-1))
+        own[some, columns] = values.reshape(*count.shape, -1)
+
+    searches.each(angles, len(tile.rows), work)
+    return own, has_data
+
+
+def _messages(own: FloatArray, has_data: Mask, strength: float) -> FloatArray:
+    """Sum over the eight lines of what they say of a pixel's elevation: each from -strength to 0; shape of `own`."""
+    messages = np.zeros_like(own)
+    for step in DIRECTIONS:
+        starts = _starts(own.shape[0], own.shape[1], step)
+
+        def send(part: slice, starts: Nodes = starts, step: tuple[int, int] = step) -> None:
+            _send_along(own, has_data, np.float32(strength), starts[part], step, messages)
+
+        in_parallel(send, len(starts))
+    return messages
+
+
+def _starts(rows: int, cols: int, step: tuple[int, int]) -> Nodes:
+    """Pixels (row, column) where the lines of a direction enter the image, shape (lines, 2)."""
+    row, col = np.indices((rows, cols), sparse=True)
+    before = row - step[0], col - step[1]
+    inside = (before[0] >= 0) & (before[0] < rows) & (before[1] >= 0) & (before[1] < cols)
+    return np.argwhere(~inside)
+
+
+def _move(
+    elevation: Array,
+    own: FloatArray,
+    messages: FloatArray,
+    covariance: Covariances,
+    tile: _Tile,
+    searches: PeakSearches,
+    squint: Array,
+) -> None:
+    """Put pixels of the tile's core whose neighbours prefer another peak there: change `elevation` (rad) of the image.
+
+    `own` and `messages` are of the core.
+    """
+    rows, cols = tile.rows[tile.core[0]], tile.cols[tile.core[1]]
+    grid_step = (searches.nodes[-1] - searches.nodes[0]) / (own.shape[2] - 1)
+    alone = np.rint((elevation[rows[:, None], cols] - searches.nodes[0]) / grid_step).astype(np.intp)
+    together = np.empty_like(alone)
+    _most_likely(own, messages, alone, together)
+
+    def work(search: PeakSearch, part: slice, columns: Columns) -> None:
+        row, col = np.nonzero(together[part, columns] != alone[part, columns])
+        row, col = row + part.start, np.arange(len(cols))[columns][col]
+        there = rows[row], cols[col]
+        elevation[there] = search.peaks_uphill(covariance[there], together[row, col])
+
+    searches.each(squint[cols], len(rows), work)
+
+
+# The loops below are compiled; elevations are nodes of the grid.
+
+
+@compiled
+def _concentrate(values: FloatArray, noise_power: float, looks: Array) -> None:
+    """Replace values of the objective by log-likelihoods; `looks` K of each pixel."""
+    for i in range(len(values)):
+        line, count, scale = values[i], np.float32(looks[i]), np.float32(1 / (looks[i] * noise_power))
+        for g in range(line.size):
+            q = max(line[g] * scale, np.float32(1))
+            line[g] = count * (q - np.float32(1) - np.log(q))
+
+
+@compiled
+def _send_along(
+    own: FloatArray, has_data: Mask, strength: np.float32, starts: Nodes, step: tuple[int, int], messages: FloatArray
+) -> None:
+    """Walk along lines and add to `messages` what the pixels before say (Viterbi's recursion, less its maximum)."""
+    rows, cols, count = own.shape
+    path = np.full(count + 2 * FREE_NODES, LOWEST, np.float32)
+    inner, message = path[FREE_NODES : FREE_NODES + count], np.zeros(count, np.float32)
+    for line in range(len(starts)):
+        r, c = starts[line]
+        message[:] = 0
+        while 0 <= r < rows and 0 <= c < cols:
+            if has_data[r, c]:
+                pixel, total = own[r, c], messages[r, c]
+                for g in range(count):
+                    total[g] += message[g]
+                    inner[g] = pixel[g] + message[g]
+                _pass_on(path, strength, message)
+            else:
+                message[:] = 0
+            r, c = r + step[0], c + step[1]
+
+
+@compiled
+def _pass_on(path: FloatArray, strength: np.float32, message: FloatArray) -> None:
+    """What the next pixel hears: the best of nearby nodes, or of all for a jump, less the greatest."""
+    highest = LOWEST
+    for g in range(path.size):
+        highest = max(highest, path[g])
+    message[:] = path[: message.size]
+    for k in range(1, 2 * FREE_NODES + 1):
+        for g in range(message.size):
+            message[g] = max(message[g], path[g + k])
+    for g in range(message.size):
+        message[g] = max(message[g] - highest, -strength)
+
+
+@compiled
+def _most_likely(own: FloatArray, messages: FloatArray, alone: Nodes, together: Nodes) -> None:
+    """Fill `together` with the node of the greatest sum, or `alone` where the neighbours do not prefer that node."""
+    for r in range(own.shape[0]):
+        for c in range(own.shape[1]):
+            best = alone[r, c]
+            for g in range(own.shape[2]):
+                if own[r, c, g] + messages[r, c, g] > own[r, c, best] + messages[r, c, best]:
+                    best = g
+            together[r, c] = best if messages[r, c, best] > messages[r, c, alone[r, c]] else alone[r, c]

@@ -1,0 +1,165 @@
+"""Figures 10 and 11 of the SAL paper: the array's maximum-likelihood elevation of a fluctuating target.
+
+16 point detectors half a beamwidth apart behind a square aperture. The CNR is that of one detector looking straight at
+the target. Searched are +-4 beamwidths, half a pitch beyond the outermost boresights.
+
+Theory is that of many looks and high CNR. The estimate maximises |b^T g|^2 summed over the looks, with weights b = a
+(the paper's objective, "numerator") or b = a / |a| ("normalised"), a(theta) being the detectors' responses. Its mean is
+then the maximiser of the expected objective. Near that, noise n and a target of amplitude A at theta0 move it by
+Re(A* b'^T n) / (-|A|^2 b''^T a0), and the mean of 1 / sum |A|^2 is 1 / ((K - 1) C).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize_scalar
+
+from sal_height.beams.array import Beams
+from sal_height.beams.pattern import pattern_named
+from sal_height.elevation.likelihood import OBJECTIVES
+from sal_height.figures.curve import Curve
+from sal_height.figures.sample_statistics import Measured, mean, std
+from sal_height.figures.unit_arrays import array_of
+from sal_height.theory.array_trials import TARGETS, array_trials
+
+Array = npt.NDArray[np.float64]
+
+WEIGHTS: dict[str, Callable[[Array], Array]] = {
+    "normalised": lambda response: np.asarray(response / np.linalg.norm(response)),
+    "numerator": lambda response: response,
+}
+"""b from the responses of the detectors, by the name of the objective."""
+
+CHANNELS, PITCH = 16, 0.5
+
+END_OF_SEARCH = CHANNELS * PITCH / 2
+"""Beamwidths."""
+
+ELEVATIONS = np.linspace(0, 4, 9)
+"""True elevations of figure 10, beamwidths; those below 0 mirror them."""
+
+LOOKS = (1, 4, 16)
+
+CNR_DB = (0, 5, 10, 20)
+
+THEORY_LOOKS, THEORY_CNR_DB = 16, 20
+"""Looks and CNR at which theory's own error is far below the standard error of 100 000 trials."""
+
+EXAMPLE_CNR, EXAMPLE_LOOKS, EXAMPLE_ELEVATION = 3.0, 4, 1.75
+"""Of figure 11."""
+
+BINS = np.linspace(-4, 4, 161)
+"""Edges of the histogram, beamwidths."""
+
+CORE = 1.0
+"""Beamwidths from the truth beyond which an estimate is an outlier."""
+
+STEP = 1e-3
+"""Beamwidths between the places of which derivatives are differences."""
+
+
+def fig10(trials: int, seed: int) -> Iterator[Curve]:
+    """Mean and standard deviation of the estimate over the true elevation, by looks, CNR and objective."""
+    beams = example_array()
+    for objective in WEIGHTS:
+        for style, looks in zip((":", "--", "-"), LOOKS, strict=True):
+            for colour, cnr_db in enumerate(CNR_DB):
+                cnr = 10 ** (cnr_db / 10)
+                samples = [estimates(elevation, cnr, looks, objective, trials, seed) for elevation in ELEVATIONS]
+                means, spreads = _theory(beams, objective, looks, cnr_db)
+                for quantity, statistic, closed_form in (
+                    ("mean", mean, means),
+                    ("standard deviation", std, spreads),
+                ):
+                    values, errors = np.array([statistic(sample) for sample in samples]).T
+                    case = f"K {looks}, CNR {cnr_db} dB"
+                    yield Curve(
+                        f"{quantity}, {objective}", case, ELEVATIONS, values, errors, closed_form, style, colour
+                    )
+
+
+def fig11(trials: int, seed: int) -> Iterator[Curve]:
+    """Histogram of the estimate for CNR 3, four looks and a target at 1.75 beamwidths; mean of those within CORE."""
+    width = BINS[1] - BINS[0]
+    for colour, objective in enumerate(WEIGHTS):
+        sample = estimates(EXAMPLE_ELEVATION, EXAMPLE_CNR, EXAMPLE_LOOKS, objective, trials, seed)
+        share = np.histogram(sample, BINS)[0] / trials
+        error = np.sqrt(share * (1 - share) / trials)
+        yield Curve(
+            "density",
+            objective,
+            BINS[:-1] + width / 2,
+            share / width,
+            error / width,
+            np.full_like(share, np.nan),
+            "steps-mid",
+            colour,
+        )
+        core = mean(sample[np.abs(sample - EXAMPLE_ELEVATION) < CORE])
+        middle = limit(example_array(), objective, EXAMPLE_ELEVATION, EXAMPLE_CNR)
+        yield _point("core mean", objective, EXAMPLE_ELEVATION, core, middle)
+
+
+def example_array() -> Beams:
+    """The array of both figures."""
+    return array_of((pattern_named("sinc"),), CHANNELS, PITCH)
+
+
+def estimates(elevation: float, cnr: float, looks: int, objective: str, trials: int, seed: int) -> Array:
+    """Estimates of independent pixels, beamwidths, shape (trials,), by the code that the node runs."""
+    return array_trials(
+        seed, example_array(), elevation, cnr, looks, trials, OBJECTIVES[objective], 0.0, TARGETS["gaussian"]
+    )
+
+
+def limit(beams: Beams, objective: str, elevation: float, cnr: float) -> float:
+    """What the estimate tends to with the number of looks: the maximiser of the expected objective, beamwidths.
+
+    The expected covariance is C a0 a0^T + I. The elevation itself for "normalised"; "numerator" is drawn inwards.
+    """
+    target = beams.response(elevation, 0.0)
+
+    def negative(angle: float) -> float:
+        weights = WEIGHTS[objective](beams.response(angle, 0.0))
+        return -float(cnr * (weights @ target) ** 2 + weights @ weights)
+
+    bounds = (max(elevation - 0.8, -END_OF_SEARCH), min(elevation + 0.8, END_OF_SEARCH))
+    return float(minimize_scalar(negative, bounds=bounds, method="bounded", options={"xatol": 1e-9}).x)
+
+
+def limit_std(beams: Beams, objective: str, elevation: float, cnr: float, looks: int) -> float:
+    """Standard deviation at high CNR, |b'| / |b''^T a0| / sqrt(2 (K - 1) C), times sqrt(1 + 1 / (C |a0|^2)).
+
+    The latter is the loss of not knowing the amplitudes. For "normalised" it is the stochastic Cramer-Rao bound times
+    sqrt(K / (K - 1)). Beamwidths.
+    """
+    target, place = beams.response(elevation, 0.0), limit(beams, objective, elevation, cnr)
+    below, here, above = (WEIGHTS[objective](beams.response(place + step, 0.0)) for step in (-STEP, 0.0, STEP))
+    slope, curvature = (above - below) / (2 * STEP), (above - 2 * here + below) / STEP**2
+    unknown_amplitudes = 1 + 1 / (cnr * target @ target)
+    variance = unknown_amplitudes * slope @ slope / (curvature @ target) ** 2 / (2 * (looks - 1) * cnr)
+    return float(np.sqrt(variance))
+
+
+def _theory(beams: Beams, objective: str, looks: int, cnr_db: float) -> tuple[Array, Array]:
+    """Mean and standard deviation at ELEVATIONS as far as theory goes, else NaN.
+
+    The middle of the array is its own mirror image. An estimate at the end of the search cannot pass it.
+    """
+    means, spreads = np.where(ELEVATIONS == 0, 0.0, np.nan), np.full_like(ELEVATIONS, np.nan)
+    if looks < THEORY_LOOKS or cnr_db < THEORY_CNR_DB:
+        return means, spreads
+    cnr = 10 ** (cnr_db / 10)
+    for i, elevation in enumerate(ELEVATIONS.tolist()):
+        middle, spread = limit(beams, objective, elevation, cnr), limit_std(beams, objective, elevation, cnr, looks)
+        if middle + 6 * spread < END_OF_SEARCH:
+            means[i], spreads[i] = middle, spread
+    return means, spreads
+
+
+def _point(quantity: str, case: str, x: float, measured: Measured, closed_form: float) -> Curve:
+    value, error = measured
+    return Curve(quantity, case, np.array([x]), np.array([value]), np.array([error]), np.array([closed_form]))

@@ -1,0 +1,331 @@
+"""`sal-height montecarlo`: one estimator at one operating point, its statistics beside bounds and closed forms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.beams.array import Beams
+from sal_height.beams.pattern import PATTERNS, detector_pattern, tabulated_pattern
+from sal_height.beams.table import read_beam_tables
+from sal_height.elevation.bounds import conditional_crb, speckle_crb, stochastic_crb
+from sal_height.elevation.likelihood import OBJECTIVES
+from sal_height.elevation.looks import Covariance, Looks, covariance
+from sal_height.elevation.monopulse.estimators import DISCRIMINANTS, discriminate, sum_and_difference
+from sal_height.elevation.monopulse.inversion import discriminant, discriminant_domain, discriminant_slope
+from sal_height.elevation.monopulse.pairs import monopulse_elevation
+from sal_height.errors import UserError
+from sal_height.figures.sample_statistics import Measured, mean, median, s68, share, std
+from sal_height.figures.unit_arrays import array_of
+from sal_height.theory.array_trials import TARGETS, array_trials, draw_pixels, with_streams
+from sal_height.theory.discriminator_noise import cnr_detector_of, gaussian_law, steady_looks_mean, straight_power
+
+Array = npt.NDArray[np.float64]
+
+OUTLIER = 1.0
+"""Beamwidths from the truth from which on an estimate of elevation is an outlier; of discriminants: as a number."""
+
+AT_EDGE = 1e-6
+"""Beamwidths from the end of the search within which an estimate was stopped by it."""
+
+TRIALS_AT_ONCE = 8192
+
+DETECTORS, MOST_DETECTORS = 16, 128
+
+FARTHEST_SEARCH = 200.0
+"""Beamwidths to each side."""
+
+BOUNDS = {
+    "crb_conditional": conditional_crb,
+    "crb_stochastic": stochastic_crb,
+    "crb_speckle": speckle_crb,
+}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A target at one place, seen again and again in noise; angles in beamwidths.
+
+    Attributes:
+        beams: of the detectors, around 0, of a beamwidth of 1 rad.
+        theta: elevation of the target above the middle of the detectors.
+        cnr_db: of one look, dB; which CNR the function says that takes it.
+        looks: K.
+        target: one of TARGETS.
+        trials: number of estimates.
+        seed: of all random numbers.
+
+    Raises:
+        UserError: a value out of its range.
+    """
+
+    beams: Beams
+    theta: float
+    cnr_db: float
+    looks: int
+    target: str
+    trials: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        _require("The target's elevation", self.theta, -FARTHEST_SEARCH, FARTHEST_SEARCH, " beamwidths")
+        _require("The CNR", self.cnr_db, -60, 100, " dB")
+        _require("The number of looks", self.looks, 1, 10_000)
+        _require("The number of trials", self.trials, 1, 10_000_000)
+        if self.target not in TARGETS:
+            raise UserError(f"The target is {self.target!r}; allowed are {', '.join(TARGETS)}.")
+
+    @property
+    def cnr(self) -> float:
+        """Power ratio."""
+        return float(10 ** (self.cnr_db / 10))
+
+
+def array_with(pattern: str, pitch: float, detectors: int | None, size: tuple[float, float]) -> Beams:
+    """The beams of an array around 0.
+
+    Args:
+        pattern: one of PATTERNS, or the path of a CSV file of measured beams (`read_beam_tables`).
+        pitch: of the detectors, beamwidths.
+        detectors: number; None: as many as the file has beams, or 16. A single beam is that of all.
+        size: of a detector along the axis and beside it, beamwidths; 0 with measured beams, which have theirs in them.
+
+    Raises:
+        UserError: one of them cannot be used.
+    """
+    _require("The pitch", pitch, 1e-3, 10, " beamwidths")
+    count = DETECTORS if detectors is None else detectors
+    _require("The number of detectors", count, 2, MOST_DETECTORS)
+    if pattern in PATTERNS:
+        return array_of((detector_pattern(pattern, size),), count, pitch)
+    if not Path(pattern).exists():
+        raise UserError(
+            f"The beam pattern is {pattern!r}; allowed are {', '.join(sorted(PATTERNS))}, or a CSV file of beams."
+        )
+    if any(size):
+        raise UserError(f"The beams in {pattern} are measured with their detectors; a size cannot be given besides.")
+    tables = read_beam_tables(Path(pattern), 1.0)
+    _require(f"The number of detectors in {pattern}", len(tables), 1, MOST_DETECTORS)
+    if len(tables) > 1 and detectors not in {None, len(tables)}:
+        raise UserError(f"There are beams of {len(tables)} detectors in {pattern}; {detectors} were asked for.")
+    patterns = tuple(tabulated_pattern(table, 1.0) for table in tables)
+    return array_of(patterns, len(tables) if len(tables) > 1 else count, pitch)
+
+
+def search_guard(beams: Beams, domain: float | None) -> float:
+    """How far beyond half a pitch outside the array is searched (beamwidths) where `domain` is the half width of it.
+
+    None: not at all, which is M pitch / 2.
+
+    Raises:
+        UserError: a half width that is not positive, or too large.
+    """
+    first, last = beams.span
+    half = (last - first) / 2 * beams.count / (beams.count - 1)
+    _require("The half width of the search", half if domain is None else domain, 1e-3, FARTHEST_SEARCH, " beamwidths")
+    return 0.0 if domain is None else domain - half
+
+
+def array_statistics(experiment: Experiment, estimator: str, objective: str, domain: float | None) -> dict[str, Any]:
+    """Statistics of the elevation by an array, beamwidths.
+
+    Args:
+        experiment: its `cnr` is that of one detector looking straight at the target.
+        estimator: "ml": maximum likelihood over all detectors; or one of DISCRIMINANTS: the strongest pair's.
+        objective: one of OBJECTIVES.
+        domain: half width of the search, beamwidths; None: M pitch / 2.
+
+    Raises:
+        UserError: the target is outside the search.
+    """
+    beams, guard = experiment.beams, search_guard(experiment.beams, domain)
+    low, high = beams.domain(guard)
+    if not low <= experiment.theta <= high:
+        raise UserError(
+            f"The target is at {experiment.theta:g} beamwidths; the search goes from {low:g} to {high:g} beamwidths."
+        )
+    power = experiment.cnr / straight_power(beams)
+    if estimator == "ml":
+        estimates = _elevations(experiment, power, objective, guard)
+        clipped = _at_edge(estimates, low, high)
+    else:
+        estimates = _pair_elevations(experiment, power, estimator)
+        clipped = np.isnan(estimates)
+    return {
+        "theta": experiment.theta,
+        "cnr_detector": experiment.cnr,
+        "domain": [low, high] if estimator == "ml" else None,
+        **_statistics(estimates, experiment.theta, clipped),
+        **_bounds(experiment, power, 1.0),
+    }
+
+
+def pair_statistics(experiment: Experiment, estimator: str, objective: str, domain: float | None) -> dict[str, Any]:
+    """Statistics of the estimated discriminant of two detectors.
+
+    The closed form is that of `ratio`: its mean, and for a fluctuating target its median, std and s68, else None.
+
+    Args:
+        experiment: its `cnr` is that of the sum channel at the target.
+        estimator: one of DISCRIMINANTS, or "ml": the discriminant at the maximum-likelihood elevation.
+        objective: of "ml", one of OBJECTIVES.
+        domain: half width of the search of "ml", beamwidths; None: the pitch.
+
+    Raises:
+        UserError: not two detectors, or the target is where their discriminant cannot be inverted.
+    """
+    pair, theta = experiment.beams, experiment.theta
+    if pair.count != 2:
+        raise UserError(f"There are {pair.count} detectors; a pair has 2.")
+    low, high = (float(end) for end in discriminant_domain(pair, 0.0))
+    if not low <= theta <= high:
+        raise UserError(
+            f"The target is {theta:g} beamwidths above the middle of the pair, whose discriminant can be inverted from "
+            f"{low:.6g} to {high:.6g} beamwidths."
+        )
+    detector = float(cnr_detector_of(experiment.cnr, pair, theta, 0.0))
+    power = detector / straight_power(pair)
+    kappa, slope = float(discriminant(pair, theta, 0.0)), float(discriminant_slope(pair, theta, 0.0))
+    searched: list[float] | None = None
+    if estimator == "ml":
+        guard = search_guard(pair, domain)
+        searched = list(pair.domain(guard))
+        elevations = _elevations(experiment, power, objective, guard)
+        estimates, stopped = discriminant(pair, elevations, 0.0), _at_edge(elevations, *pair.domain(guard))
+    else:
+        estimates = _discriminants(experiment, power, estimator)
+        stopped = np.zeros(estimates.shape, dtype=bool)
+    return {
+        "theta": theta,
+        "kappa": kappa,
+        "cnr_sum": experiment.cnr,
+        "cnr_detector": detector,
+        "domain": searched,
+        **_statistics(estimates, kappa, stopped | ~(np.abs(estimates) <= 1)),
+        **_bounds(experiment, power, abs(slope)),
+        "closed_form": _closed_form(experiment, kappa) if estimator == "ratio" else None,
+    }
+
+
+def statistics_table(statistics: Mapping[str, Any]) -> str:
+    """The statistics as lines for people: name, value, standard error and, where there is one, closed form."""
+    closed_form = statistics.get("closed_form") or {}
+    lines = [f"{'':16}{'value':>13}{'std. error':>13}{'closed form':>13}"]
+    for name, value in statistics.items():
+        if name == "closed_form" or name.endswith("_se"):
+            continue
+        shown = " to ".join(f"{end:.6g}" for end in value) if isinstance(value, list) else _shown(value)
+        error, expected = (_shown(others.get(key)) for others, key in ((statistics, f"{name}_se"), (closed_form, name)))
+        lines.append(f"{name:16}{shown:>13}{error:>13}{expected:>13}".rstrip(" -"))
+    return "\n".join(lines)
+
+
+def _shown(number: float | None) -> str:
+    return "-" if number is None else f"{number:.6g}"
+
+
+def _elevations(experiment: Experiment, power: float, objective: str, guard: float) -> Array:
+    return array_trials(
+        experiment.seed,
+        experiment.beams,
+        experiment.theta,
+        power,
+        experiment.looks,
+        experiment.trials,
+        OBJECTIVES[objective],
+        guard,
+        TARGETS[experiment.target],
+    )
+
+
+def _pair_elevations(experiment: Experiment, power: float, estimator: str) -> Array:
+    """Elevations by the strongest pair as the node has them, shape (trials,); NaN where there is none."""
+
+    def elevations(matrices: Covariance) -> Array:
+        pixels = matrices[:, None]
+        middle = np.zeros(pixels.shape[:2])
+        power = np.trace(pixels.real, axis1=-2, axis2=-1, dtype=np.float64)
+        looks = Looks(pixels, middle + experiment.looks, middle, middle, power, np.ones(middle.shape, dtype=np.bool_))
+        found = monopulse_elevation(looks, experiment.beams, np.zeros(1), 1.0, DISCRIMINANTS[estimator], 0.0)
+        return found.elevation[:, 0]
+
+    return _from_covariances(experiment, power, elevations)
+
+
+def _discriminants(experiment: Experiment, power: float, estimator: str) -> Array:
+    """Estimates of the discriminant of two detectors as the node has them, shape (trials,)."""
+
+    def discriminants(matrices: Covariance) -> Array:
+        wide = matrices.astype(np.complex128)
+        sums = sum_and_difference(wide[:, 0, 0].real, wide[:, 1, 1].real, wide[:, 0, 1], experiment.looks)
+        return discriminate(sums, DISCRIMINANTS[estimator], (2.0, 2.0))
+
+    return _from_covariances(experiment, power, discriminants)
+
+
+def _from_covariances(experiment: Experiment, power: float, estimate: Callable[[Covariance], Array]) -> Array:
+    """What is estimated from the covariances of independent pixels, shape (trials,)."""
+    beams, target, estimates = experiment.beams, TARGETS[experiment.target], np.empty(experiment.trials)
+
+    def work(rng: np.random.Generator, part: slice) -> None:
+        count = part.stop - part.start
+        samples = draw_pixels(rng, beams, experiment.theta, 0.0, power, experiment.looks, count, target)
+        estimates[part] = estimate(covariance(samples, beams.is_complex))
+
+    with_streams(work, experiment.seed, experiment.trials, max(1, TRIALS_AT_ONCE // experiment.looks))
+    return estimates
+
+
+def _at_edge(elevations: Array, low: float, high: float) -> npt.NDArray[np.bool_]:
+    return np.asarray((elevations <= low + AT_EDGE) | (elevations >= high - AT_EDGE))
+
+
+def _statistics(estimates: Array, truth: float, clipped: npt.NDArray[np.bool_]) -> dict[str, float | None]:
+    """Statistics with their standard errors (_se); estimates that do not exist are clipped ones and in no other."""
+    finite = estimates[np.isfinite(estimates)]
+    outliers = np.abs(estimates - truth) > OUTLIER
+    named: list[tuple[str, Measured]] = [("outlier_share", share(outliers)), ("clipped_share", share(clipped))]
+    if finite.size:
+        average = mean(finite)
+        bias = Measured(average.value - truth, average.standard_error)
+        named = [
+            *(
+                ("mean", average),
+                ("median", median(finite)),
+                ("std", std(finite)),
+                ("s68", s68(finite)),
+                ("bias", bias),
+            ),
+            *named,
+        ]
+    return {
+        name: _or_none(number) for key, pair in named for name, number in zip((key, f"{key}_se"), pair, strict=True)
+    }
+
+
+def _bounds(experiment: Experiment, power: float, scale: float) -> dict[str, float | None]:
+    """Bounds on the standard deviation, times `scale`; None where infinite."""
+    where = (experiment.beams, experiment.theta, 0.0, power, experiment.looks)
+    return {name: _or_none(float(bound(*where)) * scale) for name, bound in BOUNDS.items()}
+
+
+def _closed_form(experiment: Experiment, kappa: float) -> dict[str, float | None]:
+    if experiment.target == "steady":
+        expected = float(steady_looks_mean(kappa, experiment.cnr, experiment.looks))
+        return {"mean": expected, "median": None, "std": None, "s68": None}
+    law = gaussian_law(kappa, experiment.cnr, experiment.looks)
+    return {"mean": law.centre, "median": law.centre, "std": _or_none(law.std), "s68": law.s68}
+
+
+def _or_none(number: float) -> float | None:
+    return number if np.isfinite(number) else None
+
+
+def _require(what: str, value: float, least: float, most: float, unit: str = "") -> None:
+    if not (np.isfinite(value) and least <= value <= most):
+        raise UserError(f"{what} is {value:g}{unit}; allowed are {least:g} to {most:g}{unit}.")

@@ -1,0 +1,234 @@
+"""The PSF paper on synthetic tapes of known responses: what point targets tell of the range and the azimuth response.
+
+Four targets, as in the paper, are found in each tape; how far they are above the clutter, and the faults of the
+responses, are ours. Range, azimuth and cut are of the same tapes, as the paper has them from the same targets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.figures.curve import Curve, Figure
+from sal_height.figures.psf_speckle import SPECKLE_FIGURES
+from sal_height.figures.psf_tapes import COUNT, FREQUENCY, generators, held, in_band, shown
+from sal_height.figures.psf_theory import (
+    azimuth_psf,
+    chip_response,
+    range_psf,
+    relative_variance,
+    taylor_psf,
+    through_fejer,
+    tied,
+)
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
+from sal_height.response.point_spread import FINENESS, cut_through
+from sal_height.response.point_targets import PointTarget, chip_at, find_targets
+from sal_height.response.transfer_function import FLOOR, estimate_transfer_function, masked_transfer_function
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+TAPE = (2000, 256)
+"""Rows and columns: of so many rows that neither teeth nor ends of the band fall on a frequency."""
+
+PLACES = tuple((row, 128) for row in (250, 750, 1250, 1750))
+"""Of the targets, which lie off them by up to half a pixel."""
+
+OVER_CLUTTER_DB = 40.0
+"""Power of the targets' peaks over the mean of the clutter, if the azimuth response had no phase."""
+
+RANGE, AZIMUTH = RangeFault(), AzimuthFault(quartic=1.5)
+"""Taylor weights of -35 dB and a sawtooth of 0.1; a cosine beam whose phase is 1.5 rad at the ends of the band."""
+
+TARGET_TAPES, GROUP_TAPES = 40, 41
+"""Numbers that tell tapes apart."""
+
+PIXELS = np.arange(COUNT, dtype=np.float64) - COUNT / 2
+
+DEPTHS = np.array([0.05, 0.1, 0.2])
+"""Of the sawtooth, over the amplitude."""
+
+CUT_DEPTH = 0.1
+
+RECOVERY_DB = np.array([20.0, 30.0, 40.0, 50.0, 60.0])
+
+FIRST_ORDER_DB = 40.0
+"""From here on errors are those of the first order within 1 %."""
+
+GROUPS = 4
+"""Of four targets, for every tape, that `psf_recovery` draws: they need no tape around them."""
+
+
+def psf_range(trials: int, seed: int) -> Iterator[Curve]:
+    """|R| and arg R of four targets and of the average, the paper's way; figures 6 to 10.
+
+    Theory is what a chip of 64 pixels holds of R, of mean 1.
+    """
+    found = [_targets(RANGE, rng) for rng in generators(trials, seed, TARGET_TAPES)]
+    truth, beam = _truth(RANGE)
+    clutter = through_fejer(np.abs(RANGE.response(TAPE[0])) ** 2, COUNT)
+    error = np.sqrt(COUNT * clutter / np.mean(clutter) / (2 * _over_clutter(beam) * len(found)))
+    average = np.mean([masked_transfer_function(targets)[0] for targets in found], axis=0)
+    singles = [masked_transfer_function([target])[0] for target in found[0]]
+    yield from _responses("R", singles, average, error, truth)
+
+
+def psf_azimuth(trials: int, seed: int) -> Iterator[Curve]:
+    """|A| and arg A of four targets, the paper's way, and the average without its mask; figures 11 to 15."""
+    found = [_targets(RANGE, rng) for rng in generators(trials, seed, TARGET_TAPES)]
+    other, truth = _truth(RANGE)
+    variance = relative_variance(truth, other, _over_clutter(truth) * len(found), FLOOR)
+    average = np.mean([estimate_transfer_function(targets).azimuth_response for targets in found], axis=0)
+    paper = np.mean([masked_transfer_function(targets)[1] for targets in found], axis=0)
+    singles = [masked_transfer_function([target])[1] for target in found[0]]
+    yield from _responses("A", singles, average, np.sqrt(variance / 2) * np.abs(truth), truth)
+    yield shown("|A|", "average with the mask", FREQUENCY, np.abs(paper), "-.", 6)
+    yield shown("arg A", "average with the mask", FREQUENCY, np.angle(paper), "-.", 6)
+
+
+def psf_cut(trials: int, seed: int) -> Iterator[Curve]:
+    """The point-spread function along range, and its echoes over the depth of the sawtooth; figure 26.
+
+    An echo of the amplitude depth / pi is in quadrature with Taylor's sidelobe at its place. The band of 7 / 16 has a
+    null there, so that the echo is all there is. All depths see the same clutter.
+    """
+    middle, echo = COUNT * FINENESS // 2, int(RANGE.teeth) * FINENESS
+    levels, errors = np.zeros((2, len(DEPTHS))), np.zeros(len(DEPTHS))
+    for index, depth in enumerate(DEPTHS.tolist()):
+        fault = RangeFault(sawtooth=depth)
+        found = [_targets(fault, rng) for rng in generators(trials, seed, TARGET_TAPES)]
+        response = np.mean([estimate_transfer_function(targets).range_response for targets in found], axis=0)
+        cut = np.abs(cut_through(response, FINENESS))
+        levels[:, index] = cut[[middle - echo, middle + echo]]
+        errors[index] = np.sqrt(0.5 / (_over_clutter(_truth(fault)[1]) * len(found)))
+        if depth == CUT_DEPTH:
+            place = (np.arange(len(cut)) - middle) / FINENESS
+            theory = np.abs(range_psf(place, fault))
+            yield shown("point-spread function", "4 targets a tape", place, _db(cut))
+            yield shown("point-spread function", "theory", place, _db(theory), "--", 1)
+            yield shown("point-spread function", "no sawtooth", place, _db(taylor_psf(place, fault)), ":", 2)
+    for colour, (side, values) in enumerate(zip((-1, 1), levels, strict=True)):
+        at = np.array(side * RANGE.teeth)
+        expected = np.array([np.abs(range_psf(at, RangeFault(sawtooth=depth))) for depth in DEPTHS.tolist()])
+        error = 20 / np.log(10) * errors / values
+        yield Curve("echo", f"{at:+.0f} pixels", DEPTHS, _db(values), error, _db(expected), "-", colour)
+    yield shown("echo", "depth / pi", DEPTHS, _db(DEPTHS / np.pi), ":", 2)
+
+
+def psf_recovery(trials: int, seed: int) -> Iterator[Curve]:
+    """Rms errors of |R|, arg R, |A| and arg A from four targets over the target-to-clutter ratio.
+
+    Moduli are over their greatest; all are over the band. Theory is of the first order.
+    """
+    truth = [response / response.mean() for response in (RANGE.response(COUNT), AZIMUTH.response(COUNT))]
+    squares = np.array([_squares(rng, truth) for rng in generators(trials, seed, GROUP_TAPES, GROUPS)])
+    mean, scatter = squares.mean(axis=0), squares.std(axis=0, ddof=1) / np.sqrt(len(squares))
+    rms, error = np.sqrt(mean), scatter / (2 * np.sqrt(mean))
+    for axis, name in enumerate("RA"):
+        response, other = truth[axis], truth[1 - axis]
+        peak = np.abs(np.mean(AZIMUTH.response(COUNT))) ** 2 / np.mean(np.abs(AZIMUTH.response(COUNT))) ** 2
+        over_clutter = len(PLACES) * peak * 10 ** (RECOVERY_DB / 10)
+        variance = np.array([relative_variance(response, other, ratio, FLOOR) for ratio in over_clutter.tolist()])
+        band, (of_modulus, of_phase) = in_band(response), tied(response)
+        weight = np.abs(response) ** 2 / np.max(np.abs(response)) ** 2
+        for kind, share in enumerate((np.mean((of_modulus * weight)[band]), np.mean(of_phase[band]))):
+            theory = np.where(RECOVERY_DB >= FIRST_ORDER_DB, np.sqrt(variance * share), np.nan)
+            case = (f"|{name}|", f"arg {name}")[kind]
+            yield Curve(
+                "error", case, RECOVERY_DB, rms[:, axis, kind], error[:, axis, kind], theory, colour=2 * axis + kind
+            )
+
+
+def _targets(fault: RangeFault, rng: np.random.Generator) -> tuple[PointTarget, ...]:
+    """Those found in a new tape."""
+    places = np.array(PLACES) + rng.uniform(-0.5, 0.5, (len(PLACES), 2))
+    targets = tuple(Target(row, col, OVER_CLUTTER_DB) for row, col in places.tolist())
+    return find_targets(make_tape(TAPE, rng, targets, fault, AZIMUTH)).require()
+
+
+def _truth(fault: RangeFault) -> tuple[ComplexArray, ComplexArray]:
+    """What chips hold of the range and the azimuth response."""
+    return chip_response(range_psf(PIXELS, fault)), chip_response(azimuth_psf(PIXELS, AZIMUTH))
+
+
+def _over_clutter(beam: ComplexArray) -> float:
+    """Power of the peaks of a tape's targets over the mean clutter, which the azimuth response's phase lowers."""
+    lost = np.abs(np.mean(beam)) / np.mean(np.abs(beam))
+    return float(len(PLACES) * 10 ** (OVER_CLUTTER_DB / 10) * lost**2)
+
+
+def _responses(
+    name: str, singles: list[ComplexArray], average: ComplexArray, error: Array, truth: ComplexArray
+) -> Iterator[Curve]:
+    """Modulus and phase of single targets, of the average with its standard error, and of the truth."""
+    band = in_band(truth)
+    modulus, phase = f"|{name}|", f"arg {name}"
+    for number, single in enumerate(singles, start=1):
+        yield shown(modulus, f"target {number}", FREQUENCY, np.abs(single), ":", number + 1)
+        yield shown(phase, f"target {number}", FREQUENCY[band], np.angle(single[band]), ":", number + 1)
+    yield held(modulus, "average", np.abs(average), error, np.where(band, np.abs(truth), np.nan), 0)
+    angles = np.where(band, np.angle(average), 0.0)
+    yield held(phase, "average", angles, error / np.abs(average), np.where(band, np.angle(truth), np.nan), 0)
+    yield shown(modulus, "truth", FREQUENCY, np.abs(truth), "--", 1)
+    yield shown(phase, "truth", FREQUENCY[band], np.angle(truth[band]), "--", 1)
+
+
+def _squares(rng: np.random.Generator, truth: list[ComplexArray]) -> Array:
+    """Mean square errors of a group of targets at each of RECOVERY_DB: shape (.., R and A, modulus and phase)."""
+    squares = []
+    for level in RECOVERY_DB.tolist():
+        target = Target(20, 30, level)
+        tapes = (make_tape((COUNT, COUNT), rng, (target,), RANGE, AZIMUTH) for _ in PLACES)
+        made = estimate_transfer_function([chip_at(tape, 20, 30, clutter=1.0) for tape in tapes])
+        estimates = (made.range_response, made.azimuth_response)
+        squares.append([_square_errors(one, true) for one, true in zip(estimates, truth, strict=True)])
+    return np.array(squares)
+
+
+def _square_errors(response: ComplexArray, truth: ComplexArray) -> tuple[float, float]:
+    """Mean squares over the band of the error of the modulus, over the greatest, and of the phase (rad)."""
+    band = in_band(truth)
+    modulus = (np.abs(response) - np.abs(truth))[band] / np.abs(truth).max()
+    return float(np.mean(modulus**2)), float(np.mean(np.angle(response * truth.conj())[band] ** 2))
+
+
+def _db(amplitude: Array) -> Array:
+    return np.asarray(20 * np.log10(np.maximum(np.abs(amplitude), 1e-4)))
+
+
+_FREQUENCY = "frequency (cycles per pixel)"
+
+PSF_FIGURES = {
+    "psf_range": Figure(
+        f"PSF paper, figures 6 to 10: range response from point targets {OVER_CLUTTER_DB:.0f} dB over clutter",
+        {"|R|": (_FREQUENCY, "|R| over its mean"), "arg R": (_FREQUENCY, "arg R (rad)")},
+        12,
+        psf_range,
+    ),
+    "psf_azimuth": Figure(
+        f"PSF paper, figures 11 to 15: azimuth response from point targets {OVER_CLUTTER_DB:.0f} dB over clutter",
+        {"|A|": (_FREQUENCY, "|A| over the mean of A"), "arg A": (_FREQUENCY, "arg A (rad)")},
+        14,
+        psf_azimuth,
+    ),
+    **SPECKLE_FIGURES,
+    "psf_cut": Figure(
+        "PSF paper, figure 26: point-spread function along range, and the echoes of the sawtooth",
+        {
+            "point-spread function": ("distance from the peak (pixels)", "level (dB)"),
+            "echo": ("depth of the sawtooth", "level of the echo (dB)"),
+        },
+        6,
+        psf_cut,
+    ),
+    "psf_recovery": Figure(
+        "Errors of the responses from four point targets",
+        {"error": ("target-to-clutter ratio (dB)", "rms error (moduli over the greatest; rad)")},
+        4,
+        psf_recovery,
+    ),
+}
+"""By name."""

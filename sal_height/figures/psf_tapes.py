@@ -1,0 +1,57 @@
+"""What the PSF paper's figures share: how many tapes they see, and where their curves are held to theory."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.figures.curve import Curve, exact_curve
+from sal_height.numeric.fft import frequencies
+
+Array = npt.NDArray[np.float64]
+
+COUNT = 64
+"""Pixels along each side of chips and sub-images, those of the paper."""
+
+FREQUENCY = frequencies(COUNT)
+"""Cycles per pixel."""
+
+TRIALS_OF_A_TAPE = 1000
+"""Trials that one tape stands for: 20 tapes of the usual 20 000."""
+
+LEAST_TAPES, MOST_TAPES = 4, 40
+
+HELD = 5
+"""One frequency in so many is held to theory: bins err independently, and of hundreds some are three sigma off."""
+
+IN_BAND = 0.1
+"""Modulus of a response, over its greatest, from which on its phase is shown and it is held to theory."""
+
+
+def generators(trials: int, seed: int, figure: int, tapes: float = 1.0) -> list[np.random.Generator]:
+    """One for each tape.
+
+    Args:
+        trials: that `sal-height figures` is asked for.
+        seed: of all.
+        figure: number that tells its tapes from those of other figures.
+        tapes: over the usual number of them.
+    """
+    count = round(tapes * min(max(trials // TRIALS_OF_A_TAPE, LEAST_TAPES), MOST_TAPES))
+    return [np.random.default_rng(sequence) for sequence in np.random.SeedSequence((seed, figure)).spawn(count)]
+
+
+def in_band(response: npt.NDArray[np.complexfloating] | Array) -> npt.NDArray[np.bool_]:
+    """Where a response is worth a phase."""
+    return np.asarray(np.abs(response) > IN_BAND * np.abs(response).max())
+
+
+def held(quantity: str, case: str, value: Array, error: Array, theory: Array, colour: int) -> Curve:
+    """A curve over FREQUENCY of which one point in HELD has a closed form."""
+    closed_form = np.where(np.arange(COUNT) % HELD == 0, theory, np.nan)
+    return Curve(quantity, case, FREQUENCY, value, error, closed_form, "-", colour)
+
+
+def shown(quantity: str, case: str, x: Array, value: Array, style: str = "-", colour: int = 0) -> Curve:
+    """A curve that is there to be looked at: of one draw, or of theory itself."""
+    return exact_curve(quantity, case, x, value, np.full_like(value, np.nan), style, colour)

@@ -1,0 +1,68 @@
+"""Statistics of a sample, each with its standard error."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.theory.discriminator_noise import NORMAL_SHARES
+
+Array = npt.NDArray[np.float64]
+
+
+class Measured(NamedTuple):
+    """A statistic of a sample; NaN where the sample has none.
+
+    Attributes:
+        value: of the statistic.
+        standard_error: of the value.
+    """
+
+    value: float
+    standard_error: float
+
+
+def mean(sample: Array) -> Measured:
+    """Mean; its standard error is nominal where no variance exists."""
+    return Measured(float(np.mean(sample)), float(np.std(sample) / np.sqrt(sample.size)))
+
+
+def std(sample: Array) -> Measured:
+    """Standard deviation; its standard error comes from the fourth moment."""
+    deviation = sample - np.mean(sample)
+    variance, fourth = np.mean(deviation**2), np.mean(deviation**4)
+    with np.errstate(invalid="ignore"):
+        error = np.sqrt((fourth - variance**2) / sample.size) / (2 * np.sqrt(variance))
+    return Measured(float(np.sqrt(variance)), float(error))
+
+
+def median(sample: Array) -> Measured:
+    """Median; its standard error is 1 / (2 f sqrt(n)), with the density f at the median from the sample."""
+    return Measured(float(np.median(sample)), float(_inverse_density(sample, 0.5) / 2 / np.sqrt(sample.size)))
+
+
+def s68(sample: Array) -> Measured:
+    """Half the width from 16 to 84 %: the standard deviation of a normal distribution as wide.
+
+    The covariance of the quantiles of shares p < q is p (1 - q) / (n f_p f_q).
+    """
+    low, high = NORMAL_SHARES
+    values = np.quantile(sample, NORMAL_SHARES)
+    at_low, at_high = (_inverse_density(sample, share) for share in NORMAL_SHARES)
+    variance = low * high * (at_low**2 + at_high**2) - 2 * low * (1 - high) * at_low * at_high
+    return Measured(float(values[1] - values[0]) / 2, float(np.sqrt(variance / sample.size) / 2))
+
+
+def share(chosen: npt.NDArray[np.bool_]) -> Measured:
+    """Share of the sample that is chosen; the standard error of none or all is that of one more of each kind."""
+    smooth = (np.count_nonzero(chosen) + 1) / (chosen.size + 2)
+    return Measured(float(np.mean(chosen)), float(np.sqrt(smooth * (1 - smooth) / chosen.size)))
+
+
+def _inverse_density(sample: Array, of_share: float) -> float:
+    """1 / f at the quantile of a share: from quantiles n^(-1/3) apart in share (Hall and Sheather 1988)."""
+    half = min(sample.size ** (-1 / 3) / 2, of_share, 1 - of_share)
+    low, high = np.quantile(sample, (of_share - half, of_share + half))
+    return float((high - low) / (2 * half))

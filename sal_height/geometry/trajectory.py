@@ -1,0 +1,140 @@
+"""The platform's track: timed poses, interpolated to pulse times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from sal_height.errors import UserError
+from sal_height.geometry.frames import ApertureState
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PlatformState:
+    """One odometry sample.
+
+    Attributes:
+        stamp_ns: time, ns since the epoch.
+        position: of base_link in map, m, shape (3,).
+        orientation: quaternion x, y, z, w that turns body into map axes, shape (4,).
+        velocity: in map axes, m/s, shape (3,).
+        covariance: of the pose, as in nav_msgs/Odometry, shape (6, 6).
+    """
+
+    stamp_ns: int
+    position: Array
+    orientation: Array
+    velocity: Array
+    covariance: Array
+
+
+ROUNDING_S = 1e-9
+"""Stamps are rounded to whole nanoseconds, pulse times are not."""
+
+
+class Trajectory:
+    """Platform states in the order of time, interpolated with cubic Hermite splines (position) and slerp (attitude).
+
+    Times are kept relative to `epoch_ns` in float64, so that optical phases survive: an absolute time in float64 is
+    only good to 0.2 us, which is many wavelengths of travel.
+    """
+
+    def __init__(self, states: list[PlatformState]) -> None:
+        """Take two or more states of strictly increasing time.
+
+        Raises:
+            UserError: fewer than two states, times that do not increase, or velocities that are not those of the
+                positions.
+        """
+        if len(states) < 2:
+            raise UserError(f"The odometry has {len(states)} samples; 2 or more are needed to interpolate.")
+        self.epoch_ns = states[0].stamp_ns
+        seconds = np.array([(s.stamp_ns - self.epoch_ns) * 1e-9 for s in states])
+        if not np.all(np.diff(seconds) > 0):
+            raise UserError(
+                "The odometry's times do not increase; every sample needs a later stamp than the one before."
+            )
+        _check_velocity(states, seconds)
+        self._seconds = seconds
+        self._position = CubicHermiteSpline(
+            seconds, np.array([s.position for s in states]), np.array([s.velocity for s in states])
+        )
+        self._attitude = Slerp(seconds, Rotation.from_quat(np.array([s.orientation for s in states])))
+        self._covariance = [s.covariance for s in states]
+
+    def _offsets(self, stamp_ns: int, seconds_after: Array) -> Array:
+        """Times relative to the epoch.
+
+        Raises:
+            UserError: a time lies outside the track.
+        """
+        t = (stamp_ns - self.epoch_ns) * 1e-9 + seconds_after
+        if t[0] < self._seconds[0] - ROUNDING_S or t[-1] > self._seconds[-1] + ROUNDING_S:
+            raise UserError(
+                f"The odometry covers {self._seconds[0]:.6f} to {self._seconds[-1]:.6f} s, the aperture "
+                f"{t[0]:.6f} to {t[-1]:.6f} s of the same clock; the odometry must cover the whole aperture."
+            )
+        return t
+
+    def positions(self, stamp_ns: int, seconds_after: Array) -> Array:
+        """Positions (m) at `stamp_ns` + `seconds_after` (s, increasing), shape (times, 3).
+
+        Raises:
+            UserError: a time lies outside the track.
+        """
+        return np.asarray(self._position(self._offsets(stamp_ns, seconds_after)))
+
+    def aperture(self, stamp_ns: int, pulse_times: Array) -> ApertureState:
+        """State in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
+
+        Raises:
+            UserError: a time lies outside the track, or the platform stands still.
+        """
+        t = self._offsets(stamp_ns, pulse_times)
+        middle = float(np.clip((t[0] + t[-1]) / 2, self._seconds[0], self._seconds[-1]))
+        velocity = np.asarray(self._position(middle, 1))
+        speed = float(np.linalg.norm(velocity))
+        if not speed > 0:
+            raise UserError("The odometry's velocity is 0 in the aperture; a synthetic aperture needs motion.")
+        nearest = int(np.argmin(np.abs(self._seconds - middle)))
+        return ApertureState(
+            position=np.asarray(self._position(middle)),
+            velocity=velocity,
+            rotation=self._attitude(middle).as_matrix(),
+            length=speed * float(t[-1] - t[0]) * len(t) / (len(t) - 1),
+            covariance=self._covariance[nearest],
+        )
+
+
+VELOCITY_TOLERANCE = 0.1
+"""Share of the speed by which the stated velocity may differ from that of the positions."""
+
+
+def _check_velocity(states: list[PlatformState], seconds: Array) -> None:
+    """Refuse velocities that the positions contradict: zero, or in other axes than they should be.
+
+    Between two samples, the mean of their velocities must be the way over the time, up to VELOCITY_TOLERANCE and three
+    standard deviations of the positions.
+
+    Raises:
+        UserError: they differ by more.
+    """
+    positions, velocities = np.array([s.position for s in states]), np.array([s.velocity for s in states])
+    sigma = np.sqrt([np.trace(s.covariance[:3, :3]) for s in states])
+    steps = np.diff(seconds)
+    made = np.diff(positions, axis=0) / steps[:, None]
+    stated = (velocities[1:] + velocities[:-1]) / 2
+    allowed = VELOCITY_TOLERANCE * np.linalg.norm(made, axis=-1) + 3 * (sigma[1:] + sigma[:-1]) / steps
+    difference = np.linalg.norm(made - stated, axis=-1)
+    if np.any(difference > allowed):
+        worst = int(np.argmax(difference - allowed))
+        raise UserError(
+            f"The odometry's twist gives a velocity of {np.round(stated[worst], 3).tolist()} m/s in map, its positions "
+            f"{np.round(made[worst], 3).tolist()}; twist must be the velocity in base_link axes."
+        )

@@ -1,0 +1,208 @@
+"""From the phase history of a dwell, or of the blocks of a strip, to the images of all detectors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.errors import Rejected, UserError
+from sal_height.geometry.frames import ApertureState, Grid
+from sal_height.geometry.trajectory import Trajectory
+from sal_height.imaging.autofocus.gradient import Focus, apply_phase, autofocus, patch_centres
+from sal_height.imaging.checks import check_doppler_centroid, check_pulses, check_range_window
+from sal_height.imaging.formers.choice import choose_former
+from sal_height.imaging.pixels import ground_plane_grid, slant_plane_grid, slant_plane_size, slc_noise_power
+from sal_height.imaging.strip import (
+    GREATEST_DRIFT,
+    GREATEST_TURN,
+    Strip,
+    abeam_time,
+    begin_strip,
+    complete_columns,
+    drift,
+    extend_strip,
+    follows,
+    is_later,
+    lay_anew,
+    lay_lattice,
+    next_image,
+    starts_anew,
+    turn,
+)
+from sal_height.imaging.weighting import Processing
+from sal_height.numeric.windows import broadening
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import Sensor
+from sal_height.simulation.stripmap import aperture_length, processed_angle
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What image is wanted.
+
+    Attributes:
+        former: a name of `formers.FORMERS`, or "auto".
+        image_plane: "slant" or "ground".
+        rows: pixels in range; 0: all of the range window (slant plane).
+        cols: pixels in azimuth; 0: one beamwidth (spotlight, slant plane), or as long as a block (stripmap).
+        ground_spacing: of pixels in the ground plane, m.
+        range_window: a name of `windows.WINDOWS`.
+        azimuth_window: a name of `windows.WINDOWS`.
+        autofocus: whether to take off the phase error that all detectors share.
+    """
+
+    former: str = "auto"
+    image_plane: str = "slant"
+    rows: int = 0
+    cols: int = 0
+    ground_spacing: float = 1.0
+    range_window: str = "taylor"
+    azimuth_window: str = "rectangular"
+    autofocus: bool = False
+
+
+@dataclass(frozen=True)
+class Slc:
+    """Single-look complex images of all detectors.
+
+    Attributes:
+        images: complex64, shape (detectors, rows, cols).
+        grid: pixels.
+        aperture: state of the platform in the middle of the aperture, or of the strip's image.
+        noise_power: E|n|^2 of a pixel of each detector.
+        focus: what autofocus found; None: not asked for.
+    """
+
+    images: npt.NDArray[np.complex64]
+    grid: Grid
+    aperture: ApertureState
+    noise_power: list[float]
+    focus: Focus | None = None
+
+    @property
+    def autofocus_phase(self) -> Array:
+        """Phase that was taken off each pulse, rad; empty: none."""
+        return self.focus.phase if self.focus and self.focus.trusted else np.zeros(0)
+
+
+def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: Settings) -> Slc:
+    """Images of a spotlight dwell.
+
+    Args:
+        history: of all detectors, as fast-time frequencies.
+        track: of the platform, from the first pulse to the last.
+        sensor: with waveform "spectrum".
+        settings: what image is wanted.
+
+    Raises:
+        Rejected: pulses or frequencies do not sample the scene.
+        UserError: an image that cannot be made.
+    """
+    processing = Processing(settings.range_window, settings.azimuth_window)
+    antenna = track.positions(history.stamp_ns, history.pulse_times)
+    aperture = track.aperture(history.stamp_ns, history.pulse_times)
+    reference = float(history.reference_range[len(antenna) // 2])
+    check_pulses(sensor, antenna, aperture)
+    check_range_window(sensor, reference)
+    grid = _dwell_grid(settings, sensor, aperture, reference, processing)
+    former = choose_former(settings.former, antenna, sensor, processing, grid)
+    focus = autofocus(history, antenna, sensor, patch_centres(sensor, aperture, grid)) if settings.autofocus else None
+    if focus and focus.trusted:
+        history = apply_phase(history, focus.phase)
+    check_doppler_centroid(history, antenna, sensor, aperture, grid)
+    images = former(history, antenna, sensor, processing, grid)
+    return Slc(images, grid, aperture, slc_noise_power(sensor, processing, len(antenna)), focus)
+
+
+def _dwell_grid(
+    settings: Settings, sensor: Sensor, aperture: ApertureState, reference: float, processing: Processing
+) -> Grid:
+    if settings.image_plane == "ground":
+        if not (settings.rows and settings.cols):
+            raise UserError("Parameters rows and cols are 0; in the ground plane they must be given.")
+        shape = settings.rows, settings.cols
+        return ground_plane_grid(sensor, aperture, reference, *shape, settings.ground_spacing)
+    broadened = broadening(processing.range_weights(sensor.sample_count))
+    all_rows, all_cols = slant_plane_size(sensor, aperture, reference, broadened)
+    rows, cols = settings.rows or all_rows, settings.cols or all_cols
+    return slant_plane_grid(sensor, aperture, reference, rows, cols, broadened)
+
+
+class StripFocuser:
+    """Images of a strip, as its blocks come; holds the pulses that the next ones need."""
+
+    def __init__(self) -> None:
+        """Begin without a strip."""
+        self._strip: Strip | None = None
+        self._settings = Settings()
+
+    def needs_track_from(self, history: PhaseHistory, sensor: Sensor) -> int:
+        """Stamp (ns) of the first pulse that is needed with a block: the first held if the block goes on, or its own.
+
+        What is held of an earlier strip may be so old that its odometry is gone.
+        """
+        strip = self._strip
+        return strip.history.stamp_ns if strip and follows(history, strip, sensor) else history.stamp_ns
+
+    def focus_block(self, history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: Settings) -> Slc | None:
+        """Images of the columns that a block completes, a multiple of the settings' `cols`; None: not that many yet.
+
+        A block that does not follow the last one, or of which another image is wanted, begins a new strip; so does one
+        of a clock that has begun anew.
+
+        Args:
+            history: of all detectors, as fast-time frequencies.
+            track: of the platform, from the first pulse needed (`needs_track_from`) to the block's last.
+            sensor: with waveform "spectrum".
+            settings: what image is wanted.
+
+        Raises:
+            Rejected: pulses or frequencies do not sample the scene, or the block is older than the last one.
+            UserError: an image that cannot be made in stripmap.
+        """
+        if settings.image_plane != "slant" or settings.autofocus:
+            raise UserError(
+                f"Parameters image_plane {settings.image_plane} and autofocus {str(settings.autofocus).lower()} were "
+                "set; stripmap allows only slant and false."
+            )
+        processing = Processing(settings.range_window, settings.azimuth_window, processed_angle(sensor))
+        antenna = track.positions(history.stamp_ns, history.pulse_times)
+        aperture = track.aperture(history.stamp_ns, history.pulse_times)
+        reference = float(history.reference_range[len(antenna) // 2])
+        check_pulses(sensor, antenna, aperture)
+        check_range_window(sensor, reference)
+        shape = settings.rows, settings.cols
+        lattice = lay_lattice(sensor, processing, aperture, antenna, reference, shape)
+        strip = self._strip if self._strip and not starts_anew(history, self._strip) else None
+        if strip and not is_later(history, strip):
+            raise Rejected(
+                "out of order", "A block of the strip is not later than the last one; blocks must come in order."
+            )
+        if (
+            strip
+            and replace(settings, former=self._settings.former) == self._settings
+            and follows(history, strip, sensor)
+        ):
+            strip = extend_strip(strip, history, antenna)
+        else:
+            strip = begin_strip(history, antenna, lattice, processing)
+        drifted = abs(drift(strip)) > GREATEST_DRIFT * sensor.range_window
+        if drifted or abs(turn(strip, sensor, aperture)) > GREATEST_TURN * sensor.beamwidth:
+            strip = lay_anew(strip, lattice, processing)
+        self._strip, self._settings = strip, settings
+        cols = complete_columns(strip, processing) // lattice.cols * lattice.cols
+        if not cols:
+            return None
+        grid, self._strip = next_image(strip, cols, processing)
+        former = choose_former(settings.former, strip.antenna, sensor, processing, grid)
+        images = former(strip.history, strip.antenna, sensor, processing, grid)
+        around = abeam_time(strip, grid) + np.array([-0.5, 0.5]) / sensor.pulse_repetition_frequency
+        abeam = track.aperture(strip.history.stamp_ns, around)
+        length = aperture_length(sensor, reference)
+        pulses = round(length * len(antenna) / aperture.length)
+        noise = slc_noise_power(sensor, processing, pulses)
+        return Slc(images, grid, replace(abeam, length=length, sliding=True), noise)

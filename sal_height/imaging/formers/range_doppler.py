@@ -1,0 +1,278 @@
+"""Fast stripmap image former: the range-Doppler algorithm (Cumming & Wong, Digital Processing of SAR Data, 2005).
+
+Motion compensation to the middle of the image, and even steps along the track; azimuth FFT; in the two-dimensional
+spectrum the exact migration and secondary compression of the middle range; range compression onto a scale that
+stretches with Doppler, which corrects the migration of the other ranges; for each row the matched filter in azimuth;
+inverse FFT.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+from sal_height.errors import UserError
+from sal_height.geometry.frames import Grid
+from sal_height.imaging.formers.backprojection import valid_pixels
+from sal_height.imaging.formers.specan import ALLOWED_ERROR
+from sal_height.imaging.formers.straight_track import Resampling, resampling, straight_track
+from sal_height.imaging.weighting import Processing
+from sal_height.numeric.chirp_z import ChirpZ, chirp_z
+from sal_height.numeric.fft import Rows, blocks, fast_length, rows_at_once
+from sal_height.numeric.jit import WORKERS, compiled
+from sal_height.numeric.phasors import outer_phasors, phasors
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import Sensor
+from sal_height.simulation.stripmap import processed_angle
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex64]
+
+STRAY_CELLS = 0.2
+"""Migration, in range cells, beyond which the strong sidelobes of a rectangular azimuth window matter."""
+
+EVEN_PHASE = 0.003
+"""Greatest phase (rad) that a pulse off its even place may make at the edge of the aperture, without resampling."""
+
+SMALL_PHASE = 0.001
+"""Greatest phase (rad) by which Dopplers may differ, in migration or in the scale of range, and be treated alike."""
+
+COARSER = 1.02
+"""Greatest even step over the pulse spacing: what the pulses sample and steps do not would appear as ambiguities."""
+
+
+@dataclass(frozen=True)
+class _Filters:
+    """What is multiplied into the data of every detector alike.
+
+    Attributes:
+        compensation: of motion, with the range window, (pulses, frequencies).
+        resampling: to even steps; None: they are even.
+        places: number of even places.
+        range: from frequency to rows, for each Doppler (`before` of shape (length, frequencies)) or one for all.
+        azimuth: matched filter of each row over Doppler, with what comes after `range`, (rows, length).
+        fold: Doppler spectra that fall together where columns are that many steps apart.
+    """
+
+    compensation: ComplexArray
+    resampling: Resampling | None
+    places: int
+    range: ChirpZ
+    azimuth: ComplexArray
+    fold: int
+
+
+def focus_stripmap(
+    history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid
+) -> ComplexArray:
+    """Images of all detectors, (detectors, rows, cols); parameters and result as of `backprojection.backproject`.
+
+    Raises:
+        UserError: pulses so far apart that they do not sample the processed aperture, or the image would differ from
+            backprojection's by more than ALLOWED_ERROR, by geometry.
+    """
+    error = expected_error(antenna, sensor, grid)
+    if error > ALLOWED_ERROR:
+        raise UserError(
+            f"The former range_doppler would err by {10 * np.log10(error):.1f} dB on this strip, whose track is too "
+            "uneven or whose rows are not at even steps of range; at most "
+            f"{10 * np.log10(ALLOWED_ERROR):.0f} dB are allowed; use backprojection."
+        )
+    filters = _filters(history, antenna, sensor, processing, grid)
+    image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
+    with ThreadPoolExecutor(WORKERS) as pool:
+        detectors = iter(range(len(image)))  # of which each worker takes the next
+        list(pool.map(lambda _: _focus(history.samples, filters, image, detectors), range(WORKERS)))
+    image[:, ~valid_pixels(history, antenna, sensor, processing.angle, grid)] = np.nan
+    return image
+
+
+def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detectors: Iterator[int]) -> None:
+    """Focus some detectors, one after the other."""
+    rows, cols = image.shape[1:]
+    frequencies, length = samples.shape[2], filters.azimuth.shape[1]
+    width = length // filters.fold
+    along, across, folded = (Rows(rows_at_once(n), n) for n in (length, filters.range.length, width))
+    doppler = np.empty((length, frequencies), dtype=np.complex64)
+    compressed = np.empty((rows, length), dtype=np.complex64)
+    for detector in detectors:
+        for block in blocks(frequencies, len(along.data)):
+            lines = along.data[: block.stop - block.start]
+            if filters.resampling:
+                pulses = samples[detector, :, block] * filters.compensation[:, block]
+                lines[:, : filters.places] = filters.resampling.apply(pulses).T
+            else:
+                _multiply_transposed(samples[detector, :, block], filters.compensation[:, block], lines)
+            lines[:, filters.places :] = 0
+            along.forward()
+            doppler[:, block] = along.spectrum[: len(lines)].T
+        for block in blocks(length, len(across.data)):
+            across.load(doppler[block], _lines(filters.range.before, block))
+            across.forward()
+            across.filter(_lines(filters.range.spectrum, block))
+            across.backward()
+            compressed[:, block] = across.data[: block.stop - block.start, :rows].T
+        for block in blocks(rows, len(folded.data)):
+            lines = folded.spectrum[: block.stop - block.start]
+            np.multiply(compressed[block, :width], filters.azimuth[block, :width], out=lines)
+            for first in range(width, length, width):
+                part = slice(first, first + width)
+                lines += compressed[block, part] * filters.azimuth[block, part]
+            folded.backward()
+            image[detector, block] = folded.data[: len(lines), :cols]
+
+
+def _lines(factor: ComplexArray, block: slice) -> ComplexArray:
+    """The factor's rows of a block; its only row, if it is the same for all."""
+    return factor[block] if len(factor) > 1 else factor
+
+
+@compiled
+def _multiply_transposed(data: ComplexArray, factor: ComplexArray, result: ComplexArray) -> None:
+    """The transpose of data * factor to the beginning of the rows of `result`."""
+    for first in range(0, data.shape[0], 8):
+        for j in range(data.shape[1]):
+            line = result[j]
+            for i in range(first, min(first + 8, data.shape[0])):
+                line[i] = data[i, j] * factor[i, j]
+
+
+def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid) -> _Filters:
+    pulses, frequencies = history.samples.shape[1:]
+    track = straight_track(antenna, grid.col_direction)
+    fold = max(1, int(np.ceil(grid.col_spacing / (COARSER * track.spacing))))
+    step = grid.col_spacing / fold
+    across = grid.points(np.arange(grid.rows), np.zeros(grid.rows)) - track.middle
+    first_column = float(across[0] @ track.direction)
+    across -= (across @ track.direction)[:, None] * track.direction
+    distance = np.linalg.norm(across, axis=-1)
+    middle = float(distance[0] + distance[-1]) / 2
+    half_aperture = processing.angle * float(distance.max()) / 2
+    if step > np.pi / (sensor.centre_wavenumber * processing.angle / 2) * (1 + 1e-9):
+        raise UserError(
+            f"Pulses are {step:.3g} m apart; an aperture of {processing.angle:.3g} rad needs one every "
+            f"{np.pi / (sensor.centre_wavenumber * processing.angle / 2):.3g} m: raise the pulse repetition frequency."
+        )
+    # Motion compensation: every pulse as if sent from the straight track, for the middle range abeam of it.
+    aim = track.middle + track.places[:, None] * track.direction + across[0] / distance[0] * middle
+    delay = np.linalg.norm(aim - antenna, axis=-1) - history.reference_range
+    wavenumber = sensor.centre_wavenumber + sensor.wavenumber_step * (np.arange(frequencies) - frequencies // 2)
+    compensation = outer_phasors(delay, wavenumber)
+    compensation *= (processing.range_weights(frequencies) / frequencies).astype(np.float32)
+    # Even steps, on which columns fall, and as many as a transform without wrap-around takes.
+    begin = track.places.min()
+    places = int(np.ceil((track.places.max() - begin) / step - 1e-6)) + 1
+    wanted = begin + step * np.arange(places)
+    off = np.abs(wanted[:pulses] - track.places[: len(wanted)]).max() if places == pulses else np.inf
+    even = off * sensor.centre_wavenumber * processing.angle / 2 < EVEN_PHASE
+    length = fold * fast_length(max(grid.cols, int(np.ceil((places + half_aperture / step) / fold))))
+    doppler = 2 * np.pi * scipy.fft.fftfreq(length, step)
+    # Two-dimensional spectrum of the middle range, less its phase without migration (stationary phase).
+    row_step = (distance[-1] - distance[0]) / max(1, grid.rows - 1)
+    stretch = sensor.centre_wavenumber / np.sqrt(sensor.centre_wavenumber**2 - doppler**2)
+    scale = sensor.wavenumber_step * row_step * stretch
+    if np.ptp(scale) * frequencies / 2 * grid.rows / 2 < SMALL_PHASE:
+        scale = scale[:1]
+    scaled = chirp_z(scale, frequencies, frequencies // 2, grid.rows, (grid.rows - 1) / 2)
+    edges = _migration(middle, doppler, wavenumber[[0, -1]], sensor.centre_wavenumber)
+    before = scaled.before
+    if np.abs(edges).max() >= SMALL_PHASE:
+        before = before * phasors(_migration(middle, doppler, wavenumber, sensor.centre_wavenumber))
+    # By whole steps the replica is shifted in its spectrum, by the rest where it is made: its ends are sharp.
+    whole = step * round((first_column - begin) / step)
+    azimuth = _azimuth_filters(sensor, processing, distance, middle, step, length, begin + whole - first_column)
+    azimuth *= phasors(doppler * whole)
+    azimuth *= scaled.after.T
+    return _Filters(
+        compensation,
+        None if even else resampling(track.places, wanted),
+        places,
+        ChirpZ(before, scaled.spectrum, scaled.after),
+        azimuth,
+        fold,
+    )
+
+
+def _migration(distance: float, doppler: Array, wavenumber: Array, central: float) -> Array:
+    """Phase (rad) of the matched filter of migration at `distance` (m), less that at the `central` wavenumber.
+
+    Shape (doppler, wavenumber); all of them in rad/m.
+    """
+    square = doppler[:, None] ** 2
+    phase = square / (wavenumber + np.sqrt(wavenumber**2 - square)) - square / (central + np.sqrt(central**2 - square))
+    return np.asarray(-distance * phase)
+
+
+def _azimuth_filters(
+    sensor: Sensor, processing: Processing, distance: Array, middle: float, step: float, length: int, shift: float
+) -> ComplexArray:
+    """Spectra of the matched filters in azimuth for rows at `distance` (m), over the sum of their weights.
+
+    Their samples are `shift` (m) off whole steps from the target.
+
+    Made in time, with the weight that backprojection gives to each angle, so that both filters are the same.
+    """
+    place = step * length * scipy.fft.fftfreq(length) + shift
+    near = np.flatnonzero(np.abs(place) <= processing.angle / 2 * distance.max() * 1.01 + step)
+    replica = np.zeros((len(distance), length), dtype=np.complex64)
+
+    def fill(block: slice) -> None:
+        slant = np.sqrt(distance[block, None] ** 2 + place[near] ** 2)
+        weight = processing.angle_weights(place[near] / slant, step / slant)
+        weight /= weight.sum(axis=-1, keepdims=True) * length
+        replica[block, near] = weight.astype(np.float32) * phasors(-sensor.centre_wavenumber * (slant - middle))
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        list(pool.map(fill, blocks(len(distance), rows_at_once(length))))
+    return np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()
+
+
+def sidelobes_stray(antenna: Array, sensor: Sensor, processing: Processing, grid: Grid) -> bool:
+    """Whether strong sidelobes lie elsewhere than backprojection's: a rectangular azimuth window, and migration.
+
+    Sidelobes far along the track are corrected for the migration of where they lie, not of their target. With the other
+    windows they are so low that it does not matter.
+    """
+    if not processing.angle or processing.azimuth_window != "rectangular":
+        return False
+    farthest = float(np.linalg.norm(grid.points(grid.rows - 1, (grid.cols - 1) / 2) - antenna.mean(axis=0)))
+    migration = farthest * (1 / np.cos(processing.angle / 2) - 1)
+    return bool(migration > STRAY_CELLS * sensor.range_resolution)
+
+
+def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:
+    """Power of the difference to backprojection over that of the image, by geometry; the worst of 25 pixels.
+
+    As of `specan.expected_error`: what the compensation of motion leaves of the pulses in a pixel's aperture, by how
+    much rows are not at even steps of range, and pulses not at even steps of the track. Sidelobes far along the track,
+    which lie elsewhere where targets migrate by cells, add -40 dB if the azimuth window has low ones and -25 dB if it
+    is rectangular.
+    """
+    angle = processed_angle(sensor)
+    track = straight_track(antenna, grid.col_direction)
+    rows, cols = (np.linspace(0, n - 1, 5) for n in grid.shape)
+    pixels = grid.points(rows[:, None], cols)[:, :, None]
+    across = grid.points(np.array([0, *rows, grid.rows - 1]), np.zeros(7)) - track.middle
+    across -= (across @ track.direction)[:, None] * track.direction
+    first, *distance, last = np.linalg.norm(across, axis=-1)
+    middle = (first + last) / 2
+    aim = track.middle + track.places[:, None] * track.direction + across[0] / first * middle
+    seen = np.linalg.norm(pixels - antenna, axis=-1)
+    along = (pixels - track.middle) @ track.direction - track.places
+    straight = np.hypot(np.array(distance)[:, None, None], along)
+    left = seen - (np.linalg.norm(aim - antenna, axis=-1) - middle) - straight
+    off = np.array(distance) - np.linspace(first, last, 5)
+    error = (sensor.centre_wavenumber * left) ** 2
+    error += (np.pi / sensor.range_resolution * (left + off[:, None, None])) ** 2 / 3
+    within = np.abs(along) <= angle / 2 * seen
+    count = np.maximum(1, np.sum(within, axis=-1, keepdims=True))
+    # Even steps weigh a pulse by its distance to the next; backprojection weighs all pulses alike.
+    steps = np.gradient(track.places) * np.ones_like(seen)
+    mean_step = np.sum(steps * within, axis=-1, keepdims=True) / count
+    error += (steps / np.where(mean_step, mean_step, np.inf) - 1) ** 2
+    return float(np.max(np.sum(error * within, axis=-1, keepdims=True) / count))

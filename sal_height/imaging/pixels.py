@@ -1,0 +1,146 @@
+"""SAR images: their pixels and their noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.errors import UserError
+from sal_height.geometry.frames import ApertureState, Grid, look_direction
+from sal_height.imaging.weighting import Processing
+from sal_height.numeric.windows import noise_gain
+from sal_height.sensor.sensor import Sensor
+
+Array = npt.NDArray[np.float64]
+
+
+MAX_PIXELS = 2**24
+"""Largest image: what a message can hold and a machine can process."""
+
+
+def azimuth_resolution(sensor: Sensor, aperture: ApertureState, slant_range: float) -> float:
+    """Wavelength * range / (2 * synthetic aperture length), m: also the spacing of independent azimuth cells."""
+    return sensor.wavelength * slant_range / (2 * aperture.length)
+
+
+def slc_noise_power(sensor: Sensor, processing: Processing, pulses: int) -> list[float]:
+    """E|n|^2 of an SLC pixel of each channel: that of a sample, averaged over all, raised by the windows.
+
+    Args:
+        sensor: noise powers and frequencies.
+        processing: windows.
+        pulses: that a pixel is made of.
+    """
+    gain = noise_gain(processing.range_weights(sensor.sample_count)) * noise_gain(processing.azimuth_weights(pulses))
+    powers = np.diag(sensor.noise_covariance).real.tolist()
+    return [gain / (pulses * sensor.sample_count) * power for power in powers]
+
+
+def slant_plane_size(
+    sensor: Sensor, aperture: ApertureState, reference_range: float, range_broadening: float
+) -> tuple[int, int]:
+    """Rows and columns of a slant-plane image that covers the range window and one beamwidth along the flight."""
+    cells = sensor.beamwidth * reference_range / azimuth_resolution(sensor, aperture, reference_range)
+    return max(1, int(sensor.sample_count / range_broadening)), max(1, int(cells + 1e-6))
+
+
+def aim_point(sensor: Sensor, aperture: ApertureState, reference_range: float) -> Array:
+    """Point (m, map) in the middle of all beams at the reference range: the middle of the image."""
+    middle = np.mean(sensor.beams.span)
+    return aperture.position + reference_range * (aperture.rotation @ look_direction(middle, 0.0, sensor.look_side))
+
+
+def slant_plane_grid(
+    sensor: Sensor, aperture: ApertureState, reference_range: float, rows: int, cols: int, range_broadening: float
+) -> Grid:
+    """Image in the plane of flight and line of sight, pixels at the resolution.
+
+    So spaced, looks are nearly independent: the powers of neighbouring range looks correlate by .11 (Taylor window).
+
+    Rows grow along the line of sight, in range alone; columns across it, the way of the flight, in Doppler alone. On a
+    straight track every scatterer focuses in this plane at its own range and Doppler, whatever its elevation.
+
+    Args:
+        sensor: wavelength, bandwidth and beams.
+        aperture: state of the platform.
+        reference_range: slant range of the middle of the image, m.
+        rows: pixels in range.
+        cols: pixels in azimuth.
+        range_broadening: of the range window (`windows.broadening`).
+
+    Raises:
+        UserError: a line of sight along the flight, or too many pixels.
+    """
+    spacing = (sensor.range_resolution * range_broadening, azimuth_resolution(sensor, aperture, reference_range))
+    return _slant_plane(sensor, aperture, reference_range, aperture.direction, spacing, (rows, cols))
+
+
+def strip_grid(
+    sensor: Sensor,
+    aperture: ApertureState,
+    reference_range: float,
+    shape: tuple[int, int],
+    spacing: tuple[float, float],
+) -> Grid:
+    """Stripmap image abeam of an aperture: as `slant_plane_grid`, but with columns along the body's forward axis.
+
+    The antenna is fixed to the body and looks abeam of that axis, whichever way the wind drifts the platform.
+
+    Args:
+        sensor: beams.
+        aperture: state of the platform.
+        reference_range: slant range of the middle of the image, m.
+        shape: pixels in range and azimuth.
+        spacing: of rows and of columns, m.
+
+    Raises:
+        UserError: too many pixels.
+    """
+    return _slant_plane(sensor, aperture, reference_range, aperture.forward, spacing, shape)
+
+
+def _slant_plane(
+    sensor: Sensor,
+    aperture: ApertureState,
+    reference_range: float,
+    along: Array,
+    spacing: tuple[float, float],
+    shape: tuple[int, int],
+) -> Grid:
+    centre = aim_point(sensor, aperture, reference_range)
+    sight = (centre - aperture.position) / reference_range
+    side = _unit(along - (along @ sight) * sight, "line of sight")
+    return _centred_grid(centre, sight, side, spacing, shape)
+
+
+def ground_plane_grid(
+    sensor: Sensor, aperture: ApertureState, reference_range: float, rows: int, cols: int, spacing: float
+) -> Grid:
+    """Image in the horizontal plane through the aim point, square pixels of `spacing` m, rows pointing away.
+
+    Raises:
+        UserError: a line of sight straight down, or too many pixels.
+    """
+    centre = aim_point(sensor, aperture, reference_range)
+    away = (centre - aperture.position) * np.array([1.0, 1.0, 0.0])
+    row_direction = _unit(away, "horizontal line of sight")
+    along = np.cross([0.0, 0.0, 1.0], row_direction)
+    along *= np.sign(along @ aperture.direction) or 1.0
+    return _centred_grid(centre, row_direction, along, (spacing, spacing), (rows, cols))
+
+
+def _centred_grid(
+    centre: Array, row_direction: Array, col_direction: Array, spacing: tuple[float, float], shape: tuple[int, int]
+) -> Grid:
+    if shape[0] * shape[1] > MAX_PIXELS:
+        raise UserError(f"An image of {shape[0]} x {shape[1]} pixels was asked for; at most {MAX_PIXELS} are allowed.")
+    half = (np.array(shape) - 1) / 2 * spacing
+    origin = centre - half[0] * row_direction - half[1] * col_direction
+    return Grid(origin, row_direction, col_direction, spacing[0], spacing[1], shape[0], shape[1])
+
+
+def _unit(vector: Array, what: str) -> Array:
+    length = np.linalg.norm(vector)
+    if not length > 1e-9:
+        raise UserError(f"The {what} has no component across the flight; the sensor must look sideways.")
+    return vector / length

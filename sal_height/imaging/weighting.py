@@ -1,0 +1,54 @@
+"""How images are weighted: the windows over both bands, and how much of the beam a stripmap image uses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.numeric.windows import window
+
+Array = npt.NDArray[np.float64]
+
+TAPER_NODES = 1025
+"""Nodes of the tabulated azimuth window, which is interpolated linearly between them."""
+
+
+@dataclass(frozen=True)
+class Processing:
+    """Weights of a compression; the same for every detector.
+
+    Attributes:
+        range_window: over the bandwidth, a name of `windows.WINDOWS`.
+        azimuth_window: over the pulses of the aperture.
+        angle: processed in stripmap, rad: a target's aperture is what lies within half of it to each side of abeam;
+            0 in spotlight, where all pulses are the aperture of every target.
+    """
+
+    range_window: str = "taylor"
+    azimuth_window: str = "rectangular"
+    angle: float = 0.0
+
+    def range_weights(self, count: int) -> Array:
+        """Weights of `count` frequencies, of mean 1."""
+        return window(self.range_window, count)
+
+    def azimuth_weights(self, pulses: int) -> Array:
+        """Weights of the pulses of a spotlight aperture, of mean 1."""
+        return window(self.azimuth_window, pulses)
+
+    def angle_weights(self, sine: Array, spacing: Array) -> Array:
+        """Weights of pulses in stripmap, that of a pulse halfway over the edge of the aperture by its share within.
+
+        Args:
+            sine: of the angle between abeam and the antenna, seen from a target.
+            spacing: of neighbouring pulses, in that sine.
+        """
+        share = np.clip((self.angle / 2 - np.abs(sine)) / spacing + 0.5, 0.0, 1.0)
+        nodes = np.linspace(-self.angle / 2, self.angle / 2, TAPER_NODES)
+        return np.asarray(share * np.interp(sine, nodes, self.taper().astype(np.float64)))
+
+    def taper(self) -> npt.NDArray[np.float32]:
+        """The azimuth window over the processed angle, at TAPER_NODES even sines from end to end."""
+        return window(self.azimuth_window, TAPER_NODES).astype(np.float32)

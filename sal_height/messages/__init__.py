@@ -1,0 +1,61 @@
+"""Messages to arrays and back. Reading samples is a view; writing them costs one block copy.
+
+The only package that knows both.
+"""
+
+from sal_height.messages.basics import (
+    MAP_FRAME,
+    aperture_from_message,
+    complex_view,
+    float_view,
+    grid_from_message,
+    to_bytes,
+    to_floats,
+    to_ns,
+    to_stamp,
+)
+from sal_height.messages.calibrations import calibration_from_message, calibration_to_message
+from sal_height.messages.frames import (
+    LONGEST_DWELL,
+    check_frame,
+    history_from_messages,
+    history_to_messages,
+    state_from_message,
+    state_to_message,
+)
+from sal_height.messages.heights import field_from_message, height_picture, height_points, height_to_message
+from sal_height.messages.images import check_slc, slc_from_messages, slc_to_messages
+from sal_height.messages.relief import relief_picture, relief_points, relief_to_message
+from sal_height.messages.sensors import sensor_from_message, sensor_to_message
+
+__all__ = [
+    "LONGEST_DWELL",
+    "MAP_FRAME",
+    "aperture_from_message",
+    "calibration_from_message",
+    "calibration_to_message",
+    "check_frame",
+    "check_slc",
+    "complex_view",
+    "field_from_message",
+    "float_view",
+    "grid_from_message",
+    "height_picture",
+    "height_points",
+    "height_to_message",
+    "history_from_messages",
+    "history_to_messages",
+    "relief_picture",
+    "relief_points",
+    "relief_to_message",
+    "sensor_from_message",
+    "sensor_to_message",
+    "slc_from_messages",
+    "slc_to_messages",
+    "state_from_message",
+    "state_to_message",
+    "to_bytes",
+    "to_floats",
+    "to_ns",
+    "to_stamp",
+]

@@ -1,0 +1,148 @@
+"""What all conversions need: time, samples, vectors, grids and apertures."""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Quaternion, Vector3
+from sal_height_msgs import msg as messages
+from scipy.spatial.transform import Rotation
+
+from sal_height.errors import Rejected
+from sal_height.geometry.frames import ApertureState, Grid
+from sal_height.sensor.sensor import Sensor
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex64]
+
+MAP_FRAME = "map"
+BODY_FRAME = "base_link"
+
+
+def to_ns(stamp: Time) -> int:
+    """Nanoseconds since the epoch."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def to_stamp(ns: int) -> Time:
+    """Time message of nanoseconds since the epoch."""
+    sec, nanosec = divmod(ns, 1_000_000_000)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def to_floats(samples: npt.NDArray[np.generic]) -> array.array[float]:
+    """A float32[] field's value holding `samples` (real or complex, any shape): one block copy.
+
+    rosidl takes an array.array as it is, but converts numpy arrays element by element.
+    """
+    single = np.ascontiguousarray(samples, dtype=np.complex64 if np.iscomplexobj(samples) else np.float32)
+    floats = array.array("f")
+    floats.frombytes(single.reshape(-1).view(np.uint8).data)
+    return floats
+
+
+def to_bytes(values: npt.NDArray[np.uint8]) -> array.array[int]:
+    """A uint8[] field's value holding `values`."""
+    return array.array("B", values.tobytes())
+
+
+def complex_view(floats: Sequence[float], shape: tuple[int, ...]) -> ComplexArray:
+    """Read a float32[] field as complex samples of `shape`, without copying."""
+    return np.frombuffer(memoryview(floats), np.complex64).reshape(shape)  # type: ignore[arg-type]
+
+
+def float_view(floats: Sequence[float], shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
+    """Read a float32[] field as reals of `shape`, without copying."""
+    return np.frombuffer(memoryview(floats), np.float32).reshape(shape)  # type: ignore[arg-type]
+
+
+def grid_from_message(message: messages.ImageGrid) -> Grid:
+    """The grid an ImageGrid describes."""
+    return Grid(
+        origin=vector_of(message.origin),
+        row_direction=vector_of(message.row_direction),
+        col_direction=vector_of(message.col_direction),
+        row_spacing=message.row_spacing,
+        col_spacing=message.col_spacing,
+        rows=message.rows,
+        cols=message.cols,
+    )
+
+
+def aperture_from_message(message: messages.Aperture) -> ApertureState:
+    """The aperture an Aperture message describes."""
+    q = message.pose.pose.orientation
+    return ApertureState(
+        position=vector_of(message.pose.pose.position),
+        velocity=vector_of(message.velocity),
+        rotation=Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(),
+        length=message.length,
+        covariance=np.array(message.pose.covariance).reshape(6, 6),
+        sliding=message.sliding,
+    )
+
+
+def grid_to_message(grid: Grid) -> messages.ImageGrid:
+    """The same grid as a message."""
+    return messages.ImageGrid(
+        origin=Point(**xyz(grid.origin)),
+        row_direction=Vector3(**xyz(grid.row_direction)),
+        col_direction=Vector3(**xyz(grid.col_direction)),
+        row_spacing=grid.row_spacing,
+        col_spacing=grid.col_spacing,
+        rows=grid.rows,
+        cols=grid.cols,
+    )
+
+
+def aperture_to_message(aperture: ApertureState) -> messages.Aperture:
+    """The same aperture as a message."""
+    message = messages.Aperture(velocity=Vector3(**xyz(aperture.velocity)), length=aperture.length)
+    message.sliding = aperture.sliding
+    message.pose.pose.position = Point(**xyz(aperture.position))
+    quaternion = Rotation.from_matrix(aperture.rotation).as_quat().tolist()
+    message.pose.pose.orientation = Quaternion(**dict(zip("xyzw", quaternion, strict=True)))
+    message.pose.covariance = aperture.covariance.ravel()
+    return message
+
+
+def xyz(vector: Array) -> dict[str, float]:
+    """Coordinates by name, as Point and Vector3 take them."""
+    return dict(zip("xyz", map(float, vector), strict=True))
+
+
+def vector_of(message: Point | Vector3) -> Array:
+    """Coordinates as an array."""
+    return np.array([message.x, message.y, message.z])
+
+
+def check_geometry(image_grid: messages.ImageGrid, aperture: messages.Aperture, where: str) -> None:
+    """Make sure that the pixels of an image lie somewhere, and that something flew past them.
+
+    Raises:
+        Rejected: they do not; the sentence begins with `where`.
+    """
+    grid = grid_from_message(image_grid)
+    numbers = [grid.origin, grid.row_direction, grid.col_direction, vector_of(aperture.pose.pose.position)]
+    numbers += [vector_of(aperture.velocity), np.array([grid.row_spacing, grid.col_spacing])]
+    if not np.all(np.isfinite(np.concatenate(numbers))):
+        raise Rejected("not finite", f"{where}: grid or aperture is NaN or infinite; all must be finite.")
+    q = aperture.pose.pose.orientation
+    norms = [np.linalg.norm(v) for v in (grid.row_direction, grid.col_direction, [q.x, q.y, q.z, q.w])]
+    if not (np.allclose(norms, 1, atol=0.01) and grid.row_spacing > 0 and grid.col_spacing > 0):
+        raise Rejected(
+            "wrong geometry",
+            f"{where}: directions and orientation must have norm 1, spacings be greater than 0.",
+        )
+    if not np.linalg.norm(vector_of(aperture.velocity)) > 0:
+        raise Rejected("wrong geometry", f"{where}: aperture.velocity is 0; a synthetic aperture needs motion.")
+
+
+def check_detector(detector: int, sensor: Sensor, where: str) -> None:
+    """Make sure that the sensor has a detector of that number; the sentence of the Rejected begins with `where`."""
+    if detector >= sensor.detector_count:
+        raise Rejected("unknown detector", f"{where}: SensorInfo has detectors 0 to {sensor.detector_count - 1}.")

@@ -1,0 +1,160 @@
+"""Platform states and phase histories."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Quaternion, Vector3
+from nav_msgs.msg import Odometry
+from sal_height_msgs import msg as messages
+from scipy.spatial.transform import Rotation
+from std_msgs.msg import Header
+
+from sal_height.errors import Rejected
+from sal_height.geometry.trajectory import PlatformState
+from sal_height.messages.basics import (
+    BODY_FRAME,
+    MAP_FRAME,
+    check_detector,
+    complex_view,
+    to_floats,
+    to_ns,
+    vector_of,
+    xyz,
+)
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import Sensor
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex64]
+
+
+LONGEST_DWELL = 3600.0
+"""Longest time from a frame's stamp to its last pulse, s."""
+
+GREATEST_RANGE = 1e8
+"""Greatest reference range of a frame, m."""
+
+
+def state_to_message(state: PlatformState, stamp: Time) -> Odometry:
+    """Odometry of a platform state (pose of base_link in map, twist in base_link)."""
+    message = Odometry(header=Header(stamp=stamp, frame_id=MAP_FRAME), child_frame_id=BODY_FRAME)
+    message.pose.pose.position = Point(**xyz(state.position))
+    message.pose.pose.orientation = Quaternion(**dict(zip("xyzw", state.orientation.tolist(), strict=True)))
+    message.pose.covariance = state.covariance.ravel()
+    body_velocity = Rotation.from_quat(state.orientation).inv().apply(state.velocity)
+    message.twist.twist.linear = Vector3(**xyz(body_velocity))
+    return message
+
+
+def state_from_message(message: Odometry) -> PlatformState:
+    """The platform state an Odometry describes.
+
+    Raises:
+        Rejected: other frames than map and base_link, values that are not finite, or an orientation that is no
+            rotation.
+    """
+    frames = (message.header.frame_id, message.child_frame_id)
+    if frames != (MAP_FRAME, BODY_FRAME):
+        raise Rejected(
+            "wrong frames",
+            f"Odometry is of {frames[1]!r} in {frames[0]!r}; it must be of {BODY_FRAME!r} in {MAP_FRAME!r} (ENU, FLU).",
+        )
+    pose, twist = message.pose.pose, message.twist.twist.linear
+    orientation = np.array([pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w])
+    position, body_velocity = vector_of(pose.position), vector_of(twist)
+    if not np.all(np.isfinite(np.concatenate([orientation, position, body_velocity]))):
+        raise Rejected("not finite", "Odometry has a value that is NaN or infinite; all must be finite.")
+    if not 0.99 < np.linalg.norm(orientation) < 1.01:
+        raise Rejected("no rotation", f"Odometry orientation {orientation} has not the norm 1 of a rotation.")
+    return PlatformState(
+        stamp_ns=to_ns(message.header.stamp),
+        position=position,
+        orientation=orientation,
+        velocity=np.asarray(Rotation.from_quat(orientation).apply(body_velocity)),
+        covariance=np.array(message.pose.covariance).reshape(6, 6),
+    )
+
+
+def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp: Time) -> list[messages.DetectorFrame]:
+    """One DetectorFrame per detector."""
+    return [
+        messages.DetectorFrame(
+            header=Header(stamp=stamp, frame_id=BODY_FRAME),
+            dwell=dwell,
+            detector=detector,
+            config_hash=sensor.config_hash,
+            pulse_count=samples.shape[0],
+            sample_count=samples.shape[1],
+            pulse_time=history.pulse_times.tolist(),
+            reference_range=history.reference_range.tolist(),
+            samples=to_floats(samples),
+        )
+        for detector, samples in enumerate(history.samples)
+    ]
+
+
+def check_frame(frame: messages.DetectorFrame, sensor: Sensor) -> None:
+    """Make sure a frame can be processed with `sensor`.
+
+    Raises:
+        Rejected: it cannot; the sentence names the field, the value and what is allowed.
+    """
+    where = f"DetectorFrame of dwell {frame.dwell}, detector {frame.detector}"
+    check_detector(frame.detector, sensor, where)
+    expected = (sensor.pulse_count, sensor.sample_count)
+    if (frame.pulse_count, frame.sample_count) != expected:
+        raise Rejected(
+            "contradicts sensor info",
+            f"{where}: {frame.pulse_count} pulses x {frame.sample_count} samples, SensorInfo says "
+            f"{expected[0]} x {expected[1]}.",
+        )
+    wanted = {"samples": 2 * expected[0] * expected[1], "pulse_time": expected[0], "reference_range": expected[0]}
+    for field, count in wanted.items():
+        if len(getattr(frame, field)) != count:
+            raise Rejected(
+                "wrong size", f"{where}: {field} has {len(getattr(frame, field))} entries instead of {count}."
+            )
+    for field in wanted:
+        if not np.all(np.isfinite(np.frombuffer(getattr(frame, field), "f4" if field == "samples" else "f8"))):
+            raise Rejected("not finite", f"{where}: {field} has NaN or infinite entries; all must be finite.")
+    times = np.asarray(frame.pulse_time)
+    if np.any(np.diff(times) < 0) or times[0] < 0 or not times[0] < times[-1] <= LONGEST_DWELL:
+        raise Rejected(
+            "wrong pulse times",
+            f"{where}: pulse_time runs from {times[0]:g} to {times[-1]:g} s; it must not decrease, and lie between 0 "
+            f"and {LONGEST_DWELL:g} s.",
+        )
+    ranges = np.asarray(frame.reference_range)
+    if not np.all((ranges > 0) & (ranges <= GREATEST_RANGE)):
+        raise Rejected(
+            "wrong reference range",
+            f"{where}: reference_range runs from {ranges.min():g} to {ranges.max():g} m; it must be greater than 0 and "
+            f"at most {GREATEST_RANGE:g} m.",
+        )
+
+
+def history_from_messages(frames: Sequence[messages.DetectorFrame]) -> PhaseHistory:
+    """Phase history of the checked frames of all detectors of a dwell, in the order of detectors.
+
+    Raises:
+        Rejected: the detectors disagree on pulse times or reference ranges.
+    """
+    first = frames[0]
+    for frame in frames[1:]:
+        if frame.pulse_time != first.pulse_time or frame.reference_range != first.reference_range:
+            raise Rejected(
+                "detectors disagree",
+                f"Dwell {first.dwell}: detector {frame.detector} has other pulse times or reference ranges than "
+                f"detector {first.detector}; all must share them.",
+            )
+    shape = (first.pulse_count, first.sample_count)
+    return PhaseHistory(
+        stamp_ns=to_ns(first.header.stamp),
+        pulse_times=np.array(first.pulse_time),
+        reference_range=np.array(first.reference_range),
+        samples=np.stack([complex_view(frame.samples, shape) for frame in frames]),
+    )

@@ -1,0 +1,50 @@
+"""Relief maps, and pictures and points for viewers."""
+
+from __future__ import annotations
+
+import array
+
+import numpy as np
+from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
+from sensor_msgs.msg import Image, PointCloud2
+
+from sal_height.geometry.frames import EARTH_RADIUS, sphere_point
+from sal_height.messages.basics import to_floats
+from sal_height.messages.heights import float_picture, point_cloud
+from sal_height.relief.map import Relief
+
+
+def relief_to_message(relief: Relief, images: int, last: HeightImage, provenance: Provenance) -> ReliefMap:
+    """ReliefMap of `images` height images, with stamp, dwell and estimator of the `last` one."""
+    rows, cols = relief.height.shape
+    return ReliefMap(
+        header=last.header,
+        dwell=last.dwell,
+        images=images,
+        estimator=last.estimator,
+        earth_radius=EARTH_RADIUS,
+        origin_east=relief.east,
+        origin_north=relief.north,
+        cell_size=relief.cell_size,
+        rows=rows,
+        cols=cols,
+        height=to_floats(relief.height),
+        sigma=to_floats(relief.sigma),
+        disagreement=to_floats(relief.disagreement),
+        count=array.array("I", relief.count.tobytes()),
+        provenance=provenance,
+    )
+
+
+def relief_picture(relief: Relief, last: HeightImage) -> Image:
+    """The heights as a 32FC1 image with north up, NaN where nothing was seen: for any image viewer."""
+    return float_picture(relief.height[::-1], last.header)
+
+
+def relief_points(relief: Relief, last: HeightImage) -> PointCloud2:
+    """The cells that were seen as points x, y, z in map with height and sigma: for any point-cloud viewer."""
+    row, col = np.nonzero(relief.count)
+    height, sigma = (layer[row, col].astype(np.float64) for layer in (relief.height, relief.sigma))
+    east, north = relief.east + relief.cell_size * col, relief.north + relief.cell_size * row
+    points = np.column_stack([sphere_point(east, north, height), height, sigma]).astype(np.float32)
+    return point_cloud(points, ("x", "y", "z", "height", "sigma"), last.header)

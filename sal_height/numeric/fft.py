@@ -1,0 +1,105 @@
+"""FFTs of rows, as fast as the machine has them: FFTW where pyfftw is installed, scipy's otherwise."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+from sal_height.numeric.jit import compiled
+
+ComplexArray = npt.NDArray[np.complex64]
+
+BUFFER = 2**16
+"""Numbers in a buffer: half a megabyte."""
+
+BACKEND = "pyfftw" if find_spec("pyfftw") else "scipy"
+
+
+def fast_length(least: int) -> int:
+    """Smallest length from `least` on that suits FFTs and vector units: a multiple of 16, with factors 2, 3 and 5."""
+    return 16 * int(scipy.fft.next_fast_len(-(-least // 16), real=True))
+
+
+def rows_at_once(length: int) -> int:
+    """Rows of that length that fit into a processor's cache together."""
+    return max(1, BUFFER // length)
+
+
+def blocks(count: int, size: int) -> list[slice]:
+    """`count` rows in blocks of `size`, the last of which may be smaller."""
+    return [slice(first, min(first + size, count)) for first in range(0, count, size)]
+
+
+class Rows:
+    """Two buffers of rows, small enough for a processor's cache, and the transforms between them; for one thread.
+
+    Two, because the plans that FFTW makes by rule are fast from one buffer to another, and slow in place. By rule,
+    because plans chosen by timing differ from process to process, and with them the last digits of images.
+
+    Attributes:
+        data: complex64, shape (rows, length).
+        spectrum: complex64, shape (rows, length).
+    """
+
+    def __init__(self, rows: int, length: int) -> None:
+        """Plan the transforms of `rows` rows of `length` numbers."""
+        self.data: ComplexArray
+        self.spectrum: ComplexArray
+        if BACKEND == "pyfftw":
+            fftw: Any = import_module("pyfftw")
+            self.data, self.spectrum = (fftw.zeros_aligned((rows, length), dtype="complex64") for _ in range(2))
+            rule = ("FFTW_ESTIMATE",)
+            self._forward = fftw.FFTW(self.data, self.spectrum, direction="FFTW_FORWARD", flags=rule).execute
+            self._backward = fftw.FFTW(self.spectrum, self.data, direction="FFTW_BACKWARD", flags=rule).execute
+        else:
+            self.data, self.spectrum = (np.zeros((rows, length), dtype=np.complex64) for _ in range(2))
+
+    def load(self, values: ComplexArray, factor: ComplexArray) -> None:
+        """Put values * factor into the beginnings of `data`, then zeros; shapes (some rows, n), (as many or 1, n)."""
+        _multiply_padded(values, factor, self.data)
+
+    def filter(self, factor: ComplexArray) -> None:
+        """Multiply the first rows of `spectrum` by `factor` of shape (some rows or 1, length)."""
+        _multiply(self.spectrum, factor)
+
+    def forward(self) -> None:
+        """Put the FFT of every row of `data`, exp(-j 2 pi k n / length), not scaled, into `spectrum`."""
+        if BACKEND == "pyfftw":
+            self._forward()
+        else:
+            self.spectrum[:] = scipy.fft.fft(self.data, axis=-1)
+
+    def backward(self) -> None:
+        """Put the FFT of every row of `spectrum` with exp(+j 2 pi k n / length), not scaled, into `data`."""
+        if BACKEND == "pyfftw":
+            self._backward()
+        else:
+            self.data[:] = scipy.fft.ifft(self.spectrum, axis=-1, norm="forward")
+
+
+@compiled
+def _multiply_padded(values: ComplexArray, factor: ComplexArray, result: ComplexArray) -> None:
+    count = values.shape[1]
+    for i in range(values.shape[0]):
+        given, weight, made = values[i], factor[i if factor.shape[0] > 1 else 0], result[i]
+        for j in range(count):
+            made[j] = given[j] * weight[j]
+        made[count:] = 0
+
+
+@compiled
+def _multiply(values: ComplexArray, factor: ComplexArray) -> None:
+    for i in range(values.shape[0] if factor.shape[0] == 1 else factor.shape[0]):
+        made, weight = values[i], factor[i if factor.shape[0] > 1 else 0]
+        for j in range(made.size):
+            made[j] *= weight[j]
+
+
+def frequencies(count: int) -> npt.NDArray[np.float64]:
+    """Of `count` bins, cycles per pixel: from -1/2 up, as `numpy.fft.fftshift` puts them."""
+    return np.asarray((np.arange(count) - count // 2) / count, dtype=np.float64)

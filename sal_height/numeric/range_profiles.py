@@ -1,0 +1,85 @@
+"""Range profiles between their samples: a spectrum becomes samples so dense that a short kernel reads any range.
+
+The spectrum is divided by the transform of a Kaiser-Bessel kernel, zero-padded and transformed; the kernel then
+interpolates without error but for what it aliases (non-uniform FFT: Beatty et al., IEEE Trans. Med. Imaging 24, 2005).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+from scipy.special import i0
+
+from sal_height.numeric.jit import compiled
+
+Array = npt.NDArray[np.float64]
+FloatArray = npt.NDArray[np.float32]
+ComplexArray = npt.NDArray[np.complex64]
+
+OVERSAMPLING = 2
+"""Dense samples per resolution cell of the unweighted band."""
+
+TAPS = 6
+"""Length of the kernel in dense samples: with OVERSAMPLING, aliases lie 105 dB below the profile."""
+
+DEGREE = 10
+"""Of the polynomials that stand for the kernel's taps; their error is that of float32."""
+
+_SHAPE = float(np.pi * np.sqrt((TAPS / OVERSAMPLING * (OVERSAMPLING - 0.5)) ** 2 - 0.8))
+
+
+def tap_polynomials() -> FloatArray:
+    """Weight of every tap as a polynomial of the fraction by which a position lies past a sample: (TAPS, DEGREE + 1).
+
+    Coefficients of rising powers. Tap j belongs to the sample j - TAPS / 2 + 1 past that before the position.
+    """
+    fraction = (1 - np.cos(np.pi * (np.arange(64) + 0.5) / 64)) / 2
+    offsets = fraction[:, None] + TAPS // 2 - 1 - np.arange(TAPS)
+    kernel = i0(_SHAPE * np.sqrt(np.maximum(0.0, 1 - (2 * offsets / TAPS) ** 2)))
+    fit = np.polynomial.polynomial.polyfit(fraction, kernel, DEGREE).T
+    return np.ascontiguousarray(fit, dtype=np.float32)
+
+
+def dense_profiles(spectra: ComplexArray, weights: Array) -> FloatArray:
+    """Dense range profiles of some pulses, ready to be interpolated.
+
+    Args:
+        spectra: fast-time frequencies, shape (detectors, pulses, frequencies).
+        weights: of the frequencies, shape (frequencies,).
+
+    Returns:
+        Shape (pulses, OVERSAMPLING * frequencies + TAPS, 2, detectors): real and imaginary parts apart and detectors
+        side by side, as a processor can add them at once. Index i belongs to the delay
+        (i - TAPS / 2 - OVERSAMPLING * frequencies // 2) / OVERSAMPLING cells; the profile repeats itself at the ends.
+    """
+    detectors, pulses, count = spectra.shape
+    dense = OVERSAMPLING * count
+    frequency = np.arange(count) - count // 2
+    root = np.sqrt(_SHAPE**2 - (np.pi * TAPS * frequency / dense) ** 2)
+    # A sign that alternates in frequency is half a period in delay: it puts the delay 0 into the middle.
+    factor = (np.where(frequency % 2, -1, 1) * weights * root / (TAPS * np.sinh(root))).astype(np.float32)
+    middle = count // 2
+    padded = np.zeros((detectors, pulses, dense), dtype=np.complex64)
+    np.multiply(spectra[..., middle:], factor[middle:], out=padded[..., : count - middle])
+    np.multiply(spectra[..., :middle], factor[:middle], out=padded[..., dense - middle :])
+    profile = scipy.fft.ifft(padded, axis=-1, norm="forward", overwrite_x=True)
+    ready = np.empty((pulses, dense + TAPS, 2, detectors), dtype=np.float32)
+    for part, values in enumerate((profile.real, profile.imag)):
+        ready[:, TAPS // 2 : -TAPS // 2, part] = values.transpose(1, 2, 0)
+    ready[:, : TAPS // 2] = ready[:, dense : dense + TAPS // 2]
+    ready[:, -(TAPS // 2) :] = ready[:, TAPS // 2 : TAPS]
+    return ready
+
+
+@compiled
+def tap_weights(fraction: FloatArray, taps: FloatArray) -> FloatArray:
+    """Values of `tap_polynomials` at each fraction, shape (TAPS, fractions); written out so that it is vectorised."""
+    weights = np.empty((taps.shape[0], fraction.size), np.float32)
+    for j in range(taps.shape[0]):
+        p, weight = taps[j], weights[j]
+        for i in range(fraction.size):
+            t = fraction[i]
+            high = p[6] + t * (p[7] + t * (p[8] + t * (p[9] + t * p[10])))
+            weight[i] = p[0] + t * (p[1] + t * (p[2] + t * (p[3] + t * (p[4] + t * (p[5] + t * high)))))
+    return weights

@@ -1,0 +1,226 @@
+"""Relief tracked in both directions: every cell told by its neighbours along range and along the flight.
+
+The relief is the Gaussian field whose correlation falls exponentially along range and along the flight,
+
+    cov(h, h') = s^2 exp(-|distance along range| / l) exp(-|distance along the flight| / l):
+
+along range a line of cells is a Gauss-Markov process whose state is the whole line. The Kalman filter and the smoother
+of Rauch, Tung and Striebel with that state are exact, but cost the cube of the line's length. Therefore long lines are
+cut into windows of WINDOW cells that overlap, and each cell takes its height from the window in whose middle it lies.
+Within a window all is exact: what comes out is the posterior from the measurements of the window's columns, and its
+standard deviation is right; what is lost is only what columns farther away would have added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.numeric.jit import in_parallel
+from sal_height.relief.range_tracking import (
+    GATE,
+    Heights,
+    Mask,
+    ReliefPrior,
+    TrackedRelief,
+    estimated_prior,
+    flattest,
+    measurements,
+    minimised,
+    smoothed,
+)
+
+Array = npt.NDArray[np.float64]
+
+WINDOW = 32
+"""Columns that are tracked together."""
+
+MARGIN = 8
+"""Columns on both sides of those that take their heights from a window."""
+
+WINDOWS_OF_PRIOR = 2
+ROWS_OF_PRIOR = 256
+"""Windows, and rows in the middle of the image, from which a prior is estimated."""
+
+NUMBERS_HELD = 2**23
+"""Of the covariances that the smoother comes back to."""
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A row of a window as the state of a Gauss-Markov process along range.
+
+    Attributes:
+        phi: correlation from row to row.
+        covariance: of a line before it is measured, m^2, shape (size, size).
+        noise: of what a step adds to a line, m^2, shape (size, size).
+    """
+
+    phi: float
+    covariance: Array
+    noise: Array
+
+    @classmethod
+    def of(cls, prior: ReliefPrior, spacings: tuple[float, float], size: int) -> _Line:
+        """Line of `size` cells of a relief."""
+        steps = np.arange(size) * spacings[1]
+        beside = prior.correlation(steps[:, None] - steps)
+        return cls(float(prior.correlation(spacings[0])), prior.sigma**2 * beside, prior.noise(spacings[0]) * beside)
+
+
+def estimated_field_prior(
+    height: Heights,
+    sigma: Heights,
+    spacings: tuple[float, float],
+    length: float | None = None,
+    relief_sigma: float | None = None,
+) -> ReliefPrior:
+    """The prior under which the heights of up to WINDOWS_OF_PRIOR windows together are most likely.
+
+    Its mean, and what is an outlier, come from `relief_tracking.estimated_prior` and the tracks along range with it.
+    The prior that suits single columns would promise too much here: what a product of two exponentials says of squares
+    of cells, no track along range has seen.
+
+    Args:
+        height: measured, m, shape (rows, cols), as of `relief_tracking.filtered`.
+        sigma: its standard deviation, m.
+        spacings: way on the ground from row to row, and from column to column, m.
+        length: correlation length, m; None: estimated.
+        relief_sigma: standard deviation of the relief, m; None: estimated.
+
+    Raises:
+        UserError: as `relief_tracking.estimated_prior`.
+    """
+    alone = estimated_prior(height, sigma, spacings[0], length, relief_sigma)
+    deviation, precision, _ = _inliers(height, sigma, spacings[0], alone, GATE)
+    rows, cols = height.shape
+    size = min(WINDOW, cols)
+    starts = _window_starts(cols)
+    chosen = starts[np.linspace(0, len(starts) - 1, min(len(starts), WINDOWS_OF_PRIOR)).astype(np.intp)]
+    first = max(0, (rows - ROWS_OF_PRIOR) // 2)
+    part = np.s_[first : first + ROWS_OF_PRIOR, chosen[:, None] + np.arange(size)]
+
+    def misfit(values: Array) -> float:
+        line = _Line.of(ReliefPrior(*np.exp(values).tolist()), spacings, size)
+        return -sum(step.log_likelihood for step in _filtered_lines(deviation[part], precision[part], line))
+
+    free = np.array([length is None, relief_sigma is None])
+    start = np.log([alone.length, alone.sigma])
+    if np.any(free):
+        lowest = np.array([start[0] - np.log(100), np.log(flattest(precision))])
+        start = minimised(misfit, start, free, lowest, start + np.log(100))
+    return ReliefPrior(float(np.exp(start[0])), float(np.exp(start[1])), alone.mean)
+
+
+def smoothed_field(
+    height: Heights, sigma: Heights, spacings: tuple[float, float], prior: ReliefPrior, gate: float = GATE
+) -> TrackedRelief:
+    """Heights from all cells along range of up to WINDOW columns around; exact where there are no more than those.
+
+    Args:
+        height: measured, m, shape (rows, cols), as of `relief_tracking.filtered`.
+        sigma: its standard deviation, m.
+        spacings: way on the ground from row to row, and from column to column, m.
+        prior: of the relief, the same along both.
+        gate: `relief_tracking.smoothed` along range says what is an outlier, standard deviations.
+
+    Raises:
+        UserError: as `relief_tracking.filtered`.
+    """
+    deviation, precision, outlier = _inliers(height, sigma, spacings[0], prior, gate)
+    rows, cols = height.shape
+    size = min(WINDOW, cols)
+    line = _Line.of(prior, spacings, size)
+    result = TrackedRelief(np.empty_like(height), np.empty_like(height), outlier)
+    starts = _window_starts(cols)
+
+    def work(part: slice) -> None:
+        at_once = max(1, NUMBERS_HELD // (rows * size**2))
+        for first in range(part.start, part.stop, at_once):
+            some = starts[first : min(first + at_once, part.stop)]
+            columns = some[:, None] + np.arange(size)
+            state, variance = _smoothed_lines(deviation[:, columns], precision[:, columns], line)
+            for index, start in enumerate(some.tolist()):
+                inner = slice(MARGIN if start else 0, size - MARGIN if start + size < cols else size)
+                there = np.s_[:, start + inner.start : start + inner.stop]
+                result.height[there] = state[:, index, inner] + prior.mean
+                result.sigma[there] = np.sqrt(variance[:, index, inner])
+
+    in_parallel(work, len(starts))
+    return result
+
+
+def _inliers(
+    height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float
+) -> tuple[Array, Array, Mask]:
+    """`measurements` without those that tracks along range leave out, and where these are."""
+    outlier = smoothed(height, sigma, spacing, prior, gate).outlier
+    deviation, precision = measurements(height, sigma, prior.mean)
+    precision[outlier] = 0.0
+    return deviation, precision, outlier
+
+
+def _window_starts(cols: int) -> npt.NDArray[np.intp]:
+    """First columns of the windows: all but their margins join, and the last ends with the image."""
+    if cols <= WINDOW:
+        return np.zeros(1, np.intp)
+    return np.minimum(np.arange(0, cols - 2 * MARGIN, WINDOW - 2 * MARGIN), cols - WINDOW)
+
+
+class _Step(NamedTuple):
+    """A row of windows after it was measured.
+
+    Attributes:
+        state: m, shape (windows, size).
+        covariance: m^2, shape (windows, size, size).
+        log_likelihood: of its measurements, but for what does not depend on the prior.
+    """
+
+    state: Array
+    covariance: Array
+    log_likelihood: float
+
+
+def _filtered_lines(deviation: Array, precision: Array, line: _Line) -> Iterator[_Step]:
+    """Kalman filter over the rows of measured deviations (m) and precisions (1 / m^2), shape (rows, windows, size)."""
+    _, windows, size = deviation.shape
+    state, spread = np.zeros((windows, size)), np.broadcast_to(line.covariance, (windows, size, size))
+    for measured, weight in zip(deviation, precision, strict=True):
+        root = np.sqrt(weight)
+        scaled = root[:, :, None] * spread
+        factor = np.linalg.cholesky(np.eye(size) + scaled * root[:, None, :])
+        whitened = np.linalg.solve(factor, np.concatenate([scaled, (root * (measured - state))[..., None]], axis=-1))
+        gain, innovation = np.swapaxes(whitened[..., :-1], -1, -2), whitened[..., -1]
+        log_volume = float(np.sum(np.log(np.diagonal(factor, axis1=-2, axis2=-1))))
+        log_likelihood = -float(np.sum(innovation**2)) / 2 - log_volume
+        covariance = spread - gain @ whitened[..., :-1]
+        state = state + _times(gain, innovation)
+        yield _Step(state, covariance, log_likelihood)
+        state, spread = line.phi * state, line.phi**2 * covariance + line.noise
+
+
+def _smoothed_lines(deviation: Array, precision: Array, line: _Line) -> tuple[Array, Array]:
+    """Smoothed states (m) and variances (m^2); shapes as of `_filtered_lines`."""
+    rows, windows, size = deviation.shape
+    states, covariances = np.empty_like(deviation), np.empty((rows, windows, size, size))
+    for i, step in enumerate(_filtered_lines(deviation, precision, line)):
+        states[i], covariances[i] = step.state, step.covariance
+    variances = np.empty_like(deviation)
+    state, spread = states[-1], covariances[-1]
+    variances[-1] = np.diagonal(spread, axis1=-2, axis2=-1)
+    for i in range(rows - 2, -1, -1):
+        predicted = line.phi**2 * covariances[i] + line.noise
+        back = np.swapaxes(np.linalg.solve(predicted, line.phi * covariances[i]), -1, -2)
+        state = states[i] + _times(back, state - line.phi * states[i])
+        spread = covariances[i] + back @ (spread - predicted) @ np.swapaxes(back, -1, -2)
+        states[i], variances[i] = state, np.diagonal(spread, axis1=-2, axis2=-1)
+    return states, variances
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Each matrix times its vector."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])

@@ -1,0 +1,226 @@
+"""Elevation becomes height: where on the ground the scatterer of each pixel lies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.beams.array import Beams
+from sal_height.elevation.estimate import ElevationEstimate, Validity
+from sal_height.elevation.looks import Looks, Window
+from sal_height.geometry.frames import (
+    EARTH_RADIUS,
+    ApertureState,
+    Grid,
+    angles_of,
+    aperture_at,
+    height_of,
+    locate,
+    look_direction,
+    squint_on_cone,
+)
+
+Array = npt.NDArray[np.float64]
+
+RIGHT = 1
+"""Side from which elevations may be counted for both sides: those on the left are then negative."""
+
+SLOPE_STEP = 1e-6
+"""Half step in rad of the central difference that gives the slope of height over elevation."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One scatterer of each pixel; arrays of shape (rows, cols) of the height image, NaN where there is none.
+
+    Attributes:
+        height: above the sphere, m.
+        sigma: standard deviation of height, m, with that of the platform's pose.
+        cnr_db: carrier-to-noise ratio of one look, dB.
+        positions: in map, m, shape (rows, cols, 3).
+    """
+
+    height: Array
+    sigma: Array
+    cnr_db: Array
+    positions: Array
+
+
+@dataclass(frozen=True)
+class HeightField:
+    """Heights of one dwell.
+
+    Attributes:
+        grid: pixels of the height image.
+        validity: `Validity` of each pixel, uint8, shape (rows, cols).
+        first: the only or the stronger scatterer of the pixels with OK, TWO_SCATTERERS or INTERPOLATED; `cnr_db` of
+            all pixels that have a signal.
+        second: the weaker one of the pixels with TWO_SCATTERERS; None: not looked for.
+    """
+
+    grid: Grid
+    validity: npt.NDArray[np.uint8]
+    first: Surface
+    second: Surface | None
+
+
+@dataclass(frozen=True)
+class _Circles:
+    """What range and Doppler of each pixel leave open: where on a circle its scatterer lies.
+
+    Attributes:
+        aperture: state of the platform, not sliding (`geometry.aperture_at`).
+        look_side: +1 right, -1 left.
+        slant_range: m, shape (rows, cols).
+        along: way along the flight to the scatterers, m, shape (rows, cols).
+        range_step: from one row of the SLC to the next, m.
+        range_sigma: standard deviation of range, m.
+    """
+
+    aperture: ApertureState
+    look_side: int
+    slant_range: Array
+    along: Array
+    range_step: float
+    range_sigma: Array
+
+    def surface(self, elevation: Array, sigma: Array, cnr: Array) -> Surface:
+        """Height and place of scatterers at `elevation` with `sigma` (rad); NaN where there is no such direction."""
+        below, positions, above = (self._at(elevation + shift) for shift in (-SLOPE_STEP, 0.0, SLOPE_STEP))
+        height = height_of(positions)
+        slope = (height_of(above) - height_of(below)) / (2 * SLOPE_STEP)
+        depth = (height_of(self._at(elevation, self.range_step)) - height) / self.range_step
+        variance = (sigma * slope) ** 2 + (self.range_sigma * depth) ** 2
+        variance += pose_variance(elevation, slope, positions, self.aperture, self.look_side)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cnr_db = 10 * np.log10(np.where(cnr > 0, cnr, np.nan))
+        return Surface(height, np.sqrt(variance), cnr_db, positions)
+
+    def _at(self, elevation: Array, farther: float = 0.0) -> Array:
+        return locate(elevation, self.slant_range + farther, self.along, self.aperture, self.look_side)
+
+
+def look_grid(grid: Grid, down: Window, across: Window) -> Grid:
+    """Grid of the pixels whose looks are those windows of `grid`, in range and azimuth."""
+    return Grid(
+        origin=grid.points(down.middle, across.middle),
+        row_direction=grid.row_direction,
+        col_direction=grid.col_direction,
+        row_spacing=grid.row_spacing * down.step,
+        col_spacing=grid.col_spacing * across.step,
+        rows=down.pixels(grid.rows),
+        cols=across.pixels(grid.cols),
+    )
+
+
+def column_squint(grid: Grid, aperture: ApertureState, beams: Beams, look_side: int) -> Array:
+    """Squint (rad) under which each column of `grid` is seen at the middle row and the middle of the beams, (cols,)."""
+    points = grid.points((grid.rows - 1) / 2, np.arange(grid.cols))
+    sight = points - aperture_at(points, aperture).position
+    cone = sight @ aperture.direction / np.linalg.norm(sight, axis=-1)
+    return squint_on_cone(np.mean(beams.span), cone, aperture, look_side)
+
+
+def height_field(
+    estimate: ElevationEstimate,
+    looks: Looks,
+    slc_grid: Grid,
+    grid: Grid,
+    aperture: ApertureState,
+    look_side: int,
+    radial_velocity: float = 0.0,
+) -> HeightField:
+    """Height, its uncertainty and the ground position of every pixel.
+
+    Range and Doppler are those of the looks' power-weighted centre; the elevation picks the point on the circle they
+    leave. Sigma is that of elevation times |d height / d elevation|, and that of range times |d height / d range|:
+    within its cell the range of the speckle's centre is not known, which limits the height at high CNR. What the
+    platform's pose leaves open comes on top (`pose_variance`): an error that all pixels of the dwell share.
+
+    Args:
+        estimate: elevations.
+        looks: where in the SLC each pixel's power lies.
+        slc_grid: pixels of the SLC.
+        grid: pixels of the height image (`look_grid`).
+        aperture: state of the platform.
+        look_side: +1 right, -1 left.
+        radial_velocity: of the targets, m/s, receding positive: v_r moves them back in the image by range v_r / speed
+            (SAL paper, section 4), which is made good.
+    """
+    points = slc_grid.points(looks.row, looks.col)
+    aperture = aperture_at(points, aperture)
+    sight = points - aperture.position
+    slant_range = np.linalg.norm(sight, axis=-1)
+    range_cell = slc_grid.row_spacing * np.abs(sight @ slc_grid.row_direction) / slant_range
+    circles = _Circles(
+        aperture,
+        look_side,
+        slant_range,
+        sight @ aperture.direction + slant_range * radial_velocity / np.linalg.norm(aperture.velocity),
+        slc_grid.row_spacing,
+        range_cell / np.sqrt(12 * looks.count),
+    )
+    first = circles.surface(estimate.elevation, estimate.sigma, estimate.cnr)
+    other = estimate.second
+    second = circles.surface(other.elevation, other.sigma, other.cnr) if other else None
+    usable = np.isin(estimate.validity, (Validity.OK, Validity.TWO_SCATTERERS))
+    located = np.isfinite(first.positions).all(axis=-1)
+    validity = np.where(usable & ~located, Validity.OUTSIDE_ARRAY, estimate.validity)
+    return HeightField(grid, validity.astype(np.uint8), _only(first, usable & located), second)
+
+
+def _only(surface: Surface, there: npt.NDArray[np.bool_]) -> Surface:
+    """The surface with heights and places only where they can be used."""
+    return Surface(
+        height=np.where(there, surface.height, np.nan),
+        sigma=np.where(there, surface.sigma, np.nan),
+        cnr_db=surface.cnr_db,
+        positions=np.where(there[..., None], surface.positions, np.nan),
+    )
+
+
+def pose_variance(elevation: Array, slope: Array, positions: Array, aperture: ApertureState, look_side: int) -> Array:
+    """Variance of height (m^2) by the covariance of the platform's pose, shape (rows, cols).
+
+    Where the platform moves, the scatterer moves along. Where the body turns by a small angle about an axis, the plane
+    of its elevation turns, and the scatterer stays on the circle that range and Doppler leave: to first order, as if
+    the elevation changed by the turn about the body's x axis (but for the squint). Range and Doppler are measured, and
+    stay. A covariance that is 0 or not finite is not known and adds nothing.
+
+    Args:
+        elevation: rad, shape (rows, cols).
+        slope: of height over elevation, m/rad.
+        positions: of the scatterers in map, m, shape (rows, cols, 3).
+        aperture: state of the platform, not sliding (`geometry.aperture_at`); its covariance is of position and of
+            rotation about the axes of map, as in nav_msgs/Odometry.
+        look_side: +1 right, -1 left.
+    """
+    if not (np.all(np.isfinite(aperture.covariance)) and np.any(aperture.covariance)):
+        return np.zeros(elevation.shape)
+    sight = positions - aperture.position
+    ahead = look_direction(elevation, 0.0, look_side) @ aperture.rotation.T
+    across = look_direction(elevation + np.pi / 2, 0.0, look_side) @ aperture.rotation.T
+    turned = np.cross(sight, across) / np.sum(sight * ahead, axis=-1, keepdims=True)
+    centre = positions + np.array([0.0, 0.0, EARTH_RADIUS])
+    up = centre / np.linalg.norm(centre, axis=-1, keepdims=True)
+    gradient = np.concatenate([up, slope[..., None] * turned], axis=-1)
+    return np.asarray(np.maximum(np.sum(gradient @ aperture.covariance * gradient, axis=-1), 0.0))
+
+
+def shared_variance(positions: Array, aperture: ApertureState) -> Array:
+    """`pose_variance` of scatterers from where they lie in map, shape (..., 3): an error that all of a dwell share.
+
+    On their circles of range and Doppler about the flight; NaN where a position is.
+    """
+    if not np.any(aperture.covariance):
+        return np.zeros(positions.shape[:-1])
+    aperture = aperture_at(positions, aperture)
+    sight = positions - aperture.position
+    slant_range, elevation, _ = angles_of(positions, aperture, RIGHT)
+    circles = slant_range, sight @ aperture.direction
+    below, above = (
+        height_of(locate(elevation + step, *circles, aperture, RIGHT)) for step in (-SLOPE_STEP, SLOPE_STEP)
+    )
+    return pose_variance(elevation, (above - below) / (2 * SLOPE_STEP), positions, aperture, RIGHT)

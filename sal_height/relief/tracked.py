@@ -1,0 +1,118 @@
+"""Height images tracked: what each pixel measures by itself, and where its scatterer lies at the tracked height."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.elevation.estimate import Validity
+from sal_height.geometry.frames import ApertureState, Grid, locate_at_height
+from sal_height.relief.field_tracking import estimated_field_prior, smoothed_field
+from sal_height.relief.heights import HeightField, Surface, shared_variance
+from sal_height.relief.range_tracking import ReliefPrior, TrackedRelief, estimated_prior, smoothed
+
+Array = npt.NDArray[np.float64]
+
+INTERPOLATED_SIGMA = np.sqrt(0.5)
+"""Greatest sigma of an interpolated height over that of the relief: neighbours have told half the variance or more."""
+
+LEAST_OWN_VARIANCE = 0.01
+"""Of a height's variance, the least that is its own: what the pose leaves open is rounded as it is sent."""
+
+
+def ground_spacings(grid: Grid) -> tuple[float, float]:
+    """Way on level ground from row to row and from column to column of a height image, m."""
+    return grid.row_spacing / float(np.hypot(*grid.row_direction[:2])), grid.col_spacing
+
+
+def look_side_of(grid: Grid, aperture: ApertureState) -> int:
+    """Side on which the middle of the image lies: +1 right of the flight, -1 left."""
+    sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
+    return 1 if np.cross(aperture.direction, [0.0, 0.0, 1.0]) @ sight > 0 else -1
+
+
+def own_sigma(field: HeightField, aperture: ApertureState) -> Array:
+    """Standard deviation of height without what the platform's pose leaves open, m, shape (rows, cols).
+
+    All pixels of a dwell share the error of the pose: neighbours say nothing of it, so that it must not be averaged.
+    """
+    shared = shared_variance(field.first.positions, aperture)
+    return np.asarray(np.sqrt(np.maximum(field.first.sigma**2 - shared, LEAST_OWN_VARIANCE * field.first.sigma**2)))
+
+
+def track(
+    field: HeightField,
+    aperture: ApertureState,
+    length: float | None,
+    relief_sigma: float | None,
+    gate: float,
+    along_track: bool,
+) -> tuple[HeightField, ReliefPrior]:
+    """The height image tracked (`tracked_field`), and the prior it was tracked with.
+
+    Args:
+        field: measured heights.
+        aperture: state of the platform.
+        length: correlation length of the relief, m; None: estimated.
+        relief_sigma: its standard deviation, m; None: estimated.
+        gate: measurements farther from their prediction are outliers, standard deviations.
+        along_track: whether neighbours along the flight have a say, too (`relief_field`).
+
+    Raises:
+        UserError: no prior can be estimated (`relief_tracking.estimated_prior`).
+    """
+    height, sigma, spacings = field.first.height, own_sigma(field, aperture), ground_spacings(field.grid)
+    if along_track:
+        prior = estimated_field_prior(height, sigma, spacings, length, relief_sigma)
+        relief = smoothed_field(height, sigma, spacings, prior, gate)
+    else:
+        prior = estimated_prior(height, sigma, spacings[0], length, relief_sigma)
+        relief = smoothed(height, sigma, spacings[0], prior, gate)
+    return tracked_field(field, relief, prior, aperture), prior
+
+
+def tracked_field(
+    field: HeightField, relief: TrackedRelief, prior: ReliefPrior, aperture: ApertureState
+) -> HeightField:
+    """The height image with tracked heights, each at its place on the circle that its pixel's range and Doppler leave.
+
+    Pixels that were measured, be it with one scatterer or two, become OK. The others, outliers among them, become
+    INTERPOLATED where pixels of their column were measured on both sides in range, and the standard deviation is at
+    most INTERPOLATED_SIGMA of the relief's; elsewhere they have no height, and an outlier becomes LOW_CNR: a peak of
+    noise.
+    Beyond the last measured pixel the ground has most often left the array's span, and the relief's law says nothing of
+    that. Pixels that were not measured have the range and Doppler of their centres.
+
+    Args:
+        field: measured heights.
+        relief: heights tracked from them with `own_sigma`, shape of the image.
+        prior: they were tracked with.
+        aperture: state of the platform.
+    """
+    measured = np.isfinite(field.first.height)
+    # A circle about the line of flight is the same from wherever on that line a sliding aperture has seen it.
+    sight = np.where(measured[..., None], field.first.positions, field.grid.pixels()) - aperture.position
+    slant_range, along = np.linalg.norm(sight, axis=-1), sight @ aperture.direction
+    positions = locate_at_height(relief.height, slant_range, along, aperture, look_side_of(field.grid, aperture))
+    located = np.isfinite(positions).all(axis=-1)
+    used = measured & ~relief.outlier
+    known = located & (used | (_between(used) & (relief.sigma <= INTERPOLATED_SIGMA * prior.sigma)))
+    validity = np.select(
+        [known & used, known, used, relief.outlier],
+        [Validity.OK, Validity.INTERPOLATED, Validity.OUTSIDE_ARRAY, Validity.LOW_CNR],
+        field.validity,
+    )
+    sigma = np.sqrt(relief.sigma**2 + shared_variance(positions, aperture))
+    surface = Surface(
+        height=np.where(known, relief.height, np.nan),
+        sigma=np.where(known, sigma, np.nan),
+        cnr_db=field.first.cnr_db,
+        positions=np.where(known[..., None], positions, np.nan),
+    )
+    return HeightField(field.grid, validity.astype(np.uint8), surface, None)
+
+
+def _between(used: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Where pixels of the same column are used in rows before and after."""
+    before, after = np.logical_or.accumulate(used), np.logical_or.accumulate(used[::-1])[::-1]
+    return np.asarray(before & after)

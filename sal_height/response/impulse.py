@@ -1,0 +1,303 @@
+"""Measuring focused images and windows: width, sidelobes and place of a point's response, and the image's contrast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import entr
+
+from sal_height.errors import UserError
+from sal_height.geometry.frames import ApertureState, Grid
+from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, window
+
+Array = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+ComplexArray = npt.NDArray[np.complexfloating]
+
+CHIP = 256
+"""Side of the chip around the target, pixels."""
+
+OVERSAMPLING = 32
+"""Samples per pixel of an interpolated cut."""
+
+REACH = 10
+"""Sidelobes are counted up to this many widths (at -3 dB) from the peak."""
+
+NEAR = 8
+"""A target is looked for this many pixels around the place it is said to be near."""
+
+SEEN_BAND = 0.1
+"""Coherence of neighbouring pixels from which on the place of the chip's band can be told."""
+
+
+@dataclass(frozen=True)
+class CutResponse:
+    """A point's response along one axis, in the cut through its peak, at OVERSAMPLING samples per pixel.
+
+    The main lobe lies between the first minima of power to both sides of the peak; sidelobes are the rest up to REACH
+    widths from the peak. For an unweighted band pslr_db is -13.26 and islr_db -10.2; it would be -9.7 over an endless
+    cut. A number is NaN if the cut does not show what it needs.
+
+    Attributes:
+        width: between the points at half the peak's power, pixels; NaN unless both are in the cut.
+        pslr_db: greatest power of the sidelobes over that of the peak, dB; NaN unless the first sidelobe is whole on
+            both sides.
+        islr_db: energy of the sidelobes over that of the main lobe, dB; NaN unless the cut reaches REACH widths to
+            both sides.
+    """
+
+    width: float
+    pslr_db: float
+    islr_db: float
+
+
+@dataclass(frozen=True)
+class ImpulseResponse:
+    """The response of a target, and the contrast of the image it is in.
+
+    With a `geometry.Grid` the position in m is grid.points(row, col), a width in m the width times the spacing.
+
+    Attributes:
+        row: of the interpolated peak, pixels from the centre of the first row.
+        col: of the interpolated peak, pixels from the centre of the first column.
+        row_cut: response along the rows' index (axis 0) through the peak.
+        col_cut: response along the columns' index (axis 1) through the peak.
+        peak_over_median_db: power of the target's brightest pixel over the median of the image, dB; NaN if that is 0.
+        entropy: of the image: - sum p ln p, with p each finite pixel's share of their energy.
+    """
+
+    row: float
+    col: float
+    row_cut: CutResponse
+    col_cut: CutResponse
+    peak_over_median_db: float
+    entropy: float
+
+
+@dataclass(frozen=True)
+class Chip:
+    """Pixels around a target as a sum of waves, which has values between them too (Fourier interpolation).
+
+    Attributes:
+        start: row and column of its first pixel in the image.
+        spectrum: discrete Fourier transform of its pixels, scaled to a greatest amplitude of 1, those not finite taken
+            for 0; complex128, shape (rows, cols).
+        frequencies: cycles per chip of each bin along rows and along columns, in the band that holds the spectrum.
+        finite: first and last of the pixels beside the target, without a gap, that are finite; in the image's rows,
+            and in its columns.
+    """
+
+    start: tuple[int, int]
+    spectrum: npt.NDArray[np.complex128]
+    frequencies: tuple[IntArray, IntArray]
+    finite: tuple[tuple[int, int], tuple[int, int]]
+
+    def power(self, rows: npt.ArrayLike, cols: npt.ArrayLike) -> Array:
+        """Power at each of `rows` and each of `cols`, fractional pixels of the image; shape (rows, cols)."""
+        values = np.linalg.multi_dot([self._waves(0, rows), self.spectrum, self._waves(1, cols).T])
+        return np.asarray(np.abs(values) ** 2)
+
+    def _waves(self, axis: int, positions: npt.ArrayLike) -> npt.NDArray[np.complex128]:
+        """Each bin's wave at positions along an axis, shape (positions, bins)."""
+        count = self.spectrum.shape[axis]
+        pixels = np.atleast_1d(np.asarray(positions, dtype=np.float64)) - self.start[axis]
+        return np.asarray(np.exp(2j * np.pi / count * np.outer(pixels, self.frequencies[axis])) / count)
+
+
+def measure_brightest(image: ComplexArray, near: tuple[int, int] | None = None) -> ImpulseResponse:
+    """Measure the response of the target at the brightest pixel.
+
+    The image must be sampled more finely than its band requires: interpolation cannot undo aliasing.
+
+    Args:
+        image: complex pixels, shape (rows, cols); those that are not finite do not count.
+        near: row and column of a pixel; the brightest is looked for up to NEAR pixels from it, None: everywhere.
+
+    Raises:
+        UserError: no pixel there is finite and not 0.
+    """
+    amplitude = np.abs(image).astype(np.float64)
+    amplitude[~np.isfinite(amplitude)] = np.nan
+    row, col = _brightest(amplitude, near)
+    power = (amplitude / amplitude[row, col]) ** 2
+    median = float(np.nanmedian(power))
+    chip = chip_around(image, row, col)
+    fine_row, fine_col = _peak(chip, row, col)
+    return ImpulseResponse(
+        row=fine_row,
+        col=fine_col,
+        row_cut=_response_along(0, chip, fine_row, fine_col),
+        col_cut=_response_along(1, chip, fine_row, fine_col),
+        peak_over_median_db=-10 * float(np.log10(median)) if median > 0 else float("nan"),
+        entropy=float(np.nansum(entr(power / np.nansum(power)))),
+    )
+
+
+def without_range_phase(image: ComplexArray, grid: Grid, aperture: ApertureState, wavelength: float) -> ComplexArray:
+    """The image times exp(-j 4 pi R / wavelength), with R each pixel's distance from the middle of its aperture.
+
+    A point's image has the phase 4 pi (R of the pixel - R of the point) / wavelength, which winds from pixel to pixel
+    and faster with distance from the middle of the image. Without it the response is what the bandwidth and the
+    aperture make of a point, centred on frequency 0, and can be interpolated.
+
+    Args:
+        image: complex pixels, shape (rows, cols).
+        grid: where they lie.
+        aperture: it was made with.
+        wavelength: m.
+
+    Returns:
+        complex128, shape (rows, cols).
+    """
+    middle = aperture.position
+    if aperture.sliding:
+        cols = np.arange(grid.cols) - (grid.cols - 1) / 2
+        slide = cols * grid.col_spacing * (grid.col_direction @ aperture.direction)
+        middle = middle + slide[:, None] * aperture.direction
+    distance = np.linalg.norm(grid.pixels() - middle, axis=-1)
+    return np.asarray(image * np.exp(-4j * np.pi / wavelength * distance))
+
+
+def chip_around(image: ComplexArray, row: int, col: int, size: tuple[int, int] = (CHIP, CHIP)) -> Chip:
+    """The chip of `size` rows and columns, or as many as there are, around a pixel that is finite and not 0."""
+    first_row, first_col = (
+        int(np.clip(p - count // 2, 0, max(0, n - count)))
+        for p, n, count in zip((row, col), image.shape, size, strict=True)
+    )
+    pixels = image[first_row : first_row + size[0], first_col : first_col + size[1]].astype(np.complex128)
+    finite = np.isfinite(pixels)
+    pixels[~finite] = 0
+    pixels /= np.abs(pixels).max()
+    spectrum = np.fft.fft2(pixels)
+    energy = np.abs(spectrum) ** 2
+    return Chip(
+        start=(first_row, first_col),
+        spectrum=np.asarray(spectrum),
+        frequencies=(band_frequencies(energy.sum(axis=1)), band_frequencies(energy.sum(axis=0))),
+        finite=(
+            _run(finite[:, col - first_col], row - first_row, first_row),
+            _run(finite[row - first_row], col - first_col, first_col),
+        ),
+    )
+
+
+def cut_response(power: Array, peak: int) -> CutResponse:
+    """The response in a cut of power with OVERSAMPLING samples per pixel, whose peak is at index `peak`."""
+    power = power / power[peak]
+    width = _steps_to_half(power[peak:]) + _steps_to_half(power[peak::-1])
+    falls = np.diff(power) < 0
+    minima = np.flatnonzero(falls[:-1] & ~falls[1:]) + 1
+    before, after = minima[minima < peak], minima[minima > peak]
+    pslr_db = islr_db = float("nan")
+    if np.isfinite(width) and len(before) > 1 and len(after) > 1:
+        left, right = before[-1], after[0]
+        first, last = peak - int(REACH * width), peak + int(REACH * width)
+        sidelobes = np.concatenate([power[max(0, first) : left], power[right + 1 : last + 1]])
+        pslr_db = 10 * float(np.log10(sidelobes.max()))
+        if first >= 0 and last < len(power):
+            islr_db = 10 * float(np.log10(sidelobes.sum() / power[left : right + 1].sum()))
+    return CutResponse(width / OVERSAMPLING, pslr_db, islr_db)
+
+
+@dataclass(frozen=True)
+class WindowFigures:
+    """What a window costs and gains.
+
+    Attributes:
+        response: of a point, in resolution bins (of 1 / bandwidth) in place of pixels.
+        broadening: width over that of the unweighted band.
+        noise_gain: factor on the power of noise; the equivalent noise bandwidth in bins.
+    """
+
+    response: CutResponse
+    broadening: float
+    noise_gain: float
+
+
+def measure_windows(count: int = 1024) -> dict[str, WindowFigures]:
+    """Measure the response of each of `windows.WINDOWS` over a band of `count` samples."""
+    figures = {}
+    for name in WINDOWS:
+        weights = window(name, count)
+        response = np.fft.fftshift(np.fft.fft(weights, OVERSAMPLING * count))
+        cut = cut_response(np.abs(response) ** 2, OVERSAMPLING * count // 2)
+        figures[name] = WindowFigures(cut, broadening(weights), noise_gain(weights))
+    return figures
+
+
+def _brightest(amplitude: Array, near: tuple[int, int] | None) -> tuple[int, int]:
+    """Row and column of the greatest amplitude, not NaN, in all of the image or near a pixel."""
+    first_row, first_col = (max(0, p - NEAR) for p in near) if near else (0, 0)
+    part = amplitude[first_row : near[0] + NEAR + 1, first_col : near[1] + NEAR + 1] if near else amplitude
+    if not np.any(part > 0):
+        place = f"within {NEAR} pixels of row {near[0]}, column {near[1]} " if near else ""
+        raise UserError(
+            f"The image of {amplitude.shape[0]} x {amplitude.shape[1]} pixels has none {place}that is finite and not "
+            "0; a target is one that is."
+        )
+    row, col = np.unravel_index(np.nanargmax(part), part.shape)
+    return first_row + int(row), first_col + int(col)
+
+
+def _run(finite: npt.NDArray[np.bool_], at: int, start: int) -> tuple[int, int]:
+    """First and last index of the run of True around `at`, counted from `start`."""
+    gaps = np.flatnonzero(~finite)
+    before, after = gaps[gaps < at], gaps[gaps > at]
+    return start + (int(before[-1]) + 1 if len(before) else 0), start + int(after[0] if len(after) else len(finite)) - 1
+
+
+def band_frequencies(energy: Array) -> IntArray:
+    """Frequencies (cycles per chip) of the bins of a spectrum: of all those a bin stands for, that in its band.
+
+    The band may lie anywhere. It is centred on the energy's centre of gravity on the circle of frequencies or, if the
+    energy is spread too evenly over the circle to have one, on 0.
+    """
+    count = len(energy)
+    bins = np.arange(count)
+    coherence = np.sum(energy * np.exp(2j * np.pi * bins / count)) / np.sum(energy)
+    centre = round(float(np.angle(coherence)) / (2 * np.pi) * count) if np.abs(coherence) > SEEN_BAND else 0
+    lowest = centre - count // 2
+    return np.asarray(lowest + (bins - lowest) % count)
+
+
+def _peak(chip: Chip, row: int, col: int) -> tuple[float, float]:
+    """Row and column of the peak within a pixel of the brightest one: a parabola through the interpolated samples."""
+    steps = np.arange(-OVERSAMPLING, OVERSAMPLING + 1) / OVERSAMPLING
+    rows, cols = (
+        (p + steps)[(p + steps >= first) & (p + steps <= last)]
+        for p, (first, last) in zip((row, col), chip.finite, strict=True)
+    )
+    power = chip.power(rows, cols)
+    i, j = np.unravel_index(np.argmax(power), power.shape)
+    return (
+        float(rows[i]) + _parabola_peak(power[:, j], int(i)) / OVERSAMPLING,
+        float(cols[j]) + _parabola_peak(power[i], int(j)) / OVERSAMPLING,
+    )
+
+
+def _parabola_peak(power: Array, at: int) -> float:
+    """Peak of the parabola through the greatest sample, at index `at`, and its neighbours; in samples from `at`."""
+    if not 0 < at < len(power) - 1:
+        return 0.0
+    before, here, after = power[at - 1 : at + 2]
+    return float((after - before) / (2 * (2 * here - before - after)))
+
+
+def _response_along(axis: int, chip: Chip, row: float, col: float) -> CutResponse:
+    """The response along an axis through the peak at `row` and `col`, as far as the pixels beside it are finite."""
+    (first, last), position = chip.finite[axis], (row, col)[axis]
+    before, after = int((position - first) * OVERSAMPLING), int((last - position) * OVERSAMPLING)
+    positions = position + np.arange(-before, after + 1) / OVERSAMPLING
+    power = chip.power(positions, col) if axis == 0 else chip.power(row, positions)
+    return cut_response(power.ravel(), before)
+
+
+def _steps_to_half(power: Array) -> float:
+    """Samples from the first, which is 1, to where a cut has fallen to a half; NaN if it does not."""
+    below = np.flatnonzero(power <= 0.5)
+    if not len(below):
+        return float("nan")
+    k = int(below[0])
+    return k - 1 + float((power[k - 1] - 0.5) / (power[k - 1] - power[k]))

@@ -1,0 +1,201 @@
+"""Does the system respond to bright targets as it does to speckle? If it is linear it must: superposition.
+
+The PSF paper compares |R| of targets (figure 10) with that of speckle (figure 24) by eye, finds a shallower sawtooth
+on a higher pedestal in speckle, and concludes that the system is not linear. But a linear one shows the same:
+sub-images of speckle convolve |R|^2 with Fejer's kernel, and noise lifts it. The test allows for both,
+
+    P = c (|R_target|^2 convolved with Fejer's kernel) + n,
+
+fits c and n by generalised least squares, and asks whether what is left over is larger than the errors of the two.
+Those of the mean periodogram P are `speckle_spectra.periodogram_covariance`, summed over the distances of lines that
+correlate; those of R_target, independent complex Gaussian numbers of variance sigma^2 in its bins, go through the
+quadratic forms T_k = R^H B_k R that the convolved spectrum is made of:
+
+    bias tr(B_k S), covariance 2 Re(R^H B_j S B_k R) + tr(B_j S B_k S), with S = diag(sigma^2).
+
+A chip cuts the response off. What lies beyond it is taken for a random continuation of its ends, an error like others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import toeplitz
+from scipy.special import chdtrc
+
+from sal_height.errors import NotDetermined, UserError
+from sal_height.numeric.fft import frequencies
+from sal_height.response.speckle_spectra import SpeckleSpectra, cross_spectrum, fejer_power
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+ITERATIONS = 4
+"""Of the fit, as the errors depend on what is fitted."""
+
+END = 4
+"""One part in so many at each end of a chip tells how strong the response is beyond it."""
+
+LEAST_VARIANCE = 0.05
+"""Directions whose variance is less than this share of a bin's own, neighbours being alike, are left out."""
+
+
+@dataclass(frozen=True)
+class Superposition:
+    """How the responses to targets and to speckle compare.
+
+    Attributes:
+        p_value: probability of as large a residual or a larger one, if the system is linear.
+        chi_square: the residual squared, over its covariance.
+        freedom: degrees of freedom of it.
+        scale: c, power of the fitted response over the mean power of speckle.
+        noise: n, power of white noise over the mean power of speckle.
+        residual: of the speckle's mean periodogram from the fit, over its standard error, at each frequency from -1/2
+            up; NaN where a spur has been left out; shape (M,).
+    """
+
+    p_value: float
+    chi_square: float
+    freedom: int
+    scale: float
+    noise: float
+    residual: Array
+
+
+def superposition(target: ComplexArray, target_error: Array, speckle: SpeckleSpectra) -> Superposition:
+    """Compare the range response to targets with that to speckle.
+
+    Args:
+        target: R of targets at N frequencies from -1/2 up, N at least the pixels M of a sub-image: from chips of N
+            pixels. The longer they are, the more is known of the echoes that speckle shows.
+        target_error: standard error of each, as a complex number: the root of the mean |error|^2; the error's real and
+            imaginary parts alike, and independent between bins.
+        speckle: spectra of speckle.
+
+    Raises:
+        UserError: shapes do not agree, or numbers are not finite.
+        NotDetermined: too few frequencies tell something.
+    """
+    _check(target, target_error)
+    axis, size = speckle.range, len(speckle.range.covariance)
+    _check_lengths(len(target), size)
+    scale = np.sqrt(np.mean(np.abs(target) ** 2))
+    forms, target_covariance = _target_covariance(target / scale, (target_error / scale) ** 2, size)
+    shape = fejer_power(forms)
+    kept = np.arange(size) != 0 if axis.spur else np.ones(size, dtype=bool)
+    design = np.stack([shape, np.ones(size)], axis=1)[kept]
+    amplitude, noise = 1.0 / shape.mean(), 0.0
+    for _ in range(ITERATIONS):
+        covariance = _speckle_covariance(amplitude * forms, noise, speckle) + amplitude**2 * target_covariance
+        whitener, error = _whitener(covariance[np.ix_(kept, kept)])
+        if len(whitener) < 4:
+            raise NotDetermined(
+                f"Only {len(whitener)} independent frequencies of {size} tell of superposition; 4 are needed."
+            )
+        fit, *_ = np.linalg.lstsq(whitener @ design, whitener @ axis.power[kept], rcond=None)
+        amplitude, noise = float(fit[0]), float(fit[1])
+    residual = np.full(size, np.nan)
+    residual[kept] = axis.power[kept] - design @ fit
+    chi_square = float(np.sum((whitener @ residual[kept]) ** 2))
+    residual[kept] /= error
+    freedom = len(whitener) - 2
+    return Superposition(float(chdtrc(freedom, chi_square)), chi_square, freedom, amplitude, noise, residual)
+
+
+def depth_and_pedestal(power: Array, teeth: float) -> tuple[float, float]:
+    """Depth of a sawtooth and height of the pedestal in |R|: what the paper reads off its figures 10 and 24.
+
+    The depth is pi / 2 times the sawtooth's fundamental in ln |R|, beside a parabola, where the power is above half of
+    its greatest; the pedestal is the mean |R| of the quietest quarter of the frequencies over the greatest.
+
+    Args:
+        power: |R|^2 at frequencies from -1/2 up; of speckle, its mean periodogram.
+        teeth: of the sawtooth in all frequencies.
+    """
+    modulus = np.sqrt(np.maximum(power, 0))
+    frequency = frequencies(len(power))
+    inside = power > power.max() / 2
+    phase = 2 * np.pi * teeth * frequency[inside]
+    terms = [np.ones(inside.sum()), frequency[inside], frequency[inside] ** 2, np.cos(phase), np.sin(phase)]
+    fit, *_ = np.linalg.lstsq(np.stack(terms, axis=1), np.log(modulus[inside]), rcond=None)
+    pedestal = np.sort(modulus)[: len(modulus) // 4].mean() / modulus.max()
+    return float(np.pi / 2 * np.hypot(fit[3], fit[4])), float(pedestal)
+
+
+def _check(target: ComplexArray, target_error: Array) -> None:
+    if target.ndim != 1 or target.shape != target_error.shape:
+        raise UserError(
+            f"The response has the shape {target.shape}, its errors {target_error.shape}; both need one axis, as long."
+        )
+    if not (np.isfinite(target).all() and np.isfinite(target_error).all() and np.any(target)):
+        raise UserError(
+            "The response of the targets or its error is not finite, or all of it is 0; both must be given."
+        )
+
+
+def _check_lengths(bins: int, size: int) -> None:
+    if bins < size:
+        raise UserError(
+            f"The response of the targets has {bins} frequencies, fewer than the {size} pixels of a sub-image of "
+            "speckle; allowed are as many or more."
+        )
+
+
+def _target_covariance(target: ComplexArray, variance: Array, size: int) -> tuple[ComplexArray, Array]:
+    """Covariance that speckle would have with the response of the targets, and the errors of its periodogram.
+
+    The covariance at lag l is sum over n of h(n + l) h(n)*, less what errors alone have there, (N - l) times their
+    covariance in a pixel. The linear part of the errors is taken at the measured response, where it contains on average
+    twice the quadratic one, and stands for both.
+
+    Returns:
+        Covariance at lags 0 to M - 1, and the covariance of the convolved spectrum's M numbers, shape (M, M).
+    """
+    bins, lag = len(target), np.arange(size)
+    place = np.arange(-bins, bins)
+    first = bins - bins // 2
+    waves = np.exp(2j * np.pi * np.outer(place[first:][:bins], frequencies(bins))) / bins
+    chip = waves @ target
+    response = np.pad(chip, (first, bins // 2))
+    kernel = np.maximum(0, 1 - np.abs(place[:, None] - place) / size)
+    turned = np.exp(2j * np.pi * np.outer(frequencies(size), place))
+    slopes = turned * ((turned.conj() * response) @ kernel)
+    inside = slopes[:, first:][:, :bins] @ waves.conj() * np.sqrt(variance)
+    linear = inside.conj() @ inside.T
+    for outside in (slopes[:, :first], slopes[:, first + bins :]):
+        linear += outside.conj() @ _beyond(chip, outside.shape[1]) @ outside.T
+    covariance = np.correlate(chip, chip, "full")[bins - 1 :][:size]
+    error = np.exp(2j * np.pi * np.outer(lag, frequencies(bins))) @ variance / bins**2
+    return covariance - (bins - lag) * error, np.asarray(2 * linear.real)
+
+
+def _beyond(chip: ComplexArray, count: int) -> ComplexArray:
+    """Covariance of `count` pixels of the response beyond its chip: that of the chip's ends, as it fades slowly."""
+    length = len(chip) // END
+    ends = (chip[:length], chip[-length:])
+    echo = np.mean([np.correlate(end, end, "full")[length - 1 :] / length for end in ends], axis=0)
+    lags = np.pad(echo, (0, count))[:count]
+    return np.asarray(toeplitz(lags, lags.conj()))
+
+
+def _speckle_covariance(signal: ComplexArray, noise: float, speckle: SpeckleSpectra) -> Array:
+    """Covariance of the mean periodogram of speckle with this covariance over range, and white noise.
+
+    Lines at a distance d have the signal in common as far as a(d) says, the covariance over azimuth, and no noise.
+    """
+    size, across = len(signal), speckle.azimuth.covariance
+    triangle = 1 - np.arange(len(across)) / len(across)
+    alike = 2 * np.sum((triangle * np.abs(across) ** 2)[1:]) / signal[0].real ** 2
+    spectrum = cross_spectrum(signal, size)
+    own = np.abs(spectrum + noise * np.eye(size)) ** 2
+    return np.asarray((own + alike * np.abs(spectrum) ** 2) / speckle.range.lines)
+
+
+def _whitener(covariance: Array) -> tuple[Array, Array]:
+    """Matrix that makes errors of this covariance independent and of variance 1, and their standard errors."""
+    error = np.sqrt(np.diag(covariance))
+    variance, direction = np.linalg.eigh(covariance / np.outer(error, error))
+    kept = variance > LEAST_VARIANCE
+    return np.asarray((direction[:, kept] / np.sqrt(variance[kept])).T / error), np.asarray(error)

@@ -1,0 +1,332 @@
+"""What pure speckle tells of the system's response: |R| over range frequency, |A| over azimuth frequency, the pointing.
+
+Speckle scatters white, so that the power spectrum of its image is that of the response (PSF paper, eq. 2.6). A
+sub-image of M pixels shows it through its own ends: its mean periodogram is |R|^2 convolved with the Fejer kernel,
+which lifts the troughs of a sawtooth and the skirts of a band. In the autocovariance c(l) the same is a factor, the
+triangle 1 - |l| / M; transforms of twice the length make the covariance at all lags known, and dividing by the triangle
+undoes the kernel up to the resolution of M pixels (`AxisSpectrum.unfolded`).
+
+The modulus that the paper averages, of 64 x 64 sub-images, is sqrt(pi) / 2 times the root of the mean periodogram, as
+of any Rayleigh amplitude (`mean_modulus`).
+
+The phase of c(1) along azimuth is the Doppler centroid in cycles per pixel, times 2 pi (Madsen, "Estimating the Doppler
+centroid of SAR data", IEEE Trans. AES 25, 1989): where the antenna points. Sub-images from the same columns share it,
+so that the swing of the antenna shows, and |A| is averaged after it has been taken out.
+
+Spectra begin at -1/2 cycles per pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+from scipy.linalg import toeplitz
+
+from sal_height.numeric.fft import blocks, frequencies
+from sal_height.numeric.jit import compiled, in_parallel
+from sal_height.response.speckle_tiles import SpeckleTiles, checked_image, sum_of_powers
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+ComplexImage = npt.NDArray[np.complex64]
+
+SPUR_ERRORS = 5.0
+"""Standard errors by which the bin at half a cycle per pixel stands out of its neighbours if it is a spur."""
+
+SPUR_EXCESS = 0.5
+"""Least power of a spur, of its neighbours': a response may have edges."""
+
+LAG_ERRORS = 2.0
+"""Standard errors up to which the covariance at a lag is taken for 0."""
+
+GREATEST_POINTING_ERROR = 0.1
+"""Standard error of a pointing, cycles per pixel, from which on the azimuth response is too flat to have a centre."""
+
+BLOCK = 2**15
+"""Pixels transformed at a time: they and their spectra stay in a processor's cache."""
+
+QUIETEST = 8
+"""The noise floor is the mean of this part of the frequencies: one in so many."""
+
+
+@dataclass(frozen=True)
+class AxisSpectrum:
+    """Second-order statistics of speckle along one axis.
+
+    Attributes:
+        covariance: autocovariance at lags 0 to M - 1 over that at 0, M the pixels of a sub-image; white noise adds to
+            lag 0, a spur is taken out.
+        lines: number of lines of M pixels that were averaged.
+        independent: of them, as neighbouring lines correlate.
+        spur: power of a wave of half a cycle per pixel over the mean of the image; 0: there is none.
+    """
+
+    covariance: ComplexArray
+    lines: int
+    independent: float
+    spur: float = 0.0
+
+    @property
+    def power(self) -> Array:
+        """Mean periodogram of the sub-images, no spur: |R|^2 convolved with Fejer's kernel; mean 1, shape (M,)."""
+        return fejer_power(self.covariance)
+
+    @property
+    def standard_error(self) -> Array:
+        """Of `power`, shape (M,): its own size over the root of the independent lines, as periodograms have it."""
+        return np.asarray(self.power / np.sqrt(self.independent))
+
+    def unfolded(self, count: int) -> tuple[Array, Array]:
+        """|R|^2 at `count` frequencies, of mean 1, without Fejer's kernel; and its standard error.
+
+        The covariance at each lag is shrunk by its error, to 0 if that is half of it, so that undoing the kernel does
+        not raise noise. The result may be negative by its error, which is that of the mean periodogram carried through
+        the division by the triangle; what a response has finer than a sub-image shows, such as steps, comes on top.
+        """
+        size = len(self.covariance)
+        lost = LAG_ERRORS**2 * self._lag_variance / np.maximum(np.abs(self.covariance) ** 2, np.finfo(float).tiny)
+        shrunk = self.covariance * np.maximum(0, 1 - lost)
+        passed = np.where(lost < 1, np.sqrt(1 + lost**2), 0)
+        lag = np.arange(1 - size, size)
+        weight = passed[np.abs(lag)] / (1 - np.abs(lag) / size)
+        apart = frequencies(count)[:, None] - frequencies(2 * size)
+        undo = (np.exp(-2j * np.pi * apart[..., None] * lag) @ weight).real / (2 * size)
+        covariance = periodogram_covariance(self.covariance, 2 * size)
+        variance = np.einsum("fk,kl,fl->f", undo, covariance, undo, optimize=True) / self.independent
+        return transform(shrunk, frequencies(count)), np.sqrt(np.maximum(variance, 0))
+
+    @property
+    def _lag_variance(self) -> Array:
+        """Variance of the covariance at each lag, at most: sum |c|^2 over the independent pairs of pixels."""
+        size = len(self.covariance)
+        triangle = 1 - np.arange(size) / size
+        total = 2 * np.sum(triangle * np.abs(self.covariance) ** 2) - 1
+        return np.asarray(total / (self.independent * size * triangle))
+
+
+@dataclass(frozen=True)
+class Pointing:
+    """Where the antenna points along the track.
+
+    Attributes:
+        cols: middle columns of the tiles that hold speckle, pixels from the centre of the first column.
+        displacement: Doppler centroid there, from -1/2 to 1/2 cycles per pixel.
+        sigma: its standard error, cycles per pixel.
+    """
+
+    cols: Array
+    displacement: Array
+    sigma: Array
+
+
+@dataclass(frozen=True)
+class SpeckleSpectra:
+    """What speckle tells of the response.
+
+    Attributes:
+        range: along axis 0, of |R|^2.
+        azimuth: along axis 1, of |A|^2, averaged after the pointing's changes along the track have been taken out.
+        pointing: None if the azimuth response is too flat to have a centre.
+    """
+
+    range: AxisSpectrum
+    azimuth: AxisSpectrum
+    pointing: Pointing | None
+
+    @property
+    def noise_floor(self) -> float:
+        """Power of white noise over the mean of the image: that of the quietest frequencies of the quieter axis.
+
+        A pedestal of the response looks the same, and a flat response all the more; the least of estimates that err
+        lies below what is true.
+        """
+        floors = []
+        for axis in (self.range, self.azimuth):
+            power, _ = axis.unfolded(len(axis.covariance))
+            floors.append(float(np.mean(np.sort(power)[: max(1, len(power) // QUIETEST)])))
+        return max(0.0, min(floors))
+
+
+def speckle_spectra(image: ComplexImage, tiles: SpeckleTiles) -> SpeckleSpectra:
+    """Spectra of the tiles of pure speckle, each over its own brightness.
+
+    Args:
+        image: complex pixels, shape (rows, cols), range along axis 0.
+        tiles: of this image, as `pure_speckle.find_pure_speckle` finds them.
+
+    Raises:
+        UserError: the image is not complex or not two-dimensional.
+    """
+    where, sums = np.argwhere(tiles.pure), _periodograms(checked_image(image), tiles)
+    brightness = tiles.intensity[tiles.pure][:, None] * (tiles.tile[0] * tiles.tile[1])
+    down, across, nyquist = (_covariance(power / brightness) for power in sums)
+    shares = [sum_of_powers(tiles.correlation, tiles.tile, 2, axis) for axis in (0, 1, None)]
+    lines = [len(where) * tiles.tile[1], len(where) * tiles.tile[0]]
+    independent = [count * share / shares[2] for count, share in zip(lines, shares[:2], strict=True)]
+    mean = down.mean(axis=0)
+    spur = _nyquist_spur(mean, independent[0])
+    if spur:
+        mean = mean - spur * (-1.0) ** np.arange(len(mean))
+        across = across - nyquist
+    pointing, across = _aligned(across, where[:, 1], tiles)
+    azimuth = across.mean(axis=0)
+    return SpeckleSpectra(
+        range=AxisSpectrum(mean / mean[0].real, lines[0], independent[0], spur),
+        azimuth=AxisSpectrum(azimuth / azimuth[0].real, lines[1], independent[1]),
+        pointing=pointing,
+    )
+
+
+def mean_modulus(image: ComplexImage, tiles: SpeckleTiles) -> tuple[Array, Array]:
+    """The paper's estimates of |R| and |A|: mean moduli of the two-dimensional transforms of the tiles.
+
+    Returns:
+        Averaged over azimuth frequency, shape (rows of a tile,), and over range frequency, (columns of a tile,); a
+        white image has sqrt(pi) / 2.
+    """
+    image, (rows, cols) = checked_image(image), tiles.tile
+    modulus = np.zeros(tiles.tile)
+    for row, col in np.argwhere(tiles.pure):
+        part = image[row * rows : (row + 1) * rows, col * cols : (col + 1) * cols]
+        modulus += np.abs(scipy.fft.fft2(part)) / np.sqrt(tiles.intensity[row, col] * rows * cols)
+    modulus = scipy.fft.fftshift(modulus) / tiles.pure.sum()
+    return modulus.mean(axis=1), modulus.mean(axis=0)
+
+
+def transform(covariance: ComplexArray, frequency: Array) -> Array:
+    """Power spectrum at frequencies (cycles per pixel) of a covariance at lags from 0 up, c(-l) being c(l)*."""
+    waves = np.exp(-2j * np.pi * np.outer(frequency, np.arange(len(covariance))))
+    return np.asarray(2 * (waves @ covariance).real - covariance[0].real)
+
+
+def fejer_power(covariance: ComplexArray) -> Array:
+    """Mean periodogram of M pixels of a field with this covariance at lags 0 to M - 1; shape (M,)."""
+    size = len(covariance)
+    return transform(covariance * (1 - np.arange(size) / size), frequencies(size))
+
+
+def periodogram_covariance(covariance: ComplexArray, count: int) -> Array:
+    """Covariance of the periodogram of M pixels of a circular Gaussian field between `count` frequencies.
+
+    |K(f, f')|^2 with K = 1 / M sum over m, m' of c(m - m') exp(-j 2 pi (f m - f' m')), after Isserlis' theorem:
+    neighbours correlate as far as the kernel reaches. The diagonal is the square of the periodogram's mean.
+
+    Args:
+        covariance: c at lags 0 to M - 1.
+        count: frequencies from -1/2 up.
+    """
+    return np.asarray(np.abs(cross_spectrum(covariance, count)) ** 2)
+
+
+def cross_spectrum(covariance: ComplexArray, count: int) -> ComplexArray:
+    """K(f, f') of `periodogram_covariance`, shape (count, count)."""
+    size = len(covariance)
+    waves = np.exp(-2j * np.pi * np.outer(frequencies(count), np.arange(size)))
+    return np.asarray(waves @ toeplitz(covariance, covariance.conj()) @ waves.conj().T / size)
+
+
+def _periodograms(image: ComplexImage, tiles: SpeckleTiles) -> tuple[Array, Array, Array]:
+    """Energy spectra of every pure tile at twice as many frequencies as pixels, in the order of an FFT.
+
+    Returns:
+        Summed over columns, shape (pure tiles, 2 rows of a tile); summed over rows, (.., 2 columns); and the part of
+        the latter that is at half a cycle per row.
+    """
+    rows, cols = tiles.tile
+    count = tiles.pure.sum(axis=1)
+    first = np.cumsum(count) - count
+    down = np.zeros((count.sum(), 2 * rows))
+    across, nyquist = (np.zeros((count.sum(), 2 * cols)) for _ in range(2))
+
+    def measure(part: slice) -> None:
+        for row in range(part.start, part.stop):
+            strip = image[row * rows : (row + 1) * rows, : tiles.pure.shape[1] * cols].reshape(rows, -1, cols)
+            chosen = np.flatnonzero(tiles.pure[row])
+            for some in blocks(len(chosen), max(1, BLOCK // (rows * cols))):
+                pixels = np.take(strip, chosen[some], axis=1)
+                own = slice(first[row] + some.start, first[row] + some.stop)
+                _add_down(scipy.fft.fft(pixels.reshape(rows, -1), 2 * rows, axis=0), down[own])
+                _add_across(scipy.fft.fft(pixels, 2 * cols, axis=2), across[own])
+                line = scipy.fft.fft(pixels[::2].sum(axis=0) - pixels[1::2].sum(axis=0), 2 * cols)
+                nyquist[own] = np.abs(line) ** 2 / rows
+
+    in_parallel(measure, len(count))
+    return down, across, nyquist
+
+
+@compiled
+def _add_down(spectra: ComplexImage, power: Array) -> None:
+    """|spectra|^2, shape (frequencies, tiles x columns), summed over a tile's columns into (tiles, frequencies)."""
+    width = spectra.shape[1] // power.shape[0]
+    for k in range(spectra.shape[0]):
+        for tile in range(power.shape[0]):
+            total = np.float32(0)
+            for j in range(tile * width, (tile + 1) * width):
+                total += spectra[k, j].real ** 2 + spectra[k, j].imag ** 2
+            power[tile, k] += total
+
+
+@compiled
+def _add_across(spectra: ComplexImage, power: Array) -> None:
+    """|spectra|^2, shape (rows, tiles, frequencies), summed over rows into (tiles, frequencies)."""
+    for i in range(spectra.shape[0]):
+        for tile in range(power.shape[0]):
+            row, total = spectra[i, tile], power[tile]
+            for k in range(total.size):
+                total[k] += row[k].real ** 2 + row[k].imag ** 2
+
+
+def _covariance(power: Array) -> ComplexArray:
+    """Covariance at lags 0 to M - 1 of each row of spectra at 2 M frequencies: divided by the triangle."""
+    size = power.shape[-1] // 2
+    return np.asarray(scipy.fft.ifft(power, axis=-1)[:, :size] / (1 - np.arange(size) / size))
+
+
+def _nyquist_spur(covariance: ComplexArray, independent: float) -> float:
+    """Power of a line at half a cycle per pixel; 0 unless it stands out of the two neighbouring bins."""
+    size = len(covariance)
+    triangle = 1 - np.arange(size) / size
+    line, *beside = transform(covariance * triangle, 0.5 + np.array([0, -1, 1]) / size)
+    level = float(np.mean(beside))
+    error = level * np.sqrt(1.5 / independent)
+    excess = float(line) - level
+    return excess / size if excess > max(SPUR_ERRORS * error, SPUR_EXCESS * level) else 0.0
+
+
+def _aligned(
+    covariance: ComplexArray, column: npt.NDArray[np.intp], tiles: SpeckleTiles
+) -> tuple[Pointing | None, ComplexArray]:
+    """Pointing of each column of tiles, and the tiles' azimuth covariances as if all pointed as in the mean."""
+    columns, group = np.unique(column, return_inverse=True)
+    beat = np.zeros(len(columns), dtype=np.complex128)
+    np.add.at(beat, group, covariance[:, 1])
+    sigma = _pointing_error(np.abs(beat).sum() / len(covariance), tiles) / np.sqrt(np.bincount(group))
+    if not np.median(sigma) < GREATEST_POINTING_ERROR:
+        return None, covariance
+    turn = np.angle(beat * np.conj(beat.sum()))
+    lags = np.arange(covariance.shape[1])
+    middle = np.asarray((columns + 0.5) * tiles.tile[1] - 0.5, dtype=np.float64)
+    displacement = np.asarray(np.angle(beat) / (2 * np.pi), dtype=np.float64)
+    pointing = Pointing(middle, displacement, np.asarray(sigma, dtype=np.float64))
+    return pointing, np.asarray(covariance * np.exp(-1j * turn[group][:, None] * lags))
+
+
+def _pointing_error(coherence: float, tiles: SpeckleTiles) -> float:
+    """Standard error of the Doppler centroid of one tile, cycles per pixel; infinite if neighbours do not correlate.
+
+    The error d of the estimated c(1), which is real once the centroid is out, has E|d|^2 = sum |rho(m, l)|^2 / pixels
+    and E d^2 = sum rho(m, l + 1) rho(m, l - 1)* / pixels (Bartlett); its imaginary part over c(1) is that of the phase.
+
+    Args:
+        coherence: |c(1)| along azimuth, without bias.
+        tiles: for the correlation rho.
+    """
+    rho = tiles.correlation
+    alike = np.sum(np.abs(rho) ** 2) - np.sum(rho[:, 2:] * rho[:, :-2].conj()).real
+    pixels = tiles.tile[0] * (tiles.tile[1] - 1)
+    if not rho[rho.shape[0] // 2, rho.shape[1] // 2 + 1]:
+        return float("inf")
+    return float(np.sqrt(max(alike, 0.0) / (2 * pixels)) / coherence / (2 * np.pi))

@@ -1,0 +1,194 @@
+"""The transfer function of an imaging system from chips of point targets: a range and an azimuth response.
+
+H(k_r, k_a) = R(k_r) A(k_a) (PSF paper, eq. 2.10; section 3, figures 4 to 15). Responses begin with -1/2 cycle per
+pixel, as `numpy.fft.fftshift` puts them; along arrays of two axes, range comes first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+from sal_height.errors import NotDetermined
+from sal_height.response.impulse import band_frequencies
+from sal_height.response.point_targets import PointTarget, peak_offset
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+AZIMUTH_STRIPE = 3
+"""Rows of the cross that let the azimuth response through, those of the paper."""
+
+RANGE_STRIPE = 5
+"""Columns of the cross that let the range response through, those of the paper."""
+
+FLOOR = 0.05
+"""Power of a response, over its greatest, up to which it is rather left out than divided by."""
+
+
+@dataclass(frozen=True)
+class TransferFunction:
+    """Responses of a system along range and azimuth.
+
+    Each is scaled and turned so that the response to a point has its peak in pixel 0, and the value 1 there: the mean
+    of the response over its bins is 1. The phase therefore has no linear part.
+
+    Attributes:
+        range_response: R, complex128, shape (rows,).
+        range_sigma: standard error of each of its bins (of the whole complex number), float64, shape (rows,).
+        azimuth_response: A, complex128, shape (cols,).
+        azimuth_sigma: of A.
+        range_disagreement: root of the mean square of the targets' deviations from R over what their clutter explains;
+            1 for targets that agree, NaN for fewer than two. Where it is greater, the sigma is greater by as much.
+        azimuth_disagreement: of A. An antenna that swings makes it greater than 1.
+        targets: number of targets.
+        over_clutter: power of the targets' peaks over the mean power of the clutter, sum over the targets.
+    """
+
+    range_response: ComplexArray
+    range_sigma: Array
+    azimuth_response: ComplexArray
+    azimuth_sigma: Array
+    range_disagreement: float
+    azimuth_disagreement: float
+    targets: int
+    over_clutter: float
+
+
+def estimate_transfer_function(targets: Sequence[PointTarget]) -> TransferFunction:
+    """Range and azimuth response with the least error that the clutter leaves.
+
+    The clutter has passed through the same system as the targets, so that all bins of a chip's spectrum G tell the same
+    of a target, be the response strong or weak there: R is the mean over k_a of G / A, and A the mean over k_r of
+    G / R, where the other response is well over FLOOR. Under an even beam that is the paper's mean over k_a (figure
+    10), the transform of the line through the peak, whose bins have the variance rows |R|^2 / (TCR mean |R|^2) at a
+    target-to-clutter ratio TCR. Targets, of peak 1, count by that ratio: the reciprocal of their variance.
+
+    Args:
+        targets: chips of one shape.
+
+    Raises:
+        NotDetermined: there is no target.
+    """
+    spectra, shares = _stacked(targets)
+    mean = np.einsum("t,trc->rc", shares, spectra)
+    in_range = _inverse(centred(mean.mean(axis=1)))
+    in_azimuth = _inverse(centred(in_range @ mean))
+    ranges = np.einsum("trc,c->tr", spectra, in_azimuth)
+    range_response = centred(shares @ ranges)
+    in_range = _inverse(range_response)
+    azimuths = np.einsum("r,trc->tc", in_range, spectra)
+    azimuth_response = centred(shares @ azimuths)
+    rest = np.abs(spectra - range_response[:, None] * azimuth_response) ** 2
+    left = np.einsum("t,trc->rc", shares, rest) / len(targets)
+    range_sigma, range_disagreement = _errors(left @ np.abs(in_azimuth) ** 2, ranges, shares, range_response)
+    azimuth_sigma, azimuth_disagreement = _errors(np.abs(in_range) ** 2 @ left, azimuths, shares, azimuth_response)
+    return TransferFunction(
+        range_response,
+        range_sigma,
+        azimuth_response,
+        azimuth_sigma,
+        range_disagreement,
+        azimuth_disagreement,
+        targets=len(targets),
+        over_clutter=float(sum(target.over_clutter for target in targets)),
+    )
+
+
+def without_clutter(response: ComplexArray, sigma: Array) -> ComplexArray:
+    """A response less what clutter explains of its point-spread function, pixel by pixel.
+
+    Each pixel h counts by 1 - s^2 / |h|^2, or not at all where that is below 0, with s its standard error (Wiener's
+    filter, with the power that is there for that which is expected). It takes most of the error out of a response that
+    is short in pixels; what is left errs alike in neighbouring bins, and sidelobes below s are gone.
+
+    Args:
+        response: shape (count,).
+        sigma: standard errors of its bins, shape (count,).
+    """
+    pixels = scipy.fft.ifft(response)
+    variance = np.sum(sigma**2) / len(sigma) ** 2
+    power = np.abs(pixels) ** 2
+    return centred(np.asarray(scipy.fft.fft(pixels * np.maximum(0, power - variance) / np.where(power, power, 1))))
+
+
+def masked_transfer_function(
+    targets: Sequence[PointTarget], azimuth_stripe: int = AZIMUTH_STRIPE, range_stripe: int = RANGE_STRIPE
+) -> tuple[ComplexArray, ComplexArray]:
+    """R and A the paper's way: chips masked by a cross, plain means over k_a and over k_r (figures 10 and 15).
+
+    The cross has no effect on R: the mean over k_a is the transform of the row through the peak, which it lets through.
+
+    Args:
+        targets: chips of one shape.
+        azimuth_stripe: rows of the cross's stripe along azimuth.
+        range_stripe: columns of its stripe along range.
+
+    Raises:
+        NotDetermined: there is no target.
+    """
+    _stacked(targets)
+    spectra = np.stack([masked_spectrum(target, azimuth_stripe, range_stripe) for target in targets])
+    range_response = spectra.mean(axis=(0, 2))
+    turned = spectra * np.exp(-1j * np.angle(range_response))[:, None]
+    return centred(range_response), centred(turned.mean(axis=(0, 1)))
+
+
+def masked_spectrum(
+    target: PointTarget, azimuth_stripe: int = AZIMUTH_STRIPE, range_stripe: int = RANGE_STRIPE
+) -> ComplexArray:
+    """Transform of a chip of which only a cross through the peak is left (PSF paper, figures 4 and 5)."""
+    shape = target.spectrum.shape
+    down, across = (np.minimum(np.arange(size), size - np.arange(size)) for size in shape)
+    cross = (down <= azimuth_stripe // 2)[:, None] | (across <= range_stripe // 2)
+    return np.asarray(scipy.fft.fftshift(scipy.fft.fft2(target.chip * cross)))
+
+
+def centred(response: ComplexArray) -> ComplexArray:
+    """A response whose point has its peak, of the value 1, in pixel 0, from one whose peak is not far from there.
+
+    To the first order of the phase that takes a linear fit of it, with the weights |response|, away.
+
+    Args:
+        response: shape (count,).
+    """
+    bins = band_frequencies(np.abs(scipy.fft.ifftshift(response)) ** 2)
+    frequencies = scipy.fft.fftshift(bins) / len(bins)
+    frequencies = frequencies - np.mean(frequencies)
+    moved = response * np.exp(2j * np.pi * frequencies * peak_offset(response, frequencies))
+    return np.asarray(moved / np.mean(moved))
+
+
+def _stacked(targets: Sequence[PointTarget]) -> tuple[ComplexArray, Array]:
+    """The targets' spectra, shape (targets, rows, cols), and each one's share in a mean of them."""
+    if not targets:
+        raise NotDetermined("No point target is there to tell the transfer function; one at least is needed.")
+    over_clutter = np.array([target.over_clutter for target in targets])
+    return np.stack([target.spectrum for target in targets]), over_clutter / over_clutter.sum()
+
+
+def _inverse(response: ComplexArray) -> ComplexArray:
+    """Weights of the bins of a spectrum that `response` is a factor of, for the mean of the other factor."""
+    power = np.abs(response) ** 2
+    weights = np.conj(response) / (power + FLOOR * power.max())
+    return np.asarray(weights / (weights @ response))
+
+
+def _errors(variance: Array, responses: ComplexArray, shares: Array, mean: ComplexArray) -> tuple[Array, float]:
+    """Standard errors of a mean response, and the targets' disagreement on it (the ratio of Birge 1932).
+
+    Args:
+        variance: of the bins of the mean that clutter explains, shape (bins,).
+        responses: of each target, shape (targets, bins).
+        shares: of the targets in the mean.
+        mean: shape (bins,).
+    """
+    disagreement = float("nan")
+    if len(responses) > 1:
+        spread = shares @ np.abs(responses - mean) ** 2 / (len(responses) - 1)
+        disagreement = float(np.sqrt(np.sum(spread) / np.sum(variance)))
+    return np.sqrt(variance) * np.fmax(disagreement, 1.0), disagreement

@@ -1,0 +1,69 @@
+"""Receivers that saturate: how many samples are clipped, and what that does to the rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtri
+
+from sal_height.sensor.sensor import Sensor
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex64]
+
+MAX_SHARE = 8e-4
+"""Share of saturated numbers that leaves 40 dB between Gaussian samples and their distortion (`distortion`)."""
+
+ROUNDING = 1e-5
+"""Share by which a clipped number may miss the full scale once a channel matrix in single precision is undone."""
+
+
+def clipped(samples: ComplexArray, full_scale: float) -> ComplexArray:
+    """Samples whose real and imaginary parts go no further than `full_scale`; 0: not known, they stay as they are."""
+    if not full_scale:
+        return samples
+    limit = np.float32(full_scale)
+    return np.clip(np.ascontiguousarray(samples).view(np.float32), -limit, limit).view(np.complex64)
+
+
+def saturated_shares(samples: ComplexArray, sensor: Sensor) -> Array:
+    """Share of the real and imaginary parts at or beyond full scale in what each channel is made of, shape (channels,).
+
+    With receivers before the channel matrix that is undone first; a channel has the share of the worst of its
+    receivers. 0 where the full scale is not known.
+
+    Args:
+        samples: of all channels as the sensor delivers them, shape (channels, pulses, samples).
+        sensor: that took them.
+    """
+    if not sensor.full_scale:
+        return np.zeros(len(samples))
+    limit = np.float32(sensor.full_scale * (1 - ROUNDING))
+    if sensor.matrix_in_antenna or not sensor.channel_matrix:
+        return _shares(samples, limit)
+    receivers = np.tensordot(np.linalg.inv(sensor.mixing).astype(np.complex64), samples, axes=1)
+    return np.asarray(np.max(_shares(receivers, limit) * (sensor.mixing != 0), axis=1))
+
+
+def _shares(samples: ComplexArray, limit: np.float32) -> Array:
+    parts = (np.ascontiguousarray(frame).view(np.float32) for frame in samples)
+    return np.array([np.mean(np.abs(part) >= limit) for part in parts])
+
+
+def distortion(share: npt.ArrayLike) -> Array:
+    """Power of what clipping adds to Gaussian samples over that of what is left of them, where `share` is clipped.
+
+    Clipping is memoryless, so that of a circular Gaussian sample x a multiple alpha x is left, and the rest does not
+    correlate with it (Bussgang 1952). In standard deviations of a part, with the limit c, Q(c) = share / 2 and the
+    density phi, Price's theorem gives alpha = 1 - 2 Q(c), and the clipped part has the power
+    1 - 2 Q(c) - 2 c phi(c) + 2 c^2 Q(c).
+
+    Args:
+        share: of the real and imaginary parts that are clipped, above 0 and below 1.
+    """
+    tail = np.asarray(share) / 2
+    limit = -ndtri(tail)
+    density = np.exp(-(limit**2) / 2) / np.sqrt(2 * np.pi)
+    left = 1 - 2 * tail
+    power = left - 2 * limit * density + 2 * limit**2 * tail
+    return np.asarray(power / left**2 - 1)

@@ -1,0 +1,269 @@
+"""A simulated flight: level and eastwards past the middle of the scene, one dwell after the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.geometry.frames import ApertureState, look_direction, sphere_point
+from sal_height.geometry.trajectory import PlatformState
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.waveform import echo_sensor, from_spectrum, spectrum_sensor
+from sal_height.simulation.gust import GustMotion, gust_motion
+from sal_height.simulation.impairments import pointing_rotation, through_receivers
+from sal_height.simulation.preset import Preset
+from sal_height.simulation.scene import SAMPLES_PER_CELL, PointTarget, Scene, VisibleSurface, visible_surface
+from sal_height.simulation.scenes import load_scene
+from sal_height.simulation.spotlight import draw_amplitudes, received, scatterer_amplitudes, simulate_dwell
+from sal_height.simulation.stripmap import aperture_length, cell_power, lit_angle, simulate_block
+
+Array = npt.NDArray[np.float64]
+
+ComplexArray = npt.NDArray[np.complexfloating]
+
+TURN_BEAMWIDTHS = 0.5
+"""Ground before and behind what the pulses of a stripmap block light up, should the body turn a little; beamwidths."""
+
+GROUND, GUST = 0, 1
+"""Random numbers that do not belong to a dwell: keys of their streams."""
+
+
+@dataclass(frozen=True)
+class SimulatedFlight:
+    """Everything a simulated run is made of; each dwell follows from it and a seed alone.
+
+    base_link are the axes of the antenna's stabilised mount. In spotlight the beams are held on the scene: during a
+    dwell every scatterer keeps the direction in which base_link sees it in the middle of the dwell. In stripmap they
+    are fixed to base_link, and dwells are blocks of one sequence of pulses.
+
+    Attributes:
+        preset: sensor, flight and CNR.
+        sensor: of the preset, as it is described; the preset's impairments come on top.
+        scene: the ground.
+        dwells: number of dwells; they are centred on the scene.
+        seed: of all random numbers.
+    """
+
+    preset: Preset
+    sensor: Sensor
+    scene: Scene
+    dwells: int
+    seed: int
+
+    def position(self, seconds: npt.ArrayLike) -> Array:
+        """Platform position (m, map) at times (s) after the start of the first dwell, shape (..., 3)."""
+        flight = self.preset.flight
+        aim = sphere_point(0.0, 0.0, self.scene.reference_height)
+        abeam = aim - flight.slant_range_m * look_direction(flight.look_angle_rad, 0.0, self.sensor.look_side)
+        start = -(self.dwells - 1) / 2 * self.preset.dwell_spacing_m - flight.speed_mps * self._middle_of_dwell
+        seconds = np.asarray(seconds, dtype=np.float64)
+        along = start + flight.speed_mps * seconds
+        straight = abeam + along[..., None] * np.array([1.0, 0.0, 0.0])
+        return np.asarray(straight + self._gust.displacement(seconds) - self._gust.displacement(self._middle_of_flight))
+
+    def velocity(self, seconds: npt.ArrayLike) -> Array:
+        """Platform velocity (m/s, map) at times (s) after the start of the first dwell, shape (..., 3)."""
+        return np.array([self.preset.flight.speed_mps, 0.0, 0.0]) + self._gust.velocity(seconds)
+
+    @cached_property
+    def _gust(self) -> GustMotion:
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GUST,)))
+        return gust_motion(self.preset.flight.gust_mps, self.preset.flight.speed_mps, rng)
+
+    @cached_property
+    def spectrum(self) -> Sensor:
+        """The sensor after range compression: whose range window and resolution the images have."""
+        return spectrum_sensor(self.sensor)
+
+    @cached_property
+    def built(self) -> Sensor:
+        """The sensor with the beams that it really has."""
+        return self.sensor.widened(self.preset.impairments.beam_width_factor)
+
+    @property
+    def pulse_times(self) -> Array:
+        """Times of the pulses after the start of their dwell, s."""
+        return np.arange(self.sensor.pulse_count) / self.sensor.pulse_repetition_frequency
+
+    @property
+    def _middle_of_dwell(self) -> float:
+        return float(self.pulse_times[-1]) / 2
+
+    @property
+    def _middle_of_flight(self) -> float:
+        last_dwell = (self.dwells - 1) * self.preset.dwell_spacing_m / self.preset.flight.speed_mps
+        return last_dwell / 2 + self._middle_of_dwell
+
+    def dwell_start_ns(self, dwell: int) -> int:
+        """Start of a dwell after the start of the first, ns."""
+        return round(dwell * self.preset.dwell_spacing_m / self.preset.flight.speed_mps * 1e9)
+
+    def platform_states(self, dwell: int) -> list[PlatformState]:
+        """Odometry samples that a dwell adds, at the preset's rate, up to one past its end; stamps after the start."""
+        period_ns = round(1e9 / self.preset.flight.odometry_rate_hz)
+        margin = 2
+
+        def last_sample(number: int) -> int:
+            return (self.dwell_start_ns(number) + round(float(self.pulse_times[-1]) * 1e9)) // period_ns + margin
+
+        first = last_sample(dwell - 1) + 1 if dwell else -margin
+        stamps = [index * period_ns for index in range(first, last_sample(dwell) + 1)]
+        return [self._state(stamp_ns) for stamp_ns in stamps]
+
+    def _state(self, stamp_ns: int) -> PlatformState:
+        seconds = stamp_ns * 1e-9
+        attitude = self._gust.rotation(seconds).as_quat()
+        return PlatformState(stamp_ns, self.position(seconds), attitude, self.velocity(seconds), np.zeros((6, 6)))
+
+    def aperture(self, dwell: int) -> ApertureState:
+        """State in the middle of a dwell; in stripmap of the aperture that slides with the ground abeam of it."""
+        middle = self.dwell_start_ns(dwell) * 1e-9 + self._middle_of_dwell
+        velocity = self.velocity(middle)
+        sliding = self.sensor.mode == "stripmap"
+        spotlight = float(np.linalg.norm(velocity)) * self.sensor.pulse_count / self.sensor.pulse_repetition_frequency
+        return ApertureState(
+            position=self.position(middle),
+            velocity=velocity,
+            rotation=self._gust.rotation(middle).as_matrix(),
+            length=aperture_length(self.sensor, self.preset.flight.slant_range_m) if sliding else spotlight,
+            covariance=np.zeros((6, 6)),
+            sliding=sliding,
+        )
+
+    def surface(self, dwell: int) -> VisibleSurface:
+        """What the dwell illuminates, in the range window.
+
+        In spotlight that is as far along the flight as main lobes reach to each side, however they swing. In stripmap
+        it is the ground abeam of the block and as much, and TURN_BEAMWIDTHS, before and behind it, each scatterer as
+        it is seen from abeam. Positions are those in the middle of the dwell.
+
+        Raises:
+            UserError: there is no terrain.
+        """
+        if self.sensor.mode == "stripmap":
+            return _joined([self._ground(tile)[0].after(self._seconds(tile, dwell)) for tile in self._tiles(dwell)])
+        aperture = self.aperture(dwell)
+        half_width = self._lit_angle * self.preset.flight.slant_range_m
+        return self._visible(aperture, (aperture.position[0] - half_width, aperture.position[0] + half_width))
+
+    @property
+    def _lit_angle(self) -> float:
+        """Angle along the flight to each side within which main lobes lie, however the beams swing, rad."""
+        return lit_angle(self.built.beams) + self.preset.impairments.antenna_swing.amplitude_rad
+
+    def _tiles(self, dwell: int) -> range:
+        """The tiles of ground that a stripmap block lights up; tile n is what lies abeam of block n without gusts."""
+        angle = self._lit_angle + TURN_BEAMWIDTHS * self.sensor.beamwidth
+        reach = angle * self.preset.flight.slant_range_m
+        neighbours = math.ceil(reach / self.preset.dwell_spacing_m)
+        abeam = math.floor(self.aperture(dwell).position[0] / self.preset.dwell_spacing_m + self.dwells / 2)
+        return range(abeam - neighbours, abeam + neighbours + 1)
+
+    @cached_property
+    def _ground(self) -> Callable[[int], tuple[VisibleSurface, ComplexArray]]:
+        """The tile of that number and its scatterers' amplitudes, the same for all blocks; a block's are held."""
+        return lru_cache(len(self._tiles(0)))(self._make_ground)
+
+    def _make_ground(self, tile: int) -> tuple[VisibleSurface, ComplexArray]:
+        edges = (tile - self.dwells / 2 + np.arange(2)) * self.preset.dwell_spacing_m
+        ground = self._visible(self.aperture(tile), (float(edges[0]), float(edges[1])), strips_per_cell=1)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GROUND, abs(tile), int(tile < 0))))
+        flight = self.preset.flight
+        power = cell_power(10 ** (self.preset.cnr_db / 10), self.spectrum, flight.slant_range_m, flight.speed_mps)
+        return ground, scatterer_amplitudes(ground, power, rng)
+
+    def _seconds(self, earlier: int, later: int) -> float:
+        """Time from the middle of one dwell to that of another, s."""
+        return (self.dwell_start_ns(later) - self.dwell_start_ns(earlier)) * 1e-9
+
+    def _visible(
+        self, aperture: ApertureState, east_extent: tuple[float, float], strips_per_cell: int = SAMPLES_PER_CELL
+    ) -> VisibleSurface:
+        """What an aperture sees in the range window between two arc distances east (m)."""
+        reach = self.preset.flight.slant_range_m
+        half_window = self.spectrum.range_window / 2
+        azimuth_cell = self.sensor.wavelength * reach / (2 * aperture.length)
+        return visible_surface(
+            self.scene,
+            aperture,
+            self.sensor.look_side,
+            (self.spectrum.range_resolution, azimuth_cell),
+            east_extent,
+            (reach - half_window, reach + half_window),
+            strips_per_cell,
+        )
+
+    def phase_history(self, dwell: int) -> PhaseHistory:
+        """Frames of all detectors in a dwell, in the sensor's waveform, stamped after the start of the first.
+
+        They are reproducible for (seed, dwell).
+
+        Raises:
+            UserError: there is no terrain.
+        """
+        rng = np.random.default_rng([self.seed, dwell])
+        start_ns = self.dwell_start_ns(dwell)
+        times = start_ns * 1e-9 + self.pulse_times
+        reference = np.full(self.sensor.pulse_count, self.preset.flight.slant_range_m)
+        simulated = self._block if self.sensor.mode == "stripmap" else self._spotlight
+        clean = through_receivers(simulated(dwell, times, reference, rng), self.sensor, self.preset.impairments)
+        samples = received(from_spectrum(clean, self.sensor), self.sensor, rng)
+        return PhaseHistory(start_ns, self.pulse_times, reference, samples)
+
+    def _spotlight(self, dwell: int, times: Array, reference: Array, rng: np.random.Generator) -> ComplexArray:
+        """Noise-free phase history of a spotlight dwell, whose speckle is drawn."""
+        surface, impairments = self.surface(dwell), self.preset.impairments
+        amplitudes = draw_amplitudes(surface, 10 ** (self.preset.cnr_db / 10), self.spectrum, rng)
+        since = self.pulse_times - self._middle_of_dwell
+        pointing = impairments.antenna_swing.pointing(times)
+        sensor, antenna = echo_sensor(self.built), self.position(times)
+        echoes = simulate_dwell(sensor, surface, amplitudes, antenna, reference, since, pointing)
+        return np.asarray(echoes * np.exp(1j * impairments.dwell_phase(len(times)))[:, None])
+
+    def _block(self, dwell: int, times: Array, reference: Array, _: np.random.Generator) -> ComplexArray:
+        """Noise-free phase history of a stripmap block, whose speckle is that of the ground."""
+        impairments = self.preset.impairments
+        amplitudes = np.concatenate([self._ground(tile)[1] for tile in self._tiles(dwell)])
+        swing = pointing_rotation(impairments.antenna_swing.pointing(times), self.sensor)
+        rotation = self._gust.rotation(times).as_matrix() @ swing
+        sensor, since = echo_sensor(self.built), self.pulse_times - self._middle_of_dwell
+        return simulate_block(
+            sensor,
+            self.surface(dwell),
+            amplitudes,
+            self.position(times),
+            rotation,
+            reference,
+            since,
+            impairments.quartic_phase_rad,
+        )
+
+
+def flight_of(preset: Preset, seed: int) -> SimulatedFlight:
+    """The flight that a preset describes, over its scene and targets.
+
+    Raises:
+        UserError: a scene or file of beams that cannot be used.
+    """
+    scene = load_scene(preset.scene, preset.scene_extent_m)
+    targets = tuple(
+        PointTarget(
+            t.east_m, t.north_m, t.height_m, 10 ** (t.power_db / 10), t.radial_velocity_mps, t.along_velocity_mps
+        )
+        for t in preset.targets
+    )
+    scene = replace(scene, points=scene.points + targets)
+    return SimulatedFlight(preset, preset.make_sensor(), scene, preset.dwells, seed)
+
+
+def _joined(surfaces: list[VisibleSurface]) -> VisibleSurface:
+    """All scatterers of some surfaces."""
+    return VisibleSurface(
+        *(np.concatenate([getattr(surface, field.name) for surface in surfaces]) for field in fields(VisibleSurface))
+    )

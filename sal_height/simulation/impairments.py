@@ -1,0 +1,223 @@
+"""Impairments: how the simulated sensor differs from its description, for calibration to find.
+
+What a receiver does to the echoes, before its own noise, is a response over fast-time frequency; what the antenna does
+is where its beams point and how wide they are; what the processing of a real radar leaves is a phase over the aperture
+(PSF paper, sections 1 and 3). Nothing of it is in `sensor.Sensor`, which is the description. A receiver that saturates
+is described: `full_scale`.
+
+Fast-time frequencies are offsets from the carrier in cycles per range cell (c / 2 B of the images): the band is that
+from -1/2 to 1/2. With waveform "chirp" or "deramped" the receiver's response is that of a filter before the mixer, so
+that it acts on the echo's frequencies, not on the samples of the record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+from annotated_types import Ge, Gt, Le
+from scipy.spatial.transform import Rotation
+
+from sal_height.geometry.frames import look_direction
+from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.waveform import echo_sensor, spectrum_sensor
+from sal_height.simulation.settings import STRICT_KEYS, Decibels, Float, Int
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complexfloating]
+
+TAPER_NODES = 4097
+"""Nodes of the tabulated Taylor weights, which are interpolated linearly between them."""
+
+MOST_SWING_BEAMWIDTHS = 0.5
+"""Greatest swing of the antenna: the beams' middle stays within the band that a dwell may have (`sampling`)."""
+
+FORWARD = np.array([1.0, 0.0, 0.0])
+"""Direction of flight in body axes."""
+
+
+@dataclass(frozen=True)
+class RangeSawtooth:
+    """A sawtooth on the amplitude of a receiver's response over frequency (PSF paper, section 3).
+
+    The amplitude is 1 + depth saw(teeth x) at the frequency x, with saw(x) = 2 x from -1/2 to 1/2. It puts paired
+    echoes `teeth` range cells before and behind a target, of the amplitude depth / pi over the target's; with N
+    frequencies and M = N / teeth of them in a tooth, depth / (M sin(pi / M)). Its harmonics are echoes farther off.
+
+    Attributes:
+        depth: of the amplitude.
+        teeth: over the band; at most half the number of frequencies.
+        receivers: that have it, counted from 0; empty: all.
+    """
+
+    __pydantic_config__ = STRICT_KEYS
+
+    depth: Annotated[Float, Gt(0), Le(1)]
+    teeth: Annotated[Float, Gt(0), Le(32768)]
+    receivers: tuple[Annotated[Int, Ge(0)], ...] = ()
+
+    def response(self, frequency: Array) -> Array:
+        """Amplitude at frequencies in cycles per range cell."""
+        tooth = self.teeth * frequency
+        return np.asarray(1 + self.depth * 2 * (tooth - np.floor(tooth + 0.5)))
+
+
+@dataclass(frozen=True)
+class RangeTaper:
+    """Taylor weights over the middle of the band in all receivers (PSF paper, section 1).
+
+    They are 1 in the middle of the band and 0 outside of their share.
+
+    Attributes:
+        sidelobe_db: level by which the 4 sidelobes to each side stay below the peak.
+        band_share: of the band that the weights take.
+    """
+
+    __pydantic_config__ = STRICT_KEYS
+
+    sidelobe_db: Annotated[Float, Ge(13), Le(100)] = 35.0
+    band_share: Annotated[Float, Ge(0.01), Le(1)] = 1.0
+
+    def response(self, frequency: Array) -> Array:
+        """Amplitude at frequencies in cycles per range cell."""
+        from scipy.signal import windows  # noqa: PLC0415 (brings scipy.stats, 0.4 s of every node's start)
+
+        edges = np.linspace(-self.band_share / 2, self.band_share / 2, TAPER_NODES)
+        weights = windows.taylor(TAPER_NODES, nbar=5, sll=self.sidelobe_db, norm=True)
+        return np.asarray(np.interp(frequency, edges, weights, left=0.0, right=0.0))
+
+
+@dataclass(frozen=True)
+class AntennaSwing:
+    """The beams swing along the flight (PSF paper, section 1): ahead by amplitude sin(2 pi t / period + phase).
+
+    Attitude does not tell of it. With a period much longer than the flight and a phase of pi / 2 they squint.
+
+    Attributes:
+        amplitude_rad: angle along the flight; at most MOST_SWING_BEAMWIDTHS.
+        period_s: s.
+        phase_rad: when the first dwell starts.
+    """
+
+    __pydantic_config__ = STRICT_KEYS
+
+    amplitude_rad: Annotated[Float, Ge(0), Le(1)]
+    period_s: Annotated[Float, Ge(1e-6), Le(1e9)]
+    phase_rad: Annotated[Float, Ge(-np.pi), Le(np.pi)] = 0.0
+
+    def pointing(self, seconds: npt.ArrayLike) -> Array:
+        """Angle (rad) by which the beams point ahead at times (s) after the start of the first dwell."""
+        turn = 2 * np.pi * np.asarray(seconds, dtype=np.float64) / self.period_s + self.phase_rad
+        return np.asarray(self.amplitude_rad * np.sin(turn))
+
+
+STEADY = AntennaSwing(amplitude_rad=0.0, period_s=1.0)
+
+
+@dataclass(frozen=True)
+class Impairments:
+    """All that the simulated sensor has and its description does not tell of; by default nothing.
+
+    Receivers are where noise is added: behind the detectors, or behind a hybrid in the antenna (Sigma, then Delta).
+    What they do to echoes comes before their noise, which stays as described.
+
+    Attributes:
+        range_sawtooth: of the receivers' response.
+        range_taper: of the receivers' response.
+        undescribed_gains_db: of the receivers, one each; empty: 0.
+        undescribed_phases_rad: of the receivers, one each; empty: 0.
+        nyquist_spur_over_noise: amplitude, over the rms of the receiver's noise in a sample, of a signal in the first
+            of an even number of frequencies: a wave of half a cycle per range cell in the image (PSF paper, section 3).
+            It is the same in every pulse: in stripmap it has everywhere the same amplitude, in spotlight it stands in
+            the columns abeam of the antenna. Waveform "spectrum" only.
+        beam_width_factor: by which all beams, about their boresights, are wider than described.
+        antenna_swing: of all beams.
+        quartic_phase_rad: phase at the edge of the aperture, growing with the fourth power (PSF paper, section 3): in
+            spotlight over the pulses of the dwell, in stripmap over a scatterer's angle to the beams along the flight,
+            whose half a beamwidth is the edge.
+    """
+
+    __pydantic_config__ = STRICT_KEYS
+
+    range_sawtooth: RangeSawtooth | None = None
+    range_taper: RangeTaper | None = None
+    undescribed_gains_db: tuple[Decibels, ...] = ()
+    undescribed_phases_rad: tuple[Annotated[Float, Ge(-np.pi), Le(np.pi)], ...] = ()
+    nyquist_spur_over_noise: Annotated[Float, Ge(0), Le(1e6)] = 0.0
+    beam_width_factor: Annotated[Float, Ge(0.5), Le(2)] = 1.0
+    antenna_swing: AntennaSwing = STEADY
+    quartic_phase_rad: Annotated[Float, Ge(-100), Le(100)] = 0.0
+
+    def receiver_response(self, sensor: Sensor) -> npt.NDArray[np.complex128]:
+        """What each receiver multiplies the echoes by, at the frequencies of `echo_sensor(sensor)`.
+
+        Args:
+            sensor: as it is described, of any waveform.
+
+        Returns:
+            complex128, shape (receivers, frequencies), frequencies ascending: with waveform "spectrum" the first is at
+            -1/2 cycle per range cell of the image. 1 where there is no impairment.
+        """
+        frequency = _cycles_per_cell(sensor)
+        gains = 10 ** (np.array(self.undescribed_gains_db or (0.0,)) / 20)
+        phases = np.array(self.undescribed_phases_rad or (0.0,))
+        response = np.ones((sensor.detector_count, len(frequency)), dtype=np.complex128)
+        response *= (gains * np.exp(1j * phases))[:, None]
+        if self.range_taper:
+            response *= self.range_taper.response(frequency)
+        if self.range_sawtooth:
+            response[list(self.range_sawtooth.receivers) or slice(None)] *= self.range_sawtooth.response(frequency)
+        return response
+
+    def spur(self, sensor: Sensor) -> npt.NDArray[np.complex128]:
+        """What every pulse has in each receiver beside echoes and noise, shape (receivers, frequencies)."""
+        spur = np.zeros((sensor.detector_count, echo_sensor(sensor).sample_count), dtype=np.complex128)
+        spur[:, 0] = self.nyquist_spur_over_noise * np.sqrt(sensor.noise_power)
+        return spur
+
+    def dwell_phase(self, pulses: int) -> Array:
+        """Quartic phase (rad) of the pulses of a spotlight dwell, shape (pulses,)."""
+        along = (np.arange(pulses) - (pulses - 1) / 2) / (pulses / 2)
+        return np.asarray(self.quartic_phase_rad * along**4)
+
+
+UNIMPAIRED = Impairments()
+
+
+def _cycles_per_cell(sensor: Sensor) -> Array:
+    """Offsets from the carrier of the frequencies of `echo_sensor(sensor)`, cycles per range cell of the images."""
+    echo = echo_sensor(sensor)
+    offsets = (np.arange(echo.sample_count) - (echo.sample_count - 1) / 2) * echo.frequency_step
+    return np.asarray(offsets / spectrum_sensor(sensor).bandwidth)
+
+
+def through_receivers(clean: ComplexArray, sensor: Sensor, impairments: Impairments) -> ComplexArray:
+    """Echoes as they must come from the detectors for the receivers, were they as described, to deliver what they do.
+
+    With receivers R behind the channel matrix M in the antenna that is M^-1 (R M s + spur), without it R s + spur. The
+    difference from s is added, so that echoes keep every bit where nothing is impaired.
+
+    Args:
+        clean: s, noise-free samples of `echo_sensor(sensor)`, shape (detectors, pulses, frequencies); not changed.
+        sensor: as it is described.
+        impairments: of its receivers.
+
+    Returns:
+        complex128, of the shape of `clean`.
+    """
+    matrix = sensor.mixing if sensor.matrix_in_antenna else np.eye(sensor.detector_count)
+    arriving = np.tensordot(matrix, clean, axes=1)
+    change = (impairments.receiver_response(sensor) - 1)[:, None] * arriving + impairments.spur(sensor)[:, None]
+    return np.asarray(clean + np.tensordot(np.linalg.inv(matrix), change, axes=1))
+
+
+def pointing_rotation(pointing: Array, sensor: Sensor) -> Array:
+    """Matrices, in body axes, that turn the middle of the beams ahead by angles `pointing` (rad), (..., 3, 3).
+
+    A direction at the squint y in the plane of the line of sight and the flight has, seen from the turned antenna, the
+    squint y - pointing.
+    """
+    boresight = look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
+    return np.asarray(Rotation.from_rotvec(pointing[..., None] * np.cross(boresight, FORWARD)).as_matrix())

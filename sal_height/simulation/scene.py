@@ -1,0 +1,295 @@
+"""The ground: terrain heights, radar brightness and point targets, and what of it an aperture sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import RegularGridInterpolator
+
+from sal_height.errors import UserError
+from sal_height.geometry.frames import ApertureState, angles_of, aperture_at, sphere_point
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PointTarget:
+    """A single scatterer, at rest or on a straight way at constant speed.
+
+    It is where `east`, `north` and `height` say in the middle of every spotlight dwell, in stripmap when it is abeam
+    of the antenna. Its radial velocity is along the line of sight from there (SAL paper, section 4).
+
+    Attributes:
+        east: arc distance from the map origin, m.
+        north: arc distance from the map origin, m.
+        height: above the sphere, m.
+        power: relative to a resolution cell of brightness 1 in an unweighted image; a range window raises the cell,
+            and the noise, by its `windows.noise_gain`, and leaves the point. Terrain does not shadow it.
+        radial_velocity: away from the antenna, m/s.
+        along_velocity: in the direction of flight, m/s.
+    """
+
+    east: float
+    north: float
+    height: float
+    power: float
+    radial_velocity: float = 0.0
+    along_velocity: float = 0.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A terrain of heights and radar brightness on a regular grid, with point targets.
+
+    Heights are bilinear between nodes; a step between two nodes is a wall. Brightness is beta-nought: mean power per
+    slant range and azimuth, so that a cell of brightness 1 has the CNR that a simulation states, whatever its slope.
+
+    Attributes:
+        name: for people.
+        east: node arc distances from the map origin, m, increasing, shape (n_east,).
+        north: node arc distances, m, increasing, shape (n_north,).
+        height: above the sphere, m, shape (n_north, n_east).
+        brightness: relative radar brightness, shape (n_north, n_east).
+        points: point targets.
+        extent: of the scatterers in height, m: even from half of it below the terrain to half above, as in vegetation
+            or on rough ground; 0: on the terrain. What the terrain hides is hidden from top to bottom, nothing else is.
+
+    Raises:
+        UserError: fewer than 2 x 2 nodes, nodes that do not increase, values that are not finite, or an extent below 0.
+    """
+
+    name: str
+    east: Array
+    north: Array
+    height: Array
+    brightness: Array
+    points: tuple[PointTarget, ...] = field(default=())
+    extent: float = 0.0
+
+    def __post_init__(self) -> None:
+        shape = (len(self.north), len(self.east))
+        if self.height.shape != shape or self.brightness.shape != shape or min(shape) < 2:
+            raise UserError(
+                f"Scene {self.name}: height {self.height.shape} and brightness {self.brightness.shape} must both be "
+                f"(north, east) = {shape}, 2 x 2 or more."
+            )
+        if not (np.all(np.diff(self.east) > 0) and np.all(np.diff(self.north) > 0)):
+            raise UserError(f"Scene {self.name}: east and north of the nodes must increase.")
+        if not (np.all(np.isfinite(self.height)) and np.all(np.isfinite(self.brightness) & (self.brightness >= 0))):
+            raise UserError(f"Scene {self.name}: heights must be finite, brightness finite and 0 or more.")
+        if not (np.isfinite(self.extent) and self.extent >= 0):
+            raise UserError(f"Scene {self.name}: extent is {self.extent} m; it must be finite and 0 or more.")
+
+    def heights(self, east: npt.ArrayLike, north: npt.ArrayLike) -> Array:
+        """Terrain height (m) at arc distances `east`, `north` (m); NaN outside the terrain."""
+        return self._interpolate(self.height, east, north)
+
+    def brightnesses(self, east: npt.ArrayLike, north: npt.ArrayLike) -> Array:
+        """Radar brightness at arc distances `east`, `north` (m); NaN outside the terrain."""
+        return self._interpolate(self.brightness, east, north)
+
+    def _interpolate(self, values: Array, east: npt.ArrayLike, north: npt.ArrayLike) -> Array:
+        table = RegularGridInterpolator((self.north, self.east), values, bounds_error=False, fill_value=np.nan)
+        return np.asarray(table(np.stack(np.broadcast_arrays(north, east), axis=-1)))
+
+    @cached_property
+    def reference_height(self) -> float:
+        """Median terrain height, m: what a flight aims at."""
+        return float(np.median(self.height))
+
+
+@dataclass(frozen=True)
+class VisibleSurface:
+    """Scatterers that an aperture sees, dense enough that each resolution cell holds several.
+
+    Attributes:
+        positions: in map in the middle of the aperture's time, m, shape (scatterers, 3).
+        heights: above the sphere, m, shape (scatterers,).
+        power: mean power relative to a resolution cell of brightness 1, shape (scatterers,).
+        slant_range: from the middle of the aperture, in stripmap from abeam, m.
+        elevation: rad from nadir in body axes, from there.
+        squint: rad.
+        deterministic: True for point targets, whose amplitude does not fluctuate.
+        velocity: in map, m/s, shape (scatterers, 3).
+    """
+
+    positions: Array
+    heights: Array
+    power: Array
+    slant_range: Array
+    elevation: Array
+    squint: Array
+    deterministic: npt.NDArray[np.bool_]
+    velocity: Array
+
+    @cached_property
+    def moves(self) -> bool:
+        """Whether a scatterer moves."""
+        return bool(np.any(self.velocity))
+
+    def positions_after(self, seconds: float) -> Array:
+        """Positions (m, map) at a time (s) after `positions`, shape (scatterers, 3)."""
+        return self.positions + seconds * self.velocity if self.moves else self.positions
+
+    def after(self, seconds: float) -> Self:
+        """The surface with its positions at a time (s) after these; how it was seen stays."""
+        return replace(self, positions=self.positions_after(seconds)) if self.moves else self
+
+
+SAMPLES_PER_CELL = 2
+"""Scatterers per resolution cell in range and in azimuth, each: enough for fully developed speckle.
+
+One in azimuth does where time matters: amplitudes are Gaussian one by one, and the power of an unweighted image stays
+even with strips as far apart as its resolution.
+"""
+
+
+LAYERS = 15
+"""Layers of scatterers where they have an extent in height; odd, so that one is the terrain.
+
+They are closer than a quarter of a beam up to an extent of three and a half.
+"""
+
+LONGEST_PIECE = 16
+"""Longest piece of a cut, in range cells, over which range is taken as linear."""
+
+
+def visible_surface(
+    scene: Scene,
+    aperture: ApertureState,
+    look_side: int,
+    cell: tuple[float, float],
+    east_extent: tuple[float, float],
+    range_extent: tuple[float, float],
+    strips_per_cell: int = SAMPLES_PER_CELL,
+) -> VisibleSurface:
+    """Scatterers of the terrain that are lit and lie within the given extents, plus the point targets.
+
+    Each strip of constant east is a vertical cut through the terrain. Going outwards from the sensor, a point is lit
+    when its elevation exceeds that of all points before it.
+
+    Args:
+        scene: the ground.
+        aperture: flying east or west (the strips are perpendicular to the flight).
+        look_side: +1 right, -1 left.
+        cell: resolution in slant range and azimuth, m.
+        east_extent: first arc distance east and the one where the next extent begins, m.
+        range_extent: least and greatest slant range from the middle of the aperture, m.
+        strips_per_cell: strips of scatterers in a resolution cell in azimuth.
+
+    Raises:
+        UserError: the scene has no terrain within the extents.
+    """
+    terrain = _terrain_scatterers(scene, aperture, look_side, cell, east_extent, strips_per_cell)
+    points = np.array([[p.east, p.north, p.height, p.power] for p in scene.points]).reshape(-1, 4)
+    positions = np.concatenate([terrain.positions, sphere_point(points[:, 0], points[:, 1], points[:, 2])])
+    slant_range, elevation, squint = angles_of(positions, aperture_at(positions, aperture), look_side)
+    point = np.arange(len(positions)) >= len(terrain.positions)
+    seen = (slant_range >= range_extent[0]) & (slant_range <= range_extent[1])
+    on_terrain = elevation[~point].reshape(terrain.layers, -1)[terrain.layers // 2]
+    seen[~point] &= np.tile(_lit(on_terrain, terrain.strip), terrain.layers)
+    seen[point] &= (points[:, 0] >= east_extent[0]) & (points[:, 0] < east_extent[1])
+    if not np.any(seen & ~point):
+        raise UserError(
+            f"Scene {scene.name} has no terrain at slant ranges {range_extent[0]:.1f} to {range_extent[1]:.1f} m and "
+            f"{east_extent[0]:.1f} to {east_extent[1]:.1f} m east; fly where the scene is, or choose a larger scene."
+        )
+    velocity = np.zeros_like(positions)
+    velocity[point], positions[point] = _motion(scene.points, positions[point], aperture)
+    return VisibleSurface(
+        positions=positions[seen],
+        heights=np.concatenate([terrain.heights, points[:, 2]])[seen],
+        power=np.concatenate([terrain.power, points[:, 3]])[seen],
+        slant_range=slant_range[seen],
+        elevation=elevation[seen],
+        squint=squint[seen],
+        deterministic=point[seen],
+        velocity=velocity[seen],
+    )
+
+
+def _motion(points: tuple[PointTarget, ...], positions: Array, aperture: ApertureState) -> tuple[Array, Array]:
+    """Velocities (m/s) of point targets, and their positions (m) in the middle of the aperture's time: (points, 3).
+
+    `positions` are those where a sliding aperture has come abeam of them.
+    """
+    seen_from = aperture_at(positions, aperture).position
+    sight = (positions - seen_from) / np.linalg.norm(positions - seen_from, axis=-1, keepdims=True)
+    radial, along = np.array([[p.radial_velocity, p.along_velocity] for p in points]).reshape(-1, 2, 1).swapaxes(0, 1)
+    velocity = radial * sight + along * aperture.direction
+    seconds = (seen_from - aperture.position) @ aperture.velocity / (aperture.velocity @ aperture.velocity)
+    return velocity, positions - np.reshape(seconds, (-1, 1)) * velocity
+
+
+@dataclass(frozen=True)
+class _Scatterers:
+    """Terrain scatterers, layer after layer from the lowest to the highest, each strip after strip, ordered outwards.
+
+    The middle one of an odd number of layers is the terrain; `strip` is the number of the strip of each of its
+    scatterers.
+    """
+
+    positions: Array
+    heights: Array
+    power: Array
+    strip: npt.NDArray[np.int_]
+    layers: int
+
+
+def _terrain_scatterers(
+    scene: Scene,
+    aperture: ApertureState,
+    look_side: int,
+    cell: tuple[float, float],
+    east_extent: tuple[float, float],
+    strips_per_cell: int,
+) -> _Scatterers:
+    """Scatterers along vertical cuts through the terrain, lit or not, SAMPLES_PER_CELL in each cell of a cut.
+
+    Between two nodes of a cut, so many that neither range nor the arc across it steps by more than their spacing;
+    each has its share of the piece's extent in range, as brightness is power per slant range.
+    """
+    range_cell, azimuth_cell = cell
+    strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * strips_per_cell))
+    strip_width = (east_extent[1] - east_extent[0]) / strips
+    east = east_extent[0] + strip_width * (np.arange(strips) + 0.5)
+    outwards = -look_side * np.sign(aperture.direction[0])
+    refine = int(np.ceil(np.diff(scene.north).max() / (LONGEST_PIECE * range_cell)))
+    steps = np.arange((len(scene.north) - 1) * refine + 1) / refine
+    north = np.interp(steps, np.arange(len(scene.north)), scene.north)[:: int(outwards)]
+    height = scene.heights(east[:, None], north)
+    nodes = sphere_point(east[:, None], north, height)
+    node_range, node_elevation, _ = angles_of(nodes, aperture_at(nodes, aperture), look_side)
+
+    span = np.maximum(np.abs(np.diff(node_range)), np.abs(np.diff(node_elevation)) * node_range[:, :-1])
+    pieces = np.ceil(np.nan_to_num(span) / range_cell * SAMPLES_PER_CELL).astype(int).ravel()
+    between = np.repeat(np.arange(pieces.size), pieces)
+    strip, node = np.divmod(between, len(north) - 1)
+    first = np.cumsum(pieces) - pieces
+    fraction = (np.arange(len(between)) - first[between] + 0.5) / pieces[between]
+
+    def along(values: Array) -> Array:
+        start, end = values[strip, node], values[strip, node + 1]
+        return np.asarray(start + (end - start) * fraction)
+
+    layers = scene.extent * ((np.arange(LAYERS) + 0.5) / LAYERS - 0.5) if scene.extent else np.zeros(1)
+    heights = along(height) + layers[:, None]
+    range_share = np.abs(np.diff(node_range))[strip, node] / pieces[between] / range_cell
+    power = along(scene.brightnesses(east[:, None], north)) * range_share * (strip_width / azimuth_cell)
+    return _Scatterers(
+        positions=sphere_point(east[strip], along(np.broadcast_to(north, height.shape)), heights).reshape(-1, 3),
+        heights=heights.ravel(),
+        power=np.tile(power / len(layers), len(layers)),
+        strip=strip,
+        layers=len(layers),
+    )
+
+
+def _lit(elevation: Array, strip_of: npt.NDArray[np.int_]) -> npt.NDArray[np.bool_]:
+    """Whether each point of each strip, ordered outwards, is seen over all points before it."""
+    strips = np.split(np.nan_to_num(elevation, nan=-np.pi), np.flatnonzero(np.diff(strip_of)) + 1)
+    return elevation >= np.concatenate([np.maximum.accumulate(strip) for strip in strips])

@@ -1,0 +1,111 @@
+"""Simulator: scene, sensor and trajectory become the phase history of every detector."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+import finufft
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.sensor.phase_history import NUFFT_TOLERANCE
+from sal_height.sensor.receivers import clipped
+from sal_height.sensor.sensor import Sensor
+from sal_height.simulation.scene import VisibleSurface
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complexfloating]
+
+
+def draw_amplitudes(surface: VisibleSurface, cnr: float, sensor: Sensor, rng: np.random.Generator) -> ComplexArray:
+    """Complex amplitude of every scatterer: circular Gaussian (speckle), but constant for point targets.
+
+    Scaled so that a resolution cell of brightness 1 in the focused image has the carrier-to-noise power ratio `cnr`
+    in a detector that looks straight at it (compression divides the noise power by the number of samples). That is of
+    a detector with a receiver right behind it: what a channel matrix takes or gives comes on top.
+    """
+    noise = float(np.mean(sensor.noise_power)) / (sensor.pulse_count * sensor.sample_count)
+    return scatterer_amplitudes(surface, cnr * noise, rng)
+
+
+def scatterer_amplitudes(surface: VisibleSurface, cell_power: float, rng: np.random.Generator) -> ComplexArray:
+    """Complex amplitude of every scatterer, where a resolution cell of brightness 1 has the power `cell_power`."""
+    speckle = (rng.standard_normal(len(surface.power)) + 1j * rng.standard_normal(len(surface.power))) / np.sqrt(2)
+    return np.sqrt(surface.power * cell_power) * np.where(surface.deterministic, 1.0, speckle)
+
+
+def simulate_dwell(
+    sensor: Sensor,
+    surface: VisibleSurface,
+    amplitudes: ComplexArray,
+    antenna: Array,
+    reference_range: Array,
+    seconds: npt.ArrayLike = 0.0,
+    pointing: npt.ArrayLike = 0.0,
+) -> ComplexArray:
+    """Noise-free phase history of every detector.
+
+    The beam is held on the scene, so that a scatterer keeps its weight in each detector's beam as long as `pointing`
+    stays the same. The sum over scatterers at every frequency is a type-1 non-uniform FFT in range, one per pulse.
+
+    Args:
+        sensor: wavelength, frequencies and beams.
+        surface: scatterers.
+        amplitudes: of the scatterers, shape (scatterers,).
+        antenna: position at each pulse, m, shape (pulses, 3).
+        reference_range: m, shape (pulses,).
+        seconds: times of the pulses after that of the surface's positions; broadcasts with (pulses,).
+        pointing: angle by which the beams point ahead in each pulse, rad; broadcasts with (pulses,).
+
+    Returns:
+        Complex128 samples, shape (detectors, pulses, frequencies).
+    """
+    seconds, pointing = (np.broadcast_to(values, len(antenna)) for values in (seconds, pointing))
+
+    def pulse_samples(weighted: ComplexArray, position: Array, reference: float, second: float) -> ComplexArray:
+        delay = np.linalg.norm(surface.positions_after(second) - position, axis=-1) - reference
+        strengths = weighted * np.exp(-1j * sensor.centre_wavenumber * delay)
+        phase = sensor.wavenumber_step * delay
+        return np.asarray(
+            finufft.nufft1d1(phase, strengths, sensor.sample_count, isign=-1, eps=NUFFT_TOLERANCE, nthreads=1)
+        )
+
+    samples = np.empty((sensor.detector_count, len(antenna), sensor.sample_count), dtype=np.complex128)
+    with ThreadPoolExecutor() as pool:
+        for angle in np.unique(pointing):
+            weighted = np.ascontiguousarray(sensor.beams.response(surface.elevation, surface.squint - angle).T)
+            pulses = np.flatnonzero(pointing == angle)
+            made = pool.map(
+                partial(pulse_samples, weighted * amplitudes), antenna[pulses], reference_range[pulses], seconds[pulses]
+            )
+            samples[:, pulses] = np.stack(list(made), axis=1)
+    return samples
+
+
+def received(samples: npt.NDArray[np.complex64], sensor: Sensor, rng: np.random.Generator) -> npt.NDArray[np.complex64]:
+    """The channels' samples: where the receivers are, noise is added and what exceeds the full scale is clipped.
+
+    Args:
+        samples: noise-free, of every detector, shape (detectors, pulses, samples); not changed.
+        sensor: noise, channel matrix and full scale.
+        rng: of the noise.
+    """
+    noise = receiver_noise(sensor, samples.shape[1], rng)
+    if sensor.matrix_in_antenna:
+        return clipped(form_channels(samples, sensor) + noise, sensor.full_scale)
+    return form_channels(clipped(samples + noise, sensor.full_scale), sensor)
+
+
+def form_channels(samples: npt.NDArray[np.complex64], sensor: Sensor) -> npt.NDArray[np.complex64]:
+    """Channel matrix times the detectors' samples, shape (detectors, pulses, samples)."""
+    if not sensor.channel_matrix:
+        return samples
+    return np.tensordot(sensor.mixing, samples, axes=1).astype(np.complex64)
+
+
+def receiver_noise(sensor: Sensor, pulses: int, rng: np.random.Generator) -> npt.NDArray[np.complex64]:
+    """Circular Gaussian noise of the stated power, independent between receivers, (receivers, pulses, frequencies)."""
+    shape = (sensor.detector_count, pulses, sensor.sample_count, 2)
+    noise = rng.standard_normal(shape, dtype=np.float32).view(np.complex64)[..., 0]
+    return noise * np.sqrt(np.array(sensor.noise_power, dtype=np.float32) / 2)[:, None, None]

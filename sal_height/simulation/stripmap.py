@@ -1,0 +1,221 @@
+"""Stripmap: the antenna is fixed to the body, and every point of the ground has the aperture in which beams pass it."""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.beams.array import Beams
+from sal_height.geometry.frames import look_direction
+from sal_height.imaging.weighting import Processing
+from sal_height.numeric.jit import compiled
+from sal_height.numeric.phasors import phasors
+from sal_height.numeric.range_profiles import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
+from sal_height.sensor.sensor import Sensor
+from sal_height.simulation.scene import VisibleSurface
+
+Array = npt.NDArray[np.float64]
+FloatArray = npt.NDArray[np.float32]
+ComplexArray = npt.NDArray[np.complex64]
+
+ASPECTS = 8
+"""Directions, of the Gauss-Legendre rule, in which beams are averaged over the processed angle."""
+
+LIT_BEAMWIDTHS = 1.0
+"""Ground to each side of a beam's middle, along the flight, that a pulse lights up; in beamwidths.
+
+That is the main lobe of the square aperture. The pulse repetition frequency that presets demand samples its Doppler;
+what lies beyond would appear as ambiguities.
+"""
+
+
+def lit_angle(beams: Beams) -> float:
+    """Angle along the flight to each side of the middle of all beams within which main lobes lie, rad.
+
+    One beamwidth; with the detector axis turned by psi the beams at its ends look ahead and back by sin(psi) times
+    half its length.
+    """
+    first, last = beams.span
+    return LIT_BEAMWIDTHS * beams.beamwidth + (last - first) / 2 * abs(math.sin(beams.rotation))
+
+
+def processed_angle(sensor: Sensor) -> float:
+    """Angle over which a target is processed, rad: one beamwidth, which gives a resolution of half the aperture."""
+    return sensor.beamwidth
+
+
+def aperture_length(sensor: Sensor, slant_range: float) -> float:
+    """Length of the synthetic aperture of a target at `slant_range` (m), m."""
+    return processed_angle(sensor) * slant_range
+
+
+def image_beams(sensor: Sensor, azimuth_window: str) -> Beams:
+    """The beams as a stripmap image has them: their mean over the aspects under which a target is processed.
+
+    At its peak a target has in every detector the mean of the pattern along its passage, weighted by the window (SAL
+    paper, section 4). Where the pattern does not separate into one across and one along the flight, as that of a round
+    aperture or with the detector axis turned, the ratios of detectors are not those of one direction.
+
+    Scaled so that a detector looking straight at the target's elevation has the amplitude 1, as the CNRs of images
+    refer to it. Beams that separate stay as they are.
+
+    Speckled ground is not one target with these ratios: its detectors correlate as the mean of products of beams, which
+    with the axis turned is not the product of means. About half of the error in elevation that averaging takes off
+    points stays on ground.
+
+    Args:
+        sensor: beams.
+        azimuth_window: over the processed angle, a name of `windows.WINDOWS`.
+
+    Raises:
+        UserError: there is no window of that name.
+    """
+    processing = Processing(azimuth_window=azimuth_window, angle=processed_angle(sensor))
+    nodes, weights = np.polynomial.legendre.leggauss(ASPECTS)
+    aspects = processing.angle / 2 * nodes
+    edge = np.full(ASPECTS, (1 - nodes[-1]) * processing.angle / 2)
+    beams = sensor.beams.averaged(aspects, weights * processing.angle_weights(aspects, edge))
+    along, beside = aspects * math.sin(beams.rotation), aspects * math.cos(beams.rotation)
+    passage = beams.patterns[0].amplitude(along / beams.beamwidth, beside / beams.beamwidth)
+    return replace(beams, weights=beams.weights / float(np.abs(beams.weights @ passage)))
+
+
+def mean_square_gain(beams: Beams) -> float:
+    """Mean square over the processed angle of the first detector's pattern, for a target at the boresight's elevation.
+
+    A focused pixel is the mean of its pulses. Noise has the power of a sample over their number; the cells of level
+    ground have, by Parseval, that of a beam that is even over the aperture, times this gain. (A point has at its peak
+    the square of the mean of the pattern instead: for the square aperture 0.07 dB less.)
+    """
+    nodes = (np.arange(1000) + 0.5) / 1000 - 0.5
+    sine, cosine = math.sin(beams.rotation), math.cos(beams.rotation)
+    return float(np.mean(np.abs(beams.patterns[0].amplitude(nodes * sine, nodes * cosine)) ** 2))
+
+
+def cell_power(cnr: float, sensor: Sensor, slant_range: float, speed: float) -> float:
+    """Power of a resolution cell of brightness 1 so that it has the carrier-to-noise ratio `cnr` in the image.
+
+    In the image of a detector that looks straight at its elevation, processed over one beamwidth without weights. The
+    pulses of the aperture, as many as are sent on its length, share the noise; the beam's gain over them is made good.
+
+    Args:
+        cnr: power ratio.
+        sensor: beams, noise and pulse repetition frequency.
+        slant_range: m.
+        speed: of the platform, m/s.
+    """
+    pulses = aperture_length(sensor, slant_range) * sensor.pulse_repetition_frequency / speed
+    noise = float(np.mean(sensor.noise_power)) / (pulses * sensor.sample_count)
+    return cnr * noise / mean_square_gain(sensor.beams)
+
+
+def simulate_block(
+    sensor: Sensor,
+    surface: VisibleSurface,
+    amplitudes: npt.NDArray[np.complexfloating],
+    antenna: Array,
+    rotation: Array,
+    reference_range: Array,
+    seconds: npt.ArrayLike = 0.0,
+    quartic_phase: float = 0.0,
+) -> ComplexArray:
+    """Noise-free phase history of every detector with the antenna fixed to the body.
+
+    A scatterer has in each pulse the weight of the direction in which the body sees it then, and none when it is more
+    than `lit_angle`, along the flight, from where the beams meet the ground at the reference range (which is asked of
+    the positions as given). As in `simulate_dwell` that is the weight of the receiving beam.
+
+    The sum over scatterers at every frequency is the adjoint of reading a range profile at their delays: each is spread
+    with the interpolator's kernel onto a dense profile, which then goes through the transposed matrix.
+
+    Angles are measured from the middle of the beams, and phases reduced to a turn, in float64; what follows is float32,
+    which has as many digits as the samples need, and is several times faster.
+
+    Args:
+        sensor: wavelength, frequencies and beams.
+        surface: scatterers; where they are, not how they were seen.
+        amplitudes: of the scatterers, shape (scatterers,).
+        antenna: position at each pulse on a flight eastwards, m, shape (pulses, 3).
+        rotation: matrix that turns body into map axes at each pulse, shape (pulses, 3, 3).
+        reference_range: m, shape (pulses,).
+        seconds: times of the pulses after that of the surface's positions; broadcasts with (pulses,).
+        quartic_phase: of a scatterer half a beamwidth off the beams' middle along the flight, growing with the fourth
+            power of that angle, rad.
+
+    Returns:
+        Complex64 samples, shape (detectors, pulses, frequencies).
+    """
+    order = np.argsort(surface.positions[:, 0], kind="stable")
+    positions, strengths = surface.positions[order], amplitudes[order].astype(np.complex64)
+    velocity = surface.velocity[order] if surface.moves else None
+    east = positions[:, 0].copy()
+    middle = float(np.mean(sensor.beams.span))
+    beams = replace(sensor.beams, boresights=(sensor.beams.boresights - middle).astype(np.float32), middle=0.0)
+    boresight = look_direction(middle, 0.0, sensor.look_side)
+    outwards = look_direction(middle + np.pi / 2, 0.0, sensor.look_side)
+    taps, dense = tap_polynomials(), OVERSAMPLING * sensor.sample_count
+    axes = np.stack([np.array([1.0, 0.0, 0.0]), outwards, boresight], axis=-1)
+
+    def pulse_profile(position: Array, rotation: Array, reference: float, second: float) -> FloatArray:
+        reach = lit_angle(sensor.beams) * reference
+        aim = position[0] + reference * (rotation @ boresight)[0]
+        lit = slice(*np.searchsorted(east, (aim - reach, aim + reach)))
+        there = positions[lit] if velocity is None else positions[lit] + second * velocity[lit]
+        sight = np.einsum("si,ij->js", there - position, rotation @ axes)  # no BLAS: its threads would wait
+        distance = np.sqrt(np.einsum("is,is->s", sight, sight))
+        delay = distance - reference
+        elevation = np.arctan2(sight[1].astype(np.float32), sight[2].astype(np.float32))
+        squint = np.arcsin((sight[0] / distance).astype(np.float32))
+        response = beams.response(elevation, squint)
+        beam_phase = quartic_phase * np.square(np.square(squint * (2 / sensor.beamwidth)))
+        echoes = strengths[lit] * phasors(beam_phase - sensor.centre_wavenumber * delay)
+        place = np.mod(delay * (dense / sensor.range_window) + dense // 2, dense)
+        before = np.floor(place).astype(np.int32)
+        profile = np.zeros((dense + TAPS, 2 * sensor.detector_count), dtype=np.float32)
+        weights = tap_weights((place - before).astype(np.float32), taps)
+        _spread(before + 1, weights, echoes, response.real.astype(np.float32), profile)
+        if np.iscomplexobj(response):
+            _spread(before + 1, weights, 1j * echoes, response.imag.astype(np.float32), profile)
+        return profile
+
+    with ThreadPoolExecutor() as pool:
+        pulses = (antenna, rotation, reference_range, np.broadcast_to(seconds, len(antenna)))
+        profiles = np.stack(list(pool.map(pulse_profile, *pulses)))
+    real, imaginary = np.split(profiles, 2, axis=-1)
+    spectra = np.einsum("fi,pid->dpf", _spectrum_of_profile(sensor.sample_count), real + 1j * imaginary, optimize=True)
+    return np.ascontiguousarray(spectra, dtype=np.complex64)
+
+
+def _spectrum_of_profile(count: int) -> ComplexArray:
+    """Matrix from dense range profiles to `count` frequencies: the adjoint of `dense_profiles`."""
+    profiles = dense_profiles(np.eye(count, dtype=np.complex64)[None], np.ones(count))[..., 0]
+    return np.asarray(profiles[:, :, 0] - 1j * profiles[:, :, 1], dtype=np.complex64)
+
+
+@compiled
+def _spread(
+    first: npt.NDArray[np.int32], weights: FloatArray, echoes: ComplexArray, response: FloatArray, profile: FloatArray
+) -> None:
+    """Add scatterers to the dense range profiles of all detectors.
+
+    Args:
+        first: row of each scatterer's first tap, shape (scatterers,).
+        weights: of its taps, shape (taps, scatterers).
+        echoes: amplitude and phase of its echo.
+        response: of each detector to it, shape (scatterers, detectors).
+        profile: to add to; real parts of all detectors, then imaginary parts, shape (rows, 2 * detectors).
+    """
+    detectors = response.shape[1]
+    value = np.empty(2 * detectors, np.float32)
+    for i in range(first.size):
+        for k in range(detectors):
+            value[k] = response[i, k] * echoes[i].real
+            value[detectors + k] = response[i, k] * echoes[i].imag
+        for j in range(weights.shape[0]):
+            row, weight = profile[first[i] + j], weights[j, i]
+            for k in range(2 * detectors):
+                row[k] += weight * value[k]

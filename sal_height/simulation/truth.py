@@ -1,0 +1,110 @@
+"""Height images against the truth of a simulated scene: errors, bounds, and the mosaic of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.beams.array import Beams
+from sal_height.elevation.bounds import beam_power, speckle_crb
+from sal_height.geometry.frames import ApertureState, Grid
+from sal_height.simulation.scene import VisibleSurface
+
+Array = npt.NDArray[np.float64]
+
+SINGLE_SPREAD = 0.1
+"""Standard deviation of elevation about its regression on range, in beamwidths, up to which a scatterer is single."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a height image should show; arrays of shape (rows, cols).
+
+    Attributes:
+        height: mean height of the scatterers in the pixel, weighted by the power that the array receives of them, m;
+            NaN where there are none.
+        elevation: their mean elevation with the same weights, rad.
+        power: of a scatterer at that elevation from which the array would receive as much, per resolution cell;
+            1 for brightness 1.
+        single: True where they act as one scatterer: elevation is a function of range, up to SINGLE_SPREAD, as on
+            sloping ground, and unlike in layover.
+    """
+
+    height: Array
+    elevation: Array
+    power: Array
+    single: npt.NDArray[np.bool_]
+
+
+def truth_image(
+    surface: VisibleSurface, aperture: ApertureState, grid: Grid, resolution_cell: float, beams: Beams
+) -> Truth:
+    """Truth in the pixels of a height image, by counting the scatterers in each.
+
+    Args:
+        surface: lit scatterers.
+        aperture: from which range and Doppler are measured.
+        grid: pixels of the height image, in the slant plane.
+        resolution_cell: unweighted range resolution times azimuth resolution, m^2, to which powers refer.
+        beams: of the detectors; what lies outside them is not seen.
+    """
+    sight = surface.positions - aperture.position
+    along = sight @ aperture.direction
+    across = np.sqrt(np.maximum(np.sum(sight**2, axis=-1) - along**2, 0.0))
+    row, col = (np.rint(index).astype(int) for index in pixels_at(across, along, aperture, grid))
+    inside = (row >= 0) & (row < grid.rows) & (col >= 0) & (col < grid.cols)
+    pixel = row[inside] * grid.cols + col[inside]
+    seen_at = surface.elevation[inside]
+    gain = beam_power(beams.response(seen_at, surface.squint[inside]))
+    received = surface.power[inside] * gain
+
+    def total(values: Array) -> Array:
+        return np.bincount(pixel, received * values, grid.rows * grid.cols).astype(np.float64).reshape(grid.shape)
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        power = total(np.ones(len(pixel)))
+        elevation = total(seen_at) / power
+        off_elevation = seen_at - elevation.ravel()[pixel]
+        off_range = across[inside] - (total(across[inside]) / power).ravel()[pixel]
+        regression = total(off_elevation * off_range) ** 2 / np.maximum(total(off_range**2), np.finfo(float).tiny)
+        spread = np.sqrt(np.maximum(total(off_elevation**2) - regression, 0.0) / power)
+        height = total(surface.heights[inside]) / power
+        per_gain = power / (total(gain) / power)
+    cells = grid.row_spacing * grid.col_spacing / resolution_cell
+    return Truth(height, elevation, per_gain / cells, spread < SINGLE_SPREAD * beams.beamwidth)
+
+
+def pixels_at(across: Array, along: Array, aperture: ApertureState, grid: Grid) -> tuple[Array, Array]:
+    """Fractional rows and columns of a grid that have the distances `across` from and `along` the track (m).
+
+    The columns of a strip need not run along the track: `along` picks a line of pixels, which crosses the range once.
+    """
+    start, down = grid.origin - aperture.position, grid.row_spacing * grid.row_direction
+    side = grid.col_spacing * grid.col_direction
+    skew = float(down @ aperture.direction) / float(side @ aperture.direction)
+    col_at_first_row = (along - start @ aperture.direction) / (side @ aperture.direction)
+    line = down - skew * side
+    square, slope = line @ line, start @ line + col_at_first_row * (side @ line)
+    beyond = start @ start + col_at_first_row * (2 * start @ side + col_at_first_row * (side @ side))
+    row = (np.sqrt(slope**2 - square * (beyond - across**2 - along**2)) - slope) / square
+    return row, col_at_first_row - skew * row
+
+
+def height_bound(truth: Truth, cnr: float, looks: int, beams: Beams, squint: Array, height_slope: Array) -> Array:
+    """Speckle-averaged Cramer-Rao bound of height (m) in each pixel: `speckle_crb` times |dh/dtheta|.
+
+    With C the CNR of the pixel in a detector looking straight at it. Infinite for one look, where a fluctuating
+    target has no efficient estimator.
+
+    Args:
+        truth: of the pixels.
+        cnr: power ratio of a pixel of power 1.
+        looks: number of looks K.
+        beams: of the detectors.
+        squint: of each column, rad.
+        height_slope: dh/dtheta, m/rad, shape (rows, cols).
+    """
+    with np.errstate(invalid="ignore"):  # where there is nothing
+        return np.abs(height_slope) * speckle_crb(beams, truth.elevation, squint, cnr * truth.power, looks)

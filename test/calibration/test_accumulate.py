@@ -1,0 +1,219 @@
+"""All that is measured of a sensor, from images of flights by the core alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import assert_one_sentence, circular
+
+from sal_height.beams.array import Beams
+from sal_height.calibration.accumulate import Calibrator, common_response, targets_in
+from sal_height.calibration.beams import BeamCalibration
+from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
+from sal_height.elevation.looks import Looks, multilook
+from sal_height.errors import NotDetermined
+from sal_height.figures.synthetic_tape import RangeFault, Target, make_tape
+from sal_height.geometry.frames import angles_of, sphere_point
+from sal_height.geometry.trajectory import Trajectory
+from sal_height.imaging.focus import Settings, Slc, focus_dwell
+from sal_height.numeric.windows import window
+from sal_height.relief.heights import column_squint
+from sal_height.simulation.flight import SimulatedFlight, flight_of
+from sal_height.simulation.impairments import Impairments, RangeSawtooth
+from sal_height.simulation.preset import TargetSettings, load_preset
+
+
+def flown(dwells: int, **changes: Any) -> SimulatedFlight:
+    return flight_of(replace(load_preset("small"), dwells=dwells, **changes), seed=4)
+
+
+def images(flight: SimulatedFlight) -> Iterator[Slc]:
+    track = Trajectory([state for dwell in range(flight.dwells) for state in flight.platform_states(dwell)])
+    settings = Settings(range_window="rectangular", cols=flight.preset.image.cols)
+    for dwell in range(flight.dwells):
+        yield focus_dwell(flight.phase_history(dwell), track, flight.sensor, settings)
+
+
+def calibrated(flight: SimulatedFlight, slcs: Iterator[Slc] | list[Slc]) -> Any:
+    calibrator = Calibrator(flight.sensor, flight.sensor.beams)
+    for slc in slcs:
+        calibrator.add(slc.images, slc.grid, slc.aperture, np.array(slc.noise_power))
+    return calibrator.calibration()
+
+
+def test_what_receivers_have_in_common_is_told_by_a_target() -> None:
+    """A sawtooth of 10 % in all receivers; one target among speckle leaves 2 %."""
+    sawtooth = Impairments(range_sawtooth=RangeSawtooth(depth=0.1, teeth=8))
+    target = TargetSettings(east_m=0.0, north_m=0.3, height_m=0.5, power_db=45.0)
+    flight = flown(1, impairments=sawtooth, targets=(target,))
+    (slc,) = images(flight)
+    calibration, undetermined = calibrated(flight, [slc])
+    true = sawtooth.receiver_response(flight.sensor)[0]
+    shape = calibration.response / calibration.response.mean(axis=1)[:, None]
+    error = np.abs(shape.mean(axis=0) - true / true.mean())
+    assert np.sqrt(np.mean(error**2)) < 0.45 * np.std(true)
+    assert not any("common" in sentence for sentence in undetermined)
+
+
+def test_the_common_response_is_that_of_a_tape_at_its_frequencies() -> None:
+    """Four targets of 50 dB; the chip of 64 rows does not hold all that the step at the edge of the band makes."""
+    places = ((120.0, 100.0), (120.4, 300.3), (380.2, 100.7), (380.0, 400.0))
+    fault = RangeFault(support=0.8, sawtooth=0.05)
+    tape = make_tape((512, 512), np.random.default_rng(5), tuple(Target(*place, 50.0) for place in places), fault)
+    targets = targets_in(tape)
+    assert len(targets) == 4
+    found, true = common_response(list(targets), 256), fault.response(256)
+    assert np.sqrt(np.mean(np.abs(found - true / true.mean()) ** 2)) < 0.04
+    with pytest.raises(NotDetermined, match="No point target stands 20 dB"):
+        common_response([], 256)
+
+
+def test_a_sensor_that_is_as_described_stays_so() -> None:
+    """Gains within 5 of their standard errors, which know of no layover, the width within 4, and no echoes."""
+    flight = flown(10)
+    calibration, undetermined = calibrated(flight, images(flight))
+    gain = calibration.response.mean(axis=1)
+    assert np.all(np.abs(np.log(np.abs(gain))) < 5 * calibration.gain_sigma)
+    assert np.all(np.abs(np.angle(gain)) < 5 * calibration.phase_sigma)
+    assert abs(calibration.width_factor - 1) < 4 * calibration.width_sigma < 0.02
+    assert np.ptp(np.abs(calibration.response), axis=1).max() < 0.01
+    assert len(undetermined) == 1
+
+
+def test_stated_errors_know_that_weighted_rows_are_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Power of white noise in weighted rows scatters more than in as many independent ones: 4000 draws, 1.1 %."""
+    ones = replace(BeamCalibration.none(8), width_sigma=1.0, gain_sigmas=np.ones(8), phase_sigmas=np.ones(8), pixels=1)
+    monkeypatch.setattr("sal_height.calibration.accumulate.calibrate_beams", lambda *_: ones)
+    flight = flown(1)
+    calibration, _ = calibrated(flight, images(flight))
+    noise = circular(np.random.default_rng(1), (4000, 64))
+    rows = np.fft.ifft(noise * np.fft.ifftshift(window("taylor", 64)), axis=1)
+    power = np.mean(np.abs(rows) ** 2, axis=1)
+    expected = np.std(power) / np.mean(power) * np.sqrt(64)
+    for found in (calibration.width_sigma, calibration.gain_sigma[0], calibration.phase_sigma[7]):
+        assert found == pytest.approx(expected, rel=0.05)
+
+
+def test_beams_are_told_by_images_of_white_noise_power(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of noise alone, channels have the power that the likelihood is told, within 5 standard errors of 2000 looks."""
+    given: list[Any] = []
+
+    def remember(looks: Looks, _beams: Beams, _squint: Any, noise_power: float) -> BeamCalibration:
+        given.append(looks.power.sum() / looks.count.sum() / looks.covariance.shape[-1] / noise_power)
+        return BeamCalibration.none(8)
+
+    monkeypatch.setattr("sal_height.calibration.accumulate.calibrate_beams", remember)
+    flight = flown(1, cnr_db=-60.0)
+    calibrated(flight, images(flight))
+    assert abs(given[0] - 1) < 5 * np.sqrt(1.3 / (64 * 12 * 8))
+
+
+def _zeros(slc: Slc) -> Slc:
+    return replace(slc, images=np.zeros_like(slc.images))
+
+
+def _bad(slc: Slc) -> Slc:
+    return replace(slc, images=np.full_like(slc.images, np.nan))
+
+
+def _dead(slc: Slc) -> Slc:
+    dead = slc.images.copy()
+    dead[2] = 0
+    return replace(slc, images=dead)
+
+
+def _narrow(slc: Slc) -> Slc:
+    return replace(slc, images=slc.images[..., :3], grid=replace(slc.grid, cols=3))
+
+
+def _silent(slc: Slc) -> Slc:
+    return replace(slc, noise_power=[0.0] * len(slc.noise_power))
+
+
+@pytest.mark.parametrize("spoil", [_zeros, _bad, _dead, _narrow, _silent])
+def test_images_that_do_not_tell_leave_all_as_described_and_say_why(spoil: Any) -> None:
+    flight = flown(2)
+    with np.errstate(invalid="raise"):
+        calibration, undetermined = calibrated(flight, [spoil(slc) for slc in images(flight)])
+    assert calibration.width_factor == 1.0
+    assert np.all(np.isfinite(calibration.response))
+    assert len(undetermined) >= 2
+    for sentence in undetermined:
+        assert_one_sentence(sentence)
+
+
+def test_two_detectors_tell_their_phase_and_no_more() -> None:
+    preset = load_preset("small")
+    sensor = replace(preset.sensor, detectors=2, pitch_beamwidths=0.7)
+    phases = Impairments(undescribed_phases_rad=(0.2, -0.2))
+    flight = flown(8, sensor=sensor, impairments=phases)
+    calibration, _ = calibrated(flight, images(flight))
+    gain = calibration.response.mean(axis=1)
+    np.testing.assert_allclose(np.angle(gain), [0.2, -0.2], atol=0.03)
+    np.testing.assert_allclose(np.abs(gain), 1, atol=1e-9)
+    assert np.all(calibration.gain_sigma == 0)
+    assert calibration.width_sigma == 0
+
+
+def test_mixtures_of_detectors_have_no_gains_of_their_own() -> None:
+    flight = flight_of(replace(load_preset("xband_sumdiff"), dwells=2), seed=1)
+    calibration, undetermined = calibrated(flight, images(flight))
+    assert any("mixtures of detectors" in sentence for sentence in undetermined)
+    assert calibration.width_sigma == 0
+
+
+def paired(**changes: Any) -> SimulatedFlight:
+    """A lidar of two detectors whose gains are 1 dB and 20 degrees apart, over a street with a reflector."""
+    sensor = replace(load_preset("small").sensor, detectors=2, pitch_beamwidths=0.7)
+    faults = Impairments(undescribed_gains_db=(0.5, -0.5), undescribed_phases_rad=(0.17, -0.17))
+    reflector = TargetSettings(east_m=0.0, north_m=0.1, height_m=0.2, power_db=40.0)
+    return flown(1, sensor=sensor, impairments=faults, targets=(reflector,), **changes)
+
+
+def test_a_reference_target_tells_what_a_scene_cannot() -> None:
+    """Amplitudes of a pair; speckle beside the target leaves 1 %. The bias of monopulse goes with them."""
+    flight = paired()
+    (slc,) = images(flight)
+    calibrator = Calibrator(flight.sensor, flight.sensor.beams, sphere_point(0.0, 0.1, 0.2))
+    calibrator.add(slc.images, slc.grid, slc.aperture, np.array(slc.noise_power))
+    calibration, undetermined = calibrator.calibration()
+    gain = calibration.response.mean(axis=1)
+    np.testing.assert_allclose(20 * np.log10(np.abs(gain)), [0.5, -0.5], atol=0.1)
+    np.testing.assert_allclose(np.angle(gain), [0.17, -0.17], atol=0.02)
+    assert np.all((calibration.gain_sigma > 0) & (calibration.gain_sigma < 0.02))
+    assert not any("reference" in sentence for sentence in undetermined)
+
+
+def test_heights_of_a_pair_lose_their_bias_by_a_reference_target() -> None:
+    """Elevation of the target itself: before, off by 1 dB over the slope of the pair; a tenth of that after."""
+    flight, place = paired(), sphere_point(0.0, 0.1, 0.2)
+    (slc,) = images(flight)
+    calibrator = Calibrator(flight.sensor, flight.sensor.beams, place)
+    calibrator.add(slc.images, slc.grid, slc.aperture, np.array(slc.noise_power))
+    calibration, _ = calibrator.calibration()
+    track, history, sensor = Trajectory(flight.platform_states(0)), flight.phase_history(0), flight.sensor
+    _, elevation, _ = angles_of(place, slc.aperture, sensor.look_side)
+    biases = []
+    for frames in (history, calibration.equalised(history)):
+        after = focus_dwell(frames, track, sensor, Settings(cols=12))
+        looks = multilook(after.images, 1, 1)
+        squint = column_squint(after.grid, after.aperture, sensor.beams, sensor.look_side)
+        found = ml_elevation(looks, sensor.beams, squint, after.noise_power[0], OBJECTIVES["normalised"], 1.0)
+        brightest = np.unravel_index(np.argmax(looks.power), looks.power.shape)
+        biases.append(abs(float(found.elevation[brightest]) - float(elevation)) / sensor.beamwidth)
+    assert biases[0] > 0.02
+    assert biases[1] < 0.1 * biases[0]
+
+
+def test_a_target_that_is_not_seen_leaves_the_scene_to_tell() -> None:
+    flight = flown(10)
+    calibrator = Calibrator(flight.sensor, flight.sensor.beams, sphere_point(1000.0, 0.0, 0.0))
+    for slc in images(flight):
+        calibrator.add(slc.images, slc.grid, slc.aperture, np.array(slc.noise_power))
+    calibration, undetermined = calibrator.calibration()
+    assert "by the reference target: No dwell shows the target" in undetermined[0]
+    assert calibration.width_sigma > 0

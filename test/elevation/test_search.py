@@ -1,0 +1,80 @@
+"""The tables of a search against the beams themselves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import BEAMWIDTH, circular, elevation_at, make_beams
+
+from sal_height.beams.array import Beams
+from sal_height.beams.pattern import PATTERNS, Pattern
+from sal_height.elevation import search as peak_search
+from sal_height.elevation.bounds import beam_power, information
+from sal_height.elevation.estimate import explained_power
+from sal_height.elevation.likelihood import GUARD, OBJECTIVES
+from sal_height.elevation.looks import covariance
+from sal_height.elevation.search import PeakSearch, PeakSearches
+
+OFFSETS = np.linspace(-6.9, 6.9, 400)
+"""Over array and guard of 16 detectors, beamwidths."""
+
+
+def bent(pattern: Pattern) -> Pattern:
+    """The pattern with a phase that grows with elevation, so that a' has a part along j a."""
+
+    def amplitude(e: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return pattern.amplitude(e, a) * np.exp(0.7j * np.asarray(e))
+
+    def slope(e: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return (pattern.slope(e, a) + 0.7j * pattern.amplitude(e, a)) * np.exp(0.7j * np.asarray(e))
+
+    return replace(pattern, amplitude=amplitude, slope=slope)
+
+
+@pytest.mark.parametrize("objective", sorted(OBJECTIVES))
+@pytest.mark.parametrize("kind", [*sorted(PATTERNS), "complex", "turned"])
+def test_fit_is_what_the_beams_say(kind: str, objective: str) -> None:
+    """Errors of the tables: 5e-8 of w and 5e-6 per beamwidth of w', which is 1 or so."""
+    beams = make_beams(kind if kind in PATTERNS else "jinc")
+    if kind == "complex":
+        beams = replace(beams, patterns=(bent(PATTERNS["jinc"]),))
+    elif kind == "turned":
+        beams = replace(beams, rotation=0.4)
+    squint, elevation = 0.3 * BEAMWIDTH, elevation_at(OFFSETS if kind != "turned" else OFFSETS * 0.9)
+    matrices = covariance(circular(np.random.default_rng(1), (400, 4, 16)).astype(np.complex64), beams.is_complex)
+    found = search(beams, squint, objective).fit(matrices, elevation)
+    power = beam_power(beams.response(elevation, squint))
+    seen = power > 1e-3  # a Gaussian beam ends
+    np.testing.assert_allclose(found[0, seen], explained_power(matrices, beams.response(elevation, squint))[seen], 2e-5)
+    np.testing.assert_allclose(found[1, seen], power[seen], rtol=1e-4, atol=1e-6)
+    turning = information(beams, elevation, squint) / power * BEAMWIDTH**2
+    np.testing.assert_allclose(found[2, seen] * BEAMWIDTH**2, turning[seen], rtol=1e-3, atol=1e-4)
+
+
+def test_fit_of_no_elevation_is_none_and_beyond_the_domain_is_its_end() -> None:
+    beams = make_beams("sinc")
+    matrices = covariance(circular(np.random.default_rng(2), (3, 4, 16)).astype(np.complex64), False)
+    low, high = beams.domain(GUARD * BEAMWIDTH)
+    inside, beyond = (
+        search(beams, 0.0).fit(matrices, np.array(where))
+        for where in ([low, np.nan, high], [low - BEAMWIDTH, np.nan, high + BEAMWIDTH])
+    )
+    np.testing.assert_array_equal(inside, beyond)
+    np.testing.assert_array_equal(np.isnan(inside), np.tile([False, True, False], (3, 1)))
+
+
+def search(beams: Beams, squint: float, objective: str = "normalised") -> PeakSearch:
+    return PeakSearches.over(beams, np.array([squint]), OBJECTIVES[objective], GUARD * BEAMWIDTH).at(squint)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_peak_behind_a_dip_that_falls_between_nodes_is_climbed(mirrored: bool) -> None:
+    """Of two peaks a third of a beamwidth apart the grid shows the lower one; the other is beside a bend upwards."""
+    line = np.array([9.0, 12.20, 12.376, 12.3676, 12.3645, 11.78, 9.0], np.float32)
+    line = line[::-1].copy() if mirrored else line
+    behind = [peak_search._behind_a_dip(line, g) for g in range(len(line))]
+    assert behind == [g == (2 if mirrored else 4) for g in range(len(line))]
+    single = np.cos(np.linspace(-1.2, 1.2, 13)).astype(np.float32) ** 2
+    assert not any(peak_search._behind_a_dip(single, g) for g in range(2, 11))

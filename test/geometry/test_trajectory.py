@@ -1,0 +1,123 @@
+"""The track between odometry samples, to a small part of an optical wavelength."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import assert_one_sentence
+from scipy.spatial.transform import Rotation
+
+from sal_height.errors import UserError
+from sal_height.geometry.trajectory import PlatformState, Trajectory
+
+EPOCH_NS = 1_700_000_000_123_456_789
+COEFFICIENTS = np.array([[3.1, -7.2, 3535.5], [48.0, -2.0, 0.5], [0.7, 3.0, -2.0], [-5.0, 11.0, 7.0]])
+ROLL_RATE = 0.8
+
+
+def position(seconds: np.ndarray) -> np.ndarray:
+    """A cubic track."""
+    return np.power.outer(seconds, np.arange(4)) @ COEFFICIENTS
+
+
+def velocity(seconds: float) -> np.ndarray:
+    return np.array([0, 1, 2 * seconds, 3 * seconds**2]) @ COEFFICIENTS
+
+
+def state(offset_ns: int) -> PlatformState:
+    seconds = offset_ns * 1e-9
+    return PlatformState(
+        stamp_ns=EPOCH_NS + offset_ns,
+        position=position(np.array(seconds)),
+        orientation=Rotation.from_euler("x", ROLL_RATE * seconds).as_quat(),
+        velocity=velocity(seconds),
+        covariance=np.full((6, 6), seconds),
+    )
+
+
+@pytest.fixture
+def track() -> Trajectory:
+    return Trajectory([state(offset) for offset in (0, 7_000_001, 10_000_000, 19_999_999, 30_000_000)])
+
+
+def test_cubic_track_is_interpolated_to_a_picometre(track: Trajectory) -> None:
+    """At stamps of 1.7e18 ns, where float64 seconds are 0.2 us apart: 1e-5 m at 50 m/s."""
+    start_ns, after = 3_333_333, np.linspace(0, 0.026, 40)
+    error = track.positions(EPOCH_NS + start_ns, after) - position(start_ns * 1e-9 + after)
+    assert np.abs(error).max() < 2e-12  # four steps of float64 at 3535 m
+
+
+def test_aperture_is_the_state_in_the_middle_of_the_pulses(track: Trajectory) -> None:
+    start_ns, pulses = 4_000_000, np.arange(9) * 1e-3
+    aperture = track.aperture(EPOCH_NS + start_ns, pulses)
+    middle = 0.008
+    np.testing.assert_allclose(aperture.position, position(np.array(middle)), atol=2e-12)
+    np.testing.assert_allclose(aperture.velocity, velocity(middle), atol=1e-9)
+    np.testing.assert_allclose(aperture.rotation, Rotation.from_euler("x", ROLL_RATE * middle).as_matrix(), atol=1e-12)
+    # Each of the nine pulses stands for one pulse interval.
+    assert aperture.length == pytest.approx(np.linalg.norm(velocity(middle)) * 9e-3, rel=1e-9)
+    assert aperture.covariance[0, 0] == pytest.approx(0.007_000_001)  # of the nearest sample
+
+
+def test_whole_track_may_be_used(track: Trajectory) -> None:
+    ends = track.positions(EPOCH_NS, np.array([0.0, 0.03]))
+    np.testing.assert_allclose(ends, position(np.array([0.0, 0.03])), atol=2e-12)
+
+
+def test_odometry_may_end_with_the_last_pulse() -> None:
+    """Stamps are rounded to nanoseconds, pulse times are not."""
+    pulse_times = np.arange(25) / 117
+    track = Trajectory([state(round(seconds * 1e9)) for seconds in pulse_times])
+    np.testing.assert_allclose(track.positions(EPOCH_NS, pulse_times), position(pulse_times), atol=1e-7)
+
+
+@pytest.mark.parametrize(("start_ns", "duration"), [(-1000, 0.01), (29_000_000, 0.001_001), (10**12, 0.01)])
+def test_times_outside_the_track_are_refused(track: Trajectory, start_ns: int, duration: float) -> None:
+    for request in (track.positions, track.aperture):
+        with pytest.raises(UserError) as refusal:
+            request(EPOCH_NS + start_ns, np.array([0.0, duration]))
+        assert_one_sentence(str(refusal.value), "0.000000 to 0.030000 s", "must cover the whole aperture")
+
+
+def test_one_state_is_no_track() -> None:
+    with pytest.raises(UserError) as refusal:
+        Trajectory([state(0)])
+    assert_one_sentence(str(refusal.value), "1 samples", "2 or more")
+
+
+@pytest.mark.parametrize("offsets", [(0, 0), (0, 2_000_000, 1_000_000)])
+def test_times_that_do_not_increase_are_refused(offsets: tuple[int, ...]) -> None:
+    with pytest.raises(UserError) as refusal:
+        Trajectory([state(offset) for offset in offsets])
+    assert_one_sentence(str(refusal.value), "do not increase")
+
+
+def level_states(velocity: float, sigma: float = 0.0) -> list[PlatformState]:
+    """A platform that makes 50 m/s east and states `velocity`, with positions known to `sigma` along each axis."""
+    level, covariance = np.array([0.0, 0, 0, 1]), sigma**2 * np.eye(6)
+    return [
+        PlatformState(
+            EPOCH_NS + t * 1_000_000, np.array([0.05 * t, 0, 0]), level, np.array([velocity, 0, 0]), covariance
+        )
+        for t in (0, 10, 20)
+    ]
+
+
+def test_velocity_that_the_positions_contradict_is_refused() -> None:
+    """Up to a tenth is left to them, and three standard deviations of the positions: here 6 sqrt(3) sigma / 10 ms."""
+    for states in (level_states(45.1), level_states(54.9), level_states(0.0, sigma=0.05)):
+        assert Trajectory(states).epoch_ns == EPOCH_NS
+    for states in (level_states(44.9), level_states(55.1), level_states(-50.0), level_states(0.0, sigma=0.04)):
+        with pytest.raises(UserError) as refusal:
+            Trajectory(states)
+        assert_one_sentence(str(refusal.value), f"{states[0].velocity.tolist()} m/s", "positions [50.0, 0.0, 0.0]")
+
+
+def test_platform_that_stands_still_is_refused() -> None:
+    still = [
+        PlatformState(EPOCH_NS + t, np.zeros(3), np.array([0.0, 0, 0, 1]), np.zeros(3), np.zeros((6, 6)))
+        for t in (0, 10_000_000)
+    ]
+    with pytest.raises(UserError) as refusal:
+        Trajectory(still).aperture(EPOCH_NS, np.array([0.0, 0.005]))
+    assert_one_sentence(str(refusal.value), "velocity is 0")

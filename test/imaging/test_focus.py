@@ -1,0 +1,237 @@
+"""A dwell becomes images: planes and sizes, formers, and autofocus, which must leave amplitude ratios alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from helpers import assert_one_sentence, direct_history
+
+from sal_height.errors import UserError
+from sal_height.geometry.frames import angles_of
+from sal_height.geometry.trajectory import Trajectory
+from sal_height.imaging import focus as focusing
+from sal_height.imaging.autofocus.gradient import Focus, apply_phase, autofocus, patch_centres
+from sal_height.imaging.autofocus.phase_error import ATMOSPHERE, power_law_phase, residual_phase, white_phase
+from sal_height.imaging.focus import Settings, Slc, focus_dwell
+from sal_height.imaging.formers.backprojection import backproject
+from sal_height.imaging.formers.choice import FEW_PIXELS, FORMERS
+from sal_height.imaging.pixels import slc_noise_power
+from sal_height.imaging.weighting import Processing
+from sal_height.numeric.windows import broadening, window
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.preset import load_preset
+from sal_height.simulation.scenes import load_scene
+
+REACH = 5000.0
+SPOTLIGHT_FORMERS = ("backprojection", "specan")
+
+
+@cache
+def flight_of(name: str) -> SimulatedFlight:
+    preset = replace(load_preset(name), dwells=1)
+    return SimulatedFlight(preset, preset.make_sensor(), load_scene(preset.scene), 1, seed=90)
+
+
+@cache
+def dwell_of(name: str) -> PhaseHistory:
+    return flight_of(name).phase_history(0)
+
+
+def track_of(flight: SimulatedFlight) -> Trajectory:
+    return Trajectory(flight.platform_states(0))
+
+
+def focused(name: str, history: PhaseHistory | None = None, **settings: object) -> Slc:
+    flight = flight_of(name)
+    return focus_dwell(history or dwell_of(name), track_of(flight), flight.spectrum, Settings(**settings))
+
+
+def power(values: np.ndarray) -> float:
+    return float(np.mean(np.abs(values) ** 2))
+
+
+def test_slant_image_of_size_zero_fills_range_window_and_beam() -> None:
+    """64 cells in Taylor cells; a beam of 0.775 m in cells of wavelength * range / (2 * 8 cm)."""
+    slc, sensor = focused("small", former="backprojection"), flight_of("small").spectrum
+    cell = 1.55e-6 * REACH / (2 * 48 / 30e3 * 50)
+    wide = broadening(window("taylor", 64))
+    assert slc.grid.shape == (int(64 / wide), int(0.775 / cell)) == (47, 16)
+    assert slc.images.shape == (8, 47, 16)
+    assert slc.grid.col_spacing == pytest.approx(cell, rel=1e-6)
+    assert slc.grid.row_spacing == pytest.approx(wide * sensor.range_resolution, rel=1e-9)
+    assert np.isfinite(slc.images).all()
+    assert not slc.aperture.sliding
+    assert slc.focus is None
+    assert slc.autofocus_phase.size == 0
+    assert focused("small", former="backprojection", rows=5).grid.shape == (5, 16)
+    assert focused("small", former="backprojection", cols=7).grid.shape == (47, 7)
+    assert slc.noise_power == slc_noise_power(sensor, Processing(), 48)
+
+
+@pytest.mark.parametrize("former", SPOTLIGHT_FORMERS)
+@pytest.mark.parametrize("plane", ["slant", "ground"])
+def test_image_is_that_of_backprojection_with_odometry_at_the_stated_pixels(former: str, plane: str) -> None:
+    """In the plane asked for, its middle in the middle of the beams at the reference range."""
+    flight, history = flight_of("small"), dwell_of("small")
+    slc = focused(
+        "small", former=former, image_plane=plane, rows=9, cols=8, ground_spacing=0.06, range_window="hamming"
+    )
+    antenna = flight.position(flight.pulse_times)
+    expected = backproject(history, antenna, flight.spectrum, Processing("hamming"), slc.grid)
+    assert power(slc.images - expected) < 1e-4 * power(expected)
+    slant_range, elevation, squint = angles_of(slc.grid.points(4, 3.5), flight.aperture(0), 1)
+    assert slant_range == pytest.approx(REACH, abs=1e-6)
+    assert elevation == pytest.approx(np.pi / 4, abs=1e-9)
+    assert squint == pytest.approx(0, abs=1e-9)
+    up = np.cross(slc.grid.row_direction, slc.grid.col_direction)
+    across = np.array([0, -np.sin(np.pi / 4), -np.cos(np.pi / 4)])
+    if plane == "ground":
+        np.testing.assert_allclose(np.abs(up), [0, 0, 1], atol=1e-9)
+        assert (slc.grid.row_spacing, slc.grid.col_spacing) == (0.06, 0.06)
+    else:
+        np.testing.assert_allclose(slc.grid.row_direction, across, atol=1e-9)
+
+
+def test_point_comes_to_lie_in_its_pixel_with_its_amplitudes() -> None:
+    """Between the pixels (10, 4) and (11, 4), nearer the first, seen by detectors half a beam apart."""
+    flight = flight_of("small")
+    sensor, aperture, antenna = flight.spectrum, flight.aperture(0), flight.position(flight.pulse_times)
+    grid = focused("small", former="backprojection", rows=20, cols=8).grid
+    point = grid.points(10.3, 4.0)
+    _, elevation, squint = angles_of(point, aperture, 1)
+    gains = sensor.beams.response(elevation, squint)
+    reference = np.full(48, REACH)
+    samples = gains[:, None, None] * direct_history(sensor, point[None], [2.0], antenna, reference)
+    history = PhaseHistory(0, flight.pulse_times, reference, samples.astype(np.complex64))
+    for former in SPOTLIGHT_FORMERS:
+        slc = focused("small", history, former=former, rows=20, cols=8)
+        total = np.sum(np.abs(slc.images) ** 2, axis=0)
+        assert np.unravel_index(np.argmax(total), total.shape) == (10, 4)
+        peak = slc.images[:, 10, 4]
+        np.testing.assert_allclose(np.abs(peak) / np.abs(peak).max(), np.abs(gains) / gains.max(), atol=1e-5)
+
+
+def test_ground_plane_needs_a_size() -> None:
+    for size in ({"rows": 0, "cols": 8}, {"rows": 8, "cols": 0}):
+        with pytest.raises(UserError) as caught:
+            focused("small", image_plane="ground", **size)
+        assert_one_sentence(str(caught.value), "rows", "cols", "ground")
+
+
+def test_auto_takes_the_fast_former_where_it_pays_and_is_as_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    used = []
+
+    def spy(name: str) -> None:
+        former = FORMERS[name]
+        monkeypatch.setitem(FORMERS, name, lambda *given: used.append(name) or former(*given))
+
+    for name in SPOTLIGHT_FORMERS:
+        spy(name)
+    focused("small", rows=10, cols=8)
+    assert FEW_PIXELS < 640 * 16
+    focused("small", rows=640, cols=16)
+    # Columns of a ground plane that reaches over half a kilometre bow by many wavelengths.
+    focused("small", image_plane="ground", rows=11, cols=1000, ground_spacing=0.5)
+    assert used == ["backprojection", "specan", "backprojection"]
+
+
+def test_former_of_the_other_mode_is_refused() -> None:
+    with pytest.raises(UserError) as caught:
+        focused("small", former="range_doppler", rows=8, cols=8)
+    assert_one_sentence(str(caught.value), "range_doppler", "spotlight", "specan", "backprojection")
+
+
+@pytest.mark.parametrize("former", SPOTLIGHT_FORMERS)
+@pytest.mark.parametrize("plane", ["slant", "ground"])
+def test_autofocus_takes_off_what_an_atmosphere_has_put_on(former: str, plane: str) -> None:
+    """2 rad rms over the pulses: what is left is that of speckle alone, and the image as sharp as without an error."""
+    name, size = "sal_spotlight", {"rows": 184, "cols": 12, "ground_spacing": 0.04}
+    error = power_law_phase(64, 2.0, ATMOSPHERE, np.random.default_rng(91))
+    blurred = apply_phase(dwell_of(name), -error)
+    settings = {"former": former, "image_plane": plane, **size}
+    if (former, plane) == ("specan", "ground"):
+        settings["rows"] = 40  # beyond, range bends over the ground
+    clean, off, on = (
+        focused(name, dwell_of(name), **settings),
+        focused(name, blurred, **settings),
+        focused(name, blurred, **settings, autofocus=True),
+    )
+    assert on.focus
+    assert on.focus.trusted
+    left = float(np.sqrt(np.mean(residual_phase(on.autofocus_phase, error) ** 2)))
+    assert left < 0.12
+    assert off.autofocus_phase.size == 0
+
+    def unlike(slc: Slc) -> float:
+        return 1 - np.abs(np.vdot(slc.images, clean.images)) / np.sqrt(
+            np.vdot(slc.images, slc.images).real * np.vdot(clean.images, clean.images).real
+        )
+
+    # The error's trend, which is a shift, stays on the image: it was made without one.
+    assert unlike(on) < 0.12**2
+    assert unlike(off) > 0.3
+
+
+def test_phase_that_was_taken_off_is_what_autofocus_says_of_the_slant_plane_grid() -> None:
+    flight, history = flight_of("small"), dwell_of("small")
+    slc = focused("small", autofocus=True, rows=46, cols=12)
+    antenna = flight.position(flight.pulse_times)
+    expected = autofocus(history, antenna, flight.spectrum, patch_centres(flight.spectrum, slc.aperture, slc.grid))
+    np.testing.assert_allclose(slc.autofocus_phase, expected.phase, atol=1e-3)
+    again = focused("small", apply_phase(history, slc.autofocus_phase), rows=46, cols=12)
+    np.testing.assert_array_equal(slc.images, again.images)
+
+
+def test_autofocus_of_noise_is_not_trusted_and_leaves_the_image() -> None:
+    flight, history = flight_of("small"), dwell_of("small")
+    rng = np.random.default_rng(92)
+    noise = (rng.standard_normal((2, *history.samples.shape)) / np.sqrt(2)).astype(np.float32)
+    empty = replace(history, samples=(noise[0] + 1j * noise[1]).astype(np.complex64))
+    on, off = (focused("small", empty, autofocus=wanted, rows=20, cols=8) for wanted in (True, False))
+    assert on.focus
+    assert not on.focus.trusted
+    assert on.autofocus_phase.size == 0
+    np.testing.assert_array_equal(on.images, off.images)
+    assert flight.sensor.pulse_count == len(on.focus.phase)
+
+
+@pytest.mark.parametrize(
+    ("standard_error", "gain", "applied"), [(0.4, 1.0, True), (0.6, 1.0, False), (0.4, 0.8, False)]
+)
+def test_only_a_trusted_phase_is_taken_off(
+    monkeypatch: pytest.MonkeyPatch, standard_error: float, gain: float, applied: bool
+) -> None:
+    phase = np.linspace(-1, 1, 48) ** 2
+    found = Focus(phase, "targets", standard_error, 0.9, gain, 3, 0.01)
+    monkeypatch.setattr(focusing, "autofocus", lambda *_: found)
+    size = {"rows": 8, "cols": 8}
+    slc = focused("small", autofocus=True, **size)
+    expected = apply_phase(dwell_of("small"), phase) if applied else dwell_of("small")
+    np.testing.assert_array_equal(slc.images, focused("small", expected, **size).images)
+    np.testing.assert_array_equal(slc.autofocus_phase, phase if applied else np.zeros(0))
+
+
+@pytest.mark.parametrize("former", [*SPOTLIGHT_FORMERS, "auto"])
+@pytest.mark.parametrize("wanted", [False, True], ids=["navigation", "autofocus"])
+@pytest.mark.parametrize("plane", ["slant", "ground"])
+def test_detectors_that_see_the_same_in_proportion_are_imaged_in_proportion(
+    former: str, wanted: bool, plane: str
+) -> None:
+    """Every detector has the speckle of the first, times its own real weight: the beams' response in one direction."""
+    flight, first = flight_of("small"), dwell_of("small").samples[3]
+    weights = np.linspace(-0.9, 1.3, 8).astype(np.float32)
+    error = white_phase(48, 1.0, np.random.default_rng(93))
+    history = apply_phase(replace(dwell_of("small"), samples=weights[:, None, None] * first), -error)
+    slc = focus_dwell(
+        history,
+        track_of(flight),
+        flight.spectrum,
+        Settings(former=former, autofocus=wanted, rows=30, cols=12, image_plane=plane, ground_spacing=0.05),
+    )
+    assert bool(slc.autofocus_phase.size) == wanted
+    expected = weights[:, None, None] * (slc.images[-1] / weights[-1])
+    np.testing.assert_allclose(slc.images, expected, rtol=0, atol=1e-6 * np.abs(expected).max())

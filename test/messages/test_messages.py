@@ -1,0 +1,220 @@
+"""Messages and arrays: what goes in comes out, and bulk data is not copied when read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Quaternion
+from rclpy.serialization import deserialize_message, serialize_message
+from sal_height_msgs.msg import ComplexImage, DetectorFrame, HeightImage, Provenance, SensorInfo
+from std_msgs.msg import Header
+
+from sal_height import messages
+from sal_height.elevation.estimate import Validity
+from sal_height.errors import Rejected, UserError
+from sal_height.geometry.frames import ApertureState, Grid, sphere_point
+from sal_height.geometry.trajectory import PlatformState
+from sal_height.imaging.focus import Slc
+from sal_height.relief.heights import HeightField, Surface
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import Sensor
+from sal_height.simulation.preset import load_preset
+
+STAMP = Time(sec=1_700_000_000, nanosec=987_654_321)
+
+
+def through_the_wire(message):  # type: ignore[no-untyped-def]
+    return deserialize_message(serialize_message(message), type(message))
+
+
+@pytest.fixture
+def sensor() -> Sensor:
+    return load_preset("small").make_sensor()
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+@pytest.mark.parametrize("ns", [0, 1, 999_999_999, 1_000_000_000, 1_700_000_000_987_654_321])
+def test_times_keep_every_nanosecond(ns: int) -> None:
+    assert messages.to_ns(messages.to_stamp(ns)) == ns
+
+
+def test_a_sensor_survives_its_message(sensor: Sensor) -> None:
+    assert messages.sensor_from_message(through_the_wire(messages.sensor_to_message(sensor, STAMP))) == sensor
+
+
+def test_the_channel_matrix_survives_its_message(sensor: Sensor) -> None:
+    count = sensor.detector_count
+    matrix = tuple(tuple(row) for row in (np.eye(count) + 0.1j * np.arange(count)).tolist())
+    mixed = replace(sensor, channel_matrix=matrix, matrix_in_antenna=False, config_hash="")
+    assert messages.sensor_from_message(through_the_wire(messages.sensor_to_message(mixed, STAMP))) == mixed
+
+
+def test_a_sensor_info_that_says_nothing_of_channels_has_its_detectors() -> None:
+    assert SensorInfo().matrix_in_antenna
+    assert not SensorInfo().channel_matrix_real
+
+
+def test_a_sensor_info_without_identity_is_refused(sensor: Sensor) -> None:
+    message = messages.sensor_to_message(sensor, STAMP)
+    message.config_hash = ""
+    with pytest.raises(UserError, match="config_hash"):
+        messages.sensor_from_message(message)
+
+
+def test_the_identity_is_the_publishers_own(sensor: Sensor) -> None:
+    message = messages.sensor_to_message(sensor, STAMP)
+    message.config_hash = "flight 7"
+    assert messages.sensor_from_message(message).config_hash == "flight 7"
+
+
+def test_complex_samples_survive_bit_for_bit_and_reading_does_not_copy(rng: np.random.Generator) -> None:
+    samples = (rng.standard_normal((3, 5)) + 1j * rng.standard_normal((3, 5))).astype(np.complex64)
+    message = ComplexImage(samples=messages.to_floats(samples[:, ::-1]))
+    view = messages.complex_view(message.samples, (3, 5))
+    assert np.array_equal(view, samples[:, ::-1])
+    message.samples[0] = 42.0
+    assert view[0, 0].real == 42.0
+
+
+def test_phase_history_survives_its_frames(sensor: Sensor, rng: np.random.Generator) -> None:
+    shape = (sensor.detector_count, sensor.pulse_count, sensor.sample_count)
+    samples = rng.standard_normal((*shape, 2)).astype(np.float32).view(np.complex64)[..., 0]
+    times = np.arange(shape[1]) / sensor.pulse_repetition_frequency
+    history = PhaseHistory(messages.to_ns(STAMP), times, np.linspace(4999, 5001, shape[1]), samples)
+    frames = [through_the_wire(f) for f in messages.history_to_messages(history, sensor, 7, STAMP)]
+    for frame in frames:
+        messages.check_frame(frame, sensor)
+        assert frame.dwell == 7
+    back = messages.history_from_messages(frames)
+    assert back.stamp_ns == history.stamp_ns
+    assert np.array_equal(back.samples, samples)
+    assert np.array_equal(back.pulse_times, times)
+    assert np.array_equal(back.reference_range, history.reference_range)
+
+
+def test_a_platform_state_survives_its_odometry() -> None:
+    attitude = np.array([0.1, -0.2, 0.3, 0.9])
+    state = PlatformState(
+        messages.to_ns(STAMP),
+        np.array([1e4, -2.0, 3535.534]),
+        attitude / np.linalg.norm(attitude),
+        np.array([50.0, 1.0, -0.5]),
+        np.arange(36.0).reshape(6, 6),
+    )
+    back = messages.state_from_message(through_the_wire(messages.state_to_message(state, STAMP)))
+    assert back.stamp_ns == state.stamp_ns
+    assert np.array_equal(back.position, state.position)
+    assert np.allclose(back.velocity, state.velocity, atol=1e-12)
+    assert np.array_equal(back.covariance, state.covariance)
+
+
+def test_odometry_twist_is_in_body_axes() -> None:
+    """Flying north (yaw 90 degrees) at 50 m/s: the body moves forward."""
+    quarter_turn = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+    state = PlatformState(0, np.zeros(3), quarter_turn, np.array([0.0, 50.0, 0.0]), np.zeros((6, 6)))
+    twist = messages.state_to_message(state, STAMP).twist.twist.linear
+    assert (twist.x, twist.y, twist.z) == pytest.approx((50.0, 0.0, 0.0))
+
+
+def test_odometry_without_an_orientation_is_rejected() -> None:
+    state = PlatformState(0, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.ones(3), np.zeros((6, 6)))
+    message = messages.state_to_message(state, STAMP)
+    message.pose.pose.orientation = Quaternion(x=0.0, y=0.0, z=0.0, w=0.0)
+    with pytest.raises(Rejected, match="rotation"):
+        messages.state_from_message(message)
+
+
+def test_images_grid_and_aperture_survive_their_messages(rng: np.random.Generator) -> None:
+    grid = Grid(np.array([1.0, 2.0, 3.0]), np.array([0.0, -0.6, -0.8]), np.array([1.0, 0.0, 0.0]), 0.04, 0.05, 6, 4)
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    aperture = ApertureState(np.array([0.0, 1.0, 2.0]), np.array([50.0, 0.0, 0.0]), turn, 0.08, np.eye(6))
+    slc = rng.standard_normal((3, 6, 4, 2)).astype(np.float32).view(np.complex64)[..., 0]
+    frame = DetectorFrame(dwell=9)
+    frame.header.stamp = STAMP
+    sent = messages.slc_to_messages(
+        Slc(slc, grid, aperture, [0.1, 0.2, 0.3]), np.array([0.0, 0.5, 1.0]), frame, Provenance(config_hash="x")
+    )
+    assert [message.saturated_share for message in sent] == [0.0, 0.5, 1.0]
+    images, back_grid, back_aperture, noise = messages.slc_from_messages([through_the_wire(m) for m in sent])
+    assert np.array_equal(images, slc)
+    assert noise.tolist() == [0.1, 0.2, 0.3]
+    assert np.array_equal(back_grid.points(2, 3), grid.points(2, 3))
+    assert np.allclose(back_aperture.rotation, turn, atol=1e-15)
+    assert np.array_equal(back_aperture.covariance, np.eye(6))
+    assert all(m.header.stamp == STAMP and m.header.frame_id == "map" and m.dwell == 9 for m in sent)
+
+
+@pytest.mark.parametrize("layover", [False, True])
+def test_a_height_field_survives_its_message(layover: bool) -> None:
+    grid = Grid(np.array([10.0, 20.0, 0.0]), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, 2, 2)
+    aperture = ApertureState(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
+    height = np.array([[1.0, np.nan], [2.0, 3.0]])
+    validity = np.array([[0, 1], [0, 0]], dtype=np.uint8)
+    positions = np.where(validity[..., None] == 0, grid.pixels() + np.array([0.25, -0.5, 0.0]), np.nan)
+    second = None
+    if layover:
+        validity[1, 0] = Validity.TWO_SCATTERERS
+        alone = np.where(validity == Validity.TWO_SCATTERERS, 7.0, np.nan)
+        second = Surface(alone, alone / 10, alone * 5, positions + np.where(np.isnan(alone), np.nan, 1.0)[..., None])
+    field = HeightField(grid, validity, Surface(height, height / 10, height * 5, positions), second)
+    message = messages.height_to_message(field, aperture, (2, 3), "ml", ComplexImage(dwell=4), Provenance())
+    message = through_the_wire(message)
+    assert np.array_equal(np.array(message.height), height.ravel(), equal_nan=True)
+    assert bytes(message.validity) == validity.tobytes()
+    assert message.east[2] == pytest.approx(0.25)
+    assert message.north[2] == pytest.approx(-1.5)
+    assert (message.dwell, message.range_looks, message.azimuth_looks) == (4, 2, 3)
+    nan = np.nan
+    expected = (
+        [nan, nan, 7, nan],
+        [nan, nan, 0.7, nan],
+        [nan, nan, 35, nan],
+        [nan, nan, 1.25, nan],
+        [nan, nan, -0.5, nan],
+    )
+    for name, values in zip(("height", "sigma", "cnr_db", "east", "north"), expected, strict=True):
+        found = np.array(getattr(message, f"second_{name}"))
+        np.testing.assert_allclose(found, values if layover else [], rtol=1e-6)
+    cloud = messages.height_points(field, message)
+    points = np.frombuffer(cloud.data, np.float32).reshape(cloud.width, 6)
+    heights = [1, 2, 3, 7] if layover else [1, 2, 3]
+    np.testing.assert_array_equal(points[:, 3], heights)
+    if layover:
+        np.testing.assert_allclose(points[3], [11.25, 19.5, 1.0, 7, 0.7, 35], rtol=1e-6)
+
+
+def test_validity_values_are_those_of_the_message() -> None:
+    for reason in Validity:
+        assert getattr(HeightImage, reason.name) == reason
+
+
+def test_look_sides_are_those_of_the_message() -> None:
+    assert (SensorInfo.RIGHT, SensorInfo.LEFT) == (1, -1)
+
+
+def test_the_scatterers_of_a_height_image_are_where_they_were(rng: np.random.Generator) -> None:
+    """Within the float32 of their distance from the grid's origin, 7 m at most; heights that are not valid are not."""
+    shape = (5, 4)
+    north, height = rng.uniform(-5, 5, shape) - 80_000, rng.uniform(0, 30, shape)
+    positions = sphere_point(rng.uniform(-5, 5, shape) + 60_000, north, height)
+    grid = Grid(positions.mean(axis=(0, 1)), np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, *shape)
+    aperture = ApertureState(np.array([0.0, 0.0, 5e3]), np.array([50.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
+    validity = np.full(shape, Validity.OK, np.uint8)
+    validity[1], validity[2, 2] = Validity.TWO_SCATTERERS, Validity.LOW_CNR
+    field = HeightField(grid, validity, Surface(height, height / 10 + 1, height, positions), None)
+    slc = ComplexImage(header=Header(frame_id="map"))
+    message = through_the_wire(messages.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance()))
+    surface = messages.field_from_message(message).first
+    usable = validity != Validity.LOW_CNR
+    np.testing.assert_allclose(surface.positions[usable], positions[usable], rtol=0, atol=3e-6)
+    np.testing.assert_allclose(surface.height[usable], height[usable], rtol=1e-7)
+    np.testing.assert_allclose(surface.sigma[usable], height[usable] / 10 + 1, rtol=1e-7)
+    assert np.isnan(surface.height[~usable]).all()
+    assert np.isnan(surface.positions[~usable]).all()

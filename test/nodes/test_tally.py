@@ -1,0 +1,84 @@
+"""Accounting: at any time, received = processed + dropped + waiting."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier, Event
+
+import pytest
+
+from sal_height.nodes.tally import Tally
+
+
+def test_counts_and_reasons() -> None:
+    tally = Tally()
+    for _ in range(10):
+        tally.receive()
+    tally.drop(1, "wrong size")
+    tally.drop(2, "late")
+    tally.drop(1, "late")
+    tally.finish(3, published=1, latency_s=0.02)
+    tally.ignore("bad odometry")
+    tally.ignore("bad odometry")
+    assert tally.summary() == {
+        "in": 10,
+        "processed": 3,
+        "out": 1,
+        "waiting": 3,
+        "latency_p50_ms": 20.0,
+        "latency_p95_ms": 20.0,
+        "dropped.late": 3,
+        "dropped.wrong size": 1,
+        "ignored.bad odometry": 2,  # not received in the sense of the balance
+    }
+
+
+def test_nothing_finished_has_no_latency() -> None:
+    assert Tally().summary() == {"in": 0, "processed": 0, "out": 0, "waiting": 0}
+
+
+def test_latencies_are_percentiles_of_the_last_thousand() -> None:
+    tally = Tally()
+    tally.finish(1, 1, latency_s=1e6)
+    for milliseconds in range(1000):
+        tally.finish(1, 1, latency_s=milliseconds / 1e3)
+    summary = tally.summary()
+    assert summary["latency_p50_ms"] == pytest.approx(499.5)
+    assert summary["latency_p95_ms"] == pytest.approx(0.95 * 999)
+
+
+def test_balance_holds_at_any_time_under_several_threads() -> None:
+    threads, rounds = 4, 3000
+    tally, barrier, done = Tally(), Barrier(threads + 1), Event()
+
+    def work(number: int) -> None:
+        barrier.wait()
+        for i in range(rounds):
+            tally.receive()
+            tally.receive()
+            tally.drop(1, f"reason {number % 2}")
+            if i % 2:
+                tally.finish(1, published=2, latency_s=1e-3)
+
+    def watch() -> int:
+        barrier.wait()
+        looks = 0
+        while not done.is_set() or looks == 0:
+            summary = tally.summary()
+            dropped = sum(value for key, value in summary.items() if key.startswith("dropped."))
+            assert summary["in"] == summary["processed"] + dropped + summary["waiting"]
+            assert 0 <= summary["waiting"] <= summary["in"]
+            assert summary["out"] == 2 * summary["processed"]
+            looks += 1
+        return looks
+
+    with ThreadPoolExecutor(threads + 1) as pool:
+        watcher = pool.submit(watch)
+        for worker in [pool.submit(work, number) for number in range(threads)]:
+            worker.result()
+        done.set()
+        assert watcher.result() > 0
+    summary = tally.summary()
+    total = threads * rounds
+    assert (summary["in"], summary["processed"], summary["waiting"]) == (2 * total, total // 2, total // 2)
+    assert (summary["dropped.reason 0"], summary["dropped.reason 1"]) == (total // 2, total // 2)

@@ -1,0 +1,351 @@
+"""Tracked heights against linear algebra with the covariance of all cells, the spectrum of the relief, and chance."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from helpers import assert_one_sentence
+
+from sal_height.errors import UserError
+from sal_height.relief import field_tracking as relief_field
+from sal_height.relief.field_tracking import estimated_field_prior, smoothed_field
+from sal_height.relief.range_tracking import (
+    COLUMNS_AT_ONCE,
+    GATE,
+    LEAST_STEPS,
+    ReliefPrior,
+    TrackedRelief,
+    estimated_prior,
+    filtered,
+    smoothed,
+    steady_sigmas,
+)
+
+Array = npt.NDArray[np.float64]
+
+PRIOR = ReliefPrior(20.0, 1.0, 3.0)
+SPACING = 0.5
+ALL = np.inf
+"""A gate that no measurement is beyond."""
+
+
+def draw(rng: np.random.Generator, prior: ReliefPrior, shape: tuple[int, int], spacings: tuple[float, float]) -> Array:
+    """A relief whose covariance is the product of two exponentials."""
+    roots = [
+        np.linalg.cholesky(prior.correlation(np.subtract.outer(np.arange(n), np.arange(n)) * step))
+        for n, step in zip(shape, spacings, strict=True)
+    ]
+    return prior.mean + prior.sigma * roots[0] @ rng.standard_normal(shape) @ roots[1].T
+
+
+def tracks(rng: np.random.Generator, prior: ReliefPrior, shape: tuple[int, int]) -> Array:
+    """A relief whose columns have nothing to do with each other."""
+    steps = np.subtract.outer(np.arange(shape[0]), np.arange(shape[0])) * SPACING
+    return prior.mean + prior.sigma * np.linalg.cholesky(prior.correlation(steps)) @ rng.standard_normal(shape)
+
+
+def measure(rng: np.random.Generator, height: Array, sigma: Array, missing: float = 0.0) -> Array:
+    """Heights with noise, NaN in a share of the cells."""
+    measured = height + sigma * rng.standard_normal(height.shape)
+    return np.where(rng.random(height.shape) < missing, np.nan, measured)
+
+
+def uneven(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
+    """Standard deviations from about 0.3 to 3 m."""
+    return np.exp(0.6 * rng.standard_normal(shape))
+
+
+def conditioned(height: Array, sigma: Array, covariance: Array, mean: float) -> tuple[Array, Array]:
+    """Mean and standard deviation of Gaussian heights given measurements (NaN: none), by their whole covariance."""
+    seen = np.isfinite(height)
+    gain = np.linalg.solve(covariance[np.ix_(seen, seen)] + np.diag(sigma[seen] ** 2), covariance[seen]).T
+    return mean + gain @ (height[seen] - mean), np.sqrt(
+        np.diag(covariance) - np.sum(gain * covariance[:, seen], axis=1)
+    )
+
+
+def within(result: TrackedRelief, height: Array) -> float:
+    """Share of cells whose error is less than their sigma."""
+    return float(np.mean(np.abs(result.height - height) < result.sigma))
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_filter_and_smoother_are_what_conditioning_on_all_cells_gives() -> None:
+    """With sigmas that vary, a fifth of the cells missing and two that no sigma or an infinite one makes so."""
+    rng = np.random.default_rng(1)
+    position = np.arange(60) * SPACING
+    covariance = PRIOR.sigma**2 * PRIOR.correlation(position[:, None] - position)
+    sigma = uneven(rng, (60, 3))
+    measured = measure(rng, tracks(rng, PRIOR, sigma.shape), sigma, missing=0.2)
+    sigma[7, 0], sigma[8, 0], sigma[9, 0], sigma[10, 0] = np.inf, np.nan, 0.0, -1.0
+    known = np.where(np.isfinite(sigma) & (sigma > 0), measured, np.nan)
+    both, causal = smoothed(measured, sigma, SPACING, PRIOR, ALL), filtered(measured, sigma, SPACING, PRIOR, ALL)
+    for c in range(3):
+        height, spread = conditioned(known[:, c], sigma[:, c], covariance, PRIOR.mean)
+        np.testing.assert_allclose(both.height[:, c], height, atol=1e-9)
+        np.testing.assert_allclose(both.sigma[:, c], spread, atol=1e-9)
+        for i in (0, 9, 30, 59):
+            so_far = np.where(np.arange(60) <= i, known[:, c], np.nan)
+            height, spread = conditioned(so_far, sigma[:, c], covariance, PRIOR.mean)
+            assert causal.height[i, c] == pytest.approx(height[i], abs=1e-9)
+            assert causal.sigma[i, c] == pytest.approx(spread[i], abs=1e-9)
+    assert not both.outlier.any()
+
+
+@pytest.mark.parametrize(("length", "measured"), [(20.0, 1.0), (5.0, 1.0), (20.0, 0.3), (1.0, 4.0)])
+def test_steady_state_is_that_of_the_spectrum(length: float, measured: float) -> None:
+    """Wiener: the smoother's error is the mean of S R / (S + R). Kolmogorov: ln (P + R) is that of ln (S + R)."""
+    prior = ReliefPrior(length, 1.5)
+    phi, r = np.exp(-SPACING / length), measured**2
+    turns = np.exp(2j * np.pi * np.arange(4096) / 4096)
+    spectrum = 1.5**2 * (1 - phi**2) / np.abs(1 - phi * turns) ** 2
+    predicted = np.exp(np.mean(np.log(spectrum + r))) - r
+    expected = np.sqrt([predicted * r / (predicted + r), np.mean(spectrum * r / (spectrum + r))])
+    np.testing.assert_allclose(steady_sigmas(prior, SPACING, measured), expected, rtol=1e-9)
+
+
+def test_errors_are_those_of_the_steady_state() -> None:
+    """Length 20 m, sigma 1 m, noise 1 m, cells of 0.5 m: 2000 independent tracks, standard error 1.6 %."""
+    rng = np.random.default_rng(2)
+    height = tracks(rng, PRIOR, (241, 2000))
+    sigma = np.ones_like(height)
+    measured = measure(rng, height, sigma)
+    middle = slice(80, 161)  # 40 m, twice the correlation length, make several independent errors of a track
+    for track, expected in zip((filtered, smoothed), steady_sigmas(PRIOR, SPACING, 1.0), strict=True):
+        result = track(measured, sigma, SPACING, PRIOR, ALL)
+        assert rms((result.height - height)[middle]) == pytest.approx(expected, rel=0.02)
+        np.testing.assert_allclose(result.sigma[middle], expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("length", "noise", "missing"), [(20.0, 1.0, 0.0), (5.0, 0.3, 0.3), (40.0, 3.0, 0.1), (1.0, 1.0, 0.5)]
+)
+def test_sigma_is_the_spread_of_the_errors(length: float, noise: float, missing: float) -> None:
+    """68 % within 3 points, of noise that varies and cells that miss, with the true prior and with the estimated one.
+
+    200 swaths of 150 m hold 750 independent errors or more: standard error 1.7 points at most.
+    """
+    rng = np.random.default_rng(3)
+    prior = ReliefPrior(length, 1.0, -100.0)
+    height = tracks(rng, prior, (300, 200))
+    sigma = noise * uneven(rng, height.shape)
+    measured = measure(rng, height, sigma, missing)
+    estimated = estimated_prior(measured, sigma, SPACING)
+    for known, track in itertools.product((prior, estimated), (filtered, smoothed)):
+        result = track(measured, sigma, SPACING, known)
+        assert within(result, height) == pytest.approx(0.683, abs=0.03)
+        assert rms((result.height - height) / result.sigma) == pytest.approx(1, abs=0.06)
+
+
+def test_prior_is_estimated() -> None:
+    """From 64 swaths of 10 lengths: the scatter of 9 estimates is their standard error, and none is biased."""
+    rng = np.random.default_rng(4)
+    found = []
+    for _ in range(9):
+        height = tracks(rng, PRIOR, (400, 64))
+        sigma = uneven(rng, height.shape)
+        prior = estimated_prior(measure(rng, height, sigma, 0.1), sigma, SPACING)
+        found.append([np.log(prior.length / 20.0), np.log(prior.sigma), prior.mean - 3.0])
+    error = np.std(found, axis=0, ddof=1)
+    assert np.all(error < [0.12, 0.05, 0.1])
+    assert np.all(np.abs(np.mean(found, axis=0)) < 3.5 * error / np.sqrt(9))
+
+
+def test_prior_is_estimated_in_spite_of_outliers() -> None:
+    """One in eight cells is anywhere within 10 sigmas; tracks then lose a tenth of their precision, and no more."""
+    rng = np.random.default_rng(5)
+    height = tracks(rng, PRIOR, (400, 200))
+    sigma = np.full(height.shape, 0.5)
+    clean = measure(rng, height, sigma)
+    wrong = rng.random(height.shape) < 0.125
+    measured = np.where(wrong, rng.uniform(-7, 13, height.shape), clean)
+    prior = estimated_prior(measured, sigma, SPACING)
+    assert prior.length == pytest.approx(20, rel=0.3)
+    assert prior.sigma == pytest.approx(1, rel=0.15)
+    result = smoothed(measured, sigma, SPACING, prior)
+    without = smoothed(np.where(wrong, np.nan, clean), sigma, SPACING, PRIOR)
+    far = wrong & (np.abs(measured - height) > 5)
+    assert np.mean(result.outlier[far]) > 0.99
+    assert np.mean(result.outlier[~wrong]) < 0.001
+    assert rms(result.height - height) < 1.1 * rms(without.height - height)
+    assert within(result, height) == pytest.approx(0.683, abs=0.03)
+
+
+def test_what_is_known_of_the_prior_is_kept() -> None:
+    rng = np.random.default_rng(6)
+    height = tracks(rng, PRIOR, (300, 40))
+    sigma = np.ones_like(height)
+    measured = measure(rng, height, sigma)
+    free = estimated_prior(measured, sigma, SPACING)
+    assert estimated_prior(measured, sigma, SPACING, length=7.0).length == pytest.approx(7.0)
+    assert estimated_prior(measured, sigma, SPACING, relief_sigma=2.0).sigma == pytest.approx(2.0)
+    both = estimated_prior(measured, sigma, SPACING, 7.0, 2.0)
+    assert (both.length, both.sigma) == pytest.approx((7.0, 2.0))
+    assert both.mean == pytest.approx(free.mean, abs=0.3)
+    field = estimated_field_prior(measured, sigma, (SPACING, SPACING), 7.0, 2.0)
+    assert (field.length, field.sigma) == pytest.approx((7.0, 2.0))
+
+
+def test_level_ground_is_averaged_and_no_surer_than_its_level() -> None:
+    """Planes in noise of 1 m, in 1200 cells: 29 mm. Of 30 heights all but one or two are within two sigmas."""
+    rng = np.random.default_rng(7)
+    off = []
+    for _ in range(15):
+        measured = 5 + rng.standard_normal((60, 20))
+        sigma = np.ones_like(measured)
+        alone = estimated_prior(measured, sigma, SPACING)
+        field = estimated_field_prior(measured, sigma, (SPACING, SPACING))
+        along_range = smoothed(measured, sigma, SPACING, alone)
+        for result in (along_range, smoothed_field(measured, sigma, (SPACING, SPACING), field)):
+            assert rms(result.height - 5) < 0.2
+            off.append(rms((result.height - 5) / result.sigma))
+    assert np.count_nonzero(np.array(off) > 2) <= 2
+
+
+def test_an_outlier_is_marked_and_does_no_harm() -> None:
+    rng = np.random.default_rng(8)
+    height = tracks(rng, PRIOR, (100, 1))
+    sigma = np.full(height.shape, 0.3)
+    measured = measure(rng, height, sigma)
+    spoilt, missing = measured.copy(), measured.copy()
+    spoilt[50], missing[50] = 20.0, np.nan
+    result, expected = (smoothed(values, sigma, SPACING, PRIOR) for values in (spoilt, missing))
+    np.testing.assert_array_equal(np.flatnonzero(result.outlier), [50])
+    np.testing.assert_allclose(result.height, expected.height, rtol=1e-12)
+    np.testing.assert_allclose(result.sigma, expected.sigma, rtol=1e-12)
+
+
+@pytest.mark.parametrize("step", [2.0, 3.0])
+def test_the_track_is_found_again_behind_a_cliff(step: float) -> None:
+    """The gate lets a step of b in once b phi^n < gate sqrt(P + R): P is the prior's less what n cells leave of it."""
+    measured = np.where(np.arange(200)[:, None] < 100, 0.0, step)
+    sigma = np.full(measured.shape, 0.1)
+    prior = ReliefPrior(20.0, 1.0)
+    result = filtered(measured, sigma, SPACING, prior)
+    lost = np.flatnonzero(result.outlier)
+    n = np.arange(1, 101)
+    left = prior.correlation(n * SPACING) ** 2 * (1 - result.sigma[99] ** 2)
+    departure = step - prior.correlation(n * SPACING) * result.height[99]
+    let_in = departure**2 <= GATE**2 * (1 - left + 0.1**2)
+    count = int(np.argmax(let_in))
+    assert 0 < count < 30
+    np.testing.assert_array_equal(lost, np.arange(100, 100 + count))
+    assert result.height[100 + count + 2, 0] == pytest.approx(step, abs=0.3)
+
+
+def test_columns_and_precision_of_single_numbers_make_no_difference() -> None:
+    """One column more than are followed at a time, and again each for itself."""
+    rng = np.random.default_rng(9)
+    sigma = uneven(rng, (50, 2 * COLUMNS_AT_ONCE + 1))
+    measured = measure(rng, tracks(rng, PRIOR, sigma.shape), sigma, 0.1)
+    result = smoothed(measured, sigma, SPACING, PRIOR)
+    for c in (0, COLUMNS_AT_ONCE - 1, COLUMNS_AT_ONCE, 2 * COLUMNS_AT_ONCE):
+        alone = smoothed(measured[:, [c]], sigma[:, [c]], SPACING, PRIOR)
+        np.testing.assert_allclose(result.height[:, [c]], alone.height, rtol=1e-12)
+        np.testing.assert_allclose(result.sigma[:, [c]], alone.sigma, rtol=1e-12)
+    single = smoothed(measured.astype(np.float32), sigma.astype(np.float32), SPACING, PRIOR)
+    assert single.height.dtype == single.sigma.dtype == np.float32
+    np.testing.assert_allclose(single.height, result.height, atol=2e-6)
+    np.testing.assert_allclose(single.sigma, result.sigma, atol=1e-6)
+
+
+def test_a_field_of_one_window_is_what_conditioning_on_all_cells_gives() -> None:
+    rng = np.random.default_rng(10)
+    shape, spacings = (9, relief_field.WINDOW), (SPACING, 2.0)
+    rows, cols = (
+        PRIOR.correlation(np.subtract.outer(np.arange(n), np.arange(n)) * d)
+        for n, d in zip(shape, spacings, strict=True)
+    )
+    sigma = uneven(rng, shape)
+    measured = measure(rng, draw(rng, PRIOR, shape, spacings), sigma, 0.2)
+    result = smoothed_field(measured, sigma, spacings, PRIOR, ALL)
+    height, spread = conditioned(measured.ravel(), sigma.ravel(), PRIOR.sigma**2 * np.kron(rows, cols), PRIOR.mean)
+    np.testing.assert_allclose(result.height.ravel(), height, atol=1e-9)
+    np.testing.assert_allclose(result.sigma.ravel(), spread, atol=1e-9)
+
+
+@pytest.mark.parametrize("cols", [1, 33, 48, 49, 80])
+def test_windows_lose_little_of_a_wide_field(cols: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against one window as wide as the image: every sigma is 4 % greater at most, 2 % in the mean."""
+    rng = np.random.default_rng(11)
+    spacings = (SPACING, SPACING)
+    sigma = np.ones((40, cols))
+    measured = measure(rng, draw(rng, PRIOR, sigma.shape, spacings), sigma)
+    windows = smoothed_field(measured, sigma, spacings, PRIOR, ALL)
+    monkeypatch.setattr(relief_field, "WINDOW", cols)
+    whole = smoothed_field(measured, sigma, spacings, PRIOR, ALL)
+    ratio = windows.sigma / whole.sigma
+    assert np.all(ratio > 1 - 1e-9)
+    assert np.max(ratio) < 1.04
+    assert np.mean(ratio) < 1.02
+
+
+def test_a_field_is_calibrated_and_better_than_tracks_along_range() -> None:
+    """6 fields of 60 x 80 m, of 200 independent errors each or more: standard error of the share 1.3 points.
+
+    With outliers, noise that varies and missing cells, and with the estimated prior, too.
+    """
+    rng = np.random.default_rng(12)
+    spacings = (SPACING, 0.8)
+    prior = ReliefPrior(10.0, 2.0, 50.0)
+    shares, errors = [], []
+    for _ in range(6):
+        height = draw(rng, prior, (120, 100), spacings)
+        sigma = 2 * uneven(rng, height.shape)
+        measured = measure(rng, height, sigma, 0.1)
+        wrong = rng.random(height.shape) < 0.02
+        measured[wrong] = rng.uniform(0, 100, np.count_nonzero(wrong))
+        known = estimated_field_prior(measured, sigma, spacings)
+        results = [
+            smoothed_field(measured, sigma, spacings, prior),
+            smoothed_field(measured, sigma, spacings, known),
+            smoothed(measured, sigma, spacings[0], prior),
+        ]
+        shares.append([within(result, height) for result in results])
+        errors.append([rms(result.height - height) for result in results])
+    np.testing.assert_allclose(np.mean(shares, axis=0), 0.683, atol=0.03)
+    field, estimated, tracks = np.mean(errors, axis=0)
+    assert field < 0.8 * tracks
+    assert estimated < 1.03 * field
+
+
+@pytest.mark.parametrize(
+    ("height", "sigma", "spacing", "gate", "words"),
+    [
+        ((5, 4), (5, 3), 1.0, 4.0, ("(5, 4)", "(5, 3)", "same (rows, cols)")),
+        ((5,), (5,), 1.0, 4.0, ("(5,)",)),
+        ((5, 4), (5, 4), 0.0, 4.0, ("0 m apart",)),
+        ((5, 4), (5, 4), np.nan, 4.0, ("nan m apart",)),
+        ((5, 4), (5, 4), 1.0, 0.0, ("gate is 0",)),
+        ((5, 4), (5, 4), 1.0, np.nan, ("gate is nan",)),
+    ],
+)
+def test_what_cannot_be_tracked_is_refused(
+    height: tuple[int, ...], sigma: tuple[int, ...], spacing: float, gate: float, words: tuple[str, ...]
+) -> None:
+    with pytest.raises(UserError) as error:
+        smoothed(np.ones(height), np.ones(sigma), spacing, PRIOR, gate)
+    assert_one_sentence(str(error.value), *words)
+
+
+@pytest.mark.parametrize("values", [(0.0, 1.0, 0.0), (1.0, -1.0, 0.0), (np.inf, 1.0, 0.0), (1.0, 1.0, np.nan)])
+def test_a_prior_that_is_none_is_refused(values: tuple[float, float, float]) -> None:
+    with pytest.raises(UserError) as error:
+        ReliefPrior(*values)
+    assert_one_sentence(str(error.value), "greater than 0")
+
+
+@pytest.mark.parametrize("cells", [0, 1, LEAST_STEPS // 2])
+def test_a_prior_needs_measurements(cells: int) -> None:
+    """As many in each of two columns; the others are empty."""
+    measured = np.full((50, 5), np.nan)
+    measured[:cells, 1] = measured[:cells, 3] = 1.0
+    with pytest.raises(UserError) as error:
+        estimated_prior(measured, np.ones_like(measured), SPACING)
+    assert_one_sentence(str(error.value), f"{2 * max(0, cells - 1)} steps", f"{LEAST_STEPS} or more")

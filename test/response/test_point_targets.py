@@ -1,0 +1,188 @@
+"""Point targets found in an image: where they are, what their chips hold, and why the others are none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import assert_one_sentence, circular
+from numpy.testing import assert_allclose
+
+from sal_height.errors import NotDetermined, UserError
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
+from sal_height.response import point_targets
+from sal_height.response.point_targets import BLOCK, Verdict, chip_at, find_targets
+
+SIDE = 256
+PLACES = ((70.3, 60.8), (80.0, 190.45), (190.75, 100.1))
+
+
+def tape(*targets: Target, seed: int = 1, shape: tuple[int, int] = (SIDE, SIDE)) -> np.ndarray:
+    """A Taylor-weighted range band, a cosine beam."""
+    fault = RangeFault(sawtooth=0.0)
+    return make_tape(shape, np.random.default_rng(seed), targets, fault, AzimuthFault())
+
+
+def verdicts(image: np.ndarray, chip: tuple[int, int] = (64, 64)) -> list[Verdict]:
+    """Of all candidates, the brightest first."""
+    return [candidate.verdict for candidate in find_targets(image, chip).candidates]
+
+
+@pytest.mark.parametrize("carrier", [(0.0, 0.0), (0.45, -0.2)])
+def test_targets_are_found_where_they_are(carrier: tuple[float, float]) -> None:
+    # The standard error of a place in clutter is about 0.01 pixels in range here, and less in azimuth.
+    image = tape(*(Target(*place, 40.0 + i) for i, place in enumerate(PLACES)))
+    rows, cols = np.ogrid[:SIDE, :SIDE]
+    image = (image * np.exp(2j * np.pi * (carrier[0] * rows + carrier[1] * cols))).astype(np.complex64)
+    survey = find_targets(image)
+    assert [candidate.verdict for candidate in survey.candidates] == [Verdict.ACCEPTED] * 3
+    found = sorted((target.row, target.col, 10 * np.log10(target.over_clutter)) for target in survey.targets)
+    assert_allclose([place for *place, _ in found], PLACES, atol=0.03)
+    assert_allclose([level for *_, level in found], [40, 41, 42], atol=0.6)
+
+
+@pytest.mark.parametrize("scale", [1e-15, 1e15])
+def test_the_scale_of_an_image_does_not_matter(scale: float) -> None:
+    image = tape(Target(*PLACES[0], 40.0))
+    (plain,), (scaled,) = (find_targets((image * factor).astype(np.complex64)).targets for factor in (1, scale))
+    assert_allclose(scaled.spectrum, plain.spectrum, rtol=1e-3, atol=1e-3)
+    assert scaled.over_clutter == pytest.approx(plain.over_clutter, rel=1e-4)
+
+
+def test_a_chip_holds_the_response_between_the_pixels() -> None:
+    # Noise free: what is left is that a window of 128 pixels is not cyclic.
+    offsets = np.arange(-32, 32)
+    place = (120.37, 131.81)
+
+    def response(rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
+        return np.sinc(rows / 2.6)[:, None] ** 2 * np.sinc(cols / 2.3) ** 2 * np.exp(0.3j)
+
+    image = response(np.arange(SIDE) - place[0], np.arange(SIDE) - place[1])
+    target = chip_at(5 * image, 120, 132, clutter=1e-4)
+    assert_allclose((target.row, target.col), place, atol=1e-4)
+    assert target.over_clutter == pytest.approx(25e4, rel=1e-3)
+    expected = response(offsets, offsets) * np.exp(-0.3j)
+    assert_allclose(np.fft.fftshift(target.chip), expected, atol=1e-3)
+    assert_allclose(target.spectrum, np.fft.fftshift(np.fft.fft2(target.chip)), atol=1e-9)
+
+
+def test_a_chip_as_wide_as_the_image_is_cyclic() -> None:
+    """A narrow image has no columns to spare beside a chip."""
+    image = tape(Target(128.2, 9.7, 45.0), shape=(SIDE, 12))
+    survey = find_targets(image, (64, 12))
+    (target,) = survey.require()
+    assert target.spectrum.shape == (64, 12)
+    assert_allclose((target.row, target.col), (128.2, 9.7), atol=0.03)
+
+
+def test_speckle_has_no_targets() -> None:
+    survey = find_targets(tape())
+    assert not survey.candidates
+    with pytest.raises(NotDetermined) as refusal:
+        survey.require()
+    assert_one_sentence(str(refusal.value), "No pixel", "20 dB", "needed")
+
+
+def with_gap(value: float, size: int) -> np.ndarray:
+    image = tape(Target(120, 130, 40.0))
+    image[100 : 100 + size, 140 : 140 + size] = value
+    return image
+
+
+def pair(rows: float, cols: float, over: float = 40.0) -> np.ndarray:
+    """Two targets, one of 40 dB."""
+    return tape(Target(120.0, 130.0, 40.0), Target(120.0 + rows, 130.0 + cols, over))
+
+
+def limited(level: float, *, part: bool) -> np.ndarray:
+    image = tape(Target(120, 130, 40.0))
+    if part:
+        return np.clip(image.view(np.float32), -level, level).view(np.complex64)
+    amplitude = np.abs(image)
+    return (image * np.minimum(1, level / np.maximum(amplitude, level))).astype(np.complex64)
+
+
+@pytest.mark.parametrize(
+    ("image", "verdict"),
+    [
+        (tape(Target(20, 130, 40.0)), Verdict.EDGE),
+        (tape(Target(120, 230, 40.0)), Verdict.EDGE),
+        (with_gap(np.nan, 1), Verdict.NOT_FINITE),
+        (with_gap(np.inf, 1), Verdict.NOT_FINITE),
+        (with_gap(0.0, 8), Verdict.GAPS),
+        (pair(30, 28), Verdict.CROWDED),
+        (pair(30, 28, 35), Verdict.CROWDED),
+        (pair(9, 5, 30), Verdict.COMPLICATED),
+        (pair(4, 2), Verdict.COMPLICATED),
+        (pair(8, 0, 36), Verdict.COMPLICATED),
+        (pair(0, 4, 36), Verdict.COMPLICATED),
+        (limited(20.0, part=True), Verdict.CLIPPED),
+        (limited(50.0, part=False), Verdict.CLIPPED),
+    ],
+)
+def test_what_is_no_point_alone_is_not_taken(image: np.ndarray, verdict: Verdict) -> None:
+    survey = find_targets(image)
+    assert set(survey.verdicts) == {verdict}
+    with pytest.raises(NotDetermined) as refusal:
+        survey.require()
+    assert_one_sentence(str(refusal.value), f"{survey.verdicts[verdict]} {verdict}")
+
+
+def test_what_is_much_fainter_does_not_crowd() -> None:
+    assert verdicts(pair(30, 28, 18)) == [Verdict.ACCEPTED]
+    assert verdicts(tape(Target(120, 130, 60), Target(150, 105, 35))) == [Verdict.ACCEPTED, Verdict.CROWDED]
+    assert verdicts(with_gap(0.0, 4)) == [Verdict.ACCEPTED]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_speckle_does_not_make_a_faint_target_complicated(seed: int) -> None:
+    assert verdicts(tape(Target(120, 130, 24.0), seed=seed)) == [Verdict.ACCEPTED]
+
+
+def test_two_that_are_not_resolved_are_wider_than_the_others() -> None:
+    # In one row the pair is the product of its cuts: alone it would pass.
+    others = (Target(190, 60, 40), Target(60, 190, 40))
+    image = tape(*others, Target(70.0, 60.0, 42), Target(71.9, 60.0, 42), seed=2)
+    found = {candidate.row: candidate.verdict for candidate in find_targets(image).candidates}
+    assert sorted(found.values()) == [Verdict.ACCEPTED, Verdict.ACCEPTED, Verdict.COMPLICATED]
+    assert found[190] is found[60] is Verdict.ACCEPTED
+
+
+def test_no_more_chips_than_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(point_targets, "MAX_CHIPS", 2)
+    image = tape(*(Target(*place, 40.0 + i) for i, place in enumerate(PLACES)))
+    survey = find_targets(image)
+    assert [candidate.verdict for candidate in survey.candidates] == [Verdict.ACCEPTED, Verdict.ACCEPTED, Verdict.SPARE]
+    assert len(survey.targets) == 2
+
+
+def test_the_survey_is_a_mean_and_a_maximum_of_blocks() -> None:
+    image = circular(np.random.default_rng(3), (3 * BLOCK + 5, 2 * BLOCK + 1)).astype(np.complex64)
+    image[5, 7], image[40, 20], image[48:, 32:] = np.nan, np.inf, np.nan
+    mean, peak = point_targets._blocks(image)
+    power = np.where(np.isfinite(image), np.abs(image) ** 2, np.nan)
+    for i, j in np.ndindex(mean.shape):
+        block = power[BLOCK * i : BLOCK * (i + 1), BLOCK * j : BLOCK * (j + 1)]
+        expected = (np.nanmean(block), np.nanmax(block)) if np.any(np.isfinite(block)) else (0, 0)
+        assert_allclose((mean[i, j], peak[i, j]), expected, rtol=1e-5)
+    assert mean.shape == (4, 3)
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan, 7 + 7j, 1e300])
+def test_images_of_one_value_have_no_targets(value: complex) -> None:
+    with pytest.raises(NotDetermined):
+        find_targets(np.full((128, 128), value, dtype=np.complex128)).require()
+
+
+@pytest.mark.parametrize(
+    ("image", "chip", "part"),
+    [
+        (np.ones((128, 128)), (64, 64), "float64"),
+        (np.ones((2, 128, 128), dtype=np.complex64), (64, 64), "(2, 128, 128)"),
+        (np.ones((50, 128), dtype=np.complex64), (64, 64), "50 x 128"),
+        (np.ones((128, 128), dtype=np.complex64), (64, 2), "64 x 2"),
+    ],
+)
+def test_what_cannot_be_surveyed_is_refused(image: np.ndarray, chip: tuple[int, int], part: str) -> None:
+    with pytest.raises(UserError) as refusal:
+        find_targets(image, chip)
+    assert_one_sentence(str(refusal.value), part, "must be")

@@ -1,0 +1,280 @@
+"""Elevation models: every height ends up where the file puts it, and files that cannot be used are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from helpers import assert_one_sentence
+from matplotlib.cbook import get_sample_data
+from rasterio.transform import Affine
+
+from sal_height.errors import UserError
+from sal_height.geometry.frames import EARTH_RADIUS
+from sal_height.simulation.scene import Scene
+from sal_height.simulation.scenes import load_scene
+
+ROWS, COLS = 7, 5
+ELEVATION = np.random.default_rng(3).uniform(100, 900, (ROWS, COLS)).astype(np.float32)  # north row first
+METRES_PER_DEGREE = np.pi / 180 * EARTH_RADIUS
+
+
+def write_geotiff(path: Path, crs: str | None, transform: Affine, elevation: np.ndarray = ELEVATION) -> str:
+    rows, cols = elevation.shape
+    profile = {"driver": "GTiff", "width": cols, "height": rows, "count": 1, "dtype": "float32", "nodata": -9999}
+    with rasterio.open(path, "w", crs=crs, transform=transform, **profile) as file:
+        file.write(elevation.astype(np.float32), 1)
+    return str(path)
+
+
+def write_npz(path: Path, **arrays: object) -> str:
+    np.savez(path, **arrays)
+    return str(path)
+
+
+def assert_heights(scene: Scene, dx: float, dy: float) -> None:
+    """Assert that each cell's centre has its height; rows run south, the middle of the file is the map's origin."""
+    row, col = np.indices(ELEVATION.shape)
+    heights = scene.heights((col - (COLS - 1) / 2) * dx, ((ROWS - 1) / 2 - row) * dy)
+    np.testing.assert_allclose(heights, ELEVATION, rtol=1e-6)
+    assert np.all(scene.brightness == 1)
+
+
+def test_geotiff_in_utm(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "utm.tif", "EPSG:32617", Affine(30.0, 0, 5e5, 0, -20.0, 4e6))
+    scene = load_scene(path)
+    assert scene.name == "utm"
+    assert_heights(scene, 30.0, 20.0)
+
+
+def test_geotiff_in_degrees(tmp_path: Path) -> None:
+    north_edge, step = 36.5, 0.002
+    path = write_geotiff(tmp_path / "degrees.tiff", "EPSG:4326", Affine(0.001, 0, -84.4, 0, -step, north_edge))
+    latitude = np.radians(north_edge - ROWS / 2 * step)
+    assert_heights(load_scene(path), 0.001 * METRES_PER_DEGREE * np.cos(latitude), step * METRES_PER_DEGREE)
+
+
+def test_geotiff_in_feet(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "feet.tif", "EPSG:2263", Affine(100, 0, 1e6, 0, -50, 2e5))
+    assert_heights(load_scene(path), 100 * 1200 / 3937, 50 * 1200 / 3937)  # US survey feet
+
+
+def test_npz_in_metres(tmp_path: Path) -> None:
+    assert_heights(load_scene(write_npz(tmp_path / "dem.npz", elevation=ELEVATION, dx=12.0, dy=8.0)), 12.0, 8.0)
+
+
+def test_npz_in_degrees(tmp_path: Path) -> None:
+    path = write_npz(tmp_path / "dem.npz", elevation=ELEVATION, dx=0.001, dy=0.002, ymin=60.0, ymax=60.014)
+    dx = 0.001 * METRES_PER_DEGREE * np.cos(np.radians(60.007))
+    assert_heights(load_scene(path), dx, 0.002 * METRES_PER_DEGREE)
+
+
+def test_jacksboro_fault_is_north_up() -> None:
+    """The Cumberland Mountains lie north-west of the fault, the valley of Tennessee south-east."""
+    scene = load_scene("jacksboro_fault")
+    north_west = scene.height[scene.north > 0][:, scene.east < 0]
+    south_east = scene.height[scene.north < 0][:, scene.east > 0]
+    assert north_west.mean() > south_east.mean() + 100
+    with np.load(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False)) as dem:
+        np.testing.assert_array_equal(scene.height[::-1], dem["elevation"])
+        edges = float(dem["ymin"]), float(dem["ymax"])
+    assert np.ptp(scene.north) == pytest.approx(abs(edges[1] - edges[0]) * METRES_PER_DEGREE, rel=0.005)  # 3" of 0.29°
+
+
+def test_street_holds_what_it_says() -> None:
+    street = load_scene("street")
+    assert (street.height.min(), street.height.max()) == (0.0, 2.0)
+    assert np.allclose(np.diff(street.north), 0.02)
+    assert np.allclose(np.diff(street.east), 0.02)
+    names_at = {  # east, north: top
+        "road": ((-28.0, 1.0), 0.0),
+        "near pavement": ((10.0, 5.0), 0.12),
+        "far pavement": ((10.0, -4.0), 0.12),
+        "wall": ((10.0, -5.05), 2.0),
+        "first step": ((-10.0, -3.2), 0.28),
+        "top step": ((-10.0, -7.0), 1.08),
+        "car roof": ((-27.0, -1.3), 1.45),
+        "bonnet": ((-28.6, -1.3), 0.85),
+    }
+    for name, (place, top) in names_at.items():
+        assert street.heights(*place) == pytest.approx(top, abs=1e-12), name
+    assert {(point.north, point.height) for point in street.points} == {(3.0, 1.0)}
+
+
+def test_name_that_is_no_scene_is_refused_with_those_allowed() -> None:
+    with pytest.raises(UserError) as refusal:
+        load_scene("no_such_scene")
+    assert_one_sentence(str(refusal.value), "'no_such_scene'", "street, jacksboro_fault", ".tif or .npz")
+
+
+def test_other_suffixes_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "dem.asc"
+    path.write_text("1 2 3")
+    with pytest.raises(UserError) as refusal:
+        load_scene(str(path))
+    assert_one_sentence(str(refusal.value), "'.asc'", ".tif, .tiff and .npz")
+
+
+HOLE = np.where(np.eye(3) > 0, np.nan, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "complaint"),
+    [
+        ({"elevation": ELEVATION, "dx": 1.0}, "lacks dy"),
+        ({"height": ELEVATION}, "lacks elevation, dx, dy"),
+        ({"elevation": ELEVATION, "dx": 0.0, "dy": 1.0}, "0.0 x 1.0 m; both must be greater than 0"),
+        ({"elevation": ELEVATION, "dx": 1.0, "dy": np.nan}, "1.0 x nan m; both must be greater than 0"),
+        ({"elevation": ELEVATION, "dx": [1.0, 2.0], "dy": 1.0}, "not a readable .npz file"),
+        ({"elevation": np.zeros(9), "dx": 1.0, "dy": 1.0}, "shape (9,); 2 x 2 or more"),
+        ({"elevation": HOLE, "dx": 1.0, "dy": 1.0}, "3 cells without elevation"),
+        ({"elevation": np.array(["high"] * 4).reshape(2, 2), "dx": 1.0, "dy": 1.0}, "not a readable .npz file"),
+        ({"elevation": np.array([[None, 1], [2, 3]]), "dx": 1.0, "dy": 1.0}, "not a readable .npz file"),
+    ],
+    ids=["no dy", "nothing", "zero", "nan", "two spacings", "one row", "holes", "text", "objects"],
+)
+def test_useless_npz_is_refused_in_one_sentence(tmp_path: Path, arrays: dict[str, object], complaint: str) -> None:
+    path = write_npz(tmp_path / "dem.npz", **arrays)
+    with pytest.raises(UserError) as refusal:
+        load_scene(path)
+    assert_one_sentence(str(refusal.value), "Scene ", "dem", complaint)
+
+
+@pytest.mark.parametrize("content", [b"not a zip file", b""], ids=["text", "empty"])
+def test_npz_that_is_none_is_refused_in_one_sentence(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "dem.npz"
+    path.write_bytes(content)
+    with pytest.raises(UserError) as refusal:
+        load_scene(str(path))
+    assert_one_sentence(str(refusal.value), "dem.npz", "not a readable .npz file")
+
+
+def test_damaged_npz_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "dem.npz"
+    np.savez_compressed(path, elevation=np.random.default_rng(4).random((50, 50)), dx=1.0, dy=1.0)
+    content = bytearray(path.read_bytes())
+    content[200:400] = bytes(200)
+    path.write_bytes(content)
+    with pytest.raises(UserError) as refusal:
+        load_scene(str(path))
+    assert_one_sentence(str(refusal.value), "dem.npz", "not a readable .npz file")
+
+
+@pytest.mark.parametrize(
+    ("transform", "crs"),
+    [
+        (Affine(30, 0, 0, 0, 20, 0), "EPSG:32617"),
+        (Affine(30, 1, 0, 0, -20, 0), "EPSG:32617"),
+        (Affine(-30, 0, 0, 0, -20, 0), "EPSG:32617"),
+        (Affine(30, 0, 0, 0, -20, 0), None),
+    ],
+    ids=["south up", "sheared", "mirrored", "nowhere"],
+)
+def test_geotiff_that_is_not_north_up_on_the_earth_is_refused(
+    tmp_path: Path, transform: Affine, crs: str | None
+) -> None:
+    path = write_geotiff(tmp_path / "dem.tif", crs, transform)
+    with pytest.raises(UserError) as refusal:
+        load_scene(path)
+    assert_one_sentence(str(refusal.value), "dem.tif", "north up with a coordinate reference system")
+
+
+def test_geotiff_with_holes_is_refused(tmp_path: Path) -> None:
+    holed = np.where(np.arange(COLS) == 2, -9999, ELEVATION)
+    path = write_geotiff(tmp_path / "dem.tif", "EPSG:32617", Affine(30, 0, 5e5, 0, -20, 4e6), holed)
+    with pytest.raises(UserError) as refusal:
+        load_scene(path)
+    assert_one_sentence(str(refusal.value), f"{ROWS} cells without elevation")
+
+
+def test_geotiff_that_is_none_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "dem.tif"
+    path.write_bytes(b"II*\0 but no more")
+    with pytest.raises(UserError) as refusal:
+        load_scene(str(path))
+    assert_one_sentence(str(refusal.value), "dem.tif", "not a readable GeoTIFF")
+
+
+UTM, UTM_GRID = "EPSG:32617", Affine(30, 0, 5e5, 0, -20, 4e6)
+
+
+@pytest.mark.parametrize(
+    "crs",
+    ["EPSG:4978", 'LOCAL_CS["site",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'],
+    ids=["geocentric", "local"],
+)
+def test_geotiff_without_geographic_or_projected_system_is_refused(tmp_path: Path, crs: str) -> None:
+    path = write_geotiff(tmp_path / "dem.tif", crs, UTM_GRID)
+    with pytest.raises(UserError) as refusal:
+        load_scene(path)
+    assert_one_sentence(str(refusal.value), "dem.tif", "neither geographic nor projected", "gdalwarp")
+
+
+@pytest.mark.parametrize("north_edge", [95.0, -95.0])
+def test_geotiff_beyond_a_pole_is_refused(tmp_path: Path, north_edge: float) -> None:
+    path = write_geotiff(tmp_path / "dem.tif", "EPSG:4326", Affine(0.001, 0, 10, 0, -0.001, north_edge))
+    with pytest.raises(UserError) as refusal:
+        load_scene(path)
+    assert_one_sentence(str(refusal.value), "Scene dem", f"latitude {north_edge - 0.0035:.6g}", "between -90 and 90")
+
+
+def test_complex_elevations_are_refused(tmp_path: Path) -> None:
+    npz = write_npz(tmp_path / "npz.npz", elevation=ELEVATION + 1j, dx=1.0, dy=1.0)
+    tif = str(tmp_path / "tif.tif")
+    profile = {"driver": "GTiff", "width": COLS, "height": ROWS, "count": 1, "dtype": "complex64"}
+    with rasterio.open(tif, "w", crs=UTM, transform=UTM_GRID, **profile) as file:
+        file.write((ELEVATION + 1j).astype(np.complex64), 1)
+    for path in (npz, tif):
+        with pytest.raises(UserError) as refusal:
+            load_scene(path)
+        assert_one_sentence(str(refusal.value), f"Scene {Path(path).stem}", "complex elevations; they must be real")
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (-12001.0, "elevations from -12001 to"),
+        (9001.0, "to 9001 m; allowed are -12000 to 9000 m"),
+        (-3.4028235e38, "elevations from -3.40282e+38 to"),
+        (-9999.0, "1 cells of -9999 m, which looks like undeclared no-data"),
+        (-32768.0, "1 cells of -32768 m, which looks like undeclared no-data"),
+    ],
+)
+def test_elevations_that_are_not_on_earth_are_refused(tmp_path: Path, value: float, said: str) -> None:
+    elevation = ELEVATION.copy()
+    elevation[2, 3] = value
+    with pytest.raises(UserError) as refusal:
+        load_scene(write_npz(tmp_path / "dem.npz", elevation=elevation, dx=1.0, dy=1.0))
+    assert_one_sentence(str(refusal.value), "Scene dem", said)
+
+
+def test_lowest_and_highest_elevations_are_taken(tmp_path: Path) -> None:
+    elevation = np.array([[-12000.0, 9000.0], [-9998.9, 0.0]])
+    scene = load_scene(write_npz(tmp_path / "dem.npz", elevation=elevation, dx=1.0, dy=1.0))
+    np.testing.assert_array_equal(scene.height[::-1], elevation)
+
+
+def test_geotiff_that_is_cut_off_is_refused(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "dem.tif", UTM, UTM_GRID, np.random.default_rng(5).uniform(0, 9, (200, 200)))
+    Path(path).write_bytes(Path(path).read_bytes()[:80_000])
+    with pytest.raises(UserError) as refusal:
+        load_scene(path)
+    assert_one_sentence(str(refusal.value), "dem.tif is not a readable GeoTIFF: ")
+    assert "See previous" not in str(refusal.value)
+
+
+def test_npz_without_arrays_and_cells_without_end_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError) as refusal:
+        load_scene(write_npz(tmp_path / "empty.npz"))
+    assert_one_sentence(str(refusal.value), "empty.npz", "lacks elevation, dx, dy")
+    with pytest.raises(UserError) as refusal:
+        load_scene(write_npz(tmp_path / "wide.npz", elevation=ELEVATION, dx=np.inf, dy=1 / 3))
+    assert_one_sentence(str(refusal.value), "cells of inf x 0.333333 m; both must be greater than 0 and finite")
+
+
+@pytest.mark.parametrize("name", ["a" * 5000, "a\0b"], ids=["too long", "zero"])
+def test_scene_name_that_no_file_can_have_is_refused(name: str) -> None:
+    with pytest.raises(UserError, match="neither a file nor one of"):
+        load_scene(name)

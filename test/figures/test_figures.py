@@ -107,7 +107,7 @@ def test_trials_of_all_blocks_are_independent() -> None:
         (noise.fig5, noise, "steady_mean", lambda kappa, cnr: kappa * cnr / (cnr + 1)),
         (noise.fig6, noise, "gaussian_mean", lambda kappa, cnr: kappa * -np.expm1(-cnr)),
         (noise.fig6, noise, "FLUCTUATING_LOOKS", 3),
-        (array_elevation.fig11, array, "limit", lambda *_arguments: 1.76),
+        (array_elevation.fig11, array_elevation, "limit", lambda *_arguments: 1.76),
     ],
 )
 def test_a_wrong_closed_form_is_noticed(

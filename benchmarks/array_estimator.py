@@ -15,18 +15,19 @@ from std_msgs.msg import Header
 from benchmarks.cases import SLANT_RANGE, spotlight
 from benchmarks.row import Row, medians
 from sal_height import messages
-from sal_height.beams.array import Beams
+from sal_height.beams.array import Beams, column_squint
 from sal_height.beams.pattern import pattern_named
 from sal_height.elevation.estimate import ElevationEstimate
 from sal_height.elevation.layover import resolve_layover
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import blocks, multilook, windowed_looks
-from sal_height.geometry.frames import ApertureState, Grid
+from sal_height.elevation.looks import blocks, look_grid, multilook, windowed_looks
+from sal_height.geometry.frames import ApertureState
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.focus import Slc
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ml_height import MlHeight
 from sal_height.numeric.jit import in_parallel
-from sal_height.relief.heights import column_squint, height_field, look_grid
+from sal_height.relief.heights import height_field
 from sal_height.sensor.sensor import Sensor
 from sal_height.theory import array_trials
 

@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.row import Row
+from sal_height.beams.array import column_squint
 from sal_height.calibration.accumulate import Calibrator
 from sal_height.calibration.calibration import Calibration
 from sal_height.elevation.estimate import ElevationEstimate
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import Window, windowed_looks
+from sal_height.elevation.looks import Window, look_grid, windowed_looks
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.focus import Settings, focus_dwell
-from sal_height.relief.heights import column_squint, look_grid
 from sal_height.sensor.channels import whitened_channels, with_powers
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight, flight_of

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from helpers import circular, direct_history, make_sensor
 
-from sal_height.geometry.frames import ApertureState, Grid, look_direction
+from sal_height.geometry.frames import ApertureState, look_direction
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.imaging.weighting import Processing

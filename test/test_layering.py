@@ -10,28 +10,42 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "sal_height"
-SHELL = {"sal_height.messages", "sal_height.cli"}
-"""Modules beside the core's that may know ROS."""
-
 LAYERS = (
-    ("numeric",),
+    ("errors",),
+    ("numeric", "io"),
     ("geometry", "response"),
     ("beams",),
     ("sensor", "elevation"),
     ("imaging", "relief", "simulation", "calibration"),
     ("theory",),
-    ("messages", "nodes", "bag", "runs", "figures"),
+    ("messages", "figures"),
+    ("bag",),
+    ("nodes",),
+    ("runs",),
+    ("cli",),
 )
-CORE = sorted(
-    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
-    for layer in LAYERS[:-1]
-    for package in layer
-    for path in (PACKAGE / package).rglob("*.py")
-)
+"""Packages and modules of sal_height in the order of the data: each imports from layers above it in this list only.
+
+Packages of one layer do not know each other.
+"""
+
+LAYER = {name: number for number, names in enumerate(LAYERS) for name in names}
+
+SHELL = {"messages", "bag", "nodes", "runs", "cli"}
+"""Those that may know ROS and MCAP."""
+
+
+def name_of(path: Path) -> str:
+    """Dotted name of the module in a file."""
+    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = {name_of(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+CORE = sorted(name for name in MODULES if name.partition(".")[2].partition(".")[0] not in SHELL)
 FORBIDDEN = (
     *("rclpy", "mcap", "sal_height_msgs", "std_msgs", "nav_msgs", "sensor_msgs", "geometry_msgs", "diagnostic_msgs"),
-    *("builtin_interfaces", "rosidl_runtime_py", "sal_height.nodes", "sal_height.bag", "sal_height.runs"),
-    *sorted(SHELL),
+    *("builtin_interfaces", "rosidl_runtime_py"),
+    *(f"sal_height.{name}" for name in sorted(SHELL)),
 )
 
 
@@ -72,17 +86,42 @@ def is_forbidden(module: str) -> bool:
     return any(module == name or module.startswith(f"{name}.") for name in FORBIDDEN)
 
 
-def test_core_is_all_beside_the_shell() -> None:
-    assert {
-        "sal_height.elevation.likelihood",
-        "sal_height.geometry.frames",
-        "sal_height.nodes.tally",
-        "sal_height.simulation.scenes",
-    } <= set(CORE)
-    assert all(source_of(name) for name in SHELL)
+def layer_of(module: str) -> tuple[int, str] | None:
+    """Layer and package of a module of ours; None for the package sal_height itself and for others' modules."""
+    top, _, rest = module.partition(".")
+    name = rest.partition(".")[0]
+    return (LAYER[name], name) if top == PACKAGE.name and name in LAYER else None
 
 
-@pytest.mark.parametrize("module", [*CORE, "sal_height"])
+def wrong_imports(module: str) -> set[str]:
+    """What a module imports from a layer that is not above its own."""
+    own = layer_of(module)
+    path = MODULES[module]
+    package = ".".join(path.parent.relative_to(PACKAGE.parent).parts)
+    others = {name: layer_of(name) for name in imports_of(path.read_text(), package)}
+    return {name for name, other in others.items() if own and other and other[1] != own[1] and other[0] >= own[0]}
+
+
+def test_every_module_has_a_layer() -> None:
+    assert not {name for name in MODULES if name != "sal_height" and not layer_of(name)}
+    assert {"sal_height.elevation.likelihood", "sal_height.geometry.grid", "sal_height.simulation.scenes"} <= set(CORE)
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if name != "sal_height"])
+def test_a_module_imports_from_the_layers_above_it_only(module: str) -> None:
+    assert not wrong_imports(module)
+
+
+def test_an_import_against_the_order_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    wrong = tmp_path / "sal_height" / "imaging" / "wrong.py"
+    wrong.parent.mkdir(parents=True)
+    wrong.write_text("def f():\n    from sal_height.simulation.scene import Scene\n    import sal_height.nodes.stage")
+    monkeypatch.setitem(MODULES, "sal_height.imaging.wrong", wrong)
+    monkeypatch.setattr(f"{__name__}.PACKAGE", tmp_path / "sal_height")
+    assert {"sal_height.simulation.scene", "sal_height.nodes.stage"} <= wrong_imports("sal_height.imaging.wrong")
+
+
+@pytest.mark.parametrize("module", CORE)
 def test_module_of_the_core_imports_nothing_of_ros(module: str) -> None:
     assert not {name for name in reachable_from(module) if is_forbidden(name)}
 
@@ -92,7 +131,7 @@ def test_the_walk_finds_what_it_looks_for() -> None:
     assert any(is_forbidden(name) for name in reachable_from("sal_height.messages"))
     assert "sal_height.messages" in reachable_from("sal_height.nodes.sar_compression")
     inner = imports_of(
-        "def f():\n    import rclpy.node\n    from . import convert\n    from .nodes import graph", "sal_height"
+        "def f():\n    import rclpy.node\n    from . import messages\n    from .nodes import graph", "sal_height"
     )
     assert {"rclpy.node", "sal_height.messages", "sal_height.nodes.graph"} <= inner
 

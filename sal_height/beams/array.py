@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from sal_height.beams.pattern import Pattern
 from sal_height.errors import UserError
+from sal_height.geometry.frames import ApertureState, aperture_at, squint_on_cone
+from sal_height.geometry.grid import Grid
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -206,3 +208,11 @@ def _without_rounding(matrix: Array | ComplexArray) -> Array | ComplexArray:
     least = NEGLIGIBLE * np.abs(matrix).max()
     kept = np.where(np.abs(matrix) > least, matrix, 0)
     return kept if np.any(np.abs(kept.imag) > least) else kept.real
+
+
+def column_squint(grid: Grid, aperture: ApertureState, beams: Beams, look_side: int) -> Array:
+    """Squint (rad) under which each column of `grid` is seen at the middle row and the middle of the beams, (cols,)."""
+    points = grid.points((grid.rows - 1) / 2, np.arange(grid.cols))
+    sight = points - aperture_at(points, aperture).position
+    cone = sight @ aperture.direction / np.linalg.norm(sight, axis=-1)
+    return squint_on_cone(np.mean(beams.span), cone, aperture, look_side)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import Rejected, UserError
+from sal_height.geometry.grid import Grid
 from sal_height.numeric.jit import compiled, in_parallel, inlined
 
 Array = npt.NDArray[np.float64]
@@ -386,3 +387,16 @@ def _add_four(
             before = row[n] if k > 0 else np.float32(0)
             first = p0 * x0[n] + p1 * x1[n] + p2 * x2[n] + p3 * x3[n]
             row[n] = before + first + q0 * y0[n] + q1 * y1[n] + q2 * y2[n] + q3 * y3[n]
+
+
+def look_grid(grid: Grid, down: Window, across: Window) -> Grid:
+    """Grid of the pixels whose looks are those windows of `grid`, in range and azimuth."""
+    return Grid(
+        origin=grid.points(down.middle, across.middle),
+        row_direction=grid.row_direction,
+        col_direction=grid.col_direction,
+        row_spacing=grid.row_spacing * down.step,
+        col_spacing=grid.col_spacing * across.step,
+        rows=down.pixels(grid.rows),
+        cols=across.pixels(grid.cols),
+    )

@@ -14,18 +14,26 @@ import numpy.typing as npt
 from scipy.special import j1, jv
 
 from sal_height.beams.pattern import GAUSSIAN_WIDTH, pattern_named
-from sal_height.elevation.monopulse.estimators import Estimator, discriminate, products, ratio, total_least_squares
+from sal_height.elevation.monopulse.estimators import (
+    Estimator,
+    discriminate,
+    discriminator_variance,
+    products,
+    ratio,
+    total_least_squares,
+)
 from sal_height.elevation.monopulse.inversion import discriminant
-from sal_height.elevation.monopulse.sum_difference import crossover_slope, synthesise
 from sal_height.figures.curve import Curve, Figure, exact_curve
 from sal_height.figures.noise import BLOCK, circular
 from sal_height.figures.patterns import FROM_PUPIL
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, std
 from sal_height.figures.unit_arrays import array_of
-from sal_height.geometry.frames import EARTH_RADIUS, ApertureState, height_of, locate
+from sal_height.geometry.earth import EARTH_RADIUS, height_of
+from sal_height.geometry.frames import ApertureState
+from sal_height.geometry.locate import locate
 from sal_height.numeric.jit import WORKERS
 from sal_height.theory.discriminator_noise import SteadyLaw, SteadyMlLaw, steady_looks_mean, steady_mean
-from sal_height.theory.sum_difference import discriminator_variance, hybrid_gain
+from sal_height.theory.sum_difference import crossover_slope, hybrid_gain, synthesise
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

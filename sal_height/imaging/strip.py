@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import Rejected
-from sal_height.geometry.frames import ApertureState, Grid, look_direction
+from sal_height.geometry.frames import ApertureState, look_direction
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.formers.backprojection import filled_apertures
 from sal_height.imaging.pixels import strip_grid
 from sal_height.imaging.weighting import Processing

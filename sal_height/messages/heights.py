@@ -13,7 +13,8 @@ from std_msgs.msg import Header
 
 from sal_height.elevation.estimate import Validity
 from sal_height.errors import Rejected
-from sal_height.geometry.frames import EARTH_RADIUS, ApertureState, above_place
+from sal_height.geometry.earth import EARTH_RADIUS, above_place
+from sal_height.geometry.frames import ApertureState
 from sal_height.messages.basics import (
     MAP_FRAME,
     aperture_to_message,

@@ -10,7 +10,8 @@ from sal_height_msgs import msg as messages
 from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
-from sal_height.geometry.frames import ApertureState, Grid
+from sal_height.geometry.frames import ApertureState
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.focus import Slc
 from sal_height.messages.basics import (
     MAP_FRAME,

@@ -18,7 +18,7 @@ from sal_height import messages
 from sal_height.calibration.accumulate import Calibrator
 from sal_height.calibration.calibration import save_calibration
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry.frames import sphere_point
+from sal_height.geometry.earth import sphere_point
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.parameters import parameter

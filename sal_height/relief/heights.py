@@ -7,20 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
 from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.looks import Looks, Window
-from sal_height.geometry.frames import (
-    EARTH_RADIUS,
-    ApertureState,
-    Grid,
-    angles_of,
-    aperture_at,
-    height_of,
-    locate,
-    look_direction,
-    squint_on_cone,
-)
+from sal_height.elevation.looks import Looks
+from sal_height.geometry.earth import EARTH_RADIUS, height_of
+from sal_height.geometry.frames import ApertureState, angles_of, aperture_at, look_direction
+from sal_height.geometry.grid import Grid
+from sal_height.geometry.locate import locate
 
 Array = npt.NDArray[np.float64]
 
@@ -100,27 +92,6 @@ class _Circles:
 
     def _at(self, elevation: Array, farther: float = 0.0) -> Array:
         return locate(elevation, self.slant_range + farther, self.along, self.aperture, self.look_side)
-
-
-def look_grid(grid: Grid, down: Window, across: Window) -> Grid:
-    """Grid of the pixels whose looks are those windows of `grid`, in range and azimuth."""
-    return Grid(
-        origin=grid.points(down.middle, across.middle),
-        row_direction=grid.row_direction,
-        col_direction=grid.col_direction,
-        row_spacing=grid.row_spacing * down.step,
-        col_spacing=grid.col_spacing * across.step,
-        rows=down.pixels(grid.rows),
-        cols=across.pixels(grid.cols),
-    )
-
-
-def column_squint(grid: Grid, aperture: ApertureState, beams: Beams, look_side: int) -> Array:
-    """Squint (rad) under which each column of `grid` is seen at the middle row and the middle of the beams, (cols,)."""
-    points = grid.points((grid.rows - 1) / 2, np.arange(grid.cols))
-    sight = points - aperture_at(points, aperture).position
-    cone = sight @ aperture.direction / np.linalg.norm(sight, axis=-1)
-    return squint_on_cone(np.mean(beams.span), cone, aperture, look_side)
 
 
 def height_field(

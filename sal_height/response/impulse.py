@@ -9,7 +9,6 @@ import numpy.typing as npt
 from scipy.special import entr
 
 from sal_height.errors import UserError
-from sal_height.geometry.frames import ApertureState, Grid
 from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, window
 
 Array = npt.NDArray[np.float64]
@@ -133,31 +132,6 @@ def measure_brightest(image: ComplexArray, near: tuple[int, int] | None = None) 
         peak_over_median_db=-10 * float(np.log10(median)) if median > 0 else float("nan"),
         entropy=float(np.nansum(entr(power / np.nansum(power)))),
     )
-
-
-def without_range_phase(image: ComplexArray, grid: Grid, aperture: ApertureState, wavelength: float) -> ComplexArray:
-    """The image times exp(-j 4 pi R / wavelength), with R each pixel's distance from the middle of its aperture.
-
-    A point's image has the phase 4 pi (R of the pixel - R of the point) / wavelength, which winds from pixel to pixel
-    and faster with distance from the middle of the image. Without it the response is what the bandwidth and the
-    aperture make of a point, centred on frequency 0, and can be interpolated.
-
-    Args:
-        image: complex pixels, shape (rows, cols).
-        grid: where they lie.
-        aperture: it was made with.
-        wavelength: m.
-
-    Returns:
-        complex128, shape (rows, cols).
-    """
-    middle = aperture.position
-    if aperture.sliding:
-        cols = np.arange(grid.cols) - (grid.cols - 1) / 2
-        slide = cols * grid.col_spacing * (grid.col_direction @ aperture.direction)
-        middle = middle + slide[:, None] * aperture.direction
-    distance = np.linalg.norm(grid.pixels() - middle, axis=-1)
-    return np.asarray(image * np.exp(-4j * np.pi / wavelength * distance))
 
 
 def chip_around(image: ComplexArray, row: int, col: int, size: tuple[int, int] = (CHIP, CHIP)) -> Chip:

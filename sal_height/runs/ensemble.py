@@ -16,7 +16,6 @@ from typing import Any, Self
 
 from rclpy.parameter import Parameter
 
-from sal_height.elevation.monopulse.sum_difference import sum_difference_channels
 from sal_height.errors import UserError
 from sal_height.nodes import relief_tracker
 from sal_height.nodes.graph import Graph
@@ -31,7 +30,7 @@ from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.nodes.sar_compression import HEARD, SarCompression
 from sal_height.nodes.simulator import Simulator
 from sal_height.nodes.sum_difference_height import SumDifferenceHeight
-from sal_height.sensor.channels import whitened_channels
+from sal_height.sensor.channels import sum_difference_channels, whitened_channels
 from sal_height.sensor.sensor import Sensor
 
 NODES: dict[str, Any] = {

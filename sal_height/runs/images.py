@@ -13,8 +13,7 @@ import numpy.typing as npt
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.geometry.frames import Grid
-from sal_height.response.impulse import without_range_phase
+from sal_height.geometry.grid import Grid, without_range_phase
 from sal_height.sensor.sensor import Sensor
 
 ComplexArray = npt.NDArray[np.complexfloating]

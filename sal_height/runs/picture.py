@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from sal_height.calibration.calibration import Calibration
-from sal_height.geometry.frames import Grid
+from sal_height.geometry.grid import Grid
 from sal_height.response.impulse import OVERSAMPLING, REACH, Chip, CutResponse, ImpulseResponse
 from sal_height.runs.report import Mosaic
 from sal_height.simulation.preset import Preset

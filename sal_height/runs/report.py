@@ -11,14 +11,15 @@ import numpy.typing as npt
 from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
-from sal_height.geometry.frames import sphere_coordinates
+from sal_height.beams.array import column_squint
+from sal_height.geometry.earth import sphere_coordinates
 from sal_height.imaging.pixels import azimuth_resolution
 from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.relief_tracker import PREFIX
-from sal_height.relief.heights import column_squint
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.scene import VisibleSurface
-from sal_height.simulation.truth import height_bound, truth_image
+from sal_height.simulation.truth import truth_image
+from sal_height.theory.height_bound import height_bound
 
 Array = npt.NDArray[np.float64]
 

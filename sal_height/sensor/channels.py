@@ -87,3 +87,68 @@ def with_powers(noise_covariance: ComplexArray, powers: Array) -> ComplexArray:
     scaled = gains[:, None] * noise_covariance * gains
     np.fill_diagonal(scaled, powers)
     return scaled
+
+
+MATRIX_ROUNDING = 1e-6
+"""Share of a channel matrix by which it may differ from one that forms sum and difference."""
+
+
+def sum_difference_channels(noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> Channels:
+    """Sigma = upper + lower and Delta = upper - lower from a sensor's channels, for `sum_difference_elevation`.
+
+    The matrix of these `Channels` is that of the gains of the beams, lower and upper.
+
+    Args:
+        noise_covariance: E n n^H of the channels, shape (2, 2).
+        channel_matrix: the channels from the beams (lower, upper), shape (2, 2): see `separated_gains`.
+
+    Raises:
+        UserError: the matrix forms no sum and difference, or the channels' noise is correlated: that of receivers
+            before the hybrid that are not alike. The estimators for the whole array take any noise.
+    """
+    channels, beams = separated_gains(channel_matrix)
+    transform = np.diag(1 / channels)
+    noise = transform @ noise_covariance @ transform.conj().T
+    sum_noise, difference_noise = (float(power) for power in np.diag(noise).real)
+    correlation = abs(noise[0, 1]) / max(np.sqrt(abs(sum_noise * difference_noise)), np.finfo(np.float64).tiny)
+    if not correlation <= MATRIX_ROUNDING:
+        raise UserError(
+            f"The noise of Sigma and Delta has a correlation of {correlation:.3g}; their discriminator needs it "
+            "independent."
+        )
+    return Channels(transform, np.eye(2) * beams, np.array([sum_noise, difference_noise]))
+
+
+def separated_gains(matrix: ComplexArray) -> tuple[ComplexArray, Array | ComplexArray]:
+    """Gains of the two channels and of the two beams of a sensor that forms sum and difference.
+
+    Its channels are matrix @ (lower, upper) with matrix = diag(channels) [[1, 1], [-1, 1]] diag(beams): gains of the
+    receivers or couplings of the hybrid, and of what is before the hybrid.
+
+    Args:
+        matrix: channels from beams, shape (2, 2).
+
+    Returns:
+        Gains of (Sigma, Delta) and of (lower, upper); the mean power of the latter is 1, and they are real
+        where they can be.
+
+    Raises:
+        UserError: the matrix is no such product, or channel 0 is not the sum.
+    """
+    matrix = np.asarray(matrix, dtype=np.complex128)
+    error = np.inf
+    if matrix.shape == (2, 2) and np.all(np.isfinite(matrix)):
+        (a, b), (c, d) = matrix
+        error = abs(a * d + b * c) / max(abs(a * d), abs(b * c), np.finfo(np.float64).tiny)
+        if not (a * np.conj(b)).real > 0 or not abs(d) > 0:
+            error = np.inf
+    if not error <= MATRIX_ROUNDING:
+        raise UserError(
+            f"The channel matrix {matrix.tolist()} forms no sum and difference of two beams; it must be "
+            "diag(channel gains) [[1, 1], [-1, 1]] diag(beam gains), with gains that add in channel 0."
+        )
+    direction = matrix[0].sum() / abs(matrix[0].sum())
+    sum_gain = direction * np.sqrt(np.mean(np.abs(matrix[0]) ** 2))
+    beams = matrix[0] / sum_gain
+    real = np.all(np.abs(beams.imag) <= MATRIX_ROUNDING)
+    return np.array([sum_gain, matrix[1, 1] / beams[1]]), beams.real if real else beams

@@ -10,18 +10,21 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.geometry.frames import ApertureState, look_direction, sphere_point
+from sal_height.geometry.earth import sphere_point
+from sal_height.geometry.frames import ApertureState, look_direction
 from sal_height.geometry.trajectory import PlatformState
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.stripmap import aperture_length, lit_angle
 from sal_height.sensor.waveform import echo_sensor, from_spectrum, spectrum_sensor
 from sal_height.simulation.gust import GustMotion, gust_motion
 from sal_height.simulation.impairments import pointing_rotation, through_receivers
 from sal_height.simulation.preset import Preset
+from sal_height.simulation.receivers import received
 from sal_height.simulation.scene import SAMPLES_PER_CELL, PointTarget, Scene, VisibleSurface, visible_surface
 from sal_height.simulation.scenes import load_scene
-from sal_height.simulation.spotlight import draw_amplitudes, received, scatterer_amplitudes, simulate_dwell
-from sal_height.simulation.stripmap import aperture_length, cell_power, lit_angle, simulate_block
+from sal_height.simulation.spotlight import draw_amplitudes, scatterer_amplitudes, simulate_dwell
+from sal_height.simulation.stripmap import cell_power, simulate_block
 
 Array = npt.NDArray[np.float64]
 

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.sensor.phase_history import NUFFT_TOLERANCE
-from sal_height.sensor.receivers import clipped
 from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.scene import VisibleSurface
 
@@ -81,31 +80,3 @@ def simulate_dwell(
             )
             samples[:, pulses] = np.stack(list(made), axis=1)
     return samples
-
-
-def received(samples: npt.NDArray[np.complex64], sensor: Sensor, rng: np.random.Generator) -> npt.NDArray[np.complex64]:
-    """The channels' samples: where the receivers are, noise is added and what exceeds the full scale is clipped.
-
-    Args:
-        samples: noise-free, of every detector, shape (detectors, pulses, samples); not changed.
-        sensor: noise, channel matrix and full scale.
-        rng: of the noise.
-    """
-    noise = receiver_noise(sensor, samples.shape[1], rng)
-    if sensor.matrix_in_antenna:
-        return clipped(form_channels(samples, sensor) + noise, sensor.full_scale)
-    return form_channels(clipped(samples + noise, sensor.full_scale), sensor)
-
-
-def form_channels(samples: npt.NDArray[np.complex64], sensor: Sensor) -> npt.NDArray[np.complex64]:
-    """Channel matrix times the detectors' samples, shape (detectors, pulses, samples)."""
-    if not sensor.channel_matrix:
-        return samples
-    return np.tensordot(sensor.mixing, samples, axes=1).astype(np.complex64)
-
-
-def receiver_noise(sensor: Sensor, pulses: int, rng: np.random.Generator) -> npt.NDArray[np.complex64]:
-    """Circular Gaussian noise of the stated power, independent between receivers, (receivers, pulses, frequencies)."""
-    shape = (sensor.detector_count, pulses, sensor.sample_count, 2)
-    noise = rng.standard_normal(shape, dtype=np.float32).view(np.complex64)[..., 0]
-    return noise * np.sqrt(np.array(sensor.noise_power, dtype=np.float32) / 2)[:, None, None]

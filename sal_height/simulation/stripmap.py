@@ -11,77 +11,16 @@ import numpy.typing as npt
 
 from sal_height.beams.array import Beams
 from sal_height.geometry.frames import look_direction
-from sal_height.imaging.weighting import Processing
 from sal_height.numeric.jit import compiled
 from sal_height.numeric.phasors import phasors
 from sal_height.numeric.range_profiles import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
 from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.stripmap import aperture_length, lit_angle
 from sal_height.simulation.scene import VisibleSurface
 
 Array = npt.NDArray[np.float64]
 FloatArray = npt.NDArray[np.float32]
 ComplexArray = npt.NDArray[np.complex64]
-
-ASPECTS = 8
-"""Directions, of the Gauss-Legendre rule, in which beams are averaged over the processed angle."""
-
-LIT_BEAMWIDTHS = 1.0
-"""Ground to each side of a beam's middle, along the flight, that a pulse lights up; in beamwidths.
-
-That is the main lobe of the square aperture. The pulse repetition frequency that presets demand samples its Doppler;
-what lies beyond would appear as ambiguities.
-"""
-
-
-def lit_angle(beams: Beams) -> float:
-    """Angle along the flight to each side of the middle of all beams within which main lobes lie, rad.
-
-    One beamwidth; with the detector axis turned by psi the beams at its ends look ahead and back by sin(psi) times
-    half its length.
-    """
-    first, last = beams.span
-    return LIT_BEAMWIDTHS * beams.beamwidth + (last - first) / 2 * abs(math.sin(beams.rotation))
-
-
-def processed_angle(sensor: Sensor) -> float:
-    """Angle over which a target is processed, rad: one beamwidth, which gives a resolution of half the aperture."""
-    return sensor.beamwidth
-
-
-def aperture_length(sensor: Sensor, slant_range: float) -> float:
-    """Length of the synthetic aperture of a target at `slant_range` (m), m."""
-    return processed_angle(sensor) * slant_range
-
-
-def image_beams(sensor: Sensor, azimuth_window: str) -> Beams:
-    """The beams as a stripmap image has them: their mean over the aspects under which a target is processed.
-
-    At its peak a target has in every detector the mean of the pattern along its passage, weighted by the window (SAL
-    paper, section 4). Where the pattern does not separate into one across and one along the flight, as that of a round
-    aperture or with the detector axis turned, the ratios of detectors are not those of one direction.
-
-    Scaled so that a detector looking straight at the target's elevation has the amplitude 1, as the CNRs of images
-    refer to it. Beams that separate stay as they are.
-
-    Speckled ground is not one target with these ratios: its detectors correlate as the mean of products of beams, which
-    with the axis turned is not the product of means. About half of the error in elevation that averaging takes off
-    points stays on ground.
-
-    Args:
-        sensor: beams.
-        azimuth_window: over the processed angle, a name of `windows.WINDOWS`.
-
-    Raises:
-        UserError: there is no window of that name.
-    """
-    processing = Processing(azimuth_window=azimuth_window, angle=processed_angle(sensor))
-    nodes, weights = np.polynomial.legendre.leggauss(ASPECTS)
-    aspects = processing.angle / 2 * nodes
-    edge = np.full(ASPECTS, (1 - nodes[-1]) * processing.angle / 2)
-    beams = sensor.beams.averaged(aspects, weights * processing.angle_weights(aspects, edge))
-    along, beside = aspects * math.sin(beams.rotation), aspects * math.cos(beams.rotation)
-    passage = beams.patterns[0].amplitude(along / beams.beamwidth, beside / beams.beamwidth)
-    return replace(beams, weights=beams.weights / float(np.abs(beams.weights @ passage)))
 
 
 def mean_square_gain(beams: Beams) -> float:

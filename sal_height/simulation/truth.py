@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams.array import Beams
-from sal_height.elevation.bounds import beam_power, speckle_crb
-from sal_height.geometry.frames import ApertureState, Grid
+from sal_height.elevation.bounds import beam_power
+from sal_height.geometry.frames import ApertureState
+from sal_height.geometry.grid import Grid, pixels_at
 from sal_height.simulation.scene import VisibleSurface
 
 Array = npt.NDArray[np.float64]
@@ -74,37 +75,3 @@ def truth_image(
         per_gain = power / (total(gain) / power)
     cells = grid.row_spacing * grid.col_spacing / resolution_cell
     return Truth(height, elevation, per_gain / cells, spread < SINGLE_SPREAD * beams.beamwidth)
-
-
-def pixels_at(across: Array, along: Array, aperture: ApertureState, grid: Grid) -> tuple[Array, Array]:
-    """Fractional rows and columns of a grid that have the distances `across` from and `along` the track (m).
-
-    The columns of a strip need not run along the track: `along` picks a line of pixels, which crosses the range once.
-    """
-    start, down = grid.origin - aperture.position, grid.row_spacing * grid.row_direction
-    side = grid.col_spacing * grid.col_direction
-    skew = float(down @ aperture.direction) / float(side @ aperture.direction)
-    col_at_first_row = (along - start @ aperture.direction) / (side @ aperture.direction)
-    line = down - skew * side
-    square, slope = line @ line, start @ line + col_at_first_row * (side @ line)
-    beyond = start @ start + col_at_first_row * (2 * start @ side + col_at_first_row * (side @ side))
-    row = (np.sqrt(slope**2 - square * (beyond - across**2 - along**2)) - slope) / square
-    return row, col_at_first_row - skew * row
-
-
-def height_bound(truth: Truth, cnr: float, looks: int, beams: Beams, squint: Array, height_slope: Array) -> Array:
-    """Speckle-averaged Cramer-Rao bound of height (m) in each pixel: `speckle_crb` times |dh/dtheta|.
-
-    With C the CNR of the pixel in a detector looking straight at it. Infinite for one look, where a fluctuating
-    target has no efficient estimator.
-
-    Args:
-        truth: of the pixels.
-        cnr: power ratio of a pixel of power 1.
-        looks: number of looks K.
-        beams: of the detectors.
-        squint: of each column, rad.
-        height_slope: dh/dtheta, m/rad, shape (rows, cols).
-    """
-    with np.errstate(invalid="ignore"):  # where there is nothing
-        return np.abs(height_slope) * speckle_crb(beams, truth.elevation, squint, cnr * truth.power, looks)

@@ -11,43 +11,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.beams.pattern import Pattern
+from sal_height.errors import UserError
+
+ComplexArray = npt.NDArray[np.complex128]
+
 Array = npt.NDArray[np.float64]
-
-
-def discriminator_variance(gamma: npt.ArrayLike, energy: npt.ArrayLike, noise_powers: tuple[float, float]) -> Array:
-    """Variance of gamma to first order in the noise: (N_Delta + gamma^2 N_Sigma) / (2 E); broadcasts.
-
-    (1 + gamma^2) / (2 x) for equal noise and the signal-to-noise ratio x in Sigma. That of `ratio` and of the exact
-    maximum likelihood alike. Of one look at a steady target, second order adds the share (1 + 2 gamma^2) /
-    (x + x gamma^2) to that of `ratio`, and twice as much to that of the maximum likelihood; neither has a variance in
-    the strict sense, as the tails beyond that order say.
-
-    Args:
-        gamma: modulus of Delta / Sigma without noise.
-        energy: of the signal in Sigma, over all looks.
-        noise_powers: of Sigma and Delta.
-    """
-    gamma, energy = np.asarray(gamma), np.asarray(energy)
-    return np.asarray((noise_powers[1] + gamma**2 * noise_powers[0]) / (2 * energy))
-
-
-def products_variance(
-    gamma: npt.ArrayLike, energy: npt.ArrayLike, count: npt.ArrayLike, noise_powers: tuple[float, float]
-) -> Array:
-    """Variance of the maximum likelihood estimate of gamma from products summed over many looks or pulses; broadcasts.
-
-    `discriminator_variance` times 1 + K / (E/N_Sigma + gamma^2 E/N_Delta). The second term is what it costs that the
-    amplitudes of the K looks, or the phases of the K pulses, are not known: 1 / (x + x gamma^2) for equal noise and the
-    signal-to-noise ratio x of each. It is the Cramer-Rao bound for Gaussian amplitudes (`bounds.stochastic_crb`).
-
-    Args:
-        gamma: modulus of Delta / Sigma without noise.
-        energy: E of the signal in Sigma, over all looks.
-        count: of looks or pulses, K.
-        noise_powers: of Sigma and Delta.
-    """
-    over_noise = np.asarray(energy) * (1 / noise_powers[0] + np.asarray(gamma) ** 2 / noise_powers[1])
-    return np.asarray(discriminator_variance(gamma, energy, noise_powers) * (1 + np.asarray(count) / over_noise))
 
 
 def hybrid_gain(coupling: npt.ArrayLike, loss: npt.ArrayLike) -> Array:
@@ -63,3 +32,34 @@ def hybrid_gain(coupling: npt.ArrayLike, loss: npt.ArrayLike) -> Array:
         loss: L, power ratio, 1 or more.
     """
     return np.asarray(2 * np.asarray(coupling) ** 2 / np.asarray(loss))
+
+
+def synthesise(pulses: ComplexArray, phase: Array) -> ComplexArray:
+    """Coherent sum over pulses, the last axis, after taking off the `phase` (rad) that the flight gave to each.
+
+    Linear and the same for every channel, hence it may come before or after the forming of sum and difference. The
+    estimate of gamma is not linear and must come last.
+    """
+    return np.asarray(np.sum(pulses * np.exp(-1j * phase), axis=-1))
+
+
+def crossover_slope(pattern: Pattern, separation: float, beamwidth: float) -> float:
+    """Slope g = -G'(delta/2) / G(delta/2) of gamma in the equisignal direction, 1/rad (relief paper, eq. 4).
+
+    Args:
+        pattern: G of both beams, even in elevation.
+        separation: delta between the two beams' axes, rad.
+        beamwidth: wavelength / aperture diameter, rad.
+
+    Raises:
+        UserError: the beams do not overlap there, or gamma does not rise.
+    """
+    half = separation / 2 / beamwidth
+    amplitude, slope = np.asarray(pattern.amplitude(half, 0.0)).item(), np.asarray(pattern.slope(half, 0.0)).item()
+    steepness = float(np.real(-slope / amplitude)) / beamwidth if amplitude else np.nan
+    if not (np.isfinite(steepness) and steepness > 0):
+        raise UserError(
+            f"Beams {separation:.6g} rad apart have the discriminator slope {steepness:.6g} /rad half way between "
+            "them; it must be finite and greater than 0."
+        )
+    return steepness

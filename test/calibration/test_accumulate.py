@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from helpers import assert_one_sentence, circular
 
-from sal_height.beams.array import Beams
+from sal_height.beams.array import Beams, column_squint
 from sal_height.calibration.accumulate import Calibrator, common_response, targets_in
 from sal_height.calibration.beams import BeamCalibration
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
 from sal_height.elevation.looks import Looks, multilook
 from sal_height.errors import NotDetermined
 from sal_height.figures.synthetic_tape import RangeFault, Target, make_tape
-from sal_height.geometry.frames import angles_of, sphere_point
+from sal_height.geometry.earth import sphere_point
+from sal_height.geometry.frames import angles_of
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.focus import Settings, Slc, focus_dwell
 from sal_height.numeric.windows import window
-from sal_height.relief.heights import column_squint
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import Impairments, RangeSawtooth
 from sal_height.simulation.preset import TargetSettings, load_preset

@@ -9,7 +9,8 @@ import pytest
 from helpers import circular
 
 from sal_height.calibration.reference_target import Sighting, sighting
-from sal_height.geometry.frames import ApertureState, Grid, angles_of
+from sal_height.geometry.frames import ApertureState, angles_of
+from sal_height.geometry.grid import Grid
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.preset import load_preset
 

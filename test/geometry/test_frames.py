@@ -6,18 +6,10 @@ import numpy as np
 import pytest
 from helpers import make_aperture
 
-from sal_height.geometry.frames import (
-    EARTH_RADIUS,
-    Grid,
-    above_place,
-    angles_of,
-    height_of,
-    locate,
-    look_direction,
-    sphere_coordinates,
-    sphere_point,
-    squint_on_cone,
-)
+from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
+from sal_height.geometry.frames import angles_of, look_direction, squint_on_cone
+from sal_height.geometry.grid import Grid
+from sal_height.geometry.locate import locate
 
 SIDES = pytest.mark.parametrize("side", [1, -1], ids=["right", "left"])
 ATTITUDES = pytest.mark.parametrize(

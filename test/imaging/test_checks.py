@@ -8,13 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 from helpers import BEAMWIDTH, assert_one_sentence, circular, elevation_at, flat_scene, make_aperture, make_sensor
+from phase_errors import white_phase
 from scipy.spatial.transform import Rotation
 
 from sal_height.errors import Rejected
-from sal_height.geometry.frames import Grid
+from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.autofocus.gradient import apply_phase
-from sal_height.imaging.autofocus.phase_error import white_phase
 from sal_height.imaging.checks import check_doppler_centroid, check_pulses, check_range_window
 from sal_height.imaging.focus import Settings, focus_dwell
 from sal_height.imaging.pixels import slant_plane_grid

@@ -8,13 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 from helpers import assert_one_sentence, direct_history
+from phase_errors import ATMOSPHERE, power_law_phase, residual_phase, white_phase
 
 from sal_height.errors import UserError
 from sal_height.geometry.frames import angles_of
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging import focus as focusing
 from sal_height.imaging.autofocus.gradient import Focus, apply_phase, autofocus, patch_centres
-from sal_height.imaging.autofocus.phase_error import ATMOSPHERE, power_law_phase, residual_phase, white_phase
 from sal_height.imaging.focus import Settings, Slc, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.choice import FEW_PIXELS, FORMERS

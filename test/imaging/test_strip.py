@@ -12,7 +12,8 @@ from helpers import BEAMWIDTH, assert_one_sentence, bare_scatterers, circular, e
 from scipy.spatial.transform import Rotation
 
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry.frames import Grid, look_direction
+from sal_height.geometry.frames import look_direction
+from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import PlatformState, Trajectory
 from sal_height.imaging.focus import Settings, Slc, StripFocuser
 from sal_height.imaging.formers.backprojection import backproject
@@ -20,8 +21,9 @@ from sal_height.imaging.strip import GREATEST_DRIFT, SPARE_PULSES, SPARE_SHARE
 from sal_height.imaging.weighting import Processing
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.stripmap import processed_angle
 from sal_height.simulation.gust import gust_motion
-from sal_height.simulation.stripmap import processed_angle, simulate_block
+from sal_height.simulation.stripmap import simulate_block
 
 REACH, SPEED, PRF, ODOMETRY = 5000.0, 50.0, 20e3, 200
 WAY = SPEED / PRF

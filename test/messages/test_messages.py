@@ -15,7 +15,9 @@ from std_msgs.msg import Header
 from sal_height import messages
 from sal_height.elevation.estimate import Validity
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry.frames import ApertureState, Grid, sphere_point
+from sal_height.geometry.earth import sphere_point
+from sal_height.geometry.frames import ApertureState
+from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import PlatformState
 from sal_height.imaging.focus import Slc
 from sal_height.relief.heights import HeightField, Surface

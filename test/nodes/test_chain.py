@@ -19,7 +19,7 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
 from sal_height.errors import UserError
-from sal_height.geometry.frames import height_of
+from sal_height.geometry.earth import height_of
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ml_height import MlHeight
 from sal_height.nodes.monopulse import Monopulse

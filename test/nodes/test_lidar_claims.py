@@ -15,11 +15,12 @@ from sal_height_msgs.msg import ComplexImage, DetectorFrame
 from scipy.special import erf
 
 from sal_height import messages
+from sal_height.beams.array import column_squint
 from sal_height.beams.pattern import GAUSSIAN_WIDTH
-from sal_height.geometry.frames import look_direction, sphere_coordinates
+from sal_height.geometry.earth import sphere_coordinates
+from sal_height.geometry.frames import look_direction
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.stage import FRAMES_QOS
-from sal_height.relief.heights import column_squint
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight

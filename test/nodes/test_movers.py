@@ -10,17 +10,19 @@ import pytest
 from helpers import flat_scene, make_aperture, make_sensor
 from scipy.special import fresnel, sici
 
-from sal_height.geometry.frames import ApertureState, sphere_point
+from sal_height.geometry.earth import sphere_point
+from sal_height.geometry.frames import ApertureState
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.imaging.weighting import Processing
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.stripmap import processed_angle
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import PointTarget, Scene, VisibleSurface, visible_surface
 from sal_height.simulation.spotlight import simulate_dwell
-from sal_height.simulation.stripmap import processed_angle, simulate_block
+from sal_height.simulation.stripmap import simulate_block
 
 REACH, SPEED = 5000.0, 50.0
 NORTH = -REACH * np.sqrt(0.5)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from helpers import elevation_at, make_sensor
 
+from sal_height.imaging.beams import image_beams
 from sal_height.nodes.height_stage import processed_beams
-from sal_height.simulation.stripmap import image_beams
 
 ELEVATION = elevation_at(np.linspace(-1, 1, 5))
 STRIP = make_sensor(mode="stripmap", detector_rotation=0.26, pulse_repetition_frequency=20e3)

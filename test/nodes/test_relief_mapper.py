@@ -29,7 +29,8 @@ from std_msgs.msg import Header
 from sal_height import messages
 from sal_height.elevation.estimate import Validity
 from sal_height.errors import UserError
-from sal_height.geometry.frames import EARTH_RADIUS, Grid, sphere_coordinates, sphere_point
+from sal_height.geometry.earth import EARTH_RADIUS, sphere_coordinates, sphere_point
+from sal_height.geometry.grid import Grid
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, QUEUED_JOBS

@@ -19,7 +19,10 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
 from sal_height.errors import UserError
-from sal_height.geometry.frames import ApertureState, Grid, height_of, locate_at_height
+from sal_height.geometry.earth import height_of
+from sal_height.geometry.frames import ApertureState
+from sal_height.geometry.grid import Grid
+from sal_height.geometry.locate import locate_at_height
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.nodes.stage import FRAMES_QOS

@@ -8,21 +8,24 @@ import numpy as np
 import pytest
 from helpers import flat_scene, looks_of, make_aperture, make_beams, make_sensor
 
+from sal_height.beams.array import column_squint
 from sal_height.elevation.estimate import ElevationEstimate, Validity
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import blocks, multilook
-from sal_height.geometry.frames import ApertureState, Grid, angles_of, aperture_at, sphere_point
+from sal_height.elevation.looks import blocks, look_grid, multilook
+from sal_height.geometry.earth import sphere_point
+from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
+from sal_height.geometry.grid import Grid, pixels_at
 from sal_height.imaging.formers.backprojection import backproject_points
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid, slc_noise_power
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric.windows import broadening
-from sal_height.relief.heights import column_squint, height_field, look_grid
+from sal_height.relief.heights import height_field
 from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.stripmap import processed_angle
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import visible_surface
-from sal_height.simulation.stripmap import processed_angle
-from sal_height.simulation.truth import pixels_at, truth_image
+from sal_height.simulation.truth import truth_image
 
 CRAB = (49.0, 1.0, -2.0)
 """A velocity that is not along the body's axis, m/s."""

@@ -9,29 +9,23 @@ import pytest
 from helpers import BEAMWIDTH, flat_scene, looks_of, make_aperture, make_beams, make_sensor
 from scipy.spatial.transform import Rotation
 
+from sal_height.beams.array import column_squint
 from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import Looks, Window, blocks, multilook
-from sal_height.geometry.frames import (
-    EARTH_RADIUS,
-    ApertureState,
-    Grid,
-    angles_of,
-    aperture_at,
-    height_of,
-    locate,
-    sphere_point,
-)
+from sal_height.elevation.looks import Looks, Window, blocks, look_grid, multilook
+from sal_height.geometry.earth import EARTH_RADIUS, height_of, sphere_point
+from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
+from sal_height.geometry.grid import Grid, pixels_at
+from sal_height.geometry.locate import locate
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric.windows import broadening, noise_gain, window
-from sal_height.relief.heights import HeightField, column_squint, height_field, look_grid
+from sal_height.relief.heights import HeightField, height_field
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.spotlight import draw_amplitudes, simulate_dwell
-from sal_height.simulation.truth import pixels_at
 
 TILTED = (0.11, -0.07, 0.23)
 

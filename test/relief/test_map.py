@@ -11,11 +11,14 @@ from helpers import assert_one_sentence, looks_of, make_aperture, make_sensor
 from scipy.spatial.transform import Rotation
 
 from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.looks import blocks
+from sal_height.elevation.looks import blocks, look_grid
 from sal_height.errors import Rejected
-from sal_height.geometry.frames import ApertureState, Grid, height_of, locate, sphere_point
+from sal_height.geometry.earth import height_of, sphere_point
+from sal_height.geometry.frames import ApertureState
+from sal_height.geometry.grid import Grid
+from sal_height.geometry.locate import locate
 from sal_height.imaging.pixels import slant_plane_grid
-from sal_height.relief.heights import HeightField, Surface, height_field, look_grid, shared_variance
+from sal_height.relief.heights import HeightField, Surface, height_field, shared_variance
 from sal_height.relief.map import TILE, Relief, ReliefMap, fitting_cell_size
 
 Array = npt.NDArray[np.float64]

@@ -10,17 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sal_height.elevation.estimate import Validity
-from sal_height.geometry.frames import (
-    EARTH_RADIUS,
-    ApertureState,
-    Grid,
-    above_place,
-    aperture_at,
-    height_of,
-    locate,
-    locate_at_height,
-    sphere_point,
-)
+from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_point
+from sal_height.geometry.frames import ApertureState, aperture_at
+from sal_height.geometry.grid import Grid
+from sal_height.geometry.locate import locate, locate_at_height
 from sal_height.relief.heights import HeightField, Surface, pose_variance
 from sal_height.relief.range_tracking import ReliefPrior, TrackedRelief
 from sal_height.relief.tracked import (

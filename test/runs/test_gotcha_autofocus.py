@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from phase_errors import residual_phase
 from scipy.io import loadmat, savemat
 
 from sal_height.bag.reader import BagReader
-from sal_height.imaging.autofocus.phase_error import residual_phase
 from sal_height.runs.gotcha import FIELDS, import_gotcha
 from sal_height.runs.replay import replay
 

@@ -17,7 +17,7 @@ from sal_height_msgs.msg import DetectorFrame, Provenance
 from sal_height import messages
 from sal_height.bag.writer import BagWriter
 from sal_height.cli import main
-from sal_height.geometry.frames import Grid
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.focus import Slc
 from sal_height.runs import irf as irf_module
 

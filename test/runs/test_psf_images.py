@@ -19,7 +19,7 @@ from sal_height import messages
 from sal_height.bag.writer import BagWriter
 from sal_height.cli import main
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
-from sal_height.geometry.frames import Grid
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.focus import Slc
 from sal_height.numeric.fft import frequencies
 from sal_height.response.impulse import measure_brightest

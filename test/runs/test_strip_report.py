@@ -9,11 +9,12 @@ import pytest
 from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance
 
 from sal_height import messages
-from sal_height.elevation.looks import blocks
+from sal_height.elevation.looks import blocks, look_grid
 from sal_height.errors import UserError
-from sal_height.geometry.frames import aperture_at, locate
+from sal_height.geometry.frames import aperture_at
+from sal_height.geometry.locate import locate
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
-from sal_height.relief.heights import HeightField, Surface, look_grid
+from sal_height.relief.heights import HeightField, Surface
 from sal_height.runs.report import mosaic, statistics
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset

@@ -11,21 +11,23 @@ from helpers import bare_scatterers, direct_history, flat_scene
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
+from sal_height.beams.array import column_squint
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import blocks, multilook
-from sal_height.geometry.frames import Grid
+from sal_height.elevation.looks import blocks, look_grid, multilook
+from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.choice import FAST, FORMERS
 from sal_height.imaging.pixels import slant_plane_grid, slc_noise_power
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric.windows import broadening
-from sal_height.relief.heights import column_squint, height_field, look_grid
+from sal_height.relief.heights import height_field
 from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.stripmap import processed_angle
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.gust import FASTEST, MOUNT_RESIDUAL, SLOWEST, gust_motion, gust_spectra, response
 from sal_height.simulation.preset import load_preset
-from sal_height.simulation.stripmap import processed_angle, simulate_block
+from sal_height.simulation.stripmap import simulate_block
 
 Array = npt.NDArray[np.float64]
 

@@ -20,6 +20,7 @@ from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.imaging.weighting import Processing
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.stripmap import processed_angle
 from sal_height.sensor.waveform import echo_sensor, from_spectrum, spectrum_sensor, to_spectrum
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import (
@@ -31,9 +32,8 @@ from sal_height.simulation.impairments import (
     through_receivers,
 )
 from sal_height.simulation.preset import HybridSettings, load_preset
+from sal_height.simulation.receivers import form_channels
 from sal_height.simulation.scene import PointTarget, Scene
-from sal_height.simulation.spotlight import form_channels
-from sal_height.simulation.stripmap import processed_angle
 
 REFERENCE = Path(__file__).parents[2] / "bags" / "small_street"
 

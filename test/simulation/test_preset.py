@@ -16,10 +16,10 @@ from helpers import RAW_SETTINGS, RAW_WAVEFORMS, assert_one_sentence, with_wavef
 from sal_height.errors import UserError
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.numeric.windows import broadening, window
+from sal_height.sensor import stripmap
 from sal_height.sensor.channels import whitening
 from sal_height.sensor.sensor import Sensor
 from sal_height.sensor.waveform import spectrum_sensor
-from sal_height.simulation import stripmap
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import UNIMPAIRED, RangeSawtooth, RangeTaper
 from sal_height.simulation.preset import load_preset, parse_preset, preset_names

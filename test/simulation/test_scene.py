@@ -9,7 +9,8 @@ import pytest
 from helpers import assert_one_sentence, flat_scene, make_aperture
 
 from sal_height.errors import UserError
-from sal_height.geometry.frames import EARTH_RADIUS, angles_of, height_of, sphere_coordinates, sphere_point
+from sal_height.geometry.earth import EARTH_RADIUS, height_of, sphere_coordinates, sphere_point
+from sal_height.geometry.frames import angles_of
 from sal_height.simulation.scene import LAYERS, PointTarget, Scene, VisibleSurface, visible_surface
 
 PLATFORM_HEIGHT = 5000 * np.sqrt(0.5)

@@ -12,7 +12,7 @@ from matplotlib.cbook import get_sample_data
 from rasterio.transform import Affine
 
 from sal_height.errors import UserError
-from sal_height.geometry.frames import EARTH_RADIUS
+from sal_height.geometry.earth import EARTH_RADIUS
 from sal_height.simulation.scene import Scene
 from sal_height.simulation.scenes import load_scene
 

@@ -16,7 +16,9 @@ from helpers import (
     sensor_with_complex_beams,
 )
 
-from sal_height.geometry.frames import EARTH_RADIUS, Grid, angles_of, height_of, look_direction
+from sal_height.geometry.earth import EARTH_RADIUS, height_of
+from sal_height.geometry.frames import angles_of, look_direction
+from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.pixels import aim_point, azimuth_resolution, slant_plane_grid
@@ -26,8 +28,9 @@ from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
+from sal_height.simulation.receivers import receiver_noise
 from sal_height.simulation.scene import VisibleSurface, visible_surface
-from sal_height.simulation.spotlight import draw_amplitudes, receiver_noise, simulate_dwell
+from sal_height.simulation.spotlight import draw_amplitudes, simulate_dwell
 
 
 def scatterers(positions: np.ndarray, power: np.ndarray, deterministic: np.ndarray) -> VisibleSurface:

@@ -21,22 +21,17 @@ from scipy.special import erf
 
 from sal_height.beams.pattern import GAUSSIAN_WIDTH
 from sal_height.geometry.frames import angles_of, look_direction
+from sal_height.imaging.beams import image_beams
 from sal_height.imaging.formers.backprojection import backproject_points
 from sal_height.imaging.weighting import Processing
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.stripmap import aperture_length, processed_angle
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import VisibleSurface
 from sal_height.simulation.spotlight import scatterer_amplitudes
-from sal_height.simulation.stripmap import (
-    aperture_length,
-    cell_power,
-    image_beams,
-    mean_square_gain,
-    processed_angle,
-    simulate_block,
-)
+from sal_height.simulation.stripmap import cell_power, mean_square_gain, simulate_block
 
 REACH, SPEED, PRF = 5000.0, 50.0, 20e3
 FORWARD = np.array([1.0, 0.0, 0.0])

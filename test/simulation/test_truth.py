@@ -8,10 +8,13 @@ from helpers import BEAMWIDTH, elevation_at, flat_scene, make_aperture, make_bea
 
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
 from sal_height.elevation.looks import multilook
-from sal_height.geometry.frames import Grid, angles_of, height_of, look_direction
+from sal_height.geometry.earth import height_of
+from sal_height.geometry.frames import angles_of, look_direction
+from sal_height.geometry.grid import Grid, pixels_at
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid, strip_grid
 from sal_height.simulation.scene import Scene, VisibleSurface, visible_surface
-from sal_height.simulation.truth import Truth, height_bound, pixels_at, truth_image
+from sal_height.simulation.truth import Truth, truth_image
+from sal_height.theory.height_bound import height_bound
 
 SENSOR = make_sensor()
 CELL = SENSOR.range_resolution, azimuth_resolution(SENSOR, make_aperture(), 5000.0)

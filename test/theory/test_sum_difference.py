@@ -12,13 +12,14 @@ from sal_height.elevation.monopulse.estimators import (
     DISCRIMINANTS,
     NoisePowers,
     discriminate,
+    discriminator_variance,
     products,
+    products_variance,
     ratio,
     total_least_squares,
 )
-from sal_height.elevation.monopulse.sum_difference import synthesise
 from sal_height.theory.discriminator_noise import SteadyLaw, SteadyMlLaw
-from sal_height.theory.sum_difference import discriminator_variance, hybrid_gain, products_variance
+from sal_height.theory.sum_difference import hybrid_gain, synthesise
 
 Array = np.ndarray
 EQUAL: NoisePowers = (1.0, 1.0)

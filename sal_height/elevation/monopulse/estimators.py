@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from sal_height.elevation.looks import Looks
 from sal_height.errors import UserError
-from sal_height.theory.sum_difference import products_variance
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -179,3 +178,39 @@ def accuracy(sums: Products, response: Array, slope: Array, noise_powers: NoiseP
         variance = products_variance(modulus, energy, sums.count, noise_powers) / slope**2
         cnr = energy / total_gain / sums.count / detector_noise
     return np.sqrt(np.where(energy > 0, variance, np.inf)), np.asarray(cnr)
+
+
+def discriminator_variance(gamma: npt.ArrayLike, energy: npt.ArrayLike, noise_powers: tuple[float, float]) -> Array:
+    """Variance of gamma to first order in the noise: (N_Delta + gamma^2 N_Sigma) / (2 E); broadcasts.
+
+    (1 + gamma^2) / (2 x) for equal noise and the signal-to-noise ratio x in Sigma. That of `ratio` and of the exact
+    maximum likelihood alike. Of one look at a steady target, second order adds the share (1 + 2 gamma^2) /
+    (x + x gamma^2) to that of `ratio`, and twice as much to that of the maximum likelihood; neither has a variance in
+    the strict sense, as the tails beyond that order say.
+
+    Args:
+        gamma: modulus of Delta / Sigma without noise.
+        energy: of the signal in Sigma, over all looks.
+        noise_powers: of Sigma and Delta.
+    """
+    gamma, energy = np.asarray(gamma), np.asarray(energy)
+    return np.asarray((noise_powers[1] + gamma**2 * noise_powers[0]) / (2 * energy))
+
+
+def products_variance(
+    gamma: npt.ArrayLike, energy: npt.ArrayLike, count: npt.ArrayLike, noise_powers: tuple[float, float]
+) -> Array:
+    """Variance of the maximum likelihood estimate of gamma from products summed over many looks or pulses; broadcasts.
+
+    `discriminator_variance` times 1 + K / (E/N_Sigma + gamma^2 E/N_Delta). The second term is what it costs that the
+    amplitudes of the K looks, or the phases of the K pulses, are not known: 1 / (x + x gamma^2) for equal noise and the
+    signal-to-noise ratio x of each. It is the Cramer-Rao bound for Gaussian amplitudes (`bounds.stochastic_crb`).
+
+    Args:
+        gamma: modulus of Delta / Sigma without noise.
+        energy: E of the signal in Sigma, over all looks.
+        count: of looks or pulses, K.
+        noise_powers: of Sigma and Delta.
+    """
+    over_noise = np.asarray(energy) * (1 / noise_powers[0] + np.asarray(gamma) ** 2 / noise_powers[1])
+    return np.asarray(discriminator_variance(gamma, energy, noise_powers) * (1 + np.asarray(count) / over_noise))

@@ -8,6 +8,7 @@ turned or the pattern does not separate, on the squint.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -350,3 +351,50 @@ def _newton(stack: Beams, mu: Array, squint: Array, start: Array, low: Array, hi
         if not going.size:
             break
     return elevation, slope
+
+
+Inverse = Callable[[Beams, Array, Array], Inversion]
+"""Elevations from the pair of beams, gamma, and the squint of each (rad, broadcasts): see `discriminant.invert`."""
+
+
+def invert_linear(pair: Beams, gamma: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
+    """Elevation by the tangent in the equisignal direction, theta_0 + gamma / g (relief paper, eq. 6, 7); broadcasts.
+
+    Of unlike beams, whose gamma is not 0 half way between them, the tangent there. Exact to first order only; see
+    `discriminant.invert` for the beams as they are. |gamma| up to 1 is INSIDE, as there.
+
+    Args:
+        pair: the two beams.
+        gamma: NaN is NOT_FINITE.
+        squint: of the targets, rad.
+    """
+    gamma, squint = np.broadcast_arrays(np.asarray(gamma, dtype=np.float64), np.asarray(squint, dtype=np.float64))
+    middle = equisignal_elevation(pair, squint)
+    slope = discriminant_slope(pair, middle, squint)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        elevation = middle + (gamma - discriminant(pair, middle, squint)) / slope
+    rising = slope * pair.beamwidth > LEAST_SLOPE
+    return inversion_between(elevation, slope, gamma, (-1.0, 1.0), rising)
+
+
+def equisignal_elevation(pair: Beams, squint: Array) -> Array:
+    """Elevation (rad) at `squint` of the direction as far along the detector axis from one beam as from the other."""
+    seen = squint + np.average(pair.aspects, weights=pair.weights)
+    return np.asarray(np.mean(pair.boresights) - seen * np.tan(pair.rotation))
+
+
+def inversion_between(
+    elevation: Array, slope: Array, gamma: Array, ends: tuple[float, float], exists: npt.NDArray[np.bool_]
+) -> Inversion:
+    """The inversion of gamma that is good between `ends`, where there `exists` a characteristic at all."""
+    reason = np.select(
+        [~np.isfinite(gamma), ~exists, gamma < ends[0], gamma > ends[1]],
+        [Reason.NOT_FINITE, Reason.NO_DOMAIN, Reason.BELOW, Reason.ABOVE],
+        Reason.INSIDE,
+    ).astype(np.uint8)
+    inside = reason == Reason.INSIDE
+    return Inversion(np.where(inside, elevation, np.nan), np.where(inside, slope, np.nan), reason)
+
+
+INVERSES: dict[str, Inverse] = {"exact": invert, "linear": invert_linear}
+"""Inversions by the beams themselves, by name."""

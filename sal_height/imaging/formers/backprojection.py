@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.geometry.frames import Grid
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric.jit import WORKERS, compiled
 from sal_height.numeric.phasors import cosine_and_sine

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
-from sal_height.geometry.frames import Grid
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.formers import range_doppler, specan
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.range_doppler import focus_stripmap, sidelobes_stray

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import scipy.fft
 
 from sal_height.errors import UserError
-from sal_height.geometry.frames import Grid
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.formers.backprojection import valid_pixels
 from sal_height.imaging.formers.specan import ALLOWED_ERROR
 from sal_height.imaging.formers.straight_track import Resampling, resampling, straight_track
@@ -28,7 +28,7 @@ from sal_height.numeric.jit import WORKERS, compiled
 from sal_height.numeric.phasors import outer_phasors, phasors
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
-from sal_height.simulation.stripmap import processed_angle
+from sal_height.sensor.stripmap import processed_angle
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]

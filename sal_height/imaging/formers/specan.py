@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
-from sal_height.geometry.frames import Grid
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.formers.backprojection import valid_pixels
 from sal_height.imaging.formers.straight_track import straight_track
 from sal_height.imaging.weighting import Processing

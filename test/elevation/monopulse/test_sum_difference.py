@@ -37,26 +37,21 @@ from sal_height.elevation.monopulse.estimators import (
     total_least_squares,
 )
 from sal_height.elevation.monopulse.inversion import (
+    INVERSES,
     Reason,
     discriminant,
     discriminant_domain,
     discriminant_slope,
     invert,
+    invert_linear,
 )
 from sal_height.elevation.monopulse.pairs import monopulse_elevation
-from sal_height.elevation.monopulse.sum_difference import (
-    INVERSES,
-    Discriminator,
-    SlopeTable,
-    crossover_slope,
-    invert_linear,
-    separated_gains,
-    sum_difference_channels,
-    sum_difference_elevation,
-    synthesise,
-)
+from sal_height.elevation.monopulse.slope_table import SlopeTable
+from sal_height.elevation.monopulse.sum_difference import Discriminator, sum_difference_elevation
 from sal_height.errors import UserError
+from sal_height.sensor.channels import separated_gains, sum_difference_channels
 from sal_height.theory.discriminator_noise import steady_looks_mean, steady_mean
+from sal_height.theory.sum_difference import crossover_slope, synthesise
 
 Array = np.ndarray
 EQUAL: NoisePowers = (1.0, 1.0)

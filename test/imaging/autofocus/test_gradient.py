@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import assert_one_sentence, circular, make_sensor
+from phase_errors import ATMOSPHERE, power_law_phase, residual_phase, white_phase
 
 from sal_height.errors import UserError
-from sal_height.geometry.frames import ApertureState, Grid
+from sal_height.geometry.frames import ApertureState
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.autofocus.gradient import (
     Focus,
     apply_phase,
@@ -24,7 +26,6 @@ from sal_height.imaging.autofocus.gradient import (
     phase_gradient,
     pulse_responses,
 )
-from sal_height.imaging.autofocus.phase_error import ATMOSPHERE, power_law_phase, residual_phase, white_phase
 from sal_height.imaging.autofocus.phase_linking import beam_coherence, covariances, link_phases, signal_modes
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.pixels import slant_plane_grid
@@ -35,8 +36,8 @@ from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
+from sal_height.simulation.receivers import receiver_noise
 from sal_height.simulation.scenes import load_scene
-from sal_height.simulation.spotlight import receiver_noise
 
 ERRORS = {"white": white_phase, "atmosphere": lambda n, rms, rng: power_law_phase(n, rms, ATMOSPHERE, rng)}
 

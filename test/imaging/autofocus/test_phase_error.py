@@ -4,15 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from phase_errors import ATMOSPHERE, power_law_phase, residual_phase, white_phase
 
-from sal_height.imaging.autofocus.phase_error import (
-    ATMOSPHERE,
-    detrended,
-    power_law_phase,
-    residual_phase,
-    white_phase,
-    without_shift,
-)
+from sal_height.imaging.autofocus.phase_error import detrended, without_shift
 
 TIME = np.linspace(-1.0, 1.0, 64)
 

@@ -7,7 +7,8 @@ import pytest
 from helpers import BEAMWIDTH, circular, direct_history, make_aperture, make_sensor, sample_frequencies
 from scipy.constants import speed_of_light
 
-from sal_height.geometry.frames import Grid, look_direction
+from sal_height.geometry.frames import look_direction
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.formers import backprojection
 from sal_height.imaging.formers.backprojection import backproject, backproject_points, valid_pixels
 from sal_height.imaging.pixels import slant_plane_grid, slc_noise_power

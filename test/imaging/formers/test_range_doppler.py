@@ -10,7 +10,7 @@ from former_scenes import SAL, XBAND, db, difference_db, on_the_ground, strip
 from helpers import assert_one_sentence, circular
 
 from sal_height.errors import UserError
-from sal_height.geometry.frames import Grid
+from sal_height.geometry.grid import Grid
 from sal_height.imaging.formers import range_doppler
 from sal_height.imaging.formers.range_doppler import expected_error, focus_stripmap
 from sal_height.imaging.formers.specan import ALLOWED_ERROR

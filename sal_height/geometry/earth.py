@@ -1,0 +1,59 @@
+"""The spherical earth that touches the origin of the map: places and heights on it.
+
+Map axes are ENU (x east, y north, z up) with the origin on a sphere of radius EARTH_RADIUS; heights are
+above that sphere.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+EARTH_RADIUS = 6_371_008.8
+"""Mean earth radius (IUGG), m."""
+
+
+def sphere_point(east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLike) -> Array:
+    """Map position (m) of a point at arc distances `east`, `north` (m) along the sphere and `height` (m) above it.
+
+    Azimuthal equidistant: the great circle from the map's origin leaves in the direction (east, north).
+    Shape (..., 3).
+    """
+    east, north, height = np.broadcast_arrays(east, north, height)
+    angle = np.hypot(east, north) / EARTH_RADIUS
+    scale = (1 + height / EARTH_RADIUS) * np.sinc(angle / np.pi)
+    up = height * np.cos(angle) - 2 * EARTH_RADIUS * np.sin(angle / 2) ** 2
+    return np.stack([scale * east, scale * north, up], axis=-1)
+
+
+def sphere_coordinates(points: Array) -> tuple[Array, Array, Array]:
+    """Arc distances east and north (m) and height (m) of map positions of shape (..., 3): undoes `sphere_point`."""
+    x, y, z = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
+    level = np.hypot(x, y)
+    angle = np.arctan2(level, z + EARTH_RADIUS)
+    scale = np.where(level > 0, EARTH_RADIUS * angle / np.where(level > 0, level, 1), 1.0)
+    return scale * x, scale * y, height_of(points)
+
+
+def height_of(points: Array) -> Array:
+    """Height (m) above the sphere of map positions of shape (..., 3), without cancellation.
+
+    sqrt(x^2 + y^2 + (z + R)^2) - R, with the difference of the two large numbers taken analytically.
+    """
+    x, y, z = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
+    radius = np.sqrt(x**2 + y**2 + (z + EARTH_RADIUS) ** 2)
+    return np.asarray((x**2 + y**2 + z**2 + 2 * EARTH_RADIUS * z) / (radius + EARTH_RADIUS))
+
+
+def above_place(x: npt.ArrayLike, y: npt.ArrayLike, height: npt.ArrayLike) -> Array:
+    """Map position (m) of the point at the map coordinates `x`, `y` (m) that is `height` (m) above the sphere.
+
+    z = sqrt((R + h)^2 - x^2 - y^2) - R, without cancellation; shape (..., 3). NaN beyond the sphere's horizon.
+    """
+    x, y, height = (np.asarray(value, dtype=np.float64) for value in np.broadcast_arrays(x, y, height))
+    growth = height * (2 * EARTH_RADIUS + height) - x**2 - y**2
+    with np.errstate(invalid="ignore"):
+        return np.stack([x, y, growth / (np.sqrt(EARTH_RADIUS**2 + growth) + EARTH_RADIUS)], axis=-1)

@@ -1,0 +1,110 @@
+"""Pixel grids of images in the map frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.geometry.frames import ApertureState
+
+ComplexArray = npt.NDArray[np.complexfloating]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Pixel centres of an image in a plane of the map frame; the same content as sal_height_msgs/ImageGrid.
+
+    Attributes:
+        origin: centre of pixel (0, 0), m, shape (3,).
+        row_direction: unit vector of growing row (range), shape (3,).
+        col_direction: unit vector of growing col (along the flight), shape (3,).
+        row_spacing: m.
+        col_spacing: m.
+        rows: number of rows.
+        cols: number of columns.
+    """
+
+    origin: Array
+    row_direction: Array
+    col_direction: Array
+    row_spacing: float
+    col_spacing: float
+    rows: int
+    cols: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self.rows, self.cols
+
+    def points(self, row: npt.ArrayLike, col: npt.ArrayLike) -> Array:
+        """Positions (m) of fractional pixel indices, shape (..., 3)."""
+        down = np.asarray(row, dtype=np.float64)[..., None] * (self.row_spacing * self.row_direction)
+        along = np.asarray(col, dtype=np.float64)[..., None] * (self.col_spacing * self.col_direction)
+        return self.origin + down + along
+
+    def distances(self, position: Array) -> Array:
+        """Distances (m) of all pixel centres from `position`, shape (rows, cols), without their coordinates.
+
+        The law of cosines in the two indices: 10 times faster, and as exact, as |pixels - position|.
+        """
+        sight = self.origin - position
+        down, along = (
+            np.arange(n) * step for n, step in zip(self.shape, (self.row_spacing, self.col_spacing), strict=True)
+        )
+        by_row = sight @ sight + down * (down + 2 * float(sight @ self.row_direction))
+        by_col = along * (along + 2 * float(sight @ self.col_direction))
+        square = by_row[:, None] + by_col
+        skew = 2 * float(self.row_direction @ self.col_direction)
+        if skew:
+            square += np.multiply.outer(skew * down, along)
+        return np.asarray(np.sqrt(square, out=square))
+
+    def pixels(self) -> Array:
+        """Positions (m) of all pixel centres, shape (rows, cols, 3)."""
+        return self.points(np.arange(self.rows)[:, None], np.arange(self.cols)[None, :])
+
+
+def pixels_at(across: Array, along: Array, aperture: ApertureState, grid: Grid) -> tuple[Array, Array]:
+    """Fractional rows and columns of a grid that have the distances `across` from and `along` the track (m).
+
+    The columns of a strip need not run along the track: `along` picks a line of pixels, which crosses the range once.
+    """
+    start, down = grid.origin - aperture.position, grid.row_spacing * grid.row_direction
+    side = grid.col_spacing * grid.col_direction
+    skew = float(down @ aperture.direction) / float(side @ aperture.direction)
+    col_at_first_row = (along - start @ aperture.direction) / (side @ aperture.direction)
+    line = down - skew * side
+    square, slope = line @ line, start @ line + col_at_first_row * (side @ line)
+    beyond = start @ start + col_at_first_row * (2 * start @ side + col_at_first_row * (side @ side))
+    row = (np.sqrt(slope**2 - square * (beyond - across**2 - along**2)) - slope) / square
+    return row, col_at_first_row - skew * row
+
+
+def without_range_phase(image: ComplexArray, grid: Grid, aperture: ApertureState, wavelength: float) -> ComplexArray:
+    """The image times exp(-j 4 pi R / wavelength), with R each pixel's distance from the middle of its aperture.
+
+    A point's image has the phase 4 pi (R of the pixel - R of the point) / wavelength, which winds from pixel to pixel
+    and faster with distance from the middle of the image. Without it the response is what the bandwidth and the
+    aperture make of a point, centred on frequency 0, and can be interpolated.
+
+    Args:
+        image: complex pixels, shape (rows, cols).
+        grid: where they lie.
+        aperture: it was made with.
+        wavelength: m.
+
+    Returns:
+        complex128, shape (rows, cols).
+    """
+    middle = aperture.position
+    if aperture.sliding:
+        cols = np.arange(grid.cols) - (grid.cols - 1) / 2
+        slide = cols * grid.col_spacing * (grid.col_direction @ aperture.direction)
+        middle = middle + slide[:, None] * aperture.direction
+    distance = np.linalg.norm(grid.pixels() - middle, axis=-1)
+    return np.asarray(image * np.exp(-4j * np.pi / wavelength * distance))

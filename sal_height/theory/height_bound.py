@@ -1,0 +1,30 @@
+"""Cramér-Rao bound of the height in each pixel of a simulated scene."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.beams.array import Beams
+from sal_height.elevation.bounds import speckle_crb
+from sal_height.simulation.truth import Truth
+
+Array = npt.NDArray[np.float64]
+
+
+def height_bound(truth: Truth, cnr: float, looks: int, beams: Beams, squint: Array, height_slope: Array) -> Array:
+    """Speckle-averaged Cramer-Rao bound of height (m) in each pixel: `speckle_crb` times |dh/dtheta|.
+
+    With C the CNR of the pixel in a detector looking straight at it. Infinite for one look, where a fluctuating
+    target has no efficient estimator.
+
+    Args:
+        truth: of the pixels.
+        cnr: power ratio of a pixel of power 1.
+        looks: number of looks K.
+        beams: of the detectors.
+        squint: of each column, rad.
+        height_slope: dh/dtheta, m/rad, shape (rows, cols).
+    """
+    with np.errstate(invalid="ignore"):  # where there is nothing
+        return np.abs(height_slope) * speckle_crb(beams, truth.elevation, squint, cnr * truth.power, looks)

@@ -29,7 +29,7 @@ from benchmarks import (
     relief_tracking,
 )
 from benchmarks.row import REPEATS, Row
-from sal_height.numeric.jit import WORKERS
+from sal_height.numeric import WORKERS
 
 GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
     "fast-formers": fast_formers.against_fft,

@@ -9,12 +9,9 @@ import numpy.typing as npt
 
 from benchmarks.array_estimator import BEAMWIDTH, DETECTORS, beams_of, elevation_at
 from benchmarks.row import Row
-from sal_height.beams.array import Beams
-from sal_height.elevation.bounds import stochastic_crb
-from sal_height.elevation.likelihood import OBJECTIVES
-from sal_height.elevation.looks import Covariance, covariance
-from sal_height.elevation.search import PeakSearches
-from sal_height.theory.array_trials import TARGETS, array_trials, draw_pixels
+from sal_height.beams import Beams
+from sal_height.elevation import OBJECTIVES, Covariance, PeakSearches, covariance, stochastic_crb
+from sal_height.theory import TARGETS, draw_pixels, run_array_trials
 
 Array = npt.NDArray[np.float64]
 
@@ -108,7 +105,7 @@ def against_dense_search() -> Iterator[Row]:
 def _errors(beams: Beams, offset: float, looks: int) -> Array:
     """Errors of independent pixels with a fluctuating target, beamwidths, searched to half a pitch beyond the array."""
     normalised, target = OBJECTIVES["normalised"], TARGETS["gaussian"]
-    found = array_trials(1, beams, elevation_at(offset), CNR, looks, TRIALS, normalised, 0.0, target)
+    found = run_array_trials(1, beams, elevation_at(offset), CNR, looks, TRIALS, normalised, 0.0, target)
     return (found - elevation_at(offset)) / BEAMWIDTH
 
 

@@ -15,21 +15,25 @@ from std_msgs.msg import Header
 from benchmarks.cases import SLANT_RANGE, spotlight
 from benchmarks.row import Row, medians
 from sal_height import messages
-from sal_height.beams.array import Beams, column_squint
-from sal_height.beams.pattern import pattern_named
-from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.layover import resolve_layover
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import blocks, look_grid, multilook, windowed_looks
-from sal_height.geometry.frames import ApertureState
-from sal_height.geometry.grid import Grid
-from sal_height.imaging.focus import Slc
+from sal_height.beams import Beams, column_squint, pattern_named
+from sal_height.elevation import (
+    OBJECTIVES,
+    ElevationEstimate,
+    blocks,
+    look_grid,
+    ml_elevation,
+    multilook,
+    resolve_layover,
+    windowed_looks,
+)
+from sal_height.geometry import ApertureState, Grid
+from sal_height.imaging import Slc
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ml_height import MlHeight
-from sal_height.numeric.jit import in_parallel
-from sal_height.relief.heights import height_field
-from sal_height.sensor.sensor import Sensor
-from sal_height.theory import array_trials
+from sal_height.numeric import in_parallel
+from sal_height.relief import height_field
+from sal_height.sensor import Sensor
+from sal_height.theory.array_trials import SAMPLES_AT_ONCE, TARGETS, draw_pixels, run_array_trials, with_streams
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
@@ -100,7 +104,7 @@ def _scene() -> tuple[Grid, ApertureState, Sensor]:
 
 def against_random_numbers() -> Iterator[Row]:
     """Draw targets and noise, sum up covariances, find the peaks; over drawing the same numbers on as many threads."""
-    beams, target = beams_of("sinc"), array_trials.TARGETS["gaussian"]
+    beams, target = beams_of("sinc"), TARGETS["gaussian"]
     elevation, normalised = elevation_at(1.75), OBJECTIVES["normalised"]
 
     def draw(rng: np.random.Generator, part: slice) -> None:
@@ -108,10 +112,10 @@ def against_random_numbers() -> Iterator[Row]:
         rng.standard_normal((count, LOOKS, 2 * DETECTORS), dtype=np.float32)
         rng.standard_normal((count, 2 * LOOKS), dtype=np.float32)
 
-    at_once = array_trials.SAMPLES_AT_ONCE // (LOOKS * DETECTORS)
+    at_once = SAMPLES_AT_ONCE // (LOOKS * DETECTORS)
     whole, bare = medians(
-        lambda: array_trials.array_trials(1, beams, elevation, CNR, LOOKS, TRIALS, normalised, 0.0, target),
-        lambda: array_trials.with_streams(draw, 1, TRIALS, at_once),
+        lambda: run_array_trials(1, beams, elevation, CNR, LOOKS, TRIALS, normalised, 0.0, target),
+        lambda: with_streams(draw, 1, TRIALS, at_once),
     )
     yield Row(
         f"array Monte Carlo, {DETECTORS} detectors, {LOOKS} looks, over its random numbers",
@@ -170,8 +174,8 @@ def _throughput(name: str) -> Iterator[Row]:
 
 def _slc(name: str) -> ComplexArray:
     """Images of single looks at a fluctuating target in unit noise, (detectors, ROWS, COLS * LOOKS)."""
-    rng, target = np.random.default_rng(2), array_trials.TARGETS["gaussian"]
-    samples = array_trials.draw_pixels(rng, beams_of(name), elevation_at(1.75), 0.0, CNR, LOOKS, ROWS * COLS, target)
+    rng, target = np.random.default_rng(2), TARGETS["gaussian"]
+    samples = draw_pixels(rng, beams_of(name), elevation_at(1.75), 0.0, CNR, LOOKS, ROWS * COLS, target)
     return np.ascontiguousarray(samples.reshape(ROWS, COLS * LOOKS, DETECTORS).transpose(2, 0, 1))
 
 

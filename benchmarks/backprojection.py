@@ -10,7 +10,7 @@ import scipy.fft
 
 from benchmarks.cases import Case, spotlight
 from benchmarks.row import Row, medians
-from sal_height.imaging.formers.backprojection import backproject
+from sal_height.imaging import backproject
 
 ComplexArray = npt.NDArray[np.complex64]
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from sal_height.numeric.jit import WORKERS
+from sal_height.numeric import WORKERS
 
 ComplexArray = npt.NDArray[np.complex64]
 

@@ -11,11 +11,10 @@ import numpy.typing as npt
 
 from benchmarks.array_estimator import beams_of, elevation_at
 from benchmarks.row import Row
-from sal_height.beams.array import Beams
-from sal_height.calibration.beams import BeamCalibration, beams_with, calibrate_beams
-from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation
-from sal_height.elevation.looks import covariance, multilook
-from sal_height.theory import array_trials
+from sal_height.beams import Beams
+from sal_height.calibration import BeamCalibration, beams_with, calibrate_beams
+from sal_height.elevation import OBJECTIVES, covariance, multilook, peak_elevation
+from sal_height.theory.array_trials import TARGETS, draw_pixels
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
@@ -98,14 +97,14 @@ def _slc(rng: np.random.Generator, beams: Beams) -> ComplexArray:
 
 
 def _circular(rng: np.random.Generator, count: int) -> ComplexArray:
-    return array_trials.TARGETS["gaussian"](rng, (1, count)).reshape(-1)
+    return TARGETS["gaussian"](rng, (1, count)).reshape(-1)
 
 
 def _greatest_bias(actual: Beams, used: Beams) -> float:
     """Of mean elevations of targets, in beamwidths, estimated with beams that are not the actual ones."""
-    rng, target, biases = np.random.default_rng(4), array_trials.TARGETS["gaussian"], []
+    rng, target, biases = np.random.default_rng(4), TARGETS["gaussian"], []
     for elevation in map(elevation_at, OFFSETS):
-        samples = array_trials.draw_pixels(rng, actual, elevation, 0.0, 100.0, LOOKS, TRIALS, target)
+        samples = draw_pixels(rng, actual, elevation, 0.0, 100.0, LOOKS, TRIALS, target)
         seen = covariance(samples, hermitian=True)[:, None]
         found = peak_elevation(seen, used, np.zeros(1), OBJECTIVES["normalised"], 0.0)
         biases.append(abs(float(np.mean(found)) - elevation) / used.beamwidth)

@@ -9,19 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.row import Row
-from sal_height.beams.array import column_squint
-from sal_height.calibration.accumulate import Calibrator
-from sal_height.calibration.calibration import Calibration
-from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import Window, look_grid, windowed_looks
-from sal_height.geometry.trajectory import Trajectory
-from sal_height.imaging.focus import Settings, focus_dwell
-from sal_height.sensor.channels import whitened_channels, with_powers
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.simulation.flight import SimulatedFlight, flight_of
-from sal_height.simulation.impairments import Impairments, RangeSawtooth
-from sal_height.simulation.preset import load_preset
+from sal_height.beams import column_squint
+from sal_height.calibration import Calibration, Calibrator
+from sal_height.elevation import OBJECTIVES, ElevationEstimate, Window, look_grid, ml_elevation, windowed_looks
+from sal_height.geometry import Trajectory
+from sal_height.imaging import Settings, focus_dwell
+from sal_height.sensor import PhaseHistory, whitened_channels, with_powers
+from sal_height.simulation import Impairments, RangeSawtooth, SimulatedFlight, flight_of, load_preset
 
 Array = npt.NDArray[np.float64]
 

@@ -14,9 +14,8 @@ from sal_height.nodes.graph import Graph
 from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.stage import FRAMES_QOS
-from sal_height.sensor.sensor import Sensor
-from sal_height.simulation.flight import flight_of
-from sal_height.simulation.preset import load_preset
+from sal_height.sensor import Sensor
+from sal_height.simulation import flight_of, load_preset
 
 DWELLS = 640
 """After which there is a calibration, as the node has it by default: of every tenth."""

@@ -7,16 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.geometry.frames import look_direction
-from sal_height.geometry.grid import Grid
-from sal_height.imaging.formers.choice import Former
-from sal_height.imaging.weighting import Processing
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
-from sal_height.sensor.stripmap import aperture_length, processed_angle
-from sal_height.simulation.preset import load_preset
-from sal_height.simulation.scene import VisibleSurface
-from sal_height.simulation.stripmap import simulate_block
+from sal_height.geometry import Grid, look_direction
+from sal_height.imaging import Former, Processing
+from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
+from sal_height.simulation import VisibleSurface, load_preset, simulate_block
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]

@@ -10,9 +10,8 @@ import numpy.typing as npt
 from benchmarks.bare_fft import Pass, candidates
 from benchmarks.cases import Case, spotlight, stripmap, with_targets
 from benchmarks.row import Row, medians
+from sal_height.imaging import Former, backproject
 from sal_height.imaging.formers import range_doppler, specan
-from sal_height.imaging.formers.backprojection import backproject
-from sal_height.imaging.formers.choice import Former
 
 ComplexArray = npt.NDArray[np.complex64]
 

@@ -7,12 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.row import Row, medians
-from sal_height.beams.array import Beams
-from sal_height.beams.pattern import pattern_named
-from sal_height.elevation.layover import two_scatterers
-from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation, search_guard
-from sal_height.elevation.looks import Covariance
-from sal_height.theory import array_trials
+from sal_height.beams import Beams, pattern_named
+from sal_height.elevation import OBJECTIVES, Covariance, peak_elevation, search_guard, two_scatterers
+from sal_height.theory.array_trials import TARGETS, draw_pixels
 
 DETECTORS, PITCH, BEAMWIDTH, LOOKS = 16, 0.5, 1.55e-4, 4
 SIDE = 256
@@ -46,9 +43,9 @@ def _throughput(beams: Beams, share: float) -> Row:
 def _image(beams: Beams, share: float) -> Covariance:
     """Covariance, shape (SIDE, SIDE, M, M), in unit noise."""
     rng = np.random.default_rng(3)
-    target, count = array_trials.TARGETS["gaussian"], SIDE**2
+    target, count = TARGETS["gaussian"], SIDE**2
     upper, lower = (float(np.pi / 4 + offset * BEAMWIDTH) for offset in (0.5, -0.5))
-    samples = array_trials.draw_pixels(rng, beams, upper, 0.0, CNR, LOOKS, count, target)
+    samples = draw_pixels(rng, beams, upper, 0.0, CNR, LOOKS, count, target)
     both = rng.uniform(size=count) < share
     second = np.sqrt(CNR / 2) * (rng.standard_normal((count, LOOKS)) + 1j * rng.standard_normal((count, LOOKS)))
     samples = samples + (both[:, None] * second)[..., None] * beams.response(lower, 0.0)

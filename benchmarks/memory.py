@@ -13,9 +13,8 @@ import numpy.typing as npt
 from benchmarks.array_estimator import beams_of
 from benchmarks.cases import Case, spotlight, stripmap
 from benchmarks.row import Row
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import multilook
-from sal_height.imaging.formers.choice import FORMERS
+from sal_height.elevation import OBJECTIVES, ml_elevation, multilook
+from sal_height.imaging import FORMERS
 
 DETECTORS, PULSES, FREQUENCIES, ROWS, COLS = 16, 512, 1024, 1024, 512
 

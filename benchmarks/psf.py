@@ -11,12 +11,17 @@ import scipy.fft
 
 from benchmarks.row import Row, medians
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
-from sal_height.numeric.jit import WORKERS
-from sal_height.response.point_spread import PointSpread, point_spread
-from sal_height.response.point_targets import find_targets
-from sal_height.response.speckle_spectra import SpeckleSpectra, speckle_spectra
-from sal_height.response.speckle_tiles import find_pure_speckle
-from sal_height.response.transfer_function import TransferFunction, estimate_transfer_function
+from sal_height.numeric import WORKERS
+from sal_height.response import (
+    PointSpread,
+    SpeckleSpectra,
+    TransferFunction,
+    estimate_point_spread,
+    estimate_speckle_spectra,
+    estimate_transfer_function,
+    find_pure_speckle,
+    find_targets,
+)
 
 SIDE = 2048
 TARGETS = tuple(Target(row + 0.3, col + 0.6, 40.0) for row in (300, 1600) for col in (500, 1300))
@@ -53,11 +58,11 @@ def both_routes() -> Iterator[Row]:
 
 def _both(image: npt.NDArray[np.complex64]) -> tuple[TransferFunction, SpeckleSpectra]:
     transfer = estimate_transfer_function(find_targets(image).require())
-    return transfer, speckle_spectra(image, find_pure_speckle(image))
+    return transfer, estimate_speckle_spectra(image, find_pure_speckle(image))
 
 
 def _calibrate(image: npt.NDArray[np.complex64]) -> PointSpread:
-    return point_spread(estimate_transfer_function(find_targets(image).require()))
+    return estimate_point_spread(estimate_transfer_function(find_targets(image).require()))
 
 
 def _there_and_back(image: npt.NDArray[np.complex64]) -> object:

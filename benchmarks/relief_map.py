@@ -15,10 +15,8 @@ from benchmarks.cases import spotlight
 from benchmarks.memory import resident
 from benchmarks.row import Row, medians
 from sal_height import messages
-from sal_height.geometry.earth import above_place
-from sal_height.geometry.frames import ApertureState
-from sal_height.relief.heights import HeightField, Surface
-from sal_height.relief.map import ReliefMap
+from sal_height.geometry import ApertureState, above_place
+from sal_height.relief import HeightField, ReliefMap, Surface
 
 SIDE = 512
 DWELLS = 1000

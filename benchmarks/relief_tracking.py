@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.row import Row, medians
-from sal_height.relief.field_tracking import smoothed_field
-from sal_height.relief.range_tracking import ReliefPrior, smoothed
+from sal_height.relief import ReliefPrior, smoothed, smoothed_field
 
 ROWS, COLS = 1024, 1024
 SPACING = 0.5

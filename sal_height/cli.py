@@ -17,10 +17,10 @@ from sal_height import __version__
 from sal_height.errors import UserError
 from sal_height.figures.help_texts import ARRAY, DEFAULT_TRIALS, FIGURES, MONTE_CARLO, PAIR
 from sal_height.runs.help_texts import CALIBRATE, IRF, PSF
-from sal_height.simulation.preset import Preset, load_preset, parse_preset, preset_names
+from sal_height.simulation import Preset, load_preset, parse_preset, preset_names
 
 if TYPE_CHECKING:
-    from sal_height.beams.array import Beams
+    from sal_height.beams import Beams
     from sal_height.figures.montecarlo import Experiment
 
 Subcommands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 (it has no other name)

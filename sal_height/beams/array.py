@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from sal_height.beams.pattern import Pattern
 from sal_height.errors import UserError
-from sal_height.geometry.frames import ApertureState, aperture_at, squint_on_cone
-from sal_height.geometry.grid import Grid
+from sal_height.geometry import ApertureState, Grid, aperture_at, squint_on_cone
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

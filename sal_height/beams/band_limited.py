@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric.jit import compiled, in_parallel
+from sal_height.numeric import compiled, in_parallel
 
 Array = npt.NDArray[np.float64]
 Samples = npt.NDArray[Any]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from sal_height.numeric.jit import compiled, in_parallel
+from sal_height.numeric import compiled, in_parallel
 
 Array = npt.NDArray[np.float64]
 Amplitudes = npt.NDArray[np.float64 | np.complex128]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from sal_height.beams.array import Beams, column_squint
+from sal_height.beams import Beams, column_squint
 from sal_height.calibration.beams import (
     MIXED,
     BeamCalibration,
@@ -20,16 +20,19 @@ from sal_height.calibration.beams import (
 from sal_height.calibration.calibration import Calibration
 from sal_height.calibration.receivers import CrossSpectra, cross_spectra, differential_response, unwound
 from sal_height.calibration.reference_target import Sighting, sighting
-from sal_height.elevation.looks import Window, windowed_looks
+from sal_height.elevation import Window, windowed_looks
 from sal_height.errors import NotDetermined, UserError
-from sal_height.geometry.frames import ApertureState
-from sal_height.geometry.grid import Grid
-from sal_height.numeric.jit import WORKERS
-from sal_height.numeric.windows import noise_gain, window
-from sal_height.response.point_targets import CHIP, LEAST_OVER_CLUTTER_DB, PointTarget, find_targets
-from sal_height.response.transfer_function import estimate_transfer_function, without_clutter
-from sal_height.sensor.channels import whitened_channels, with_powers
-from sal_height.sensor.sensor import Sensor
+from sal_height.geometry import ApertureState, Grid
+from sal_height.numeric import WORKERS, noise_gain, window
+from sal_height.response import (
+    CHIP,
+    LEAST_OVER_CLUTTER_DB,
+    PointTarget,
+    estimate_transfer_function,
+    find_targets,
+    without_clutter,
+)
+from sal_height.sensor import Sensor, whitened_channels, with_powers
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

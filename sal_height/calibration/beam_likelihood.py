@@ -21,8 +21,8 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
-from sal_height.elevation.looks import Covariance
+from sal_height.beams import Beams
+from sal_height.elevation import Covariance
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

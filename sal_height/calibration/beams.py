@@ -23,12 +23,18 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 from sal_height.calibration.beam_likelihood import Normal, curve_of, with_known_angles, with_unknown_angles
-from sal_height.elevation.estimate import MISFIT_SHARE
-from sal_height.elevation.likelihood import OBJECTIVES, search_guard
-from sal_height.elevation.looks import Covariance, Looks
-from sal_height.elevation.search import Columns, PeakSearch, PeakSearches
+from sal_height.elevation import (
+    MISFIT_SHARE,
+    OBJECTIVES,
+    Columns,
+    Covariance,
+    Looks,
+    PeakSearch,
+    PeakSearches,
+    search_guard,
+)
 from sal_height.errors import NotDetermined, UserError
 
 Array = npt.NDArray[np.float64]

@@ -14,9 +14,8 @@ import numpy.typing as npt
 
 from sal_height.errors import UserError
 from sal_height.io import writing
-from sal_height.numeric.windows import window
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.numeric import window
+from sal_height.sensor import PhaseHistory, Sensor
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

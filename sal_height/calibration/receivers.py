@@ -19,11 +19,9 @@ import numpy.typing as npt
 import scipy.fft
 
 from sal_height.errors import NotDetermined
-from sal_height.geometry.frames import ApertureState
-from sal_height.geometry.grid import Grid, without_range_phase
-from sal_height.numeric.jit import WORKERS
-from sal_height.sensor.channels import with_powers
-from sal_height.sensor.sensor import Sensor
+from sal_height.geometry import ApertureState, Grid, without_range_phase
+from sal_height.numeric import WORKERS
+from sal_height.sensor import Sensor, with_powers
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
-from sal_height.geometry.grid import Grid, pixels_at
+from sal_height.geometry import ApertureState, Grid, angles_of, aperture_at, pixels_at
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

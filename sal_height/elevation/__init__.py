@@ -1,1 +1,97 @@
-"""elevation."""
+"""Elevation angle of the scatterer in each pixel, from the amplitude ratios between channels.
+
+Read `looks` first (channels' covariance over looks), then `estimate` (the result and the reasons for none),
+`likelihood` with `search` (maximum likelihood over the whole array), `monopulse` (pairs; sum and difference),
+`spatial_prior` (help from neighbours), `layover` (two scatterers in a pixel) and `bounds` (the Cramér-Rao bounds).
+"""
+
+from sal_height.elevation.bounds import beam_power, conditional_crb, speckle_crb, stochastic_crb
+from sal_height.elevation.estimate import MISFIT_SHARE, ElevationEstimate, Validity, without_saturated
+from sal_height.elevation.layover import resolve_layover, two_scatterers
+from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation, peak_elevation, search_guard
+from sal_height.elevation.looks import (
+    LOOK_WINDOWS,
+    Covariance,
+    Looks,
+    Window,
+    blocks,
+    covariance,
+    live_detectors,
+    look_grid,
+    multilook,
+    windowed_looks,
+)
+from sal_height.elevation.monopulse.estimators import (
+    DISCRIMINANTS,
+    Estimator,
+    discriminate,
+    discriminator_variance,
+    products,
+    ratio,
+    sum_and_difference,
+    total_least_squares,
+)
+from sal_height.elevation.monopulse.inversion import (
+    INVERSES,
+    discriminant,
+    discriminant_domain,
+    discriminant_slope,
+    invert,
+    moving_squint,
+)
+from sal_height.elevation.monopulse.pairs import monopulse_elevation
+from sal_height.elevation.monopulse.slope_table import read_slope_table
+from sal_height.elevation.monopulse.sum_difference import Discriminator, sum_difference_elevation
+from sal_height.elevation.search import Columns, Objective, PeakSearch, PeakSearches
+from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH, prior_elevation
+
+__all__ = [
+    "DISCRIMINANTS",
+    "INVERSES",
+    "LOOK_WINDOWS",
+    "MISFIT_SHARE",
+    "OBJECTIVES",
+    "RECOMMENDED_STRENGTH",
+    "Columns",
+    "Covariance",
+    "Discriminator",
+    "ElevationEstimate",
+    "Estimator",
+    "Looks",
+    "Objective",
+    "PeakSearch",
+    "PeakSearches",
+    "Validity",
+    "Window",
+    "beam_power",
+    "blocks",
+    "conditional_crb",
+    "covariance",
+    "discriminant",
+    "discriminant_domain",
+    "discriminant_slope",
+    "discriminate",
+    "discriminator_variance",
+    "invert",
+    "live_detectors",
+    "look_grid",
+    "ml_elevation",
+    "monopulse_elevation",
+    "moving_squint",
+    "multilook",
+    "peak_elevation",
+    "prior_elevation",
+    "products",
+    "ratio",
+    "read_slope_table",
+    "resolve_layover",
+    "search_guard",
+    "speckle_crb",
+    "stochastic_crb",
+    "sum_and_difference",
+    "sum_difference_elevation",
+    "total_least_squares",
+    "two_scatterers",
+    "windowed_looks",
+    "without_saturated",
+]

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 
 Array = npt.NDArray[np.float64]
 

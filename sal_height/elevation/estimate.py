@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import gammainccinv
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 from sal_height.elevation.bounds import beam_power
 from sal_height.elevation.looks import Covariance, Looks
-from sal_height.numeric.jit import compiled, in_parallel
+from sal_height.numeric import compiled, in_parallel
 
 Array = npt.NDArray[np.float64]
 

@@ -21,13 +21,13 @@ import numpy.typing as npt
 from scipy.optimize import brentq
 from scipy.special import gammaincc, gammaln
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 from sal_height.elevation.bounds import beam_power, information
 from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity, explained_power
 from sal_height.elevation.likelihood import GUARD
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.errors import UserError
-from sal_height.numeric.jit import compiled, in_parallel
+from sal_height.numeric import compiled, in_parallel
 
 Array = npt.NDArray[np.float64]
 FloatArray = npt.NDArray[np.float32]

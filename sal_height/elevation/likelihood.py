@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 from sal_height.elevation.bounds import stochastic_deviation
 from sal_height.elevation.estimate import ElevationEstimate, Validity, validity_of
 from sal_height.elevation.looks import Covariance, Covariances, Looks

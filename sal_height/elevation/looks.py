@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry.grid import Grid
-from sal_height.numeric.jit import compiled, in_parallel, inlined
+from sal_height.geometry import Grid
+from sal_height.numeric import compiled, in_parallel, inlined
 
 Array = npt.NDArray[np.float64]
 FloatArray = npt.NDArray[np.float32]

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial.chebyshev import chebvander
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 from sal_height.elevation.looks import Covariance, Covariances
 from sal_height.errors import UserError
-from sal_height.numeric.jit import compiled, in_parallel, inlined
+from sal_height.numeric import compiled, in_parallel, inlined
 
 Array = npt.NDArray[np.float64]
 FloatArray = npt.NDArray[np.float32]

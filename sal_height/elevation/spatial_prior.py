@@ -20,13 +20,13 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate
 from sal_height.elevation.likelihood import OBJECTIVES, estimate_at, peak_elevation, search_guard
 from sal_height.elevation.looks import Covariances, Looks
 from sal_height.elevation.search import Columns, FloatArray, PeakSearch, PeakSearches
 from sal_height.errors import UserError
-from sal_height.numeric.jit import compiled, in_parallel
+from sal_height.numeric import compiled, in_parallel
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

@@ -17,13 +17,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from sal_height.beams.array import Beams
-from sal_height.beams.pattern import pattern_named
-from sal_height.elevation.likelihood import OBJECTIVES
+from sal_height.beams import Beams, pattern_named
+from sal_height.elevation import OBJECTIVES
 from sal_height.figures.curve import Curve
 from sal_height.figures.sample_statistics import Measured, mean, std
 from sal_height.figures.unit_arrays import array_of
-from sal_height.theory.array_trials import TARGETS, array_trials
+from sal_height.theory import TARGETS, run_array_trials
 
 Array = npt.NDArray[np.float64]
 
@@ -110,7 +109,7 @@ def example_array() -> Beams:
 
 def estimates(elevation: float, cnr: float, looks: int, objective: str, trials: int, seed: int) -> Array:
     """Estimates of independent pixels, beamwidths, shape (trials,), by the code that the node runs."""
-    return array_trials(
+    return run_array_trials(
         seed, example_array(), elevation, cnr, looks, trials, OBJECTIVES[objective], 0.0, TARGETS["gaussian"]
     )
 

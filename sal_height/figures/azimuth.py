@@ -13,9 +13,8 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
-from sal_height.beams.pattern import detector_pattern
-from sal_height.elevation.monopulse.inversion import invert
+from sal_height.beams import Beams, detector_pattern
+from sal_height.elevation import invert
 from sal_height.figures.curve import Curve, exact_curve
 from sal_height.figures.patterns import DETECTOR_SIZE
 from sal_height.figures.reference import (

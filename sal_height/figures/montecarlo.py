@@ -10,20 +10,36 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
-from sal_height.beams.pattern import PATTERNS, detector_pattern, tabulated_pattern
-from sal_height.beams.table import read_beam_tables
-from sal_height.elevation.bounds import conditional_crb, speckle_crb, stochastic_crb
-from sal_height.elevation.likelihood import OBJECTIVES
-from sal_height.elevation.looks import Covariance, Looks, covariance
-from sal_height.elevation.monopulse.estimators import DISCRIMINANTS, discriminate, sum_and_difference
-from sal_height.elevation.monopulse.inversion import discriminant, discriminant_domain, discriminant_slope
-from sal_height.elevation.monopulse.pairs import monopulse_elevation
+from sal_height.beams import PATTERNS, Beams, detector_pattern, read_beam_tables, tabulated_pattern
+from sal_height.elevation import (
+    DISCRIMINANTS,
+    OBJECTIVES,
+    Covariance,
+    Looks,
+    conditional_crb,
+    covariance,
+    discriminant,
+    discriminant_domain,
+    discriminant_slope,
+    discriminate,
+    monopulse_elevation,
+    speckle_crb,
+    stochastic_crb,
+    sum_and_difference,
+)
 from sal_height.errors import UserError
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, share, std
 from sal_height.figures.unit_arrays import array_of
-from sal_height.theory.array_trials import TARGETS, array_trials, draw_pixels, with_streams
-from sal_height.theory.discriminator_noise import cnr_detector_of, gaussian_law, steady_looks_mean, straight_power
+from sal_height.theory import (
+    TARGETS,
+    cnr_detector_of,
+    draw_pixels,
+    gaussian_law,
+    run_array_trials,
+    steady_looks_mean,
+    straight_power,
+    with_streams,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -230,7 +246,7 @@ def _shown(number: float | None) -> str:
 
 
 def _elevations(experiment: Experiment, power: float, objective: str, guard: float) -> Array:
-    return array_trials(
+    return run_array_trials(
         experiment.seed,
         experiment.beams,
         experiment.theta,

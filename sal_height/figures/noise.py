@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.elevation.monopulse.estimators import DISCRIMINANTS
+from sal_height.elevation import DISCRIMINANTS
 from sal_height.figures.curve import Curve
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, std
-from sal_height.numeric.jit import WORKERS
-from sal_height.theory.discriminator_noise import SteadyLaw, gaussian_law, gaussian_mean, steady_mean
+from sal_height.numeric import WORKERS
+from sal_height.theory import SteadyLaw, gaussian_law, gaussian_mean, steady_mean
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

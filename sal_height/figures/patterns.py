@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
-from sal_height.beams.pattern import detector_pattern, pattern_named
-from sal_height.elevation.monopulse.inversion import discriminant
+from sal_height.beams import Beams, detector_pattern, pattern_named
+from sal_height.elevation import discriminant
 from sal_height.figures.curve import Curve, exact_curve
 from sal_height.figures.reference import (
     ReferencePair,

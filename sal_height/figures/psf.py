@@ -24,9 +24,16 @@ from sal_height.figures.psf_theory import (
     tied,
 )
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
-from sal_height.response.point_spread import FINENESS, cut_through
-from sal_height.response.point_targets import PointTarget, chip_at, find_targets
-from sal_height.response.transfer_function import FLOOR, estimate_transfer_function, masked_transfer_function
+from sal_height.response import (
+    FINENESS,
+    FLOOR,
+    PointTarget,
+    chip_at,
+    cut_through,
+    estimate_transfer_function,
+    find_targets,
+    masked_transfer_function,
+)
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

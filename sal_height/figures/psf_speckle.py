@@ -17,10 +17,16 @@ from sal_height.figures.noise import circular
 from sal_height.figures.psf_tapes import COUNT, FREQUENCY, generators, held, in_band, shown
 from sal_height.figures.psf_theory import chip_transform, cosine_beam, swung_modulus, through_fejer
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
-from sal_height.numeric.fft import frequencies
-from sal_height.response.linearity import depth_and_pedestal, superposition
-from sal_height.response.speckle_spectra import SpeckleSpectra, mean_modulus, periodogram_covariance, speckle_spectra
-from sal_height.response.speckle_tiles import find_pure_speckle
+from sal_height.numeric import frequencies
+from sal_height.response import (
+    SpeckleSpectra,
+    depth_and_pedestal,
+    estimate_speckle_spectra,
+    find_pure_speckle,
+    mean_modulus,
+    periodogram_covariance,
+    superposition,
+)
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -77,7 +83,7 @@ def psf_speckle(trials: int, seed: int) -> Iterator[Curve]:
     for number, rng in enumerate(rngs):
         tape = make_tape((ROWS, ROWS * IMAGES), rng, (), RANGE, SWINGING)
         moduli.append([_moduli(tape[:, first : first + ROWS]) for first in range(0, ROWS * IMAGES, ROWS)])
-        spectra = speckle_spectra(tape, find_pure_speckle(tape))
+        spectra = estimate_speckle_spectra(tape, find_pure_speckle(tape))
         powers.append(spectra.azimuth.power)
         errors.append(spectra.azimuth.standard_error)
         if number == 0:
@@ -174,7 +180,7 @@ def _compared(rng: np.random.Generator, noise: float, level: float | None = None
     shape = ROWS, SPECKLE_COLS + COUNT * (TARGETS + 1)
     tape = make_tape(shape, rng, targets, RANGE, AzimuthFault(), noise, saturation=limiter)
     clutter = tape[:, :SPECKLE_COLS]
-    speckle = speckle_spectra(clutter, find_pure_speckle(clutter))
+    speckle = estimate_speckle_spectra(clutter, find_pure_speckle(clutter))
     chips = tape[(ROWS - BINS) // 2 :][:BINS, cols]
     peaks = chips[BINS // 2]
     response = chip_transform(np.mean(chips / peaks, axis=1))

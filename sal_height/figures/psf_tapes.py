@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.figures.curve import Curve, exact_curve
-from sal_height.numeric.fft import frequencies
+from sal_height.numeric import frequencies
 
 Array = npt.NDArray[np.float64]
 

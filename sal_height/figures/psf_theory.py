@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault
-from sal_height.numeric.fft import frequencies
+from sal_height.numeric import frequencies
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

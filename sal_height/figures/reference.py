@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.optimize.elementwise import find_root
 from scipy.special import j1
 
-from sal_height.beams.pattern import GAUSSIAN_WIDTH
+from sal_height.beams import GAUSSIAN_WIDTH
 
 Array = npt.NDArray[np.float64]
 Amplitude = Callable[[Array, Array], Array]

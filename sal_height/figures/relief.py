@@ -13,27 +13,32 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import j1, jv
 
-from sal_height.beams.pattern import GAUSSIAN_WIDTH, pattern_named
-from sal_height.elevation.monopulse.estimators import (
+from sal_height.beams import GAUSSIAN_WIDTH, pattern_named
+from sal_height.elevation import (
     Estimator,
+    discriminant,
     discriminate,
     discriminator_variance,
     products,
     ratio,
     total_least_squares,
 )
-from sal_height.elevation.monopulse.inversion import discriminant
 from sal_height.figures.curve import Curve, Figure, exact_curve
 from sal_height.figures.noise import BLOCK, circular
 from sal_height.figures.patterns import FROM_PUPIL
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, std
 from sal_height.figures.unit_arrays import array_of
-from sal_height.geometry.earth import EARTH_RADIUS, height_of
-from sal_height.geometry.frames import ApertureState
-from sal_height.geometry.locate import locate
-from sal_height.numeric.jit import WORKERS
-from sal_height.theory.discriminator_noise import SteadyLaw, SteadyMlLaw, steady_looks_mean, steady_mean
-from sal_height.theory.sum_difference import crossover_slope, hybrid_gain, synthesise
+from sal_height.geometry import EARTH_RADIUS, ApertureState, height_of, locate_at_elevation
+from sal_height.numeric import WORKERS
+from sal_height.theory import (
+    SteadyLaw,
+    SteadyMlLaw,
+    crossover_slope,
+    hybrid_gain,
+    steady_looks_mean,
+    steady_mean,
+    synthesise,
+)
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -145,7 +150,9 @@ def relief_geometry() -> Iterator[Curve]:
 def _seen(theta: Array, slant_range: Array) -> Array:
     """Points in the map that a level platform sees there, to the right and abeam."""
     position, velocity = np.array([0.0, 0.0, PLATFORM_HEIGHT]), np.array([1.0, 0.0, 0.0])
-    return locate(theta, slant_range, 0.0, ApertureState(position, velocity, np.eye(3), 1.0, np.zeros((6, 6))), 1)
+    return locate_at_elevation(
+        theta, slant_range, 0.0, ApertureState(position, velocity, np.eye(3), 1.0, np.zeros((6, 6))), 1
+    )
 
 
 def _flat(theta: Array, slant_range: Array) -> Array:

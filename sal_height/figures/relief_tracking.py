@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.elevation.monopulse.estimators import discriminator_variance
+from sal_height.elevation import discriminator_variance
 from sal_height.figures.curve import Curve
 from sal_height.figures.sample_statistics import Measured
-from sal_height.relief.range_tracking import ReliefPrior, TrackedRelief, filtered, smoothed, steady_sigmas
+from sal_height.relief import ReliefPrior, TrackedRelief, filtered, smoothed, steady_sigmas
 
 Array = npt.NDArray[np.float64]
 Track = Callable[[Array, Array, float, ReliefPrior, float], TrackedRelief]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.theory.discriminator_noise import NORMAL_SHARES
+from sal_height.theory import NORMAL_SHARES
 
 Array = npt.NDArray[np.float64]
 

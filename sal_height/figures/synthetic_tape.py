@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from sal_height.numeric.fft import frequencies
-from sal_height.simulation.impairments import RangeSawtooth, RangeTaper
+from sal_height.numeric import frequencies
+from sal_height.simulation import RangeSawtooth, RangeTaper
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

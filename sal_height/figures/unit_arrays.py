@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.beams.array import Beams
-from sal_height.beams.pattern import Pattern
+from sal_height.beams import Beams, Pattern
 
 
 def array_of(patterns: tuple[Pattern, ...], detectors: int, pitch: float, rotation: float = 0.0) -> Beams:

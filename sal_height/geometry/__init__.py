@@ -1,1 +1,32 @@
-"""geometry."""
+"""Where things are: axes, the earth, pixel grids, and the platform's track.
+
+Read `frames` first (body and map axes, the state of the platform in mid-aperture, elevation and squint), then `earth`
+(heights above the sphere), `grid` (pixels of an image), `locate` (range and Doppler to a place on the ground) and
+`trajectory` (odometry to positions at each pulse). Angles are in rad, lengths in m, times in s.
+"""
+
+from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
+from sal_height.geometry.frames import ApertureState, angles_of, aperture_at, look_direction, squint_on_cone
+from sal_height.geometry.grid import Grid, pixels_at, without_range_phase
+from sal_height.geometry.locate import locate_at_elevation, locate_at_height
+from sal_height.geometry.trajectory import PlatformState, Trajectory
+
+__all__ = [
+    "EARTH_RADIUS",
+    "ApertureState",
+    "Grid",
+    "PlatformState",
+    "Trajectory",
+    "above_place",
+    "angles_of",
+    "aperture_at",
+    "height_of",
+    "locate_at_elevation",
+    "locate_at_height",
+    "look_direction",
+    "pixels_at",
+    "sphere_coordinates",
+    "sphere_point",
+    "squint_on_cone",
+    "without_range_phase",
+]

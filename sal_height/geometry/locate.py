@@ -11,7 +11,7 @@ from sal_height.geometry.frames import ApertureState, look_direction, squint_on_
 Array = npt.NDArray[np.float64]
 
 
-def locate(
+def locate_at_elevation(
     elevation: npt.ArrayLike, slant_range: npt.ArrayLike, along: npt.ArrayLike, aperture: ApertureState, look_side: int
 ) -> Array:
     """Map position (m) of the target at `elevation` (rad) on the circle that a pixel's range and Doppler leave.
@@ -40,8 +40,8 @@ def locate_at_height(
     from the earth's centre, |e + s| = EARTH_RADIUS + height. That fixes its component along what of e is square to the
     flight; of the two points left, one lies on the look side of the vertical plane through the flight.
 
-    Arguments and result are those of `locate`, with the height in place of the elevation; NaN where the circle has no
-    such point.
+    Arguments and result are those of `locate_at_elevation`, with the height in place of the elevation; NaN where the
+    circle has no such point.
     """
     height, slant_range, along = (np.asarray(value, dtype=np.float64) for value in (height, slant_range, along))
     platform = height_of(aperture.position)

@@ -1,1 +1,26 @@
-"""imaging."""
+"""Image formation: from the phase history of a dwell or strip to single-look complex images of all detectors.
+
+Read `focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixels` (image grids and their noise),
+`weighting` (spectral windows), `checks` (dwells that alias are refused), `formers` (backprojection and the fast ones),
+`autofocus` (phase errors common to all detectors), `strip` (blocks that join) and `beams` (patterns in strip images).
+"""
+
+from sal_height.imaging.beams import image_beams
+from sal_height.imaging.focus import Settings, Slc, StripFocuser, focus_dwell
+from sal_height.imaging.formers.backprojection import backproject
+from sal_height.imaging.formers.choice import FORMERS, Former
+from sal_height.imaging.pixels import azimuth_resolution
+from sal_height.imaging.weighting import Processing
+
+__all__ = [
+    "FORMERS",
+    "Former",
+    "Processing",
+    "Settings",
+    "Slc",
+    "StripFocuser",
+    "azimuth_resolution",
+    "backproject",
+    "focus_dwell",
+    "image_beams",
+]

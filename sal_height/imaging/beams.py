@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 from sal_height.imaging.weighting import Processing
-from sal_height.sensor.sensor import Sensor
-from sal_height.sensor.stripmap import processed_angle
+from sal_height.sensor import Sensor, processed_angle
 
 ASPECTS = 8
 """Directions, of the Gauss-Legendre rule, in which beams are averaged over the processed angle."""

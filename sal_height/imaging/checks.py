@@ -6,11 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import Rejected
-from sal_height.geometry.frames import ApertureState
-from sal_height.geometry.grid import Grid
+from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging.pixels import aim_point
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor import PhaseHistory, Sensor
 
 Array = npt.NDArray[np.float64]
 

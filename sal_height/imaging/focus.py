@@ -8,9 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry.frames import ApertureState
-from sal_height.geometry.grid import Grid
-from sal_height.geometry.trajectory import Trajectory
+from sal_height.geometry import ApertureState, Grid, Trajectory
 from sal_height.imaging.autofocus.gradient import Focus, apply_phase, autofocus, patch_centres
 from sal_height.imaging.checks import check_doppler_centroid, check_pulses, check_range_window
 from sal_height.imaging.formers.choice import choose_former
@@ -33,10 +31,8 @@ from sal_height.imaging.strip import (
     turn,
 )
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric.windows import broadening
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
-from sal_height.sensor.stripmap import aperture_length, processed_angle
+from sal_height.numeric import broadening
+from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
 
 Array = npt.NDArray[np.float64]
 

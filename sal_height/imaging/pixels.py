@@ -6,11 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
-from sal_height.geometry.frames import ApertureState, look_direction
-from sal_height.geometry.grid import Grid
+from sal_height.geometry import ApertureState, Grid, look_direction
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric.windows import noise_gain
-from sal_height.sensor.sensor import Sensor
+from sal_height.numeric import noise_gain
+from sal_height.sensor import Sensor
 
 Array = npt.NDArray[np.float64]
 

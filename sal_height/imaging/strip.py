@@ -11,14 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import Rejected
-from sal_height.geometry.frames import ApertureState, look_direction
-from sal_height.geometry.grid import Grid
+from sal_height.geometry import ApertureState, Grid, look_direction
 from sal_height.imaging.formers.backprojection import filled_apertures
 from sal_height.imaging.pixels import strip_grid
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric.windows import broadening
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.numeric import broadening
+from sal_height.sensor import PhaseHistory, Sensor
 
 Array = npt.NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric.windows import window
+from sal_height.numeric import window
 
 Array = npt.NDArray[np.float64]
 

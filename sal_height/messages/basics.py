@@ -13,9 +13,8 @@ from sal_height_msgs import msg as messages
 from scipy.spatial.transform import Rotation
 
 from sal_height.errors import Rejected
-from sal_height.geometry.frames import ApertureState
-from sal_height.geometry.grid import Grid
-from sal_height.sensor.sensor import Sensor
+from sal_height.geometry import ApertureState, Grid
+from sal_height.sensor import Sensor
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]

@@ -9,7 +9,7 @@ from builtin_interfaces.msg import Time
 from sal_height_msgs import msg as messages
 from std_msgs.msg import Header
 
-from sal_height.calibration.calibration import Calibration
+from sal_height.calibration import Calibration
 from sal_height.errors import UserError
 from sal_height.messages.basics import BODY_FRAME
 

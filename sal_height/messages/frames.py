@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
-from sal_height.geometry.trajectory import PlatformState
+from sal_height.geometry import PlatformState
 from sal_height.messages.basics import (
     BODY_FRAME,
     MAP_FRAME,
@@ -25,8 +25,7 @@ from sal_height.messages.basics import (
     vector_of,
     xyz,
 )
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor import PhaseHistory, Sensor
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]

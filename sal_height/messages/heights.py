@@ -11,10 +11,9 @@ from sal_height_msgs import msg as messages
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from sal_height.elevation.estimate import Validity
+from sal_height.elevation import Validity
 from sal_height.errors import Rejected
-from sal_height.geometry.earth import EARTH_RADIUS, above_place
-from sal_height.geometry.frames import ApertureState
+from sal_height.geometry import EARTH_RADIUS, ApertureState, above_place
 from sal_height.messages.basics import (
     MAP_FRAME,
     aperture_to_message,
@@ -25,7 +24,7 @@ from sal_height.messages.basics import (
     to_bytes,
     to_floats,
 )
-from sal_height.relief.heights import HeightField, Surface
+from sal_height.relief import HeightField, Surface
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]

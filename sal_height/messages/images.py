@@ -10,9 +10,8 @@ from sal_height_msgs import msg as messages
 from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
-from sal_height.geometry.frames import ApertureState
-from sal_height.geometry.grid import Grid
-from sal_height.imaging.focus import Slc
+from sal_height.geometry import ApertureState, Grid
+from sal_height.imaging import Slc
 from sal_height.messages.basics import (
     MAP_FRAME,
     aperture_from_message,
@@ -24,7 +23,7 @@ from sal_height.messages.basics import (
     grid_to_message,
     to_floats,
 )
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor import Sensor
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]

@@ -8,10 +8,10 @@ import numpy as np
 from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
 from sensor_msgs.msg import Image, PointCloud2
 
-from sal_height.geometry.earth import EARTH_RADIUS, sphere_point
+from sal_height.geometry import EARTH_RADIUS, sphere_point
 from sal_height.messages.basics import to_floats
 from sal_height.messages.heights import float_picture, point_cloud
-from sal_height.relief.map import Relief
+from sal_height.relief import Relief
 
 
 def relief_to_message(relief: Relief, images: int, last: HeightImage, provenance: Provenance) -> ReliefMap:

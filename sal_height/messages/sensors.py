@@ -10,12 +10,12 @@ from builtin_interfaces.msg import Time
 from sal_height_msgs import msg as messages
 from std_msgs.msg import Header
 
-from sal_height.beams.table import BeamTable
+from sal_height.beams import BeamTable
 from sal_height.errors import UserError
 from sal_height.messages.basics import (
     BODY_FRAME,
 )
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor import Sensor
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]

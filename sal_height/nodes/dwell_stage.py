@@ -14,7 +14,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.nodes.dwell import Dwell, DwellAssembler
 from sal_height.nodes.parameters import declare_parameters, read_parameters
 from sal_height.nodes.stage import LATCHED_QOS, Stage
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor import Sensor
 
 HELD_DWELLS = 8
 """Unfinished dwells held before the oldest is dropped."""

@@ -13,22 +13,28 @@ from sal_height_msgs.msg import ComplexImage, HeightImage
 from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
-from sal_height.beams.array import Beams, column_squint
-from sal_height.calibration.calibration import Calibration
-from sal_height.elevation.estimate import ElevationEstimate, without_saturated
-from sal_height.elevation.looks import LOOK_WINDOWS, Looks, Window, live_detectors, look_grid, windowed_looks
-from sal_height.elevation.monopulse.inversion import moving_squint
+from sal_height.beams import Beams, column_squint
+from sal_height.calibration import Calibration
+from sal_height.elevation import (
+    LOOK_WINDOWS,
+    ElevationEstimate,
+    Looks,
+    Window,
+    live_detectors,
+    look_grid,
+    moving_squint,
+    windowed_looks,
+    without_saturated,
+)
 from sal_height.errors import Rejected, UserError
-from sal_height.imaging.beams import image_beams
+from sal_height.imaging import image_beams
 from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import derived, parameter, recorded
 from sal_height.nodes.stage import LATCHED_QOS
-from sal_height.numeric.windows import WINDOWS
-from sal_height.relief.heights import height_field
-from sal_height.sensor.channels import Channels, whitened_channels, with_powers
-from sal_height.sensor.receivers import MAX_SHARE
-from sal_height.sensor.sensor import Sensor
+from sal_height.numeric import WINDOWS
+from sal_height.relief import height_field
+from sal_height.sensor import MAX_SHARE, Channels, Sensor, whitened_channels, with_powers
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

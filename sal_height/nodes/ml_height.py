@@ -8,12 +8,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
-from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.layover import resolve_layover
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import Looks
-from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH, prior_elevation
+from sal_height.beams import Beams
+from sal_height.elevation import (
+    OBJECTIVES,
+    RECOMMENDED_STRENGTH,
+    ElevationEstimate,
+    Looks,
+    ml_elevation,
+    prior_elevation,
+    resolve_layover,
+)
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node

@@ -8,11 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
-from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.looks import Looks
-from sal_height.elevation.monopulse.estimators import DISCRIMINANTS
-from sal_height.elevation.monopulse.pairs import monopulse_elevation
+from sal_height.beams import Beams
+from sal_height.elevation import DISCRIMINANTS, ElevationEstimate, Looks, monopulse_elevation
 from sal_height.errors import Rejected
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
 from sal_height.nodes.parameters import parameter

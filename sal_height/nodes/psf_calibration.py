@@ -15,18 +15,15 @@ from rclpy._rclpy_pybind11 import RCLError
 from sal_height_msgs.msg import Calibration, ComplexImage
 
 from sal_height import messages
-from sal_height.calibration.accumulate import Calibrator
-from sal_height.calibration.calibration import save_calibration
+from sal_height.calibration import Calibrator, save_calibration
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry.earth import sphere_point
+from sal_height.geometry import sphere_point
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS
-from sal_height.sensor.receivers import MAX_SHARE
-from sal_height.sensor.sensor import Sensor
-from sal_height.sensor.waveform import spectrum_sensor
+from sal_height.sensor import MAX_SHARE, Sensor, spectrum_sensor
 
 MOST_DWELLS = 1024
 """That a calibration may be made of: 130 MB of pixels from 16 detectors."""

@@ -19,8 +19,8 @@ from sal_height.errors import Rejected, UserError
 from sal_height.nodes.parameters import declare_parameters, derived, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, Stage
+from sal_height.relief import check_geotiff, write_geotiff
 from sal_height.relief import map as relief_map
-from sal_height.relief.geotiff import check_geotiff, write_geotiff
 
 LAST_WORDS_S = 2.0
 """How long the end waits for subscribers to have the last map."""

@@ -13,8 +13,7 @@ from sal_height import messages
 from sal_height.nodes.parameters import declare_parameters, derived, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import Stage
-from sal_height.relief.range_tracking import GATE, ReliefPrior
-from sal_height.relief.tracked import track
+from sal_height.relief import GATE, ReliefPrior, track
 
 PREFIX = "tracked"
 """Of the topics, and HeightImage.estimator."""

@@ -15,21 +15,17 @@ from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ComplexImage, DetectorFrame, Provenance
 
 from sal_height import __version__, messages
-from sal_height.calibration.calibration import Calibration, load_calibration
+from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry.trajectory import PlatformState, Trajectory
-from sal_height.imaging.focus import Settings, Slc, StripFocuser, focus_dwell
-from sal_height.imaging.formers.choice import FORMERS
+from sal_height.geometry import PlatformState, Trajectory
+from sal_height.imaging import FORMERS, Settings, Slc, StripFocuser, focus_dwell
 from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import as_json, parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
-from sal_height.numeric.windows import WINDOWS
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.receivers import saturated_shares
-from sal_height.sensor.sensor import Sensor
-from sal_height.sensor.waveform import range_compressed
+from sal_height.numeric import WINDOWS
+from sal_height.sensor import PhaseHistory, Sensor, range_compressed, saturated_shares
 
 Array = npt.NDArray[np.float64]
 

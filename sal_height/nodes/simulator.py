@@ -13,8 +13,7 @@ from sal_height import messages
 from sal_height.nodes.parameters import declare_parameters, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, Stage
-from sal_height.simulation.flight import flight_of
-from sal_height.simulation.preset import load_preset
+from sal_height.simulation import flight_of, load_preset
 
 
 @dataclass(frozen=True)

@@ -9,18 +9,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
-from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.looks import Looks
-from sal_height.elevation.monopulse.estimators import DISCRIMINANTS
-from sal_height.elevation.monopulse.inversion import INVERSES
-from sal_height.elevation.monopulse.slope_table import read_slope_table
-from sal_height.elevation.monopulse.sum_difference import Discriminator, sum_difference_elevation
+from sal_height.beams import Beams
+from sal_height.elevation import (
+    DISCRIMINANTS,
+    INVERSES,
+    Discriminator,
+    ElevationEstimate,
+    Looks,
+    read_slope_table,
+    sum_difference_elevation,
+)
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
-from sal_height.sensor.channels import Channels, sum_difference_channels
+from sal_height.sensor import Channels, sum_difference_channels
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

@@ -1,1 +1,40 @@
-"""numeric."""
+"""Numerics without physics: what NumPy and SciPy lack, and how kernels are compiled.
+
+Read `jit` first (how kernels are compiled and spread over threads), then `windows` (spectral weights), `phasors`
+(exp(j phase) with the phase reduced in float64), `chirp_z` and `fft` (transforms of many rows) and `range_profiles`
+(interpolation of band-limited profiles). Nothing here knows of sensors or images.
+"""
+
+from sal_height.numeric.chirp_z import ChirpZ, apply_chirp_z
+from sal_height.numeric.fft import Rows, blocks, fast_length, frequencies, rows_at_once
+from sal_height.numeric.jit import WORKERS, compiled, in_parallel, inlined
+from sal_height.numeric.phasors import cosine_and_sine, distance_phasors, outer_phasors, unit_phasors
+from sal_height.numeric.range_profiles import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
+from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, window
+
+__all__ = [
+    "OVERSAMPLING",
+    "TAPS",
+    "WINDOWS",
+    "WORKERS",
+    "ChirpZ",
+    "Rows",
+    "apply_chirp_z",
+    "blocks",
+    "broadening",
+    "compiled",
+    "cosine_and_sine",
+    "dense_profiles",
+    "distance_phasors",
+    "fast_length",
+    "frequencies",
+    "in_parallel",
+    "inlined",
+    "noise_gain",
+    "outer_phasors",
+    "rows_at_once",
+    "tap_polynomials",
+    "tap_weights",
+    "unit_phasors",
+    "window",
+]

@@ -39,7 +39,7 @@ class ChirpZ:
         return int(self.spectrum.shape[-1])
 
 
-def chirp_z(steps: Array, inputs: int, n0: float, outputs: int, m0: float) -> ChirpZ:
+def apply_chirp_z(steps: Array, inputs: int, n0: float, outputs: int, m0: float) -> ChirpZ:
     """Factors for transforms of `inputs` numbers, indices counted from `n0`, to `outputs`, counted from `m0`.
 
     Args:

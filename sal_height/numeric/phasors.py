@@ -17,7 +17,7 @@ SMALL = 2**15
 """Numbers that are not worth a thread."""
 
 
-def phasors(phase: Array) -> ComplexArray:
+def unit_phasors(phase: Array) -> ComplexArray:
     """exp(j phase), complex64 and of the shape of `phase` (rad); the error is less than 1e-6."""
     result = np.empty(phase.shape, dtype=np.complex64)
     flat, numbers = np.ascontiguousarray(phase).reshape(-1), result.reshape(-1).view(np.float32)
@@ -26,7 +26,7 @@ def phasors(phase: Array) -> ComplexArray:
 
 
 def outer_phasors(rows: Array, cols: Array) -> ComplexArray:
-    """exp(j rows[i] cols[j]) as of `phasors`, complex64, shape (rows, cols); the phases are held nowhere."""
+    """exp(j rows[i] cols[j]) as of `unit_phasors`, complex64, shape (rows, cols); the phases are held nowhere."""
     result = np.empty((rows.size, cols.size), dtype=np.complex64)
     numbers = result.view(np.float32)
     in_parallel(lambda part: _fill_outer(rows[part], cols, numbers[part]), rows.size, max(1, SMALL // cols.size))
@@ -34,7 +34,7 @@ def outer_phasors(rows: Array, cols: Array) -> ComplexArray:
 
 
 def distance_phasors(wavenumber: float, points: Array, positions: Array, references: Array) -> ComplexArray:
-    """exp(j wavenumber (|points[i] - positions[j]| - references[j])) as of `phasors`.
+    """exp(j wavenumber (|points[i] - positions[j]| - references[j])) as of `unit_phasors`.
 
     Args:
         wavenumber: rad/m.

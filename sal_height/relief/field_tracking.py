@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric.jit import in_parallel
+from sal_height.numeric import in_parallel
 from sal_height.relief.range_tracking import (
     GATE,
     Heights,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sal_height.errors import UserError
-from sal_height.geometry.earth import EARTH_RADIUS
+from sal_height.geometry import EARTH_RADIUS
 from sal_height.io import writing
 from sal_height.relief.map import Relief
 

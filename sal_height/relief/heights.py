@@ -7,12 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.looks import Looks
-from sal_height.geometry.earth import EARTH_RADIUS, height_of
-from sal_height.geometry.frames import ApertureState, angles_of, aperture_at, look_direction
-from sal_height.geometry.grid import Grid
-from sal_height.geometry.locate import locate
+from sal_height.elevation import ElevationEstimate, Looks, Validity
+from sal_height.geometry import (
+    EARTH_RADIUS,
+    ApertureState,
+    Grid,
+    angles_of,
+    aperture_at,
+    height_of,
+    locate_at_elevation,
+    look_direction,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -91,7 +96,7 @@ class _Circles:
         return Surface(height, np.sqrt(variance), cnr_db, positions)
 
     def _at(self, elevation: Array, farther: float = 0.0) -> Array:
-        return locate(elevation, self.slant_range + farther, self.along, self.aperture, self.look_side)
+        return locate_at_elevation(elevation, self.slant_range + farther, self.along, self.aperture, self.look_side)
 
 
 def height_field(
@@ -192,6 +197,7 @@ def shared_variance(positions: Array, aperture: ApertureState) -> Array:
     slant_range, elevation, _ = angles_of(positions, aperture, RIGHT)
     circles = slant_range, sight @ aperture.direction
     below, above = (
-        height_of(locate(elevation + step, *circles, aperture, RIGHT)) for step in (-SLOPE_STEP, SLOPE_STEP)
+        height_of(locate_at_elevation(elevation + step, *circles, aperture, RIGHT))
+        for step in (-SLOPE_STEP, SLOPE_STEP)
     )
     return pose_variance(elevation, (above - below) / (2 * SLOPE_STEP), positions, aperture, RIGHT)

@@ -21,9 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import Rejected
-from sal_height.geometry.earth import height_of, sphere_coordinates, sphere_point
-from sal_height.geometry.frames import ApertureState
-from sal_height.geometry.grid import Grid
+from sal_height.geometry import ApertureState, Grid, height_of, sphere_coordinates, sphere_point
 from sal_height.relief.heights import Surface, shared_variance
 
 Array = npt.NDArray[np.float64]

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from sal_height.errors import UserError
-from sal_height.numeric.jit import compiled, in_parallel
+from sal_height.numeric import compiled, in_parallel
 
 Array = npt.NDArray[np.float64]
 Heights = npt.NDArray[np.floating[Any]]

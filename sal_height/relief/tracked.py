@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.elevation.estimate import Validity
-from sal_height.geometry.frames import ApertureState
-from sal_height.geometry.grid import Grid
-from sal_height.geometry.locate import locate_at_height
+from sal_height.elevation import Validity
+from sal_height.geometry import ApertureState, Grid, locate_at_height
 from sal_height.relief.field_tracking import estimated_field_prior, smoothed_field
 from sal_height.relief.heights import HeightField, Surface, shared_variance
 from sal_height.relief.range_tracking import ReliefPrior, TrackedRelief, estimated_prior, smoothed

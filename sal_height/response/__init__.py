@@ -1,1 +1,75 @@
-"""response."""
+"""The response of an imaging system, measured on its images: point targets, speckle, and both compared.
+
+Read `impulse` first (width, PSLR and ISLR of a point), then `point_targets` (finding them), `transfer_function` and
+`point_spread` (what they say together), `speckle_tiles` and `speckle_spectra` (the same from pure speckle), `linearity`
+(whether both agree, as only a linear system's do) and `report` (all of it for the images of one detector).
+"""
+
+from sal_height.response.impulse import (
+    OVERSAMPLING,
+    REACH,
+    Chip,
+    CutResponse,
+    ImpulseResponse,
+    chip_around,
+    measure_brightest,
+    measure_windows,
+)
+from sal_height.response.linearity import depth_and_pedestal, superposition
+from sal_height.response.point_spread import FINENESS, PointSpread, Sidelobe, cut_through, estimate_point_spread
+from sal_height.response.point_targets import CHIP, LEAST_OVER_CLUTTER_DB, PointTarget, chip_at, find_targets
+from sal_height.response.report import LONG_CHIPS, ImagePointing, PsfReport, pointing_of_images, report_on
+from sal_height.response.speckle_spectra import (
+    AxisSpectrum,
+    SpeckleSpectra,
+    estimate_speckle_spectra,
+    mean_modulus,
+    periodogram_covariance,
+)
+from sal_height.response.speckle_tiles import find_pure_speckle
+from sal_height.response.transfer_function import (
+    FLOOR,
+    TransferFunction,
+    estimate_transfer_function,
+    masked_transfer_function,
+    without_clutter,
+)
+
+__all__ = [
+    "CHIP",
+    "FINENESS",
+    "FLOOR",
+    "LEAST_OVER_CLUTTER_DB",
+    "LONG_CHIPS",
+    "OVERSAMPLING",
+    "REACH",
+    "AxisSpectrum",
+    "Chip",
+    "CutResponse",
+    "ImagePointing",
+    "ImpulseResponse",
+    "PointSpread",
+    "PointTarget",
+    "PsfReport",
+    "Sidelobe",
+    "SpeckleSpectra",
+    "TransferFunction",
+    "chip_around",
+    "chip_at",
+    "cut_through",
+    "depth_and_pedestal",
+    "estimate_point_spread",
+    "estimate_speckle_spectra",
+    "estimate_transfer_function",
+    "find_pure_speckle",
+    "find_targets",
+    "masked_transfer_function",
+    "mean_modulus",
+    "measure_brightest",
+    "measure_windows",
+    "periodogram_covariance",
+    "pointing_of_images",
+    "report_on",
+    "superposition",
+    "without_clutter",
+]

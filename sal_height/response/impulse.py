@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.special import entr
 
 from sal_height.errors import UserError
-from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, window
+from sal_height.numeric import WINDOWS, broadening, noise_gain, window
 
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

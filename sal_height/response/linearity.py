@@ -26,7 +26,7 @@ from scipy.linalg import toeplitz
 from scipy.special import chdtrc
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.numeric.fft import frequencies
+from sal_height.numeric import frequencies
 from sal_height.response.speckle_spectra import SpeckleSpectra, cross_spectrum, fejer_power
 
 Array = npt.NDArray[np.float64]

@@ -62,7 +62,7 @@ class PointSpread:
     azimuth_sidelobes: tuple[Sidelobe, ...]
 
 
-def point_spread(transfer: TransferFunction) -> PointSpread:
+def estimate_point_spread(transfer: TransferFunction) -> PointSpread:
     """The point-spread function of a system with that transfer function, and its figures."""
     down = cut_through(transfer.range_response, FINENESS)
     across = cut_through(transfer.azimuth_response, FINENESS)

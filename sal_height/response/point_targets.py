@@ -17,7 +17,7 @@ import scipy.fft
 from scipy.ndimage import maximum_filter, median_filter
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.numeric.jit import compiled, in_parallel
+from sal_height.numeric import compiled, in_parallel
 from sal_height.response.impulse import chip_around
 
 Array = npt.NDArray[np.float64]

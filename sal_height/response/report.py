@@ -15,9 +15,9 @@ import numpy.typing as npt
 
 from sal_height.errors import NotDetermined, UserError
 from sal_height.response.linearity import Superposition, superposition
-from sal_height.response.point_spread import PointSpread, point_spread
+from sal_height.response.point_spread import PointSpread, estimate_point_spread
 from sal_height.response.point_targets import CHIP, PointTarget, TargetSurvey, find_targets
-from sal_height.response.speckle_spectra import SpeckleSpectra, speckle_spectra
+from sal_height.response.speckle_spectra import SpeckleSpectra, estimate_speckle_spectra
 from sal_height.response.speckle_tiles import REASONS, TILE, SpeckleTiles, find_pure_speckle
 from sal_height.response.transfer_function import TransferFunction, estimate_transfer_function
 
@@ -107,7 +107,7 @@ def report_on(images: Sequence[ComplexImage], chip: tuple[int, int] | None = Non
     transfer = _part("targets", reasons, lambda: estimate_transfer_function(_pooled(surveys).require()))
     mosaic = side_by_side(images, tile[1])
     tiles = _part("speckle", reasons, lambda: find_pure_speckle(mosaic, tile))
-    spectra = speckle_spectra(mosaic, tiles) if tiles else None
+    spectra = estimate_speckle_spectra(mosaic, tiles) if tiles else None
     if not (spectra and spectra.pointing):
         reasons["pointing"] = _why_no_pointing(spectra)
     linearity, length = None, 0
@@ -121,7 +121,7 @@ def report_on(images: Sequence[ComplexImage], chip: tuple[int, int] | None = Non
             "Whether the system is linear is told by targets and speckle together; needed is also the response "
             f"of {missing}."
         )
-    spread = point_spread(transfer) if transfer else None
+    spread = estimate_point_spread(transfer) if transfer else None
     return PsfReport(chip, surveys, transfer, spread, tiles, spectra, linearity, length, reasons)
 
 
@@ -198,7 +198,7 @@ def _compared(
         targets = _pooled([find_targets(image, (length, cols)) for image in images]).targets
         if targets and length >= least:
             transfer = estimate_transfer_function(targets)
-            spectra = speckle_spectra(mosaic, tiles)
+            spectra = estimate_speckle_spectra(mosaic, tiles)
             return superposition(transfer.range_response, transfer.range_sigma, spectra), length
     raise NotDetermined(
         f"No target is alone in a chip of {least} x {cols} pixels, as long as a sub-image of speckle; needed is one "

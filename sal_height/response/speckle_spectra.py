@@ -25,8 +25,7 @@ import numpy.typing as npt
 import scipy.fft
 from scipy.linalg import toeplitz
 
-from sal_height.numeric.fft import blocks, frequencies
-from sal_height.numeric.jit import compiled, in_parallel
+from sal_height.numeric import blocks, compiled, frequencies, in_parallel
 from sal_height.response.speckle_tiles import SpeckleTiles, checked_image, sum_of_powers
 
 Array = npt.NDArray[np.float64]
@@ -150,7 +149,7 @@ class SpeckleSpectra:
         return max(0.0, min(floors))
 
 
-def speckle_spectra(image: ComplexImage, tiles: SpeckleTiles) -> SpeckleSpectra:
+def estimate_speckle_spectra(image: ComplexImage, tiles: SpeckleTiles) -> SpeckleSpectra:
     """Spectra of the tiles of pure speckle, each over its own brightness.
 
     Args:

@@ -23,7 +23,7 @@ import scipy.fft
 from scipy.special import chdtrc, gammainc, gammaincc
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.numeric.jit import WORKERS, compiled, in_parallel
+from sal_height.numeric import WORKERS, compiled, in_parallel
 
 Array = npt.NDArray[np.float64]
 ComplexImage = npt.NDArray[np.complex64]

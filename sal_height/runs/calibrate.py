@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sal_height.bag.reader import BagReader
-from sal_height.calibration.calibration import Calibration, load_calibration
+from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import UserError
 from sal_height.io import new_folder, writing
 from sal_height.nodes.psf_calibration import MOST_DWELLS

@@ -30,8 +30,7 @@ from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.nodes.sar_compression import HEARD, SarCompression
 from sal_height.nodes.simulator import Simulator
 from sal_height.nodes.sum_difference_height import SumDifferenceHeight
-from sal_height.sensor.channels import sum_difference_channels, whitened_channels
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor import Sensor, sum_difference_channels, whitened_channels
 
 NODES: dict[str, Any] = {
     "simulator": Simulator,

@@ -17,10 +17,9 @@ from scipy.spatial.transform import Rotation
 from sal_height import messages
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
-from sal_height.geometry.trajectory import PlatformState
+from sal_height.geometry import PlatformState
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor import PhaseHistory, Sensor
 
 Array = npt.NDArray[np.float64]
 

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.geometry.grid import Grid, without_range_phase
-from sal_height.sensor.sensor import Sensor
+from sal_height.geometry import Grid, without_range_phase
+from sal_height.sensor import Sensor
 
 ComplexArray = npt.NDArray[np.complexfloating]
 

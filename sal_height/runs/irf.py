@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from sal_height.errors import UserError
 from sal_height.io import new_folder, write_text, writing
-from sal_height.response.impulse import CutResponse, ImpulseResponse, chip_around, measure_brightest, measure_windows
+from sal_height.response import CutResponse, ImpulseResponse, chip_around, measure_brightest, measure_windows
 from sal_height.runs.images import AXES, Image, image_name, images_of
 from sal_height.runs.picture import Target, draw_responses
 from sal_height.runs.report import or_null

@@ -13,12 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from sal_height.calibration.calibration import Calibration
-from sal_height.geometry.grid import Grid
-from sal_height.response.impulse import OVERSAMPLING, REACH, Chip, CutResponse, ImpulseResponse
+from sal_height.calibration import Calibration
+from sal_height.geometry import Grid
+from sal_height.response import OVERSAMPLING, REACH, Chip, CutResponse, ImpulseResponse
 from sal_height.runs.report import Mosaic
-from sal_height.simulation.preset import Preset
-from sal_height.simulation.scene import Scene
+from sal_height.simulation import Preset, Scene
 
 mpl.use("Agg")
 

@@ -11,9 +11,9 @@ from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.geometry.earth import sphere_coordinates
-from sal_height.relief.heights import Surface
-from sal_height.simulation.scene import Scene
+from sal_height.geometry import sphere_coordinates
+from sal_height.relief import Surface
+from sal_height.simulation import Scene
 
 Array = npt.NDArray[np.float64]
 

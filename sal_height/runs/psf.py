@@ -12,11 +12,17 @@ from tqdm import tqdm
 
 from sal_height.errors import UserError
 from sal_height.io import new_folder, write_text, writing
-from sal_height.numeric.fft import frequencies
-from sal_height.response.impulse import CutResponse
-from sal_height.response.point_spread import Sidelobe
-from sal_height.response.report import LONG_CHIPS, ImagePointing, PsfReport, pointing_of_images, report_on
-from sal_height.response.transfer_function import without_clutter
+from sal_height.numeric import frequencies
+from sal_height.response import (
+    LONG_CHIPS,
+    CutResponse,
+    ImagePointing,
+    PsfReport,
+    Sidelobe,
+    pointing_of_images,
+    report_on,
+    without_clutter,
+)
 from sal_height.runs.images import AXES, Image, images_of
 from sal_height.runs.psf_picture import draw_psf
 from sal_height.runs.report import or_null

@@ -12,12 +12,16 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sal_height.numeric.fft import frequencies
-from sal_height.response.point_spread import FINENESS, PointSpread
-from sal_height.response.point_targets import PointTarget
-from sal_height.response.report import ImagePointing, PsfReport
-from sal_height.response.speckle_spectra import AxisSpectrum
-from sal_height.response.transfer_function import estimate_transfer_function
+from sal_height.numeric import frequencies
+from sal_height.response import (
+    FINENESS,
+    AxisSpectrum,
+    ImagePointing,
+    PointSpread,
+    PointTarget,
+    PsfReport,
+    estimate_transfer_function,
+)
 
 mpl.use("Agg")
 

@@ -13,14 +13,14 @@ from sal_height.bag.compare import HeightComparison, compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.io import new_folder, writing
-from sal_height.response.impulse import measure_brightest
+from sal_height.response import measure_brightest
 from sal_height.runs.conductor import Outcome, perform
 from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, recorded_topics, suited
 from sal_height.runs.images import recorded_slc
 from sal_height.runs.picture import draw_image
 from sal_height.runs.report import or_null
 from sal_height.runs.simulate import conclude, merged, reporting
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor import Sensor
 
 
 def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, dict[str, HeightComparison]]:

@@ -11,15 +11,13 @@ import numpy.typing as npt
 from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
-from sal_height.beams.array import column_squint
-from sal_height.geometry.earth import sphere_coordinates
-from sal_height.imaging.pixels import azimuth_resolution
+from sal_height.beams import column_squint
+from sal_height.geometry import sphere_coordinates
+from sal_height.imaging import azimuth_resolution
 from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.relief_tracker import PREFIX
-from sal_height.simulation.flight import SimulatedFlight
-from sal_height.simulation.scene import VisibleSurface
-from sal_height.simulation.truth import truth_image
-from sal_height.theory.height_bound import height_bound
+from sal_height.simulation import SimulatedFlight, VisibleSurface, truth_image
+from sal_height.theory import height_crb
 
 Array = npt.NDArray[np.float64]
 
@@ -195,7 +193,7 @@ def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface
     truth = truth_image(surface, aperture, grid, cell, beams)
     squint = column_squint(grid, aperture, sensor.beams, sensor.look_side)
     slope = np.full(grid.shape, track.slant_range_m * np.sin(track.look_angle_rad))
-    bound = height_bound(truth, 10 ** (flight.preset.cnr_db / 10), 2, beams, squint, slope)
+    bound = height_crb(truth, 10 ** (flight.preset.cnr_db / 10), 2, beams, squint, slope)
 
     height, sigma, east, north = (
         messages.float_view(values, grid.shape).astype(np.float64)

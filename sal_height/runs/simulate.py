@@ -29,8 +29,7 @@ from sal_height.runs.ensemble import (
 from sal_height.runs.picture import draw_heights
 from sal_height.runs.profile import draw_profile
 from sal_height.runs.report import Mosaic, mosaic, stage_report, statistics
-from sal_height.simulation.flight import SimulatedFlight, flight_of
-from sal_height.simulation.preset import Preset
+from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
 RELIEF_MAP = "relief_map.tif"
 """File of the relief map in the folder of a run."""

@@ -1,1 +1,34 @@
-"""sensor."""
+"""A sensor as it is described, and its samples up to the phase history.
+
+Read `sensor` first (`Sensor`: wavelength, pulses, frequencies, beams, noise), then `phase_history` (samples of a dwell
+over frequency), `waveform` (raw chirp or deramped echoes to phase history), `receivers` (clipped samples), `channels`
+(from what receivers deliver to whitened channels) and `stripmap` (how far a fixed antenna sees along the track).
+"""
+
+from sal_height.sensor.channels import Channels, sum_difference_channels, whitened_channels, with_powers
+from sal_height.sensor.phase_history import NUFFT_TOLERANCE, PhaseHistory
+from sal_height.sensor.receivers import MAX_SHARE, clipped, saturated_shares
+from sal_height.sensor.sensor import MAX_DETECTORS, Sensor
+from sal_height.sensor.stripmap import aperture_length, lit_angle, processed_angle
+from sal_height.sensor.waveform import echo_sensor, from_spectrum, range_compressed, spectrum_sensor
+
+__all__ = [
+    "MAX_DETECTORS",
+    "MAX_SHARE",
+    "NUFFT_TOLERANCE",
+    "Channels",
+    "PhaseHistory",
+    "Sensor",
+    "aperture_length",
+    "clipped",
+    "echo_sensor",
+    "from_spectrum",
+    "lit_angle",
+    "processed_angle",
+    "range_compressed",
+    "saturated_shares",
+    "spectrum_sensor",
+    "sum_difference_channels",
+    "whitened_channels",
+    "with_powers",
+]

@@ -11,9 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.constants import speed_of_light
 
-from sal_height.beams.array import Beams
-from sal_height.beams.pattern import Pattern, detector_pattern, tabulated_pattern
-from sal_height.beams.table import BeamTable
+from sal_height.beams import Beams, BeamTable, Pattern, detector_pattern, tabulated_pattern
 from sal_height.errors import UserError
 
 Array = npt.NDArray[np.float64]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 from sal_height.sensor.sensor import Sensor
 
 LIT_BEAMWIDTHS = 1.0

@@ -1,1 +1,30 @@
-"""simulation."""
+"""A simulated flight: scene, platform and sensor become phase histories with known truth.
+
+Read `preset` first (the YAML that describes a run), then `flight` (everything a run is made of), `scene`, `scenes` and
+`dem` (the ground), `gust` (how the platform moves), `spotlight` and `stripmap` (echoes of all scatterers), `receivers`
+and `impairments` (what receivers do to them) and `truth` (what a height image should show).
+"""
+
+from sal_height.simulation.flight import SimulatedFlight, flight_of
+from sal_height.simulation.impairments import Impairments, RangeSawtooth, RangeTaper
+from sal_height.simulation.preset import Preset, load_preset, parse_preset, preset_names
+from sal_height.simulation.scene import Scene, VisibleSurface
+from sal_height.simulation.stripmap import simulate_block
+from sal_height.simulation.truth import Truth, truth_image
+
+__all__ = [
+    "Impairments",
+    "Preset",
+    "RangeSawtooth",
+    "RangeTaper",
+    "Scene",
+    "SimulatedFlight",
+    "Truth",
+    "VisibleSurface",
+    "flight_of",
+    "load_preset",
+    "parse_preset",
+    "preset_names",
+    "simulate_block",
+    "truth_image",
+]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
-from sal_height.geometry.earth import EARTH_RADIUS
+from sal_height.geometry import EARTH_RADIUS
 from sal_height.simulation.scene import Scene
 
 LOWEST, HIGHEST = -12000.0, 9000.0

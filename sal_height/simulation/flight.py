@@ -10,13 +10,16 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.geometry.earth import sphere_point
-from sal_height.geometry.frames import ApertureState, look_direction
-from sal_height.geometry.trajectory import PlatformState
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
-from sal_height.sensor.stripmap import aperture_length, lit_angle
-from sal_height.sensor.waveform import echo_sensor, from_spectrum, spectrum_sensor
+from sal_height.geometry import ApertureState, PlatformState, look_direction, sphere_point
+from sal_height.sensor import (
+    PhaseHistory,
+    Sensor,
+    aperture_length,
+    echo_sensor,
+    from_spectrum,
+    lit_angle,
+    spectrum_sensor,
+)
 from sal_height.simulation.gust import GustMotion, gust_motion
 from sal_height.simulation.impairments import pointing_rotation, through_receivers
 from sal_height.simulation.preset import Preset

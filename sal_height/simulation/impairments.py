@@ -20,9 +20,8 @@ import numpy.typing as npt
 from annotated_types import Ge, Gt, Le
 from scipy.spatial.transform import Rotation
 
-from sal_height.geometry.frames import look_direction
-from sal_height.sensor.sensor import Sensor
-from sal_height.sensor.waveform import echo_sensor, spectrum_sensor
+from sal_height.geometry import look_direction
+from sal_height.sensor import Sensor, echo_sensor, spectrum_sensor
 from sal_height.simulation.settings import STRICT_KEYS, Decibels, Float, Int
 
 Array = npt.NDArray[np.float64]

@@ -15,10 +15,9 @@ from annotated_types import Ge, Gt, Le, Lt, MinLen
 from pydantic import AfterValidator, TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
-from sal_height.beams.pattern import PATTERNS
-from sal_height.beams.table import BeamTable, read_beam_tables
+from sal_height.beams import PATTERNS, BeamTable, read_beam_tables
 from sal_height.errors import UserError
-from sal_height.sensor.sensor import MAX_DETECTORS, Sensor
+from sal_height.sensor import MAX_DETECTORS, Sensor
 from sal_height.simulation.impairments import MOST_SWING_BEAMWIDTHS, UNIMPAIRED, Impairments
 from sal_height.simulation.settings import STRICT_KEYS, Decibels, Float, Int
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.sensor.receivers import clipped
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor import Sensor, clipped
 
 
 def received(samples: npt.NDArray[np.complex64], sensor: Sensor, rng: np.random.Generator) -> npt.NDArray[np.complex64]:

@@ -11,8 +11,7 @@ import numpy.typing as npt
 from scipy.interpolate import RegularGridInterpolator
 
 from sal_height.errors import UserError
-from sal_height.geometry.earth import sphere_point
-from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
+from sal_height.geometry import ApertureState, angles_of, aperture_at, sphere_point
 
 Array = npt.NDArray[np.float64]
 

@@ -9,8 +9,7 @@ import finufft
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.sensor.phase_history import NUFFT_TOLERANCE
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor import NUFFT_TOLERANCE, Sensor
 from sal_height.simulation.scene import VisibleSurface
 
 Array = npt.NDArray[np.float64]

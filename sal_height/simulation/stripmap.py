@@ -9,13 +9,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
-from sal_height.geometry.frames import look_direction
-from sal_height.numeric.jit import compiled
-from sal_height.numeric.phasors import phasors
-from sal_height.numeric.range_profiles import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
-from sal_height.sensor.sensor import Sensor
-from sal_height.sensor.stripmap import aperture_length, lit_angle
+from sal_height.beams import Beams
+from sal_height.geometry import look_direction
+from sal_height.numeric import OVERSAMPLING, TAPS, compiled, dense_profiles, tap_polynomials, tap_weights, unit_phasors
+from sal_height.sensor import Sensor, aperture_length, lit_angle
 from sal_height.simulation.scene import VisibleSurface
 
 Array = npt.NDArray[np.float64]
@@ -111,7 +108,7 @@ def simulate_block(
         squint = np.arcsin((sight[0] / distance).astype(np.float32))
         response = beams.response(elevation, squint)
         beam_phase = quartic_phase * np.square(np.square(squint * (2 / sensor.beamwidth)))
-        echoes = strengths[lit] * phasors(beam_phase - sensor.centre_wavenumber * delay)
+        echoes = strengths[lit] * unit_phasors(beam_phase - sensor.centre_wavenumber * delay)
         place = np.mod(delay * (dense / sensor.range_window) + dense // 2, dense)
         before = np.floor(place).astype(np.int32)
         profile = np.zeros((dense + TAPS, 2 * sensor.detector_count), dtype=np.float32)

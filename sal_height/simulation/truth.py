@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
-from sal_height.elevation.bounds import beam_power
-from sal_height.geometry.frames import ApertureState
-from sal_height.geometry.grid import Grid, pixels_at
+from sal_height.beams import Beams
+from sal_height.elevation import beam_power
+from sal_height.geometry import ApertureState, Grid, pixels_at
 from sal_height.simulation.scene import VisibleSurface
 
 Array = npt.NDArray[np.float64]

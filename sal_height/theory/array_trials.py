@@ -8,10 +8,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
-from sal_height.elevation.looks import covariance
-from sal_height.elevation.search import Objective, PeakSearches
-from sal_height.numeric.jit import WORKERS, compiled
+from sal_height.beams import Beams
+from sal_height.elevation import Objective, PeakSearches, covariance
+from sal_height.numeric import WORKERS, compiled
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
@@ -69,7 +68,7 @@ def draw_pixels(
     return samples
 
 
-def array_trials(
+def run_array_trials(
     seed: int,
     beams: Beams,
     elevation: float,

@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 from scipy.special import hyp1f1, i0e, ive
 from scipy.stats import ncx2, t
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 from sal_height.errors import UserError
 
 Array = npt.NDArray[np.float64]

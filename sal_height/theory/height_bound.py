@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
-from sal_height.elevation.bounds import speckle_crb
-from sal_height.simulation.truth import Truth
+from sal_height.beams import Beams
+from sal_height.elevation import speckle_crb
+from sal_height.simulation import Truth
 
 Array = npt.NDArray[np.float64]
 
 
-def height_bound(truth: Truth, cnr: float, looks: int, beams: Beams, squint: Array, height_slope: Array) -> Array:
+def height_crb(truth: Truth, cnr: float, looks: int, beams: Beams, squint: Array, height_slope: Array) -> Array:
     """Speckle-averaged Cramer-Rao bound of height (m) in each pixel: `speckle_crb` times |dh/dtheta|.
 
     With C the CNR of the pixel in a detector looking straight at it. Infinite for one look, where a fluctuating

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.pattern import Pattern
+from sal_height.beams import Pattern
 from sal_height.errors import UserError
 
 ComplexArray = npt.NDArray[np.complex128]

@@ -9,7 +9,7 @@ from helpers import make_aperture
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
 from sal_height.geometry.frames import angles_of, look_direction, squint_on_cone
 from sal_height.geometry.grid import Grid
-from sal_height.geometry.locate import locate
+from sal_height.geometry.locate import locate_at_elevation
 
 SIDES = pytest.mark.parametrize("side", [1, -1], ids=["right", "left"])
 ATTITUDES = pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_angles_direction_cone_and_position_agree(side: int, angles: tuple[float
 
     along = sight @ aperture.direction
     np.testing.assert_allclose(squint_on_cone(elevation, along / slant_range, aperture, side), squint, atol=1e-13)
-    np.testing.assert_allclose(locate(elevation, slant_range, along, aperture, side), points, atol=1e-8)
+    np.testing.assert_allclose(locate_at_elevation(elevation, slant_range, along, aperture, side), points, atol=1e-8)
 
 
 def test_squint_on_the_cone_of_level_flight_is_its_arcsine() -> None:
@@ -60,7 +60,7 @@ def test_direction_of_flight_is_a_unit_vector() -> None:
 
 @SIDES
 def test_earth_curvature_lifts_the_point_at_5_km_by_98_cm(side: int) -> None:
-    point = locate(np.pi / 4, 5000.0, 0.0, make_aperture(PLATFORM_HEIGHT), side)
+    point = locate_at_elevation(np.pi / 4, 5000.0, 0.0, make_aperture(PLATFORM_HEIGHT), side)
     np.testing.assert_allclose(point, [0.0, -side * 5000 * np.sqrt(0.5), 9.41e-5], atol=5e-8)
     assert height_of(point) == pytest.approx(0.98110, abs=5e-6)  # five digits are given
 
@@ -72,7 +72,7 @@ def test_height_follows_the_law_of_cosines(elevation: float, slant_range: float)
     aperture = make_aperture(PLATFORM_HEIGHT)
     centre_distance = EARTH_RADIUS + PLATFORM_HEIGHT
     radius = np.sqrt(centre_distance**2 + slant_range**2 - 2 * centre_distance * slant_range * np.cos(elevation))
-    heights = height_of(locate(elevation + np.array([-1e-5, 0, 1e-5]), slant_range, 0.0, aperture, 1))
+    heights = height_of(locate_at_elevation(elevation + np.array([-1e-5, 0, 1e-5]), slant_range, 0.0, aperture, 1))
     assert heights[1] == pytest.approx(radius - EARTH_RADIUS, abs=1e-8)
     slope = centre_distance * slant_range * np.sin(elevation) / radius
     assert (heights[2] - heights[0]) / 2e-5 == pytest.approx(slope, rel=1e-8)

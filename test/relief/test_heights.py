@@ -16,7 +16,7 @@ from sal_height.elevation.looks import Looks, Window, blocks, look_grid, multilo
 from sal_height.geometry.earth import EARTH_RADIUS, height_of, sphere_point
 from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
 from sal_height.geometry.grid import Grid, pixels_at
-from sal_height.geometry.locate import locate
+from sal_height.geometry.locate import locate_at_elevation
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.imaging.weighting import Processing
@@ -150,7 +150,9 @@ def test_sigma_by_the_pose_is_the_spread_of_heights_over_perturbed_poses(side: i
     for turn in turns:
         rotation = Rotation.from_rotvec(turn[3:]).as_matrix() @ here.rotation
         pose = replace(here, position=here.position + turn[:3], rotation=rotation)
-        heights.append(height_of(locate(np.pi / 4, np.linalg.norm(sight), sight @ here.direction, pose, side)))
+        heights.append(
+            height_of(locate_at_elevation(np.pi / 4, np.linalg.norm(sight), sight @ here.direction, pose, side))
+        )
     assert pose_sigma(aperture, root @ root.T, side, row, col) == pytest.approx(np.std(heights), rel=3.5 / 200)
 
 
@@ -199,7 +201,7 @@ def test_squint_of_a_column_is_that_of_the_target_in_the_middle_of_the_beams(
     grid = slant_grid(aperture, side, rows=3, cols=5)
     sight = grid.points(1, np.arange(5)) - aperture.position
     slant_range = np.linalg.norm(sight, axis=-1)
-    targets = locate(np.mean(beams.span), slant_range, sight @ aperture.direction, aperture, side)
+    targets = locate_at_elevation(np.mean(beams.span), slant_range, sight @ aperture.direction, aperture, side)
     seen_range, seen_elevation, seen_squint = angles_of(targets, aperture, side)
     np.testing.assert_allclose(seen_range, slant_range, rtol=1e-13)
     np.testing.assert_allclose(seen_elevation, np.pi / 4, atol=1e-12)

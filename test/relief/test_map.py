@@ -16,7 +16,7 @@ from sal_height.errors import Rejected
 from sal_height.geometry.earth import height_of, sphere_point
 from sal_height.geometry.frames import ApertureState
 from sal_height.geometry.grid import Grid
-from sal_height.geometry.locate import locate
+from sal_height.geometry.locate import locate_at_elevation
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.relief.heights import HeightField, Surface, height_field, shared_variance
 from sal_height.relief.map import TILE, Relief, ReliefMap, fitting_cell_size
@@ -160,7 +160,7 @@ def level_elevation(slant_range: Array, along: Array, aperture: ApertureState) -
     elevation = np.full(slant_range.shape, np.pi / 4)
 
     def height(elevation: Array) -> Array:
-        return height_of(locate(elevation, slant_range, along, aperture, 1))
+        return height_of(locate_at_elevation(elevation, slant_range, along, aperture, 1))
 
     for _ in range(6):
         slope = (height(elevation + 1e-6) - height(elevation - 1e-6)) / 2e-6

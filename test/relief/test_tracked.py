@@ -13,7 +13,7 @@ from sal_height.elevation.estimate import Validity
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_point
 from sal_height.geometry.frames import ApertureState, aperture_at
 from sal_height.geometry.grid import Grid
-from sal_height.geometry.locate import locate, locate_at_height
+from sal_height.geometry.locate import locate_at_elevation, locate_at_height
 from sal_height.relief.heights import HeightField, Surface, pose_variance
 from sal_height.relief.range_tracking import ReliefPrior, TrackedRelief
 from sal_height.relief.tracked import (
@@ -55,7 +55,7 @@ def test_the_place_of_a_height_is_that_of_its_elevation(look_side: int, squint: 
     elevation = LOOK + np.linspace(-0.3, 0.3, 7)[:, None]
     slant_range = RANGE + np.array([-300.0, 0.0, 400.0])
     along = slant_range * np.sin(squint)
-    positions = locate(elevation, slant_range, along, aperture, look_side)
+    positions = locate_at_elevation(elevation, slant_range, along, aperture, look_side)
     again = locate_at_height(height_of(positions), slant_range, along, aperture, look_side)
     np.testing.assert_allclose(again, positions, atol=1e-6)
 

@@ -12,7 +12,7 @@ from sal_height.errors import NotDetermined, UserError
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
 from sal_height.numeric.fft import frequencies
 from sal_height.response.linearity import Superposition, _target_covariance, depth_and_pedestal, superposition
-from sal_height.response.speckle_spectra import SpeckleSpectra, fejer_power, speckle_spectra, transform
+from sal_height.response.speckle_spectra import SpeckleSpectra, estimate_speckle_spectra, fejer_power, transform
 from sal_height.response.speckle_tiles import find_pure_speckle
 
 ROWS, SPECKLE_COLS, TARGETS = 256, 960, 8
@@ -33,7 +33,7 @@ def target_and_speckle(
         saturation=Saturation(level) if level else None,
     )
     clutter = image[:, :SPECKLE_COLS]
-    speckle = speckle_spectra(clutter, find_pure_speckle(clutter))
+    speckle = estimate_speckle_spectra(clutter, find_pure_speckle(clutter))
     chips = np.fft.ifftshift(image[(ROWS - bins) // 2 :][:bins, cols], axes=0)
     target = np.mean(np.fft.fftshift(np.fft.fft(chips, axis=0), axes=0) / chips[0], axis=1)
     triangle = 1 - np.arange(64) / 64
@@ -116,7 +116,7 @@ def test_spur_is_left_out() -> None:
     rng = np.random.default_rng(16)
     image = make_tape((256, 960), rng, (), RangeFault(), AzimuthFault(), 0.6, nyquist_spur=0.3)
     found = superposition(
-        RangeFault().response(256), np.full(256, 1e-6), speckle_spectra(image, find_pure_speckle(image))
+        RangeFault().response(256), np.full(256, 1e-6), estimate_speckle_spectra(image, find_pure_speckle(image))
     )
     assert np.isnan(found.residual).tolist() == [True] + 63 * [False]
     assert found.p_value > 0.01

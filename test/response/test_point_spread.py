@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
 from sal_height.numeric.fft import frequencies
 from sal_height.response.impulse import measure_brightest
-from sal_height.response.point_spread import FINENESS, anomalous_sidelobes, cut_through, point_spread
+from sal_height.response.point_spread import FINENESS, anomalous_sidelobes, cut_through, estimate_point_spread
 from sal_height.response.point_targets import find_targets
 from sal_height.response.transfer_function import TransferFunction, centred, estimate_transfer_function
 
@@ -38,7 +38,7 @@ def half_power_of_taylor() -> float:
 
 
 def test_a_flat_band_makes_a_sinc_and_taylor_weights_what_they_are_made_for() -> None:
-    spread = point_spread(transfer(TAYLOR, np.ones(COUNT)))
+    spread = estimate_point_spread(transfer(TAYLOR, np.ones(COUNT)))
     assert spread.azimuth_cut.width == pytest.approx(0.8859, rel=0.002)
     assert spread.azimuth_cut.pslr_db == pytest.approx(-13.26, abs=0.1)
     assert spread.azimuth_cut.islr_db == pytest.approx(-10.2, abs=0.1)
@@ -50,7 +50,7 @@ def test_a_flat_band_makes_a_sinc_and_taylor_weights_what_they_are_made_for() ->
 @pytest.mark.parametrize("shift", [0, 32])
 def test_the_pixels_are_the_transform_of_the_product_interpolated(shift: int) -> None:
     given = transfer(np.roll(TAYLOR, shift), AzimuthFault().response(48))
-    pixels = point_spread(given).pixels
+    pixels = estimate_point_spread(given).pixels
     assert pixels.shape == (FINENESS * COUNT, FINENESS * 48)
     product = np.outer(given.range_response, given.azimuth_response)
     coarse = np.fft.fftshift(np.fft.ifft2(np.fft.ifftshift(product)))
@@ -115,7 +115,7 @@ def test_the_echoes_of_a_sawtooth_on_a_tape() -> None:
     fault = RangeFault()
     targets = tuple(Target(row + 0.3, col - 0.2, 50.0) for row in (128, 384) for col in (128, 384))
     made = estimate_transfer_function(find_targets(make_tape((512, 512), rng, targets, fault)).require())
-    spread = point_spread(made)
+    spread = estimate_point_spread(made)
     pixels = np.fft.fftshift(np.fft.ifft(np.fft.ifftshift(fault.response(2048))))
     fine = np.abs(cut_through(np.fft.fftshift(np.fft.fft(np.fft.ifftshift(pixels[1024 - 32 : 1024 + 32]))), 32))
     for sign in (-1, 1):
@@ -136,7 +136,7 @@ def test_a_real_corner_reflector(shared_data: Callable[[str], Path]) -> None:
     image = (stored["r"].astype(np.float32) + 1j * stored["i"].astype(np.float32)).astype(np.complex64).T
     survey = find_targets(image, (48, 64))
     assert len(survey.candidates) == 1
-    spread, whole = point_spread(estimate_transfer_function(survey.require())), measure_brightest(image)
+    spread, whole = estimate_point_spread(estimate_transfer_function(survey.require())), measure_brightest(image)
     for cut, irf, width, pslr in (
         (spread.range_cut, whole.row_cut, 1.07, -12.6),
         (spread.azimuth_cut, whole.col_cut, 1.30, -14.8),

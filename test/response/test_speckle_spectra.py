@@ -13,11 +13,11 @@ from scipy.constants import speed_of_light
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, make_tape
 from sal_height.response.speckle_spectra import (
     SpeckleSpectra,
+    estimate_speckle_spectra,
     fejer_power,
     frequencies,
     mean_modulus,
     periodogram_covariance,
-    speckle_spectra,
 )
 from sal_height.response.speckle_tiles import find_pure_speckle
 
@@ -37,7 +37,7 @@ def eight_images(seed: int, noise: float = 0.0, spur: float = 0.0, beam: Azimuth
 
 
 def spectra_of(image: np.ndarray) -> SpeckleSpectra:
-    return speckle_spectra(image, find_pure_speckle(image))
+    return estimate_speckle_spectra(image, find_pure_speckle(image))
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.6])
@@ -145,7 +145,7 @@ def test_tiles_count_alike_whatever_their_brightness() -> None:
     image = eight_images(10)
     tiles = find_pure_speckle(image)
     bright = image * np.repeat(np.geomspace(0.01, 100, 32), 64).astype(np.float32)
-    expected, found = speckle_spectra(image, tiles), spectra_of(bright)
+    expected, found = estimate_speckle_spectra(image, tiles), spectra_of(bright)
     np.testing.assert_allclose(found.range.covariance, expected.range.covariance, atol=1e-5)
 
 
@@ -168,7 +168,7 @@ def test_real_echoes_show_the_band_of_their_chirp(shared_data: Callable[[str], P
     image = np.fft.ifft(np.fft.fft(raw, axis=1) * np.fft.fft(chirp, size).conj(), axis=1)[:, : size - samples]
     found = find_pure_speckle(image.T.astype(np.complex64))
     assert found.pure.mean() > 0.5
-    power, _ = speckle_spectra(image.T.astype(np.complex64), found).range.unfolded(64)
+    power, _ = estimate_speckle_spectra(image.T.astype(np.complex64), found).range.unfolded(64)
     inside = np.abs(frequencies(64)) < 0.4
     level = np.median(power[inside])
     occupied = np.flatnonzero(power > level / 16)

@@ -12,7 +12,7 @@ from sal_height import messages
 from sal_height.elevation.looks import blocks, look_grid
 from sal_height.errors import UserError
 from sal_height.geometry.frames import aperture_at
-from sal_height.geometry.locate import locate
+from sal_height.geometry.locate import locate_at_elevation
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.runs.report import mosaic, statistics
@@ -43,7 +43,7 @@ def exact_image(flight: SimulatedFlight, dwell: int, error: float) -> HeightImag
     there = aperture_at(points, aperture)
     sight = points - there.position
     slant_range = np.linalg.norm(sight, axis=-1)
-    positions = locate(truth.elevation, slant_range, sight @ there.direction, there, sensor.look_side)
+    positions = locate_at_elevation(truth.elevation, slant_range, sight @ there.direction, there, sensor.look_side)
     height, sigma = np.where(seen, truth.height + error, np.nan), np.where(seen, 0.01, np.nan)
     positions = np.where(seen[..., None], positions, np.nan)
     surface = Surface(height, sigma, 0 * sigma, positions)

@@ -14,7 +14,7 @@ from sal_height.geometry.grid import Grid, pixels_at
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid, strip_grid
 from sal_height.simulation.scene import Scene, VisibleSurface, visible_surface
 from sal_height.simulation.truth import Truth, truth_image
-from sal_height.theory.height_bound import height_bound
+from sal_height.theory.height_bound import height_crb
 
 SENSOR = make_sensor()
 CELL = SENSOR.range_resolution, azimuth_resolution(SENSOR, make_aperture(), 5000.0)
@@ -161,12 +161,12 @@ def test_bound_follows_the_formula(offset: float) -> None:
     information = derivative @ (np.eye(16) - np.outer(a, a) / (a @ a)) @ derivative
     expected = slope * np.sqrt(1 / (2 * (looks - 1) * cnr * 0.7 * information))
     slopes = np.full((1, 1), -slope)
-    bound = height_bound(single_pixel(offset, 0.7), cnr, looks, BEAMS, np.array([squint]), slopes)
+    bound = height_crb(single_pixel(offset, 0.7), cnr, looks, BEAMS, np.array([squint]), slopes)
     assert bound[0, 0] == pytest.approx(expected, rel=1e-9)
 
 
 def test_bound_is_infinite_for_one_look() -> None:
-    assert np.isinf(height_bound(single_pixel(0.0), 100.0, 1, BEAMS, np.zeros(1), np.ones((1, 1))))
+    assert np.isinf(height_crb(single_pixel(0.0), 100.0, 1, BEAMS, np.zeros(1), np.ones((1, 1))))
 
 
 @pytest.mark.parametrize(("looks", "cnr"), [(4, 100.0), (16, 30.0)])
@@ -176,7 +176,7 @@ def test_maximum_likelihood_comes_close_to_the_bound_and_not_below(looks: int, c
     estimate = ml_elevation(multilook(slc, 1, looks), BEAMS, np.zeros(1), 1.0, OBJECTIVES["normalised"], 1.0)
     squares = (estimate.elevation[:, 0] - elevation_at(0.6)) ** 2
     standard_error = np.std(squares) / np.sqrt(trials) / np.mean(squares) / 2  # of the rms, relative: 1 %
-    bound = height_bound(single_pixel(0.6), cnr, looks, BEAMS, np.zeros(1), np.ones((1, 1)))[0, 0]
+    bound = height_crb(single_pixel(0.6), cnr, looks, BEAMS, np.zeros(1), np.ones((1, 1)))[0, 0]
     assert standard_error < 0.02
     assert -3.5 * standard_error < np.sqrt(np.mean(squares)) / bound - 1 < 0.03 + 3.5 * standard_error
 

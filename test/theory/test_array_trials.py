@@ -10,14 +10,14 @@ from sal_height.elevation.bounds import stochastic_crb
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation
 from sal_height.elevation.looks import covariance
 from sal_height.theory import array_trials as array_trials_module
-from sal_height.theory.array_trials import TARGETS, array_trials, draw_pixels
+from sal_height.theory.array_trials import TARGETS, draw_pixels, run_array_trials
 
 
 def errors(
     offset: float, cnr_db: float, looks: int, trials: int, objective: str = "normalised", pattern: str = "sinc"
 ) -> np.ndarray:
     """Errors in beamwidths; searched are half a pitch beyond 16 detectors."""
-    estimates = array_trials(
+    estimates = run_array_trials(
         51, make_beams(pattern), float(elevation_at(offset)), 10 ** (cnr_db / 10), looks, trials,
         OBJECTIVES[objective], 0.0, TARGETS["gaussian"],
     )  # fmt: skip
@@ -54,7 +54,9 @@ def test_trials_are_peaks_of_drawn_pixels_whatever_the_number_of_threads(monkeyp
 
     def run(workers: int, seed: int = 53) -> np.ndarray:
         monkeypatch.setattr(array_trials_module, "WORKERS", workers)
-        return array_trials(seed, beams, elevation, 3.0, 4, 950, OBJECTIVES["normalised"], BEAMWIDTH, TARGETS["steady"])
+        return run_array_trials(
+            seed, beams, elevation, 3.0, 4, 950, OBJECTIVES["normalised"], BEAMWIDTH, TARGETS["steady"]
+        )
 
     estimates = run(1)
     np.testing.assert_array_equal(run(3), estimates)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import elementwise
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 
 Array = npt.NDArray[np.float64]
 

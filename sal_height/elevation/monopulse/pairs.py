@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate, Validity, validity_of
 from sal_height.elevation.likelihood import OBJECTIVES, search_guard
 from sal_height.elevation.looks import Covariance, Looks

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import PchipInterpolator
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 from sal_height.elevation.monopulse.inversion import (
     Inversion,
     equisignal_elevation,

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import gammainccinv
 
-from sal_height.beams.array import Beams
+from sal_height.beams import Beams
 from sal_height.elevation.estimate import FALSE_ALARMS, MISFIT_SHARE, ElevationEstimate, Validity
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.monopulse.estimators import (

@@ -26,13 +26,11 @@ import numpy.typing as npt
 from scipy.constants import speed_of_light
 
 from sal_height.errors import UserError
-from sal_height.geometry.frames import ApertureState
-from sal_height.geometry.grid import Grid
+from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging.autofocus.phase_error import detrended, without_shift
 from sal_height.imaging.autofocus.phase_linking import beam_coherence, covariances, link_phases, signal_modes
 from sal_height.imaging.pixels import azimuth_resolution
-from sal_height.sensor.phase_history import NUFFT_TOLERANCE, PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor import NUFFT_TOLERANCE, PhaseHistory, Sensor
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

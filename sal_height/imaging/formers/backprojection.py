@@ -8,13 +8,19 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.geometry.grid import Grid
+from sal_height.geometry import Grid
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric.jit import WORKERS, compiled
-from sal_height.numeric.phasors import cosine_and_sine
-from sal_height.numeric.range_profiles import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.numeric import (
+    OVERSAMPLING,
+    TAPS,
+    WORKERS,
+    compiled,
+    cosine_and_sine,
+    dense_profiles,
+    tap_polynomials,
+    tap_weights,
+)
+from sal_height.sensor import PhaseHistory, Sensor
 
 Array = npt.NDArray[np.float64]
 FloatArray = npt.NDArray[np.float32]

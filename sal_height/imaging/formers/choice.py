@@ -8,14 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
-from sal_height.geometry.grid import Grid
+from sal_height.geometry import Grid
 from sal_height.imaging.formers import range_doppler, specan
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.range_doppler import focus_stripmap, sidelobes_stray
 from sal_height.imaging.formers.specan import ALLOWED_ERROR, focus_spotlight
 from sal_height.imaging.weighting import Processing
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor import PhaseHistory, Sensor
 
 Array = npt.NDArray[np.float64]
 Former = Callable[[PhaseHistory, Array, Sensor, Processing, Grid], npt.NDArray[np.complex64]]

@@ -17,18 +17,24 @@ import numpy.typing as npt
 import scipy.fft
 
 from sal_height.errors import UserError
-from sal_height.geometry.grid import Grid
+from sal_height.geometry import Grid
 from sal_height.imaging.formers.backprojection import valid_pixels
 from sal_height.imaging.formers.specan import ALLOWED_ERROR
 from sal_height.imaging.formers.straight_track import Resampling, resampling, straight_track
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric.chirp_z import ChirpZ, chirp_z
-from sal_height.numeric.fft import Rows, blocks, fast_length, rows_at_once
-from sal_height.numeric.jit import WORKERS, compiled
-from sal_height.numeric.phasors import outer_phasors, phasors
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
-from sal_height.sensor.stripmap import processed_angle
+from sal_height.numeric import (
+    WORKERS,
+    ChirpZ,
+    Rows,
+    apply_chirp_z,
+    blocks,
+    compiled,
+    fast_length,
+    outer_phasors,
+    rows_at_once,
+    unit_phasors,
+)
+from sal_height.sensor import PhaseHistory, Sensor, processed_angle
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
@@ -178,15 +184,15 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     scale = sensor.wavenumber_step * row_step * stretch
     if np.ptp(scale) * frequencies / 2 * grid.rows / 2 < SMALL_PHASE:
         scale = scale[:1]
-    scaled = chirp_z(scale, frequencies, frequencies // 2, grid.rows, (grid.rows - 1) / 2)
+    scaled = apply_chirp_z(scale, frequencies, frequencies // 2, grid.rows, (grid.rows - 1) / 2)
     edges = _migration(middle, doppler, wavenumber[[0, -1]], sensor.centre_wavenumber)
     before = scaled.before
     if np.abs(edges).max() >= SMALL_PHASE:
-        before = before * phasors(_migration(middle, doppler, wavenumber, sensor.centre_wavenumber))
+        before = before * unit_phasors(_migration(middle, doppler, wavenumber, sensor.centre_wavenumber))
     # By whole steps the replica is shifted in its spectrum, by the rest where it is made: its ends are sharp.
     whole = step * round((first_column - begin) / step)
     azimuth = _azimuth_filters(sensor, processing, distance, middle, step, length, begin + whole - first_column)
-    azimuth *= phasors(doppler * whole)
+    azimuth *= unit_phasors(doppler * whole)
     azimuth *= scaled.after.T
     return _Filters(
         compensation,
@@ -225,7 +231,7 @@ def _azimuth_filters(
         slant = np.sqrt(distance[block, None] ** 2 + place[near] ** 2)
         weight = processing.angle_weights(place[near] / slant, step / slant)
         weight /= weight.sum(axis=-1, keepdims=True) * length
-        replica[block, near] = weight.astype(np.float32) * phasors(-sensor.centre_wavenumber * (slant - middle))
+        replica[block, near] = weight.astype(np.float32) * unit_phasors(-sensor.centre_wavenumber * (slant - middle))
 
     with ThreadPoolExecutor(WORKERS) as pool:
         list(pool.map(fill, blocks(len(distance), rows_at_once(length))))

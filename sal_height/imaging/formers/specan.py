@@ -16,16 +16,22 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
-from sal_height.geometry.grid import Grid
+from sal_height.geometry import Grid
 from sal_height.imaging.formers.backprojection import valid_pixels
 from sal_height.imaging.formers.straight_track import straight_track
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric.chirp_z import ChirpZ, chirp_z
-from sal_height.numeric.fft import Rows, blocks, rows_at_once
-from sal_height.numeric.jit import WORKERS
-from sal_height.numeric.phasors import distance_phasors, outer_phasors, phasors
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.numeric import (
+    WORKERS,
+    ChirpZ,
+    Rows,
+    apply_chirp_z,
+    blocks,
+    distance_phasors,
+    outer_phasors,
+    rows_at_once,
+    unit_phasors,
+)
+from sal_height.sensor import PhaseHistory, Sensor
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]
@@ -105,13 +111,15 @@ def _factors(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     # Range: dechirp to the centre; rows then lie at even steps of range.
     row_range, scale = _rows(antenna, grid)
     step = (row_range[-1] - row_range[0]) / max(1, grid.rows - 1)
-    by_range = chirp_z(np.array([sensor.wavenumber_step * step]), frequencies, frequencies // 2, grid.rows, middle[0])
+    by_range = apply_chirp_z(
+        np.array([sensor.wavenumber_step * step]), frequencies, frequencies // 2, grid.rows, middle[0]
+    )
     dechirp = outer_phasors(delay, wavenumber)
     dechirp *= by_range.before * processing.range_weights(frequencies).astype(np.float32)
     dechirp *= (processing.azimuth_weights(pulses) / (pulses * frequencies)).astype(np.float32)[:, None]
     # Azimuth: the middle of each row keeps its phase, then columns lie at even steps of the row's own scale.
     track = straight_track(antenna, grid.col_direction)
-    by_azimuth = chirp_z(
+    by_azimuth = apply_chirp_z(
         -sensor.centre_wavenumber * scale * track.spacing * grid.col_spacing,
         pulses,
         (pulses - 1) / 2,
@@ -128,7 +136,7 @@ def _factors(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     columns = _columns(grid)
     after = distance_phasors(sensor.centre_wavenumber, middles, track.middle - columns, np.zeros(grid.cols))
     after *= by_azimuth.after
-    after *= phasors(-sensor.centre_wavenumber * row_middle)[:, None]
+    after *= unit_phasors(-sensor.centre_wavenumber * row_middle)[:, None]
     return _Factors(ChirpZ(dechirp, by_range.spectrum, by_range.after), ChirpZ(row_phase, by_azimuth.spectrum, after))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric.jit import compiled
+from sal_height.numeric import compiled
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex64]

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.array_estimator import BEAMWIDTH, DETECTORS, beams_of, elevation_at
 from benchmarks.row import Row
 from sal_height.beams import Beams
 from sal_height.elevation import OBJECTIVES, Covariance, PeakSearches, covariance, stochastic_crb
+from sal_height.numeric import F64, Bool
 from sal_height.theory import TARGETS, draw_pixels, run_array_trials
-
-Array = npt.NDArray[np.float64]
 
 PATTERNS = ("sinc", "jinc")
 TRIALS = 400_000
@@ -102,14 +100,14 @@ def against_dense_search() -> Iterator[Row]:
         )
 
 
-def _errors(beams: Beams, offset: float, looks: int) -> Array:
+def _errors(beams: Beams, offset: float, looks: int) -> F64:
     """Errors of independent pixels with a fluctuating target, beamwidths, searched to half a pitch beyond the array."""
     normalised, target = OBJECTIVES["normalised"], TARGETS["gaussian"]
     found = run_array_trials(1, beams, elevation_at(offset), CNR, looks, TRIALS, normalised, 0.0, target)
     return (found - elevation_at(offset)) / BEAMWIDTH
 
 
-def _dense_search(pixels: Covariance, beams: Beams) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _dense_search(pixels: Covariance, beams: Beams) -> tuple[F64, Bool]:
     """Elevation (rad) of the highest peak of each pixel, and whether the second one is clearly lower."""
     first, last = beams.domain(0.0)
     nodes = np.linspace(first, last, int(np.ceil((last - first) / (STEP * BEAMWIDTH))) + 1)
@@ -129,7 +127,7 @@ def _dense_search(pixels: Covariance, beams: Beams) -> tuple[Array, npt.NDArray[
     return _polished(pixels, beams, nodes[best], first, last), heights.max(axis=1) < CLEAR * highest
 
 
-def _polished(pixels: Covariance, beams: Beams, near: Array, first: float, last: float) -> Array:
+def _polished(pixels: Covariance, beams: Beams, near: F64, first: float, last: float) -> F64:
     """The vertex of parabolas through three points, first as far apart as the nodes, then as FINE."""
     for step in (STEP * BEAMWIDTH, STEP / 5 * BEAMWIDTH, FINE * BEAMWIDTH):
         low, middle, high = (_objective(pixels, beams, near + shift) for shift in (-step, 0.0, step))
@@ -139,11 +137,11 @@ def _polished(pixels: Covariance, beams: Beams, near: Array, first: float, last:
     return near
 
 
-def _objective(pixels: Covariance, beams: Beams, elevation: Array) -> Array:
+def _objective(pixels: Covariance, beams: Beams, elevation: F64) -> F64:
     units = _units(beams, elevation)
     return np.asarray(np.einsum("pm,pmn,pn->p", units, pixels, units, optimize=True))
 
 
-def _units(beams: Beams, elevation: Array) -> Array:
+def _units(beams: Beams, elevation: F64) -> F64:
     response = beams.response(elevation, 0.0)
     return np.asarray(response / np.linalg.norm(response, axis=-1, keepdims=True))

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 from rclpy.parameter import Parameter
 from sal_height_msgs.msg import DetectorFrame, Provenance
@@ -30,13 +29,10 @@ from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging import Slc
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ml_height import MlHeight
-from sal_height.numeric import in_parallel
+from sal_height.numeric import C64, F64, in_parallel
 from sal_height.relief import height_field
 from sal_height.sensor import Sensor
 from sal_height.theory.array_trials import SAMPLES_AT_ONCE, TARGETS, draw_pixels, run_array_trials, with_streams
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 DETECTORS, PITCH, BEAMWIDTH, LOOKS = 16, 0.5, 1.55e-4, 4
 TRIALS = 100_000
@@ -136,7 +132,7 @@ def _throughput(name: str) -> Iterator[Row]:
     beams, normalised, slc = beams_of(name), OBJECTIVES["normalised"], _slc(name)
     one, many = np.zeros(COLS), np.linspace(-0.5, 0.5, COLS) * BEAMWIDTH
 
-    def estimate(squint: Array) -> ElevationEstimate:
+    def estimate(squint: F64) -> ElevationEstimate:
         return ml_elevation(multilook(slc, 1, LOOKS), beams, squint, 1.0, normalised, MIN_CNR)
 
     there = np.zeros_like(slc)
@@ -172,14 +168,14 @@ def _throughput(name: str) -> Iterator[Row]:
     )
 
 
-def _slc(name: str) -> ComplexArray:
+def _slc(name: str) -> C64:
     """Images of single looks at a fluctuating target in unit noise, (detectors, ROWS, COLS * LOOKS)."""
     rng, target = np.random.default_rng(2), TARGETS["gaussian"]
     samples = draw_pixels(rng, beams_of(name), elevation_at(1.75), 0.0, CNR, LOOKS, ROWS * COLS, target)
     return np.ascontiguousarray(samples.reshape(ROWS, COLS * LOOKS, DETECTORS).transpose(2, 0, 1))
 
 
-def by_convolution(slc: ComplexArray, looks: int, beams: Beams) -> Array:
+def by_convolution(slc: C64, looks: int, beams: Beams) -> F64:
     """Elevation (rad) as the paper has it: profiles convolved with the beam, upsampled, powers averaged, the highest.
 
     By FFT over detectors, zero-padded against wrapping, and zero-padded again in frequency.
@@ -211,7 +207,7 @@ def by_convolution(slc: ComplexArray, looks: int, beams: Beams) -> Array:
             best[block] = np.argmax(np.sum(fine.real**2 + fine.imag**2, axis=1), axis=-1)
 
     in_parallel(work, len(profiles))
-    elevation: Array = beams.boresights[0] + place[best] * (pitch / UPSAMPLING)
+    elevation: F64 = beams.boresights[0] + place[best] * (pitch / UPSAMPLING)
     return elevation.reshape(rows, -1)
 
 

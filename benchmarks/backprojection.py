@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
 from benchmarks.cases import Case, spotlight
 from benchmarks.row import Row, medians
 from sal_height.imaging import backproject
-
-ComplexArray = npt.NDArray[np.complex64]
+from sal_height.numeric import C128
 
 DETECTORS, PULSES, FREQUENCIES = 16, 128, 256
 ROWS, COLS = 200, 1024
@@ -54,7 +52,7 @@ NUMPY_PULSES = 16
 """That NumPy is given: its time is proportional to their number."""
 
 
-def numpy_backprojection(case: Case, pulses: int) -> npt.NDArray[np.complex128]:
+def numpy_backprojection(case: Case, pulses: int) -> C128:
     """Image of the first detector from the first few pulses, as one writes it in NumPy: all pixels at once."""
     frequencies = case.history.samples.shape[2]
     dense = NUMPY_OVERSAMPLING * frequencies

@@ -9,12 +9,9 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
 from sal_height.numeric import WORKERS
-
-ComplexArray = npt.NDArray[np.complex64]
 
 
 @dataclass(frozen=True)

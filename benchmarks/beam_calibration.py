@@ -7,17 +7,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.array_estimator import beams_of, elevation_at
 from benchmarks.row import Row
 from sal_height.beams import Beams
 from sal_height.calibration import BeamCalibration, beams_with, calibrate_beams
 from sal_height.elevation import OBJECTIVES, covariance, multilook, peak_elevation
+from sal_height.numeric import C64, F64
 from sal_height.theory.array_trials import TARGETS, draw_pixels
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 ROWS, COLS, LOOKS, CNR = 400, 500, 4, 10**1.5
 WIDTH, GAIN_DB, PHASE = 1.05, 0.5, np.radians(5)
@@ -85,7 +82,7 @@ def _truth(rng: np.random.Generator, channels: int) -> BeamCalibration:
     return replace(BeamCalibration.none(channels), width_factor=WIDTH, gains=gains)
 
 
-def _slc(rng: np.random.Generator, beams: Beams) -> ComplexArray:
+def _slc(rng: np.random.Generator, beams: Beams) -> C64:
     """Images of speckle whose pixels have elevations spread over the array, (detectors, ROWS, COLS * LOOKS)."""
     slc = np.empty((beams.count, ROWS, COLS * LOOKS), np.complex64)
     for row in range(ROWS):
@@ -96,7 +93,7 @@ def _slc(rng: np.random.Generator, beams: Beams) -> ComplexArray:
     return slc
 
 
-def _circular(rng: np.random.Generator, count: int) -> ComplexArray:
+def _circular(rng: np.random.Generator, count: int) -> C64:
     return TARGETS["gaussian"](rng, (1, count)).reshape(-1)
 
 
@@ -111,5 +108,5 @@ def _greatest_bias(actual: Beams, used: Beams) -> float:
     return max(biases)
 
 
-def _rms(values: Array) -> float:
+def _rms(values: F64) -> float:
     return float(np.sqrt(np.mean(values**2)))

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.row import Row
 from sal_height.beams import column_squint
@@ -16,8 +15,6 @@ from sal_height.geometry import Trajectory
 from sal_height.imaging import Settings, focus_dwell
 from sal_height.sensor import PhaseHistory, whitened_channels, with_powers
 from sal_height.simulation import Impairments, RangeSawtooth, SimulatedFlight, flight_of, load_preset
-
-Array = npt.NDArray[np.float64]
 
 DWELLS = 100
 """Of preset small: a second of flight."""

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.geometry import Grid, look_direction
 from sal_height.imaging import Former, Processing
+from sal_height.numeric import C64, F64
 from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
 from sal_height.simulation import VisibleSurface, load_preset, simulate_block
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 SLANT_RANGE = 5000.0
 """Of the middle of the image, m."""
@@ -27,12 +24,12 @@ class Case:
     """What an image former is called with."""
 
     history: PhaseHistory
-    antenna: Array
+    antenna: F64
     sensor: Sensor
     processing: Processing
     grid: Grid
 
-    def form(self, former: Former) -> ComplexArray:
+    def form(self, former: Former) -> C64:
         """Images of all detectors by `former`."""
         return former(self.history, self.antenna, self.sensor, self.processing, self.grid)
 
@@ -93,7 +90,7 @@ def _sensor(preset: str, detectors: int, pulses: int, frequencies: int) -> Senso
     )
 
 
-def _track(pulses: int, spacing: float) -> Array:
+def _track(pulses: int, spacing: float) -> F64:
     """Antenna on a level flight eastwards over the origin, m, (pulses, 3)."""
     east = (np.arange(pulses) - (pulses - 1) / 2) * spacing
     return np.stack([east, np.zeros(pulses), np.full(pulses, SLANT_RANGE * np.cos(LOOK_ANGLE))], axis=-1)

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.bare_fft import Pass, candidates
 from benchmarks.cases import Case, spotlight, stripmap, with_targets
 from benchmarks.row import Row, medians
 from sal_height.imaging import Former, backproject
 from sal_height.imaging.formers import range_doppler, specan
-
-ComplexArray = npt.NDArray[np.complex64]
 
 DETECTORS, PULSES, FREQUENCIES = 16, 512, 1024
 ROWS, COLS = 1024, 512

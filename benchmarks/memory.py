@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.array_estimator import beams_of
 from benchmarks.cases import Case, spotlight, stripmap
 from benchmarks.row import Row
 from sal_height.elevation import OBJECTIVES, ml_elevation, multilook
 from sal_height.imaging import FORMERS
+from sal_height.numeric import C64
 
 DETECTORS, PULSES, FREQUENCIES, ROWS, COLS = 16, 512, 1024, 1024, 512
 
@@ -61,7 +61,7 @@ def _measure_array() -> None:
     """Print the bytes of images, and those by which the peak of their estimate lies above what was resident before."""
     beams, squint = beams_of("jinc"), np.zeros(COLS // 4)
 
-    def estimate(slc: npt.NDArray[np.complex64]) -> None:
+    def estimate(slc: C64) -> None:
         ml_elevation(multilook(slc, 1, 4), beams, squint, 1.0, OBJECTIVES["normalised"], 3.0)
 
     rng = np.random.default_rng(1)

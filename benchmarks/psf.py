@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
 from benchmarks.row import Row, medians
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
-from sal_height.numeric import WORKERS
+from sal_height.numeric import C64, WORKERS
 from sal_height.response import (
     PointSpread,
     SpeckleSpectra,
@@ -56,14 +55,14 @@ def both_routes() -> Iterator[Row]:
     )
 
 
-def _both(image: npt.NDArray[np.complex64]) -> tuple[TransferFunction, SpeckleSpectra]:
+def _both(image: C64) -> tuple[TransferFunction, SpeckleSpectra]:
     transfer = estimate_transfer_function(find_targets(image).require())
     return transfer, estimate_speckle_spectra(image, find_pure_speckle(image))
 
 
-def _calibrate(image: npt.NDArray[np.complex64]) -> PointSpread:
+def _calibrate(image: C64) -> PointSpread:
     return estimate_point_spread(estimate_transfer_function(find_targets(image).require()))
 
 
-def _there_and_back(image: npt.NDArray[np.complex64]) -> object:
+def _there_and_back(image: C64) -> object:
     return scipy.fft.ifft2(scipy.fft.fft2(image, workers=WORKERS), workers=WORKERS)

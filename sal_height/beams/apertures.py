@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import erf, sici
 
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64
 
 GAUSSIAN_WIDTH = 0.617972
 """Standard deviation of the Gaussian pattern in beamwidths: the half-power width of the circular aperture's."""
@@ -33,25 +33,25 @@ class Profile:
         slope: its derivative.
     """
 
-    integral: Callable[[Array], Array]
-    value: Callable[[Array], Array]
-    slope: Callable[[Array], Array]
+    integral: Callable[[F64], F64]
+    value: Callable[[F64], F64]
+    slope: Callable[[F64], F64]
 
-    def mean(self, x: npt.ArrayLike, width: npt.ArrayLike) -> Array:
+    def mean(self, x: npt.ArrayLike, width: npt.ArrayLike) -> F64:
         """Mean of f over `width` around `x`; both in beamwidths, broadcast. Float32 of a point where `x` is."""
         return _mean(self.integral, self.value, _as_float(x), np.asarray(width))
 
-    def mean_slope(self, x: npt.ArrayLike, width: npt.ArrayLike) -> Array:
+    def mean_slope(self, x: npt.ArrayLike, width: npt.ArrayLike) -> F64:
         """Derivative of `mean` with respect to `x`, per beamwidth."""
         return _mean(self.value, self.slope, _as_float(x), np.asarray(width))
 
 
-def _as_float(x: npt.ArrayLike) -> Array:
+def _as_float(x: npt.ArrayLike) -> F64:
     x = np.asarray(x)
     return x if x.dtype == np.float32 else x.astype(np.float64, copy=False)
 
 
-def _mean(integral: Callable[[Array], Array], value: Callable[[Array], Array], x: Array, width: Array) -> Array:
+def _mean(integral: Callable[[F64], F64], value: Callable[[F64], F64], x: F64, width: F64) -> F64:
     widest = np.max(width)
     if widest == 0:
         return np.asarray(value(x))
@@ -61,25 +61,25 @@ def _mean(integral: Callable[[Array], Array], value: Callable[[Array], Array], x
     return np.asarray((integral(x + width / 2) - integral(x - width / 2)) / width)
 
 
-def _sinc_integral(x: Array) -> Array:
+def _sinc_integral(x: F64) -> F64:
     return np.asarray(sici(np.pi * x)[0] / np.pi)
 
 
-def _sinc_slope(x: Array) -> Array:
+def _sinc_slope(x: F64) -> F64:
     near = np.abs(x) < 1e-4
     safe = np.where(near, 1.0, x)
     return np.where(near, -(np.pi**2) / 3 * x, (np.cos(np.pi * safe) - np.sinc(safe)) / safe)
 
 
-def _gaussian_integral(x: Array) -> Array:
+def _gaussian_integral(x: F64) -> F64:
     return np.asarray(GAUSSIAN_WIDTH * math.sqrt(np.pi / 2) * erf(x / (GAUSSIAN_WIDTH * math.sqrt(2))))
 
 
-def _gaussian(x: Array) -> Array:
+def _gaussian(x: F64) -> F64:
     return np.asarray(np.exp(-np.square(x) / (2 * GAUSSIAN_WIDTH**2)))
 
 
-def _gaussian_slope(x: Array) -> Array:
+def _gaussian_slope(x: F64) -> F64:
     return -x / GAUSSIAN_WIDTH**2 * _gaussian(x)
 
 

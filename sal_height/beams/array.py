@@ -14,9 +14,7 @@ import numpy.typing as npt
 from sal_height.beams.pattern import Pattern
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, aperture_at, squint_on_cone
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
+from sal_height.numeric import C128, F64, Index
 
 NEGLIGIBLE = 1e-6
 """Share of the greatest entry of a matrix, -120 dB, that is as good as none: samples have single precision."""
@@ -45,30 +43,30 @@ class Beams:
     """
 
     patterns: tuple[Pattern, ...]
-    boresights: Array
+    boresights: F64
     beamwidth: float
     rotation: float = 0.0
-    aspects: Array = field(default_factory=lambda: np.zeros(1))
-    weights: Array = field(default_factory=lambda: np.ones(1))
+    aspects: F64 = field(default_factory=lambda: np.zeros(1))
+    weights: F64 = field(default_factory=lambda: np.ones(1))
     middle: float | None = None
-    matrix: Array | ComplexArray | None = None
+    matrix: F64 | C128 | None = None
 
-    def response(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+    def response(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
         """Amplitude of every channel for targets at `elevation` and `squint` (rad): shape (..., channels).
 
         Float64, or complex128 if a pattern or the matrix is complex.
         """
         return self._in_channels(self._mean(self._amplitude, elevation, squint))
 
-    def slope(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+    def slope(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
         """Derivative of `response` with respect to elevation, per rad: shape (..., channels)."""
         return self._in_channels(self._mean(self._slope, elevation, squint))
 
-    def averaged(self, aspects: Array, weights: Array) -> Self:
+    def averaged(self, aspects: F64, weights: F64) -> Self:
         """The beams as an image has them whose targets were seen under `aspects` (rad) with `weights` of any sum."""
         return replace(self, aspects=aspects, weights=weights / np.sum(weights))
 
-    def scaled(self, gains: Array) -> Self:
+    def scaled(self, gains: F64) -> Self:
         """The beams of channels that are multiplied by `gains`, real or complex, shape (channels,)."""
         if self.matrix is not None:
             return replace(self, matrix=gains[:, None] * self.matrix)
@@ -82,7 +80,7 @@ class Beams:
         """The beams `factor` times as wide, around the same boresights."""
         return replace(self, beamwidth=self.beamwidth * factor)
 
-    def combined(self, matrix: Array | ComplexArray) -> Self:
+    def combined(self, matrix: F64 | C128) -> Self:
         """The beams of channels that are `matrix` times these, shape (channels, channels).
 
         Where they are no mixtures, as under a diagonal matrix or one that undoes a hybrid, they are `scaled`.
@@ -91,7 +89,7 @@ class Beams:
         mixed = np.any(matrix != np.diag(np.diag(matrix)))
         return replace(self, matrix=matrix) if mixed else replace(self, matrix=None).scaled(np.diag(matrix))
 
-    def detectors(self, indices: npt.NDArray[np.intp]) -> Self:
+    def detectors(self, indices: Index) -> Self:
         """The beams of some detectors, in increasing order and on the same axis.
 
         Raises:
@@ -101,7 +99,7 @@ class Beams:
         patterns = self.patterns if len(self.patterns) == 1 else tuple(self.patterns[i] for i in indices)
         return replace(self, patterns=patterns, boresights=self.boresights[indices], middle=self.axis_middle)
 
-    def pair(self, lower: int | npt.NDArray[np.intp]) -> Self:
+    def pair(self, lower: int | Index) -> Self:
         """The beams of detectors `lower` and `lower` + 1, on the same axis.
 
         A stack of pairs for an array, whose detectors must have one pattern in common.
@@ -143,7 +141,7 @@ class Beams:
         return max(first - margin, float(low)), min(last + margin, float(high))
 
     @property
-    def known(self) -> tuple[Array, Array]:
+    def known(self) -> tuple[F64, F64]:
         """Angles along the axis (rad) between which the patterns of all detectors are known.
 
         Raises:
@@ -166,34 +164,32 @@ class Beams:
         if self.matrix is not None:
             raise UserError("The channels are mixtures of detectors; single detectors cannot be picked from them.")
 
-    def _in_channels(self, values: Array) -> Array:
+    def _in_channels(self, values: F64) -> F64:
         """What the channels make of the detectors' `values`, shape (..., detectors)."""
         return values if self.matrix is None else np.asarray(values @ self.matrix.T)
 
-    def _mean(
-        self, function: Callable[[Array, Array], Array], elevation: npt.ArrayLike, squint: npt.ArrayLike
-    ) -> Array:
+    def _mean(self, function: Callable[[F64, F64], F64], elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
         """Mean over the aspects of a function of the offsets from the boresights."""
         seen = (function(*self._offsets(elevation, np.asarray(squint) + aspect)) for aspect in self.aspects.tolist())
         return reduce(np.add, (weight * value for weight, value in zip(self.weights.tolist(), seen, strict=True)))
 
-    def _amplitude(self, e: Array, a: Array) -> Array:
+    def _amplitude(self, e: F64, a: F64) -> F64:
         return self._by_detector([pattern.amplitude for pattern in self.patterns], e, a)
 
-    def _slope(self, e: Array, a: Array) -> Array:
+    def _slope(self, e: F64, a: F64) -> F64:
         along = self._by_detector([pattern.slope for pattern in self.patterns], e, a)
         if self.rotation:
             beside = self._by_detector([pattern.azimuth_slope for pattern in self.patterns], e, a)
             along = along * math.cos(self.rotation) - beside * math.sin(self.rotation)
         return along / self.beamwidth
 
-    def _by_detector(self, functions: list[Callable[..., Array]], e: Array, a: Array) -> Array:
+    def _by_detector(self, functions: list[Callable[..., F64]], e: F64, a: F64) -> F64:
         if len(functions) == 1:
             return functions[0](e, a)
         e, a = np.broadcast_arrays(e, a)
         return np.stack([function(e[..., i], a[..., i]) for i, function in enumerate(functions)], axis=-1)
 
-    def _offsets(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> tuple[Array, Array]:
+    def _offsets(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> tuple[F64, F64]:
         """Offsets from each boresight in beamwidths, along the detector axis and beside it."""
         x, y = np.asarray(elevation)[..., None] - self.axis_middle, np.asarray(squint)[..., None]
         cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
@@ -202,14 +198,14 @@ class Beams:
         return e, a
 
 
-def _without_rounding(matrix: Array | ComplexArray) -> Array | ComplexArray:
+def _without_rounding(matrix: F64 | C128) -> F64 | C128:
     """The matrix without entries, or imaginary parts, that are too small to matter; real if it can be."""
     least = NEGLIGIBLE * np.abs(matrix).max()
     kept = np.where(np.abs(matrix) > least, matrix, 0)
     return kept if np.any(np.abs(kept.imag) > least) else kept.real
 
 
-def column_squint(grid: Grid, aperture: ApertureState, beams: Beams, look_side: int) -> Array:
+def column_squint(grid: Grid, aperture: ApertureState, beams: Beams, look_side: int) -> F64:
     """Squint (rad) under which each column of `grid` is seen at the middle row and the middle of the beams, (cols,)."""
     points = grid.points((grid.rows - 1) / 2, np.arange(grid.cols))
     sight = points - aperture_at(points, aperture).position

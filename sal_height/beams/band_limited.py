@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric import compiled, in_parallel
+from sal_height.numeric import F64, compiled, in_parallel
 
-Array = npt.NDArray[np.float64]
 Samples = npt.NDArray[Any]
-Sampler = Callable[[Array, Array], Samples]
+Sampler = Callable[[F64, F64], Samples]
 """From grid coordinates x and y (beamwidths) to values (float64 or complex128), shape (len(x), len(y))."""
 
 NODES = 8
@@ -48,7 +47,7 @@ def interpolated(sampler: Sampler, dtype: npt.DTypeLike, e: npt.ArrayLike, a: np
     return values.reshape(e.shape)
 
 
-def _block(sampler: Sampler, dtype: npt.DTypeLike, e: Array, a: Array) -> Samples:
+def _block(sampler: Sampler, dtype: npt.DTypeLike, e: F64, a: F64) -> Samples:
     values = np.full(e.size, np.nan, dtype=dtype)
     finite = np.isfinite(e) & np.isfinite(a)
     if np.all(finite) and _is_worth(e, a):
@@ -65,12 +64,12 @@ def _block(sampler: Sampler, dtype: npt.DTypeLike, e: Array, a: Array) -> Sample
     return values
 
 
-def _is_worth(e: Array, a: Array) -> bool:
+def _is_worth(e: F64, a: F64) -> bool:
     samples = (np.ptp(e) / STEP + NODES) * (np.ptp(a) / STEP + NODES)
     return bool(samples <= min(MOST_SAMPLES, max(FEW_SAMPLES, SPARSE * e.size)))
 
 
-def _from_region(sampler: Sampler, dtype: npt.DTypeLike, e: Array, a: Array) -> Samples:
+def _from_region(sampler: Sampler, dtype: npt.DTypeLike, e: F64, a: F64) -> Samples:
     x, y = _nodes_around(e), _nodes_around(a)
     table = np.ascontiguousarray(sampler(x * STEP, y * STEP), dtype=dtype)
     values = np.empty(e.size, dtype=dtype)
@@ -78,7 +77,7 @@ def _from_region(sampler: Sampler, dtype: npt.DTypeLike, e: Array, a: Array) -> 
     return values
 
 
-def _nodes_around(x: Array) -> Array:
+def _nodes_around(x: F64) -> F64:
     """Multiples of STEP, NODES / 2 of them on each side of every offset, even one that rounds up to the next."""
     low, high = np.floor(np.array([x.min(), x.max()]) / STEP)
     return np.arange(low - (NODES // 2 - 1), high + NODES // 2 + 2)
@@ -88,7 +87,7 @@ _SCALE = 1 / np.array([np.prod([float(j - m) for m in range(NODES) if m != j]) f
 
 
 @compiled
-def _interpolate(table: Samples, first_x: float, first_y: float, e: Array, a: Array, values: Samples) -> None:
+def _interpolate(table: Samples, first_x: float, first_y: float, e: F64, a: F64, values: Samples) -> None:
     across = np.empty(NODES)
     along = np.empty(NODES)
     for i in range(len(e)):
@@ -104,7 +103,7 @@ def _interpolate(table: Samples, first_x: float, first_y: float, e: Array, a: Ar
 
 
 @compiled
-def _weigh(place: float, weights: Array) -> int:
+def _weigh(place: float, weights: F64) -> int:
     """Lagrange weights of the NODES samples around a place counted in samples, and the number of the first."""
     first = int(place) - (NODES // 2 - 1)
     before = 1.0

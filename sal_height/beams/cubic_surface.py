@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from sal_height.numeric import compiled, in_parallel
+from sal_height.numeric import F64, compiled, in_parallel
 
-Array = npt.NDArray[np.float64]
 Amplitudes = npt.NDArray[np.float64 | np.complex128]
 
 LEAST = 1 << 14
@@ -27,18 +26,18 @@ class CubicSurface:
         coefficients: in every cell, of the powers of x and of y past its corner, rising: shape (n - 1, m - 1, 4, 4).
     """
 
-    x: Array
-    y: Array
+    x: F64
+    y: F64
     coefficients: Amplitudes
 
     @classmethod
-    def through(cls, x: Array, y: Array, values: Amplitudes) -> CubicSurface:
+    def through(cls, x: F64, y: F64, values: Amplitudes) -> CubicSurface:
         """The not-a-knot spline through `values`, shape (n, m), real or complex."""
         in_x = CubicSpline(x, values).c  # falling powers, intervals, y
         in_both = CubicSpline(y, in_x, axis=-1).c  # falling powers and intervals of y, then those of x
         return cls(x, y, np.ascontiguousarray(in_both[::-1, :, ::-1].transpose(3, 1, 2, 0)))
 
-    def at(self, x: Array, y: Array, orders: tuple[int, int]) -> Amplitudes:
+    def at(self, x: F64, y: F64, orders: tuple[int, int]) -> Amplitudes:
         """The derivative of `orders` in x and y, each 0 or 1, at places within the grid: the shape of both."""
         places = np.ravel(x), np.ravel(y)
         values = np.empty(x.size, dtype=self.coefficients.dtype)
@@ -52,11 +51,11 @@ class CubicSurface:
 
 @compiled
 def _evaluate(
-    x_nodes: Array,
-    y_nodes: Array,
+    x_nodes: F64,
+    y_nodes: F64,
     coefficients: Amplitudes,
-    x: Array,
-    y: Array,
+    x: F64,
+    y: F64,
     x_order: int,
     y_order: int,
     values: Amplitudes,
@@ -74,7 +73,7 @@ def _evaluate(
 
 
 @compiled
-def _powers(nodes: Array, place: float, order: int, powers: Array) -> int:
+def _powers(nodes: F64, place: float, order: int, powers: F64) -> int:
     """Powers 0 to 3 of the distance past the node before a place, or their derivatives; and that node's number."""
     before = 0
     beyond = len(nodes) - 1

@@ -22,6 +22,7 @@ from sal_height.beams.cubic_surface import Amplitudes, CubicSurface
 from sal_height.beams.pupil import Apodisation, apodised_sums, jinc_sums
 from sal_height.beams.table import BeamTable
 from sal_height.errors import UserError
+from sal_height.numeric import F64
 
 __all__ = [
     "GAUSSIAN_WIDTH",
@@ -34,8 +35,7 @@ __all__ = [
     "tabulated_pattern",
 ]
 
-Array = npt.NDArray[np.float64]
-Function = Callable[[npt.ArrayLike, npt.ArrayLike], Array]
+Function = Callable[[npt.ArrayLike, npt.ArrayLike], F64]
 
 EDGE = 1e-9
 """Beamwidths beyond a table that are rounding, and belong to it."""
@@ -54,9 +54,9 @@ class Pattern:
     """
 
     name: str
-    amplitude: Callable[[npt.ArrayLike, npt.ArrayLike], Array]
-    slope: Callable[[npt.ArrayLike, npt.ArrayLike], Array]
-    azimuth_slope: Callable[[npt.ArrayLike, npt.ArrayLike], Array]
+    amplitude: Callable[[npt.ArrayLike, npt.ArrayLike], F64]
+    slope: Callable[[npt.ArrayLike, npt.ArrayLike], F64]
+    azimuth_slope: Callable[[npt.ArrayLike, npt.ArrayLike], F64]
     domain: tuple[float, float] = (-np.inf, np.inf)
 
     def scaled(self, gain: float) -> Self:
@@ -70,14 +70,14 @@ class Pattern:
         )
 
 
-def _jinc(e: npt.ArrayLike, a: npt.ArrayLike) -> Array:
+def _jinc(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
     """Circular aperture: 2 J1(x) / x with x = pi r."""
     x = np.pi * np.hypot(e, a)
     safe = np.where(x < 1e-6, 1.0, x)
     return np.where(x < 1e-6, 1.0, 2 * j1(safe) / safe)
 
 
-def _jinc_slope(e: npt.ArrayLike, a: npt.ArrayLike) -> Array:
+def _jinc_slope(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
     """d/dx [2 J1(x) / x] = -2 J2(x) / x, times dx/de = pi e / r."""
     x = np.pi * np.hypot(e, a)
     near = x < 0.1
@@ -191,28 +191,28 @@ def tabulated_pattern(table: BeamTable, beamwidth: float) -> Pattern:
     return Pattern("table", amplitude, slope, azimuth_slope, (float(elevation[0]), float(elevation[-1])))
 
 
-Spline = Callable[[tuple[int, int], Array, Array], Array]
+Spline = Callable[[tuple[int, int], F64, F64], F64]
 """Derivatives of given orders with respect to elevation and azimuth, at both."""
 
 
-def _line(elevation: Array, values: Amplitudes) -> Spline:
+def _line(elevation: F64, values: Amplitudes) -> Spline:
     spline = CubicSpline(elevation, values)
 
-    def derivative(orders: tuple[int, int], e: Array, _: Array) -> Array:
+    def derivative(orders: tuple[int, int], e: F64, _: F64) -> F64:
         return np.asarray(np.zeros_like(e, dtype=values.dtype) if orders[1] else spline(e, orders[0]))
 
     return derivative
 
 
-def _surface(elevation: Array, azimuth: Array, values: Amplitudes) -> Spline:
+def _surface(elevation: F64, azimuth: F64, values: Amplitudes) -> Spline:
     surface = CubicSurface.through(elevation, azimuth, values)
     return lambda orders, e, a: np.asarray(surface.at(e, a, orders))
 
 
-def _within(extent: tuple[Array, Array], spline: Callable[[Array, Array], Array]) -> Function:
+def _within(extent: tuple[F64, F64], spline: Callable[[F64, F64], F64]) -> Function:
     """The spline, but 0 beyond its extent in elevation and azimuth (beamwidths)."""
 
-    def values(e: npt.ArrayLike, a: npt.ArrayLike) -> Array:
+    def values(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
         offsets = np.broadcast_arrays(np.asarray(e, dtype=np.float64), np.asarray(a, dtype=np.float64))
         scale = np.ones(offsets[0].shape)
         for offset, (low, high) in zip(offsets, extent, strict=True):

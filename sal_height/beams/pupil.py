@@ -26,13 +26,12 @@ from scipy.special import roots_legendre
 from sal_height.beams.apertures import SINC
 from sal_height.beams.band_limited import Samples, interpolated
 from sal_height.errors import UserError
+from sal_height.numeric import C128, F64
 
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
-Factors = Callable[[Array, int], npt.NDArray[Any]]
+Factors = Callable[[F64, int], npt.NDArray[Any]]
 """From n offsets (beamwidths) and a number of chords to one factor per chord: shape (n, factors)."""
 
-Apodisation = Callable[[Array, Array], npt.ArrayLike]
+Apodisation = Callable[[F64, F64], npt.ArrayLike]
 """Weighting A of the aperture at pupil coordinates (u, v), arrays of one shape; real or complex."""
 
 APODISATION_NODES = 96
@@ -64,7 +63,7 @@ class ChordSum:
         """Values at `e` and `a`, which broadcast; within 1e-10."""
         return interpolated(self.samples, self.dtype, e, a)
 
-    def samples(self, e: Array, a: Array) -> Samples:
+    def samples(self, e: F64, a: F64) -> Samples:
         """Values at all combinations of `e` and `a`, shape (len(e), len(a)); within 1e-13."""
         corner = [np.max(np.abs(x)) + width / 2 for x, width in zip((e, a), self.size, strict=True)]
         chords = max(self.least_chords, chord_count(math.hypot(*corner)))
@@ -80,7 +79,7 @@ def chord_count(offset: float) -> int:
     return 16 * math.ceil((k + 8 * math.cbrt(k) + 20) / 32)
 
 
-def chords(count: int) -> tuple[Array, Array, Array]:
+def chords(count: int) -> tuple[F64, F64, F64]:
     """Places u of the chords, their half lengths c, and weights that make an integral over u; shape (count,)."""
     tau = (np.arange(count) + 0.5) * np.pi / count - np.pi / 2
     c = np.cos(tau) / 2
@@ -94,23 +93,23 @@ def jinc_sums(size: tuple[float, float]) -> tuple[ChordSum, ChordSum, ChordSum]:
     that one half of it does.
     """
 
-    def half(count: int) -> tuple[Array, Array, Array]:
+    def half(count: int) -> tuple[F64, F64, F64]:
         u, c, weight = (part[count // 2 :] for part in chords(count))
         return u, c, 8 / np.pi * weight * np.sinc(size[0] * u)
 
-    def along(e: Array, count: int) -> Array:
+    def along(e: F64, count: int) -> F64:
         u, _, weight = half(count)
         return np.asarray(weight * np.cos(2 * np.pi * u * e[:, None]))
 
-    def along_slope(e: Array, count: int) -> Array:
+    def along_slope(e: F64, count: int) -> F64:
         u, _, weight = half(count)
         return np.asarray(-2 * np.pi * u * weight * np.sin(2 * np.pi * u * e[:, None]))
 
-    def across(a: Array, count: int) -> Array:
+    def across(a: F64, count: int) -> F64:
         chord = 2 * half(count)[1]
         return chord * SINC.mean(chord * a[:, None], chord * size[1])
 
-    def across_slope(a: Array, count: int) -> Array:
+    def across_slope(a: F64, count: int) -> F64:
         chord = 2 * half(count)[1]
         return chord**2 * SINC.mean_slope(chord * a[:, None], chord * size[1])
 
@@ -146,7 +145,7 @@ def apodised_sums(apodisation: Apodisation, size: tuple[float, float]) -> tuple[
 def _along(width: float, order: int) -> Factors:
     """Transform along the detector axis; of its derivative of that order."""
 
-    def along(e: Array, count: int) -> ComplexArray:
+    def along(e: F64, count: int) -> C128:
         u, _, weight = chords(count)
         return np.asarray(
             weight * np.sinc(width * u) * (-2j * np.pi * u) ** order * np.exp(-2j * np.pi * u * e[:, None])
@@ -158,7 +157,7 @@ def _along(width: float, order: int) -> Factors:
 def _across(apodisation: Apodisation, total: complex, width: float, order: int) -> Factors:
     """Transform along every chord of the weighting over `total`; of its derivative of that order."""
 
-    def across(a: Array, count: int) -> ComplexArray:
+    def across(a: F64, count: int) -> C128:
         _, c, _ = chords(count)
         t, gauss = _legendre(count)
         v = c[:, None] * t
@@ -173,14 +172,14 @@ def _across(apodisation: Apodisation, total: complex, width: float, order: int) 
 def _real_part(factors: Factors, sign: int) -> Factors:
     """Real and imaginary part as factors of their own, the latter times `sign`: Re xy = Re x Re y - Im x Im y."""
 
-    def parts(offset: Array, count: int) -> Array:
+    def parts(offset: F64, count: int) -> F64:
         values = factors(offset, count)
         return np.concatenate([values.real, sign * values.imag], axis=-1)
 
     return parts
 
 
-def _weighting(apodisation: Apodisation, count: int) -> tuple[Array, ComplexArray]:
+def _weighting(apodisation: Apodisation, count: int) -> tuple[F64, C128]:
     """Weights of an integral over the disc, and A, at `count` points on each of `count` chords."""
     u, c, weight = chords(count)
     t, gauss = _legendre(count)
@@ -190,7 +189,7 @@ def _weighting(apodisation: Apodisation, count: int) -> tuple[Array, ComplexArra
 
 
 @lru_cache(maxsize=32)
-def _legendre(count: int) -> tuple[Array, Array]:
+def _legendre(count: int) -> tuple[F64, F64]:
     """Gauss-Legendre nodes and weights on [-1, 1]."""
     nodes, weights = roots_legendre(count)
     return nodes, weights

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.errors import UserError
+from sal_height.numeric import C128
 
 COLUMNS = ("detector", "elevation_beamwidths", "azimuth_beamwidths", "real", "imaginary")
 """Of a file of beam tables; the third may be absent."""
@@ -60,7 +60,7 @@ class BeamTable:
             raise UserError("A beam table has amplitudes that are not finite, or all zero; all must be finite.")
 
     @property
-    def values(self) -> npt.NDArray[np.complex128]:
+    def values(self) -> C128:
         """Amplitudes, shape (elevations, azimuths)."""
         flat = np.array(self.real, dtype=np.float64) + 1j * np.array(self.imaginary, dtype=np.float64)
         return flat.reshape(len(self.elevation), len(self.azimuth))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
 from sal_height.beams import Beams, column_squint
@@ -23,7 +22,7 @@ from sal_height.calibration.reference_target import Sighting, sighting
 from sal_height.elevation import Window, windowed_looks
 from sal_height.errors import NotDetermined, UserError
 from sal_height.geometry import ApertureState, Grid
-from sal_height.numeric import WORKERS, noise_gain, window
+from sal_height.numeric import C64, C128, F64, WORKERS, noise_gain, window
 from sal_height.response import (
     CHIP,
     LEAST_OVER_CLUTTER_DB,
@@ -33,10 +32,6 @@ from sal_height.response import (
     without_clutter,
 )
 from sal_height.sensor import Sensor, whitened_channels, with_powers
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
-
 
 LOOKS = 4
 """Columns averaged to a pixel that tells of the beams; rows are not, so that slopes do not mix elevations."""
@@ -54,7 +49,7 @@ SQUINT_STEP = 0.01
 class Calibrator:
     """Gathers what the images of a sensor tell, dwell by dwell."""
 
-    def __init__(self, sensor: Sensor, beams: Beams, target: Array | None = None) -> None:
+    def __init__(self, sensor: Sensor, beams: Beams, target: F64 | None = None) -> None:
         """Begin.
 
         Args:
@@ -69,11 +64,11 @@ class Calibrator:
         self._beams = beams
         self._spectra = CrossSpectra.none(sensor.detector_count, sensor.sample_count)
         self._targets: list[PointTarget] = []
-        self._columns: list[npt.NDArray[np.complex64]] = []
-        self._squints: list[Array] = []
+        self._columns: list[C64] = []
+        self._squints: list[F64] = []
         self._noise_powers = np.zeros(sensor.detector_count)
 
-    def add(self, slc: npt.NDArray[np.complex64], grid: Grid, aperture: ApertureState, noise_powers: Array) -> None:
+    def add(self, slc: C64, grid: Grid, aperture: ApertureState, noise_powers: F64) -> None:
         """Take in the images of a dwell.
 
         Args:
@@ -132,7 +127,7 @@ class Calibrator:
         kept = min(blocks, -(-PIXELS // rows))
         return [(self.dwells * kept + index) % blocks for index in range(kept)]
 
-    def _calibrated_beams(self, response: ComplexArray, undetermined: list[str]) -> BeamCalibration:
+    def _calibrated_beams(self, response: C128, undetermined: list[str]) -> BeamCalibration:
         """Gains and width of the beams, by the reference target if it tells them; enters what is not determined."""
         if self._target is not None:
             try:
@@ -167,7 +162,7 @@ class Calibrator:
         except NotDetermined:
             return calibrate_gains_on_target(*known)
 
-    def _by_scene(self, response: ComplexArray) -> BeamCalibration:
+    def _by_scene(self, response: C128) -> BeamCalibration:
         """Width and gains of the beams, by images of weighted range and equal receivers.
 
         Raises:
@@ -201,12 +196,12 @@ class Calibrator:
         )
 
 
-def _in_length(columns: npt.NDArray[np.complex64], rows: int) -> npt.NDArray[np.complex64]:
+def _in_length(columns: C64, rows: int) -> C64:
     """Columns (channels, rows, cols) with zeros up to as many rows."""
     return np.pad(columns, ((0, 0), (0, rows - columns.shape[1]), (0, 0)))
 
 
-def targets_in(image: npt.NDArray[np.complex64]) -> tuple[PointTarget, ...]:
+def targets_in(image: C64) -> tuple[PointTarget, ...]:
     """Point targets of an image; none where no pixel stands out from its mean, or it is too narrow to tell."""
     power = image.real**2 + image.imag**2
     rows, cols = (min(size, length) for size, length in zip(CHIP, image.shape, strict=True))
@@ -215,7 +210,7 @@ def targets_in(image: npt.NDArray[np.complex64]) -> tuple[PointTarget, ...]:
     return find_targets(image, (rows, cols)).targets
 
 
-def common_response(targets: list[PointTarget], frequencies: int) -> ComplexArray:
+def common_response(targets: list[PointTarget], frequencies: int) -> C128:
     """The range response that point targets show, at the fast-time frequencies, shape (frequencies,).
 
     Args:

@@ -19,13 +19,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.beams import Beams
 from sal_height.elevation import Covariance
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
+from sal_height.numeric import C128, F64
 
 DIFFERENCE = 1e-3
 """Half step, in beamwidths and relative widths, of derivatives as differences: they are right within 1e-5."""
@@ -42,9 +39,9 @@ class Normal:
         pixels: number of them.
     """
 
-    score: Array
-    information: Array
-    variance: Array
+    score: F64
+    information: F64
+    variance: F64
     pixels: int
 
     def __add__(self, other: Normal) -> Normal:
@@ -73,13 +70,13 @@ class Curve:
         curvature: part of d^2e/dtheta^2 orthogonal to the tangent, over |de/dtheta|^2.
     """
 
-    unit: ComplexArray
-    wider: ComplexArray
-    tangent: ComplexArray
-    curvature: ComplexArray
+    unit: C128
+    wider: C128
+    tangent: C128
+    curvature: C128
 
 
-def curve_of(beams: Beams, gains: Array, elevation: Array, squint: Array) -> Curve:
+def curve_of(beams: Beams, gains: F64, elevation: F64, squint: F64) -> Curve:
     """The curve at some pixels' elevations and squints (rad, (pixels,)), of beams times `gains` (channels,)."""
     beamwidth = beams.beamwidth
     narrow, wide = (beams.widened(1 + sign * DIFFERENCE).response(elevation, squint) for sign in (-1, 1))
@@ -103,14 +100,14 @@ def curve_of(beams: Beams, gains: Array, elevation: Array, squint: Array) -> Cur
     return Curve(unit, _without(wider, unit), tangent, bend - _inner(tangent, bend).real * tangent)
 
 
-def with_known_angles(curve: Curve, pixels: Covariance, count: Array) -> Normal:
+def with_known_angles(curve: Curve, pixels: Covariance, count: F64) -> Normal:
     """Sums of a step over pixels (covariance over noise power, (pixels, M, M), of `count` looks)."""
     explained, left = _residual(curve, pixels)
     geometry = _gram(curve, explained), _gram(curve, explained - count)
     return Normal(_derivatives(curve, 2 * left), 2 * geometry[1], 2 * geometry[0], len(pixels))
 
 
-def with_unknown_angles(curve: Curve, pixels: Covariance, count: Array) -> Normal:
+def with_unknown_angles(curve: Curve, pixels: Covariance, count: F64) -> Normal:
     """The same where the angles are those of the greatest likelihood: without what a shift of angle does."""
     explained, left = _residual(curve, pixels)
     left = left - _inner(curve.tangent, left).real * curve.tangent
@@ -121,25 +118,25 @@ def with_unknown_angles(curve: Curve, pixels: Covariance, count: Array) -> Norma
     return Normal(_derivatives(curve, 2 * left + curve.curvature / 2), information, variance, len(pixels))
 
 
-def _residual(curve: Curve, pixels: Covariance) -> tuple[Array, ComplexArray]:
+def _residual(curve: Curve, pixels: Covariance) -> tuple[F64, C128]:
     """Power that is explained, e^H R e, (pixels,), and R e without its part along e, (pixels, channels)."""
     output = np.einsum("pmn,pn->pm", pixels, curve.unit.astype(pixels.dtype)).astype(np.complex128)
     explained = _inner(curve.unit, output).real
     return explained[:, 0], output - explained * curve.unit
 
 
-def _derivatives(curve: Curve, direction: ComplexArray) -> Array:
+def _derivatives(curve: Curve, direction: C128) -> F64:
     """Sum over pixels of Re(direction^H de) for each parameter; `direction` is orthogonal to e."""
     return np.asarray(np.sum(_products(direction, curve).real, axis=0))
 
 
-def _products(direction: ComplexArray, curve: Curve) -> ComplexArray:
+def _products(direction: C128, curve: Curve) -> C128:
     """direction^H db/|b| for each parameter, shape (pixels, parameters)."""
     each = direction.conj() * curve.unit
     return np.concatenate([np.sum(direction.conj() * curve.wider, axis=-1, keepdims=True), each, 1j * each], axis=-1)
 
 
-def _gram(curve: Curve, weight: Array) -> Array:
+def _gram(curve: Curve, weight: F64) -> F64:
     """Weighted sum over pixels of Re(de^H de) for all pairs of parameters; de are without their part along e."""
     channels = curve.unit.shape[1]
     amplitudes, phases = slice(1, channels + 1), slice(channels + 1, None)
@@ -154,16 +151,16 @@ def _gram(curve: Curve, weight: Array) -> Array:
     return np.asarray(total - _square(along.real, weight) - _square(along.imag, weight))
 
 
-def _square(values: Array, weight: Array) -> Array:
+def _square(values: F64, weight: F64) -> F64:
     """Weighted sum over pixels of v v^T, from v of the shape (pixels, parameters)."""
     return np.asarray(np.einsum("pi,pj->ij", values, values * weight[:, None]))
 
 
-def _inner(a: ComplexArray, b: ComplexArray) -> ComplexArray:
+def _inner(a: C128, b: C128) -> C128:
     """a^H b of each pixel, shape (pixels, 1)."""
     return np.asarray(np.sum(a.conj() * b, axis=-1, keepdims=True))
 
 
-def _without(vector: ComplexArray, unit: ComplexArray) -> ComplexArray:
+def _without(vector: C128, unit: C128) -> C128:
     """The vectors' part orthogonal to unit vectors."""
     return vector - _inner(unit, vector) * unit

@@ -36,9 +36,8 @@ from sal_height.elevation import (
     search_guard,
 )
 from sal_height.errors import NotDetermined, UserError
+from sal_height.numeric import C128, F64, Bool
 
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 Equations = Callable[["BeamCalibration"], Normal]
 
 LEAST_ENERGY = 50.0
@@ -78,9 +77,9 @@ class BeamCalibration:
 
     width_factor: float
     width_sigma: float
-    gains: ComplexArray
-    gain_sigmas: Array
-    phase_sigmas: Array
+    gains: C128
+    gain_sigmas: F64
+    phase_sigmas: F64
     pixels: int
     steps: int
 
@@ -101,7 +100,7 @@ def beams_with(beams: Beams, calibration: BeamCalibration) -> Beams:
     return beams.widened(calibration.width_factor).combined(np.diag(calibration.gains))
 
 
-def calibrate_beams(looks: Looks, beams: Beams, squint: Array, noise_power: float) -> BeamCalibration:
+def calibrate_beams(looks: Looks, beams: Beams, squint: F64, noise_power: float) -> BeamCalibration:
     """Width and gains from all pixels of one scatterer, bright enough and between the boresights.
 
     Fisher scoring with the corrected derivatives of the likelihood, at angles that are searched anew in each step. It
@@ -128,13 +127,13 @@ def calibrate_beams(looks: Looks, beams: Beams, squint: Array, noise_power: floa
     return _settle(_of_scene(looks, beams, squint, noise_power), beams, _all_parameters(beams.count))
 
 
-def calibrate_phases(looks: Looks, beams: Beams, squint: Array, noise_power: float) -> BeamCalibration:
+def calibrate_phases(looks: Looks, beams: Beams, squint: F64, noise_power: float) -> BeamCalibration:
     """Phases of the gains alone, of two detectors or more; arguments and errors otherwise as of `calibrate_beams`."""
     return _settle(_of_scene(looks, beams, squint, noise_power), beams, _phases(beams.count))
 
 
 def calibrate_on_target(
-    covariance: Covariance, count: npt.ArrayLike, beams: Beams, elevation: Array, squint: Array, noise_power: float
+    covariance: Covariance, count: npt.ArrayLike, beams: Beams, elevation: F64, squint: F64, noise_power: float
 ) -> BeamCalibration:
     """Width and gains from a scan: a scatterer, as a reference target, seen at several known elevations.
 
@@ -155,14 +154,14 @@ def calibrate_on_target(
 
 
 def calibrate_gains_on_target(
-    covariance: Covariance, count: npt.ArrayLike, beams: Beams, elevation: Array, squint: Array, noise_power: float
+    covariance: Covariance, count: npt.ArrayLike, beams: Beams, elevation: F64, squint: F64, noise_power: float
 ) -> BeamCalibration:
     """Gains alone, for which one position is enough; arguments and errors otherwise as of `calibrate_on_target`."""
     target = _of_target(covariance, count, beams, elevation, squint, noise_power)
     return _settle(target, beams, _gains(beams.count), _first_gains(covariance, beams, elevation, squint))
 
 
-def _settle(equations: Equations, beams: Beams, basis: Array, gains: ComplexArray | None = None) -> BeamCalibration:
+def _settle(equations: Equations, beams: Beams, basis: F64, gains: C128 | None = None) -> BeamCalibration:
     """Fisher scoring within the `basis` of the parameters, (parameters, free ones), from given gains or none."""
     calibration = BeamCalibration.none(beams.count)
     if gains is not None:
@@ -180,7 +179,7 @@ def _settle(equations: Equations, beams: Beams, basis: Array, gains: ComplexArra
     )
 
 
-def _solve(normal: Normal, basis: Array) -> tuple[Array, Array]:
+def _solve(normal: Normal, basis: F64) -> tuple[F64, F64]:
     """Change of the parameters, and its covariance.
 
     Raises:
@@ -199,7 +198,7 @@ def _solve(normal: Normal, basis: Array) -> tuple[Array, Array]:
     return inverse @ normal.score, inverse @ normal.variance @ inverse
 
 
-def _changed(before: BeamCalibration, change: Array, covariance: Array, pixels: int, step: int) -> BeamCalibration:
+def _changed(before: BeamCalibration, change: F64, covariance: F64, pixels: int, step: int) -> BeamCalibration:
     """The calibration after a step; standard deviations of 0 are of what is not looked for."""
     channels = len(before.gains)
     sigma = np.sqrt(np.diag(covariance))
@@ -217,23 +216,23 @@ def _changed(before: BeamCalibration, change: Array, covariance: Array, pixels: 
     )
 
 
-def _all_parameters(channels: int) -> Array:
+def _all_parameters(channels: int) -> F64:
     """Basis of the parameters but for one complex factor of all gains."""
     return np.hstack([np.eye(2 * channels + 1, 1), _gains(channels)])
 
 
-def _gains(channels: int) -> Array:
+def _gains(channels: int) -> F64:
     """Basis of gains but for that factor: amplitudes, then phases."""
     return np.hstack([np.roll(_phases(channels), channels + 1, axis=0), _phases(channels)])
 
 
-def _phases(channels: int) -> Array:
+def _phases(channels: int) -> F64:
     """Basis of phases of the mean 0."""
     differences = np.linalg.svd(np.ones((1, channels)))[2][1:].T
     return np.vstack([np.zeros((channels + 1, channels - 1)), differences])
 
 
-def _of_scene(looks: Looks, beams: Beams, squint: Array, noise_power: float) -> Equations:
+def _of_scene(looks: Looks, beams: Beams, squint: F64, noise_power: float) -> Equations:
     """Sums over the usable pixels of a scene, at the angles that are likeliest with a calibration."""
     _check_channels(beams, looks.covariance.shape[-1])
     _check_complex(looks.covariance[slice(0, 1), slice(0, 1)])
@@ -273,7 +272,7 @@ def _of_scene(looks: Looks, beams: Beams, squint: Array, noise_power: float) -> 
 
 
 def _of_target(
-    covariance: Covariance, count: npt.ArrayLike, beams: Beams, elevation: Array, squint: Array, noise_power: float
+    covariance: Covariance, count: npt.ArrayLike, beams: Beams, elevation: F64, squint: F64, noise_power: float
 ) -> Equations:
     """Sums over the positions of a target at known angles."""
     _check_channels(beams, covariance.shape[-1])
@@ -289,7 +288,7 @@ def _of_target(
     return equations
 
 
-def _first_gains(covariance: Covariance, beams: Beams, elevation: Array, squint: Array) -> ComplexArray:
+def _first_gains(covariance: Covariance, beams: Beams, elevation: F64, squint: F64) -> C128:
     """Gains to start from: the strongest eigenvector of the covariances, matched to the beams and summed."""
     response = beams.response(elevation, squint)
     matched = np.einsum("pm,pmn,pn->mn", response.conj(), covariance, response)
@@ -301,9 +300,7 @@ def _first_gains(covariance: Covariance, beams: Beams, elevation: Array, squint:
     return np.asarray(np.exp(amplitude - np.mean(amplitude) + 1j * (phase - np.mean(phase))))
 
 
-def _usable(
-    pixels: Covariance, explained: Array, count: Array, elevation: Array, beams: Beams, share: float
-) -> npt.NDArray[np.bool_]:
+def _usable(pixels: Covariance, explained: F64, count: F64, elevation: F64, beams: Beams, share: float) -> Bool:
     """Pixels of one scatterer (`estimate.validity_of`), bright enough and between the boresights."""
     first, last = beams.span
     left = np.trace(pixels, axis1=1, axis2=2).real - explained

@@ -10,15 +10,11 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.errors import UserError
 from sal_height.io import writing
-from sal_height.numeric import window
+from sal_height.numeric import C64, C128, F64, window
 from sal_height.sensor import PhaseHistory, Sensor
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 FLOOR = 0.1
 """Amplitude of a response that is raised to half of what it should be; weaker ones less, stronger ones more."""
@@ -45,10 +41,10 @@ class Calibration:
     """
 
     config_hash: str
-    response: ComplexArray
-    response_sigma: Array
-    gain_sigma: Array
-    phase_sigma: Array
+    response: C128
+    response_sigma: F64
+    gain_sigma: F64
+    phase_sigma: F64
     width_factor: float = 1.0
     width_sigma: float = 0.0
     dwells: int = 0
@@ -84,7 +80,7 @@ class Calibration:
         return hashlib.sha256(b"".join(value.tobytes() for value in values)).hexdigest()[:16]
 
     @cached_property
-    def equaliser(self) -> npt.NDArray[np.complex64]:
+    def equaliser(self) -> C64:
         """Weights of the channels' frequencies that leave all channels with one response, flat where it can be.
 
         The inverse of the responses, regularised: a frequency has the weight w = a^4 / (a^4 + FLOOR^4), with a the
@@ -120,7 +116,7 @@ class Calibration:
         """The phase history (waveform "spectrum") with equal responses in all channels."""
         return replace(history, samples=history.samples * self.equaliser[:, None])
 
-    def noise_gains(self, range_window: str) -> Array:
+    def noise_gains(self, range_window: str) -> F64:
         """By how much equalising raises the noise power of images, shape (channels,).
 
         Args:

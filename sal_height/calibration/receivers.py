@@ -15,16 +15,12 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
 from sal_height.errors import NotDetermined
 from sal_height.geometry import ApertureState, Grid, without_range_phase
-from sal_height.numeric import WORKERS
+from sal_height.numeric import C64, C128, F64, I64, WORKERS
 from sal_height.sensor import Sensor, with_powers
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 SPACING_TOLERANCE = 1e-6
 """Relative difference between the spacing of rows and the range resolution that is allowed."""
@@ -50,8 +46,8 @@ class CrossSpectra:
         columns: that were summed; without those that are 0 or not finite.
     """
 
-    power: ComplexArray
-    noise: ComplexArray
+    power: C128
+    noise: C128
     columns: int
 
     @classmethod
@@ -75,14 +71,12 @@ class DifferentialResponse:
         echoes: number of lags of each channel that are significant, shape (channels,).
     """
 
-    response: ComplexArray
-    sigma: Array
-    echoes: npt.NDArray[np.int64]
+    response: C128
+    sigma: F64
+    echoes: I64
 
 
-def unwound(
-    slc: npt.NDArray[np.complex64], grid: Grid, aperture: ApertureState, sensor: Sensor
-) -> npt.NDArray[np.complex64]:
+def unwound(slc: C64, grid: Grid, aperture: ApertureState, sensor: Sensor) -> C64:
     """Images whose spectrum along range is that over the fast-time frequencies, their middle one at 0.
 
     Args:
@@ -106,7 +100,7 @@ def unwound(
     return np.asarray(slc[:, : sensor.sample_count] * turn[: sensor.sample_count].astype(np.complex64))
 
 
-def cross_spectra(pixels: npt.NDArray[np.complex64], sensor: Sensor, noise_powers: Array) -> CrossSpectra:
+def cross_spectra(pixels: C64, sensor: Sensor, noise_powers: F64) -> CrossSpectra:
     """Cross-spectra of the images of a dwell.
 
     Args:
@@ -160,7 +154,7 @@ def differential_response(spectra: CrossSpectra) -> DifferentialResponse:
     return DifferentialResponse(np.exp(kept.T), np.sqrt(variance), np.count_nonzero(real, axis=0))
 
 
-def _scoring(measured: ComplexArray, noise: ComplexArray, response: ComplexArray) -> tuple[ComplexArray, Array]:
+def _scoring(measured: C128, noise: C128, response: C128) -> tuple[C128, F64]:
     """A step of Fisher scoring of the logarithms of the responses, and their covariance in a single look.
 
     The spectra are taken as the responses found so far would have left them, and so is their noise; their mean over
@@ -178,11 +172,11 @@ def _scoring(measured: ComplexArray, noise: ComplexArray, response: ComplexArray
     covariance = np.linalg.pinv(_information(signal, weight), rcond=1e-9, hermitian=True)
     step = scores @ covariance
     channels = len(weight)
-    logarithms: ComplexArray = step[:, :channels] + 1j * step[:, channels:]
+    logarithms: C128 = step[:, :channels] + 1j * step[:, channels:]
     return logarithms, np.asarray(covariance, dtype=np.float64)
 
 
-def _information(signal: ComplexArray, weight: ComplexArray) -> Array:
+def _information(signal: C128, weight: C128) -> F64:
     """Fisher information of one look on the logarithms of the channels' amplitudes, then on their phases.
 
     tr(A dS A dS') with dS = E G + G E by an amplitude and j (E G - G E) by a phase, E picking a channel.
@@ -195,24 +189,24 @@ def _information(signal: ComplexArray, weight: ComplexArray) -> Array:
     return np.block([[amplitudes, mixed], [mixed.T, phases]])
 
 
-def _without_gauge(logarithm: ComplexArray, signal: Array) -> ComplexArray:
+def _without_gauge(logarithm: C128, signal: F64) -> C128:
     """Logarithms (frequencies, channels) relative to the channels' mean, weighted by their power, and to the band's."""
     relative = logarithm - (logarithm @ (signal / signal.sum()))[:, None]
     return np.asarray(relative - relative.mean(axis=0))
 
 
-def _beyond_median(echoes: ComplexArray) -> ComplexArray:
+def _beyond_median(echoes: C128) -> C128:
     """Echoes (lags, channels) beyond those of the median channel: a fault of few channels is theirs alone."""
     return np.asarray(echoes - np.median(echoes.real, axis=1)[:, None] - 1j * np.median(echoes.imag, axis=1)[:, None])
 
 
-def _rms_around(echoes: ComplexArray) -> Array:
+def _rms_around(echoes: C128) -> F64:
     """Rms of the echoes (lags, channels) that noise makes: by the median of those around, which few real ones leave."""
     around = np.arange(len(echoes))[:, None] + np.arange(-AROUND, AROUND + 1)
     return np.asarray(np.sqrt(np.median(np.abs(echoes[around % len(echoes)]) ** 2, axis=1) / np.log(2)))
 
 
-def _variance_beyond_mean(covariance: Array) -> Array:
+def _variance_beyond_mean(covariance: F64) -> F64:
     """Variance of each channel's logarithm, both parts together, relative to the mean of the channels."""
     channels = len(covariance) // 2
     relative = np.eye(channels) - 1 / channels

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.geometry import ApertureState, Grid, angles_of, aperture_at, pixels_at
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
+from sal_height.numeric import C64, C128, F64
 
 REACH = 2
 """Pixels around its place in which the target is looked for."""
@@ -29,14 +26,12 @@ class Sighting:
         squint: rad.
     """
 
-    samples: ComplexArray
+    samples: C128
     elevation: float
     squint: float
 
 
-def sighting(
-    pixels: npt.NDArray[np.complex64], grid: Grid, aperture: ApertureState, look_side: int, target: Array
-) -> Sighting | None:
+def sighting(pixels: C64, grid: Grid, aperture: ApertureState, look_side: int, target: F64) -> Sighting | None:
     """The reference target in the images of a dwell; None: it is not in them, or does not stand out.
 
     Args:

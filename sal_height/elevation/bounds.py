@@ -15,29 +15,28 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams import Beams
+from sal_height.numeric import F64
 
-Array = npt.NDArray[np.float64]
 
-
-def information(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+def information(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
     """D in 1/rad^2, for targets at `elevation` and `squint` (rad, shapes that broadcast)."""
     return information_of(beams.response(elevation, squint), beams.slope(elevation, squint))
 
 
-def information_of(response: Array, slope: Array) -> Array:
+def information_of(response: F64, slope: F64) -> F64:
     """D of responses a and slopes a' of shape (..., detectors), 1/rad^2 if the slopes are per rad."""
     overlap = np.abs(np.sum(response.conj() * slope, axis=-1)) ** 2
     return np.asarray(np.sum(np.abs(slope) ** 2, axis=-1) - overlap / beam_power(response))
 
 
-def beam_power(response: Array) -> Array:
+def beam_power(response: F64) -> F64:
     """|a|^2 of responses of shape (..., detectors), real or complex."""
     return np.asarray(np.sum(np.abs(response) ** 2, axis=-1))
 
 
 def conditional_crb(
     beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int
-) -> Array:
+) -> F64:
     """Standard deviation, rad, if the looks together have the energy K C: 1 / sqrt(2 K C D).
 
     Args:
@@ -52,7 +51,7 @@ def conditional_crb(
 
 def stochastic_crb(
     beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int
-) -> Array:
+) -> F64:
     """Standard deviation, rad, if the amplitudes are Gaussian of unknown power: conditional, less 1 + 1 / (C |a|^2).
 
     Many looks approach it above the threshold; `speckle_crb` is nearer for a few. Arguments as of `conditional_crb`.
@@ -62,13 +61,13 @@ def stochastic_crb(
     return stochastic_deviation(looks * np.asarray(cnr), looks, beam_power(response), determined)
 
 
-def stochastic_deviation(energy: Array, looks: npt.ArrayLike, power: Array, determined: Array) -> Array:
+def stochastic_deviation(energy: F64, looks: npt.ArrayLike, power: F64, determined: F64) -> F64:
     """`stochastic_crb` from the energy E = K C of the looks, |a|^2 and D; infinite where E is not positive."""
     positive = np.maximum(energy, 0.0)
     return _deviation(positive**2 / (positive + np.asarray(looks) / power), determined)
 
 
-def speckle_crb(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int) -> Array:
+def speckle_crb(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int) -> F64:
     """Standard deviation, rad, by the mean of the conditional variance over Gaussian amplitudes.
 
     The mean of 1 over their energy is 1 / ((K - 1) C): infinite for one look, which may be dark. Arguments as of
@@ -77,7 +76,7 @@ def speckle_crb(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, c
     return conditional_crb(beams, elevation, squint, cnr, looks - 1)
 
 
-def _deviation(energy: npt.ArrayLike, information: Array) -> Array:
+def _deviation(energy: npt.ArrayLike, information: F64) -> F64:
     """1 / sqrt(2 E D), infinite where the energy or D is not positive."""
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = 1 / (2 * np.asarray(energy) * information)

@@ -6,15 +6,12 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import gammainccinv
 
 from sal_height.beams import Beams
 from sal_height.elevation.bounds import beam_power
 from sal_height.elevation.looks import Covariance, Looks
-from sal_height.numeric import compiled, in_parallel
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64, U8, compiled, in_parallel
 
 
 class Validity(IntEnum):
@@ -42,9 +39,9 @@ class SecondScatterer:
         cnr: carrier-to-noise power ratio of one look in a detector looking straight at it.
     """
 
-    elevation: Array
-    sigma: Array
-    cnr: Array
+    elevation: F64
+    sigma: F64
+    cnr: F64
 
 
 @dataclass(frozen=True)
@@ -59,10 +56,10 @@ class ElevationEstimate:
         second: the weaker one there; None: not looked for.
     """
 
-    elevation: Array
-    sigma: Array
-    cnr: Array
-    validity: npt.NDArray[np.uint8]
+    elevation: F64
+    sigma: F64
+    cnr: F64
+    validity: U8
     second: SecondScatterer | None = None
 
 
@@ -77,8 +74,8 @@ FALSE_ALARMS = 1e-4
 
 
 def validity_of(
-    looks: Looks, beams: Beams, noise_power: float, elevation: Array, explained: Array, cnr: Array, min_cnr: float
-) -> npt.NDArray[np.uint8]:
+    looks: Looks, beams: Beams, noise_power: float, elevation: F64, explained: F64, cnr: F64, min_cnr: float
+) -> U8:
     """Reason for which each pixel's estimate cannot be used, the first that applies, or OK.
 
     What one scatterer at `elevation` leaves of the power is noise: (M - 1) K sigma^2 with the spread of a chi-square
@@ -108,12 +105,12 @@ def validity_of(
     ).astype(np.uint8)
 
 
-def explained_power(covariance: Covariance, response: Array) -> Array:
+def explained_power(covariance: Covariance, response: F64) -> F64:
     """Power that a single scatterer seen with amplitudes `response` explains: a^H R a / a^H a, shape (...)."""
     return output_power(covariance, response) / beam_power(response)
 
 
-def output_power(covariance: Covariance, response: Array) -> Array:
+def output_power(covariance: Covariance, response: F64) -> F64:
     """Power of the channels combined with weights `response`, a^H R a, in double precision.
 
     Args:
@@ -129,7 +126,7 @@ def output_power(covariance: Covariance, response: Array) -> Array:
 
 
 @compiled
-def _quadratic_forms(matrices: Covariance, weights: Array, result: Array) -> None:
+def _quadratic_forms(matrices: Covariance, weights: F64, result: F64) -> None:
     for i in range(result.size):
         total = 0.0
         for m in range(weights.shape[1]):

@@ -27,10 +27,8 @@ from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Va
 from sal_height.elevation.likelihood import GUARD
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.errors import UserError
-from sal_height.numeric import compiled, in_parallel
+from sal_height.numeric import F32, F64, Bool, Index, compiled, in_parallel
 
-Array = npt.NDArray[np.float64]
-FloatArray = npt.NDArray[np.float32]
 Numbers = npt.NDArray[Any]
 """Real, or complex if the beams are."""
 
@@ -72,19 +70,19 @@ class TwoScatterers:
             first order in noise power over theirs. Infinite where that much is not known of them.
     """
 
-    detected: npt.NDArray[np.bool_]
-    elevation: Array
-    power: Array
-    sigma: Array
+    detected: Bool
+    elevation: F64
+    power: F64
+    sigma: F64
 
 
 def two_scatterers(
     covariance: Covariance,
     beams: Beams,
-    squint: Array,
+    squint: F64,
     noise_power: float,
     looks_count: npt.ArrayLike,
-    single: Array,
+    single: F64,
     false_alarm: float,
 ) -> TwoScatterers:
     """Find the pixels that hold two scatterers rather than one, and the elevations of both.
@@ -117,7 +115,7 @@ def two_scatterers(
         pixel = (np.repeat(np.arange(shape[0]), cols.size), np.tile(cols, shape[0]))
         levels = _thresholds(beams, angle, looks[pixel], false_alarm)
 
-        def work(part: slice, grid: _PairGrid = grid, pixel: Any = pixel, levels: Array = levels) -> None:
+        def work(part: slice, grid: _PairGrid = grid, pixel: Any = pixel, levels: F64 = levels) -> None:
             for first in range(part.start, part.stop, PIXELS_AT_ONCE):
                 block = slice(first, min(first + PIXELS_AT_ONCE, part.stop))
                 here = (pixel[0][block], pixel[1][block])
@@ -130,7 +128,7 @@ def two_scatterers(
 
 
 def resolve_layover(
-    estimate: ElevationEstimate, looks: Looks, beams: Beams, squint: Array, noise_power: float, min_cnr: float
+    estimate: ElevationEstimate, looks: Looks, beams: Beams, squint: F64, noise_power: float, min_cnr: float
 ) -> ElevationEstimate:
     """The estimate with both scatterers of the pixels that do not fit one, where two can be told apart.
 
@@ -162,7 +160,7 @@ def resolve_layover(
     return ElevationEstimate(elevation, sigma, cnr, validity, SecondScatterer(*second))
 
 
-def _thresholds(beams: Beams, squint: float, looks: Array, false_alarm: float) -> Array:
+def _thresholds(beams: Beams, squint: float, looks: F64, false_alarm: float) -> F64:
     """Gains (sigma^2) that are suspicious, and that detect, with the looks of each pixel (pixels,): (2, pixels)."""
     counts, which = np.unique(looks, return_inverse=True)
     shares = (SUSPICIOUS * false_alarm, false_alarm)
@@ -199,7 +197,7 @@ def detection_threshold(beams: Beams, squint: float, looks: float, false_alarm: 
 
 def two_source_crb(
     beams: Beams, elevations: npt.ArrayLike, squint: npt.ArrayLike, cnrs: npt.ArrayLike, looks: int
-) -> Array:
+) -> F64:
     """Least standard deviation (rad) of the elevations of two independent Gaussian scatterers, shape (..., 2).
 
     With S the covariance of the amplitudes over sigma^2, unknown, and D = [a'(t1) a'(t2)] (Stoica and Nehorai, IEEE
@@ -240,7 +238,7 @@ class _PairModel:
     slope_power: Numbers
 
     @classmethod
-    def of(cls, beams: Beams, elevations: Array, squint: Array | float) -> Self:
+    def of(cls, beams: Beams, elevations: F64, squint: F64 | float) -> Self:
         """Of pairs at `elevations` (..., 2) and `squint` (...), rad."""
         angle = np.asarray(squint)[..., None]
         matrix = np.swapaxes(beams.response(elevations, angle), -1, -2)
@@ -250,7 +248,7 @@ class _PairModel:
         beyond = slope - matrix @ (inverse @ slope)
         return cls(matrix, gram, inverse, beyond, _adjoint(beyond) @ beyond)
 
-    def explained(self, fitted: Numbers) -> Array:
+    def explained(self, fitted: Numbers) -> F64:
         """The likelihood f = tr(P R), shape (...), of `fitted` = A^+ R, (..., 2, M)."""
         return np.asarray(_traces(fitted, self.matrix).sum(axis=-1))
 
@@ -258,14 +256,14 @@ class _PairModel:
         """Sum over looks of the products of the fitted amplitudes, A^+ R A^+H, noise included; (..., 2, 2)."""
         return fitted @ _adjoint(self.inverse)
 
-    def newton_step(self, fitted: Numbers) -> Array:
+    def newton_step(self, fitted: Numbers) -> F64:
         """Gauss-Newton step of f, rad, (..., 2): its curvature as it is expected of these amplitudes."""
         gradient = _traces(fitted, self.beyond)
         curvature = (self.slope_power * np.swapaxes(self.amplitudes(fitted), -1, -2)).real
         ridge = 1e-9 * np.trace(curvature, axis1=-2, axis2=-1)[..., None, None] * np.eye(2)
         return np.asarray(np.linalg.solve(curvature + ridge, gradient[..., None])[..., 0])
 
-    def bound(self, known: Numbers, looks: npt.ArrayLike) -> Array:
+    def bound(self, known: Numbers, looks: npt.ArrayLike) -> F64:
         """1 / sqrt of F = 2 K Re{(D^H (I - P) D) * known^T}, rad, (..., 2); infinite where F is not positive definite.
 
         Args:
@@ -294,10 +292,10 @@ class _PairGrid:
 
     beams: Beams
     squint: float
-    nodes: Array
+    nodes: F64
     units: Numbers
     overlap: Numbers
-    weight: FloatArray
+    weight: F32
 
     @classmethod
     def of(cls, beams: Beams, squint: float) -> Self:
@@ -312,21 +310,21 @@ class _PairGrid:
         units = np.ascontiguousarray(unit.T, dtype=kind)
         return cls(beams, squint, nodes, units, overlap.astype(kind), weight.astype(np.float32))
 
-    def gain_beside(self, covariance: Covariance, first: Array) -> FloatArray:
+    def gain_beside(self, covariance: Covariance, first: F64) -> F32:
         """Greatest power that a node explains beyond what elevations `first` (rad, (pixels,)) do, (pixels,)."""
         one = _unit(self.beams.response(first, self.squint)).astype(self.units.dtype)
         gain = np.empty(len(covariance), np.float32)
         _gains(covariance, one, self.units, gain)
         return gain
 
-    def best(self, covariance: Covariance) -> Array:
+    def best(self, covariance: Covariance) -> F64:
         """Nodes (rad) of the pair that explains most, shape (pixels, 2)."""
         place = np.empty((len(covariance), 2), dtype=np.intp)
         _best_pairs(covariance, self.units, self.overlap, self.weight, place)
         return self.nodes[place]
 
 
-def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: Array, single: Array, levels: Array) -> Array:
+def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: F64, single: F64, levels: F64) -> F64:
     """Elevations, powers and deviations of the pairs in some pixels, shape (pixels, 3, 2); NaN where there is none.
 
     Args:
@@ -356,7 +354,7 @@ def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: Array, single: Arr
     return found
 
 
-def _climb(covariance: Numbers, grid: _PairGrid, start: Array) -> Array:
+def _climb(covariance: Numbers, grid: _PairGrid, start: F64) -> F64:
     """Pairs (pixels, 2) from nodes of the grid to peaks of f near them, rad; a step that does not rise is quartered."""
     found, active = start.copy(), np.arange(len(start))
     reach = np.full((len(start), 1), GRID_STEP * grid.beams.beamwidth / 2)
@@ -386,7 +384,7 @@ def _unit(response: Numbers) -> Numbers:
     return np.asarray(response * np.divide(1.0, norm, where=norm > 0, out=np.zeros_like(norm)))
 
 
-def _traces(left: Numbers, right: Numbers) -> Array:
+def _traces(left: Numbers, right: Numbers) -> F64:
     """Real diagonal of `left` (..., 2, M) times `right` (..., M, 2), shape (..., 2)."""
     return np.asarray(np.einsum("...im,...mi->...i", left, right).real)
 
@@ -414,7 +412,7 @@ def _require(
 
 
 @compiled
-def _gains(covariance: Numbers, one: Numbers, units: Numbers, gain: FloatArray) -> None:
+def _gains(covariance: Numbers, one: Numbers, units: Numbers, gain: F32) -> None:
     """Greatest power that a node explains beyond unit vectors `one` (pixels, M), the part of u_j along them removed."""
     count = units.shape[1]
     outputs = np.empty_like(units)
@@ -441,9 +439,7 @@ def _gains(covariance: Numbers, one: Numbers, units: Numbers, gain: FloatArray) 
 
 
 @compiled
-def _best_pairs(
-    covariance: Numbers, units: Numbers, overlap: Numbers, weight: FloatArray, place: npt.NDArray[np.intp]
-) -> None:
+def _best_pairs(covariance: Numbers, units: Numbers, overlap: Numbers, weight: F32, place: Index) -> None:
     """Nodes i < j of the greatest (c_ii + c_jj - 2 Re(overlap_ij^* c_ij)) weight_ij, c = u_i^H R u_j, per pixel."""
     count = units.shape[1]
     outputs, cross = np.empty_like(units), np.empty(count, units.dtype)
@@ -468,7 +464,7 @@ def _best_pairs(
 
 
 @compiled
-def _outputs(matrix: Numbers, units: Numbers, outputs: Numbers, own: FloatArray) -> None:
+def _outputs(matrix: Numbers, units: Numbers, outputs: Numbers, own: F32) -> None:
     """R u_j of every node, shape (M, nodes), and u_j^H R u_j."""
     outputs[:] = 0
     own[:] = 0

@@ -12,7 +12,6 @@ or w^H R w with the weights w = a / |a| or w = a.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.beams import Beams
 from sal_height.elevation.bounds import stochastic_deviation
@@ -20,8 +19,7 @@ from sal_height.elevation.estimate import ElevationEstimate, Validity, validity_
 from sal_height.elevation.looks import Covariance, Covariances, Looks
 from sal_height.elevation.search import Columns, Objective, PeakSearch, PeakSearches
 from sal_height.errors import UserError
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64
 
 GUARD = 3.0
 """Beamwidths beyond the array that are searched too, so that a target out there is recognised by its sidelobes.
@@ -48,7 +46,7 @@ several directions alike: there it is what tells. Two detectors always do, and a
 """
 
 
-def _normalised(response: Array, slope: Array) -> tuple[Array, Array]:
+def _normalised(response: F64, slope: F64) -> tuple[F64, F64]:
     """The unit vector a / |a|, or 0 where no detector sees anything."""
     norm = np.linalg.norm(response, axis=-1, keepdims=True)
     inverse = np.divide(1.0, norm, where=norm > 0, out=np.zeros_like(norm))
@@ -56,7 +54,7 @@ def _normalised(response: Array, slope: Array) -> tuple[Array, Array]:
     return unit, (slope - unit * np.sum(unit * slope, axis=-1, keepdims=True)) * inverse
 
 
-def _numerator(response: Array, slope: Array) -> tuple[Array, Array]:
+def _numerator(response: F64, slope: F64) -> tuple[F64, F64]:
     return response, slope
 
 
@@ -64,7 +62,7 @@ OBJECTIVES: dict[str, Objective] = {"normalised": _normalised, "numerator": _num
 """Weights w and their slope from response a and slope a' (real, (..., detectors)); "numerator" is the paper's."""
 
 
-def peak_elevation(covariance: Covariances, beams: Beams, squint: Array, objective: Objective, guard: float) -> Array:
+def peak_elevation(covariance: Covariances, beams: Beams, squint: F64, objective: Objective, guard: float) -> F64:
     """Elevation (rad) of the greatest objective in every pixel, shape (rows, cols).
 
     Args:
@@ -88,7 +86,7 @@ def search_guard(beams: Beams) -> float:
 
 
 def ml_elevation(
-    looks: Looks, beams: Beams, squint: Array, noise_power: float, objective: Objective, min_cnr: float
+    looks: Looks, beams: Beams, squint: F64, noise_power: float, objective: Objective, min_cnr: float
 ) -> ElevationEstimate:
     """Elevation of the dominant scatterer in every pixel: the highest peak over the array and the guard beyond.
 
@@ -108,7 +106,7 @@ def ml_elevation(
 
     margin = float(np.log(AMBIGUOUS_RATIO))
 
-    def find(search: PeakSearch, pixels: Covariance, *_: object) -> Array:
+    def find(search: PeakSearch, pixels: Covariance, *_: object) -> F64:
         peaks, share = search.peaks(pixels, margin * noise_power)
         return np.vstack([peaks, share, search.fit(pixels, peaks)])
 
@@ -122,14 +120,14 @@ def ml_elevation(
 
 
 def estimate_at(
-    elevation: Array, looks: Looks, beams: Beams, squint: Array, noise_power: float, min_cnr: float
+    elevation: F64, looks: Looks, beams: Beams, squint: F64, noise_power: float, min_cnr: float
 ) -> ElevationEstimate:
     """What is known of a scatterer whose likelihood peaks at `elevation` (rad, shape (rows, cols)), in every pixel.
 
     The other arguments are those of `ml_elevation`.
     """
 
-    def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> Array:
+    def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> F64:
         return search.fit(pixels, elevation[rows, cols].reshape(-1))
 
     searches = PeakSearches.over(beams, np.unique(squint), _normalised, search_guard(beams))
@@ -138,10 +136,10 @@ def estimate_at(
 
 
 def _estimate(
-    elevation: Array,
-    explained: Array,
-    gain: Array,
-    turning: Array,
+    elevation: F64,
+    explained: F64,
+    gain: F64,
+    turning: F64,
     looks: Looks,
     beams: Beams,
     noise_power: float,

@@ -7,19 +7,15 @@ from dataclasses import dataclass
 from typing import Protocol, Self, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid
-from sal_height.numeric import compiled, in_parallel, inlined
+from sal_height.numeric import C64, F32, F64, Bool, Complex, Index, compiled, in_parallel, inlined
 
-Array = npt.NDArray[np.float64]
-FloatArray = npt.NDArray[np.float32]
-ComplexArray = npt.NDArray[np.complex64]
-Indices = slice | npt.NDArray[np.intp]
-Covariance: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.complex64]
+Indices = slice | Index
+Covariance: TypeAlias = F32 | C64
 
-LOOK_WINDOWS: dict[str, Callable[[int], Array]] = {
+LOOK_WINDOWS: dict[str, Callable[[int], F64]] = {
     "boxcar": np.ones,
     "triangular": lambda count: np.bartlett(count + 2)[1:-1],
     "hamming": np.hamming,
@@ -59,7 +55,7 @@ class Window:
         UserError: no weight, one that is not finite and greater than 0, or a step below 1.
     """
 
-    weights: Array
+    weights: F64
     step: int
 
     def __post_init__(self) -> None:
@@ -88,7 +84,7 @@ class Window:
         """Sample, and fraction of one, in the middle of pixel 0."""
         return self.first + (len(self.weights) - 1) / 2
 
-    def sums(self, samples: int) -> tuple[Array, Array]:
+    def sums(self, samples: int) -> tuple[F64, F64]:
         """Sum of the weights, and of their squares, of the looks that each pixel has, (pixels,) each."""
         inside = np.arange(len(self.weights)) + self.first + np.arange(self.pixels(samples))[:, None] * self.step
         there = (inside >= 0) & (inside < samples)
@@ -111,11 +107,11 @@ class Looks:
     """
 
     covariance: Covariances
-    count: Array
-    row: Array
-    col: Array
-    power: Array
-    finite: npt.NDArray[np.bool_]
+    count: F64
+    row: F64
+    col: F64
+    power: F64
+    finite: Bool
 
 
 @dataclass(frozen=True)
@@ -132,11 +128,11 @@ class SlcCovariance:
         hermitian: complex covariances, or their real part only.
     """
 
-    numbers: FloatArray
+    numbers: F32
     down: Window
     across: Window
-    gains: ComplexArray
-    scale: FloatArray
+    gains: C64
+    scale: F32
     hermitian: bool
 
     @property
@@ -157,7 +153,7 @@ class SlcCovariance:
         return _together(parts).reshape(*shape, channels, channels)
 
 
-def covariance(samples: ComplexArray, hermitian: bool) -> Covariance:
+def covariance(samples: C64, hermitian: bool) -> Covariance:
     """Sum over looks of g g^H; precision and threads as of `SlcCovariance`.
 
     Args:
@@ -173,12 +169,12 @@ def covariance(samples: ComplexArray, hermitian: bool) -> Covariance:
     return _together(parts)
 
 
-def _together(parts: FloatArray) -> Covariance:
+def _together(parts: F32) -> Covariance:
     """Complex matrices of their real and imaginary parts (pixels, 2, M, M), or real ones of (pixels, 1, M, M)."""
     return parts[:, 0] + np.complex64(1j) * parts[:, 1] if parts.shape[1] == 2 else parts[:, 0]
 
 
-def live_detectors(slc: ComplexArray) -> npt.NDArray[np.intp]:
+def live_detectors(slc: C64) -> Index:
     """Numbers of the channels of `slc` (channels, rows, cols) with a finite sample other than 0 anywhere.
 
     Raises:
@@ -200,11 +196,11 @@ def blocks(range_looks: int, azimuth_looks: int) -> tuple[Window, Window]:
 
 
 def multilook(
-    slc: ComplexArray,
+    slc: C64,
     range_looks: int,
     azimuth_looks: int,
     hermitian: bool = False,
-    transform: npt.NDArray[np.complexfloating] | None = None,
+    transform: Complex | None = None,
 ) -> Looks:
     """Sum up blocks of `range_looks` x `azimuth_looks` pixels; those at the far edges have what is left.
 
@@ -214,11 +210,11 @@ def multilook(
 
 
 def windowed_looks(
-    slc: ComplexArray,
+    slc: C64,
     down: Window,
     across: Window,
     hermitian: bool = False,
-    transform: npt.NDArray[np.complexfloating] | None = None,
+    transform: Complex | None = None,
 ) -> Looks:
     """Looks of every pixel of the height image.
 
@@ -267,7 +263,7 @@ def windowed_looks(
 
 
 @compiled
-def _powers(numbers: FloatArray, weights: FloatArray, first: int, power: FloatArray) -> None:
+def _powers(numbers: F32, weights: F32, first: int, power: F32) -> None:
     """Weighted sum over channels of |g|^2 of samples from row `first` on; -1 where it is infinite or not a number."""
     bits = power.view(np.uint32)
     for r in range(len(power)):
@@ -284,11 +280,11 @@ def _powers(numbers: FloatArray, weights: FloatArray, first: int, power: FloatAr
 
 @compiled
 def _centres(
-    sample_power: FloatArray,
-    down: tuple[int, int, Array],
-    across: tuple[int, int, Array],
+    sample_power: F32,
+    down: tuple[int, int, F64],
+    across: tuple[int, int, F64],
     first: int,
-    result: tuple[Array, Array, Array],
+    result: tuple[F64, F64, F64],
 ) -> None:
     """Power, mean row and mean column of the looks of pixels from row `first` on; power -1 where one is bad."""
     (top, row_step, row_weights), (left, col_step, col_weights) = down, across
@@ -317,13 +313,13 @@ def _centres(
 
 @compiled
 def _covariances(
-    numbers: FloatArray,
-    gains: ComplexArray,
-    pixels: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]],
-    down: tuple[int, int, FloatArray],
-    across: tuple[int, int, FloatArray],
-    scale: FloatArray,
-    parts: FloatArray,
+    numbers: F32,
+    gains: C64,
+    pixels: tuple[Index, Index],
+    down: tuple[int, int, F32],
+    across: tuple[int, int, F32],
+    scale: F32,
+    parts: F32,
 ) -> None:
     """See `SlcCovariance`; `parts` are the real part, and the imaginary one if wanted: (pixels, 1 or 2, M, M)."""
     (top, row_step, row_weights), (left, col_step, col_weights) = down, across
@@ -346,7 +342,7 @@ def _covariances(
 
 
 @compiled
-def _sums(numbers: FloatArray, parts: FloatArray) -> None:
+def _sums(numbers: F32, parts: F32) -> None:
     """See `covariance`; numbers of shape (pixels, looks, 2 M), parts as of `_covariances`."""
     looks, channels = numbers.shape[1], numbers.shape[2] // 2
     x = np.empty((looks + LOOKS_AT_ONCE, channels), np.float32)
@@ -360,7 +356,7 @@ def _sums(numbers: FloatArray, parts: FloatArray) -> None:
 
 
 @inlined
-def _sum_outer_products(x: FloatArray, y: FloatArray, count: int, parts: FloatArray) -> None:
+def _sum_outer_products(x: F32, y: F32, count: int, parts: F32) -> None:
     """Sum of g g^H over `count` samples g = x + j y, as parts (1 or 2, M, M); spare rows of x and y are overwritten."""
     padded = max(1, -(-count // LOOKS_AT_ONCE)) * LOOKS_AT_ONCE
     for k in range(count, padded):
@@ -374,9 +370,7 @@ def _sum_outer_products(x: FloatArray, y: FloatArray, count: int, parts: FloatAr
 
 
 @inlined
-def _add_four(
-    p: FloatArray, q: FloatArray, sign: np.float32, x: FloatArray, y: FloatArray, k: int, result: FloatArray
-) -> None:
+def _add_four(p: F32, q: F32, sign: np.float32, x: F32, y: F32, k: int, result: F32) -> None:
     """Add p x^T + sign q y^T of four samples from number `k` on to `result` (M, M), which the first ones overwrite."""
     x0, x1, x2, x3, y0, y1, y2, y3 = x[k], x[k + 1], x[k + 2], x[k + 3], y[k], y[k + 1], y[k + 2], y[k + 3]
     for m in range(len(result)):

@@ -12,20 +12,17 @@ from itertools import product
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial.chebyshev import chebvander
 
 from sal_height.beams import Beams
 from sal_height.elevation.looks import Covariance, Covariances
 from sal_height.errors import UserError
-from sal_height.numeric import compiled, in_parallel, inlined
+from sal_height.numeric import F32, F64, Index, compiled, in_parallel, inlined
 
-Array = npt.NDArray[np.float64]
-FloatArray = npt.NDArray[np.float32]
-Objective = Callable[[Array, Array], tuple[Array, Array]]
+Objective = Callable[[F64, F64], tuple[F64, F64]]
 """Weights and their slope from response and slope of the beams, all real and of the shape (..., detectors)."""
 
-Columns = slice | npt.NDArray[np.intp]
+Columns = slice | Index
 
 PIXELS_OF_THREAD = 2048
 """Pixels that are worth a thread."""
@@ -82,14 +79,14 @@ class PeakSearch:
 
     first: float
     step: float
-    entries: npt.NDArray[np.intp]
-    grid: FloatArray
-    pieces: FloatArray
-    power: FloatArray
+    entries: Index
+    grid: F32
+    pieces: F32
+    power: F32
     complex_beams: bool
 
     @classmethod
-    def of(cls, nodes: Array, response: Array, slope: Array, objective: Objective) -> Self:
+    def of(cls, nodes: F64, response: F64, slope: F64, objective: Objective) -> Self:
         """The search on a table whose `nodes` (rad) hold the beams' response and slope, shape (nodes, detectors)."""
         step = float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
         response, slope, complex_beams = _as_real(response), _as_real(slope), np.iscomplexobj(response)
@@ -109,7 +106,7 @@ class PeakSearch:
             complex_beams=complex_beams,
         )
 
-    def peaks(self, covariance: Covariance, margin: float = 0.0) -> tuple[Array, Array]:
+    def peaks(self, covariance: Covariance, margin: float = 0.0) -> tuple[F64, F64]:
         """Where the objective is greatest in the search domain, and how great its next peak is beside it.
 
         Elevation (rad), the end of the domain where the objective still rises there; and the height of the second peak
@@ -132,7 +129,7 @@ class PeakSearch:
             _climb_highest(matrices, values, np.float32(margin), self.pieces, position[block], share[block])
         return self.first + self.step * position, share
 
-    def fit(self, covariance: Covariance, elevation: Array) -> Array:
+    def fit(self, covariance: Covariance, elevation: F64) -> F64:
         """What one scatterer at `elevation` (rad, (pixels,)) makes of some pixels, shape (3, pixels); NaN of NaN.
 
         What it explains of the power, w^H R w / |w|^2; |a|^2; and D / |a|^2 (`bounds.information`), in 1/rad^2 how fast
@@ -147,11 +144,11 @@ class PeakSearch:
         found[:, ~known] = np.nan
         return found
 
-    def on_grid(self, covariance: Covariance) -> FloatArray:
+    def on_grid(self, covariance: Covariance) -> F32:
         """Objective of some pixels at every node of the grid, (pixels, grid nodes); errors and threads as `peaks`."""
         return _on_grid(self._real(covariance), self.entries, self.grid)
 
-    def peaks_uphill(self, covariance: Covariance, nodes: npt.NDArray[np.intp]) -> Array:
+    def peaks_uphill(self, covariance: Covariance, nodes: Index) -> F64:
         """Elevation (rad) of the peak that lies uphill of a node of the grid, for each of some pixels.
 
         From the node of the highest peak on the grid it is what `peaks` finds there. Errors and threads as `peaks`.
@@ -164,7 +161,7 @@ class PeakSearch:
         _climb_uphill(matrices, _on_grid(matrices, self.entries, self.grid), self.pieces, nodes, position)
         return self.first + self.step * position
 
-    def _real(self, covariance: Covariance) -> FloatArray:
+    def _real(self, covariance: Covariance) -> F32:
         """Real matrices whose quadratic form with the real weights is that of the covariance."""
         if not self.complex_beams:
             return np.ascontiguousarray(covariance.real, dtype=np.float32)
@@ -174,7 +171,7 @@ class PeakSearch:
         return np.ascontiguousarray(np.block([[real, -imaginary], [imaginary, real]]), dtype=np.float32)
 
 
-Find = Callable[[PeakSearch, Covariance, slice, Columns], Array]
+Find = Callable[[PeakSearch, Covariance, slice, Columns], F64]
 
 
 @dataclass(frozen=True)
@@ -194,16 +191,16 @@ class PeakSearches:
         made: of the beams so far, by squint.
     """
 
-    nodes: Array
+    nodes: F64
     beams: Beams
     objective: Objective
-    squints: Array
-    stack: tuple[FloatArray, ...]
+    squints: F64
+    stack: tuple[F32, ...]
     like: PeakSearch | None = None
     made: dict[float, PeakSearch] = field(default_factory=dict)
 
     @classmethod
-    def over(cls, beams: Beams, squints: Array, objective: Objective, guard: float) -> Self:
+    def over(cls, beams: Beams, squints: F64, objective: Objective, guard: float) -> Self:
         """Searches over `beams.domain(guard)` for targets at any of `squints` (distinct; angles in rad).
 
         Raises:
@@ -234,7 +231,7 @@ class PeakSearches:
             self.made[squint] = PeakSearch.of(self.nodes, response, slope, self.objective)
         return self.made[squint]
 
-    def of_pixels(self, covariance: Covariances, squint: Array, count: int, find: Find) -> Array:
+    def of_pixels(self, covariance: Covariances, squint: F64, count: int, find: Find) -> F64:
         """`count` numbers of every pixel, (count, rows, cols), which `find` gives for blocks of one squint each.
 
         Args:
@@ -254,7 +251,7 @@ class PeakSearches:
         self.each(squint, covariance.shape[0], work)
         return result
 
-    def each(self, squint: Array, rows: int, work: Callable[[PeakSearch, slice, Columns], object]) -> None:
+    def each(self, squint: F64, rows: int, work: Callable[[PeakSearch, slice, Columns], object]) -> None:
         """Do `work` on the search, the rows and the columns of all pixels, on all processors.
 
         In blocks of PIXELS_AT_ONCE pixels or, where one column is more, of a column; all pixels of a block have the
@@ -283,12 +280,12 @@ class PeakSearches:
         in_parallel(work_at, len(angles))
 
 
-def _as_real(values: Array) -> Array:
+def _as_real(values: F64) -> F64:
     """Complex numbers as their real parts, then their imaginary parts, along the last axis."""
     return np.concatenate([values.real, values.imag], axis=-1) if np.iscomplexobj(values) else values
 
 
-def _lagrange(nodes: Array, place: float) -> Array:
+def _lagrange(nodes: F64, place: float) -> F64:
     """Weights by which a polynomial through values at Chebyshev `nodes` gives its value at `place`."""
     middle, half = (nodes.max() + nodes.min()) / 2, (nodes.max() - nodes.min()) / 2
     highest = len(nodes) - 1
@@ -296,13 +293,13 @@ def _lagrange(nodes: Array, place: float) -> Array:
     return np.linalg.solve(at_nodes.T, there[0])
 
 
-def _hermite(value: Array, slope: Array) -> Array:
+def _hermite(value: F64, slope: F64) -> F64:
     """Cubics from node to node with these values and slopes (per step) at both; (nodes - 1, 4, ...)."""
     rise, start, end = np.diff(value, axis=0), slope[:-1], slope[1:]
     return np.stack([value[:-1], start, 3 * rise - 2 * start - end, start + end - 2 * rise], axis=1)
 
 
-def _weighted_sum(weights: FloatArray, values: FloatArray) -> FloatArray:
+def _weighted_sum(weights: F32, values: F32) -> F32:
     """Sum of `values` over their first axis; that of BLAS waits for threads."""
     total = np.zeros(values.shape[1:], np.float32)
     _add_weighted(weights, values.reshape(len(values), -1), total.reshape(-1))
@@ -313,7 +310,7 @@ def _weighted_sum(weights: FloatArray, values: FloatArray) -> FloatArray:
 
 
 @compiled
-def _add_weighted(weights: FloatArray, values: FloatArray, total: FloatArray) -> None:
+def _add_weighted(weights: F32, values: F32, total: F32) -> None:
     for k in range(len(weights)):
         weight, line = weights[k], values[k]
         for i in range(total.size):
@@ -321,7 +318,7 @@ def _add_weighted(weights: FloatArray, values: FloatArray, total: FloatArray) ->
 
 
 @compiled
-def _on_grid(matrices: FloatArray, entries: npt.NDArray[np.intp], grid: FloatArray) -> FloatArray:
+def _on_grid(matrices: F32, entries: Index, grid: F32) -> F32:
     """Objective of every pixel at every node of the grid, (pixels, grid nodes).
 
     A matrix product, in tiles of four pixels and four entries that stay in registers. That of BLAS takes half the
@@ -349,9 +346,7 @@ def _on_grid(matrices: FloatArray, entries: npt.NDArray[np.intp], grid: FloatArr
 
 
 @compiled
-def _climb_highest(
-    matrices: FloatArray, values: FloatArray, margin: np.float32, pieces: FloatArray, position: Array, share: Array
-) -> None:
+def _climb_highest(matrices: F32, values: F32, margin: np.float32, pieces: F32, position: F64, share: F64) -> None:
     """Climb from the high nodes of the grid, keep the highest peak, and how high the second is beside it.
 
     Args:
@@ -384,9 +379,7 @@ def _climb_highest(
 
 
 @compiled
-def _climb_uphill(
-    matrices: FloatArray, values: FloatArray, pieces: FloatArray, nodes: npt.NDArray[np.intp], position: Array
-) -> None:
+def _climb_uphill(matrices: F32, values: F32, pieces: F32, nodes: Index, position: F64) -> None:
     """Climb from one node of each pixel's grid; arguments as of `_climb_highest`."""
     work, last = np.empty((3, pieces.shape[2]), np.float32), values.shape[1] - 1
     for i in range(len(values)):
@@ -399,7 +392,7 @@ def _climb_uphill(
 
 
 @compiled
-def _behind_a_dip(line: FloatArray, g: int) -> bool:
+def _behind_a_dip(line: F32, g: int) -> bool:
     """Whether a higher neighbour of a node bends upwards: between peaks so near that the grid shows one only."""
     if g > 1 and line[g - 1] > line[g] and line[g - 2] + line[g] > 2 * line[g - 1]:
         return True
@@ -407,7 +400,7 @@ def _behind_a_dip(line: FloatArray, g: int) -> bool:
 
 
 @compiled
-def _start(line: FloatArray, g: int) -> float:
+def _start(line: F32, g: int) -> float:
     """Vertex of the parabola through a node of the grid and its neighbours, if it is a peak; else the node itself."""
     if g == 0 or g == line.size - 1 or line[g] < line[g - 1] or line[g] < line[g + 1]:
         return float(g)
@@ -415,9 +408,7 @@ def _start(line: FloatArray, g: int) -> float:
 
 
 @inlined
-def _climb(
-    matrix: FloatArray, pieces: FloatArray, low: float, start: float, high: float, work: FloatArray
-) -> tuple[float, float]:
+def _climb(matrix: F32, pieces: F32, low: float, start: float, high: float, work: F32) -> tuple[float, float]:
     """Place and height of the peak between two nodes of the grid, by Newton steps kept within a shrinking bracket."""
     low, place, high, height = float(low * TABLE_STEPS), start * TABLE_STEPS, float(high * TABLE_STEPS), 0.0
     for _ in range(MOST_STEPS):
@@ -438,7 +429,7 @@ def _climb(
 
 
 @inlined
-def _objective_at(place: float, matrix: FloatArray, pieces: FloatArray, work: FloatArray) -> tuple[float, float, float]:
+def _objective_at(place: float, matrix: F32, pieces: F32, work: F32) -> tuple[float, float, float]:
     """w^T R w, and its first and second derivative per step of the table."""
     node = min(int(place), len(pieces) - 1)
     t, two, three = np.float32(place - node), np.float32(2), np.float32(3)
@@ -462,9 +453,7 @@ def _objective_at(place: float, matrix: FloatArray, pieces: FloatArray, work: Fl
 
 
 @compiled
-def _fit(
-    matrices: FloatArray, position: Array, pieces: FloatArray, power: FloatArray, complex_beams: bool, found: Array
-) -> None:
+def _fit(matrices: F32, position: F64, pieces: F32, power: F32, complex_beams: bool, found: F64) -> None:
     """See `PeakSearch.fit`; `found` of shape (3, pixels), the last per step of the table."""
     size = pieces.shape[2]
     half = size // 2

@@ -24,13 +24,9 @@ from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate
 from sal_height.elevation.likelihood import OBJECTIVES, estimate_at, peak_elevation, search_guard
 from sal_height.elevation.looks import Covariances, Looks
-from sal_height.elevation.search import Columns, FloatArray, PeakSearch, PeakSearches
+from sal_height.elevation.search import Columns, PeakSearch, PeakSearches
 from sal_height.errors import UserError
-from sal_height.numeric import compiled, in_parallel
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-Nodes = npt.NDArray[np.intp]
+from sal_height.numeric import F32, F64, Bool, Index, compiled, in_parallel
 
 RECOMMENDED_STRENGTH = 0.75
 """What cuts the outliers of four looks at 5 dB more than tenfold, and keeps steps of 3 beamwidths where they are.
@@ -70,13 +66,13 @@ class _Tile:
         core: the part itself, within `rows` and `cols`.
     """
 
-    rows: Nodes
-    cols: Nodes
+    rows: Index
+    cols: Index
     core: tuple[slice, slice]
 
 
 def prior_elevation(
-    looks: Looks, beams: Beams, squint: Array, noise_power: float, strength: float, min_cnr: float
+    looks: Looks, beams: Beams, squint: F64, noise_power: float, strength: float, min_cnr: float
 ) -> ElevationEstimate:
     """`array_ml.ml_elevation` with the exact objective at the peaks that `smoothed_peaks` takes; arguments alike."""
     guard = search_guard(beams)
@@ -87,12 +83,12 @@ def prior_elevation(
 def smoothed_peaks(
     covariance: Covariances,
     beams: Beams,
-    squint: Array,
+    squint: F64,
     noise_power: float,
     looks_count: npt.ArrayLike,
     strength: float,
     guard: float,
-) -> Array:
+) -> F64:
     """Elevation (rad) of the likelihood's peak that neighbours agree on, in every pixel, shape (rows, cols).
 
     Pixels of zero covariance, which stand for missing data, say nothing and pass nothing on.
@@ -137,8 +133,8 @@ def _tiles(rows: int, cols: int) -> Iterator[_Tile]:
 
 
 def _log_likelihood(
-    covariance: Covariances, tile: _Tile, searches: PeakSearches, squint: Array, noise_power: float, looks: Array
-) -> tuple[FloatArray, Mask]:
+    covariance: Covariances, tile: _Tile, searches: PeakSearches, squint: F64, noise_power: float, looks: F64
+) -> tuple[F32, Bool]:
     """Log-likelihood at every node of the grid over that of noise alone, and which pixels of the tile have data.
 
     K (q - ln q - 1) with q = a^H R a / (K sigma^2 |a|^2), or 0 for q < 1: the greatest over the power of Gaussian
@@ -160,20 +156,20 @@ def _log_likelihood(
     return own, has_data
 
 
-def _messages(own: FloatArray, has_data: Mask, strength: float) -> FloatArray:
+def _messages(own: F32, has_data: Bool, strength: float) -> F32:
     """Sum over the eight lines of what they say of a pixel's elevation: each from -strength to 0; shape of `own`."""
     messages = np.zeros_like(own)
     for step in DIRECTIONS:
         starts = _starts(own.shape[0], own.shape[1], step)
 
-        def send(part: slice, starts: Nodes = starts, step: tuple[int, int] = step) -> None:
+        def send(part: slice, starts: Index = starts, step: tuple[int, int] = step) -> None:
             _send_along(own, has_data, np.float32(strength), starts[part], step, messages)
 
         in_parallel(send, len(starts))
     return messages
 
 
-def _starts(rows: int, cols: int, step: tuple[int, int]) -> Nodes:
+def _starts(rows: int, cols: int, step: tuple[int, int]) -> Index:
     """Pixels (row, column) where the lines of a direction enter the image, shape (lines, 2)."""
     row, col = np.indices((rows, cols), sparse=True)
     before = row - step[0], col - step[1]
@@ -182,13 +178,13 @@ def _starts(rows: int, cols: int, step: tuple[int, int]) -> Nodes:
 
 
 def _move(
-    elevation: Array,
-    own: FloatArray,
-    messages: FloatArray,
+    elevation: F64,
+    own: F32,
+    messages: F32,
     covariance: Covariances,
     tile: _Tile,
     searches: PeakSearches,
-    squint: Array,
+    squint: F64,
 ) -> None:
     """Put pixels of the tile's core whose neighbours prefer another peak there: change `elevation` (rad) of the image.
 
@@ -213,7 +209,7 @@ def _move(
 
 
 @compiled
-def _concentrate(values: FloatArray, noise_power: float, looks: Array) -> None:
+def _concentrate(values: F32, noise_power: float, looks: F64) -> None:
     """Replace values of the objective by log-likelihoods; `looks` K of each pixel."""
     for i in range(len(values)):
         line, count, scale = values[i], np.float32(looks[i]), np.float32(1 / (looks[i] * noise_power))
@@ -224,7 +220,7 @@ def _concentrate(values: FloatArray, noise_power: float, looks: Array) -> None:
 
 @compiled
 def _send_along(
-    own: FloatArray, has_data: Mask, strength: np.float32, starts: Nodes, step: tuple[int, int], messages: FloatArray
+    own: F32, has_data: Bool, strength: np.float32, starts: Index, step: tuple[int, int], messages: F32
 ) -> None:
     """Walk along lines and add to `messages` what the pixels before say (Viterbi's recursion, less its maximum)."""
     rows, cols, count = own.shape
@@ -246,7 +242,7 @@ def _send_along(
 
 
 @compiled
-def _pass_on(path: FloatArray, strength: np.float32, message: FloatArray) -> None:
+def _pass_on(path: F32, strength: np.float32, message: F32) -> None:
     """What the next pixel hears: the best of nearby nodes, or of all for a jump, less the greatest."""
     highest = LOWEST
     for g in range(path.size):
@@ -260,7 +256,7 @@ def _pass_on(path: FloatArray, strength: np.float32, message: FloatArray) -> Non
 
 
 @compiled
-def _most_likely(own: FloatArray, messages: FloatArray, alone: Nodes, together: Nodes) -> None:
+def _most_likely(own: F32, messages: F32, alone: Index, together: Index) -> None:
     """Fill `together` with the node of the greatest sum, or `alone` where the neighbours do not prefer that node."""
     for r in range(own.shape[0]):
         for c in range(own.shape[1]):

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from sal_height.beams import Beams, pattern_named
@@ -22,11 +21,10 @@ from sal_height.elevation import OBJECTIVES
 from sal_height.figures.curve import Curve
 from sal_height.figures.sample_statistics import Measured, mean, std
 from sal_height.figures.unit_arrays import array_of
+from sal_height.numeric import F64
 from sal_height.theory import TARGETS, run_array_trials
 
-Array = npt.NDArray[np.float64]
-
-WEIGHTS: dict[str, Callable[[Array], Array]] = {
+WEIGHTS: dict[str, Callable[[F64], F64]] = {
     "normalised": lambda response: np.asarray(response / np.linalg.norm(response)),
     "numerator": lambda response: response,
 }
@@ -107,7 +105,7 @@ def example_array() -> Beams:
     return array_of((pattern_named("sinc"),), CHANNELS, PITCH)
 
 
-def estimates(elevation: float, cnr: float, looks: int, objective: str, trials: int, seed: int) -> Array:
+def estimates(elevation: float, cnr: float, looks: int, objective: str, trials: int, seed: int) -> F64:
     """Estimates of independent pixels, beamwidths, shape (trials,), by the code that the node runs."""
     return run_array_trials(
         seed, example_array(), elevation, cnr, looks, trials, OBJECTIVES[objective], 0.0, TARGETS["gaussian"]
@@ -143,7 +141,7 @@ def limit_std(beams: Beams, objective: str, elevation: float, cnr: float, looks:
     return float(np.sqrt(variance))
 
 
-def _theory(beams: Beams, objective: str, looks: int, cnr_db: float) -> tuple[Array, Array]:
+def _theory(beams: Beams, objective: str, looks: int, cnr_db: float) -> tuple[F64, F64]:
     """Mean and standard deviation at ELEVATIONS as far as theory goes, else NaN.
 
     The middle of the array is its own mirror image. An estimate at the end of the search cannot pass it.

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.beams import Beams, detector_pattern
 from sal_height.elevation import invert
@@ -26,9 +25,9 @@ from sal_height.figures.reference import (
     seen_by,
 )
 from sal_height.figures.unit_arrays import array_of
+from sal_height.numeric import F64
 
-Array = npt.NDArray[np.float64]
-Amplitudes = Callable[[Array], tuple[Array, Array]]
+Amplitudes = Callable[[F64], tuple[F64, F64]]
 
 RATIOS = np.linspace(-0.9, 0.9, 37)
 """Discriminants."""

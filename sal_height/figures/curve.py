@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64
 
 EXACT = 1e-9
 """Greatest difference from its closed form of a value without standard error."""
@@ -35,10 +34,10 @@ class Curve:
 
     quantity: str
     case: str
-    x: Array
-    value: Array
-    standard_error: Array
-    closed_form: Array
+    x: F64
+    value: F64
+    standard_error: F64
+    closed_form: F64
     style: str = "-"
     colour: int = 0
 
@@ -66,7 +65,7 @@ class Figure:
 
 
 def exact_curve(
-    quantity: str, case: str, x: Array, value: Array, closed_form: Array, style: str = "-", colour: int = 0
+    quantity: str, case: str, x: F64, value: F64, closed_form: F64, style: str = "-", colour: int = 0
 ) -> Curve:
     """A curve without random numbers."""
     return Curve(quantity, case, x, value, np.zeros_like(x), closed_form, style, colour)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.beams import PATTERNS, Beams, detector_pattern, read_beam_tables, tabulated_pattern
 from sal_height.elevation import (
@@ -30,6 +29,7 @@ from sal_height.elevation import (
 from sal_height.errors import UserError
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, share, std
 from sal_height.figures.unit_arrays import array_of
+from sal_height.numeric import F64, Bool
 from sal_height.theory import (
     TARGETS,
     cnr_detector_of,
@@ -40,8 +40,6 @@ from sal_height.theory import (
     straight_power,
     with_streams,
 )
-
-Array = npt.NDArray[np.float64]
 
 OUTLIER = 1.0
 """Beamwidths from the truth from which on an estimate of elevation is an outlier; of discriminants: as a number."""
@@ -245,7 +243,7 @@ def _shown(number: float | None) -> str:
     return "-" if number is None else f"{number:.6g}"
 
 
-def _elevations(experiment: Experiment, power: float, objective: str, guard: float) -> Array:
+def _elevations(experiment: Experiment, power: float, objective: str, guard: float) -> F64:
     return run_array_trials(
         experiment.seed,
         experiment.beams,
@@ -259,10 +257,10 @@ def _elevations(experiment: Experiment, power: float, objective: str, guard: flo
     )
 
 
-def _pair_elevations(experiment: Experiment, power: float, estimator: str) -> Array:
+def _pair_elevations(experiment: Experiment, power: float, estimator: str) -> F64:
     """Elevations by the strongest pair as the node has them, shape (trials,); NaN where there is none."""
 
-    def elevations(matrices: Covariance) -> Array:
+    def elevations(matrices: Covariance) -> F64:
         pixels = matrices[:, None]
         middle = np.zeros(pixels.shape[:2])
         power = np.trace(pixels.real, axis1=-2, axis2=-1, dtype=np.float64)
@@ -273,10 +271,10 @@ def _pair_elevations(experiment: Experiment, power: float, estimator: str) -> Ar
     return _from_covariances(experiment, power, elevations)
 
 
-def _discriminants(experiment: Experiment, power: float, estimator: str) -> Array:
+def _discriminants(experiment: Experiment, power: float, estimator: str) -> F64:
     """Estimates of the discriminant of two detectors as the node has them, shape (trials,)."""
 
-    def discriminants(matrices: Covariance) -> Array:
+    def discriminants(matrices: Covariance) -> F64:
         wide = matrices.astype(np.complex128)
         sums = sum_and_difference(wide[:, 0, 0].real, wide[:, 1, 1].real, wide[:, 0, 1], experiment.looks)
         return discriminate(sums, DISCRIMINANTS[estimator], (2.0, 2.0))
@@ -284,7 +282,7 @@ def _discriminants(experiment: Experiment, power: float, estimator: str) -> Arra
     return _from_covariances(experiment, power, discriminants)
 
 
-def _from_covariances(experiment: Experiment, power: float, estimate: Callable[[Covariance], Array]) -> Array:
+def _from_covariances(experiment: Experiment, power: float, estimate: Callable[[Covariance], F64]) -> F64:
     """What is estimated from the covariances of independent pixels, shape (trials,)."""
     beams, target, estimates = experiment.beams, TARGETS[experiment.target], np.empty(experiment.trials)
 
@@ -297,11 +295,11 @@ def _from_covariances(experiment: Experiment, power: float, estimate: Callable[[
     return estimates
 
 
-def _at_edge(elevations: Array, low: float, high: float) -> npt.NDArray[np.bool_]:
+def _at_edge(elevations: F64, low: float, high: float) -> Bool:
     return np.asarray((elevations <= low + AT_EDGE) | (elevations >= high - AT_EDGE))
 
 
-def _statistics(estimates: Array, truth: float, clipped: npt.NDArray[np.bool_]) -> dict[str, float | None]:
+def _statistics(estimates: F64, truth: float, clipped: Bool) -> dict[str, float | None]:
     """Statistics with their standard errors (_se); estimates that do not exist are clipped ones and in no other."""
     finite = estimates[np.isfinite(estimates)]
     outliers = np.abs(estimates - truth) > OUTLIER

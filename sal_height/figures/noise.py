@@ -12,12 +12,10 @@ import numpy.typing as npt
 from sal_height.elevation import DISCRIMINANTS
 from sal_height.figures.curve import Curve
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, std
-from sal_height.numeric import WORKERS
+from sal_height.numeric import C128, F64, WORKERS
 from sal_height.theory import SteadyLaw, gaussian_law, gaussian_mean, steady_mean
 
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
-Signal = Callable[[np.random.Generator, tuple[int, int]], ComplexArray]
+Signal = Callable[[np.random.Generator, tuple[int, int]], C128]
 
 KAPPAS = np.linspace(-1, 1, 9)
 """Discriminants without noise."""
@@ -32,13 +30,13 @@ BLOCK = 8192
 """Trials that are drawn at a time, each block from a generator of its own."""
 
 
-def circular(rng: np.random.Generator, shape: tuple[int, ...]) -> ComplexArray:
+def circular(rng: np.random.Generator, shape: tuple[int, ...]) -> C128:
     """Circular complex Gaussian numbers of mean power 1."""
     parts = rng.standard_normal((*shape, 2)) / np.sqrt(2)
     return np.asarray(parts.view(np.complex128)[..., 0])
 
 
-def steady(_rng: np.random.Generator, shape: tuple[int, int]) -> ComplexArray:
+def steady(_rng: np.random.Generator, shape: tuple[int, int]) -> C128:
     """A target of constant brightness 1."""
     return np.ones(shape, dtype=np.complex128)
 
@@ -69,7 +67,7 @@ def fig6(trials: int, seed: int) -> Iterator[Curve]:
         yield _curve("mean", case, index, [mean(row) for row in sample], gaussian_mean(KAPPAS, cnr))
 
 
-def discriminants(seed: np.random.SeedSequence, signal: Signal, cnr_sum: float, looks: int, trials: int) -> Array:
+def discriminants(seed: np.random.SeedSequence, signal: Signal, cnr_sum: float, looks: int, trials: int) -> F64:
     """Estimates of the discriminant by `ratio`, shape (KAPPAS, trials).
 
     All kappas see the same draws of target and noise, and so do all CNRs of a figure: their curves are smooth, and
@@ -81,14 +79,14 @@ def discriminants(seed: np.random.SeedSequence, signal: Signal, cnr_sum: float, 
         return np.concatenate(list(pool.map(draw, seed.spawn(len(counts)), counts)), axis=1)
 
 
-def _block(signal: Signal, cnr_sum: float, looks: int, seed: np.random.SeedSequence, trials: int) -> Array:
+def _block(signal: Signal, cnr_sum: float, looks: int, seed: np.random.SeedSequence, trials: int) -> F64:
     rng = np.random.default_rng(seed)
     target = np.sqrt(cnr_sum) * signal(rng, (trials, looks))
     total, noise = target + circular(rng, target.shape), circular(rng, target.shape)
     return np.stack([_ratio(total, kappa * target + noise) for kappa in KAPPAS.tolist()])
 
 
-def _ratio(total: ComplexArray, difference: ComplexArray) -> Array:
+def _ratio(total: C128, difference: C128) -> F64:
     """The estimate that the node makes of Sigma and Delta, shapes (trials, looks), in unit noise."""
     sum_power, difference_power = (np.sum(np.abs(channel) ** 2, axis=-1) for channel in (total, difference))
     cross_power = np.sum(difference * total.conj(), axis=-1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.beams import Beams, detector_pattern, pattern_named
 from sal_height.elevation import discriminant
@@ -19,8 +18,6 @@ from sal_height.figures.reference import (
     sinc_from_pupil,
 )
 from sal_height.figures.unit_arrays import array_of
-
-Array = npt.NDArray[np.float64]
 
 ELEVATIONS = np.linspace(-1, 1, 81)
 """Beamwidths."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.figures.curve import Curve, Figure
 from sal_height.figures.psf_speckle import SPECKLE_FIGURES
@@ -24,6 +23,7 @@ from sal_height.figures.psf_theory import (
     tied,
 )
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
+from sal_height.numeric import C128, F64
 from sal_height.response import (
     FINENESS,
     FLOOR,
@@ -34,9 +34,6 @@ from sal_height.response import (
     find_targets,
     masked_transfer_function,
 )
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 TAPE = (2000, 256)
 """Rows and columns: of so many rows that neither teeth nor ends of the band fall on a frequency."""
@@ -156,20 +153,18 @@ def _targets(fault: RangeFault, rng: np.random.Generator) -> tuple[PointTarget, 
     return find_targets(make_tape(TAPE, rng, targets, fault, AZIMUTH)).require()
 
 
-def _truth(fault: RangeFault) -> tuple[ComplexArray, ComplexArray]:
+def _truth(fault: RangeFault) -> tuple[C128, C128]:
     """What chips hold of the range and the azimuth response."""
     return chip_response(range_psf(PIXELS, fault)), chip_response(azimuth_psf(PIXELS, AZIMUTH))
 
 
-def _over_clutter(beam: ComplexArray) -> float:
+def _over_clutter(beam: C128) -> float:
     """Power of the peaks of a tape's targets over the mean clutter, which the azimuth response's phase lowers."""
     lost = np.abs(np.mean(beam)) / np.mean(np.abs(beam))
     return float(len(PLACES) * 10 ** (OVER_CLUTTER_DB / 10) * lost**2)
 
 
-def _responses(
-    name: str, singles: list[ComplexArray], average: ComplexArray, error: Array, truth: ComplexArray
-) -> Iterator[Curve]:
+def _responses(name: str, singles: list[C128], average: C128, error: F64, truth: C128) -> Iterator[Curve]:
     """Modulus and phase of single targets, of the average with its standard error, and of the truth."""
     band = in_band(truth)
     modulus, phase = f"|{name}|", f"arg {name}"
@@ -183,7 +178,7 @@ def _responses(
     yield shown(phase, "truth", FREQUENCY[band], np.angle(truth[band]), "--", 1)
 
 
-def _squares(rng: np.random.Generator, truth: list[ComplexArray]) -> Array:
+def _squares(rng: np.random.Generator, truth: list[C128]) -> F64:
     """Mean square errors of a group of targets at each of RECOVERY_DB: shape (.., R and A, modulus and phase)."""
     squares = []
     for level in RECOVERY_DB.tolist():
@@ -195,14 +190,14 @@ def _squares(rng: np.random.Generator, truth: list[ComplexArray]) -> Array:
     return np.array(squares)
 
 
-def _square_errors(response: ComplexArray, truth: ComplexArray) -> tuple[float, float]:
+def _square_errors(response: C128, truth: C128) -> tuple[float, float]:
     """Mean squares over the band of the error of the modulus, over the greatest, and of the phase (rad)."""
     band = in_band(truth)
     modulus = (np.abs(response) - np.abs(truth))[band] / np.abs(truth).max()
     return float(np.mean(modulus**2)), float(np.mean(np.angle(response * truth.conj())[band] ** 2))
 
 
-def _db(amplitude: Array) -> Array:
+def _db(amplitude: F64) -> F64:
     return np.asarray(20 * np.log10(np.maximum(np.abs(amplitude), 1e-4)))
 
 

@@ -10,14 +10,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.figures.curve import Curve, Figure
 from sal_height.figures.noise import circular
 from sal_height.figures.psf_tapes import COUNT, FREQUENCY, generators, held, in_band, shown
 from sal_height.figures.psf_theory import chip_transform, cosine_beam, swung_modulus, through_fejer
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
-from sal_height.numeric import frequencies
+from sal_height.numeric import C64, C128, F64, Bool, frequencies
 from sal_height.response import (
     SpeckleSpectra,
     depth_and_pedestal,
@@ -27,9 +26,6 @@ from sal_height.response import (
     periodogram_covariance,
     superposition,
 )
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 ROWS = 256
 """Of all tapes; as many columns make an image of the paper."""
@@ -104,7 +100,7 @@ def psf_speckle(trials: int, seed: int) -> Iterator[Curve]:
     yield held("|A|", "average, swing taken out", aligned / scale, error_of_power / (2 * aligned * scale), truth, 1)
 
 
-def _moduli(image: npt.NDArray[np.complex64]) -> list[Array]:
+def _moduli(image: C64) -> list[F64]:
     """|R| and |A| of an image the paper's way, over their means."""
     return [_over_mean(modulus) for modulus in mean_modulus(image, find_pure_speckle(image))]
 
@@ -120,7 +116,7 @@ def _pointing(spectra: SpeckleSpectra) -> Curve:
     return Curve("pointing", "first tape", columns, value, sigma, truth)
 
 
-def _over_mean(modulus: Array) -> Array:
+def _over_mean(modulus: F64) -> F64:
     return np.asarray(modulus / np.mean(modulus))
 
 
@@ -134,8 +130,8 @@ class Comparison:
         speckle: its spectra.
     """
 
-    response: ComplexArray
-    error: Array
+    response: C128
+    error: F64
     speckle: SpeckleSpectra
 
     @property
@@ -190,20 +186,20 @@ def _compared(rng: np.random.Generator, noise: float, level: float | None = None
     return Comparison(response, error, speckle)
 
 
-def _truth() -> ComplexArray:
+def _truth() -> C128:
     """What chips of BINS pixels hold of R, 1 at the peak."""
     pixels = np.fft.fftshift(np.fft.ifft(np.fft.ifftshift(RANGE.response(ROWS))))
     chip = pixels[(ROWS - BINS) // 2 :][:BINS]
     return chip_transform(chip / chip[BINS // 2])
 
 
-def _prediction(noise: float) -> Array:
+def _prediction(noise: float) -> F64:
     """Mean periodogram of speckle and white noise behind a linear system, of mean 1."""
     power = through_fejer(np.abs(RANGE.response(ROWS)) ** 2, COUNT)
     return np.asarray((power / np.mean(power) + noise**2) / (1 + noise**2))
 
 
-def _covariance(noise: float) -> ComplexArray:
+def _covariance(noise: float) -> C128:
     """Autocovariance over range of speckle and white noise behind a linear system, over that at lag 0."""
     signal = np.fft.ifft(np.fft.ifftshift(np.abs(RANGE.response(ROWS)) ** 2))[:COUNT]
     return np.asarray((signal / signal[0] + noise**2 * (np.arange(COUNT) == 0)) / (1 + noise**2))
@@ -220,7 +216,7 @@ def _powers(tapes: list[Comparison]) -> Iterator[Curve]:
     yield shown("|R|^2", "linear prediction", FREQUENCY, _prediction(SHOWN_NOISE), "--", 2)
 
 
-def _mean_response(tapes: list[Comparison]) -> tuple[ComplexArray, Array]:
+def _mean_response(tapes: list[Comparison]) -> tuple[C128, F64]:
     """Of the targets of several tapes, with its standard error."""
     response = np.mean([tape.response for tape in tapes], axis=0)
     error = np.sqrt(np.mean([tape.error**2 for tape in tapes], axis=0) / len(tapes))
@@ -253,13 +249,13 @@ def _readings(tapes: dict[float, list[Comparison]], rng: np.random.Generator) ->
             yield Curve("depth and pedestal", f"{name}, {whose}", NOISES, value, error, expected, style, source)
 
 
-def _reading(power: Array, drawn: Array) -> Array:
+def _reading(power: F64, drawn: F64) -> F64:
     """Depth and pedestal of a spectrum; their mean and scatter over drawn ones; shape (3, 2)."""
     readings = np.array([depth_and_pedestal(one, RANGE.teeth) for one in drawn])
     return np.stack([depth_and_pedestal(power, RANGE.teeth), readings.mean(axis=0), readings.std(axis=0)])
 
 
-def _share(quantity: str, case: str, x: Array, happened: npt.NDArray[np.bool_], expected: Array) -> Curve:
+def _share(quantity: str, case: str, x: F64, happened: Bool, expected: F64) -> Curve:
     """Of tapes where something happened, shape (tapes, points); its standard error is that of the expected share."""
     value = np.mean(happened, axis=0)
     share = np.where(np.isnan(expected), value, expected)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.figures.curve import Curve, exact_curve
-from sal_height.numeric import frequencies
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64, Bool, Complex, frequencies
 
 COUNT = 64
 """Pixels along each side of chips and sub-images, those of the paper."""
@@ -41,17 +38,17 @@ def generators(trials: int, seed: int, figure: int, tapes: float = 1.0) -> list[
     return [np.random.default_rng(sequence) for sequence in np.random.SeedSequence((seed, figure)).spawn(count)]
 
 
-def in_band(response: npt.NDArray[np.complexfloating] | Array) -> npt.NDArray[np.bool_]:
+def in_band(response: Complex | F64) -> Bool:
     """Where a response is worth a phase."""
     return np.asarray(np.abs(response) > IN_BAND * np.abs(response).max())
 
 
-def held(quantity: str, case: str, value: Array, error: Array, theory: Array, colour: int) -> Curve:
+def held(quantity: str, case: str, value: F64, error: F64, theory: F64, colour: int) -> Curve:
     """A curve over FREQUENCY of which one point in HELD has a closed form."""
     closed_form = np.where(np.arange(COUNT) % HELD == 0, theory, np.nan)
     return Curve(quantity, case, FREQUENCY, value, error, closed_form, "-", colour)
 
 
-def shown(quantity: str, case: str, x: Array, value: Array, style: str = "-", colour: int = 0) -> Curve:
+def shown(quantity: str, case: str, x: F64, value: F64, style: str = "-", colour: int = 0) -> Curve:
     """A curve that is there to be looked at: of one draw, or of theory itself."""
     return exact_curve(quantity, case, x, value, np.full_like(value, np.nan), style, colour)

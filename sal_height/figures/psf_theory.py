@@ -7,14 +7,10 @@ by quadrature; Fejer's kernel is applied over frequency.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault
-from sal_height.numeric import frequencies
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
+from sal_height.numeric import C128, F64, frequencies
 
 NBAR = 5
 """Sidelobes of the tape's Taylor weights that fall off little, plus one."""
@@ -26,7 +22,7 @@ STEPS = 4096
 """Of quadratures over the band, and over the period of the swing."""
 
 
-def taylor_coefficients(sidelobe_db: float, nbar: int) -> Array:
+def taylor_coefficients(sidelobe_db: float, nbar: int) -> F64:
     """F_1 .. F_(nbar - 1) of the weights 1 + 2 sum F_m cos(2 pi m f / B) (Taylor, IRE Trans. AP 3, 1955)."""
     order, rank = np.arange(1, nbar), np.arange(1, nbar)
     a = np.arccosh(10 ** (sidelobe_db / 20)) / np.pi
@@ -38,7 +34,7 @@ def taylor_coefficients(sidelobe_db: float, nbar: int) -> Array:
     return np.asarray((-1.0) ** (order + 1) * above / (2 * np.prod(ratios, axis=1)))
 
 
-def taylor_psf(place: Array, fault: RangeFault) -> Array:
+def taylor_psf(place: F64, fault: RangeFault) -> F64:
     """Point-spread function of the Taylor weights at places (pixels), 1 at 0: a sum of displaced sincs."""
     across = fault.support * place
     lobes = np.sinc(across)
@@ -47,7 +43,7 @@ def taylor_psf(place: Array, fault: RangeFault) -> Array:
     return np.asarray(lobes)
 
 
-def range_psf(place: Array, fault: RangeFault) -> ComplexArray:
+def range_psf(place: F64, fault: RangeFault) -> C128:
     """Point-spread function along range at places (pixels), 1 at 0: Taylor's and the paired echoes of the sawtooth.
 
     The n-th harmonic of a sawtooth of depth e, (-1)^(n + 1) 2 e / (pi n) sin(2 pi n P k) over the frequency k, makes
@@ -62,19 +58,19 @@ def range_psf(place: Array, fault: RangeFault) -> ComplexArray:
     return np.asarray(taylor_psf(place, fault) - 1j * fault.sawtooth * echoes)
 
 
-def azimuth_psf(place: Array, fault: AzimuthFault) -> ComplexArray:
+def azimuth_psf(place: F64, fault: AzimuthFault) -> C128:
     """Point-spread function along azimuth at places (pixels), 1 at 0, of a beam that does not swing; by quadrature."""
     f = (np.arange(STEPS) + 0.5) / STEPS - 0.5
     response = np.cos(np.pi * f) ** fault.taper * np.exp(1j * fault.quartic * (2 * f) ** 4)
     return np.asarray(np.exp(2j * np.pi * np.multiply.outer(place, f)) @ response / response.sum())
 
 
-def chip_transform(chip: ComplexArray) -> ComplexArray:
+def chip_transform(chip: C128) -> C128:
     """Spectrum, from -1/2 up, of pixels from -count / 2 up; shape (count,)."""
     return np.asarray(np.fft.fftshift(np.fft.fft(np.fft.ifftshift(chip))))
 
 
-def chip_response(psf: ComplexArray) -> ComplexArray:
+def chip_response(psf: C128) -> C128:
     """What a chip shows of a response: the transform of its pixels, with its own peak, of the value 1, in pixel 0.
 
     What the chip cuts off moves the peak a little.
@@ -84,14 +80,14 @@ def chip_response(psf: ComplexArray) -> ComplexArray:
     """
     response = chip_transform(psf)
 
-    def moved(place: float) -> ComplexArray:
+    def moved(place: float) -> C128:
         return np.asarray(response * np.exp(2j * np.pi * frequencies(len(psf)) * place))
 
     peak = minimize_scalar(lambda place: -np.abs(np.mean(moved(place))), bounds=(-0.5, 0.5), method="bounded")
     return np.asarray(moved(peak.x) / np.mean(moved(peak.x)))
 
 
-def through_fejer(power: Array, size: int) -> Array:
+def through_fejer(power: F64, size: int) -> F64:
     """Mean periodogram of `size` pixels of speckle whose power spectrum is `power`: a mean over Fejer's kernel.
 
     Args:
@@ -105,19 +101,19 @@ def through_fejer(power: Array, size: int) -> Array:
     return np.asarray(kernel @ power / len(power))
 
 
-def cosine_beam(size: int) -> Array:
+def cosine_beam(size: int) -> F64:
     """Mean periodogram of `size` pixels of speckle under a beam cos(pi f), of mean 1: Fejer's kernel takes 1 / size."""
     return np.asarray(1 + (1 - 1 / size) * np.cos(2 * np.pi * frequencies(size)))
 
 
-def swung_modulus(size: int, swing: float) -> Array:
+def swung_modulus(size: int, swing: float) -> F64:
     """Root of `cosine_beam` averaged over a sinusoidal swing of the beam, cycles per pixel; by quadrature."""
     pointing = swing * np.sin(2 * np.pi * (np.arange(STEPS) + 0.5) / STEPS)
     waves = np.cos(2 * np.pi * (frequencies(size)[:, None] - pointing))
     return np.asarray(np.mean(np.sqrt(np.maximum(1 + (1 - 1 / size) * waves, 0)), axis=1))
 
 
-def relative_variance(response: ComplexArray, other: ComplexArray, over_clutter: float, floor: float) -> float:
+def relative_variance(response: C128, other: C128, over_clutter: float, floor: float) -> float:
     """Variance of the bins of a response over their power, of targets whose spectra are divided by the other response.
 
     Clutter in a chip of N x M pixels has N M |R|^2 |A|^2 / (mean |R|^2 mean |A|^2 TCR) in its bins, TCR summed over the
@@ -137,7 +133,7 @@ def relative_variance(response: ComplexArray, other: ComplexArray, over_clutter:
     return float(pixels * share / (np.mean(np.abs(response) ** 2) * np.mean(power) * over_clutter))
 
 
-def tied(response: ComplexArray) -> tuple[Array, Array]:
+def tied(response: C128) -> tuple[F64, F64]:
     """What is left of a unit variance over power, of the modulus and of the phase, once the peak has been tied.
 
     A response is scaled and turned to a mean of 1, and moved until its peak is in pixel 0. To first order that takes

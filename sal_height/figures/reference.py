@@ -16,9 +16,9 @@ from scipy.optimize.elementwise import find_root
 from scipy.special import j1
 
 from sal_height.beams import GAUSSIAN_WIDTH
+from sal_height.numeric import F64
 
-Array = npt.NDArray[np.float64]
-Amplitude = Callable[[Array, Array], Array]
+Amplitude = Callable[[F64, F64], F64]
 
 PUPIL_NODES = 64
 """Of integrals over an aperture."""
@@ -30,25 +30,25 @@ REACH = 0.95
 """Beamwidths around the middle of a pair within which its discriminant rises from less than -0.9 to more than 0.9."""
 
 
-def nodes_between(low: float, high: float, count: int) -> tuple[Array, Array]:
+def nodes_between(low: float, high: float, count: int) -> tuple[F64, F64]:
     """Places and weights (sum 1) whose weighted sum is the mean between `low` and `high`; shapes (count,)."""
     places, weights = np.polynomial.legendre.leggauss(count)
     return (low + high) / 2 + (high - low) / 2 * places, weights / 2
 
 
-def sinc_from_pupil(e: Array) -> Array:
+def sinc_from_pupil(e: F64) -> F64:
     """Cut of the square aperture's pattern at `e` beamwidths: mean of exp(2 pi j u e) over its side."""
     u, weights = nodes_between(-0.5, 0.5, PUPIL_NODES)
     return np.asarray(np.cos(2 * np.pi * e[..., None] * u) @ weights)
 
 
-def jinc_from_pupil(e: Array) -> Array:
+def jinc_from_pupil(e: F64) -> F64:
     """Cut of the circular aperture's pattern: its chords sqrt(1/4 - u^2) weight exp(2 pi j u e); u = 1/2 sin tau."""
     tau, weights = nodes_between(-np.pi / 2, np.pi / 2, PUPIL_NODES)
     return np.asarray(2 * np.cos(np.pi * e[..., None] * np.sin(tau)) @ (weights * np.cos(tau) ** 2))
 
 
-def gaussian_from_pupil(e: Array) -> Array:
+def gaussian_from_pupil(e: F64) -> F64:
     """Cut of the pattern of a Gaussian aperture field, exp(-2 (pi w u)^2), in effect of no edge; trapezoids."""
     width = 1 / (2 * np.pi * GAUSSIAN_WIDTH)
     u = np.linspace(-10, 10, 401) * width
@@ -56,7 +56,7 @@ def gaussian_from_pupil(e: Array) -> Array:
     return np.asarray(np.cos(2 * np.pi * e[..., None] * u) @ (field / field.sum()))
 
 
-def jinc(e: Array, a: Array) -> Array:
+def jinc(e: F64, a: F64) -> F64:
     """Pattern of the circular aperture, 2 J1(pi r) / (pi r), for r > 0."""
     x = np.pi * np.hypot(e, a)
     return np.asarray(2 * j1(x) / x)
@@ -76,7 +76,7 @@ class ReferencePair:
     pitch: float
     rotation: float
 
-    def lower_and_upper(self, elevation: Array, azimuth: npt.ArrayLike) -> tuple[Array, Array]:
+    def lower_and_upper(self, elevation: F64, azimuth: npt.ArrayLike) -> tuple[F64, F64]:
         """Amplitudes of the lower and the upper detector; the angles broadcast."""
         azimuth = np.asarray(azimuth)
         along = elevation * math.cos(self.rotation) + azimuth * math.sin(self.rotation)
@@ -89,28 +89,28 @@ def seen_by(point: Amplitude, size: tuple[float, float]) -> Amplitude:
     along, along_weights = nodes_between(-size[0] / 2, size[0] / 2, DETECTOR_NODES)
     beside, beside_weights = nodes_between(-size[1] / 2, size[1] / 2, DETECTOR_NODES)
 
-    def amplitude(e: Array, a: Array) -> Array:
+    def amplitude(e: F64, a: F64) -> F64:
         values = point(e[..., None, None] + along[:, None], np.asarray(a)[..., None, None] + beside)
         return np.asarray(np.einsum("...ij,i,j->...", values, along_weights, beside_weights))
 
     return amplitude
 
 
-def passed_over(pair: ReferencePair, centre: float) -> Callable[[Array], tuple[Array, Array]]:
+def passed_over(pair: ReferencePair, centre: float) -> Callable[[F64], tuple[F64, F64]]:
     """Amplitudes, by elevation, of lower and upper detector averaged over a beamwidth of azimuth around `centre`."""
     azimuth, weights = nodes_between(centre - 0.5, centre + 0.5, DETECTOR_NODES)
 
-    def amplitudes(elevation: Array) -> tuple[Array, Array]:
+    def amplitudes(elevation: F64) -> tuple[F64, F64]:
         lower, upper = pair.lower_and_upper(elevation[..., None], azimuth)
         return lower @ weights, upper @ weights
 
     return amplitudes
 
 
-def elevations_with(amplitudes: Callable[[Array], tuple[Array, Array]], mu: Array) -> Array:
+def elevations_with(amplitudes: Callable[[F64], tuple[F64, F64]], mu: F64) -> F64:
     """Elevations within REACH whose discriminant (upper - lower) / (upper + lower) is `mu`; inf where there is none."""
 
-    def excess(elevation: Array, mu: Array) -> Array:
+    def excess(elevation: F64, mu: F64) -> F64:
         lower, upper = amplitudes(elevation)
         return (upper - lower) / (upper + lower) - mu
 

@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import j1, jv
 
 from sal_height.beams import GAUSSIAN_WIDTH, pattern_named
@@ -29,7 +28,7 @@ from sal_height.figures.patterns import FROM_PUPIL
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, std
 from sal_height.figures.unit_arrays import array_of
 from sal_height.geometry import EARTH_RADIUS, ApertureState, height_of, locate_at_elevation
-from sal_height.numeric import WORKERS
+from sal_height.numeric import C128, F64, WORKERS
 from sal_height.theory import (
     SteadyLaw,
     SteadyMlLaw,
@@ -40,9 +39,7 @@ from sal_height.theory import (
     synthesise,
 )
 
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
-Draw = Callable[[np.random.Generator, int], Array]
+Draw = Callable[[np.random.Generator, int], F64]
 
 SEPARATION = 0.5
 """delta between the two beams' axes, beamwidths."""
@@ -53,7 +50,7 @@ ELEVATIONS = np.linspace(-0.7, 0.7, 57)
 SEPARATIONS = np.linspace(0.1, 1.2, 45)
 """Beamwidths."""
 
-SLOPES: dict[str, Callable[[Array], Array]] = {
+SLOPES: dict[str, Callable[[F64], F64]] = {
     "gaussian": lambda q: q / GAUSSIAN_WIDTH**2,
     "sinc": lambda q: 1 / q - np.pi / np.tan(np.pi * q),
     "jinc": lambda q: np.pi * jv(2, np.pi * q) / j1(np.pi * q),
@@ -147,7 +144,7 @@ def relief_geometry() -> Iterator[Curve]:
     yield exact_curve("height error of 1 mrad", "rho sin theta", LOOK_ANGLES_DEG, first_order, no_theory(theta), ":", 2)
 
 
-def _seen(theta: Array, slant_range: Array) -> Array:
+def _seen(theta: F64, slant_range: F64) -> F64:
     """Points in the map that a level platform sees there, to the right and abeam."""
     position, velocity = np.array([0.0, 0.0, PLATFORM_HEIGHT]), np.array([1.0, 0.0, 0.0])
     return locate_at_elevation(
@@ -155,19 +152,19 @@ def _seen(theta: Array, slant_range: Array) -> Array:
     )
 
 
-def _flat(theta: Array, slant_range: Array) -> Array:
+def _flat(theta: F64, slant_range: F64) -> F64:
     return np.asarray(_seen(theta, slant_range)[..., 2])
 
 
-def _sphere(theta: Array, slant_range: Array) -> Array:
+def _sphere(theta: F64, slant_range: F64) -> F64:
     return height_of(_seen(theta, slant_range))
 
 
-def _flat_law(theta: Array, slant_range: Array) -> Array:
+def _flat_law(theta: F64, slant_range: F64) -> F64:
     return np.asarray(PLATFORM_HEIGHT - slant_range * np.cos(theta))
 
 
-def _sphere_law(theta: Array, slant_range: Array) -> Array:
+def _sphere_law(theta: F64, slant_range: F64) -> F64:
     """From the triangle of platform, target and the earth's centre: r by the law of cosines, (r^2 - R^2) / (r + R)."""
     high = EARTH_RADIUS + PLATFORM_HEIGHT
     drop = slant_range**2 - 2 * high * slant_range * np.cos(theta)
@@ -196,13 +193,13 @@ def relief_snr(trials: int, seed: int) -> Iterator[Curve]:
         yield exact_curve(WIDTH, f"gamma {gamma}, first order", SNR_DB, first_order, no_theory(snr), ":", colour)
 
 
-def _trains(gamma: float, snr: Array, estimator: Estimator, rng: np.random.Generator, trials: int) -> Array:
+def _trains(gamma: float, snr: F64, estimator: Estimator, rng: np.random.Generator, trials: int) -> F64:
     """Estimates of gamma from one pulse train in unit noise each, shape (SNRs, trials)."""
     total, difference = circular(rng, (2, trials, 1))
     return np.stack([_estimate(estimator, total + a, difference + gamma * a) for a in np.sqrt(snr).tolist()])
 
 
-def _estimate(estimator: Estimator, total: ComplexArray, difference: ComplexArray) -> Array:
+def _estimate(estimator: Estimator, total: C128, difference: C128) -> F64:
     return discriminate(products(total, difference), estimator, EQUAL_NOISE)
 
 
@@ -227,19 +224,19 @@ def relief_hybrid(trials: int, seed: int) -> Iterator[Curve]:
         yield Curve(quantity, case, x, gain, both, expected, colour=colour)
 
 
-def _beams() -> Array:
+def _beams() -> F64:
     """Amplitudes of lower and upper beam, shape (2, 1, 1), of which (upper + lower)^2 / 2 is HYBRID_SNR."""
     lower_upper = np.array([1 - HYBRID_GAMMA, 1 + HYBRID_GAMMA])
     return np.asarray(np.sqrt(HYBRID_SNR / 2) * lower_upper[:, None, None])
 
 
-def _after(rng: np.random.Generator, trials: int) -> Array:
+def _after(rng: np.random.Generator, trials: int) -> F64:
     """Estimates from sum and difference of two beams that were each received in unit noise, shape (1, trials)."""
     lower, upper = _beams() + circular(rng, (2, trials, 1))
     return _estimate(total_least_squares, upper + lower, upper - lower)[None]
 
 
-def _before(amplitudes: Array, rng: np.random.Generator, trials: int) -> Array:
+def _before(amplitudes: F64, rng: np.random.Generator, trials: int) -> F64:
     """Estimates from `amplitudes` times sum and difference, received in unit noise: shape (amplitudes, trials)."""
     (lower, upper), (noise, other) = _beams(), circular(rng, (2, trials, 1))
     received = [(a * (upper + lower) + noise, a * (upper - lower) + other) for a in amplitudes.tolist()]
@@ -264,7 +261,7 @@ def relief_order(trials: int, seed: int) -> Iterator[Curve]:
         yield Curve(WIDTH, case, number, *measured(s68, sample[colour]), widths[colour], colour=colour)
 
 
-def _in_orders(rng: np.random.Generator, trials: int) -> Array:
+def _in_orders(rng: np.random.Generator, trials: int) -> F64:
     """Estimates of gamma in the three orders from the first pulses of each trial, shape (3 PULSES, trials)."""
     total, difference = circular(rng, (2, trials, int(PULSES[-1])))
     total += np.sqrt(ORDER_SNR)
@@ -281,7 +278,7 @@ def _in_orders(rng: np.random.Generator, trials: int) -> Array:
     )
 
 
-def sampled(draw: Draw, seed: tuple[int, int], trials: int) -> Array:
+def sampled(draw: Draw, seed: tuple[int, int], trials: int) -> F64:
     """Estimates of shape (points, trials): blocks that `draw` makes from a generator of its own and a number."""
     counts = [min(BLOCK, trials - first) for first in range(0, trials, BLOCK)]
     seeds = np.random.SeedSequence(seed).spawn(len(counts))
@@ -289,13 +286,13 @@ def sampled(draw: Draw, seed: tuple[int, int], trials: int) -> Array:
         return np.concatenate(list(pool.map(draw, map(np.random.default_rng, seeds), counts)), axis=1)
 
 
-def measured(statistic: Callable[[Array], Measured], sample: Array) -> tuple[Array, Array]:
+def measured(statistic: Callable[[F64], Measured], sample: F64) -> tuple[F64, F64]:
     """A statistic of each row of a sample, and its standard errors."""
     values, errors = np.array([statistic(row) for row in sample]).T
     return values, errors
 
 
-def no_theory(x: Array) -> Array:
+def no_theory(x: F64) -> F64:
     """The closed form of an approximation that is drawn for comparison."""
     return np.full_like(x, np.nan)
 

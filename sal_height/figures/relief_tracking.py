@@ -9,15 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.elevation import discriminator_variance
 from sal_height.figures.curve import Curve
 from sal_height.figures.sample_statistics import Measured
+from sal_height.numeric import F64
 from sal_height.relief import ReliefPrior, TrackedRelief, filtered, smoothed, steady_sigmas
 
-Array = npt.NDArray[np.float64]
-Track = Callable[[Array, Array, float, ReliefPrior, float], TrackedRelief]
+Track = Callable[[F64, F64, float, ReliefPrior, float], TrackedRelief]
 
 LENGTHS = np.array([1.0, 2.0, 5.0, 10.0, 20.0, 40.0])
 """Correlation lengths of the relief, m."""
@@ -86,7 +85,7 @@ def _over_snr(trials: int, seed: int) -> Iterator[Curve]:
     unit = np.sqrt(discriminator_variance(0.0, 10 ** (UNIT_SNR_DB / 10), (1.0, 1.0)))
     sigmas = MEASURED_SIGMA * first_order / unit
     steady = np.array([steady_sigmas(prior, SPACING, sigma) for sigma in sigmas.tolist()])
-    cases: list[tuple[str, Track, Array]] = [
+    cases: list[tuple[str, Track, F64]] = [
         ("single cells", _untracked, sigmas),
         ("filter", filtered, steady[:, 0]),
         ("smoother", smoothed, steady[:, 1]),
@@ -97,11 +96,11 @@ def _over_snr(trials: int, seed: int) -> Iterator[Curve]:
         yield _curve("RMSE over SNR", name, index, rmse, closed_form, SNR_DB)
 
 
-def _untracked(height: Array, sigma: Array, _spacing: float, _prior: ReliefPrior, _gate: float) -> TrackedRelief:
+def _untracked(height: F64, sigma: F64, _spacing: float, _prior: ReliefPrior, _gate: float) -> TrackedRelief:
     return TrackedRelief(height, sigma, np.zeros(height.shape, dtype=np.bool_))
 
 
-def draw_relief(rng: np.random.Generator, prior: ReliefPrior, spacing: float, rows: int, cols: int) -> Array:
+def draw_relief(rng: np.random.Generator, prior: ReliefPrior, spacing: float, rows: int, cols: int) -> F64:
     """Tracks of a Gauss-Markov relief, m, shape (rows, cols), one in each column."""
     height = rng.standard_normal((rows, cols))
     height[0] *= prior.sigma
@@ -110,7 +109,7 @@ def draw_relief(rng: np.random.Generator, prior: ReliefPrior, spacing: float, ro
     return height + prior.mean
 
 
-def _rmse(seed: int, trials: int, prior: ReliefPrior, sigma: Array, taken: Array, track: Track) -> Measured:
+def _rmse(seed: int, trials: int, prior: ReliefPrior, sigma: F64, taken: F64, track: Track) -> Measured:
     """Error of tracked heights in the middle: measured with `sigma`, tracked as if with `taken` (m, shape (ROWS,))."""
     errors = []
     for first in range(0, trials, BLOCK):
@@ -125,7 +124,7 @@ def _rmse(seed: int, trials: int, prior: ReliefPrior, sigma: Array, taken: Array
     return Measured(rmse, float(np.std(square) / np.sqrt(square.size) / (2 * rmse)))
 
 
-def _expected_rmse(prior: ReliefPrior, sigma: Array, taken: Array) -> float:
+def _expected_rmse(prior: ReliefPrior, sigma: F64, taken: F64) -> float:
     """Root of the mean square error in the middle by the covariance of all cells: (I - W) K (I - W)^T + W R W^T."""
     position = np.arange(ROWS) * SPACING
     relief = prior.sigma**2 * prior.correlation(position[:, None] - position)
@@ -139,6 +138,6 @@ def _decibels(rmse: float) -> float:
     return float(20 * np.log10(MEASURED_SIGMA / rmse))
 
 
-def _curve(quantity: str, case: str, colour: int, measured: list[Measured], closed_form: Array, x: Array) -> Curve:
+def _curve(quantity: str, case: str, colour: int, measured: list[Measured], closed_form: F64, x: F64) -> Curve:
     values, errors = np.array(measured).T
     return Curve(quantity, case, x, values, errors, closed_form, colour=colour)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from sal_height.numeric import F64, Bool
 from sal_height.theory import NORMAL_SHARES
-
-Array = npt.NDArray[np.float64]
 
 
 class Measured(NamedTuple):
@@ -24,12 +22,12 @@ class Measured(NamedTuple):
     standard_error: float
 
 
-def mean(sample: Array) -> Measured:
+def mean(sample: F64) -> Measured:
     """Mean; its standard error is nominal where no variance exists."""
     return Measured(float(np.mean(sample)), float(np.std(sample) / np.sqrt(sample.size)))
 
 
-def std(sample: Array) -> Measured:
+def std(sample: F64) -> Measured:
     """Standard deviation; its standard error comes from the fourth moment."""
     deviation = sample - np.mean(sample)
     variance, fourth = np.mean(deviation**2), np.mean(deviation**4)
@@ -38,12 +36,12 @@ def std(sample: Array) -> Measured:
     return Measured(float(np.sqrt(variance)), float(error))
 
 
-def median(sample: Array) -> Measured:
+def median(sample: F64) -> Measured:
     """Median; its standard error is 1 / (2 f sqrt(n)), with the density f at the median from the sample."""
     return Measured(float(np.median(sample)), float(_inverse_density(sample, 0.5) / 2 / np.sqrt(sample.size)))
 
 
-def s68(sample: Array) -> Measured:
+def s68(sample: F64) -> Measured:
     """Half the width from 16 to 84 %: the standard deviation of a normal distribution as wide.
 
     The covariance of the quantiles of shares p < q is p (1 - q) / (n f_p f_q).
@@ -55,13 +53,13 @@ def s68(sample: Array) -> Measured:
     return Measured(float(values[1] - values[0]) / 2, float(np.sqrt(variance / sample.size) / 2))
 
 
-def share(chosen: npt.NDArray[np.bool_]) -> Measured:
+def share(chosen: Bool) -> Measured:
     """Share of the sample that is chosen; the standard error of none or all is that of one more of each kind."""
     smooth = (np.count_nonzero(chosen) + 1) / (chosen.size + 2)
     return Measured(float(np.mean(chosen)), float(np.sqrt(smooth * (1 - smooth) / chosen.size)))
 
 
-def _inverse_density(sample: Array, of_share: float) -> float:
+def _inverse_density(sample: F64, of_share: float) -> float:
     """1 / f at the quantile of a share: from quantiles n^(-1/3) apart in share (Hall and Sheather 1988)."""
     half = min(sample.size ** (-1 / 3) / 2, of_share, 1 - of_share)
     low, high = np.quantile(sample, (of_share - half, of_share + half))

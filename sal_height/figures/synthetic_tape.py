@@ -13,11 +13,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from sal_height.numeric import frequencies
+from sal_height.numeric import C64, C128, F64, frequencies
 from sal_height.simulation import RangeSawtooth, RangeTaper
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 SWING_KNOTS = 16
 """Pointings per period of the swing between which the azimuth response is interpolated."""
@@ -39,7 +36,7 @@ class RangeFault:
     sawtooth: float = 0.1
     teeth: float = 16.0
 
-    def response(self, count: int) -> ComplexArray:
+    def response(self, count: int) -> C128:
         """At `count` frequencies from -1/2 cycles per pixel, shape (count,)."""
         frequency = frequencies(count)
         taper = RangeTaper(self.sidelobe_db, self.support).response(frequency)
@@ -62,11 +59,11 @@ class AzimuthFault:
     swing: float = 0.0
     swing_period: float = 2048.0
 
-    def pointing(self, columns: npt.ArrayLike) -> Array:
+    def pointing(self, columns: npt.ArrayLike) -> F64:
         """Displacement of the beam at columns, cycles per pixel."""
         return np.asarray(self.swing * np.sin(2 * np.pi * np.asarray(columns, dtype=np.float64) / self.swing_period))
 
-    def response(self, count: int, pointing: float = 0.0) -> ComplexArray:
+    def response(self, count: int, pointing: float = 0.0) -> C128:
         """At `count` frequencies from -1/2 cycles per pixel, with the beam displaced by `pointing`; shape (count,)."""
         frequency = frequencies(count)
         beam = np.abs(np.cos(np.pi * (frequency - pointing))) ** self.taper
@@ -104,7 +101,7 @@ def make_tape(
     noise: float = 0.0,
     nyquist_spur: float = 0.0,
     saturation: Saturation | None = None,
-) -> npt.NDArray[np.complex64]:
+) -> C64:
     """An image of range rows and azimuth columns; speckle has the mean power 1, and phases of targets are random.
 
     Args:
@@ -137,9 +134,9 @@ def _scene_spectrum(
     shape: tuple[int, int],
     rng: np.random.Generator,
     targets: tuple[Target, ...],
-    range_response: ComplexArray | Array,
-    azimuth_response: ComplexArray,
-) -> ComplexArray:
+    range_response: C128 | F64,
+    azimuth_response: C128,
+) -> C128:
     """Two-dimensional spectrum of the scene behind the range response; scaled for a speckle power of 1 in the image."""
     rows, cols = shape
     gain = np.sqrt(np.mean(np.abs(range_response) ** 2) * np.mean(np.abs(azimuth_response) ** 2))
@@ -153,7 +150,7 @@ def _scene_spectrum(
     return np.asarray(spectrum * (range_response / gain)[:, None])
 
 
-def _limited(spectrum: ComplexArray, saturation: Saturation) -> ComplexArray:
+def _limited(spectrum: C128, saturation: Saturation) -> C128:
     """The spectrum of a scene whose amplitude is limited while targets are spread along the flight."""
     spread = np.exp(1j * np.pi * saturation.aperture * frequencies(spectrum.shape[1]) ** 2)
     signal = scipy.fft.ifft2(scipy.fft.ifftshift(spectrum * spread))
@@ -163,7 +160,7 @@ def _limited(spectrum: ComplexArray, saturation: Saturation) -> ComplexArray:
     return np.asarray(scipy.fft.fftshift(scipy.fft.fft2(signal)) / spread)
 
 
-def _through_beam(spectrum: ComplexArray, beam: AzimuthFault) -> ComplexArray:
+def _through_beam(spectrum: C128, beam: AzimuthFault) -> C128:
     """The image through the beam, which points where it does at each column."""
     rows, cols = spectrum.shape
     if not beam.swing:
@@ -178,6 +175,6 @@ def _through_beam(spectrum: ComplexArray, beam: AzimuthFault) -> ComplexArray:
     return image
 
 
-def _circular(shape: tuple[int, int], rng: np.random.Generator) -> ComplexArray:
+def _circular(shape: tuple[int, int], rng: np.random.Generator) -> C128:
     """Circular Gaussian numbers of mean power 1."""
     return np.asarray((rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2))

@@ -9,14 +9,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-
+from sal_height.numeric import F64
 
 EARTH_RADIUS = 6_371_008.8
 """Mean earth radius (IUGG), m."""
 
 
-def sphere_point(east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLike) -> Array:
+def sphere_point(east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLike) -> F64:
     """Map position (m) of a point at arc distances `east`, `north` (m) along the sphere and `height` (m) above it.
 
     Azimuthal equidistant: the great circle from the map's origin leaves in the direction (east, north).
@@ -29,7 +28,7 @@ def sphere_point(east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLik
     return np.stack([scale * east, scale * north, up], axis=-1)
 
 
-def sphere_coordinates(points: Array) -> tuple[Array, Array, Array]:
+def sphere_coordinates(points: F64) -> tuple[F64, F64, F64]:
     """Arc distances east and north (m) and height (m) of map positions of shape (..., 3): undoes `sphere_point`."""
     x, y, z = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
     level = np.hypot(x, y)
@@ -38,7 +37,7 @@ def sphere_coordinates(points: Array) -> tuple[Array, Array, Array]:
     return scale * x, scale * y, height_of(points)
 
 
-def height_of(points: Array) -> Array:
+def height_of(points: F64) -> F64:
     """Height (m) above the sphere of map positions of shape (..., 3), without cancellation.
 
     sqrt(x^2 + y^2 + (z + R)^2) - R, with the difference of the two large numbers taken analytically.
@@ -48,7 +47,7 @@ def height_of(points: Array) -> Array:
     return np.asarray((x**2 + y**2 + z**2 + 2 * EARTH_RADIUS * z) / (radius + EARTH_RADIUS))
 
 
-def above_place(x: npt.ArrayLike, y: npt.ArrayLike, height: npt.ArrayLike) -> Array:
+def above_place(x: npt.ArrayLike, y: npt.ArrayLike, height: npt.ArrayLike) -> F64:
     """Map position (m) of the point at the map coordinates `x`, `y` (m) that is `height` (m) above the sphere.
 
     z = sqrt((R + h)^2 - x^2 - y^2) - R, without cancellation; shape (..., 3). NaN beyond the sphere's horizon.

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64
 
 
 @dataclass(frozen=True)
@@ -29,25 +29,25 @@ class ApertureState:
             that of its middle column.
     """
 
-    position: Array
-    velocity: Array
-    rotation: Array
+    position: F64
+    velocity: F64
+    rotation: F64
     length: float
-    covariance: Array
+    covariance: F64
     sliding: bool = False
 
     @property
-    def direction(self) -> Array:
+    def direction(self) -> F64:
         """Unit vector of flight in map axes."""
         return self.velocity / np.linalg.norm(self.velocity)
 
     @property
-    def forward(self) -> Array:
+    def forward(self) -> F64:
         """Unit vector of the body's x axis in map axes: the beams lie in the plane square to it."""
         return self.rotation[:, 0]
 
 
-def look_direction(elevation: npt.ArrayLike, squint: npt.ArrayLike, look_side: int) -> Array:
+def look_direction(elevation: npt.ArrayLike, squint: npt.ArrayLike, look_side: int) -> F64:
     """Unit vector in body axes towards `elevation` and `squint` (rad), shape (..., 3)."""
     elevation, squint = np.broadcast_arrays(elevation, squint)
     return np.stack(
@@ -60,14 +60,14 @@ def look_direction(elevation: npt.ArrayLike, squint: npt.ArrayLike, look_side: i
     )
 
 
-def angles_of(points: Array, aperture: ApertureState, look_side: int) -> tuple[Array, Array, Array]:
+def angles_of(points: F64, aperture: ApertureState, look_side: int) -> tuple[F64, F64, F64]:
     """Slant range (m), elevation and squint (rad) under which an aperture sees `points` of shape (..., 3)."""
     body = (points - aperture.position) @ aperture.rotation
     slant_range = np.linalg.norm(body, axis=-1)
     return slant_range, np.arctan2(-look_side * body[..., 1], -body[..., 2]), np.arcsin(body[..., 0] / slant_range)
 
 
-def aperture_at(points: Array, aperture: ApertureState) -> ApertureState:
+def aperture_at(points: F64, aperture: ApertureState) -> ApertureState:
     """The aperture from which an image shows `points` of shape (..., 3).
 
     That is `aperture`; a sliding one has come, at its velocity, to where each point is abeam of the body (squint 0):
@@ -79,7 +79,7 @@ def aperture_at(points: Array, aperture: ApertureState) -> ApertureState:
     return replace(aperture, position=aperture.position + seconds[..., None] * aperture.velocity, sliding=False)
 
 
-def squint_on_cone(elevation: npt.ArrayLike, cone: npt.ArrayLike, aperture: ApertureState, look_side: int) -> Array:
+def squint_on_cone(elevation: npt.ArrayLike, cone: npt.ArrayLike, aperture: ApertureState, look_side: int) -> F64:
     """Squint (rad) of the direction at `elevation` (rad) whose component along the flight is `cone`.
 
     A pixel fixes a target's range and Doppler, that is `cone`, the cosine of the angle to the velocity; elevation is

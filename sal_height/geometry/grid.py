@@ -8,10 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.geometry.frames import ApertureState
-
-ComplexArray = npt.NDArray[np.complexfloating]
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64, Complex
 
 
 @dataclass(frozen=True)
@@ -28,9 +25,9 @@ class Grid:
         cols: number of columns.
     """
 
-    origin: Array
-    row_direction: Array
-    col_direction: Array
+    origin: F64
+    row_direction: F64
+    col_direction: F64
     row_spacing: float
     col_spacing: float
     rows: int
@@ -41,13 +38,13 @@ class Grid:
         """(rows, cols)."""
         return self.rows, self.cols
 
-    def points(self, row: npt.ArrayLike, col: npt.ArrayLike) -> Array:
+    def points(self, row: npt.ArrayLike, col: npt.ArrayLike) -> F64:
         """Positions (m) of fractional pixel indices, shape (..., 3)."""
         down = np.asarray(row, dtype=np.float64)[..., None] * (self.row_spacing * self.row_direction)
         along = np.asarray(col, dtype=np.float64)[..., None] * (self.col_spacing * self.col_direction)
         return self.origin + down + along
 
-    def distances(self, position: Array) -> Array:
+    def distances(self, position: F64) -> F64:
         """Distances (m) of all pixel centres from `position`, shape (rows, cols), without their coordinates.
 
         The law of cosines in the two indices: 10 times faster, and as exact, as |pixels - position|.
@@ -64,12 +61,12 @@ class Grid:
             square += np.multiply.outer(skew * down, along)
         return np.asarray(np.sqrt(square, out=square))
 
-    def pixels(self) -> Array:
+    def pixels(self) -> F64:
         """Positions (m) of all pixel centres, shape (rows, cols, 3)."""
         return self.points(np.arange(self.rows)[:, None], np.arange(self.cols)[None, :])
 
 
-def pixels_at(across: Array, along: Array, aperture: ApertureState, grid: Grid) -> tuple[Array, Array]:
+def pixels_at(across: F64, along: F64, aperture: ApertureState, grid: Grid) -> tuple[F64, F64]:
     """Fractional rows and columns of a grid that have the distances `across` from and `along` the track (m).
 
     The columns of a strip need not run along the track: `along` picks a line of pixels, which crosses the range once.
@@ -85,7 +82,7 @@ def pixels_at(across: Array, along: Array, aperture: ApertureState, grid: Grid) 
     return row, col_at_first_row - skew * row
 
 
-def without_range_phase(image: ComplexArray, grid: Grid, aperture: ApertureState, wavelength: float) -> ComplexArray:
+def without_range_phase(image: Complex, grid: Grid, aperture: ApertureState, wavelength: float) -> Complex:
     """The image times exp(-j 4 pi R / wavelength), with R each pixel's distance from the middle of its aperture.
 
     A point's image has the phase 4 pi (R of the pixel - R of the point) / wavelength, which winds from pixel to pixel

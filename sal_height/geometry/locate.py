@@ -7,13 +7,12 @@ import numpy.typing as npt
 
 from sal_height.geometry.earth import EARTH_RADIUS, height_of
 from sal_height.geometry.frames import ApertureState, look_direction, squint_on_cone
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64
 
 
 def locate_at_elevation(
     elevation: npt.ArrayLike, slant_range: npt.ArrayLike, along: npt.ArrayLike, aperture: ApertureState, look_side: int
-) -> Array:
+) -> F64:
     """Map position (m) of the target at `elevation` (rad) on the circle that a pixel's range and Doppler leave.
 
     Args:
@@ -33,7 +32,7 @@ def locate_at_elevation(
 
 def locate_at_height(
     height: npt.ArrayLike, slant_range: npt.ArrayLike, along: npt.ArrayLike, aperture: ApertureState, look_side: int
-) -> Array:
+) -> F64:
     """Map position (m) of the target at `height` (m) above the sphere on the circle that range and Doppler leave.
 
     The sight s has the length `slant_range`, `along` as its component along the flight and, with the platform at e

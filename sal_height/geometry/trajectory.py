@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64
 
 
 @dataclass(frozen=True)
@@ -28,10 +26,10 @@ class PlatformState:
     """
 
     stamp_ns: int
-    position: Array
-    orientation: Array
-    velocity: Array
-    covariance: Array
+    position: F64
+    orientation: F64
+    velocity: F64
+    covariance: F64
 
 
 ROUNDING_S = 1e-9
@@ -68,7 +66,7 @@ class Trajectory:
         self._attitude = Slerp(seconds, Rotation.from_quat(np.array([s.orientation for s in states])))
         self._covariance = [s.covariance for s in states]
 
-    def _offsets(self, stamp_ns: int, seconds_after: Array) -> Array:
+    def _offsets(self, stamp_ns: int, seconds_after: F64) -> F64:
         """Times relative to the epoch.
 
         Raises:
@@ -82,7 +80,7 @@ class Trajectory:
             )
         return t
 
-    def positions(self, stamp_ns: int, seconds_after: Array) -> Array:
+    def positions(self, stamp_ns: int, seconds_after: F64) -> F64:
         """Positions (m) at `stamp_ns` + `seconds_after` (s, increasing), shape (times, 3).
 
         Raises:
@@ -90,7 +88,7 @@ class Trajectory:
         """
         return np.asarray(self._position(self._offsets(stamp_ns, seconds_after)))
 
-    def aperture(self, stamp_ns: int, pulse_times: Array) -> ApertureState:
+    def aperture(self, stamp_ns: int, pulse_times: F64) -> ApertureState:
         """State in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
 
         Raises:
@@ -116,7 +114,7 @@ VELOCITY_TOLERANCE = 0.1
 """Share of the speed by which the stated velocity may differ from that of the positions."""
 
 
-def _check_velocity(states: list[PlatformState], seconds: Array) -> None:
+def _check_velocity(states: list[PlatformState], seconds: F64) -> None:
     """Refuse velocities that the positions contradict: zero, or in other axes than they should be.
 
     Between two samples, the mean of their velocities must be the way over the time, up to VELOCITY_TOLERANCE and three

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging.pixels import aim_point
+from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor
-
-Array = npt.NDArray[np.float64]
 
 COHERENT = 0.5
 """Share of the products of neighbouring pulses that must agree, for the dwell to have one Doppler centroid."""
@@ -20,7 +18,7 @@ ROUNDING = 1e-6
 """Share by which a limit may be passed: who keeps to the number that a sentence states is within."""
 
 
-def check_pulses(sensor: Sensor, antenna: Array, aperture: ApertureState) -> None:
+def check_pulses(sensor: Sensor, antenna: F64, aperture: ApertureState) -> None:
     """Make sure that the pulses are close enough for the beams, and reach far enough to resolve more than they do.
 
     Args:
@@ -70,7 +68,7 @@ def check_range_window(sensor: Sensor, reference_range: float) -> None:
 
 
 def check_doppler_centroid(
-    history: PhaseHistory, antenna: Array, sensor: Sensor, aperture: ApertureState, grid: Grid
+    history: PhaseHistory, antenna: F64, sensor: Sensor, aperture: ApertureState, grid: Grid
 ) -> None:
     """Make sure that a spotlight dwell's Doppler centroid lies in the band that image or beam make up.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, Trajectory
@@ -31,10 +30,8 @@ from sal_height.imaging.strip import (
     turn,
 )
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric import broadening
+from sal_height.numeric import C64, F64, broadening
 from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -74,14 +71,14 @@ class Slc:
         focus: what autofocus found; None: not asked for.
     """
 
-    images: npt.NDArray[np.complex64]
+    images: C64
     grid: Grid
     aperture: ApertureState
     noise_power: list[float]
     focus: Focus | None = None
 
     @property
-    def autofocus_phase(self) -> Array:
+    def autofocus_phase(self) -> F64:
         """Phase that was taken off each pulse, rad; empty: none."""
         return self.focus.phase if self.focus and self.focus.trusted else np.zeros(0)
 

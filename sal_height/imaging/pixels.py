@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, look_direction
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric import noise_gain
+from sal_height.numeric import F64, noise_gain
 from sal_height.sensor import Sensor
-
-Array = npt.NDArray[np.float64]
-
 
 MAX_PIXELS = 2**24
 """Largest image: what a message can hold and a machine can process."""
@@ -44,7 +40,7 @@ def slant_plane_size(
     return max(1, int(sensor.sample_count / range_broadening)), max(1, int(cells + 1e-6))
 
 
-def aim_point(sensor: Sensor, aperture: ApertureState, reference_range: float) -> Array:
+def aim_point(sensor: Sensor, aperture: ApertureState, reference_range: float) -> F64:
     """Point (m, map) in the middle of all beams at the reference range: the middle of the image."""
     middle = np.mean(sensor.beams.span)
     return aperture.position + reference_range * (aperture.rotation @ look_direction(middle, 0.0, sensor.look_side))
@@ -103,7 +99,7 @@ def _slant_plane(
     sensor: Sensor,
     aperture: ApertureState,
     reference_range: float,
-    along: Array,
+    along: F64,
     spacing: tuple[float, float],
     shape: tuple[int, int],
 ) -> Grid:
@@ -130,7 +126,7 @@ def ground_plane_grid(
 
 
 def _centred_grid(
-    centre: Array, row_direction: Array, col_direction: Array, spacing: tuple[float, float], shape: tuple[int, int]
+    centre: F64, row_direction: F64, col_direction: F64, spacing: tuple[float, float], shape: tuple[int, int]
 ) -> Grid:
     if shape[0] * shape[1] > MAX_PIXELS:
         raise UserError(f"An image of {shape[0]} x {shape[1]} pixels was asked for; at most {MAX_PIXELS} are allowed.")
@@ -139,7 +135,7 @@ def _centred_grid(
     return Grid(origin, row_direction, col_direction, spacing[0], spacing[1], shape[0], shape[1])
 
 
-def _unit(vector: Array, what: str) -> Array:
+def _unit(vector: F64, what: str) -> F64:
     length = np.linalg.norm(vector)
     if not length > 1e-9:
         raise UserError(f"The {what} has no component across the flight; the sensor must look sideways.")

@@ -8,17 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, look_direction
 from sal_height.imaging.formers.backprojection import filled_apertures
 from sal_height.imaging.pixels import strip_grid
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric import broadening
+from sal_height.numeric import F64, broadening
 from sal_height.sensor import PhaseHistory, Sensor
-
-Array = npt.NDArray[np.float64]
 
 WIDEST_GAP = 1.5
 """Pulse intervals from one block to the next, beyond which pulses are missing."""
@@ -57,7 +54,7 @@ class Strip:
     """
 
     history: PhaseHistory
-    antenna: Array
+    antenna: F64
     lattice: Grid
 
 
@@ -65,7 +62,7 @@ def lay_lattice(
     sensor: Sensor,
     processing: Processing,
     aperture: ApertureState,
-    antenna: Array,
+    antenna: F64,
     reference_range: float,
     shape: tuple[int, int],
 ) -> Grid:
@@ -103,7 +100,7 @@ def lay_lattice(
     return strip_grid(sensor, aperture, reference_range, (rows, cols or max(1, len(antenna) // steps)), spacing)
 
 
-def begin_strip(history: PhaseHistory, antenna: Array, lattice: Grid, processing: Processing) -> Strip:
+def begin_strip(history: PhaseHistory, antenna: F64, lattice: Grid, processing: Processing) -> Strip:
     """A strip of the pulses of its first block, whose first column is the first that they can fill.
 
     Args:
@@ -136,7 +133,7 @@ def _pause(history: PhaseHistory, strip: Strip) -> float:
     return float(since - strip.history.pulse_times[-1])
 
 
-def extend_strip(strip: Strip, history: PhaseHistory, antenna: Array) -> Strip:
+def extend_strip(strip: Strip, history: PhaseHistory, antenna: F64) -> Strip:
     """The strip with the pulses of the next block."""
     held = strip.history
     later = (history.stamp_ns - held.stamp_ns) * 1e-9 + history.pulse_times
@@ -211,13 +208,13 @@ def abeam_time(strip: Strip, grid: Grid) -> float:
     return float(np.interp(middle, strip.antenna @ grid.col_direction, strip.history.pulse_times))
 
 
-def _first_column(lattice: Grid, antenna: Array, processing: Processing) -> float:
+def _first_column(lattice: Grid, antenna: F64, processing: Processing) -> float:
     """Fractional column from which on the first pulse is not too late for the aperture of any row."""
     place = float((antenna[0] - lattice.origin) @ lattice.col_direction) + _reach(lattice, antenna[0], processing)
     return place / lattice.col_spacing + ROUNDING
 
 
-def _reach(lattice: Grid, position: Array, processing: Processing) -> float:
+def _reach(lattice: Grid, position: F64, processing: Processing) -> float:
     """Half the aperture of the farthest row, m, as `filled_apertures` measures it: between sines."""
     far = lattice.points(lattice.rows - 1.0, 0.0) - position
     across = far - (far @ lattice.col_direction) * lattice.col_direction

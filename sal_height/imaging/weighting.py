@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from sal_height.numeric import window
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F32, F64, window
 
 TAPER_NODES = 1025
 """Nodes of the tabulated azimuth window, which is interpolated linearly between them."""
@@ -30,15 +27,15 @@ class Processing:
     azimuth_window: str = "rectangular"
     angle: float = 0.0
 
-    def range_weights(self, count: int) -> Array:
+    def range_weights(self, count: int) -> F64:
         """Weights of `count` frequencies, of mean 1."""
         return window(self.range_window, count)
 
-    def azimuth_weights(self, pulses: int) -> Array:
+    def azimuth_weights(self, pulses: int) -> F64:
         """Weights of the pulses of a spotlight aperture, of mean 1."""
         return window(self.azimuth_window, pulses)
 
-    def angle_weights(self, sine: Array, spacing: Array) -> Array:
+    def angle_weights(self, sine: F64, spacing: F64) -> F64:
         """Weights of pulses in stripmap, that of a pulse halfway over the edge of the aperture by its share within.
 
         Args:
@@ -49,6 +46,6 @@ class Processing:
         nodes = np.linspace(-self.angle / 2, self.angle / 2, TAPER_NODES)
         return np.asarray(share * np.interp(sine, nodes, self.taper().astype(np.float64)))
 
-    def taper(self) -> npt.NDArray[np.float32]:
+    def taper(self) -> F32:
         """The azimuth window over the processed angle, at TAPER_NODES even sines from end to end."""
         return window(self.azimuth_window, TAPER_NODES).astype(np.float32)

@@ -14,10 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid
+from sal_height.numeric import C64, F32, F64, U8
 from sal_height.sensor import Sensor
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 MAP_FRAME = "map"
 BODY_FRAME = "base_link"
@@ -45,17 +43,17 @@ def to_floats(samples: npt.NDArray[np.generic]) -> array.array[float]:
     return floats
 
 
-def to_bytes(values: npt.NDArray[np.uint8]) -> array.array[int]:
+def to_bytes(values: U8) -> array.array[int]:
     """A uint8[] field's value holding `values`."""
     return array.array("B", values.tobytes())
 
 
-def complex_view(floats: Sequence[float], shape: tuple[int, ...]) -> ComplexArray:
+def complex_view(floats: Sequence[float], shape: tuple[int, ...]) -> C64:
     """Read a float32[] field as complex samples of `shape`, without copying."""
     return np.frombuffer(memoryview(floats), np.complex64).reshape(shape)  # type: ignore[arg-type]
 
 
-def float_view(floats: Sequence[float], shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
+def float_view(floats: Sequence[float], shape: tuple[int, ...]) -> F32:
     """Read a float32[] field as reals of `shape`, without copying."""
     return np.frombuffer(memoryview(floats), np.float32).reshape(shape)  # type: ignore[arg-type]
 
@@ -110,12 +108,12 @@ def aperture_to_message(aperture: ApertureState) -> messages.Aperture:
     return message
 
 
-def xyz(vector: Array) -> dict[str, float]:
+def xyz(vector: F64) -> dict[str, float]:
     """Coordinates by name, as Point and Vector3 take them."""
     return dict(zip("xyz", map(float, vector), strict=True))
 
 
-def vector_of(message: Point | Vector3) -> Array:
+def vector_of(message: Point | Vector3) -> F64:
     """Coordinates as an array."""
     return np.array([message.x, message.y, message.z])
 

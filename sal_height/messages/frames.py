@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Quaternion, Vector3
 from nav_msgs.msg import Odometry
@@ -26,10 +25,6 @@ from sal_height.messages.basics import (
     xyz,
 )
 from sal_height.sensor import PhaseHistory, Sensor
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
-
 
 LONGEST_DWELL = 3600.0
 """Longest time from a frame's stamp to its last pulse, s."""

@@ -6,7 +6,6 @@ import array
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from sal_height_msgs import msg as messages
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
@@ -24,10 +23,8 @@ from sal_height.messages.basics import (
     to_bytes,
     to_floats,
 )
+from sal_height.numeric import F32
 from sal_height.relief import HeightField, Surface
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 
 def height_to_message(
@@ -105,7 +102,7 @@ def height_picture(image: messages.HeightImage) -> Image:
     return float_picture(float_view(image.height, (image.grid.rows, image.grid.cols)), image.header)
 
 
-def float_picture(values: npt.NDArray[np.float32], header: Header) -> Image:
+def float_picture(values: F32, header: Header) -> Image:
     """An array (rows, cols) as a 32FC1 image."""
     rows, cols = values.shape
     data = array.array("B", values.tobytes())
@@ -118,7 +115,7 @@ def height_points(field: HeightField, image: messages.HeightImage) -> PointCloud
     return point_cloud(points, ("x", "y", "z", "height", "sigma", "cnr_db"), image.header)
 
 
-def point_cloud(points: npt.NDArray[np.float32], names: Sequence[str], header: Header) -> PointCloud2:
+def point_cloud(points: F32, names: Sequence[str], header: Header) -> PointCloud2:
     """Points of shape (points, fields) whose fields have these `names`."""
     return PointCloud2(
         header=header,
@@ -132,7 +129,7 @@ def point_cloud(points: npt.NDArray[np.float32], names: Sequence[str], header: H
     )
 
 
-def _points(surface: Surface) -> npt.NDArray[np.float32]:
+def _points(surface: Surface) -> F32:
     """Position, height, sigma and CNR of the scatterers of a surface, shape (scatterers, 6)."""
     seen = np.isfinite(surface.height)
     columns = [*surface.positions[seen].T, surface.height[seen], surface.sigma[seen], surface.cnr_db[seen]]

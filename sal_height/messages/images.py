@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from sal_height_msgs import msg as messages
 from std_msgs.msg import Header
 
@@ -23,14 +22,12 @@ from sal_height.messages.basics import (
     grid_to_message,
     to_floats,
 )
+from sal_height.numeric import C64, F64
 from sal_height.sensor import Sensor
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 
 def slc_to_messages(
-    slc: Slc, saturated_shares: Array, frame: messages.DetectorFrame, provenance: messages.Provenance
+    slc: Slc, saturated_shares: F64, frame: messages.DetectorFrame, provenance: messages.Provenance
 ) -> list[messages.ComplexImage]:
     """One ComplexImage per detector, with the stamp and dwell of `frame`; shares as of `saturation`."""
     return [
@@ -71,7 +68,7 @@ def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
     check_geometry(image.grid, image.aperture, where)
 
 
-def slc_from_messages(images: Sequence[messages.ComplexImage]) -> tuple[ComplexArray, Grid, ApertureState, Array]:
+def slc_from_messages(images: Sequence[messages.ComplexImage]) -> tuple[C64, Grid, ApertureState, F64]:
     """Images (detectors, rows, cols), grid, aperture and noise powers of the checked images of all detectors.
 
     Raises:

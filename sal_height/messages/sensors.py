@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from sal_height_msgs import msg as messages
 from std_msgs.msg import Header
@@ -16,9 +14,6 @@ from sal_height.messages.basics import (
     BODY_FRAME,
 )
 from sal_height.sensor import Sensor
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 
 def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ComplexImage, HeightImage
 from sensor_msgs.msg import Image, PointCloud2
@@ -32,12 +31,9 @@ from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import derived, parameter, recorded
 from sal_height.nodes.stage import LATCHED_QOS
-from sal_height.numeric import WINDOWS
+from sal_height.numeric import C64, C128, F64, WINDOWS, Index
 from sal_height.relief import height_field
 from sal_height.sensor import MAX_SHARE, Channels, Sensor, whitened_channels, with_powers
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 HELD_CALIBRATIONS = 4
 """Calibrations held: images made with one may come after the next."""
@@ -98,7 +94,7 @@ def processed_beams(sensor: Sensor, provenance: str) -> Beams:
     return image_beams(sensor, window if isinstance(window, str) and window in WINDOWS else "rectangular")
 
 
-def live_channels(slc: npt.NDArray[np.complex64], sensor: Sensor) -> npt.NDArray[np.intp]:
+def live_channels(slc: C64, sensor: Sensor) -> Index:
     """Numbers of the channels that are not dead (`looks.live_detectors`).
 
     Raises:
@@ -137,13 +133,13 @@ class HeightStage(DwellStage):
         self._image = self.offer(Image, f"{self.estimator}/image")
         self._points = self.offer(PointCloud2, f"{self.estimator}/points")
 
-    def channels(self, noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> Channels:
+    def channels(self, noise_covariance: C128, channel_matrix: C128) -> Channels:
         """The channels that the estimator takes, from those of the sensor: of equal noise (`channels.whitening`)."""
         return whitened_channels(noise_covariance, channel_matrix)
 
     @abstractmethod
     def estimate(
-        self, looks: Looks, beams: Beams, squint: Array, noise_powers: Array, parameters: Any
+        self, looks: Looks, beams: Beams, squint: F64, noise_powers: F64, parameters: Any
     ) -> ElevationEstimate:
         """Elevation of every pixel, by the core's estimator; looks, beams and noise powers are of `channels`."""
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from sal_height.beams import Beams
 from sal_height.elevation import (
     OBJECTIVES,
@@ -21,8 +18,7 @@ from sal_height.elevation import (
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64
 
 
 @dataclass(frozen=True)
@@ -55,7 +51,7 @@ class MlHeight(HeightStage):
         super().__init__("ml_height", **node_arguments)
 
     def estimate(
-        self, looks: Looks, beams: Beams, squint: Array, noise_powers: Array, parameters: Parameters
+        self, looks: Looks, beams: Beams, squint: F64, noise_powers: F64, parameters: Parameters
     ) -> ElevationEstimate:
         """Elevation of every pixel."""
         noise_power, strength, min_cnr = float(noise_powers[0]), parameters.prior_strength, parameters.min_cnr

@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from sal_height.beams import Beams
 from sal_height.elevation import DISCRIMINANTS, ElevationEstimate, Looks, monopulse_elevation
 from sal_height.errors import Rejected
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64
 
 
 @dataclass(frozen=True)
@@ -41,7 +37,7 @@ class Monopulse(HeightStage):
         super().__init__("monopulse", **node_arguments)
 
     def estimate(
-        self, looks: Looks, beams: Beams, squint: Array, noise_powers: Array, parameters: Parameters
+        self, looks: Looks, beams: Beams, squint: F64, noise_powers: F64, parameters: Parameters
     ) -> ElevationEstimate:
         """Elevation of every pixel.
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from rclpy._rclpy_pybind11 import RCLError
 from sal_height_msgs.msg import Calibration, ComplexImage
@@ -23,6 +21,7 @@ from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS
+from sal_height.numeric import F64
 from sal_height.sensor import MAX_SHARE, Sensor, spectrum_sensor
 
 MOST_DWELLS = 1024
@@ -142,7 +141,7 @@ class PsfCalibration(DwellStage):
         return 1
 
 
-def _place(text: str) -> npt.NDArray[np.float64] | None:
+def _place(text: str) -> F64 | None:
     """Place of the reference target in the map, m; None: there is none.
 
     Raises:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ComplexImage, DetectorFrame, Provenance
@@ -24,10 +23,8 @@ from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import as_json, parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
-from sal_height.numeric import WINDOWS
+from sal_height.numeric import F64, WINDOWS
 from sal_height.sensor import PhaseHistory, Sensor, range_compressed, saturated_shares
-
-Array = npt.NDArray[np.float64]
 
 HELD_STATES = 20_000
 """Odometry samples held: 100 s at 200 Hz."""
@@ -102,7 +99,7 @@ class SarCompression(DwellStage):
         self._strip = (("", ""), StripFocuser())
         self._calibration: Calibration | None = None
         self._begin_calibration(self.current_parameters().calibration)
-        self._blocks: list[tuple[int, Array]] = []  # end (ns) and saturated shares of those whose pulses are held
+        self._blocks: list[tuple[int, F64]] = []  # end (ns) and saturated shares of those whose pulses are held
         self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS)
         self._slc = self.offer(ComplexImage, "slc")
 

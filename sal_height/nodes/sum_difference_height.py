@@ -6,9 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from sal_height.beams import Beams
 from sal_height.elevation import (
     DISCRIMINANTS,
@@ -23,10 +20,8 @@ from sal_height.errors import Rejected, UserError
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
+from sal_height.numeric import C128, F64
 from sal_height.sensor import Channels, sum_difference_channels
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -69,7 +64,7 @@ class SumDifferenceHeight(HeightStage):
         table = self.current_parameters().slope_table
         self._table = read_slope_table(Path(table)) if table else None
 
-    def channels(self, noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> Channels:
+    def channels(self, noise_covariance: C128, channel_matrix: C128) -> Channels:
         """Sigma and Delta with gains that are equal, each with its own noise.
 
         Raises:
@@ -81,7 +76,7 @@ class SumDifferenceHeight(HeightStage):
             raise Rejected("no sum and difference", str(error)) from error
 
     def estimate(
-        self, looks: Looks, beams: Beams, squint: Array, noise_powers: Array, parameters: Parameters
+        self, looks: Looks, beams: Beams, squint: F64, noise_powers: F64, parameters: Parameters
     ) -> ElevationEstimate:
         """Elevation of every pixel."""
         inverse = self._table.invert if self._table else INVERSES[parameters.inverse]

@@ -1,10 +1,11 @@
 """Numerics without physics: what NumPy and SciPy lack, and how kernels are compiled.
 
-Read `jit` first (how kernels are compiled and spread over threads), then `windows` (spectral weights), `phasors`
-(exp(j phase) with the phase reduced in float64), `chirp_z` and `fft` (transforms of many rows) and `range_profiles`
-(interpolation of band-limited profiles). Nothing here knows of sensors or images.
+Read `arrays` (types of arrays) and `jit` (how kernels are compiled and spread over threads) first, then `windows`
+(spectral weights), `phasors` (exp(j phase) with the phase reduced in float64), `chirp_z` and `fft` (transforms of many
+rows) and `range_profiles` (interpolation of band-limited profiles). Nothing here knows of sensors or images.
 """
 
+from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, Complex, Index
 from sal_height.numeric.chirp_z import ChirpZ, apply_chirp_z
 from sal_height.numeric.fft import Rows, blocks, fast_length, frequencies, rows_at_once
 from sal_height.numeric.jit import WORKERS, compiled, in_parallel, inlined
@@ -13,11 +14,21 @@ from sal_height.numeric.range_profiles import OVERSAMPLING, TAPS, dense_profiles
 from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, window
 
 __all__ = [
+    "C64",
+    "C128",
+    "F32",
+    "F64",
+    "I32",
+    "I64",
     "OVERSAMPLING",
     "TAPS",
+    "U8",
     "WINDOWS",
     "WORKERS",
+    "Bool",
     "ChirpZ",
+    "Complex",
+    "Index",
     "Rows",
     "apply_chirp_z",
     "blocks",

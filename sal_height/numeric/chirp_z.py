@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
+from sal_height.numeric.arrays import C64, F64
 from sal_height.numeric.fft import fast_length
 from sal_height.numeric.jit import WORKERS
 from sal_height.numeric.phasors import outer_phasors
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 
 @dataclass(frozen=True)
@@ -29,9 +26,9 @@ class ChirpZ:
         after: complex64, shape (lines, outputs).
     """
 
-    before: ComplexArray
-    spectrum: ComplexArray
-    after: ComplexArray
+    before: C64
+    spectrum: C64
+    after: C64
 
     @property
     def length(self) -> int:
@@ -39,7 +36,7 @@ class ChirpZ:
         return int(self.spectrum.shape[-1])
 
 
-def apply_chirp_z(steps: Array, inputs: int, n0: float, outputs: int, m0: float) -> ChirpZ:
+def apply_chirp_z(steps: F64, inputs: int, n0: float, outputs: int, m0: float) -> ChirpZ:
     """Factors for transforms of `inputs` numbers, indices counted from `n0`, to `outputs`, counted from `m0`.
 
     Args:

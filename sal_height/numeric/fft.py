@@ -7,12 +7,10 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
+from sal_height.numeric.arrays import C64, F64
 from sal_height.numeric.jit import compiled
-
-ComplexArray = npt.NDArray[np.complex64]
 
 BUFFER = 2**16
 """Numbers in a buffer: half a megabyte."""
@@ -48,8 +46,8 @@ class Rows:
 
     def __init__(self, rows: int, length: int) -> None:
         """Plan the transforms of `rows` rows of `length` numbers."""
-        self.data: ComplexArray
-        self.spectrum: ComplexArray
+        self.data: C64
+        self.spectrum: C64
         if BACKEND == "pyfftw":
             fftw: Any = import_module("pyfftw")
             self.data, self.spectrum = (fftw.zeros_aligned((rows, length), dtype="complex64") for _ in range(2))
@@ -59,11 +57,11 @@ class Rows:
         else:
             self.data, self.spectrum = (np.zeros((rows, length), dtype=np.complex64) for _ in range(2))
 
-    def load(self, values: ComplexArray, factor: ComplexArray) -> None:
+    def load(self, values: C64, factor: C64) -> None:
         """Put values * factor into the beginnings of `data`, then zeros; shapes (some rows, n), (as many or 1, n)."""
         _multiply_padded(values, factor, self.data)
 
-    def filter(self, factor: ComplexArray) -> None:
+    def filter(self, factor: C64) -> None:
         """Multiply the first rows of `spectrum` by `factor` of shape (some rows or 1, length)."""
         _multiply(self.spectrum, factor)
 
@@ -83,7 +81,7 @@ class Rows:
 
 
 @compiled
-def _multiply_padded(values: ComplexArray, factor: ComplexArray, result: ComplexArray) -> None:
+def _multiply_padded(values: C64, factor: C64, result: C64) -> None:
     count = values.shape[1]
     for i in range(values.shape[0]):
         given, weight, made = values[i], factor[i if factor.shape[0] > 1 else 0], result[i]
@@ -93,13 +91,13 @@ def _multiply_padded(values: ComplexArray, factor: ComplexArray, result: Complex
 
 
 @compiled
-def _multiply(values: ComplexArray, factor: ComplexArray) -> None:
+def _multiply(values: C64, factor: C64) -> None:
     for i in range(values.shape[0] if factor.shape[0] == 1 else factor.shape[0]):
         made, weight = values[i], factor[i if factor.shape[0] > 1 else 0]
         for j in range(made.size):
             made[j] *= weight[j]
 
 
-def frequencies(count: int) -> npt.NDArray[np.float64]:
+def frequencies(count: int) -> F64:
     """Of `count` bins, cycles per pixel: from -1/2 up, as `numpy.fft.fftshift` puts them."""
     return np.asarray((np.arange(count) - count // 2) / count, dtype=np.float64)

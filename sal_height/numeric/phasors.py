@@ -5,19 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from sal_height.numeric.arrays import C64, F32, F64
 from sal_height.numeric.jit import compiled, in_parallel
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
-
 
 SMALL = 2**15
 """Numbers that are not worth a thread."""
 
 
-def unit_phasors(phase: Array) -> ComplexArray:
+def unit_phasors(phase: F64) -> C64:
     """exp(j phase), complex64 and of the shape of `phase` (rad); the error is less than 1e-6."""
     result = np.empty(phase.shape, dtype=np.complex64)
     flat, numbers = np.ascontiguousarray(phase).reshape(-1), result.reshape(-1).view(np.float32)
@@ -25,7 +21,7 @@ def unit_phasors(phase: Array) -> ComplexArray:
     return result
 
 
-def outer_phasors(rows: Array, cols: Array) -> ComplexArray:
+def outer_phasors(rows: F64, cols: F64) -> C64:
     """exp(j rows[i] cols[j]) as of `unit_phasors`, complex64, shape (rows, cols); the phases are held nowhere."""
     result = np.empty((rows.size, cols.size), dtype=np.complex64)
     numbers = result.view(np.float32)
@@ -33,7 +29,7 @@ def outer_phasors(rows: Array, cols: Array) -> ComplexArray:
     return result
 
 
-def distance_phasors(wavenumber: float, points: Array, positions: Array, references: Array) -> ComplexArray:
+def distance_phasors(wavenumber: float, points: F64, positions: F64, references: F64) -> C64:
     """exp(j wavenumber (|points[i] - positions[j]| - references[j])) as of `unit_phasors`.
 
     Args:
@@ -69,7 +65,7 @@ def cosine_and_sine(turns: float) -> tuple[np.float32, np.float32]:
 
 
 @compiled
-def _fill(phase: Array, result: npt.NDArray[np.float32]) -> None:
+def _fill(phase: F64, result: F32) -> None:
     for i in range(phase.size):
         cosine, sine = cosine_and_sine(phase[i] * 0.15915494309189535)
         result[2 * i] = cosine
@@ -77,7 +73,7 @@ def _fill(phase: Array, result: npt.NDArray[np.float32]) -> None:
 
 
 @compiled
-def _fill_outer(rows: Array, cols: Array, result: npt.NDArray[np.float32]) -> None:
+def _fill_outer(rows: F64, cols: F64, result: F32) -> None:
     for i in range(rows.size):
         turns, line = rows[i] * 0.15915494309189535, result[i]
         for j in range(cols.size):
@@ -87,9 +83,7 @@ def _fill_outer(rows: Array, cols: Array, result: npt.NDArray[np.float32]) -> No
 
 
 @compiled
-def _fill_distances(
-    wavenumber: float, points: Array, x: Array, y: Array, z: Array, references: Array, result: npt.NDArray[np.float32]
-) -> None:
+def _fill_distances(wavenumber: float, points: F64, x: F64, y: F64, z: F64, references: F64, result: F32) -> None:
     turns = wavenumber * 0.15915494309189535
     for i in range(len(points)):
         px, py, pz = points[i]

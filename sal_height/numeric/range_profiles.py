@@ -7,15 +7,11 @@ interpolates without error but for what it aliases (non-uniform FFT: Beatty et a
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 from scipy.special import i0
 
+from sal_height.numeric.arrays import C64, F32, F64
 from sal_height.numeric.jit import compiled
-
-Array = npt.NDArray[np.float64]
-FloatArray = npt.NDArray[np.float32]
-ComplexArray = npt.NDArray[np.complex64]
 
 OVERSAMPLING = 2
 """Dense samples per resolution cell of the unweighted band."""
@@ -29,7 +25,7 @@ DEGREE = 10
 _SHAPE = float(np.pi * np.sqrt((TAPS / OVERSAMPLING * (OVERSAMPLING - 0.5)) ** 2 - 0.8))
 
 
-def tap_polynomials() -> FloatArray:
+def tap_polynomials() -> F32:
     """Weight of every tap as a polynomial of the fraction by which a position lies past a sample: (TAPS, DEGREE + 1).
 
     Coefficients of rising powers. Tap j belongs to the sample j - TAPS / 2 + 1 past that before the position.
@@ -41,7 +37,7 @@ def tap_polynomials() -> FloatArray:
     return np.ascontiguousarray(fit, dtype=np.float32)
 
 
-def dense_profiles(spectra: ComplexArray, weights: Array) -> FloatArray:
+def dense_profiles(spectra: C64, weights: F64) -> F32:
     """Dense range profiles of some pulses, ready to be interpolated.
 
     Args:
@@ -73,7 +69,7 @@ def dense_profiles(spectra: ComplexArray, weights: Array) -> FloatArray:
 
 
 @compiled
-def tap_weights(fraction: FloatArray, taps: FloatArray) -> FloatArray:
+def tap_weights(fraction: F32, taps: F32) -> F32:
     """Values of `tap_polynomials` at each fraction, shape (TAPS, fractions); written out so that it is vectorised."""
     weights = np.empty((taps.shape[0], fraction.size), np.float32)
     for j in range(taps.shape[0]):

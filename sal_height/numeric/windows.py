@@ -5,26 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 
 from sal_height.errors import UserError
+from sal_height.numeric.arrays import F64
 
-Array = npt.NDArray[np.float64]
 
-
-def _taylor(count: int) -> Array:
+def _taylor(count: int) -> F64:
     """Sidelobes of -35 dB, of which 4 on each side fall off little."""
     from scipy.signal import windows  # noqa: PLC0415 (brings scipy.stats, 0.4 s of every node's start)
 
     return np.asarray(windows.taylor(count, nbar=5, sll=35))
 
 
-WINDOWS: dict[str, Callable[[int], Array]] = {"rectangular": np.ones, "taylor": _taylor, "hamming": np.hamming}
+WINDOWS: dict[str, Callable[[int], F64]] = {"rectangular": np.ones, "taylor": _taylor, "hamming": np.hamming}
 """Windows by name, as functions of the number of samples."""
 
 
-def window(name: str, count: int) -> Array:
+def window(name: str, count: int) -> F64:
     """Weights of `count` samples, scaled to a mean of 1 so that a point keeps its peak value.
 
     Raises:
@@ -36,17 +34,17 @@ def window(name: str, count: int) -> Array:
     return np.asarray(weights / weights.mean())
 
 
-def noise_gain(weights: Array) -> float:
+def noise_gain(weights: F64) -> float:
     """Factor by which a window of mean 1 raises the noise power, and that of clutter: mean of its square."""
     return float(np.mean(weights**2))
 
 
-def broadening(weights: Array) -> float:
+def broadening(weights: F64) -> float:
     """Width of the response at -3 dB over that of the unweighted band: the spacing at which cells stay independent."""
     return _half_power_width(weights) / _half_power_width(np.ones(len(weights)))
 
 
-def _half_power_width(weights: Array) -> float:
+def _half_power_width(weights: F64) -> float:
     """Width of the response at half its peak power, in resolution bins."""
     position = np.arange(len(weights)) - (len(weights) - 1) / 2
 

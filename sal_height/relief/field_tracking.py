@@ -18,13 +18,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from sal_height.numeric import in_parallel
+from sal_height.numeric import F64, Bool, Index, in_parallel
 from sal_height.relief.range_tracking import (
     GATE,
     Heights,
-    Mask,
     ReliefPrior,
     TrackedRelief,
     estimated_prior,
@@ -33,8 +31,6 @@ from sal_height.relief.range_tracking import (
     minimised,
     smoothed,
 )
-
-Array = npt.NDArray[np.float64]
 
 WINDOW = 32
 """Columns that are tracked together."""
@@ -61,8 +57,8 @@ class _Line:
     """
 
     phi: float
-    covariance: Array
-    noise: Array
+    covariance: F64
+    noise: F64
 
     @classmethod
     def of(cls, prior: ReliefPrior, spacings: tuple[float, float], size: int) -> _Line:
@@ -104,7 +100,7 @@ def estimated_field_prior(
     first = max(0, (rows - ROWS_OF_PRIOR) // 2)
     part = np.s_[first : first + ROWS_OF_PRIOR, chosen[:, None] + np.arange(size)]
 
-    def misfit(values: Array) -> float:
+    def misfit(values: F64) -> float:
         line = _Line.of(ReliefPrior(*np.exp(values).tolist()), spacings, size)
         return -sum(step.log_likelihood for step in _filtered_lines(deviation[part], precision[part], line))
 
@@ -154,9 +150,7 @@ def smoothed_field(
     return result
 
 
-def _inliers(
-    height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float
-) -> tuple[Array, Array, Mask]:
+def _inliers(height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float) -> tuple[F64, F64, Bool]:
     """`measurements` without those that tracks along range leave out, and where these are."""
     outlier = smoothed(height, sigma, spacing, prior, gate).outlier
     deviation, precision = measurements(height, sigma, prior.mean)
@@ -164,7 +158,7 @@ def _inliers(
     return deviation, precision, outlier
 
 
-def _window_starts(cols: int) -> npt.NDArray[np.intp]:
+def _window_starts(cols: int) -> Index:
     """First columns of the windows: all but their margins join, and the last ends with the image."""
     if cols <= WINDOW:
         return np.zeros(1, np.intp)
@@ -180,12 +174,12 @@ class _Step(NamedTuple):
         log_likelihood: of its measurements, but for what does not depend on the prior.
     """
 
-    state: Array
-    covariance: Array
+    state: F64
+    covariance: F64
     log_likelihood: float
 
 
-def _filtered_lines(deviation: Array, precision: Array, line: _Line) -> Iterator[_Step]:
+def _filtered_lines(deviation: F64, precision: F64, line: _Line) -> Iterator[_Step]:
     """Kalman filter over the rows of measured deviations (m) and precisions (1 / m^2), shape (rows, windows, size)."""
     _, windows, size = deviation.shape
     state, spread = np.zeros((windows, size)), np.broadcast_to(line.covariance, (windows, size, size))
@@ -203,7 +197,7 @@ def _filtered_lines(deviation: Array, precision: Array, line: _Line) -> Iterator
         state, spread = line.phi * state, line.phi**2 * covariance + line.noise
 
 
-def _smoothed_lines(deviation: Array, precision: Array, line: _Line) -> tuple[Array, Array]:
+def _smoothed_lines(deviation: F64, precision: F64, line: _Line) -> tuple[F64, F64]:
     """Smoothed states (m) and variances (m^2); shapes as of `_filtered_lines`."""
     rows, windows, size = deviation.shape
     states, covariances = np.empty_like(deviation), np.empty((rows, windows, size, size))
@@ -221,6 +215,6 @@ def _smoothed_lines(deviation: Array, precision: Array, line: _Line) -> tuple[Ar
     return states, variances
 
 
-def _times(matrices: Array, vectors: Array) -> Array:
+def _times(matrices: F64, vectors: F64) -> F64:
     """Each matrix times its vector."""
     return np.asarray((matrices @ vectors[..., None])[..., 0])

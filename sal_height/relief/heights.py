@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.elevation import ElevationEstimate, Looks, Validity
 from sal_height.geometry import (
@@ -18,8 +17,7 @@ from sal_height.geometry import (
     locate_at_elevation,
     look_direction,
 )
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64, U8, Bool
 
 RIGHT = 1
 """Side from which elevations may be counted for both sides: those on the left are then negative."""
@@ -39,10 +37,10 @@ class Surface:
         positions: in map, m, shape (rows, cols, 3).
     """
 
-    height: Array
-    sigma: Array
-    cnr_db: Array
-    positions: Array
+    height: F64
+    sigma: F64
+    cnr_db: F64
+    positions: F64
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class HeightField:
     """
 
     grid: Grid
-    validity: npt.NDArray[np.uint8]
+    validity: U8
     first: Surface
     second: Surface | None
 
@@ -78,12 +76,12 @@ class _Circles:
 
     aperture: ApertureState
     look_side: int
-    slant_range: Array
-    along: Array
+    slant_range: F64
+    along: F64
     range_step: float
-    range_sigma: Array
+    range_sigma: F64
 
-    def surface(self, elevation: Array, sigma: Array, cnr: Array) -> Surface:
+    def surface(self, elevation: F64, sigma: F64, cnr: F64) -> Surface:
         """Height and place of scatterers at `elevation` with `sigma` (rad); NaN where there is no such direction."""
         below, positions, above = (self._at(elevation + shift) for shift in (-SLOPE_STEP, 0.0, SLOPE_STEP))
         height = height_of(positions)
@@ -95,7 +93,7 @@ class _Circles:
             cnr_db = 10 * np.log10(np.where(cnr > 0, cnr, np.nan))
         return Surface(height, np.sqrt(variance), cnr_db, positions)
 
-    def _at(self, elevation: Array, farther: float = 0.0) -> Array:
+    def _at(self, elevation: F64, farther: float = 0.0) -> F64:
         return locate_at_elevation(elevation, self.slant_range + farther, self.along, self.aperture, self.look_side)
 
 
@@ -147,7 +145,7 @@ def height_field(
     return HeightField(grid, validity.astype(np.uint8), _only(first, usable & located), second)
 
 
-def _only(surface: Surface, there: npt.NDArray[np.bool_]) -> Surface:
+def _only(surface: Surface, there: Bool) -> Surface:
     """The surface with heights and places only where they can be used."""
     return Surface(
         height=np.where(there, surface.height, np.nan),
@@ -157,7 +155,7 @@ def _only(surface: Surface, there: npt.NDArray[np.bool_]) -> Surface:
     )
 
 
-def pose_variance(elevation: Array, slope: Array, positions: Array, aperture: ApertureState, look_side: int) -> Array:
+def pose_variance(elevation: F64, slope: F64, positions: F64, aperture: ApertureState, look_side: int) -> F64:
     """Variance of height (m^2) by the covariance of the platform's pose, shape (rows, cols).
 
     Where the platform moves, the scatterer moves along. Where the body turns by a small angle about an axis, the plane
@@ -185,7 +183,7 @@ def pose_variance(elevation: Array, slope: Array, positions: Array, aperture: Ap
     return np.asarray(np.maximum(np.sum(gradient @ aperture.covariance * gradient, axis=-1), 0.0))
 
 
-def shared_variance(positions: Array, aperture: ApertureState) -> Array:
+def shared_variance(positions: F64, aperture: ApertureState) -> F64:
     """`pose_variance` of scatterers from where they lie in map, shape (..., 3): an error that all of a dwell share.
 
     On their circles of range and Doppler about the flight; NaN where a position is.

@@ -22,10 +22,8 @@ import numpy.typing as npt
 
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, height_of, sphere_coordinates, sphere_point
+from sal_height.numeric import F32, F64, I64
 from sal_height.relief.heights import Surface, shared_variance
-
-Array = npt.NDArray[np.float64]
-FloatImage = npt.NDArray[np.float32]
 
 TILE = 256
 """Side of the squares, in cells, by which the memory of a map grows."""
@@ -79,8 +77,8 @@ class CellHeights:
     """
 
     box: Box
-    height: Array
-    weight: Array
+    height: F64
+    weight: F64
 
 
 @dataclass(frozen=True)
@@ -102,9 +100,9 @@ class Relief:
     east: float
     north: float
     cell_size: float
-    height: FloatImage
-    sigma: FloatImage
-    disagreement: FloatImage
+    height: F32
+    sigma: F32
+    disagreement: F32
     count: npt.NDArray[np.uint32]
 
 
@@ -124,7 +122,7 @@ class ReliefMap:
         self.cell_size = cell_size
         self.max_cells = max_cells
         self._box: Box | None = None
-        self._tiles: dict[tuple[int, int], Array] = {}
+        self._tiles: dict[tuple[int, int], F64] = {}
 
     def add(self, surface: Surface, aperture: ApertureState) -> None:
         """Enter the heights that a dwell saw from `aperture`; the map stays as it is if they are refused.
@@ -205,9 +203,7 @@ def fitting_cell_size(grid: Grid, aperture: ApertureState) -> float:
     return float(next(step * decade for step in (1, 2, 5, 10) if step * decade >= pixel * (1 - 1e-9)))
 
 
-def _averaged(
-    cell: npt.NDArray[np.int64], height: Array, sigma: Array, box: Box, cell_size: float, aperture: ApertureState
-) -> CellHeights:
+def _averaged(cell: I64, height: F64, sigma: F64, box: Box, cell_size: float, aperture: ApertureState) -> CellHeights:
     """Mean of the pixels in each cell of `box`, weighted by w = 1 / sigma^2, and its weight.
 
     With a part c of the variances that is common to all pixels, that of the mean is
@@ -234,9 +230,7 @@ def _averaged(
     return CellHeights(box, heights.reshape(box.shape), weights.reshape(box.shape))
 
 
-def _common_in_cells(
-    cell: npt.NDArray[np.int64], height: Array, box: Box, cell_size: float, aperture: ApertureState
-) -> Array:
+def _common_in_cells(cell: I64, height: F64, box: Box, cell_size: float, aperture: ApertureState) -> F64:
     """`shared_variance` of the cells with these indices in the raveled box.
 
     It changes by parts of the range, and is computed for one cell in each square of SMOOTH times the flight height.
@@ -251,7 +245,7 @@ def _common_in_cells(
     return np.asarray(variance[square])
 
 
-def _update(cells: Array, height: Array, weight: Array) -> None:
+def _update(cells: F64, height: F64, weight: F64) -> None:
     """Take another measurement with `weight` (1 / variance, 0: none) into the weighted means of `cells`.
 
     Chi-square grows by the square of how far it is from the mean so far, over the variance of that difference: the sum

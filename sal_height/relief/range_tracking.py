@@ -27,11 +27,9 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from sal_height.errors import UserError
-from sal_height.numeric import compiled, in_parallel
+from sal_height.numeric import F64, Bool, compiled, in_parallel
 
-Array = npt.NDArray[np.float64]
 Heights = npt.NDArray[np.floating[Any]]
-Mask = npt.NDArray[np.bool_]
 
 GATE = 4.0
 """Standard deviations: of Gaussian errors, 1 in 16 000 lies beyond."""
@@ -89,7 +87,7 @@ class ReliefPrior:
                 f"{self.mean:g} m; all must be finite, the first two greater than 0."
             )
 
-    def correlation(self, distance: npt.ArrayLike) -> Array:
+    def correlation(self, distance: npt.ArrayLike) -> F64:
         """Correlation of two heights `distance` (m) apart; broadcasts."""
         return np.exp(-np.abs(distance) / self.length)
 
@@ -110,7 +108,7 @@ class TrackedRelief:
 
     height: Heights
     sigma: Heights
-    outlier: Mask
+    outlier: Bool
 
 
 def filtered(height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float = GATE) -> TrackedRelief:
@@ -179,7 +177,7 @@ def estimated_prior(
     low, middle, high = np.percentile(known, [16, 50, 84])
     extent = float(np.ptp(known)) + error
 
-    def misfit(values: Array) -> float:
+    def misfit(values: F64) -> float:
         """Of the logarithms of length and sigma, and the distance of the mean from the median in median errors."""
         prior = ReliefPrior(*np.exp(values[:2]).tolist())
         centred = deviation - (middle + values[2] * error)
@@ -198,7 +196,7 @@ def estimated_prior(
     return ReliefPrior(float(np.exp(found[0])), float(np.exp(found[1])), float(middle + found[2] * error))
 
 
-def flattest(precision: Array) -> float:
+def flattest(precision: F64) -> float:
     """Least standard deviation (m) of a relief that can be told from level: FLATTEST times that of the mean.
 
     Args:
@@ -208,11 +206,11 @@ def flattest(precision: Array) -> float:
     return FLATTEST * float(np.median(1 / np.sqrt(known)) / np.sqrt(len(known)))
 
 
-def minimised(misfit: Callable[[Array], float], start: Array, free: Mask, lowest: Array, highest: Array) -> Array:
+def minimised(misfit: Callable[[F64], float], start: F64, free: Bool, lowest: F64, highest: F64) -> F64:
     """Values near `start` for which a misfit is least, by the simplex of Nelder and Mead; only `free` ones differ."""
     found = start.copy()
 
-    def misfit_of_free(values: Array) -> float:
+    def misfit_of_free(values: F64) -> float:
         found[free] = values
         return misfit(found)
 
@@ -251,7 +249,7 @@ def steady_sigmas(prior: ReliefPrior, spacing: float, measured_sigma: float) -> 
     return float(np.sqrt(updated)), float(np.sqrt((updated - back**2 * predicted) / (1 - back**2)))
 
 
-def measurements(height: Heights, sigma: Heights, mean: float) -> tuple[Array, Array]:
+def measurements(height: Heights, sigma: Heights, mean: float) -> tuple[F64, F64]:
     """Deviations of measured heights from `mean` (m) and their precisions 1 / sigma^2 (1 / m^2); 0 where not measured.
 
     Arguments as of `filtered`.
@@ -261,7 +259,7 @@ def measurements(height: Heights, sigma: Heights, mean: float) -> tuple[Array, A
     return deviation, precision
 
 
-def _measure(height: Heights, sigma: Heights, mean: float, deviation: Array, precision: Array) -> None:
+def _measure(height: Heights, sigma: Heights, mean: float, deviation: F64, precision: F64) -> None:
     """Fill `deviation` and `precision` as `measurements` returns them."""
     missing = ~((sigma > LEAST_SIGMA) & np.isfinite(height))
     deviation[:], precision[:] = height, sigma
@@ -314,7 +312,7 @@ def _tracked(
 
 @compiled
 def _filter(
-    phi: float, q: float, prior_variance: float, square_gate: float, state: Array, variance: Array, outlier: Mask
+    phi: float, q: float, prior_variance: float, square_gate: float, state: F64, variance: F64, outlier: Bool
 ) -> None:
     """Turn measured deviations and their precisions (0: not measured) into filtered states and variances."""
     rows, cols = state.shape
@@ -331,7 +329,7 @@ def _filter(
 
 
 @compiled
-def _smooth(phi: float, q: float, state: Array, variance: Array) -> None:
+def _smooth(phi: float, q: float, state: F64, variance: F64) -> None:
     """Turn filtered states and variances into smoothed ones, from the last row to the first."""
     rows, cols = state.shape
     for i in range(rows - 2, -1, -1):
@@ -343,7 +341,7 @@ def _smooth(phi: float, q: float, state: Array, variance: Array) -> None:
 
 
 @compiled
-def _write(state: Array, variance: Array, mean: float, height: Heights, sigma: Heights) -> None:
+def _write(state: F64, variance: F64, mean: float, height: Heights, sigma: Heights) -> None:
     """Fill height and sigma."""
     for i in range(state.shape[0]):
         for c in range(state.shape[1]):
@@ -353,7 +351,7 @@ def _write(state: Array, variance: Array, mean: float, height: Heights, sigma: H
 
 @compiled
 def _log_likelihood(
-    deviation: Array, precision: Array, phi: float, q: float, prior_variance: float, share: float, density: float
+    deviation: F64, precision: F64, phi: float, q: float, prior_variance: float, share: float, density: float
 ) -> float:
     """Log-likelihood of measurements of which a `share` are outliers of uniform `density` (1/m)."""
     total = 0.0

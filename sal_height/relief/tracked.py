@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.elevation import Validity
 from sal_height.geometry import ApertureState, Grid, locate_at_height
+from sal_height.numeric import F64, Bool
 from sal_height.relief.field_tracking import estimated_field_prior, smoothed_field
 from sal_height.relief.heights import HeightField, Surface, shared_variance
 from sal_height.relief.range_tracking import ReliefPrior, TrackedRelief, estimated_prior, smoothed
-
-Array = npt.NDArray[np.float64]
 
 INTERPOLATED_SIGMA = np.sqrt(0.5)
 """Greatest sigma of an interpolated height over that of the relief: neighbours have told half the variance or more."""
@@ -31,7 +29,7 @@ def look_side_of(grid: Grid, aperture: ApertureState) -> int:
     return 1 if np.cross(aperture.direction, [0.0, 0.0, 1.0]) @ sight > 0 else -1
 
 
-def own_sigma(field: HeightField, aperture: ApertureState) -> Array:
+def own_sigma(field: HeightField, aperture: ApertureState) -> F64:
     """Standard deviation of height without what the platform's pose leaves open, m, shape (rows, cols).
 
     All pixels of a dwell share the error of the pose: neighbours say nothing of it, so that it must not be averaged.
@@ -112,7 +110,7 @@ def tracked_field(
     return HeightField(field.grid, validity.astype(np.uint8), surface, None)
 
 
-def _between(used: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _between(used: Bool) -> Bool:
     """Where pixels of the same column are used in rows before and after."""
     before, after = np.logical_or.accumulate(used), np.logical_or.accumulate(used[::-1])[::-1]
     return np.asarray(before & after)

@@ -9,11 +9,7 @@ import numpy.typing as npt
 from scipy.special import entr
 
 from sal_height.errors import UserError
-from sal_height.numeric import WINDOWS, broadening, noise_gain, window
-
-Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-ComplexArray = npt.NDArray[np.complexfloating]
+from sal_height.numeric import C128, F64, I64, WINDOWS, Bool, Complex, broadening, noise_gain, window
 
 CHIP = 256
 """Side of the chip around the target, pixels."""
@@ -89,23 +85,23 @@ class Chip:
     """
 
     start: tuple[int, int]
-    spectrum: npt.NDArray[np.complex128]
-    frequencies: tuple[IntArray, IntArray]
+    spectrum: C128
+    frequencies: tuple[I64, I64]
     finite: tuple[tuple[int, int], tuple[int, int]]
 
-    def power(self, rows: npt.ArrayLike, cols: npt.ArrayLike) -> Array:
+    def power(self, rows: npt.ArrayLike, cols: npt.ArrayLike) -> F64:
         """Power at each of `rows` and each of `cols`, fractional pixels of the image; shape (rows, cols)."""
         values = np.linalg.multi_dot([self._waves(0, rows), self.spectrum, self._waves(1, cols).T])
         return np.asarray(np.abs(values) ** 2)
 
-    def _waves(self, axis: int, positions: npt.ArrayLike) -> npt.NDArray[np.complex128]:
+    def _waves(self, axis: int, positions: npt.ArrayLike) -> C128:
         """Each bin's wave at positions along an axis, shape (positions, bins)."""
         count = self.spectrum.shape[axis]
         pixels = np.atleast_1d(np.asarray(positions, dtype=np.float64)) - self.start[axis]
         return np.asarray(np.exp(2j * np.pi / count * np.outer(pixels, self.frequencies[axis])) / count)
 
 
-def measure_brightest(image: ComplexArray, near: tuple[int, int] | None = None) -> ImpulseResponse:
+def measure_brightest(image: Complex, near: tuple[int, int] | None = None) -> ImpulseResponse:
     """Measure the response of the target at the brightest pixel.
 
     The image must be sampled more finely than its band requires: interpolation cannot undo aliasing.
@@ -134,7 +130,7 @@ def measure_brightest(image: ComplexArray, near: tuple[int, int] | None = None) 
     )
 
 
-def chip_around(image: ComplexArray, row: int, col: int, size: tuple[int, int] = (CHIP, CHIP)) -> Chip:
+def chip_around(image: Complex, row: int, col: int, size: tuple[int, int] = (CHIP, CHIP)) -> Chip:
     """The chip of `size` rows and columns, or as many as there are, around a pixel that is finite and not 0."""
     first_row, first_col = (
         int(np.clip(p - count // 2, 0, max(0, n - count)))
@@ -157,7 +153,7 @@ def chip_around(image: ComplexArray, row: int, col: int, size: tuple[int, int] =
     )
 
 
-def cut_response(power: Array, peak: int) -> CutResponse:
+def cut_response(power: F64, peak: int) -> CutResponse:
     """The response in a cut of power with OVERSAMPLING samples per pixel, whose peak is at index `peak`."""
     power = power / power[peak]
     width = _steps_to_half(power[peak:]) + _steps_to_half(power[peak::-1])
@@ -201,7 +197,7 @@ def measure_windows(count: int = 1024) -> dict[str, WindowFigures]:
     return figures
 
 
-def _brightest(amplitude: Array, near: tuple[int, int] | None) -> tuple[int, int]:
+def _brightest(amplitude: F64, near: tuple[int, int] | None) -> tuple[int, int]:
     """Row and column of the greatest amplitude, not NaN, in all of the image or near a pixel."""
     first_row, first_col = (max(0, p - NEAR) for p in near) if near else (0, 0)
     part = amplitude[first_row : near[0] + NEAR + 1, first_col : near[1] + NEAR + 1] if near else amplitude
@@ -215,14 +211,14 @@ def _brightest(amplitude: Array, near: tuple[int, int] | None) -> tuple[int, int
     return first_row + int(row), first_col + int(col)
 
 
-def _run(finite: npt.NDArray[np.bool_], at: int, start: int) -> tuple[int, int]:
+def _run(finite: Bool, at: int, start: int) -> tuple[int, int]:
     """First and last index of the run of True around `at`, counted from `start`."""
     gaps = np.flatnonzero(~finite)
     before, after = gaps[gaps < at], gaps[gaps > at]
     return start + (int(before[-1]) + 1 if len(before) else 0), start + int(after[0] if len(after) else len(finite)) - 1
 
 
-def band_frequencies(energy: Array) -> IntArray:
+def band_frequencies(energy: F64) -> I64:
     """Frequencies (cycles per chip) of the bins of a spectrum: of all those a bin stands for, that in its band.
 
     The band may lie anywhere. It is centred on the energy's centre of gravity on the circle of frequencies or, if the
@@ -251,7 +247,7 @@ def _peak(chip: Chip, row: int, col: int) -> tuple[float, float]:
     )
 
 
-def _parabola_peak(power: Array, at: int) -> float:
+def _parabola_peak(power: F64, at: int) -> float:
     """Peak of the parabola through the greatest sample, at index `at`, and its neighbours; in samples from `at`."""
     if not 0 < at < len(power) - 1:
         return 0.0
@@ -268,7 +264,7 @@ def _response_along(axis: int, chip: Chip, row: float, col: float) -> CutRespons
     return cut_response(power.ravel(), before)
 
 
-def _steps_to_half(power: Array) -> float:
+def _steps_to_half(power: F64) -> float:
     """Samples from the first, which is 1, to where a cut has fallen to a half; NaN if it does not."""
     below = np.flatnonzero(power <= 0.5)
     if not len(below):

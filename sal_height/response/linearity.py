@@ -21,16 +21,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import toeplitz
 from scipy.special import chdtrc
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.numeric import frequencies
+from sal_height.numeric import C128, F64, frequencies
 from sal_height.response.speckle_spectra import SpeckleSpectra, cross_spectrum, fejer_power
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 ITERATIONS = 4
 """Of the fit, as the errors depend on what is fitted."""
@@ -61,10 +57,10 @@ class Superposition:
     freedom: int
     scale: float
     noise: float
-    residual: Array
+    residual: F64
 
 
-def superposition(target: ComplexArray, target_error: Array, speckle: SpeckleSpectra) -> Superposition:
+def superposition(target: C128, target_error: F64, speckle: SpeckleSpectra) -> Superposition:
     """Compare the range response to targets with that to speckle.
 
     Args:
@@ -104,7 +100,7 @@ def superposition(target: ComplexArray, target_error: Array, speckle: SpeckleSpe
     return Superposition(float(chdtrc(freedom, chi_square)), chi_square, freedom, amplitude, noise, residual)
 
 
-def depth_and_pedestal(power: Array, teeth: float) -> tuple[float, float]:
+def depth_and_pedestal(power: F64, teeth: float) -> tuple[float, float]:
     """Depth of a sawtooth and height of the pedestal in |R|: what the paper reads off its figures 10 and 24.
 
     The depth is pi / 2 times the sawtooth's fundamental in ln |R|, beside a parabola, where the power is above half of
@@ -124,7 +120,7 @@ def depth_and_pedestal(power: Array, teeth: float) -> tuple[float, float]:
     return float(np.pi / 2 * np.hypot(fit[3], fit[4])), float(pedestal)
 
 
-def _check(target: ComplexArray, target_error: Array) -> None:
+def _check(target: C128, target_error: F64) -> None:
     if target.ndim != 1 or target.shape != target_error.shape:
         raise UserError(
             f"The response has the shape {target.shape}, its errors {target_error.shape}; both need one axis, as long."
@@ -143,7 +139,7 @@ def _check_lengths(bins: int, size: int) -> None:
         )
 
 
-def _target_covariance(target: ComplexArray, variance: Array, size: int) -> tuple[ComplexArray, Array]:
+def _target_covariance(target: C128, variance: F64, size: int) -> tuple[C128, F64]:
     """Covariance that speckle would have with the response of the targets, and the errors of its periodogram.
 
     The covariance at lag l is sum over n of h(n + l) h(n)*, less what errors alone have there, (N - l) times their
@@ -171,7 +167,7 @@ def _target_covariance(target: ComplexArray, variance: Array, size: int) -> tupl
     return covariance - (bins - lag) * error, np.asarray(2 * linear.real)
 
 
-def _beyond(chip: ComplexArray, count: int) -> ComplexArray:
+def _beyond(chip: C128, count: int) -> C128:
     """Covariance of `count` pixels of the response beyond its chip: that of the chip's ends, as it fades slowly."""
     length = len(chip) // END
     ends = (chip[:length], chip[-length:])
@@ -180,7 +176,7 @@ def _beyond(chip: ComplexArray, count: int) -> ComplexArray:
     return np.asarray(toeplitz(lags, lags.conj()))
 
 
-def _speckle_covariance(signal: ComplexArray, noise: float, speckle: SpeckleSpectra) -> Array:
+def _speckle_covariance(signal: C128, noise: float, speckle: SpeckleSpectra) -> F64:
     """Covariance of the mean periodogram of speckle with this covariance over range, and white noise.
 
     Lines at a distance d have the signal in common as far as a(d) says, the covariance over azimuth, and no noise.
@@ -193,7 +189,7 @@ def _speckle_covariance(signal: ComplexArray, noise: float, speckle: SpeckleSpec
     return np.asarray((own + alike * np.abs(spectrum) ** 2) / speckle.range.lines)
 
 
-def _whitener(covariance: Array) -> tuple[Array, Array]:
+def _whitener(covariance: F64) -> tuple[F64, F64]:
     """Matrix that makes errors of this covariance independent and of variance 1, and their standard errors."""
     error = np.sqrt(np.diag(covariance))
     variance, direction = np.linalg.eigh(covariance / np.outer(error, error))

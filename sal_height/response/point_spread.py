@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
+from sal_height.numeric import C128, F64, Index
 from sal_height.response.impulse import OVERSAMPLING, CutResponse, band_frequencies, cut_response
 from sal_height.response.transfer_function import TransferFunction
-
-Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.intp]
-ComplexArray = npt.NDArray[np.complex128]
 
 FINENESS = 4
 """Samples per pixel of the function as it is drawn, those of the paper."""
@@ -55,7 +51,7 @@ class PointSpread:
         azimuth_sidelobes: along azimuth.
     """
 
-    pixels: ComplexArray
+    pixels: C128
     range_cut: CutResponse
     azimuth_cut: CutResponse
     range_sidelobes: tuple[Sidelobe, ...]
@@ -75,7 +71,7 @@ def estimate_point_spread(transfer: TransferFunction) -> PointSpread:
     )
 
 
-def cut_through(response: ComplexArray, fineness: int) -> ComplexArray:
+def cut_through(response: C128, fineness: int) -> C128:
     """The point-spread function along an axis: the response's transform, with zeros beside its band.
 
     Args:
@@ -92,7 +88,7 @@ def cut_through(response: ComplexArray, fineness: int) -> ComplexArray:
     return np.asarray(scipy.fft.fftshift(scipy.fft.ifft(padded)) * fineness)
 
 
-def anomalous_sidelobes(response: ComplexArray, sigma: Array) -> tuple[Sidelobe, ...]:
+def anomalous_sidelobes(response: C128, sigma: F64) -> tuple[Sidelobe, ...]:
     """Sidelobes that stand above the ones nearer to the peak, from the greatest on.
 
     Those of a smooth response fall, or stay alike, from the peak outwards; what makes one rise above both its
@@ -126,17 +122,17 @@ def anomalous_sidelobes(response: ComplexArray, sigma: Array) -> tuple[Sidelobe,
     return tuple(sorted(found, key=lambda one: -one.level_db))
 
 
-def _tops(amplitude: Array) -> IntArray:
+def _tops(amplitude: F64) -> Index:
     """Indices of the local maxima inside."""
     return np.flatnonzero((amplitude[1:-1] > amplitude[:-2]) & (amplitude[1:-1] >= amplitude[2:])) + 1
 
 
-def _top_near(amplitude: Array, index: int) -> int:
+def _top_near(amplitude: F64, index: int) -> int:
     """Index of the greatest value up to half a pixel from an index."""
     first = max(0, index - OVERSAMPLING // 2)
     return int(first + np.argmax(amplitude[first : index + OVERSAMPLING // 2 + 1]))
 
 
-def _measured(response: ComplexArray) -> CutResponse:
+def _measured(response: C128) -> CutResponse:
     power = np.abs(cut_through(response, OVERSAMPLING)) ** 2
     return cut_response(power, len(power) // 2)

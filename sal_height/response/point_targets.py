@@ -12,16 +12,12 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 from scipy.ndimage import maximum_filter, median_filter
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.numeric import compiled, in_parallel
+from sal_height.numeric import C64, C128, F32, F64, Complex, compiled, in_parallel
 from sal_height.response.impulse import chip_around
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complexfloating]
 
 CHIP = (64, 64)
 """Rows and columns around a target, those of the paper."""
@@ -117,10 +113,10 @@ class PointTarget:
     row: float
     col: float
     over_clutter: float
-    spectrum: npt.NDArray[np.complex128]
+    spectrum: C128
 
     @property
-    def chip(self) -> npt.NDArray[np.complex128]:
+    def chip(self) -> C128:
         """Pixels, cyclic, with the peak first; shape (rows, cols)."""
         return np.asarray(scipy.fft.ifft2(scipy.fft.ifftshift(self.spectrum)))
 
@@ -162,7 +158,7 @@ class TargetSurvey:
         return self.targets
 
 
-def find_targets(image: ComplexArray, chip: tuple[int, int] = CHIP) -> TargetSurvey:
+def find_targets(image: Complex, chip: tuple[int, int] = CHIP) -> TargetSurvey:
     """Find the targets whose chips show the response to a point, and little else.
 
     A candidate is the brightest pixel of a block and the eight around it that stands LEAST_OVER_CLUTTER_DB over the
@@ -196,7 +192,7 @@ def find_targets(image: ComplexArray, chip: tuple[int, int] = CHIP) -> TargetSur
     return TargetSurvey(tuple(candidates), tuple(targets.values()))
 
 
-def chip_at(image: ComplexArray, row: int, col: int, clutter: float, shape: tuple[int, int] = CHIP) -> PointTarget:
+def chip_at(image: Complex, row: int, col: int, clutter: float, shape: tuple[int, int] = CHIP) -> PointTarget:
     """The chip around a pixel, with its interpolated peak moved to pixel (0, 0).
 
     A fraction of a pixel is a linear phase over the band, wherever the band lies (Fourier interpolation).
@@ -227,7 +223,7 @@ def chip_at(image: ComplexArray, row: int, col: int, clutter: float, shape: tupl
     return PointTarget(peak_row, peak_col, power / clutter, spectrum)
 
 
-def peak_offset(spectrum: npt.NDArray[np.complex128], frequencies: Array) -> float:
+def peak_offset(spectrum: C128, frequencies: F64) -> float:
     """Place of the peak of a sum of waves near pixel 0, pixels.
 
     Args:
@@ -245,12 +241,12 @@ def peak_offset(spectrum: npt.NDArray[np.complex128], frequencies: Array) -> flo
     return place
 
 
-def _turns(frequencies: Array, place: float) -> npt.NDArray[np.complex128]:
+def _turns(frequencies: F64, place: float) -> C128:
     """What waves turn by from the first pixel to a place (pixels)."""
     return np.asarray(np.exp(2j * np.pi * frequencies * place))
 
 
-def _check(image: ComplexArray, chip: tuple[int, int]) -> None:
+def _check(image: Complex, chip: tuple[int, int]) -> None:
     if image.ndim != 2 or not np.iscomplexobj(image):
         raise UserError(
             f"An image of {image.dtype} of the shape {image.shape} has no transfer function; it must be a matrix of "
@@ -263,7 +259,7 @@ def _check(image: ComplexArray, chip: tuple[int, int]) -> None:
         )
 
 
-def _survey(image: npt.NDArray[np.complex64]) -> tuple[list[Candidate], Array]:
+def _survey(image: C64) -> tuple[list[Candidate], F64]:
     """What stands out, the brightest first, and the clutter (power) around each."""
     mean, peak = _blocks(image)
     clutter = median_filter(mean, SURROUNDINGS, mode="nearest")
@@ -280,7 +276,7 @@ def _survey(image: npt.NDArray[np.complex64]) -> tuple[list[Candidate], Array]:
     return candidates, np.asarray(clutter[tuple(places.T)])
 
 
-def _blocks(image: npt.NDArray[np.complex64]) -> tuple[Array, Array]:
+def _blocks(image: C64) -> tuple[F64, F64]:
     """Mean and greatest power of each block's finite pixels, 0 if there is none; shapes (blocks down, across)."""
     shape = -(-image.shape[0] // BLOCK), -(-image.shape[1] // BLOCK)
     mean, peak = np.zeros(shape), np.zeros(shape)
@@ -294,7 +290,7 @@ def _blocks(image: npt.NDArray[np.complex64]) -> tuple[Array, Array]:
 
 
 @compiled
-def _add_blocks(parts: npt.NDArray[np.float32], mean: Array, peak: Array) -> None:
+def _add_blocks(parts: F32, mean: F64, peak: F64) -> None:
     bits = parts.view(np.uint32)
     rows, numbers = parts.shape
     for i in range(mean.shape[0]):
@@ -314,7 +310,7 @@ def _add_blocks(parts: npt.NDArray[np.float32], mean: Array, peak: Array) -> Non
 
 
 def _crowds_marked(
-    candidates: list[Candidate], clutter: Array, chip: tuple[int, int], shape: tuple[int, ...]
+    candidates: list[Candidate], clutter: F64, chip: tuple[int, int], shape: tuple[int, ...]
 ) -> list[Candidate]:
     """The candidates, those marked that share their chip with another, or whose chip leaves the image."""
     places = np.array([(one.row, one.col) for one in candidates]).reshape(-1, 2)
@@ -337,9 +333,7 @@ def _start(position: int, length: int, size: int) -> int:
     return first if first + size <= length else -1
 
 
-def _judged(
-    image: npt.NDArray[np.complex64], one: Candidate, clutter: float, shape: tuple[int, int]
-) -> tuple[Verdict, PointTarget | None]:
+def _judged(image: C64, one: Candidate, clutter: float, shape: tuple[int, int]) -> tuple[Verdict, PointTarget | None]:
     """The verdict on a candidate with a chip of its own, and the target if it is one."""
     start = _start(one.row, image.shape[0], shape[0]), _start(one.col, image.shape[1], shape[1])
     pixels = image[start[0] : start[0] + shape[0], start[1] : start[1] + shape[1]]
@@ -355,7 +349,7 @@ def _judged(
     return Verdict.ACCEPTED, target
 
 
-def _is_clipped(pixels: npt.NDArray[np.complex64]) -> bool:
+def _is_clipped(pixels: C64) -> bool:
     """Whether several pixels share the greatest part, or the greatest amplitude to single precision."""
     parts = np.maximum(np.abs(pixels.real), np.abs(pixels.imag))
     amplitude = np.abs(pixels)
@@ -375,7 +369,7 @@ def _is_complicated(target: PointTarget) -> bool:
     )
 
 
-def _second_peak(power: Array) -> float:
+def _second_peak(power: F64) -> float:
     """Greatest local maximum of a cyclic cut beside the first sample, and its neighbours."""
     tops = (power > np.roll(power, 1)) & (power >= np.roll(power, -1))
     tops[[0, 1, -1]] = False

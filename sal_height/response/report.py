@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.errors import NotDetermined, UserError
+from sal_height.numeric import C64, F64, Complex
 from sal_height.response.linearity import Superposition, superposition
 from sal_height.response.point_spread import PointSpread, estimate_point_spread
 from sal_height.response.point_targets import CHIP, PointTarget, TargetSurvey, find_targets
@@ -21,8 +21,6 @@ from sal_height.response.speckle_spectra import SpeckleSpectra, estimate_speckle
 from sal_height.response.speckle_tiles import REASONS, TILE, SpeckleTiles, find_pure_speckle
 from sal_height.response.transfer_function import TransferFunction, estimate_transfer_function
 
-Array = npt.NDArray[np.float64]
-ComplexImage = npt.NDArray[np.complexfloating]
 Part = TypeVar("Part")
 
 LONG_CHIPS = (256, 128, 64)
@@ -77,12 +75,12 @@ class ImagePointing:
         sigma: its standard error, cycles per pixel.
     """
 
-    cols: Array
-    displacement: Array
-    sigma: Array
+    cols: F64
+    displacement: F64
+    sigma: F64
 
 
-def report_on(images: Sequence[ComplexImage], chip: tuple[int, int] | None = None) -> PsfReport:
+def report_on(images: Sequence[Complex], chip: tuple[int, int] | None = None) -> PsfReport:
     """Measure the point-spread function on images of one receiver.
 
     Targets and speckle of all images are pooled: what the images share is their response.
@@ -125,14 +123,14 @@ def report_on(images: Sequence[ComplexImage], chip: tuple[int, int] | None = Non
     return PsfReport(chip, surveys, transfer, spread, tiles, spectra, linearity, length, reasons)
 
 
-def side_by_side(images: Sequence[ComplexImage], width: int) -> npt.NDArray[np.complex64]:
+def side_by_side(images: Sequence[Complex], width: int) -> C64:
     """The images' whole tiles of `width` columns, beside each other; pixels too great for single precision infinite."""
     with np.errstate(over="ignore", invalid="ignore"):
         parts = [image[:, : image.shape[1] // width * width].astype(np.complex64, copy=False) for image in images]
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
-def pointing_of_images(report: PsfReport, images: Sequence[ComplexImage]) -> list[ImagePointing]:
+def pointing_of_images(report: PsfReport, images: Sequence[Complex]) -> list[ImagePointing]:
     """The pointing along each of the images the report is on; nothing in it where they hold no pure speckle."""
     pointing = report.spectra and report.spectra.pointing
     if not pointing or not report.tiles:
@@ -148,7 +146,7 @@ def pointing_of_images(report: PsfReport, images: Sequence[ComplexImage]) -> lis
     ]
 
 
-def _common_shape(images: Sequence[ComplexImage]) -> tuple[int, int]:
+def _common_shape(images: Sequence[Complex]) -> tuple[int, int]:
     """Rows of all images, and columns of the narrowest."""
     shapes = sorted({image.shape for image in images})
     if not shapes or any(len(shape) != 2 for shape in shapes) or len({shape[0] for shape in shapes}) > 1:
@@ -184,9 +182,7 @@ def _why_no_pointing(spectra: SpeckleSpectra | None) -> str:
     )
 
 
-def _compared(
-    images: Sequence[ComplexImage], mosaic: npt.NDArray[np.complex64], tiles: SpeckleTiles, cols: int
-) -> tuple[Superposition, int]:
+def _compared(images: Sequence[Complex], mosaic: C64, tiles: SpeckleTiles, cols: int) -> tuple[Superposition, int]:
     """Comparison of the targets' range response with that of speckle, and the rows of the chips it was made with."""
     least, rows = tiles.tile[0], images[0].shape[0]
     if not tiles.pure.any():
@@ -207,7 +203,7 @@ def _compared(
 
 
 def _away_from_candidates(
-    images: Sequence[ComplexImage], surveys: Sequence[TargetSurvey], tiles: SpeckleTiles
+    images: Sequence[Complex], surveys: Sequence[TargetSurvey], tiles: SpeckleTiles
 ) -> SpeckleTiles:
     """The tiles, those not pure any more that the chip of a bright point would touch, as long as LONG_CHIPS go.
 

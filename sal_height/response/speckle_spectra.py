@@ -21,16 +21,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 from scipy.linalg import toeplitz
 
-from sal_height.numeric import blocks, compiled, frequencies, in_parallel
+from sal_height.numeric import C64, C128, F64, Index, blocks, compiled, frequencies, in_parallel
 from sal_height.response.speckle_tiles import SpeckleTiles, checked_image, sum_of_powers
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
-ComplexImage = npt.NDArray[np.complex64]
 
 SPUR_ERRORS = 5.0
 """Standard errors by which the bin at half a cycle per pixel stands out of its neighbours if it is a spur."""
@@ -63,22 +58,22 @@ class AxisSpectrum:
         spur: power of a wave of half a cycle per pixel over the mean of the image; 0: there is none.
     """
 
-    covariance: ComplexArray
+    covariance: C128
     lines: int
     independent: float
     spur: float = 0.0
 
     @property
-    def power(self) -> Array:
+    def power(self) -> F64:
         """Mean periodogram of the sub-images, no spur: |R|^2 convolved with Fejer's kernel; mean 1, shape (M,)."""
         return fejer_power(self.covariance)
 
     @property
-    def standard_error(self) -> Array:
+    def standard_error(self) -> F64:
         """Of `power`, shape (M,): its own size over the root of the independent lines, as periodograms have it."""
         return np.asarray(self.power / np.sqrt(self.independent))
 
-    def unfolded(self, count: int) -> tuple[Array, Array]:
+    def unfolded(self, count: int) -> tuple[F64, F64]:
         """|R|^2 at `count` frequencies, of mean 1, without Fejer's kernel; and its standard error.
 
         The covariance at each lag is shrunk by its error, to 0 if that is half of it, so that undoing the kernel does
@@ -98,7 +93,7 @@ class AxisSpectrum:
         return transform(shrunk, frequencies(count)), np.sqrt(np.maximum(variance, 0))
 
     @property
-    def _lag_variance(self) -> Array:
+    def _lag_variance(self) -> F64:
         """Variance of the covariance at each lag, at most: sum |c|^2 over the independent pairs of pixels."""
         size = len(self.covariance)
         triangle = 1 - np.arange(size) / size
@@ -116,9 +111,9 @@ class Pointing:
         sigma: its standard error, cycles per pixel.
     """
 
-    cols: Array
-    displacement: Array
-    sigma: Array
+    cols: F64
+    displacement: F64
+    sigma: F64
 
 
 @dataclass(frozen=True)
@@ -149,7 +144,7 @@ class SpeckleSpectra:
         return max(0.0, min(floors))
 
 
-def estimate_speckle_spectra(image: ComplexImage, tiles: SpeckleTiles) -> SpeckleSpectra:
+def estimate_speckle_spectra(image: C64, tiles: SpeckleTiles) -> SpeckleSpectra:
     """Spectra of the tiles of pure speckle, each over its own brightness.
 
     Args:
@@ -179,7 +174,7 @@ def estimate_speckle_spectra(image: ComplexImage, tiles: SpeckleTiles) -> Speckl
     )
 
 
-def mean_modulus(image: ComplexImage, tiles: SpeckleTiles) -> tuple[Array, Array]:
+def mean_modulus(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64]:
     """The paper's estimates of |R| and |A|: mean moduli of the two-dimensional transforms of the tiles.
 
     Returns:
@@ -195,19 +190,19 @@ def mean_modulus(image: ComplexImage, tiles: SpeckleTiles) -> tuple[Array, Array
     return modulus.mean(axis=1), modulus.mean(axis=0)
 
 
-def transform(covariance: ComplexArray, frequency: Array) -> Array:
+def transform(covariance: C128, frequency: F64) -> F64:
     """Power spectrum at frequencies (cycles per pixel) of a covariance at lags from 0 up, c(-l) being c(l)*."""
     waves = np.exp(-2j * np.pi * np.outer(frequency, np.arange(len(covariance))))
     return np.asarray(2 * (waves @ covariance).real - covariance[0].real)
 
 
-def fejer_power(covariance: ComplexArray) -> Array:
+def fejer_power(covariance: C128) -> F64:
     """Mean periodogram of M pixels of a field with this covariance at lags 0 to M - 1; shape (M,)."""
     size = len(covariance)
     return transform(covariance * (1 - np.arange(size) / size), frequencies(size))
 
 
-def periodogram_covariance(covariance: ComplexArray, count: int) -> Array:
+def periodogram_covariance(covariance: C128, count: int) -> F64:
     """Covariance of the periodogram of M pixels of a circular Gaussian field between `count` frequencies.
 
     |K(f, f')|^2 with K = 1 / M sum over m, m' of c(m - m') exp(-j 2 pi (f m - f' m')), after Isserlis' theorem:
@@ -220,14 +215,14 @@ def periodogram_covariance(covariance: ComplexArray, count: int) -> Array:
     return np.asarray(np.abs(cross_spectrum(covariance, count)) ** 2)
 
 
-def cross_spectrum(covariance: ComplexArray, count: int) -> ComplexArray:
+def cross_spectrum(covariance: C128, count: int) -> C128:
     """K(f, f') of `periodogram_covariance`, shape (count, count)."""
     size = len(covariance)
     waves = np.exp(-2j * np.pi * np.outer(frequencies(count), np.arange(size)))
     return np.asarray(waves @ toeplitz(covariance, covariance.conj()) @ waves.conj().T / size)
 
 
-def _periodograms(image: ComplexImage, tiles: SpeckleTiles) -> tuple[Array, Array, Array]:
+def _periodograms(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64, F64]:
     """Energy spectra of every pure tile at twice as many frequencies as pixels, in the order of an FFT.
 
     Returns:
@@ -257,7 +252,7 @@ def _periodograms(image: ComplexImage, tiles: SpeckleTiles) -> tuple[Array, Arra
 
 
 @compiled
-def _add_down(spectra: ComplexImage, power: Array) -> None:
+def _add_down(spectra: C64, power: F64) -> None:
     """|spectra|^2, shape (frequencies, tiles x columns), summed over a tile's columns into (tiles, frequencies)."""
     width = spectra.shape[1] // power.shape[0]
     for k in range(spectra.shape[0]):
@@ -269,7 +264,7 @@ def _add_down(spectra: ComplexImage, power: Array) -> None:
 
 
 @compiled
-def _add_across(spectra: ComplexImage, power: Array) -> None:
+def _add_across(spectra: C64, power: F64) -> None:
     """|spectra|^2, shape (rows, tiles, frequencies), summed over rows into (tiles, frequencies)."""
     for i in range(spectra.shape[0]):
         for tile in range(power.shape[0]):
@@ -278,13 +273,13 @@ def _add_across(spectra: ComplexImage, power: Array) -> None:
                 total[k] += row[k].real ** 2 + row[k].imag ** 2
 
 
-def _covariance(power: Array) -> ComplexArray:
+def _covariance(power: F64) -> C128:
     """Covariance at lags 0 to M - 1 of each row of spectra at 2 M frequencies: divided by the triangle."""
     size = power.shape[-1] // 2
     return np.asarray(scipy.fft.ifft(power, axis=-1)[:, :size] / (1 - np.arange(size) / size))
 
 
-def _nyquist_spur(covariance: ComplexArray, independent: float) -> float:
+def _nyquist_spur(covariance: C128, independent: float) -> float:
     """Power of a line at half a cycle per pixel; 0 unless it stands out of the two neighbouring bins."""
     size = len(covariance)
     triangle = 1 - np.arange(size) / size
@@ -295,9 +290,7 @@ def _nyquist_spur(covariance: ComplexArray, independent: float) -> float:
     return excess / size if excess > max(SPUR_ERRORS * error, SPUR_EXCESS * level) else 0.0
 
 
-def _aligned(
-    covariance: ComplexArray, column: npt.NDArray[np.intp], tiles: SpeckleTiles
-) -> tuple[Pointing | None, ComplexArray]:
+def _aligned(covariance: C128, column: Index, tiles: SpeckleTiles) -> tuple[Pointing | None, C128]:
     """Pointing of each column of tiles, and the tiles' azimuth covariances as if all pointed as in the mean."""
     columns, group = np.unique(column, return_inverse=True)
     beat = np.zeros(len(columns), dtype=np.complex128)

@@ -18,15 +18,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 from scipy.special import chdtrc, gammainc, gammaincc
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.numeric import WORKERS, compiled, in_parallel
-
-Array = npt.NDArray[np.float64]
-ComplexImage = npt.NDArray[np.complex64]
+from sal_height.numeric import C64, C128, F64, U8, WORKERS, Bool, Index, compiled, in_parallel
 
 TILE = (64, 64)
 """Rows and columns of the sub-images of the PSF paper."""
@@ -66,15 +62,15 @@ class SpeckleTiles:
     """
 
     tile: tuple[int, int]
-    verdict: npt.NDArray[np.uint8]
-    intensity: Array
-    moment: Array
-    texture: Array
-    correlation: npt.NDArray[np.complex128]
+    verdict: U8
+    intensity: F64
+    moment: F64
+    texture: F64
+    correlation: C128
     significance: float
 
     @property
-    def pure(self) -> npt.NDArray[np.bool_]:
+    def pure(self) -> Bool:
         """Where all tests are passed, shape (tiles down, tiles across)."""
         return np.asarray(self.verdict == 0)
 
@@ -83,7 +79,7 @@ class SpeckleTiles:
         return {reason: int(np.sum(self.verdict == index)) for index, reason in enumerate(REASONS)}
 
 
-def find_pure_speckle(image: ComplexImage, tile: tuple[int, int] = TILE, significance: float = 0.001) -> SpeckleTiles:
+def find_pure_speckle(image: C64, tile: tuple[int, int] = TILE, significance: float = 0.001) -> SpeckleTiles:
     """Test every tile of an image; axis 0 is range, axis 1 azimuth.
 
     Args:
@@ -124,16 +120,14 @@ def find_pure_speckle(image: ComplexImage, tile: tuple[int, int] = TILE, signifi
     return found
 
 
-def checked_image(image: ComplexImage) -> ComplexImage:
+def checked_image(image: C64) -> C64:
     """The image in complex64, row by row; UserError if it is not complex or not two-dimensional."""
     if image.ndim != 2 or not np.iscomplexobj(image):
         raise UserError(f"The image has {image.ndim} axes of {image.dtype}; speckle needs 2 axes of complex pixels.")
     return np.ascontiguousarray(image, dtype=np.complex64)
 
 
-def _tile_sums(
-    image: ComplexImage, tile: tuple[int, int], block: tuple[int, int]
-) -> tuple[Array, npt.NDArray[np.float64]]:
+def _tile_sums(image: C64, tile: tuple[int, int], block: tuple[int, int]) -> tuple[F64, F64]:
     """Of every tile: finite (0 or 1), sums of I and I^2, zero pixels, imaginary parts other than 0, greatest parts.
 
     Returns:
@@ -155,9 +149,7 @@ def _tile_sums(
 
 
 @compiled
-def _measure_strip(
-    strip: ComplexImage, width: int, block: tuple[int, int], sums: Array, means: npt.NDArray[np.float64]
-) -> None:
+def _measure_strip(strip: C64, width: int, block: tuple[int, int], sums: F64, means: F64) -> None:
     down, across = strip.shape[0] // block[0], width // block[1]
     for tile in range(sums.shape[0]):
         pixels = strip[:, tile * width : (tile + 1) * width]
@@ -187,16 +179,14 @@ def _measure_strip(
         sums[tile, 4], sums[tile, 5] = imaginary, top
 
 
-def _unusable(sums: Array, pixels: int) -> npt.NDArray[np.uint8]:
+def _unusable(sums: F64, pixels: int) -> U8:
     """Verdict from the numbers alone, 0 where nothing is wrong with them."""
     clipped = sums[..., 5] >= max(3, CLIPPED_SHARE * 2 * pixels)
     wrong = [sums[..., 0] == 0, sums[..., 3] > ZERO_SHARE * pixels, sums[..., 4] == 0, clipped]
     return np.asarray(np.select(wrong, [1, 2, 3, 4], 0).astype(np.uint8))
 
 
-def _field_correlation(
-    image: ComplexImage, tile: tuple[int, int], usable: npt.NDArray[np.intp]
-) -> npt.NDArray[np.complex128]:
+def _field_correlation(image: C64, tile: tuple[int, int], usable: Index) -> C128:
     """Correlation of the field: the median over some of the usable tiles, so that a few bright ones do not tell.
 
     The error of a lag has the power sum |rho|^2 / pixels or less; what is not above 9 times that is 0.
@@ -221,9 +211,7 @@ def _field_correlation(
     return np.asarray(np.where(np.abs(rho) ** 2 > 9 * error, rho, 0))
 
 
-def sum_of_powers(
-    correlation: npt.NDArray[np.complex128], size: tuple[int, int], exponent: float, along: int | None = None
-) -> float:
+def sum_of_powers(correlation: C128, size: tuple[int, int], exponent: float, along: int | None = None) -> float:
     """Sum over the lags of a rectangle of |rho|^exponent, each times the share of its pixels that are that far apart.
 
     Args:
@@ -241,7 +229,7 @@ def sum_of_powers(
     return float(down @ np.abs(correlation) ** exponent @ across)
 
 
-def _moment_tail(moment: Array, correlation: npt.NDArray[np.complex128], tile: tuple[int, int]) -> Array:
+def _moment_tail(moment: F64, correlation: C128, tile: tuple[int, int]) -> F64:
     """Probability of a moment as far from 2 or farther, to both sides."""
     pixels = tile[0] * tile[1]
     independent = pixels / sum_of_powers(correlation, tile, 4)
@@ -251,9 +239,7 @@ def _moment_tail(moment: Array, correlation: npt.NDArray[np.complex128], tile: t
     return np.asarray(np.minimum(1, 2 * np.minimum(gammainc(shape, gamma), gammaincc(shape, gamma))))
 
 
-def _texture(
-    means: Array, correlation: npt.NDArray[np.complex128], tile: tuple[int, int], block: tuple[int, int]
-) -> tuple[Array, Array]:
+def _texture(means: F64, correlation: C128, tile: tuple[int, int], block: tuple[int, int]) -> tuple[F64, F64]:
     """Variance of the mean intensities of blocks, of tiles of mean 1, over that of speckle; probability of more."""
     count = means.shape[-1]
     of_block = sum_of_powers(correlation, block, 2) / (block[0] * block[1])

@@ -10,15 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
 from sal_height.errors import NotDetermined
+from sal_height.numeric import C128, F64
 from sal_height.response.impulse import band_frequencies
 from sal_height.response.point_targets import PointTarget, peak_offset
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 AZIMUTH_STRIPE = 3
 """Rows of the cross that let the azimuth response through, those of the paper."""
@@ -49,10 +46,10 @@ class TransferFunction:
         over_clutter: power of the targets' peaks over the mean power of the clutter, sum over the targets.
     """
 
-    range_response: ComplexArray
-    range_sigma: Array
-    azimuth_response: ComplexArray
-    azimuth_sigma: Array
+    range_response: C128
+    range_sigma: F64
+    azimuth_response: C128
+    azimuth_sigma: F64
     range_disagreement: float
     azimuth_disagreement: float
     targets: int
@@ -99,7 +96,7 @@ def estimate_transfer_function(targets: Sequence[PointTarget]) -> TransferFuncti
     )
 
 
-def without_clutter(response: ComplexArray, sigma: Array) -> ComplexArray:
+def without_clutter(response: C128, sigma: F64) -> C128:
     """A response less what clutter explains of its point-spread function, pixel by pixel.
 
     Each pixel h counts by 1 - s^2 / |h|^2, or not at all where that is below 0, with s its standard error (Wiener's
@@ -118,7 +115,7 @@ def without_clutter(response: ComplexArray, sigma: Array) -> ComplexArray:
 
 def masked_transfer_function(
     targets: Sequence[PointTarget], azimuth_stripe: int = AZIMUTH_STRIPE, range_stripe: int = RANGE_STRIPE
-) -> tuple[ComplexArray, ComplexArray]:
+) -> tuple[C128, C128]:
     """R and A the paper's way: chips masked by a cross, plain means over k_a and over k_r (figures 10 and 15).
 
     The cross has no effect on R: the mean over k_a is the transform of the row through the peak, which it lets through.
@@ -140,7 +137,7 @@ def masked_transfer_function(
 
 def masked_spectrum(
     target: PointTarget, azimuth_stripe: int = AZIMUTH_STRIPE, range_stripe: int = RANGE_STRIPE
-) -> ComplexArray:
+) -> C128:
     """Transform of a chip of which only a cross through the peak is left (PSF paper, figures 4 and 5)."""
     shape = target.spectrum.shape
     down, across = (np.minimum(np.arange(size), size - np.arange(size)) for size in shape)
@@ -148,7 +145,7 @@ def masked_spectrum(
     return np.asarray(scipy.fft.fftshift(scipy.fft.fft2(target.chip * cross)))
 
 
-def centred(response: ComplexArray) -> ComplexArray:
+def centred(response: C128) -> C128:
     """A response whose point has its peak, of the value 1, in pixel 0, from one whose peak is not far from there.
 
     To the first order of the phase that takes a linear fit of it, with the weights |response|, away.
@@ -163,7 +160,7 @@ def centred(response: ComplexArray) -> ComplexArray:
     return np.asarray(moved / np.mean(moved))
 
 
-def _stacked(targets: Sequence[PointTarget]) -> tuple[ComplexArray, Array]:
+def _stacked(targets: Sequence[PointTarget]) -> tuple[C128, F64]:
     """The targets' spectra, shape (targets, rows, cols), and each one's share in a mean of them."""
     if not targets:
         raise NotDetermined("No point target is there to tell the transfer function; one at least is needed.")
@@ -171,14 +168,14 @@ def _stacked(targets: Sequence[PointTarget]) -> tuple[ComplexArray, Array]:
     return np.stack([target.spectrum for target in targets]), over_clutter / over_clutter.sum()
 
 
-def _inverse(response: ComplexArray) -> ComplexArray:
+def _inverse(response: C128) -> C128:
     """Weights of the bins of a spectrum that `response` is a factor of, for the mean of the other factor."""
     power = np.abs(response) ** 2
     weights = np.conj(response) / (power + FLOOR * power.max())
     return np.asarray(weights / (weights @ response))
 
 
-def _errors(variance: Array, responses: ComplexArray, shares: Array, mean: ComplexArray) -> tuple[Array, float]:
+def _errors(variance: F64, responses: C128, shares: F64, mean: C128) -> tuple[F64, float]:
     """Standard errors of a mean response, and the targets' disagreement on it (the ratio of Birge 1932).
 
     Args:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
@@ -19,9 +18,8 @@ from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.geometry import PlatformState
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.numeric import F64, I64
 from sal_height.sensor import PhaseHistory, Sensor
-
-Array = npt.NDArray[np.float64]
 
 FIELDS = ("fp", "freq", "x", "y", "z", "r0")
 
@@ -57,13 +55,13 @@ def import_gotcha(files: list[Path], out: Path) -> int:
     for path, part in zip(files, parts, strict=True):
         if part["freq"].size != frequency.size or not np.allclose(part["freq"].ravel(), frequency, rtol=1e-9):
             raise UserError(f"File {path} has other frequencies than {files[0]}; all must share them.")
-    antenna: Array = np.concatenate([np.stack([p[axis].ravel() for axis in "xyz"], axis=-1) for p in parts])
+    antenna: F64 = np.concatenate([np.stack([p[axis].ravel() for axis in "xyz"], axis=-1) for p in parts])
     samples = np.concatenate([p["fp"].T for p in parts]).astype(np.complex64)[None]
     steps = np.linalg.norm(np.diff(antenna, axis=0), axis=-1)
     times_ns = np.rint(np.concatenate([[0.0], np.cumsum(steps)]) / SPEED * 1e9).astype(np.int64)
     if not np.all(np.diff(times_ns) > 0):
         raise UserError("Two pulses were taken at the same antenna position; name each file once.")
-    times: Array = times_ns * np.float64(1e-9)
+    times: F64 = times_ns * np.float64(1e-9)
     velocity = np.asarray(np.gradient(antenna, times, axis=0), dtype=np.float64)
     reference = np.concatenate([p["r0"].ravel() for p in parts])
     sensor = _sensor(frequency, antenna, velocity, times)
@@ -107,7 +105,7 @@ def _load(path: Path) -> dict[str, Any]:
     return part
 
 
-def _sensor(frequency: Array, antenna: Array, velocity: Array, times: Array) -> Sensor:
+def _sensor(frequency: F64, antenna: F64, velocity: F64, times: F64) -> Sensor:
     """One receiver with its boresight on the map's origin, seen from the middle of the track."""
     middle = len(antenna) // 2
     level = float(np.hypot(*antenna[middle, :2]))
@@ -128,7 +126,7 @@ def _sensor(frequency: Array, antenna: Array, velocity: Array, times: Array) -> 
     )
 
 
-def _states(times_ns: npt.NDArray[np.int64], antenna: Array, velocity: Array, look_side: int) -> list[PlatformState]:
+def _states(times_ns: I64, antenna: F64, velocity: F64, look_side: int) -> list[PlatformState]:
     """One level state per pulse, its side turned to the map's origin."""
     towards = np.arctan2(-antenna[:, 1], -antenna[:, 0])
     orientation = Rotation.from_euler("z", (towards + look_side * np.pi / 2)[:, None]).as_quat()

@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.geometry import Grid, without_range_phase
+from sal_height.numeric import Complex
 from sal_height.sensor import Sensor
-
-ComplexArray = npt.NDArray[np.complexfloating]
 
 IMAGE_TYPE = "sal_height_msgs/msg/ComplexImage"
 SENSOR_TYPE = "sal_height_msgs/msg/SensorInfo"
@@ -39,7 +37,7 @@ class Image:
         grid: where the pixels lie; None: not known.
     """
 
-    pixels: ComplexArray
+    pixels: Complex
     path: Path
     axes: tuple[str, str] = AXES
     topic: str | None = None
@@ -133,7 +131,7 @@ def _bag_images(path: Path) -> Iterator[Image]:
         yield Image(pixels, path, AXES, topic, message.dwell, message.detector, grid)
 
 
-def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, ComplexArray, Grid]]:
+def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, Complex, Grid]]:
     """Topic, message, pixels without the phase of range, and grid of each ComplexImage of a bag, in recorded order.
 
     Raises:

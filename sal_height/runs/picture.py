@@ -8,13 +8,13 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from sal_height.calibration import Calibration
 from sal_height.geometry import Grid
+from sal_height.numeric import C64, F64
 from sal_height.response import OVERSAMPLING, REACH, Chip, CutResponse, ImpulseResponse
 from sal_height.runs.report import Mosaic
 from sal_height.simulation import Preset, Scene
@@ -32,9 +32,6 @@ TITLES = {
     "sum_difference": "sum and difference",
     "tracked": "tracked",
 }
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 
 def draw_heights(mosaics: Mapping[str, Mosaic], scene: Scene, preset: Preset, path: Path) -> None:
@@ -94,7 +91,7 @@ def draw_calibration(calibration: Calibration, sensor: str, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def draw_image(image: ComplexArray, grid: Grid, title: str, path: Path) -> None:
+def draw_image(image: C64, grid: Grid, title: str, path: Path) -> None:
     """Write a PNG of the power of a focused image, 60 dB down from its peak, in the image plane's coordinates."""
     power = np.abs(image) ** 2
     level = _decibels(power / np.nanmax(power))
@@ -150,7 +147,7 @@ def draw_responses(targets: Sequence[Target], title: str, path: Path) -> None:
     figure.savefig(path, dpi=100)
 
 
-def _around(position: float, cut: CutResponse, finite: tuple[int, int]) -> Array:
+def _around(position: float, cut: CutResponse, finite: tuple[int, int]) -> F64:
     """Positions to show beside a peak, interpolated ones: REACH widths to both sides, as far as there are pixels."""
     reach = REACH * cut.width if np.isfinite(cut.width) else np.inf
     first, last = max(finite[0], position - reach), min(finite[1], position + reach)
@@ -158,12 +155,12 @@ def _around(position: float, cut: CutResponse, finite: tuple[int, int]) -> Array
     return position + np.arange(-before, after + 1) / OVERSAMPLING
 
 
-def _thinned(positions: Array) -> Array:
+def _thinned(positions: F64) -> F64:
     """As many positions from first to last as a picture can show."""
     return np.linspace(positions[0], positions[-1], min(len(positions), PIXELS_SHOWN))
 
 
-def _draw_cut(axis: Axes, offset: Array, power: Array, cut: CutResponse, kind: str) -> None:
+def _draw_cut(axis: Axes, offset: F64, power: F64, cut: CutResponse, kind: str) -> None:
     """One cut, with its width at -3 dB and its greatest sidelobe."""
     axis.plot(offset, _decibels(power.ravel()), lw=1)
     axis.plot(
@@ -181,12 +178,12 @@ def _draw_cut(axis: Axes, offset: Array, power: Array, cut: CutResponse, kind: s
     axis.legend(loc="lower right")
 
 
-def _decibels(power: Array) -> Array:
+def _decibels(power: F64) -> F64:
     with np.errstate(divide="ignore"):
         return np.asarray(10 * np.log10(power))
 
 
-def _show(axis: Axes, result: Mosaic, values: Array, limits: tuple[float, float], colours: str) -> AxesImage:
+def _show(axis: Axes, result: Mosaic, values: F64, limits: tuple[float, float], colours: str) -> AxesImage:
     """Draw one layer of a mosaic in ground coordinates."""
     unit, factor = ("km", 1e-3) if np.ptp(result.east) > 3000 else ("m", 1.0)
     axis.set(xlabel=f"east, along the flight ({unit})", ylabel=f"north ({unit})", facecolor="0.85")
@@ -202,13 +199,13 @@ def _show(axis: Axes, result: Mosaic, values: Array, limits: tuple[float, float]
     )
 
 
-def _edges(centres: Array) -> tuple[float, float]:
+def _edges(centres: F64) -> tuple[float, float]:
     """Outer edges of evenly spaced cells."""
     half = (centres[-1] - centres[0]) / max(1, len(centres) - 1) / 2
     return float(centres[0] - half), float(centres[-1] + half)
 
 
-def _s68(error: Array) -> float:
+def _s68(error: F64) -> float:
     """Half the width from 16 to 84 %."""
     return float(np.diff(np.nanpercentile(error, [16, 84]))[0] / 2) if np.any(np.isfinite(error)) else 1.0
 

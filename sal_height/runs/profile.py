@@ -5,17 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.geometry import sphere_coordinates
+from sal_height.numeric import F64
 from sal_height.relief import Surface
 from sal_height.simulation import Scene
-
-Array = npt.NDArray[np.float64]
 
 
 def draw_profile(bag: Path, source: str, scene: Scene, path: Path) -> bool:
@@ -79,12 +77,12 @@ def _line(surface: Surface, col: int) -> Surface:
     return Surface(*(getattr(surface, name)[there, col] for name in ("height", "sigma", "cnr_db", "positions")))
 
 
-def _ground(line: Surface) -> Array:
+def _ground(line: Surface) -> F64:
     """Arc distances east and north, m, shape (2, pixels)."""
     return np.stack(sphere_coordinates(line.positions)[:2])
 
 
-def _along(line: Surface, ends: Array) -> Array:
+def _along(line: Surface, ends: F64) -> F64:
     """Distance on the ground (m) along the line between two `ends` (east and north, m, shape (2, 2))."""
     way = ends[:, 1] - ends[:, 0]
     return np.asarray(way @ (_ground(line) - ends[:, :1]) / max(float(np.hypot(*way)), np.finfo(float).tiny))

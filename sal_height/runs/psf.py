@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from sal_height.errors import UserError
 from sal_height.io import new_folder, write_text, writing
-from sal_height.numeric import frequencies
+from sal_height.numeric import Complex, frequencies
 from sal_height.response import (
     LONG_CHIPS,
     CutResponse,
@@ -101,7 +101,7 @@ def _pointing(group: list[Image], report: PsfReport) -> list[ImagePointing]:
     return pointing_of_images(report, [_upright(image) for image in group])
 
 
-def _upright(image: Image) -> npt.NDArray[np.complexfloating]:
+def _upright(image: Image) -> Complex:
     """Pixels with range along axis 0."""
     return image.pixels if image.axes == AXES else image.pixels.T
 

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sal_height.numeric import frequencies
+from sal_height.numeric import C128, F64, frequencies
 from sal_height.response import (
     FINENESS,
     AxisSpectrum,
@@ -25,8 +24,6 @@ from sal_height.response import (
 
 mpl.use("Agg")
 
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 CHIPS_SHOWN = 4
 """Chips of targets in the picture, as many as the paper has."""
@@ -111,7 +108,7 @@ def _draw_responses(panels: Sequence[Axes], report: PsfReport) -> None:
     _draw_response(panels[2:], transfer.azimuth_response, transfer.azimuth_sigma, "azimuth")
 
 
-def _draw_response(panels: Sequence[Axes], response: ComplexArray, sigma: Array, axis: str | None) -> None:
+def _draw_response(panels: Sequence[Axes], response: C128, sigma: F64, axis: str | None) -> None:
     """A response, thin and without errors if it is of a single target (no axis)."""
     modulus, phase = panels
     frequency, amplitude = frequencies(len(response)), np.abs(response)
@@ -210,5 +207,5 @@ def _leave_blank(axes: Axes, why: str) -> None:
     axes.set(xticks=[], yticks=[])
 
 
-def _decibels(amplitude: Array) -> Array:
+def _decibels(amplitude: F64) -> F64:
     return np.asarray(20 * np.log10(np.maximum(amplitude, 1e-10)))

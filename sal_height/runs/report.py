@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
@@ -16,11 +15,9 @@ from sal_height.geometry import sphere_coordinates
 from sal_height.imaging import azimuth_resolution
 from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.relief_tracker import PREFIX
+from sal_height.numeric import F64, Bool
 from sal_height.simulation import SimulatedFlight, VisibleSurface, truth_image
 from sal_height.theory import height_crb
-
-Array = npt.NDArray[np.float64]
-
 
 CELL_PIXELS = 1.5
 """Side of a ground cell in pixels on level ground: large enough that few cells stay empty."""
@@ -44,13 +41,13 @@ class Mosaic:
         ghosts: valid pixels in which there is no scatterer.
     """
 
-    east: Array
-    north: Array
-    height: Array
-    error: Array
-    sigma: Array
-    bound: Array
-    single: npt.NDArray[np.bool_]
+    east: F64
+    north: F64
+    height: F64
+    error: F64
+    sigma: F64
+    bound: F64
+    single: Bool
     valid_share: float
     two_share: float
     ghosts: int
@@ -70,13 +67,13 @@ class _Pixels:
         single: True where the pixel holds a single scatterer.
     """
 
-    east: Array
-    north: Array
-    height: Array
-    sigma: Array
-    truth: Array
-    bound: Array
-    single: npt.NDArray[np.bool_]
+    east: F64
+    north: F64
+    height: F64
+    sigma: F64
+    truth: F64
+    bound: F64
+    single: Bool
 
 
 def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Mosaic:
@@ -94,7 +91,7 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     weight = 1 / pixels.sigma**2
     real = np.isfinite(pixels.truth)
 
-    def total(values: Array) -> Array:
+    def total(values: F64) -> F64:
         return np.bincount(cell, values, shape[0] * shape[1]).reshape(shape)
 
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -144,7 +141,7 @@ def statistics(result: Mosaic | None) -> dict[str, Any]:
     }
 
 
-def _errors(result: Mosaic, chosen: npt.NDArray[np.bool_]) -> dict[str, Any]:
+def _errors(result: Mosaic, chosen: Bool) -> dict[str, Any]:
     """Error statistics over some cells."""
     error, sigma = result.error[chosen], result.sigma[chosen]
     if not len(error):

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import polar
 
 from sal_height.errors import UserError
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
+from sal_height.numeric import C128, F64
 
 
 @dataclass(frozen=True)
@@ -24,18 +21,18 @@ class Channels:
         noise_powers: E|n|^2 of a sample of each; their noise is independent.
     """
 
-    transform: ComplexArray
-    matrix: Array | ComplexArray
-    noise_powers: Array
+    transform: C128
+    matrix: F64 | C128
+    noise_powers: F64
 
 
-def whitened_channels(noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> Channels:
+def whitened_channels(noise_covariance: C128, channel_matrix: C128) -> Channels:
     """Channels of equal noise; arguments and errors as of `whitening`."""
     power, transform = whitening(noise_covariance, channel_matrix)
     return Channels(transform, transform @ channel_matrix, np.full(len(channel_matrix), power))
 
 
-def whitening(noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> tuple[float, ComplexArray]:
+def whitening(noise_covariance: C128, channel_matrix: C128) -> tuple[float, C128]:
     """Channels of equal and independent noise, as the estimators take it, that are the beams as far as can be.
 
     The channels are M times the beams with noise of covariance N. With the polar decomposition N^(-1/2) M = U P (U
@@ -72,7 +69,7 @@ def whitening(noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> t
     return power, np.sqrt(power) * (unitary.conj().T @ inverse_root)
 
 
-def with_powers(noise_covariance: ComplexArray, powers: Array) -> ComplexArray:
+def with_powers(noise_covariance: C128, powers: F64) -> C128:
     """The covariance of noise that has these powers, and the correlations of `noise_covariance`.
 
     Processing that is linear and the same for all channels leaves correlations as they are: so the noise of images
@@ -93,7 +90,7 @@ MATRIX_ROUNDING = 1e-6
 """Share of a channel matrix by which it may differ from one that forms sum and difference."""
 
 
-def sum_difference_channels(noise_covariance: ComplexArray, channel_matrix: ComplexArray) -> Channels:
+def sum_difference_channels(noise_covariance: C128, channel_matrix: C128) -> Channels:
     """Sigma = upper + lower and Delta = upper - lower from a sensor's channels, for `sum_difference_elevation`.
 
     The matrix of these `Channels` is that of the gains of the beams, lower and upper.
@@ -119,7 +116,7 @@ def sum_difference_channels(noise_covariance: ComplexArray, channel_matrix: Comp
     return Channels(transform, np.eye(2) * beams, np.array([sum_noise, difference_noise]))
 
 
-def separated_gains(matrix: ComplexArray) -> tuple[ComplexArray, Array | ComplexArray]:
+def separated_gains(matrix: C128) -> tuple[C128, F64 | C128]:
     """Gains of the two channels and of the two beams of a sensor that forms sum and difference.
 
     Its channels are matrix @ (lower, upper) with matrix = diag(channels) [[1, 1], [-1, 1]] diag(beams): gains of the

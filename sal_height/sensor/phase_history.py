@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import C64, F64
 
 NUFFT_TOLERANCE = 1e-7
 """Relative error of the non-uniform FFTs: below the rounding of the complex64 samples they make or read."""
@@ -28,6 +25,6 @@ class PhaseHistory:
     """
 
     stamp_ns: int
-    pulse_times: Array
-    reference_range: Array
-    samples: npt.NDArray[np.complex64]
+    pulse_times: F64
+    reference_range: F64
+    samples: C64

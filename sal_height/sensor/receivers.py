@@ -6,10 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
 
+from sal_height.numeric import C64, F64
 from sal_height.sensor.sensor import Sensor
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 MAX_SHARE = 8e-4
 """Share of saturated numbers that leaves 40 dB between Gaussian samples and their distortion (`distortion`)."""
@@ -18,7 +16,7 @@ ROUNDING = 1e-5
 """Share by which a clipped number may miss the full scale once a channel matrix in single precision is undone."""
 
 
-def clipped(samples: ComplexArray, full_scale: float) -> ComplexArray:
+def clipped(samples: C64, full_scale: float) -> C64:
     """Samples whose real and imaginary parts go no further than `full_scale`; 0: not known, they stay as they are."""
     if not full_scale:
         return samples
@@ -26,7 +24,7 @@ def clipped(samples: ComplexArray, full_scale: float) -> ComplexArray:
     return np.clip(np.ascontiguousarray(samples).view(np.float32), -limit, limit).view(np.complex64)
 
 
-def saturated_shares(samples: ComplexArray, sensor: Sensor) -> Array:
+def saturated_shares(samples: C64, sensor: Sensor) -> F64:
     """Share of the real and imaginary parts at or beyond full scale in what each channel is made of, shape (channels,).
 
     With receivers before the channel matrix that is undone first; a channel has the share of the worst of its
@@ -45,12 +43,12 @@ def saturated_shares(samples: ComplexArray, sensor: Sensor) -> Array:
     return np.asarray(np.max(_shares(receivers, limit) * (sensor.mixing != 0), axis=1))
 
 
-def _shares(samples: ComplexArray, limit: np.float32) -> Array:
+def _shares(samples: C64, limit: np.float32) -> F64:
     parts = (np.ascontiguousarray(frame).view(np.float32) for frame in samples)
     return np.array([np.mean(np.abs(part) >= limit) for part in parts])
 
 
-def distortion(share: npt.ArrayLike) -> Array:
+def distortion(share: npt.ArrayLike) -> F64:
     """Power of what clipping adds to Gaussian samples over that of what is left of them, where `share` is clipped.
 
     Clipping is memoryless, so that of a circular Gaussian sample x a multiple alpha x is left, and the rest does not

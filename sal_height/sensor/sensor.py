@@ -8,15 +8,11 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy.constants import speed_of_light
 
 from sal_height.beams import Beams, BeamTable, Pattern, detector_pattern, tabulated_pattern
 from sal_height.errors import UserError
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
-
+from sal_height.numeric import C128
 
 MAX_DETECTORS = 128
 """The estimators hold M x M numbers per pixel and direction."""
@@ -284,7 +280,7 @@ class Sensor:
         return replace(self, aperture=self.aperture / factor, beam_tables=tables)
 
     @property
-    def mixing(self) -> ComplexArray:
+    def mixing(self) -> C128:
         """The channel matrix M, shape (channels, detectors): channels = M @ detectors' signals."""
         return np.array(self.channel_matrix or np.eye(self.detector_count), dtype=np.complex128)
 
@@ -295,7 +291,7 @@ class Sensor:
         return bool(np.any(matrix != np.diag(np.diag(matrix))))
 
     @property
-    def noise_covariance(self) -> ComplexArray:
+    def noise_covariance(self) -> C128:
         """E n n^H of a phase-history sample in the channels, shape (channels, channels).
 
         diag(noise_power) with the receivers behind the channel matrix M, M diag(noise_power) M^H with them before it.

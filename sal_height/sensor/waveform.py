@@ -26,15 +26,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy import fft
 from scipy.special import diric
 
+from sal_height.numeric import C64, C128, F64, Complex
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complexfloating]
 
 BLOCK_SAMPLES = 2**18
 """Samples transformed at a time, in complex128."""
@@ -66,7 +63,7 @@ def echo_sensor(sensor: Sensor) -> Sensor:
     return _with_frequencies(sensor, sensor.sample_count, step)
 
 
-def to_spectrum(samples: npt.NDArray[np.complex64], sensor: Sensor) -> npt.NDArray[np.complex64]:
+def to_spectrum(samples: C64, sensor: Sensor) -> C64:
     """Range compression: raw samples become those of `spectrum_sensor(sensor)`.
 
     Args:
@@ -91,7 +88,7 @@ def range_compressed(history: PhaseHistory, sensor: Sensor) -> tuple[PhaseHistor
     return replace(history, samples=to_spectrum(history.samples, sensor)), spectrum_sensor(sensor)
 
 
-def from_spectrum(samples: ComplexArray, sensor: Sensor) -> npt.NDArray[np.complex64]:
+def from_spectrum(samples: Complex, sensor: Sensor) -> C64:
     """Raw echoes of noise-free samples of `echo_sensor(sensor)`: what a receiver of its bandwidth would deliver.
 
     "chirp": they times the spectrum of the pulse; for points in the range window of `spectrum_sensor(sensor)`.
@@ -130,9 +127,7 @@ def _with_frequencies(sensor: Sensor, count: int, step: float) -> Sensor:
     )
 
 
-def _in_blocks(
-    transform: Callable[[ComplexArray], ComplexArray], samples: ComplexArray, count: int
-) -> npt.NDArray[np.complex64]:
+def _in_blocks(transform: Callable[[Complex], Complex], samples: Complex, count: int) -> C64:
     """The transform of the last axis to `count` samples, a few pulses of all detectors at a time."""
     detectors, pulses, before = samples.shape
     result = np.empty((detectors, pulses, count), dtype=np.complex64)
@@ -143,12 +138,12 @@ def _in_blocks(
     return result
 
 
-def _centred(count: int) -> Array:
+def _centred(count: int) -> F64:
     """Places of `count` samples, one apart, around 0."""
     return np.arange(count, dtype=np.float64) - (count - 1) / 2
 
 
-def _centred_dft(values: ComplexArray, count: int, period: int) -> ComplexArray:
+def _centred_dft(values: Complex, count: int, period: int) -> Complex:
     """Sum over n of values[n] exp(-j 2 pi k n / period) for `count` k, both k and n centred on 0 (`_centred`)."""
     places = _centred(values.shape[-1])
     ramp = np.exp(1j * np.pi * (count - 1) / period * places)
@@ -159,7 +154,7 @@ def _centred_dft(values: ComplexArray, count: int, period: int) -> ComplexArray:
 # Matched filter
 
 
-def _replica(sensor: Sensor) -> npt.NDArray[np.complex128]:
+def _replica(sensor: Sensor) -> C128:
     """Samples of the pulse s(t), its middle in the middle."""
     time = _centred(round(sensor.pulse_duration * sensor.sampling_rate)) / sensor.sampling_rate
     return np.asarray(np.exp(1j * np.pi * sensor.chirp_rate * time**2))
@@ -175,13 +170,13 @@ def _chirp_band(sensor: Sensor) -> int:
     return int(_whole_pulse_delays(sensor) * sensor.bandwidth / sensor.sampling_rate * (1 + 1e-9))
 
 
-def _matched_filter(sensor: Sensor) -> Callable[[ComplexArray], ComplexArray]:
+def _matched_filter(sensor: Sensor) -> Callable[[Complex], Complex]:
     """Correlation with the pulse at the delays at which it lies in the record, and the band of its spectrum."""
     delays, band, size = _whole_pulse_delays(sensor), _chirp_band(sensor), fft.next_fast_len(sensor.sample_count)
     gain, _ = _matched_filter_gains(sensor)
     matched = np.conj(fft.fft(_replica(sensor), size)) / gain
 
-    def compress(raw: ComplexArray) -> ComplexArray:
+    def compress(raw: Complex) -> Complex:
         correlation = fft.ifft(fft.fft(raw, size) * matched)[..., :delays]
         return _centred_dft(correlation, band, delays)
 
@@ -217,17 +212,17 @@ def _deramped_band(sensor: Sensor) -> int:
     return most - (sensor.sample_count - most) % 2
 
 
-def _video_phase(sensor: Sensor) -> Array:
+def _video_phase(sensor: Sensor) -> F64:
     """Residual video phase at each beat frequency, in the order of an FFT, rad."""
     beat = fft.fftfreq(sensor.sample_count, 1 / sensor.sampling_rate)
     return np.asarray(np.pi * beat**2 / sensor.chirp_rate)
 
 
-def _filtered(values: ComplexArray, response: ComplexArray) -> ComplexArray:
+def _filtered(values: Complex, response: Complex) -> Complex:
     """Values filtered with a response over the frequencies of their FFT."""
     return np.asarray(fft.ifft(fft.fft(values) * response))
 
 
-def _ascending(values: ComplexArray, sensor: Sensor) -> ComplexArray:
+def _ascending(values: Complex, sensor: Sensor) -> Complex:
     """Samples of a deramped pulse from time to frequency order, or back: turned round where frequency falls."""
     return values if sensor.chirp_rate > 0 else values[..., ::-1]

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.geometry import ApertureState, PlatformState, look_direction, sphere_point
+from sal_height.numeric import F64, Complex
 from sal_height.sensor import (
     PhaseHistory,
     Sensor,
@@ -28,10 +29,6 @@ from sal_height.simulation.scene import SAMPLES_PER_CELL, PointTarget, Scene, Vi
 from sal_height.simulation.scenes import load_scene
 from sal_height.simulation.spotlight import draw_amplitudes, scatterer_amplitudes, simulate_dwell
 from sal_height.simulation.stripmap import cell_power, simulate_block
-
-Array = npt.NDArray[np.float64]
-
-ComplexArray = npt.NDArray[np.complexfloating]
 
 TURN_BEAMWIDTHS = 0.5
 """Ground before and behind what the pulses of a stripmap block light up, should the body turn a little; beamwidths."""
@@ -62,7 +59,7 @@ class SimulatedFlight:
     dwells: int
     seed: int
 
-    def position(self, seconds: npt.ArrayLike) -> Array:
+    def position(self, seconds: npt.ArrayLike) -> F64:
         """Platform position (m, map) at times (s) after the start of the first dwell, shape (..., 3)."""
         flight = self.preset.flight
         aim = sphere_point(0.0, 0.0, self.scene.reference_height)
@@ -73,7 +70,7 @@ class SimulatedFlight:
         straight = abeam + along[..., None] * np.array([1.0, 0.0, 0.0])
         return np.asarray(straight + self._gust.displacement(seconds) - self._gust.displacement(self._middle_of_flight))
 
-    def velocity(self, seconds: npt.ArrayLike) -> Array:
+    def velocity(self, seconds: npt.ArrayLike) -> F64:
         """Platform velocity (m/s, map) at times (s) after the start of the first dwell, shape (..., 3)."""
         return np.array([self.preset.flight.speed_mps, 0.0, 0.0]) + self._gust.velocity(seconds)
 
@@ -93,7 +90,7 @@ class SimulatedFlight:
         return self.sensor.widened(self.preset.impairments.beam_width_factor)
 
     @property
-    def pulse_times(self) -> Array:
+    def pulse_times(self) -> F64:
         """Times of the pulses after the start of their dwell, s."""
         return np.arange(self.sensor.pulse_count) / self.sensor.pulse_repetition_frequency
 
@@ -172,11 +169,11 @@ class SimulatedFlight:
         return range(abeam - neighbours, abeam + neighbours + 1)
 
     @cached_property
-    def _ground(self) -> Callable[[int], tuple[VisibleSurface, ComplexArray]]:
+    def _ground(self) -> Callable[[int], tuple[VisibleSurface, Complex]]:
         """The tile of that number and its scatterers' amplitudes, the same for all blocks; a block's are held."""
         return lru_cache(len(self._tiles(0)))(self._make_ground)
 
-    def _make_ground(self, tile: int) -> tuple[VisibleSurface, ComplexArray]:
+    def _make_ground(self, tile: int) -> tuple[VisibleSurface, Complex]:
         edges = (tile - self.dwells / 2 + np.arange(2)) * self.preset.dwell_spacing_m
         ground = self._visible(self.aperture(tile), (float(edges[0]), float(edges[1])), strips_per_cell=1)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GROUND, abs(tile), int(tile < 0))))
@@ -222,7 +219,7 @@ class SimulatedFlight:
         samples = received(from_spectrum(clean, self.sensor), self.sensor, rng)
         return PhaseHistory(start_ns, self.pulse_times, reference, samples)
 
-    def _spotlight(self, dwell: int, times: Array, reference: Array, rng: np.random.Generator) -> ComplexArray:
+    def _spotlight(self, dwell: int, times: F64, reference: F64, rng: np.random.Generator) -> Complex:
         """Noise-free phase history of a spotlight dwell, whose speckle is drawn."""
         surface, impairments = self.surface(dwell), self.preset.impairments
         amplitudes = draw_amplitudes(surface, 10 ** (self.preset.cnr_db / 10), self.spectrum, rng)
@@ -232,7 +229,7 @@ class SimulatedFlight:
         echoes = simulate_dwell(sensor, surface, amplitudes, antenna, reference, since, pointing)
         return np.asarray(echoes * np.exp(1j * impairments.dwell_phase(len(times)))[:, None])
 
-    def _block(self, dwell: int, times: Array, reference: Array, _: np.random.Generator) -> ComplexArray:
+    def _block(self, dwell: int, times: F64, reference: F64, _: np.random.Generator) -> Complex:
         """Noise-free phase history of a stripmap block, whose speckle is that of the ground."""
         impairments = self.preset.impairments
         amplitudes = np.concatenate([self._ground(tile)[1] for tile in self._tiles(dwell)])

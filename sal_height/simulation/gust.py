@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.constants import g
 from scipy.spatial.transform import Rotation
 
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64
 
 SCALE_LENGTH = 533.4
 """Scale of the turbulence in all axes above 2000 ft, m: 1750 ft."""
@@ -36,7 +36,7 @@ SLOWEST, FASTEST = 0.02, 60.0
 HARMONICS = 150
 
 
-def gust_spectra(omega: Array, speed: float) -> Array:
+def gust_spectra(omega: F64, speed: float) -> F64:
     """Dryden spectra of a gust of 1 m/s rms along, left and up, (m/s)^2 per rad/s over omega > 0, (..., 3)."""
     x = SCALE_LENGTH / speed * omega
     along = 2 / (1 + x**2)
@@ -44,7 +44,7 @@ def gust_spectra(omega: Array, speed: float) -> Array:
     return SCALE_LENGTH / (np.pi * speed) * np.stack([along, across, across], axis=-1)
 
 
-def response(omega: Array) -> Array:
+def response(omega: F64) -> F64:
     """Amplitude of the aircraft's velocity over that of the gust."""
     lag = 1 / np.hypot(1, RESPONSE_TIME * omega)
     held = omega**2 / np.hypot(TRACK_BANDWIDTH**2 - omega**2, 2 * DAMPING * TRACK_BANDWIDTH * omega)
@@ -63,19 +63,19 @@ class GustMotion:
     """
 
     speed: float
-    omega: Array
-    amplitude: Array
-    phase: Array
+    omega: F64
+    amplitude: F64
+    phase: F64
 
-    def displacement(self, seconds: npt.ArrayLike) -> Array:
+    def displacement(self, seconds: npt.ArrayLike) -> F64:
         """East, north and up (m) at times in s, shape (..., 3)."""
         return self._sum(seconds, -1, -np.pi / 2)
 
-    def velocity(self, seconds: npt.ArrayLike) -> Array:
+    def velocity(self, seconds: npt.ArrayLike) -> F64:
         """Derivative of `displacement`, m/s."""
         return self._sum(seconds, 0, 0.0)
 
-    def acceleration(self, seconds: npt.ArrayLike) -> Array:
+    def acceleration(self, seconds: npt.ArrayLike) -> F64:
         """Derivative of `velocity`, m/s^2."""
         return self._sum(seconds, 1, np.pi / 2)
 
@@ -88,7 +88,7 @@ class GustMotion:
         yaw, pitch, roll = velocity[..., 1] / self.speed, -velocity[..., 2] / self.speed, -sideways / g
         return Rotation.from_euler("ZYX", MOUNT_RESIDUAL * np.stack([yaw, pitch, roll], axis=-1))
 
-    def _sum(self, seconds: npt.ArrayLike, power: int, lead: float) -> Array:
+    def _sum(self, seconds: npt.ArrayLike, power: int, lead: float) -> F64:
         """Sum of harmonics whose amplitudes are multiplied by a power of omega, `lead` rad ahead of the velocity's."""
         turn = np.asarray(seconds, dtype=np.float64)[..., None] * self.omega
         wave = np.cos(turn[..., None] + self.phase + lead)

@@ -21,11 +21,9 @@ from annotated_types import Ge, Gt, Le
 from scipy.spatial.transform import Rotation
 
 from sal_height.geometry import look_direction
+from sal_height.numeric import C128, F64, Complex
 from sal_height.sensor import Sensor, echo_sensor, spectrum_sensor
 from sal_height.simulation.settings import STRICT_KEYS, Decibels, Float, Int
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complexfloating]
 
 TAPER_NODES = 4097
 """Nodes of the tabulated Taylor weights, which are interpolated linearly between them."""
@@ -57,7 +55,7 @@ class RangeSawtooth:
     teeth: Annotated[Float, Gt(0), Le(32768)]
     receivers: tuple[Annotated[Int, Ge(0)], ...] = ()
 
-    def response(self, frequency: Array) -> Array:
+    def response(self, frequency: F64) -> F64:
         """Amplitude at frequencies in cycles per range cell."""
         tooth = self.teeth * frequency
         return np.asarray(1 + self.depth * 2 * (tooth - np.floor(tooth + 0.5)))
@@ -79,7 +77,7 @@ class RangeTaper:
     sidelobe_db: Annotated[Float, Ge(13), Le(100)] = 35.0
     band_share: Annotated[Float, Ge(0.01), Le(1)] = 1.0
 
-    def response(self, frequency: Array) -> Array:
+    def response(self, frequency: F64) -> F64:
         """Amplitude at frequencies in cycles per range cell."""
         from scipy.signal import windows  # noqa: PLC0415 (brings scipy.stats, 0.4 s of every node's start)
 
@@ -106,7 +104,7 @@ class AntennaSwing:
     period_s: Annotated[Float, Ge(1e-6), Le(1e9)]
     phase_rad: Annotated[Float, Ge(-np.pi), Le(np.pi)] = 0.0
 
-    def pointing(self, seconds: npt.ArrayLike) -> Array:
+    def pointing(self, seconds: npt.ArrayLike) -> F64:
         """Angle (rad) by which the beams point ahead at times (s) after the start of the first dwell."""
         turn = 2 * np.pi * np.asarray(seconds, dtype=np.float64) / self.period_s + self.phase_rad
         return np.asarray(self.amplitude_rad * np.sin(turn))
@@ -149,7 +147,7 @@ class Impairments:
     antenna_swing: AntennaSwing = STEADY
     quartic_phase_rad: Annotated[Float, Ge(-100), Le(100)] = 0.0
 
-    def receiver_response(self, sensor: Sensor) -> npt.NDArray[np.complex128]:
+    def receiver_response(self, sensor: Sensor) -> C128:
         """What each receiver multiplies the echoes by, at the frequencies of `echo_sensor(sensor)`.
 
         Args:
@@ -170,13 +168,13 @@ class Impairments:
             response[list(self.range_sawtooth.receivers) or slice(None)] *= self.range_sawtooth.response(frequency)
         return response
 
-    def spur(self, sensor: Sensor) -> npt.NDArray[np.complex128]:
+    def spur(self, sensor: Sensor) -> C128:
         """What every pulse has in each receiver beside echoes and noise, shape (receivers, frequencies)."""
         spur = np.zeros((sensor.detector_count, echo_sensor(sensor).sample_count), dtype=np.complex128)
         spur[:, 0] = self.nyquist_spur_over_noise * np.sqrt(sensor.noise_power)
         return spur
 
-    def dwell_phase(self, pulses: int) -> Array:
+    def dwell_phase(self, pulses: int) -> F64:
         """Quartic phase (rad) of the pulses of a spotlight dwell, shape (pulses,)."""
         along = (np.arange(pulses) - (pulses - 1) / 2) / (pulses / 2)
         return np.asarray(self.quartic_phase_rad * along**4)
@@ -185,14 +183,14 @@ class Impairments:
 UNIMPAIRED = Impairments()
 
 
-def _cycles_per_cell(sensor: Sensor) -> Array:
+def _cycles_per_cell(sensor: Sensor) -> F64:
     """Offsets from the carrier of the frequencies of `echo_sensor(sensor)`, cycles per range cell of the images."""
     echo = echo_sensor(sensor)
     offsets = (np.arange(echo.sample_count) - (echo.sample_count - 1) / 2) * echo.frequency_step
     return np.asarray(offsets / spectrum_sensor(sensor).bandwidth)
 
 
-def through_receivers(clean: ComplexArray, sensor: Sensor, impairments: Impairments) -> ComplexArray:
+def through_receivers(clean: Complex, sensor: Sensor, impairments: Impairments) -> Complex:
     """Echoes as they must come from the detectors for the receivers, were they as described, to deliver what they do.
 
     With receivers R behind the channel matrix M in the antenna that is M^-1 (R M s + spur), without it R s + spur. The
@@ -212,7 +210,7 @@ def through_receivers(clean: ComplexArray, sensor: Sensor, impairments: Impairme
     return np.asarray(clean + np.tensordot(np.linalg.inv(matrix), change, axes=1))
 
 
-def pointing_rotation(pointing: Array, sensor: Sensor) -> Array:
+def pointing_rotation(pointing: F64, sensor: Sensor) -> F64:
     """Matrices, in body axes, that turn the middle of the beams ahead by angles `pointing` (rad), (..., 3, 3).
 
     A direction at the squint y in the plane of the line of sight and the flight has, seen from the turned antenna, the

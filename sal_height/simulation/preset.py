@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 from annotated_types import Ge, Gt, Le, Lt, MinLen
 from pydantic import AfterValidator, TypeAdapter, ValidationError
@@ -17,6 +16,7 @@ from pydantic_core import PydanticCustomError
 
 from sal_height.beams import PATTERNS, BeamTable, read_beam_tables
 from sal_height.errors import UserError
+from sal_height.numeric import C128
 from sal_height.sensor import MAX_DETECTORS, Sensor
 from sal_height.simulation.impairments import MOST_SWING_BEAMWIDTHS, UNIMPAIRED, Impairments
 from sal_height.simulation.settings import STRICT_KEYS, Decibels, Float, Int
@@ -57,7 +57,7 @@ class HybridSettings:
         """Complex gain of the Delta channel's receiver against that of Sigma."""
         return complex(10 ** (self.delta_gain_db / 20) * np.exp(1j * self.delta_phase_rad))
 
-    def matrix(self) -> npt.NDArray[np.complex128]:
+    def matrix(self) -> C128:
         """Rows Sigma and Delta, columns lower and upper beam."""
         amplitude = self.coupling * 10 ** (-self.loss_db / 20)
         return np.array([[1, 1], [-self.delta_gain, self.delta_gain]], dtype=np.complex128) * amplitude

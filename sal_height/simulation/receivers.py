@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from sal_height.numeric import C64
 from sal_height.sensor import Sensor, clipped
 
 
-def received(samples: npt.NDArray[np.complex64], sensor: Sensor, rng: np.random.Generator) -> npt.NDArray[np.complex64]:
+def received(samples: C64, sensor: Sensor, rng: np.random.Generator) -> C64:
     """The channels' samples: where the receivers are, noise is added and what exceeds the full scale is clipped.
 
     Args:
@@ -22,14 +22,14 @@ def received(samples: npt.NDArray[np.complex64], sensor: Sensor, rng: np.random.
     return form_channels(clipped(samples + noise, sensor.full_scale), sensor)
 
 
-def form_channels(samples: npt.NDArray[np.complex64], sensor: Sensor) -> npt.NDArray[np.complex64]:
+def form_channels(samples: C64, sensor: Sensor) -> C64:
     """Channel matrix times the detectors' samples, shape (detectors, pulses, samples)."""
     if not sensor.channel_matrix:
         return samples
     return np.tensordot(sensor.mixing, samples, axes=1).astype(np.complex64)
 
 
-def receiver_noise(sensor: Sensor, pulses: int, rng: np.random.Generator) -> npt.NDArray[np.complex64]:
+def receiver_noise(sensor: Sensor, pulses: int, rng: np.random.Generator) -> C64:
     """Circular Gaussian noise of the stated power, independent between receivers, (receivers, pulses, frequencies)."""
     shape = (sensor.detector_count, pulses, sensor.sample_count, 2)
     noise = rng.standard_normal(shape, dtype=np.float32).view(np.complex64)[..., 0]

@@ -12,8 +12,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, angles_of, aperture_at, sphere_point
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64, Bool
 
 
 @dataclass(frozen=True)
@@ -63,10 +62,10 @@ class Scene:
     """
 
     name: str
-    east: Array
-    north: Array
-    height: Array
-    brightness: Array
+    east: F64
+    north: F64
+    height: F64
+    brightness: F64
     points: tuple[PointTarget, ...] = field(default=())
     extent: float = 0.0
 
@@ -84,15 +83,15 @@ class Scene:
         if not (np.isfinite(self.extent) and self.extent >= 0):
             raise UserError(f"Scene {self.name}: extent is {self.extent} m; it must be finite and 0 or more.")
 
-    def heights(self, east: npt.ArrayLike, north: npt.ArrayLike) -> Array:
+    def heights(self, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
         """Terrain height (m) at arc distances `east`, `north` (m); NaN outside the terrain."""
         return self._interpolate(self.height, east, north)
 
-    def brightnesses(self, east: npt.ArrayLike, north: npt.ArrayLike) -> Array:
+    def brightnesses(self, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
         """Radar brightness at arc distances `east`, `north` (m); NaN outside the terrain."""
         return self._interpolate(self.brightness, east, north)
 
-    def _interpolate(self, values: Array, east: npt.ArrayLike, north: npt.ArrayLike) -> Array:
+    def _interpolate(self, values: F64, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
         table = RegularGridInterpolator((self.north, self.east), values, bounds_error=False, fill_value=np.nan)
         return np.asarray(table(np.stack(np.broadcast_arrays(north, east), axis=-1)))
 
@@ -117,21 +116,21 @@ class VisibleSurface:
         velocity: in map, m/s, shape (scatterers, 3).
     """
 
-    positions: Array
-    heights: Array
-    power: Array
-    slant_range: Array
-    elevation: Array
-    squint: Array
-    deterministic: npt.NDArray[np.bool_]
-    velocity: Array
+    positions: F64
+    heights: F64
+    power: F64
+    slant_range: F64
+    elevation: F64
+    squint: F64
+    deterministic: Bool
+    velocity: F64
 
     @cached_property
     def moves(self) -> bool:
         """Whether a scatterer moves."""
         return bool(np.any(self.velocity))
 
-    def positions_after(self, seconds: float) -> Array:
+    def positions_after(self, seconds: float) -> F64:
         """Positions (m, map) at a time (s) after `positions`, shape (scatterers, 3)."""
         return self.positions + seconds * self.velocity if self.moves else self.positions
 
@@ -212,7 +211,7 @@ def visible_surface(
     )
 
 
-def _motion(points: tuple[PointTarget, ...], positions: Array, aperture: ApertureState) -> tuple[Array, Array]:
+def _motion(points: tuple[PointTarget, ...], positions: F64, aperture: ApertureState) -> tuple[F64, F64]:
     """Velocities (m/s) of point targets, and their positions (m) in the middle of the aperture's time: (points, 3).
 
     `positions` are those where a sliding aperture has come abeam of them.
@@ -233,9 +232,9 @@ class _Scatterers:
     scatterers.
     """
 
-    positions: Array
-    heights: Array
-    power: Array
+    positions: F64
+    heights: F64
+    power: F64
     strip: npt.NDArray[np.int_]
     layers: int
 
@@ -272,7 +271,7 @@ def _terrain_scatterers(
     first = np.cumsum(pieces) - pieces
     fraction = (np.arange(len(between)) - first[between] + 0.5) / pieces[between]
 
-    def along(values: Array) -> Array:
+    def along(values: F64) -> F64:
         start, end = values[strip, node], values[strip, node + 1]
         return np.asarray(start + (end - start) * fraction)
 
@@ -289,7 +288,7 @@ def _terrain_scatterers(
     )
 
 
-def _lit(elevation: Array, strip_of: npt.NDArray[np.int_]) -> npt.NDArray[np.bool_]:
+def _lit(elevation: F64, strip_of: npt.NDArray[np.int_]) -> Bool:
     """Whether each point of each strip, ordered outwards, is seen over all points before it."""
     strips = np.split(np.nan_to_num(elevation, nan=-np.pi), np.flatnonzero(np.diff(strip_of)) + 1)
     return elevation >= np.concatenate([np.maximum.accumulate(strip) for strip in strips])

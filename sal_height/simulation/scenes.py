@@ -7,13 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.errors import UserError
 from sal_height.simulation.dem import is_file, read_elevation_model
 from sal_height.simulation.scene import PointTarget, Scene
-
-Array = npt.NDArray[np.float64]
 
 
 def load_scene(name_or_path: str, extent: float = 0.0) -> Scene:

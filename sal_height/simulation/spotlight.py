@@ -9,14 +9,12 @@ import finufft
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.numeric import F64, Complex
 from sal_height.sensor import NUFFT_TOLERANCE, Sensor
 from sal_height.simulation.scene import VisibleSurface
 
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complexfloating]
 
-
-def draw_amplitudes(surface: VisibleSurface, cnr: float, sensor: Sensor, rng: np.random.Generator) -> ComplexArray:
+def draw_amplitudes(surface: VisibleSurface, cnr: float, sensor: Sensor, rng: np.random.Generator) -> Complex:
     """Complex amplitude of every scatterer: circular Gaussian (speckle), but constant for point targets.
 
     Scaled so that a resolution cell of brightness 1 in the focused image has the carrier-to-noise power ratio `cnr`
@@ -27,7 +25,7 @@ def draw_amplitudes(surface: VisibleSurface, cnr: float, sensor: Sensor, rng: np
     return scatterer_amplitudes(surface, cnr * noise, rng)
 
 
-def scatterer_amplitudes(surface: VisibleSurface, cell_power: float, rng: np.random.Generator) -> ComplexArray:
+def scatterer_amplitudes(surface: VisibleSurface, cell_power: float, rng: np.random.Generator) -> Complex:
     """Complex amplitude of every scatterer, where a resolution cell of brightness 1 has the power `cell_power`."""
     speckle = (rng.standard_normal(len(surface.power)) + 1j * rng.standard_normal(len(surface.power))) / np.sqrt(2)
     return np.sqrt(surface.power * cell_power) * np.where(surface.deterministic, 1.0, speckle)
@@ -36,12 +34,12 @@ def scatterer_amplitudes(surface: VisibleSurface, cell_power: float, rng: np.ran
 def simulate_dwell(
     sensor: Sensor,
     surface: VisibleSurface,
-    amplitudes: ComplexArray,
-    antenna: Array,
-    reference_range: Array,
+    amplitudes: Complex,
+    antenna: F64,
+    reference_range: F64,
     seconds: npt.ArrayLike = 0.0,
     pointing: npt.ArrayLike = 0.0,
-) -> ComplexArray:
+) -> Complex:
     """Noise-free phase history of every detector.
 
     The beam is held on the scene, so that a scatterer keeps its weight in each detector's beam as long as `pointing`
@@ -61,7 +59,7 @@ def simulate_dwell(
     """
     seconds, pointing = (np.broadcast_to(values, len(antenna)) for values in (seconds, pointing))
 
-    def pulse_samples(weighted: ComplexArray, position: Array, reference: float, second: float) -> ComplexArray:
+    def pulse_samples(weighted: Complex, position: F64, reference: float, second: float) -> Complex:
         delay = np.linalg.norm(surface.positions_after(second) - position, axis=-1) - reference
         strengths = weighted * np.exp(-1j * sensor.centre_wavenumber * delay)
         phase = sensor.wavenumber_step * delay

@@ -11,13 +11,22 @@ import numpy.typing as npt
 
 from sal_height.beams import Beams
 from sal_height.geometry import look_direction
-from sal_height.numeric import OVERSAMPLING, TAPS, compiled, dense_profiles, tap_polynomials, tap_weights, unit_phasors
+from sal_height.numeric import (
+    C64,
+    F32,
+    F64,
+    I32,
+    OVERSAMPLING,
+    TAPS,
+    Complex,
+    compiled,
+    dense_profiles,
+    tap_polynomials,
+    tap_weights,
+    unit_phasors,
+)
 from sal_height.sensor import Sensor, aperture_length, lit_angle
 from sal_height.simulation.scene import VisibleSurface
-
-Array = npt.NDArray[np.float64]
-FloatArray = npt.NDArray[np.float32]
-ComplexArray = npt.NDArray[np.complex64]
 
 
 def mean_square_gain(beams: Beams) -> float:
@@ -52,13 +61,13 @@ def cell_power(cnr: float, sensor: Sensor, slant_range: float, speed: float) -> 
 def simulate_block(
     sensor: Sensor,
     surface: VisibleSurface,
-    amplitudes: npt.NDArray[np.complexfloating],
-    antenna: Array,
-    rotation: Array,
-    reference_range: Array,
+    amplitudes: Complex,
+    antenna: F64,
+    rotation: F64,
+    reference_range: F64,
     seconds: npt.ArrayLike = 0.0,
     quartic_phase: float = 0.0,
-) -> ComplexArray:
+) -> C64:
     """Noise-free phase history of every detector with the antenna fixed to the body.
 
     A scatterer has in each pulse the weight of the direction in which the body sees it then, and none when it is more
@@ -96,7 +105,7 @@ def simulate_block(
     taps, dense = tap_polynomials(), OVERSAMPLING * sensor.sample_count
     axes = np.stack([np.array([1.0, 0.0, 0.0]), outwards, boresight], axis=-1)
 
-    def pulse_profile(position: Array, rotation: Array, reference: float, second: float) -> FloatArray:
+    def pulse_profile(position: F64, rotation: F64, reference: float, second: float) -> F32:
         reach = lit_angle(sensor.beams) * reference
         aim = position[0] + reference * (rotation @ boresight)[0]
         lit = slice(*np.searchsorted(east, (aim - reach, aim + reach)))
@@ -126,16 +135,14 @@ def simulate_block(
     return np.ascontiguousarray(spectra, dtype=np.complex64)
 
 
-def _spectrum_of_profile(count: int) -> ComplexArray:
+def _spectrum_of_profile(count: int) -> C64:
     """Matrix from dense range profiles to `count` frequencies: the adjoint of `dense_profiles`."""
     profiles = dense_profiles(np.eye(count, dtype=np.complex64)[None], np.ones(count))[..., 0]
     return np.asarray(profiles[:, :, 0] - 1j * profiles[:, :, 1], dtype=np.complex64)
 
 
 @compiled
-def _spread(
-    first: npt.NDArray[np.int32], weights: FloatArray, echoes: ComplexArray, response: FloatArray, profile: FloatArray
-) -> None:
+def _spread(first: I32, weights: F32, echoes: C64, response: F32, profile: F32) -> None:
     """Add scatterers to the dense range profiles of all detectors.
 
     Args:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.beams import Beams
 from sal_height.elevation import beam_power
 from sal_height.geometry import ApertureState, Grid, pixels_at
+from sal_height.numeric import F64, Bool
 from sal_height.simulation.scene import VisibleSurface
-
-Array = npt.NDArray[np.float64]
 
 SINGLE_SPREAD = 0.1
 """Standard deviation of elevation about its regression on range, in beamwidths, up to which a scatterer is single."""
@@ -32,10 +30,10 @@ class Truth:
             sloping ground, and unlike in layover.
     """
 
-    height: Array
-    elevation: Array
-    power: Array
-    single: npt.NDArray[np.bool_]
+    height: F64
+    elevation: F64
+    power: F64
+    single: Bool
 
 
 def truth_image(
@@ -60,7 +58,7 @@ def truth_image(
     gain = beam_power(beams.response(seen_at, surface.squint[inside]))
     received = surface.power[inside] * gain
 
-    def total(values: Array) -> Array:
+    def total(values: F64) -> F64:
         return np.bincount(pixel, received * values, grid.rows * grid.cols).astype(np.float64).reshape(grid.shape)
 
     with np.errstate(divide="ignore", invalid="ignore"):

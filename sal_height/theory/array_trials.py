@@ -6,28 +6,25 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.beams import Beams
 from sal_height.elevation import Objective, PeakSearches, covariance
-from sal_height.numeric import WORKERS, compiled
+from sal_height.numeric import C64, F64, WORKERS, compiled
 
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
-Target = Callable[[np.random.Generator, tuple[int, int]], ComplexArray]
+Target = Callable[[np.random.Generator, tuple[int, int]], C64]
 
 SAMPLES_AT_ONCE = 2**16
 """Samples that a thread draws at a time; it also decides which random numbers a trial gets."""
 
 
-def _gaussian(rng: np.random.Generator, shape: tuple[int, int]) -> ComplexArray:
+def _gaussian(rng: np.random.Generator, shape: tuple[int, int]) -> C64:
     """Circular Gaussian: speckle, independent from look to look."""
     parts = rng.standard_normal((shape[0], 2 * shape[1]), dtype=np.float32)
     parts *= np.float32(np.sqrt(0.5))
     return parts.view(np.complex64)
 
 
-def _steady(rng: np.random.Generator, shape: tuple[int, int]) -> ComplexArray:
+def _steady(rng: np.random.Generator, shape: tuple[int, int]) -> C64:
     """Modulus 1 and a random phase in each look."""
     return np.asarray(np.exp(2j * np.pi * rng.random(shape)), dtype=np.complex64)
 
@@ -45,7 +42,7 @@ def draw_pixels(
     looks: int,
     trials: int,
     target: Target,
-) -> ComplexArray:
+) -> C64:
     """Samples of some pixels that hold the same target in circular noise of mean power 1.
 
     Args:
@@ -78,7 +75,7 @@ def run_array_trials(
     objective: Objective,
     guard: float,
     target: Target,
-) -> Array:
+) -> F64:
     """Elevations (rad) that `peak_elevation` finds in independent pixels with the same target at squint 0: (trials,).
 
     On all processors; the seed alone decides the result, and the memory does not grow with the number of trials but
@@ -115,7 +112,7 @@ def with_streams(work: Callable[[np.random.Generator, slice], None], seed: int, 
 
 
 @compiled
-def _add_target(samples: ComplexArray, amplitude: ComplexArray, response: ComplexArray) -> None:
+def _add_target(samples: C64, amplitude: C64, response: C64) -> None:
     """Scale noise of power 2 to 1 and add the amplitude of each pixel and look times the response."""
     half = np.float32(np.sqrt(0.5))
     for i in range(samples.shape[0]):

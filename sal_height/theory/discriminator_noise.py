@@ -22,8 +22,7 @@ from scipy.stats import ncx2, t
 
 from sal_height.beams import Beams
 from sal_height.errors import UserError
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64
 
 NORMAL_SHARES = (0.15865525393145707, 0.8413447460685429)
 """Shares of a normal distribution below minus and plus one standard deviation: the "16 and 84 %" of s68."""
@@ -45,7 +44,7 @@ def straight_power(beams: Beams) -> float:
     return power
 
 
-def cnr_sum_of(cnr_detector: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+def cnr_sum_of(cnr_detector: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
     """CNR of the sum channel where one detector that looks straight at the target has `cnr_detector`.
 
     |l + u|^2 / (2 |h(0, 0)|^2) times as much: l and u are the two responses, and Sigma has the noise of both.
@@ -62,23 +61,23 @@ def cnr_sum_of(cnr_detector: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLik
     return np.asarray(cnr_detector) * _sum_gain(pair, elevation, squint)
 
 
-def cnr_detector_of(cnr_sum: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+def cnr_detector_of(cnr_sum: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
     """The inverse of `cnr_sum_of`: infinite where the sum channel sees nothing."""
     with np.errstate(divide="ignore"):
         return np.asarray(np.asarray(cnr_sum) / _sum_gain(pair, elevation, squint))
 
 
-def _sum_gain(pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+def _sum_gain(pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
     response = pair.response(elevation, squint)
     return np.asarray(np.abs(response.sum(axis=-1)) ** 2 / 2 / straight_power(pair))
 
 
-def steady_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> Array:
+def steady_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> F64:
     """Mean of one look at a target of constant brightness: kappa (1 - exp(-x)) (Kanter 1977). Broadcasts."""
     return np.asarray(-np.asarray(kappa) * np.expm1(-np.asarray(cnr_sum)))
 
 
-def steady_looks_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike, looks: npt.ArrayLike) -> Array:
+def steady_looks_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike, looks: npt.ArrayLike) -> F64:
     """Mean of K looks at a target of constant brightness: kappa K C E[1 / (K + J)] with J of Poisson's law, mean K C.
 
     sum_k |Sigma_k|^2 is a mixture of Gamma laws of order K + J, and Sigma's share of signal in it is what the mean is
@@ -89,7 +88,7 @@ def steady_looks_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike, looks: npt.A
     return np.asarray(kappa * cnr_sum * hyp1f1(1, looks + 1, -looks * cnr_sum))
 
 
-def gaussian_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> Array:
+def gaussian_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> F64:
     """Mean for a fluctuating (complex Gaussian) target: kappa C / (C + 1), for any number of looks. Broadcasts."""
     kappa, cnr_sum = np.asarray(kappa), np.asarray(cnr_sum)
     return np.asarray(kappa * cnr_sum / (cnr_sum + 1))
@@ -109,15 +108,15 @@ class StudentLaw:
     scale: float
     looks: int
 
-    def pdf(self, mu: npt.ArrayLike) -> Array:
+    def pdf(self, mu: npt.ArrayLike) -> F64:
         """Probability density; broadcasts."""
         return np.asarray(t.pdf(mu, 2 * self.looks, self.centre, self.scale))
 
-    def cdf(self, mu: npt.ArrayLike) -> Array:
+    def cdf(self, mu: npt.ArrayLike) -> F64:
         """Probability of less than `mu`; broadcasts."""
         return np.asarray(t.cdf(mu, 2 * self.looks, self.centre, self.scale))
 
-    def quantile(self, share: npt.ArrayLike) -> Array:
+    def quantile(self, share: npt.ArrayLike) -> F64:
         """The value that the `share` (0 to 1) lies below; broadcasts."""
         return np.asarray(t.ppf(share, 2 * self.looks, self.centre, self.scale))
 
@@ -156,7 +155,7 @@ class SteadyLaw:
     kappa: float
     cnr_sum: float
 
-    def cdf(self, mu: npt.ArrayLike) -> Array:
+    def cdf(self, mu: npt.ArrayLike) -> F64:
         """Probability of less than `mu`; broadcasts.
 
         mu is exceeded where Re (Delta - mu Sigma) Sigma* > 0: a Hermitian form with one positive and one negative
@@ -193,7 +192,7 @@ class SteadyMlLaw(SteadyLaw):
     it, equal powers and the phases plus and minus atan(gamma). It has neither mean nor variance.
     """
 
-    def cdf(self, mu: npt.ArrayLike) -> Array:
+    def cdf(self, mu: npt.ArrayLike) -> F64:
         """Probability of less than `mu`; broadcasts.
 
         The phase of each, less that without noise, has the coefficients c_n = E cos(n phase) = sqrt(pi y / 2) / 2

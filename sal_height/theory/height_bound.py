@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.beams import Beams
 from sal_height.elevation import speckle_crb
+from sal_height.numeric import F64
 from sal_height.simulation import Truth
 
-Array = npt.NDArray[np.float64]
 
-
-def height_crb(truth: Truth, cnr: float, looks: int, beams: Beams, squint: Array, height_slope: Array) -> Array:
+def height_crb(truth: Truth, cnr: float, looks: int, beams: Beams, squint: F64, height_slope: F64) -> F64:
     """Speckle-averaged Cramer-Rao bound of height (m) in each pixel: `speckle_crb` times |dh/dtheta|.
 
     With C the CNR of the pixel in a detector looking straight at it. Infinite for one look, where a fluctuating

@@ -13,13 +13,10 @@ import numpy.typing as npt
 
 from sal_height.beams import Pattern
 from sal_height.errors import UserError
-
-ComplexArray = npt.NDArray[np.complex128]
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import C128, F64
 
 
-def hybrid_gain(coupling: npt.ArrayLike, loss: npt.ArrayLike) -> Array:
+def hybrid_gain(coupling: npt.ArrayLike, loss: npt.ArrayLike) -> F64:
     """Gain in signal-to-noise power ratio of a hybrid before the receivers against sums after them: 2 c^2 / L.
 
     The hybrid makes c (upper + lower) / sqrt(L) and c (upper - lower) / sqrt(L), and the same receivers follow. With
@@ -34,7 +31,7 @@ def hybrid_gain(coupling: npt.ArrayLike, loss: npt.ArrayLike) -> Array:
     return np.asarray(2 * np.asarray(coupling) ** 2 / np.asarray(loss))
 
 
-def synthesise(pulses: ComplexArray, phase: Array) -> ComplexArray:
+def synthesise(pulses: C128, phase: F64) -> C128:
     """Coherent sum over pulses, the last axis, after taking off the `phase` (rad) that the flight gave to each.
 
     Linear and the same for every channel, hence it may come before or after the forming of sum and difference. The

@@ -14,10 +14,9 @@ import numpy.typing as npt
 
 from sal_height.elevation.looks import Looks
 from sal_height.errors import UserError
+from sal_height.numeric import C128, F64
 
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
-Estimator = Callable[[Array, Array, ComplexArray, float | Array], Array]
+Estimator = Callable[[F64, F64, C128, float | F64], F64]
 NoisePowers = tuple[float, float]
 """E|n|^2 of one sample of Sigma and of Delta; the two noises are independent."""
 
@@ -33,13 +32,13 @@ class Products:
         count: number of looks or pulses K of each, or of all.
     """
 
-    sum_power: Array
-    difference_power: Array
+    sum_power: F64
+    difference_power: F64
     cross_power: npt.NDArray[np.inexact[Any]]
-    count: int | Array
+    count: int | F64
 
 
-def products(total: ComplexArray, difference: ComplexArray) -> Products:
+def products(total: C128, difference: C128) -> Products:
     """Products of Sigma and Delta, shape (..., K), for a real gamma, summed over the last axis.
 
     Phases common to both channels drop out, so that pulses may be summed with or without phase compensation. That is
@@ -65,9 +64,7 @@ def products_of_looks(looks: Looks) -> Products:
     )
 
 
-def sum_and_difference(
-    lower: Array, upper: Array, product: npt.NDArray[np.inexact[Any]], count: int | Array
-) -> Products:
+def sum_and_difference(lower: F64, upper: F64, product: npt.NDArray[np.inexact[Any]], count: int | F64) -> Products:
     """Products of Sigma and Delta from those of the two detectors.
 
     Args:
@@ -80,7 +77,7 @@ def sum_and_difference(
     return Products(both + coherent.real, both - coherent.real, upper - lower - 1j * coherent.imag, count)
 
 
-def ratio(sum_power: Array, _difference_power: Array, cross_power: ComplexArray, _noise_energy: float | Array) -> Array:
+def ratio(sum_power: F64, _difference_power: F64, cross_power: C128, _noise_energy: float | F64) -> F64:
     """Power-weighted mean of Re(Delta / Sigma): Re sum Delta Sigma* / sum |Sigma|^2 (SAL paper, section 3).
 
     Biased towards the middle of the pair by the factor CNR / (CNR + 1) for a fluctuating target, however many looks
@@ -89,9 +86,7 @@ def ratio(sum_power: Array, _difference_power: Array, cross_power: ComplexArray,
     return np.real(cross_power) / sum_power
 
 
-def noise_subtraction(
-    sum_power: Array, _difference_power: Array, cross_power: ComplexArray, noise_energy: float | Array
-) -> Array:
+def noise_subtraction(sum_power: F64, _difference_power: F64, cross_power: C128, noise_energy: float | F64) -> F64:
     """`ratio` without the noise in its denominator: Re sum Delta Sigma* / (sum |Sigma|^2 - noise energy).
 
     Free of the bias as the looks grow in number. NaN where there is no more power in Sigma than noise.
@@ -100,9 +95,7 @@ def noise_subtraction(
     return np.where(signal > 0, np.real(cross_power) / np.where(signal > 0, signal, 1.0), np.nan)
 
 
-def total_least_squares(
-    sum_power: Array, difference_power: Array, cross_power: ComplexArray, _noise_energy: float | Array
-) -> Array:
+def total_least_squares(sum_power: F64, difference_power: F64, cross_power: C128, _noise_energy: float | F64) -> F64:
     """Exact two-channel maximum likelihood: noise in Sigma is accounted for, so the bias of `ratio` is gone.
 
     The ratio of the principal eigenvector of the covariance of Sigma and Delta: its modulus is
@@ -122,7 +115,7 @@ energy K sigma^2 of the noise in Sigma. Real beams make the mean of Delta Sigma*
 as noise alone is left in the other."""
 
 
-def discriminate(sums: Products, estimator: Estimator, noise_powers: NoisePowers) -> Array:
+def discriminate(sums: Products, estimator: Estimator, noise_powers: NoisePowers) -> F64:
     """Estimate of gamma from products, in their shape.
 
     Delta is scaled until its noise equals that of Sigma, as total least squares needs it, and gamma is scaled back:
@@ -156,7 +149,7 @@ def whitened_products(sums: Products, noise_powers: NoisePowers) -> tuple[Produc
     return scaled, scale
 
 
-def accuracy(sums: Products, response: Array, slope: Array, noise_powers: NoisePowers) -> tuple[Array, Array]:
+def accuracy(sums: Products, response: F64, slope: F64, noise_powers: NoisePowers) -> tuple[F64, F64]:
     """Standard deviation of elevation (rad), and the CNR of one look, from the energy that these looks have.
 
     The deviation is that of gamma (`sum_difference_theory.products_variance`) over the discriminant's slope. The CNR is
@@ -180,7 +173,7 @@ def accuracy(sums: Products, response: Array, slope: Array, noise_powers: NoiseP
     return np.sqrt(np.where(energy > 0, variance, np.inf)), np.asarray(cnr)
 
 
-def discriminator_variance(gamma: npt.ArrayLike, energy: npt.ArrayLike, noise_powers: tuple[float, float]) -> Array:
+def discriminator_variance(gamma: npt.ArrayLike, energy: npt.ArrayLike, noise_powers: tuple[float, float]) -> F64:
     """Variance of gamma to first order in the noise: (N_Delta + gamma^2 N_Sigma) / (2 E); broadcasts.
 
     (1 + gamma^2) / (2 x) for equal noise and the signal-to-noise ratio x in Sigma. That of `ratio` and of the exact
@@ -199,7 +192,7 @@ def discriminator_variance(gamma: npt.ArrayLike, energy: npt.ArrayLike, noise_po
 
 def products_variance(
     gamma: npt.ArrayLike, energy: npt.ArrayLike, count: npt.ArrayLike, noise_powers: tuple[float, float]
-) -> Array:
+) -> F64:
     """Variance of the maximum likelihood estimate of gamma from products summed over many looks or pulses; broadcasts.
 
     `discriminator_variance` times 1 + K / (E/N_Sigma + gamma^2 E/N_Delta). The second term is what it costs that the

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from scipy.optimize import elementwise
 
 from sal_height.beams import Beams
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64, I64, U8, Bool
 
 LEAST_SLOPE = 1e-5
 """Slope of the discriminant per beamwidth at which its domain ends.
@@ -76,21 +75,21 @@ class Inversion:
             NO_DOMAIN where the pair has none at that squint. uint8.
     """
 
-    elevation: Array
-    slope: Array
-    reason: npt.NDArray[np.uint8]
+    elevation: F64
+    slope: F64
+    reason: U8
 
 
 @dataclass(frozen=True)
 class _Table:
     """Nodes of the discriminant over its domain, shape (squints, TABLE_NODES); NaN where there is no domain."""
 
-    elevation: Array
-    mu: Array
-    slope: Array
+    elevation: F64
+    mu: F64
+    slope: F64
 
 
-def discriminant(pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+def discriminant(pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
     """Noise-free discriminant Re(Delta / Sigma) of two beams for targets at `elevation` and `squint` (rad); broadcasts.
 
     Not finite where Sigma is 0.
@@ -98,12 +97,12 @@ def discriminant(pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -
     return _ratio(pair.response(elevation, squint))
 
 
-def discriminant_slope(pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> Array:
+def discriminant_slope(pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
     """Derivative of `discriminant` with respect to elevation, 1/rad: Re 2 (u' l - u l') / Sigma^2; broadcasts."""
     return _ratio_slope(pair.response(elevation, squint), pair.slope(elevation, squint))
 
 
-def discriminant_domain(pair: Beams, squint: npt.ArrayLike) -> tuple[Array, Array]:
+def discriminant_domain(pair: Beams, squint: npt.ArrayLike) -> tuple[F64, F64]:
     """Least and greatest elevation (rad) between which the discriminant can be inverted, in the shape of `squint`.
 
     The interval around the crossing of the two beams in which mu rises by LEAST_SLOPE per beamwidth or more, |mu| <= 1,
@@ -161,7 +160,7 @@ def invert(pair: Beams, mu: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
     return Inversion(elevation, slope, reason)
 
 
-def moving_squint(squint: npt.ArrayLike, radial_velocity: npt.ArrayLike, speed: npt.ArrayLike) -> Array:
+def moving_squint(squint: npt.ArrayLike, radial_velocity: npt.ArrayLike, speed: npt.ArrayLike) -> F64:
     """Squint (rad) at which a moving target really is that an image shows at `squint`; broadcasts.
 
     A target at squint phi recedes from the platform at v_r - v sin phi: its own velocity, less what the platform gains
@@ -180,20 +179,20 @@ def moving_squint(squint: npt.ArrayLike, radial_velocity: npt.ArrayLike, speed: 
     return np.asarray(np.asarray(squint) + np.asarray(radial_velocity) / np.asarray(speed))
 
 
-def _ratio(amplitude: Array) -> Array:
+def _ratio(amplitude: F64) -> F64:
     lower, upper = amplitude[..., 0], amplitude[..., 1]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.real((upper - lower) / (upper + lower))
 
 
-def _ratio_slope(amplitude: Array, derivative: Array) -> Array:
+def _ratio_slope(amplitude: F64, derivative: F64) -> F64:
     with np.errstate(divide="ignore", invalid="ignore"):
         total = np.sum(amplitude, axis=-1, keepdims=True)
         (lower, upper), (lower_slope, upper_slope) = (np.moveaxis(f / total, -1, 0) for f in (amplitude, derivative))
         return np.asarray(2 * np.real(upper_slope * lower - upper * lower_slope))
 
 
-def _margin(pair: Beams, elevation: Array, squint: Array, phase: Array) -> Array:
+def _margin(pair: Beams, elevation: F64, squint: F64, phase: F64) -> F64:
     """What is left of the domain's tightest condition, negative outside; -1 where the discriminant is not finite.
 
     `phase` is that of Sigma at a place nearby: where Sigma has passed through 0, it differs by half a turn.
@@ -215,17 +214,17 @@ def _margin(pair: Beams, elevation: Array, squint: Array, phase: Array) -> Array
     return np.where((strength >= LEAST_AMPLITUDE) & np.isfinite(margin), margin, -1.0)
 
 
-def _stack(pair: Beams, boresights: Array) -> Beams:
+def _stack(pair: Beams, boresights: F64) -> Beams:
     """Pairs like `pair` with other boresights, shape (pairs, 2)."""
     return replace(pair, boresights=boresights, middle=pair.axis_middle)
 
 
-def _part(stack: Beams, index: npt.NDArray[np.int64]) -> Beams:
+def _part(stack: Beams, index: I64) -> Beams:
     """Some pairs of a stack."""
     return replace(stack, boresights=stack.boresights[index])
 
 
-def _different(pair: Beams, squint: Array) -> tuple[Array, Beams, npt.NDArray[np.int64]]:
+def _different(pair: Beams, squint: F64) -> tuple[F64, Beams, I64]:
     """The different combinations of squint and pair, and which of them each is; that in the shape they broadcast to."""
     squints, squint_of = np.unique(squint, return_inverse=True)
     lowers, pair_of = np.unique(pair.boresights[..., 0], return_inverse=True)
@@ -235,7 +234,7 @@ def _different(pair: Beams, squint: Array) -> tuple[Array, Beams, npt.NDArray[np
     return squints[combined.ravel()[first] // len(lowers)], _stack(pair, boresights), which.reshape(combined.shape)
 
 
-def _domain(stack: Beams, squint: Array) -> tuple[Array, Array]:
+def _domain(stack: Beams, squint: F64) -> tuple[F64, F64]:
     """`discriminant_domain` of a stack of pairs at one squint each."""
     middle = np.mean(stack.boresights, axis=-1)
     crossing = _on_axis(stack, middle, squint + np.average(stack.aspects, weights=stack.weights))
@@ -246,13 +245,13 @@ def _domain(stack: Beams, squint: Array) -> tuple[Array, Array]:
     return low, high
 
 
-def _on_axis(pair: Beams, place: Array, squint: Array) -> Array:
+def _on_axis(pair: Beams, place: F64, squint: F64) -> F64:
     """Elevation (rad) of the direction at `squint` that has its `place` (rad from nadir) along the detector axis."""
     middle = pair.axis_middle
     return np.asarray(middle + (place - middle - squint * math.sin(pair.rotation)) / math.cos(pair.rotation))
 
 
-def _known(pair: Beams, squint: Array) -> tuple[Array, Array]:
+def _known(pair: Beams, squint: F64) -> tuple[F64, F64]:
     """Elevations (rad) at which the patterns are known under all aspects."""
     first, last = pair.known
     within = 0.1 * ROUNDING * pair.beamwidth
@@ -260,7 +259,7 @@ def _known(pair: Beams, squint: Array) -> tuple[Array, Array]:
     return _on_axis(pair, first + within, seen).max(axis=0), _on_axis(pair, last - within, seen).min(axis=0)
 
 
-def _ends(stack: Beams, squint: Array, crossing: Array, direction: Array) -> Array:
+def _ends(stack: Beams, squint: F64, crossing: F64, direction: F64) -> F64:
     """End of the domain below (`direction` -1) or above (1) the crossing of each pair; NaN if that is outside."""
     lowest, highest = _known(stack, squint)
     going = np.flatnonzero((crossing >= lowest) & (crossing <= highest))
@@ -292,11 +291,11 @@ def _ends(stack: Beams, squint: Array, crossing: Array, direction: Array) -> Arr
     return inside
 
 
-def _sum_phase(pair: Beams, elevation: Array, squint: Array) -> Array:
+def _sum_phase(pair: Beams, elevation: F64, squint: F64) -> F64:
     return np.asarray(np.angle(np.sum(pair.response(elevation, squint), axis=-1)))
 
 
-def _table(stack: Beams, squint: Array) -> _Table:
+def _table(stack: Beams, squint: F64) -> _Table:
     """Table of each pair at its squint, denser towards the ends of the domain."""
     low, high = _domain(stack, squint)
     share = (1 - np.cos(np.linspace(0, np.pi, TABLE_NODES))) / 2
@@ -309,13 +308,13 @@ def _table(stack: Beams, squint: Array) -> _Table:
     return _Table(elevation, mu, slope)
 
 
-def _evaluate(pair: Beams, elevation: Array, squint: Array) -> tuple[Array, Array]:
+def _evaluate(pair: Beams, elevation: F64, squint: F64) -> tuple[F64, F64]:
     """Discriminant and its slope (1/rad)."""
     amplitude = pair.response(elevation, squint)
     return _ratio(amplitude), _ratio_slope(amplitude, pair.slope(elevation, squint))
 
 
-def _solve(stack: Beams, mu: Array, squints: Array, which: npt.NDArray[np.int64], table: _Table) -> tuple[Array, Array]:
+def _solve(stack: Beams, mu: F64, squints: F64, which: I64, table: _Table) -> tuple[F64, F64]:
     """Elevation and slope for each `mu` of shape (pixels,), whose pair and squint are number `which`."""
     # Discriminants of number k lie within 3 k - 1 and 3 k + 1, so that one search finds the nodes around all pixels.
     nodes = (3 * np.arange(len(squints))[:, None] + np.nan_to_num(table.mu)).ravel()
@@ -333,7 +332,7 @@ def _solve(stack: Beams, mu: Array, squints: Array, which: npt.NDArray[np.int64]
     return _newton(_part(stack, which), mu, squints[which], start, low, high)
 
 
-def _newton(stack: Beams, mu: Array, squint: Array, start: Array, low: Array, high: Array) -> tuple[Array, Array]:
+def _newton(stack: Beams, mu: F64, squint: F64, start: F64, low: F64, high: F64) -> tuple[F64, F64]:
     """Solution between `low` and `high`, and the slope there: Newton's step, or half the bracket if that leaves it."""
     settled = SETTLED * (high - low) + 4 * np.finfo(np.float64).eps
     elevation, slope = start, np.empty_like(start)
@@ -353,7 +352,7 @@ def _newton(stack: Beams, mu: Array, squint: Array, start: Array, low: Array, hi
     return elevation, slope
 
 
-Inverse = Callable[[Beams, Array, Array], Inversion]
+Inverse = Callable[[Beams, F64, F64], Inversion]
 """Elevations from the pair of beams, gamma, and the squint of each (rad, broadcasts): see `discriminant.invert`."""
 
 
@@ -377,15 +376,13 @@ def invert_linear(pair: Beams, gamma: npt.ArrayLike, squint: npt.ArrayLike) -> I
     return inversion_between(elevation, slope, gamma, (-1.0, 1.0), rising)
 
 
-def equisignal_elevation(pair: Beams, squint: Array) -> Array:
+def equisignal_elevation(pair: Beams, squint: F64) -> F64:
     """Elevation (rad) at `squint` of the direction as far along the detector axis from one beam as from the other."""
     seen = squint + np.average(pair.aspects, weights=pair.weights)
     return np.asarray(np.mean(pair.boresights) - seen * np.tan(pair.rotation))
 
 
-def inversion_between(
-    elevation: Array, slope: Array, gamma: Array, ends: tuple[float, float], exists: npt.NDArray[np.bool_]
-) -> Inversion:
+def inversion_between(elevation: F64, slope: F64, gamma: F64, ends: tuple[float, float], exists: Bool) -> Inversion:
     """The inversion of gamma that is good between `ends`, where there `exists` a characteristic at all."""
     reason = np.select(
         [~np.isfinite(gamma), ~exists, gamma < ends[0], gamma > ends[1]],

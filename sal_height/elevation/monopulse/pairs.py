@@ -8,7 +8,6 @@ in Sigma is taken in each pixel; its discriminant mu = Re(Delta / Sigma) is esti
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate, Validity, validity_of
@@ -18,15 +17,14 @@ from sal_height.elevation.monopulse.estimators import Estimator, accuracy, discr
 from sal_height.elevation.monopulse.inversion import Inversion, Reason, invert
 from sal_height.elevation.search import Columns, PeakSearch, PeakSearches
 from sal_height.errors import UserError
-
-Array = npt.NDArray[np.float64]
+from sal_height.numeric import F64, Bool, Index
 
 OUTSIDE_MARGIN = 3.0
 """Noise powers by which a direction outside the array must explain a pixel better to be believed."""
 
 
 def monopulse_elevation(
-    looks: Looks, beams: Beams, squint: Array, noise_power: float, discriminant: Estimator, min_cnr: float
+    looks: Looks, beams: Beams, squint: F64, noise_power: float, discriminant: Estimator, min_cnr: float
 ) -> ElevationEstimate:
     """Elevation of the dominant scatterer in every pixel from its strongest pair.
 
@@ -48,7 +46,7 @@ def monopulse_elevation(
         raise UserError(f"The sensor has {beams.count} detector; monopulse needs 2 or more.")
     searches = PeakSearches.over(beams, np.unique(squint), OBJECTIVES["normalised"], search_guard(beams))
 
-    def strongest(search: PeakSearch, pixels: Covariance, *_where: object) -> Array:
+    def strongest(search: PeakSearch, pixels: Covariance, *_where: object) -> F64:
         best, _ = search.peaks(pixels)
         return np.stack([*_strongest_pair(pixels), best, search.fit(pixels, best)[0]])
 
@@ -61,7 +59,7 @@ def monopulse_elevation(
     found, response = _invert_pairs(beams, pair.astype(np.intp), mu, np.broadcast_to(squint, mu.shape))
     sigma, cnr = accuracy(sums, response, found.slope, noise_powers)
 
-    def at_found(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> Array:
+    def at_found(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> F64:
         return search.fit(pixels, found.elevation[rows, cols].reshape(-1))[:1]
 
     (explained,) = searches.of_pixels(looks.covariance, squint, 1, at_found) / noise_power
@@ -74,7 +72,7 @@ def monopulse_elevation(
     return ElevationEstimate(found.elevation, sigma, cnr, validity)
 
 
-def _strongest_pair(covariance: Covariance) -> tuple[Array, Array, Array, Array, Array]:
+def _strongest_pair(covariance: Covariance) -> tuple[F64, F64, F64, F64, F64]:
     """Lower detector of the pair with the most power in Sigma, and sums over looks of its products.
 
     Of pixels (..., M, M): the number of the lower detector, |l|^2, |u|^2, and real and imaginary part of l u*, which
@@ -89,7 +87,7 @@ def _strongest_pair(covariance: Covariance) -> tuple[Array, Array, Array, Array,
     return pair[..., 0].astype(np.float64), lower, upper, product.real, product.imag
 
 
-def _invert_pairs(beams: Beams, pair: npt.NDArray[np.intp], mu: Array, squint: Array) -> tuple[Inversion, Array]:
+def _invert_pairs(beams: Beams, pair: Index, mu: F64, squint: F64) -> tuple[Inversion, F64]:
     """What `mu` of each pixel's `pair` means, and the response of the pair's beams there, (..., 2)."""
     elevation, slope = np.full((2, *mu.shape), np.nan)
     reason = np.full(mu.shape, Reason.NOT_FINITE, np.uint8)
@@ -102,7 +100,7 @@ def _invert_pairs(beams: Beams, pair: npt.NDArray[np.intp], mu: Array, squint: A
     return Inversion(elevation, slope, reason), response
 
 
-def _inverted_together(beams: Beams, pair: npt.NDArray[np.intp]) -> list[npt.NDArray[np.bool_]]:
+def _inverted_together(beams: Beams, pair: Index) -> list[Bool]:
     """Pixels whose pairs make a stack: all where the detectors have one pattern, otherwise those of each pair."""
     if len(beams.patterns) == 1:
         return [np.ones(pair.shape, dtype=np.bool_)]

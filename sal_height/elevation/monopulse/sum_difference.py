@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import gammainccinv
 
 from sal_height.beams import Beams
@@ -39,9 +38,7 @@ from sal_height.elevation.monopulse.inversion import (
     invert,
 )
 from sal_height.errors import UserError
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
+from sal_height.numeric import F64, U8, Bool
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,7 @@ class Discriminator:
 
 
 def sum_difference_elevation(
-    looks: Looks, pair: Beams, squint: Array, noise_powers: NoisePowers, discriminator: Discriminator, min_cnr: float
+    looks: Looks, pair: Beams, squint: F64, noise_powers: NoisePowers, discriminator: Discriminator, min_cnr: float
 ) -> ElevationEstimate:
     """Elevation of the scatterer in every pixel of images whose channels are Sigma and Delta.
 
@@ -91,9 +88,7 @@ def sum_difference_elevation(
     return ElevationEstimate(found.elevation, sigma, cnr, _validity(looks, sums, noise_powers, found, cnr >= min_cnr))
 
 
-def _validity(
-    looks: Looks, sums: Products, noise_powers: NoisePowers, found: Inversion, strong: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.uint8]:
+def _validity(looks: Looks, sums: Products, noise_powers: NoisePowers, found: Inversion, strong: Bool) -> U8:
     """Reason for which each pixel's estimate cannot be used, the first that applies, or OK."""
     explained, left = _eigenvalues(whitened_products(sums, noise_powers)[0]) / noise_powers[0]
     count = looks.count
@@ -114,7 +109,7 @@ def _validity(
     ).astype(np.uint8)
 
 
-def _eigenvalues(sums: Products) -> Array:
+def _eigenvalues(sums: Products) -> F64:
     """The greater and the lesser eigenvalue of the covariance of Sigma and Delta, shape (2, ...)."""
     mean = (sums.sum_power + sums.difference_power) / 2
     apart = np.hypot((sums.sum_power - sums.difference_power) / 2, np.abs(sums.cross_power))

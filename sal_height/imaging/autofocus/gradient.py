@@ -22,7 +22,6 @@ from dataclasses import dataclass, replace
 
 import finufft
 import numpy as np
-import numpy.typing as npt
 from scipy.constants import speed_of_light
 
 from sal_height.errors import UserError
@@ -30,10 +29,8 @@ from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging.autofocus.phase_error import detrended, without_shift
 from sal_height.imaging.autofocus.phase_linking import beam_coherence, covariances, link_phases, signal_modes
 from sal_height.imaging.pixels import azimuth_resolution
+from sal_height.numeric import C128, F64
 from sal_height.sensor import NUFFT_TOLERANCE, PhaseHistory, Sensor
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 TRUSTED_ERROR = 0.5
 """Greatest standard error, rad, at which a phase is worth applying: it leaves 0.8 of a point's peak power."""
@@ -73,7 +70,7 @@ class Focus:
         last_change: rms change of the phase in the last iteration, or in the last round on targets, rad.
     """
 
-    phase: Array
+    phase: F64
     method: str
     standard_error: float
     coherence: float
@@ -87,7 +84,7 @@ class Focus:
         return self.standard_error <= TRUSTED_ERROR and self.sharpness_gain >= 1 - SHARPNESS_LOSS
 
 
-def autofocus(history: PhaseHistory, antenna: Array, sensor: Sensor, patches: Array) -> Focus:
+def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64) -> Focus:
     """Estimate the phase error of a dwell; ask the result whether it is to be trusted.
 
     The band is used without a window: it has more independent range cells so, and sidelobes share the phase error.
@@ -124,7 +121,7 @@ def autofocus(history: PhaseHistory, antenna: Array, sensor: Sensor, patches: Ar
     )
 
 
-def apply_phase(history: PhaseHistory, phase: Array) -> PhaseHistory:
+def apply_phase(history: PhaseHistory, phase: F64) -> PhaseHistory:
     """The history with exp(-j phase) on every pulse, the same for every detector and frequency.
 
     Args:
@@ -135,9 +132,7 @@ def apply_phase(history: PhaseHistory, phase: Array) -> PhaseHistory:
     return replace(history, samples=history.samples * turn[:, None])
 
 
-def pulse_responses(
-    history: PhaseHistory, antenna: Array, sensor: Sensor, weights: Array, points: Array
-) -> ComplexArray:
+def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights: F64, points: F64) -> C128:
     """What each pulse contributes to points: backprojection without the sum over pulses.
 
     response(p, t) = sum over frequencies of w(f) samples(t, f) exp(+j 4 pi f (|p - antenna| - reference) / c)
@@ -163,7 +158,7 @@ def pulse_responses(
     return responses
 
 
-def phase_gradient(responses: ComplexArray) -> Array:
+def phase_gradient(responses: C128) -> F64:
     """Phase error by the maximum-likelihood kernel of neighbouring pulses, integrated from 0, rad, shape (pulses,).
 
     Args:
@@ -173,7 +168,7 @@ def phase_gradient(responses: ComplexArray) -> Array:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def neighbour_coherence(responses: ComplexArray) -> float:
+def neighbour_coherence(responses: C128) -> float:
     """Magnitude of the kernel's sums over that of perfectly coherent responses, over all pulses: 0 to 1.
 
     Noise alone gives about 1 / sqrt(responses). Weighted with the powers, so that dark cells do not count.
@@ -182,7 +177,7 @@ def neighbour_coherence(responses: ComplexArray) -> float:
     return float(np.sum(np.abs(_neighbour_products(responses))) / np.sum(np.sqrt(power[1:] * power[:-1])))
 
 
-def focus_speckle(responses: ComplexArray, noise_power: Array, coherence: ComplexArray) -> Focus:
+def focus_speckle(responses: C128, noise_power: F64, coherence: C128) -> Focus:
     """Phase error from all that the beam lights: gradient of neighbours, then all pairs of pulses.
 
     Args:
@@ -197,7 +192,7 @@ def focus_speckle(responses: ComplexArray, noise_power: Array, coherence: Comple
     return Focus(linked.phase, "speckle", linked.standard_error, np.nan, np.nan, linked.iterations, linked.last_change)
 
 
-def focus_targets(responses: ComplexArray, half_width: int) -> Focus:
+def focus_targets(responses: C128, half_width: int) -> Focus:
     """Phase error from bright targets: phase-gradient autofocus on the pictures around points.
 
     In rounds, each from wide to narrow windows, until one finds nothing new: a blur that is wider than the pictures
@@ -217,7 +212,7 @@ def focus_targets(responses: ComplexArray, half_width: int) -> Focus:
     return Focus(phase, "targets", float(np.hypot(error, change)), np.nan, np.nan, iterations, change)
 
 
-def _round(responses: ComplexArray, half_width: int) -> tuple[Array, float, int]:
+def _round(responses: C128, half_width: int) -> tuple[F64, float, int]:
     """Phase error, its standard error, rad, and the number of iterations; that is 0 where there is no target.
 
     Each iteration looks at the present picture of every point, an FFT over its pulses, within `half_width` cells,
@@ -251,7 +246,7 @@ def patch_half_width(sensor: Sensor) -> int:
     return min(int(speed_of_light / (sensor.wavelength * sensor.bandwidth)), (sensor.pulse_count - 1) // 2)
 
 
-def patch_centres(sensor: Sensor, aperture: ApertureState, grid: Grid) -> Array:
+def patch_centres(sensor: Sensor, aperture: ApertureState, grid: Grid) -> F64:
     """Points for `autofocus`: a row of patches for every range cell of an image, side by side across its columns.
 
     Args:
@@ -271,12 +266,12 @@ def patch_centres(sensor: Sensor, aperture: ApertureState, grid: Grid) -> Array:
     return np.asarray(grid.points(rows[:, None], patches))
 
 
-def _spread(pixels: int, count: int) -> Array:
+def _spread(pixels: int, count: int) -> F64:
     """Middles of `count` equal parts of a row of pixels, as fractional indices."""
     return (np.arange(count) + 0.5) * pixels / count - 0.5
 
 
-def _sees_whole_beam(sensor: Sensor, antenna: Array) -> bool:
+def _sees_whole_beam(sensor: Sensor, antenna: F64) -> bool:
     """Whether all that the beam lights stays in its range cell during the dwell."""
     half_beam = 2 * np.linalg.norm(antenna[-1] - antenna[0]) * sensor.beamwidth / sensor.wavelength
     return bool(half_beam <= patch_half_width(sensor))
@@ -286,27 +281,27 @@ def _nothing(pulses: int) -> Focus:
     return Focus(np.zeros(pulses), "none", np.inf, 0.0, 1.0, 0, 0.0)
 
 
-def _rms(values: Array) -> float:
+def _rms(values: F64) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _turned(responses: ComplexArray, phase: Array) -> ComplexArray:
+def _turned(responses: C128, phase: F64) -> C128:
     return np.asarray(responses * np.exp(-1j * phase))
 
 
-def _neighbour_products(responses: ComplexArray) -> ComplexArray:
+def _neighbour_products(responses: C128) -> C128:
     """Sum over all but the pulses of conj(g(t)) g(t+1), shape (pulses - 1,)."""
     flat = responses.reshape(-1, responses.shape[-1])
     return np.asarray(np.einsum("gt,gt->t", flat[:, :-1].conj(), flat[:, 1:]))
 
 
-def _picture(responses: ComplexArray, half_width: int) -> Array:
+def _picture(responses: C128, half_width: int) -> F64:
     """Power of the azimuth cells around points, summed over the detectors, shape (points, 2 half_width + 1)."""
     power = np.sum(np.abs(np.fft.fft(responses)) ** 2, axis=0)
     return np.asarray(np.roll(power, half_width, axis=-1)[:, : 2 * half_width + 1])
 
 
-def _sharpness(responses: ComplexArray, half_width: int) -> float:
+def _sharpness(responses: C128, half_width: int) -> float:
     """Sum of squared powers over the square of their sum; 1 for nothing at all."""
     picture = _picture(responses, half_width)
     if not np.any(picture):
@@ -314,7 +309,7 @@ def _sharpness(responses: ComplexArray, half_width: int) -> float:
     return float(np.sum(picture**2) / np.sum(picture) ** 2)
 
 
-def _centred_targets(responses: ComplexArray, half_width: int) -> ComplexArray:
+def _centred_targets(responses: C128, half_width: int) -> C128:
     """Responses of the points whose picture holds a bright target, which a linear phase moves to the middle."""
     picture = _picture(responses, half_width)
     bright = picture.max(axis=-1) > BRIGHT_TARGET * np.median(picture)
@@ -323,14 +318,14 @@ def _centred_targets(responses: ComplexArray, half_width: int) -> ComplexArray:
     return np.asarray(responses[:, bright] * np.exp(-2j * np.pi / pulses * cell[:, None] * np.arange(pulses)))
 
 
-def _windowed(responses: ComplexArray, width: float) -> ComplexArray:
+def _windowed(responses: C128, width: float) -> C128:
     """Responses of what lies within `width` azimuth cells around the middle."""
     pulses = responses.shape[-1]
     near = np.abs(np.fft.fftfreq(pulses, 1 / pulses)) <= width / 2
     return np.asarray(np.fft.ifft(np.fft.fft(responses) * near))
 
 
-def _against_others(targets: ComplexArray) -> tuple[Array, float]:
+def _against_others(targets: C128) -> tuple[F64, float]:
     """Phase of each pulse against what the others say of the targets, and its standard error (rms), rad.
 
     The others' say is the response in the narrowest window less the pulse's own share in it. The products with it

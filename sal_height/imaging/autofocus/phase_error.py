@@ -7,23 +7,21 @@ in azimuth; neither is counted as an error.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-
+from sal_height.numeric import F64
 
 SMOOTH_STEP = 1.0
 """Greatest rms step from pulse to pulse, rad, at which a phase can be unwrapped: pi is then three times as much."""
 
 
-def detrended(phase: Array) -> Array:
+def detrended(phase: F64) -> F64:
     """The phase without its mean and its linear trend: the least-squares line, every pulse counting the same."""
     time = np.linspace(-1.0, 1.0, len(phase))
     level = phase - phase.mean()
     return np.asarray(level - time * (time @ level) / (time @ time))
 
 
-def without_shift(phase: Array) -> Array:
+def without_shift(phase: F64) -> F64:
     """The phase, unwrapped, without what cannot or must not be corrected: its mean, and a shift where it has one.
 
     A linear trend moves the image along the flight, which navigation knows better than an image does. Where the phase

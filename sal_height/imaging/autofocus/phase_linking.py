@@ -17,13 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
+from sal_height.numeric import C128, F64
 from sal_height.sensor import Sensor
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 LIT_BEAMWIDTHS = 1.0
 """Extent of the lit scene to each side of the beam's middle, in beamwidths: about the first null."""
@@ -61,7 +58,7 @@ class Covariance:
         count: number of responses.
     """
 
-    total: ComplexArray
+    total: C128
     snr: float
     count: int
 
@@ -77,13 +74,13 @@ class LinkedPhases:
         last_change: rms of the last one, rad.
     """
 
-    phase: Array
+    phase: F64
     standard_error: float
     iterations: int
     last_change: float
 
 
-def beam_coherence(sensor: Sensor, antenna: Array, centre: Array) -> ComplexArray:
+def beam_coherence(sensor: Sensor, antenna: F64, centre: F64) -> C128:
     """Coherence of the responses at a point in the middle of the beam, between every two pulses.
 
     Speckle on a line through `centre` along the flight, weighted with the power pattern of the beam.
@@ -108,7 +105,7 @@ def beam_coherence(sensor: Sensor, antenna: Array, centre: Array) -> ComplexArra
     return np.asarray(waves @ waves.conj().T)
 
 
-def signal_modes(responses: ComplexArray, noise_power: Array) -> tuple[ComplexArray, Array]:
+def signal_modes(responses: C128, noise_power: F64) -> tuple[C128, F64]:
     """Combinations of the detectors that hold more than noise.
 
     A common phase leaves the covariance between the detectors of a range cell as it is. Its eigenvectors whose values
@@ -133,14 +130,14 @@ def signal_modes(responses: ComplexArray, noise_power: Array) -> tuple[ComplexAr
     return combined[seen], snr[seen]
 
 
-def covariances(modes: ComplexArray, snr: Array) -> list[Covariance]:
+def covariances(modes: C128, snr: F64) -> list[Covariance]:
     """Sample covariances of the modes, in classes of signal-to-noise ratio."""
     steps = np.floor(np.log(snr) / np.log(CLASS_RATIO))
     classes = [steps == step for step in np.unique(steps)]
     return [Covariance(modes[c].T @ modes[c].conj(), float(snr[c].mean()), int(c.sum())) for c in classes]
 
 
-def link_phases(samples: list[Covariance], coherence: ComplexArray, start: Array) -> LinkedPhases:
+def link_phases(samples: list[Covariance], coherence: C128, start: F64) -> LinkedPhases:
     """Phases of maximum likelihood by Fisher scoring; their mean and linear trend are those of the start.
 
     Args:
@@ -161,7 +158,7 @@ def link_phases(samples: list[Covariance], coherence: ComplexArray, start: Array
     return LinkedPhases(phase, float(np.sqrt(np.mean(np.diag(variance)))), iteration, change)
 
 
-def _weighted(samples: list[Covariance], coherence: ComplexArray) -> tuple[ComplexArray, Array]:
+def _weighted(samples: list[Covariance], coherence: C128) -> tuple[C128, F64]:
     """Sum over all responses of -conj(g_t) (snr Gamma + 1)^-1 g_s, and their Fisher information."""
     identity = np.eye(len(coherence))
     weighted, information = np.zeros_like(coherence), np.zeros(coherence.shape)
@@ -173,7 +170,7 @@ def _weighted(samples: list[Covariance], coherence: ComplexArray) -> tuple[Compl
     return weighted, information
 
 
-def _inverse_without_trend(information: Array) -> Array:
+def _inverse_without_trend(information: F64) -> F64:
     """Inverse on the phases without mean and linear trend, 0 on those two."""
     pulses = len(information)
     trend = np.stack([np.ones(pulses), np.linspace(-1.0, 1.0, pulses)], axis=1)

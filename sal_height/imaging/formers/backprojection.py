@@ -6,14 +6,18 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.geometry import Grid
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import (
+    C64,
+    F32,
+    F64,
+    I32,
     OVERSAMPLING,
     TAPS,
     WORKERS,
+    Bool,
     compiled,
     cosine_and_sine,
     dense_profiles,
@@ -21,12 +25,6 @@ from sal_height.numeric import (
     tap_weights,
 )
 from sal_height.sensor import PhaseHistory, Sensor
-
-Array = npt.NDArray[np.float64]
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int32]
-BoolArray = npt.NDArray[np.bool_]
-ComplexArray = npt.NDArray[np.complex64]
 
 PULSES_AT_ONCE = 16
 """Pulses whose dense profiles are held at a time: a few megabytes."""
@@ -38,9 +36,7 @@ PIXELS_AT_ONCE = 4096
 """Pixels whose geometry is held at a time: what fits into a processor's cache."""
 
 
-def backproject(
-    history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid
-) -> ComplexArray:
+def backproject(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> C64:
     """Images of all detectors at the pixels of `grid`, (detectors, rows, cols); see `backproject_points`."""
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
     rows = max(1, PIXELS_OF_IMAGE // grid.cols)
@@ -53,8 +49,8 @@ def backproject(
 
 
 def backproject_points(
-    history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, points: Array, direction: Array
-) -> ComplexArray:
+    history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, points: F64, direction: F64
+) -> C64:
     """Value of every detector's image at some points, by the same filter.
 
     image(p) = sum over pulses and frequencies of w(f) a(p) samples exp(+j 4 pi f (|p - antenna| - reference) / c), over
@@ -102,7 +98,7 @@ def backproject_points(
             block = slice(first, first + PULSES_AT_ONCE)
             profiles = dense_profiles(history.samples[:, block], range_weights)
 
-            def add(piece: slice, profiles: FloatArray = profiles, block: slice = block) -> None:
+            def add(piece: slice, profiles: F32 = profiles, block: slice = block) -> None:
                 _add_pulses(
                     points[:, piece].copy(), along[piece], track[block], profiles, taps, taper, scales,
                     image[piece], weight[piece], valid[piece],
@@ -115,7 +111,7 @@ def backproject_points(
     return _as_complex(image)
 
 
-def filled_apertures(points: Array, antenna: Array, direction: Array, angle: float) -> BoolArray:
+def filled_apertures(points: F64, antenna: F64, direction: F64, angle: float) -> Bool:
     """Whether the pulses reach from end to end of the processed angle of each point; (points,)."""
     ends = [
         (position - points) @ direction / np.linalg.norm(position - points, axis=-1) for position in antenna[[0, -1]]
@@ -123,7 +119,7 @@ def filled_apertures(points: Array, antenna: Array, direction: Array, angle: flo
     return np.asarray((np.minimum(*ends) <= -angle / 2) & (np.maximum(*ends) >= angle / 2)) if angle else np.array(True)
 
 
-def valid_pixels(history: PhaseHistory, antenna: Array, sensor: Sensor, angle: float, grid: Grid) -> BoolArray:
+def valid_pixels(history: PhaseHistory, antenna: F64, sensor: Sensor, angle: float, grid: Grid) -> Bool:
     """Where `backproject` gives values and not NaN, (rows, cols), for the processed `angle` (rad; 0 in spotlight).
 
     Range grows with the rows, so that they are looked at from both ends, until one is within the window everywhere.
@@ -151,7 +147,7 @@ def valid_pixels(history: PhaseHistory, antenna: Array, sensor: Sensor, angle: f
     return valid
 
 
-def _as_complex(image: FloatArray) -> ComplexArray:
+def _as_complex(image: F32) -> C64:
     """(pixels, 2, detectors) reals to (detectors, pixels) complex."""
     result = np.empty((image.shape[2], image.shape[0]), dtype=np.complex64)
     result.real, result.imag = image[:, 0].T, image[:, 1].T
@@ -163,16 +159,16 @@ def _as_complex(image: FloatArray) -> ComplexArray:
 
 @compiled
 def _add_pulses(
-    points: Array,
-    along: Array,
-    track: Array,
-    profiles: FloatArray,
-    taps: FloatArray,
-    taper: FloatArray,
-    scales: Array,
-    image: FloatArray,
-    weight: Array,
-    valid: BoolArray,
+    points: F64,
+    along: F64,
+    track: F64,
+    profiles: F32,
+    taps: F32,
+    taper: F32,
+    scales: F64,
+    image: F32,
+    weight: F64,
+    valid: Bool,
 ) -> None:
     """Add pulses to the image at some pixels.
 
@@ -211,7 +207,7 @@ def _add_pulses(
 
 
 @compiled
-def _delays(px: Array, py: Array, pz: Array, x: float, y: float, z: float, reference: float, delay: Array) -> None:
+def _delays(px: F64, py: F64, pz: F64, x: float, y: float, z: float, reference: float, delay: F64) -> None:
     for i in range(delay.size):
         dx, dy, dz = px[i] - x, py[i] - y, pz[i] - z
         delay[i] = math.sqrt(dx * dx + dy * dy + dz * dz) - reference
@@ -219,14 +215,14 @@ def _delays(px: Array, py: Array, pz: Array, x: float, y: float, z: float, refer
 
 @compiled
 def _angle_weights(
-    delay: Array,
-    along: Array,
+    delay: F64,
+    along: F64,
     place: float,
     reference: float,
     angle: float,
     spacing: float,
-    taper: FloatArray,
-    gain: FloatArray,
+    taper: F32,
+    gain: F32,
 ) -> None:
     """As `Processing.angle_weights`, for the pulse at `place` along the flight."""
     last = taper.size - 1
@@ -241,7 +237,7 @@ def _angle_weights(
 
 
 @compiled
-def _within(delay: Array, gain: FloatArray, half_window: float, weight: Array, valid: BoolArray) -> None:
+def _within(delay: F64, gain: F32, half_window: float, weight: F64, valid: Bool) -> None:
     for i in range(delay.size):
         weight[i] += gain[i]
         valid[i] &= (abs(delay[i]) <= half_window) or (gain[i] == 0)
@@ -249,7 +245,7 @@ def _within(delay: Array, gain: FloatArray, half_window: float, weight: Array, v
 
 @compiled
 def _reach(
-    points: Array, along: Array, track: Array, half_window: float, angle: float, spacing: float, reached: BoolArray
+    points: F64, along: F64, track: F64, half_window: float, angle: float, spacing: float, reached: Bool
 ) -> None:
     """Set `reached` False where, in a pulse of its aperture, a point is beyond the range window; as `_within`."""
     delay = np.empty(along.size)
@@ -263,9 +259,7 @@ def _reach(
 
 
 @compiled
-def _samples(
-    delay: Array, per_metre: float, middle: float, half_window: float, sample: IntArray, fraction: FloatArray
-) -> None:
+def _samples(delay: F64, per_metre: float, middle: float, half_window: float, sample: I32, fraction: F32) -> None:
     """Index of the first tap, and the fraction of a sample by which the delay lies past its sample."""
     for i in range(delay.size):
         position = min(max(delay[i], -half_window), half_window) * per_metre + middle
@@ -275,16 +269,14 @@ def _samples(
 
 
 @compiled
-def _phasors(delay: Array, turns_per_metre: float, gain: FloatArray, cosine: FloatArray, sine: FloatArray) -> None:
+def _phasors(delay: F64, turns_per_metre: float, gain: F32, cosine: F32, sine: F32) -> None:
     for i in range(delay.size):
         c, s = cosine_and_sine(delay[i] * turns_per_metre)
         cosine[i], sine[i] = gain[i] * c, gain[i] * s
 
 
 @compiled
-def _add_one(
-    sample: IntArray, tap: FloatArray, cosine: FloatArray, sine: FloatArray, profile: FloatArray, image: FloatArray
-) -> None:
+def _add_one(sample: I32, tap: F32, cosine: F32, sine: F32, profile: F32, image: F32) -> None:
     """Add a pulse of a single detector."""
     for i in range(sample.size):
         first = sample[i]
@@ -297,9 +289,7 @@ def _add_one(
 
 
 @compiled
-def _add_all(
-    sample: IntArray, tap: FloatArray, cosine: FloatArray, sine: FloatArray, profile: FloatArray, image: FloatArray
-) -> None:
+def _add_all(sample: I32, tap: F32, cosine: F32, sine: F32, profile: F32, image: F32) -> None:
     """Add a pulse of many detectors: first interpolate all real and imaginary parts, then turn them."""
     detectors = image.shape[2]
     flat_profile, flat_image = profile.reshape(-1, 2 * detectors), image.reshape(-1, 2 * detectors)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-import numpy.typing as npt
-
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
 from sal_height.imaging.formers import range_doppler, specan
@@ -14,10 +11,10 @@ from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.range_doppler import focus_stripmap, sidelobes_stray
 from sal_height.imaging.formers.specan import ALLOWED_ERROR, focus_spotlight
 from sal_height.imaging.weighting import Processing
+from sal_height.numeric import C64, F64
 from sal_height.sensor import PhaseHistory, Sensor
 
-Array = npt.NDArray[np.float64]
-Former = Callable[[PhaseHistory, Array, Sensor, Processing, Grid], npt.NDArray[np.complex64]]
+Former = Callable[[PhaseHistory, F64, Sensor, Processing, Grid], C64]
 """From phase history, antenna positions, sensor, weights and pixels to the images of all detectors."""
 
 FORMERS: dict[str, Former] = {
@@ -30,7 +27,7 @@ FORMERS: dict[str, Former] = {
 FAST = {"spotlight": "specan", "stripmap": "range_doppler"}
 """The fast former of each mode."""
 
-EXPECTED_ERROR: dict[str, Callable[[Array, Sensor, Grid], float]] = {
+EXPECTED_ERROR: dict[str, Callable[[F64, Sensor, Grid], float]] = {
     "spotlight": specan.expected_error,
     "stripmap": range_doppler.expected_error,
 }
@@ -40,7 +37,7 @@ FEW_PIXELS = 10_000
 """Images that backprojection forms in about the same time."""
 
 
-def choose_former(name: str, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid) -> Former:
+def choose_former(name: str, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> Former:
     """The former of that name; for "auto", the fast one if it is as good as backprojection and worth it.
 
     Args:

@@ -13,7 +13,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
 from sal_height.errors import UserError
@@ -23,6 +22,8 @@ from sal_height.imaging.formers.specan import ALLOWED_ERROR
 from sal_height.imaging.formers.straight_track import Resampling, resampling, straight_track
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import (
+    C64,
+    F64,
     WORKERS,
     ChirpZ,
     Rows,
@@ -35,9 +36,6 @@ from sal_height.numeric import (
     unit_phasors,
 )
 from sal_height.sensor import PhaseHistory, Sensor, processed_angle
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 STRAY_CELLS = 0.2
 """Migration, in range cells, beyond which the strong sidelobes of a rectangular azimuth window matter."""
@@ -65,17 +63,15 @@ class _Filters:
         fold: Doppler spectra that fall together where columns are that many steps apart.
     """
 
-    compensation: ComplexArray
+    compensation: C64
     resampling: Resampling | None
     places: int
     range: ChirpZ
-    azimuth: ComplexArray
+    azimuth: C64
     fold: int
 
 
-def focus_stripmap(
-    history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid
-) -> ComplexArray:
+def focus_stripmap(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> C64:
     """Images of all detectors, (detectors, rows, cols); parameters and result as of `backprojection.backproject`.
 
     Raises:
@@ -98,7 +94,7 @@ def focus_stripmap(
     return image
 
 
-def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detectors: Iterator[int]) -> None:
+def _focus(samples: C64, filters: _Filters, image: C64, detectors: Iterator[int]) -> None:
     """Focus some detectors, one after the other."""
     rows, cols = image.shape[1:]
     frequencies, length = samples.shape[2], filters.azimuth.shape[1]
@@ -133,13 +129,13 @@ def _focus(samples: ComplexArray, filters: _Filters, image: ComplexArray, detect
             image[detector, block] = folded.data[: len(lines), :cols]
 
 
-def _lines(factor: ComplexArray, block: slice) -> ComplexArray:
+def _lines(factor: C64, block: slice) -> C64:
     """The factor's rows of a block; its only row, if it is the same for all."""
     return factor[block] if len(factor) > 1 else factor
 
 
 @compiled
-def _multiply_transposed(data: ComplexArray, factor: ComplexArray, result: ComplexArray) -> None:
+def _multiply_transposed(data: C64, factor: C64, result: C64) -> None:
     """The transpose of data * factor to the beginning of the rows of `result`."""
     for first in range(0, data.shape[0], 8):
         for j in range(data.shape[1]):
@@ -148,7 +144,7 @@ def _multiply_transposed(data: ComplexArray, factor: ComplexArray, result: Compl
                 line[i] = data[i, j] * factor[i, j]
 
 
-def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid) -> _Filters:
+def _filters(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> _Filters:
     pulses, frequencies = history.samples.shape[1:]
     track = straight_track(antenna, grid.col_direction)
     fold = max(1, int(np.ceil(grid.col_spacing / (COARSER * track.spacing))))
@@ -204,7 +200,7 @@ def _filters(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     )
 
 
-def _migration(distance: float, doppler: Array, wavenumber: Array, central: float) -> Array:
+def _migration(distance: float, doppler: F64, wavenumber: F64, central: float) -> F64:
     """Phase (rad) of the matched filter of migration at `distance` (m), less that at the `central` wavenumber.
 
     Shape (doppler, wavenumber); all of them in rad/m.
@@ -215,8 +211,8 @@ def _migration(distance: float, doppler: Array, wavenumber: Array, central: floa
 
 
 def _azimuth_filters(
-    sensor: Sensor, processing: Processing, distance: Array, middle: float, step: float, length: int, shift: float
-) -> ComplexArray:
+    sensor: Sensor, processing: Processing, distance: F64, middle: float, step: float, length: int, shift: float
+) -> C64:
     """Spectra of the matched filters in azimuth for rows at `distance` (m), over the sum of their weights.
 
     Their samples are `shift` (m) off whole steps from the target.
@@ -238,7 +234,7 @@ def _azimuth_filters(
     return np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()
 
 
-def sidelobes_stray(antenna: Array, sensor: Sensor, processing: Processing, grid: Grid) -> bool:
+def sidelobes_stray(antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> bool:
     """Whether strong sidelobes lie elsewhere than backprojection's: a rectangular azimuth window, and migration.
 
     Sidelobes far along the track are corrected for the migration of where they lie, not of their target. With the other
@@ -251,7 +247,7 @@ def sidelobes_stray(antenna: Array, sensor: Sensor, processing: Processing, grid
     return bool(migration > STRAY_CELLS * sensor.range_resolution)
 
 
-def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:
+def expected_error(antenna: F64, sensor: Sensor, grid: Grid) -> float:
     """Power of the difference to backprojection over that of the image, by geometry; the worst of 25 pixels.
 
     As of `specan.expected_error`: what the compensation of motion leaves of the pulses in a pixel's aperture, by how

@@ -13,7 +13,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
@@ -21,6 +20,8 @@ from sal_height.imaging.formers.backprojection import valid_pixels
 from sal_height.imaging.formers.straight_track import straight_track
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import (
+    C64,
+    F64,
     WORKERS,
     ChirpZ,
     Rows,
@@ -32,9 +33,6 @@ from sal_height.numeric import (
     unit_phasors,
 )
 from sal_height.sensor import PhaseHistory, Sensor
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
 
 ALLOWED_ERROR = 1e-4
 """Greatest expected error power, over that of the image."""
@@ -54,9 +52,7 @@ class _Factors:
     azimuth: ChirpZ
 
 
-def focus_spotlight(
-    history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid
-) -> ComplexArray:
+def focus_spotlight(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> C64:
     """Images of all detectors, (detectors, rows, cols); parameters and result as of `backprojection.backproject`.
 
     Raises:
@@ -77,7 +73,7 @@ def focus_spotlight(
     return image
 
 
-def _focus(samples: ComplexArray, factors: _Factors, image: ComplexArray, detectors: Iterator[int]) -> None:
+def _focus(samples: C64, factors: _Factors, image: C64, detectors: Iterator[int]) -> None:
     """Focus some detectors, one after the other: range, corner turn, azimuth."""
     rows, cols = image.shape[1:]
     pulses = samples.shape[1]
@@ -100,7 +96,7 @@ def _focus(samples: ComplexArray, factors: _Factors, image: ComplexArray, detect
             np.multiply(by_row.data[:lines, :cols], factors.azimuth.after[block], out=image[detector, block])
 
 
-def _factors(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: Processing, grid: Grid) -> _Factors:
+def _factors(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> _Factors:
     pulses, frequencies = history.samples.shape[1:]
     middle = (grid.rows - 1) / 2, (grid.cols - 1) / 2
     centre = grid.points(*middle)
@@ -140,7 +136,7 @@ def _factors(history: PhaseHistory, antenna: Array, sensor: Sensor, processing: 
     return _Factors(ChirpZ(dechirp, by_range.spectrum, by_range.after), ChirpZ(row_phase, by_azimuth.spectrum, after))
 
 
-def _distances(points: Array, antenna: Array) -> Array:
+def _distances(points: F64, antenna: F64) -> F64:
     """Distances (m) of points (points, 3) from antenna positions (pulses, 3): (points, pulses)."""
     x, y, z = (points[:, None, axis] - antenna[:, axis] for axis in range(3))
     x *= x
@@ -149,7 +145,7 @@ def _distances(points: Array, antenna: Array) -> Array:
     return np.asarray(np.sqrt(x, out=x))
 
 
-def _rows(antenna: Array, grid: Grid) -> tuple[Array, Array]:
+def _rows(antenna: F64, grid: Grid) -> tuple[F64, F64]:
     """Range (m) of the middle of every row, and -d^2 range / (d column place, d antenna place) there, 1/m: (rows,)."""
     sight = grid.points(np.arange(grid.rows), np.full(grid.rows, (grid.cols - 1) / 2)) - antenna.mean(axis=0)
     distance = np.linalg.norm(sight, axis=-1)
@@ -157,7 +153,7 @@ def _rows(antenna: Array, grid: Grid) -> tuple[Array, Array]:
     return distance, (distance**2 - along**2) / distance**3
 
 
-def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:
+def expected_error(antenna: F64, sensor: Sensor, grid: Grid) -> float:
     """Power of the difference to backprojection over that of the image, by geometry; the worst of 25 pixels.
 
     A phase error p (rad) of a pulse adds p^2, also one that is the same in all pulses, and a range error of x cells
@@ -190,7 +186,7 @@ def expected_error(antenna: Array, sensor: Sensor, grid: Grid) -> float:
     return float(np.max(np.mean(phase**2 + (np.pi * migration) ** 2 / 3, axis=-1)))
 
 
-def _columns(grid: Grid) -> Array:
+def _columns(grid: Grid) -> F64:
     """Way from the middle of a row to each column, m, (cols, 3).
 
     A column is as far from a position as the middle of its row is from that position less this.

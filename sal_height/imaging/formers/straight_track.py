@@ -5,12 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from sal_height.numeric import compiled
-
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex64]
+from sal_height.numeric import C64, F32, F64, I64, compiled
 
 TAPS = 8
 """Pulses from which one at an even step is interpolated."""
@@ -30,18 +26,18 @@ class StraightTrack:
         places: of the antenna along the track, from its middle, as they were, m, shape (pulses,).
     """
 
-    middle: Array
-    direction: Array
+    middle: F64
+    direction: F64
     spacing: float
-    places: Array
+    places: F64
 
     @property
-    def even(self) -> Array:
+    def even(self) -> F64:
         """Places at even steps, m, shape (pulses,)."""
         return np.asarray((np.arange(len(self.places)) - (len(self.places) - 1) / 2) * self.spacing, dtype=np.float64)
 
 
-def straight_track(antenna: Array, direction: Array) -> StraightTrack:
+def straight_track(antenna: F64, direction: F64) -> StraightTrack:
     """The even track along `direction` that is nearest to `antenna` (m, shape (pulses, 3)) by least squares."""
     middle = antenna.mean(axis=0)
     places = (antenna - middle) @ direction
@@ -58,17 +54,17 @@ class Resampling:
         weights: of them, float32, shape (places, TAPS).
     """
 
-    first: npt.NDArray[np.int64]
-    weights: npt.NDArray[np.float32]
+    first: I64
+    weights: F32
 
-    def apply(self, samples: ComplexArray) -> ComplexArray:
+    def apply(self, samples: C64) -> C64:
         """Samples of one detector at the pulses, (pulses, frequencies), at the places: (places, frequencies)."""
         result = np.empty((len(self.first), samples.shape[1]), dtype=np.complex64)
         _interpolate(samples.view(np.float32), self.first, self.weights, result.view(np.float32))
         return result
 
 
-def resampling(places: Array, wanted: Array) -> Resampling:
+def resampling(places: F64, wanted: F64) -> Resampling:
     """Interpolation from pulses at `places` (m, increasing) to `wanted` (m), by a sinc under a Kaiser window.
 
     Beyond the first and the last pulse there is nothing: the samples there are 0.
@@ -86,10 +82,10 @@ def resampling(places: Array, wanted: Array) -> Resampling:
 
 @compiled
 def _interpolate(
-    samples: npt.NDArray[np.float32],
-    first: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float32],
-    result: npt.NDArray[np.float32],
+    samples: F32,
+    first: I64,
+    weights: F32,
+    result: F32,
 ) -> None:
     for place in range(first.size):
         a, b, c, d, e, f, g, h = weights[place]

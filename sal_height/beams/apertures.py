@@ -54,15 +54,15 @@ def _as_float(x: npt.ArrayLike) -> F64:
 def _mean(integral: Callable[[F64], F64], value: Callable[[F64], F64], x: F64, width: F64) -> F64:
     widest = np.max(width)
     if widest == 0:
-        return np.asarray(value(x))
+        return value(x)
     if widest < NARROW:
         step = width / math.sqrt(12)
-        return np.asarray((value(x - step) + value(x + step)) / 2)
-    return np.asarray((integral(x + width / 2) - integral(x - width / 2)) / width)
+        return (value(x - step) + value(x + step)) / 2
+    return (integral(x + width / 2) - integral(x - width / 2)) / width
 
 
 def _sinc_integral(x: F64) -> F64:
-    return np.asarray(sici(np.pi * x)[0] / np.pi)
+    return sici(np.pi * x)[0] / np.pi
 
 
 def _sinc_slope(x: F64) -> F64:
@@ -72,11 +72,11 @@ def _sinc_slope(x: F64) -> F64:
 
 
 def _gaussian_integral(x: F64) -> F64:
-    return np.asarray(GAUSSIAN_WIDTH * math.sqrt(np.pi / 2) * erf(x / (GAUSSIAN_WIDTH * math.sqrt(2))))
+    return GAUSSIAN_WIDTH * math.sqrt(np.pi / 2) * erf(x / (GAUSSIAN_WIDTH * math.sqrt(2)))
 
 
 def _gaussian(x: F64) -> F64:
-    return np.asarray(np.exp(-np.square(x) / (2 * GAUSSIAN_WIDTH**2)))
+    return np.exp(-np.square(x) / (2 * GAUSSIAN_WIDTH**2))
 
 
 def _gaussian_slope(x: F64) -> F64:

@@ -84,7 +84,7 @@ def _jinc_slope(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
     safe = np.where(near, 1.0, x)
     series = 0.25 * (1 - x**2 / 12 * (1 - x**2 / 32 * (1 - x**2 / 60)))
     recurrence = 2 * (2 * j1(safe) / safe - j0(safe)) / safe**2  # J2(x) = 2 J1(x) / x - J0(x), ten times as fast
-    return np.asarray(-(np.pi**2) * np.asarray(e) * np.where(near, series, recurrence))
+    return -(np.pi**2) * np.asarray(e) * np.where(near, series, recurrence)
 
 
 def _turned(slope: Function) -> Function:
@@ -199,7 +199,7 @@ def _line(elevation: F64, values: Amplitudes) -> Spline:
     spline = CubicSpline(elevation, values)
 
     def derivative(orders: tuple[int, int], e: F64, _: F64) -> F64:
-        return np.asarray(np.zeros_like(e, dtype=values.dtype) if orders[1] else spline(e, orders[0]))
+        return np.zeros_like(e, dtype=values.dtype) if orders[1] else spline(e, orders[0])
 
     return derivative
 

@@ -99,11 +99,11 @@ def jinc_sums(size: tuple[float, float]) -> tuple[ChordSum, ChordSum, ChordSum]:
 
     def along(e: F64, count: int) -> F64:
         u, _, weight = half(count)
-        return np.asarray(weight * np.cos(2 * np.pi * u * e[:, None]))
+        return weight * np.cos(2 * np.pi * u * e[:, None])
 
     def along_slope(e: F64, count: int) -> F64:
         u, _, weight = half(count)
-        return np.asarray(-2 * np.pi * u * weight * np.sin(2 * np.pi * u * e[:, None]))
+        return -2 * np.pi * u * weight * np.sin(2 * np.pi * u * e[:, None])
 
     def across(a: F64, count: int) -> F64:
         chord = 2 * half(count)[1]
@@ -147,9 +147,7 @@ def _along(width: float, order: int) -> Factors:
 
     def along(e: F64, count: int) -> C128:
         u, _, weight = chords(count)
-        return np.asarray(
-            weight * np.sinc(width * u) * (-2j * np.pi * u) ** order * np.exp(-2j * np.pi * u * e[:, None])
-        )
+        return weight * np.sinc(width * u) * (-2j * np.pi * u) ** order * np.exp(-2j * np.pi * u * e[:, None])
 
     return along
 

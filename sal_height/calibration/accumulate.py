@@ -229,4 +229,4 @@ def common_response(targets: list[PointTarget], frequencies: int) -> C128:
     pixels = scipy.fft.ifft(scipy.fft.ifftshift(without_clutter(transfer.range_response, transfer.range_sigma)))
     near, half = np.zeros(frequencies, dtype=np.complex128), min(len(pixels), frequencies) // 2
     near[:half], near[-half:] = pixels[:half], pixels[-half:]
-    return np.asarray(scipy.fft.fftshift(scipy.fft.fft(near)))
+    return scipy.fft.fftshift(scipy.fft.fft(near))

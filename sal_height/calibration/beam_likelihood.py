@@ -127,7 +127,7 @@ def _residual(curve: Curve, pixels: Covariance) -> tuple[F64, C128]:
 
 def _derivatives(curve: Curve, direction: C128) -> F64:
     """Sum over pixels of Re(direction^H de) for each parameter; `direction` is orthogonal to e."""
-    return np.asarray(np.sum(_products(direction, curve).real, axis=0))
+    return np.sum(_products(direction, curve).real, axis=0)
 
 
 def _products(direction: C128, curve: Curve) -> C128:
@@ -148,17 +148,17 @@ def _gram(curve: Curve, weight: F64) -> F64:
     total[0, amplitudes] = total[amplitudes, 0] = crossed.real
     total[0, phases] = total[phases, 0] = -crossed.imag
     along = _products(curve.unit, curve)
-    return np.asarray(total - _square(along.real, weight) - _square(along.imag, weight))
+    return total - _square(along.real, weight) - _square(along.imag, weight)
 
 
 def _square(values: F64, weight: F64) -> F64:
     """Weighted sum over pixels of v v^T, from v of the shape (pixels, parameters)."""
-    return np.asarray(np.einsum("pi,pj->ij", values, values * weight[:, None]))
+    return np.einsum("pi,pj->ij", values, values * weight[:, None])
 
 
 def _inner(a: C128, b: C128) -> C128:
     """a^H b of each pixel, shape (pixels, 1)."""
-    return np.asarray(np.sum(a.conj() * b, axis=-1, keepdims=True))
+    return np.sum(a.conj() * b, axis=-1, keepdims=True)
 
 
 def _without(vector: C128, unit: C128) -> C128:

@@ -297,7 +297,7 @@ def _first_gains(covariance: Covariance, beams: Beams, elevation: F64, squint: F
         raise NotDetermined("A detector does not see the target at any of its positions; all detectors must.")
     gains = np.linalg.eigh(matched)[1][:, -1] / seen
     amplitude, phase = np.log(np.abs(gains)), np.angle(gains * gains[0].conj())
-    return np.asarray(np.exp(amplitude - np.mean(amplitude) + 1j * (phase - np.mean(phase))))
+    return np.exp(amplitude - np.mean(amplitude) + 1j * (phase - np.mean(phase)))
 
 
 def _usable(pixels: Covariance, explained: F64, count: F64, elevation: F64, beams: Beams, share: float) -> Bool:
@@ -306,7 +306,7 @@ def _usable(pixels: Covariance, explained: F64, count: F64, elevation: F64, beam
     left = np.trace(pixels, axis1=1, axis2=2).real - explained
     degrees = (beams.count - 1) * count
     one = (left <= degrees + 5 * np.sqrt(degrees)) | (left - degrees <= share * explained)
-    return np.asarray(one & (explained - count >= LEAST_ENERGY) & (elevation >= first) & (elevation <= last))
+    return one & (explained - count >= LEAST_ENERGY) & (elevation >= first) & (elevation <= last)
 
 
 def _check_channels(beams: Beams, channels: int) -> None:

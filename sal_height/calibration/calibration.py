@@ -123,7 +123,7 @@ class Calibration:
             range_window: of the images, a name of `windows.WINDOWS`.
         """
         power = window(range_window, self.response.shape[1]) ** 2
-        return np.asarray(np.abs(self.equaliser) ** 2 @ power / np.sum(power))
+        return np.abs(self.equaliser) ** 2 @ power / np.sum(power)
 
 
 def save_calibration(path: Path, calibration: Calibration) -> None:

@@ -97,7 +97,7 @@ def unwound(slc: C64, grid: Grid, aperture: ApertureState, sensor: Sensor) -> C6
             "calibrated on images with range_window rectangular in the slant plane, where both are equal."
         )
     turn = without_range_phase(np.ones(grid.shape, np.complex64), grid, aperture, 4 * np.pi / sensor.centre_wavenumber)
-    return np.asarray(slc[:, : sensor.sample_count] * turn[: sensor.sample_count].astype(np.complex64))
+    return slc[:, : sensor.sample_count] * turn[: sensor.sample_count].astype(np.complex64)
 
 
 def cross_spectra(pixels: C64, sensor: Sensor, noise_powers: F64) -> CrossSpectra:
@@ -192,18 +192,18 @@ def _information(signal: C128, weight: C128) -> F64:
 def _without_gauge(logarithm: C128, signal: F64) -> C128:
     """Logarithms (frequencies, channels) relative to the channels' mean, weighted by their power, and to the band's."""
     relative = logarithm - (logarithm @ (signal / signal.sum()))[:, None]
-    return np.asarray(relative - relative.mean(axis=0))
+    return relative - relative.mean(axis=0)
 
 
 def _beyond_median(echoes: C128) -> C128:
     """Echoes (lags, channels) beyond those of the median channel: a fault of few channels is theirs alone."""
-    return np.asarray(echoes - np.median(echoes.real, axis=1)[:, None] - 1j * np.median(echoes.imag, axis=1)[:, None])
+    return echoes - np.median(echoes.real, axis=1)[:, None] - 1j * np.median(echoes.imag, axis=1)[:, None]
 
 
 def _rms_around(echoes: C128) -> F64:
     """Rms of the echoes (lags, channels) that noise makes: by the median of those around, which few real ones leave."""
     around = np.arange(len(echoes))[:, None] + np.arange(-AROUND, AROUND + 1)
-    return np.asarray(np.sqrt(np.median(np.abs(echoes[around % len(echoes)]) ** 2, axis=1) / np.log(2)))
+    return np.sqrt(np.median(np.abs(echoes[around % len(echoes)]) ** 2, axis=1) / np.log(2))
 
 
 def _variance_beyond_mean(covariance: F64) -> F64:

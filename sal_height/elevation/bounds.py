@@ -26,12 +26,12 @@ def information(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -
 def information_of(response: F64, slope: F64) -> F64:
     """D of responses a and slopes a' of shape (..., detectors), 1/rad^2 if the slopes are per rad."""
     overlap = np.abs(np.sum(response.conj() * slope, axis=-1)) ** 2
-    return np.asarray(np.sum(np.abs(slope) ** 2, axis=-1) - overlap / beam_power(response))
+    return np.sum(np.abs(slope) ** 2, axis=-1) - overlap / beam_power(response)
 
 
 def beam_power(response: F64) -> F64:
     """|a|^2 of responses of shape (..., detectors), real or complex."""
-    return np.asarray(np.sum(np.abs(response) ** 2, axis=-1))
+    return np.sum(np.abs(response) ** 2, axis=-1)
 
 
 def conditional_crb(

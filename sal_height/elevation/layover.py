@@ -250,7 +250,7 @@ class _PairModel:
 
     def explained(self, fitted: Numbers) -> F64:
         """The likelihood f = tr(P R), shape (...), of `fitted` = A^+ R, (..., 2, M)."""
-        return np.asarray(_traces(fitted, self.matrix).sum(axis=-1))
+        return _traces(fitted, self.matrix).sum(axis=-1)
 
     def amplitudes(self, fitted: Numbers) -> Numbers:
         """Sum over looks of the products of the fitted amplitudes, A^+ R A^+H, noise included; (..., 2, 2)."""
@@ -261,7 +261,7 @@ class _PairModel:
         gradient = _traces(fitted, self.beyond)
         curvature = (self.slope_power * np.swapaxes(self.amplitudes(fitted), -1, -2)).real
         ridge = 1e-9 * np.trace(curvature, axis1=-2, axis2=-1)[..., None, None] * np.eye(2)
-        return np.asarray(np.linalg.solve(curvature + ridge, gradient[..., None])[..., 0])
+        return np.linalg.solve(curvature + ridge, gradient[..., None])[..., 0]
 
     def bound(self, known: Numbers, looks: npt.ArrayLike) -> F64:
         """1 / sqrt of F = 2 K Re{(D^H (I - P) D) * known^T}, rad, (..., 2); infinite where F is not positive definite.
@@ -274,7 +274,7 @@ class _PairModel:
         diagonal, determinant = np.diagonal(fisher, axis1=-2, axis2=-1), np.linalg.det(fisher)[..., None]
         positive = (diagonal > 0) & (diagonal[..., ::-1] > 0) & (determinant > 0)
         variance = np.divide(diagonal[..., ::-1], determinant, where=positive, out=np.full_like(diagonal, np.inf))
-        return np.asarray(np.sqrt(variance))
+        return np.sqrt(variance)
 
 
 @dataclass(frozen=True)
@@ -381,16 +381,16 @@ def _climb(covariance: Numbers, grid: _PairGrid, start: F64) -> F64:
 def _unit(response: Numbers) -> Numbers:
     """Responses (..., M) over their norm; 0 where no detector sees anything."""
     norm = np.linalg.norm(response, axis=-1, keepdims=True)
-    return np.asarray(response * np.divide(1.0, norm, where=norm > 0, out=np.zeros_like(norm)))
+    return response * np.divide(1.0, norm, where=norm > 0, out=np.zeros_like(norm))
 
 
 def _traces(left: Numbers, right: Numbers) -> F64:
     """Real diagonal of `left` (..., 2, M) times `right` (..., M, 2), shape (..., 2)."""
-    return np.asarray(np.einsum("...im,...mi->...i", left, right).real)
+    return np.einsum("...im,...mi->...i", left, right).real
 
 
 def _adjoint(matrix: Numbers) -> Numbers:
-    return np.asarray(np.swapaxes(matrix.conj(), -1, -2))
+    return np.swapaxes(matrix.conj(), -1, -2)
 
 
 def _require(

@@ -77,7 +77,7 @@ def peak_elevation(covariance: Covariances, beams: Beams, squint: F64, objective
     """
     searches = PeakSearches.over(beams, np.unique(squint), objective, guard)
     (elevation,) = searches.of_pixels(covariance, squint, 1, lambda search, pixels, *_: search.peaks(pixels)[0])
-    return np.asarray(elevation)
+    return elevation
 
 
 def search_guard(beams: Beams) -> float:

@@ -296,7 +296,7 @@ def _from_covariances(experiment: Experiment, power: float, estimate: Callable[[
 
 
 def _at_edge(elevations: F64, low: float, high: float) -> Bool:
-    return np.asarray((elevations <= low + AT_EDGE) | (elevations >= high - AT_EDGE))
+    return (elevations <= low + AT_EDGE) | (elevations >= high - AT_EDGE)
 
 
 def _statistics(estimates: F64, truth: float, clipped: Bool) -> dict[str, float | None]:

@@ -33,7 +33,7 @@ BLOCK = 8192
 def circular(rng: np.random.Generator, shape: tuple[int, ...]) -> C128:
     """Circular complex Gaussian numbers of mean power 1."""
     parts = rng.standard_normal((*shape, 2)) / np.sqrt(2)
-    return np.asarray(parts.view(np.complex128)[..., 0])
+    return parts.view(np.complex128)[..., 0]
 
 
 def steady(_rng: np.random.Generator, shape: tuple[int, int]) -> C128:

@@ -198,7 +198,7 @@ def _square_errors(response: C128, truth: C128) -> tuple[float, float]:
 
 
 def _db(amplitude: F64) -> F64:
-    return np.asarray(20 * np.log10(np.maximum(np.abs(amplitude), 1e-4)))
+    return 20 * np.log10(np.maximum(np.abs(amplitude), 1e-4))
 
 
 _FREQUENCY = "frequency (cycles per pixel)"

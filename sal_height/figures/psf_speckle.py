@@ -117,7 +117,7 @@ def _pointing(spectra: SpeckleSpectra) -> Curve:
 
 
 def _over_mean(modulus: F64) -> F64:
-    return np.asarray(modulus / np.mean(modulus))
+    return modulus / np.mean(modulus)
 
 
 @dataclass(frozen=True)
@@ -196,13 +196,13 @@ def _truth() -> C128:
 def _prediction(noise: float) -> F64:
     """Mean periodogram of speckle and white noise behind a linear system, of mean 1."""
     power = through_fejer(np.abs(RANGE.response(ROWS)) ** 2, COUNT)
-    return np.asarray((power / np.mean(power) + noise**2) / (1 + noise**2))
+    return (power / np.mean(power) + noise**2) / (1 + noise**2)
 
 
 def _covariance(noise: float) -> C128:
     """Autocovariance over range of speckle and white noise behind a linear system, over that at lag 0."""
     signal = np.fft.ifft(np.fft.ifftshift(np.abs(RANGE.response(ROWS)) ** 2))[:COUNT]
-    return np.asarray((signal / signal[0] + noise**2 * (np.arange(COUNT) == 0)) / (1 + noise**2))
+    return (signal / signal[0] + noise**2 * (np.arange(COUNT) == 0)) / (1 + noise**2)
 
 
 def _powers(tapes: list[Comparison]) -> Iterator[Curve]:

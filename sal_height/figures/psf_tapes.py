@@ -40,7 +40,7 @@ def generators(trials: int, seed: int, figure: int, tapes: float = 1.0) -> list[
 
 def in_band(response: Complex | F64) -> Bool:
     """Where a response is worth a phase."""
-    return np.asarray(np.abs(response) > IN_BAND * np.abs(response).max())
+    return np.abs(response) > IN_BAND * np.abs(response).max()
 
 
 def held(quantity: str, case: str, value: F64, error: F64, theory: F64, colour: int) -> Curve:

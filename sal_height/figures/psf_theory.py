@@ -31,7 +31,7 @@ def taylor_coefficients(sidelobe_db: float, nbar: int) -> F64:
     ratios = 1 - order[:, None] ** 2 / rank**2
     np.fill_diagonal(ratios, 1.0)
     above = np.prod(1 - order[:, None] ** 2 / zeros, axis=1)
-    return np.asarray((-1.0) ** (order + 1) * above / (2 * np.prod(ratios, axis=1)))
+    return (-1.0) ** (order + 1) * above / (2 * np.prod(ratios, axis=1))
 
 
 def taylor_psf(place: F64, fault: RangeFault) -> F64:
@@ -40,7 +40,7 @@ def taylor_psf(place: F64, fault: RangeFault) -> F64:
     lobes = np.sinc(across)
     for order, coefficient in enumerate(taylor_coefficients(fault.sidelobe_db, NBAR), start=1):
         lobes = lobes + coefficient * (np.sinc(across - order) + np.sinc(across + order))
-    return np.asarray(lobes)
+    return lobes
 
 
 def range_psf(place: F64, fault: RangeFault) -> C128:
@@ -55,19 +55,19 @@ def range_psf(place: F64, fault: RangeFault) -> C128:
         shift = harmonic * fault.teeth
         pair = taylor_psf(place + shift, fault) - taylor_psf(place - shift, fault)
         echoes += (-1) ** (harmonic + 1) / (np.pi * harmonic) * pair
-    return np.asarray(taylor_psf(place, fault) - 1j * fault.sawtooth * echoes)
+    return taylor_psf(place, fault) - 1j * fault.sawtooth * echoes
 
 
 def azimuth_psf(place: F64, fault: AzimuthFault) -> C128:
     """Point-spread function along azimuth at places (pixels), 1 at 0, of a beam that does not swing; by quadrature."""
     f = (np.arange(STEPS) + 0.5) / STEPS - 0.5
     response = np.cos(np.pi * f) ** fault.taper * np.exp(1j * fault.quartic * (2 * f) ** 4)
-    return np.asarray(np.exp(2j * np.pi * np.multiply.outer(place, f)) @ response / response.sum())
+    return np.exp(2j * np.pi * np.multiply.outer(place, f)) @ response / response.sum()
 
 
 def chip_transform(chip: C128) -> C128:
     """Spectrum, from -1/2 up, of pixels from -count / 2 up; shape (count,)."""
-    return np.asarray(np.fft.fftshift(np.fft.fft(np.fft.ifftshift(chip))))
+    return np.fft.fftshift(np.fft.fft(np.fft.ifftshift(chip)))
 
 
 def chip_response(psf: C128) -> C128:
@@ -81,10 +81,10 @@ def chip_response(psf: C128) -> C128:
     response = chip_transform(psf)
 
     def moved(place: float) -> C128:
-        return np.asarray(response * np.exp(2j * np.pi * frequencies(len(psf)) * place))
+        return response * np.exp(2j * np.pi * frequencies(len(psf)) * place)
 
     peak = minimize_scalar(lambda place: -np.abs(np.mean(moved(place))), bounds=(-0.5, 0.5), method="bounded")
-    return np.asarray(moved(peak.x) / np.mean(moved(peak.x)))
+    return moved(peak.x) / np.mean(moved(peak.x))
 
 
 def through_fejer(power: F64, size: int) -> F64:
@@ -98,19 +98,19 @@ def through_fejer(power: F64, size: int) -> F64:
     at_peak = np.abs(np.sin(apart)) < 1e-12
     sines = np.where(at_peak, 1.0, np.sin(apart))
     kernel = np.where(at_peak, size, np.sin(size * apart) ** 2 / (size * sines**2))
-    return np.asarray(kernel @ power / len(power))
+    return kernel @ power / len(power)
 
 
 def cosine_beam(size: int) -> F64:
     """Mean periodogram of `size` pixels of speckle under a beam cos(pi f), of mean 1: Fejer's kernel takes 1 / size."""
-    return np.asarray(1 + (1 - 1 / size) * np.cos(2 * np.pi * frequencies(size)))
+    return 1 + (1 - 1 / size) * np.cos(2 * np.pi * frequencies(size))
 
 
 def swung_modulus(size: int, swing: float) -> F64:
     """Root of `cosine_beam` averaged over a sinusoidal swing of the beam, cycles per pixel; by quadrature."""
     pointing = swing * np.sin(2 * np.pi * (np.arange(STEPS) + 0.5) / STEPS)
     waves = np.cos(2 * np.pi * (frequencies(size)[:, None] - pointing))
-    return np.asarray(np.mean(np.sqrt(np.maximum(1 + (1 - 1 / size) * waves, 0)), axis=1))
+    return np.mean(np.sqrt(np.maximum(1 + (1 - 1 / size) * waves, 0)), axis=1)
 
 
 def relative_variance(response: C128, other: C128, over_clutter: float, floor: float) -> float:

@@ -39,13 +39,13 @@ def nodes_between(low: float, high: float, count: int) -> tuple[F64, F64]:
 def sinc_from_pupil(e: F64) -> F64:
     """Cut of the square aperture's pattern at `e` beamwidths: mean of exp(2 pi j u e) over its side."""
     u, weights = nodes_between(-0.5, 0.5, PUPIL_NODES)
-    return np.asarray(np.cos(2 * np.pi * e[..., None] * u) @ weights)
+    return np.cos(2 * np.pi * e[..., None] * u) @ weights
 
 
 def jinc_from_pupil(e: F64) -> F64:
     """Cut of the circular aperture's pattern: its chords sqrt(1/4 - u^2) weight exp(2 pi j u e); u = 1/2 sin tau."""
     tau, weights = nodes_between(-np.pi / 2, np.pi / 2, PUPIL_NODES)
-    return np.asarray(2 * np.cos(np.pi * e[..., None] * np.sin(tau)) @ (weights * np.cos(tau) ** 2))
+    return 2 * np.cos(np.pi * e[..., None] * np.sin(tau)) @ (weights * np.cos(tau) ** 2)
 
 
 def gaussian_from_pupil(e: F64) -> F64:
@@ -53,13 +53,13 @@ def gaussian_from_pupil(e: F64) -> F64:
     width = 1 / (2 * np.pi * GAUSSIAN_WIDTH)
     u = np.linspace(-10, 10, 401) * width
     field = np.exp(-((u / width) ** 2) / 2)
-    return np.asarray(np.cos(2 * np.pi * e[..., None] * u) @ (field / field.sum()))
+    return np.cos(2 * np.pi * e[..., None] * u) @ (field / field.sum())
 
 
 def jinc(e: F64, a: F64) -> F64:
     """Pattern of the circular aperture, 2 J1(pi r) / (pi r), for r > 0."""
     x = np.pi * np.hypot(e, a)
-    return np.asarray(2 * j1(x) / x)
+    return 2 * j1(x) / x
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def seen_by(point: Amplitude, size: tuple[float, float]) -> Amplitude:
 
     def amplitude(e: F64, a: F64) -> F64:
         values = point(e[..., None, None] + along[:, None], np.asarray(a)[..., None, None] + beside)
-        return np.asarray(np.einsum("...ij,i,j->...", values, along_weights, beside_weights))
+        return np.einsum("...ij,i,j->...", values, along_weights, beside_weights)
 
     return amplitude
 

@@ -153,7 +153,7 @@ def _seen(theta: F64, slant_range: F64) -> F64:
 
 
 def _flat(theta: F64, slant_range: F64) -> F64:
-    return np.asarray(_seen(theta, slant_range)[..., 2])
+    return _seen(theta, slant_range)[..., 2]
 
 
 def _sphere(theta: F64, slant_range: F64) -> F64:
@@ -161,7 +161,7 @@ def _sphere(theta: F64, slant_range: F64) -> F64:
 
 
 def _flat_law(theta: F64, slant_range: F64) -> F64:
-    return np.asarray(PLATFORM_HEIGHT - slant_range * np.cos(theta))
+    return PLATFORM_HEIGHT - slant_range * np.cos(theta)
 
 
 def _sphere_law(theta: F64, slant_range: F64) -> F64:
@@ -169,7 +169,7 @@ def _sphere_law(theta: F64, slant_range: F64) -> F64:
     high = EARTH_RADIUS + PLATFORM_HEIGHT
     drop = slant_range**2 - 2 * high * slant_range * np.cos(theta)
     squares = PLATFORM_HEIGHT * (high + EARTH_RADIUS) + drop
-    return np.asarray(squares / (np.sqrt(high**2 + drop) + EARTH_RADIUS))
+    return squares / (np.sqrt(high**2 + drop) + EARTH_RADIUS)
 
 
 def relief_snr(trials: int, seed: int) -> Iterator[Curve]:
@@ -227,7 +227,7 @@ def relief_hybrid(trials: int, seed: int) -> Iterator[Curve]:
 def _beams() -> F64:
     """Amplitudes of lower and upper beam, shape (2, 1, 1), of which (upper + lower)^2 / 2 is HYBRID_SNR."""
     lower_upper = np.array([1 - HYBRID_GAMMA, 1 + HYBRID_GAMMA])
-    return np.asarray(np.sqrt(HYBRID_SNR / 2) * lower_upper[:, None, None])
+    return np.sqrt(HYBRID_SNR / 2) * lower_upper[:, None, None]
 
 
 def _after(rng: np.random.Generator, trials: int) -> F64:

@@ -61,13 +61,13 @@ class AzimuthFault:
 
     def pointing(self, columns: npt.ArrayLike) -> F64:
         """Displacement of the beam at columns, cycles per pixel."""
-        return np.asarray(self.swing * np.sin(2 * np.pi * np.asarray(columns, dtype=np.float64) / self.swing_period))
+        return self.swing * np.sin(2 * np.pi * np.asarray(columns, dtype=np.float64) / self.swing_period)
 
     def response(self, count: int, pointing: float = 0.0) -> C128:
         """At `count` frequencies from -1/2 cycles per pixel, with the beam displaced by `pointing`; shape (count,)."""
         frequency = frequencies(count)
         beam = np.abs(np.cos(np.pi * (frequency - pointing))) ** self.taper
-        return np.asarray(beam * np.exp(1j * self.quartic * (2 * frequency) ** 4))
+        return beam * np.exp(1j * self.quartic * (2 * frequency) ** 4)
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def _scene_spectrum(
         down = np.exp(-2j * np.pi * frequencies(rows) * target.row)
         across = np.exp(-2j * np.pi * frequencies(cols) * target.col)
         spectrum += amplitude * down[:, None] * across
-    return np.asarray(spectrum * (range_response / gain)[:, None])
+    return spectrum * (range_response / gain)[:, None]
 
 
 def _limited(spectrum: C128, saturation: Saturation) -> C128:
@@ -157,14 +157,14 @@ def _limited(spectrum: C128, saturation: Saturation) -> C128:
     amplitude = np.abs(signal)
     level = saturation.level * np.sqrt(np.mean(amplitude**2))
     signal *= np.minimum(1.0, level / np.maximum(amplitude, level))
-    return np.asarray(scipy.fft.fftshift(scipy.fft.fft2(signal)) / spread)
+    return scipy.fft.fftshift(scipy.fft.fft2(signal)) / spread
 
 
 def _through_beam(spectrum: C128, beam: AzimuthFault) -> C128:
     """The image through the beam, which points where it does at each column."""
     rows, cols = spectrum.shape
     if not beam.swing:
-        return np.asarray(scipy.fft.ifft2(scipy.fft.ifftshift(spectrum * beam.response(cols))))
+        return scipy.fft.ifft2(scipy.fft.ifftshift(spectrum * beam.response(cols)))
     count = max(2, int(np.ceil(SWING_KNOTS * cols / beam.swing_period)) + 1)
     knots = np.linspace(0, cols - 1, count)
     image = np.zeros((rows, cols), dtype=np.complex128)
@@ -177,4 +177,4 @@ def _through_beam(spectrum: C128, beam: AzimuthFault) -> C128:
 
 def _circular(shape: tuple[int, int], rng: np.random.Generator) -> C128:
     """Circular Gaussian numbers of mean power 1."""
-    return np.asarray((rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2))
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)

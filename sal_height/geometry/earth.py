@@ -44,7 +44,7 @@ def height_of(points: F64) -> F64:
     """
     x, y, z = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
     radius = np.sqrt(x**2 + y**2 + (z + EARTH_RADIUS) ** 2)
-    return np.asarray((x**2 + y**2 + z**2 + 2 * EARTH_RADIUS * z) / (radius + EARTH_RADIUS))
+    return (x**2 + y**2 + z**2 + 2 * EARTH_RADIUS * z) / (radius + EARTH_RADIUS)
 
 
 def above_place(x: npt.ArrayLike, y: npt.ArrayLike, height: npt.ArrayLike) -> F64:

@@ -87,4 +87,4 @@ def squint_on_cone(elevation: npt.ArrayLike, cone: npt.ArrayLike, aperture: Aper
     """
     forward, left, up = aperture.direction @ aperture.rotation
     b = -look_side * left * np.sin(elevation) - up * np.cos(elevation)
-    return np.asarray(np.arcsin(cone / np.hypot(forward, b)) - np.arctan2(b, forward))
+    return np.arcsin(cone / np.hypot(forward, b)) - np.arctan2(b, forward)

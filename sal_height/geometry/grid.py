@@ -59,7 +59,7 @@ class Grid:
         skew = 2 * float(self.row_direction @ self.col_direction)
         if skew:
             square += np.multiply.outer(skew * down, along)
-        return np.asarray(np.sqrt(square, out=square))
+        return np.sqrt(square, out=square)
 
     def pixels(self) -> F64:
         """Positions (m) of all pixel centres, shape (rows, cols, 3)."""
@@ -104,4 +104,4 @@ def without_range_phase(image: Complex, grid: Grid, aperture: ApertureState, wav
         slide = cols * grid.col_spacing * (grid.col_direction @ aperture.direction)
         middle = middle + slide[:, None] * aperture.direction
     distance = np.linalg.norm(grid.pixels() - middle, axis=-1)
-    return np.asarray(image * np.exp(-4j * np.pi / wavelength * distance))
+    return image * np.exp(-4j * np.pi / wavelength * distance)

@@ -86,7 +86,7 @@ class Trajectory:
         Raises:
             UserError: a time lies outside the track.
         """
-        return np.asarray(self._position(self._offsets(stamp_ns, seconds_after)))
+        return self._position(self._offsets(stamp_ns, seconds_after))
 
     def aperture(self, stamp_ns: int, pulse_times: F64) -> ApertureState:
         """State in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).

@@ -44,7 +44,7 @@ class Processing:
         """
         share = np.clip((self.angle / 2 - np.abs(sine)) / spacing + 0.5, 0.0, 1.0)
         nodes = np.linspace(-self.angle / 2, self.angle / 2, TAPER_NODES)
-        return np.asarray(share * np.interp(sine, nodes, self.taper().astype(np.float64)))
+        return share * np.interp(sine, nodes, self.taper().astype(np.float64))
 
     def taper(self) -> F32:
         """The azimuth window over the processed angle, at TAPER_NODES even sines from end to end."""

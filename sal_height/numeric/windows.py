@@ -15,7 +15,7 @@ def _taylor(count: int) -> F64:
     """Sidelobes of -35 dB, of which 4 on each side fall off little."""
     from scipy.signal import windows  # noqa: PLC0415 (brings scipy.stats, 0.4 s of every node's start)
 
-    return np.asarray(windows.taylor(count, nbar=5, sll=35))
+    return windows.taylor(count, nbar=5, sll=35)
 
 
 WINDOWS: dict[str, Callable[[int], F64]] = {"rectangular": np.ones, "taylor": _taylor, "hamming": np.hamming}
@@ -31,7 +31,7 @@ def window(name: str, count: int) -> F64:
     if name not in WINDOWS:
         raise UserError(f"The window is {name!r}; allowed are {', '.join(sorted(WINDOWS))}.")
     weights = np.asarray(WINDOWS[name](count), dtype=np.float64)
-    return np.asarray(weights / weights.mean())
+    return weights / weights.mean()
 
 
 def noise_gain(weights: F64) -> float:

@@ -217,4 +217,4 @@ def _smoothed_lines(deviation: F64, precision: F64, line: _Line) -> tuple[F64, F
 
 def _times(matrices: F64, vectors: F64) -> F64:
     """Each matrix times its vector."""
-    return np.asarray((matrices @ vectors[..., None])[..., 0])
+    return (matrices @ vectors[..., None])[..., 0]

@@ -180,7 +180,7 @@ def pose_variance(elevation: F64, slope: F64, positions: F64, aperture: Aperture
     centre = positions + np.array([0.0, 0.0, EARTH_RADIUS])
     up = centre / np.linalg.norm(centre, axis=-1, keepdims=True)
     gradient = np.concatenate([up, slope[..., None] * turned], axis=-1)
-    return np.asarray(np.maximum(np.sum(gradient @ aperture.covariance * gradient, axis=-1), 0.0))
+    return np.maximum(np.sum(gradient @ aperture.covariance * gradient, axis=-1), 0.0)
 
 
 def shared_variance(positions: F64, aperture: ApertureState) -> F64:

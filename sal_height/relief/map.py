@@ -242,7 +242,7 @@ def _common_in_cells(cell: I64, height: F64, box: Box, cell_size: float, apertur
     chosen[square] = np.arange(len(cell))
     east, north = (cell_size * (first + index[chosen] + 0.5) for first, index in ((box.west, col), (box.south, row)))
     variance = shared_variance(sphere_point(east, north, height[chosen]), aperture)
-    return np.asarray(variance[square])
+    return variance[square]
 
 
 def _update(cells: F64, height: F64, weight: F64) -> None:

@@ -35,7 +35,7 @@ def own_sigma(field: HeightField, aperture: ApertureState) -> F64:
     All pixels of a dwell share the error of the pose: neighbours say nothing of it, so that it must not be averaged.
     """
     shared = shared_variance(field.first.positions, aperture)
-    return np.asarray(np.sqrt(np.maximum(field.first.sigma**2 - shared, LEAST_OWN_VARIANCE * field.first.sigma**2)))
+    return np.sqrt(np.maximum(field.first.sigma**2 - shared, LEAST_OWN_VARIANCE * field.first.sigma**2))
 
 
 def track(
@@ -113,4 +113,4 @@ def tracked_field(
 def _between(used: Bool) -> Bool:
     """Where pixels of the same column are used in rows before and after."""
     before, after = np.logical_or.accumulate(used), np.logical_or.accumulate(used[::-1])[::-1]
-    return np.asarray(before & after)
+    return before & after

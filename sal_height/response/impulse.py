@@ -92,13 +92,13 @@ class Chip:
     def power(self, rows: npt.ArrayLike, cols: npt.ArrayLike) -> F64:
         """Power at each of `rows` and each of `cols`, fractional pixels of the image; shape (rows, cols)."""
         values = np.linalg.multi_dot([self._waves(0, rows), self.spectrum, self._waves(1, cols).T])
-        return np.asarray(np.abs(values) ** 2)
+        return np.abs(values) ** 2
 
     def _waves(self, axis: int, positions: npt.ArrayLike) -> C128:
         """Each bin's wave at positions along an axis, shape (positions, bins)."""
         count = self.spectrum.shape[axis]
         pixels = np.atleast_1d(np.asarray(positions, dtype=np.float64)) - self.start[axis]
-        return np.asarray(np.exp(2j * np.pi / count * np.outer(pixels, self.frequencies[axis])) / count)
+        return np.exp(2j * np.pi / count * np.outer(pixels, self.frequencies[axis])) / count
 
 
 def measure_brightest(image: Complex, near: tuple[int, int] | None = None) -> ImpulseResponse:
@@ -229,7 +229,7 @@ def band_frequencies(energy: F64) -> I64:
     coherence = np.sum(energy * np.exp(2j * np.pi * bins / count)) / np.sum(energy)
     centre = round(float(np.angle(coherence)) / (2 * np.pi) * count) if np.abs(coherence) > SEEN_BAND else 0
     lowest = centre - count // 2
-    return np.asarray(lowest + (bins - lowest) % count)
+    return lowest + (bins - lowest) % count
 
 
 def _peak(chip: Chip, row: int, col: int) -> tuple[float, float]:

@@ -173,7 +173,7 @@ def _beyond(chip: C128, count: int) -> C128:
     ends = (chip[:length], chip[-length:])
     echo = np.mean([np.correlate(end, end, "full")[length - 1 :] / length for end in ends], axis=0)
     lags = np.pad(echo, (0, count))[:count]
-    return np.asarray(toeplitz(lags, lags.conj()))
+    return toeplitz(lags, lags.conj())
 
 
 def _speckle_covariance(signal: C128, noise: float, speckle: SpeckleSpectra) -> F64:
@@ -186,7 +186,7 @@ def _speckle_covariance(signal: C128, noise: float, speckle: SpeckleSpectra) -> 
     alike = 2 * np.sum((triangle * np.abs(across) ** 2)[1:]) / signal[0].real ** 2
     spectrum = cross_spectrum(signal, size)
     own = np.abs(spectrum + noise * np.eye(size)) ** 2
-    return np.asarray((own + alike * np.abs(spectrum) ** 2) / speckle.range.lines)
+    return (own + alike * np.abs(spectrum) ** 2) / speckle.range.lines
 
 
 def _whitener(covariance: F64) -> tuple[F64, F64]:

@@ -85,7 +85,7 @@ def cut_through(response: C128, fineness: int) -> C128:
     spectrum = scipy.fft.ifftshift(response)
     padded = np.zeros(count * fineness, dtype=np.complex128)
     padded[band_frequencies(np.abs(spectrum) ** 2) % len(padded)] = spectrum
-    return np.asarray(scipy.fft.fftshift(scipy.fft.ifft(padded)) * fineness)
+    return scipy.fft.fftshift(scipy.fft.ifft(padded)) * fineness
 
 
 def anomalous_sidelobes(response: C128, sigma: F64) -> tuple[Sidelobe, ...]:

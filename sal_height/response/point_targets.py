@@ -118,7 +118,7 @@ class PointTarget:
     @property
     def chip(self) -> C128:
         """Pixels, cyclic, with the peak first; shape (rows, cols)."""
-        return np.asarray(scipy.fft.ifft2(scipy.fft.ifftshift(self.spectrum)))
+        return scipy.fft.ifft2(scipy.fft.ifftshift(self.spectrum))
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ def peak_offset(spectrum: C128, frequencies: F64) -> float:
 
 def _turns(frequencies: F64, place: float) -> C128:
     """What waves turn by from the first pixel to a place (pixels)."""
-    return np.asarray(np.exp(2j * np.pi * frequencies * place))
+    return np.exp(2j * np.pi * frequencies * place)
 
 
 def _check(image: Complex, chip: tuple[int, int]) -> None:

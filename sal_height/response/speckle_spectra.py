@@ -71,7 +71,7 @@ class AxisSpectrum:
     @property
     def standard_error(self) -> F64:
         """Of `power`, shape (M,): its own size over the root of the independent lines, as periodograms have it."""
-        return np.asarray(self.power / np.sqrt(self.independent))
+        return self.power / np.sqrt(self.independent)
 
     def unfolded(self, count: int) -> tuple[F64, F64]:
         """|R|^2 at `count` frequencies, of mean 1, without Fejer's kernel; and its standard error.
@@ -98,7 +98,7 @@ class AxisSpectrum:
         size = len(self.covariance)
         triangle = 1 - np.arange(size) / size
         total = 2 * np.sum(triangle * np.abs(self.covariance) ** 2) - 1
-        return np.asarray(total / (self.independent * size * triangle))
+        return total / (self.independent * size * triangle)
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ def mean_modulus(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64]:
 def transform(covariance: C128, frequency: F64) -> F64:
     """Power spectrum at frequencies (cycles per pixel) of a covariance at lags from 0 up, c(-l) being c(l)*."""
     waves = np.exp(-2j * np.pi * np.outer(frequency, np.arange(len(covariance))))
-    return np.asarray(2 * (waves @ covariance).real - covariance[0].real)
+    return 2 * (waves @ covariance).real - covariance[0].real
 
 
 def fejer_power(covariance: C128) -> F64:
@@ -212,14 +212,14 @@ def periodogram_covariance(covariance: C128, count: int) -> F64:
         covariance: c at lags 0 to M - 1.
         count: frequencies from -1/2 up.
     """
-    return np.asarray(np.abs(cross_spectrum(covariance, count)) ** 2)
+    return np.abs(cross_spectrum(covariance, count)) ** 2
 
 
 def cross_spectrum(covariance: C128, count: int) -> C128:
     """K(f, f') of `periodogram_covariance`, shape (count, count)."""
     size = len(covariance)
     waves = np.exp(-2j * np.pi * np.outer(frequencies(count), np.arange(size)))
-    return np.asarray(waves @ toeplitz(covariance, covariance.conj()) @ waves.conj().T / size)
+    return waves @ toeplitz(covariance, covariance.conj()) @ waves.conj().T / size
 
 
 def _periodograms(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64, F64]:
@@ -276,7 +276,7 @@ def _add_across(spectra: C64, power: F64) -> None:
 def _covariance(power: F64) -> C128:
     """Covariance at lags 0 to M - 1 of each row of spectra at 2 M frequencies: divided by the triangle."""
     size = power.shape[-1] // 2
-    return np.asarray(scipy.fft.ifft(power, axis=-1)[:, :size] / (1 - np.arange(size) / size))
+    return scipy.fft.ifft(power, axis=-1)[:, :size] / (1 - np.arange(size) / size)
 
 
 def _nyquist_spur(covariance: C128, independent: float) -> float:

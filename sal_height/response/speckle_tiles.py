@@ -72,7 +72,7 @@ class SpeckleTiles:
     @property
     def pure(self) -> Bool:
         """Where all tests are passed, shape (tiles down, tiles across)."""
-        return np.asarray(self.verdict == 0)
+        return self.verdict == 0
 
     def counts(self) -> dict[str, int]:
         """Number of tiles by REASONS."""
@@ -183,7 +183,7 @@ def _unusable(sums: F64, pixels: int) -> U8:
     """Verdict from the numbers alone, 0 where nothing is wrong with them."""
     clipped = sums[..., 5] >= max(3, CLIPPED_SHARE * 2 * pixels)
     wrong = [sums[..., 0] == 0, sums[..., 3] > ZERO_SHARE * pixels, sums[..., 4] == 0, clipped]
-    return np.asarray(np.select(wrong, [1, 2, 3, 4], 0).astype(np.uint8))
+    return np.select(wrong, [1, 2, 3, 4], 0).astype(np.uint8)
 
 
 def _field_correlation(image: C64, tile: tuple[int, int], usable: Index) -> C128:
@@ -208,7 +208,7 @@ def _field_correlation(image: C64, tile: tuple[int, int], usable: Index) -> C128
     covariance *= np.exp(-1j * turn[:, None, None] * lags[1]) / covariance[:, reach[0], reach[1]].real[:, None, None]
     rho = np.median(covariance.real, axis=0) + 1j * np.median(covariance.imag, axis=0)
     error = np.sum(np.abs(rho) ** 2) / (len(chips) * pairs)
-    return np.asarray(np.where(np.abs(rho) ** 2 > 9 * error, rho, 0))
+    return np.where(np.abs(rho) ** 2 > 9 * error, rho, 0)
 
 
 def sum_of_powers(correlation: C128, size: tuple[int, int], exponent: float, along: int | None = None) -> float:
@@ -236,7 +236,7 @@ def _moment_tail(moment: F64, correlation: C128, tile: tuple[int, int]) -> F64:
     bias = -2 * sum_of_powers(correlation, tile, 2) / pixels
     shape = 4 * independent / 100
     gamma = np.maximum(0, shape + np.sqrt(shape) * (moment - 2 - bias) / np.sqrt(4 / independent))
-    return np.asarray(np.minimum(1, 2 * np.minimum(gammainc(shape, gamma), gammaincc(shape, gamma))))
+    return np.minimum(1, 2 * np.minimum(gammainc(shape, gamma), gammaincc(shape, gamma)))
 
 
 def _texture(means: F64, correlation: C128, tile: tuple[int, int], block: tuple[int, int]) -> tuple[F64, F64]:

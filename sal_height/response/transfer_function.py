@@ -142,7 +142,7 @@ def masked_spectrum(
     shape = target.spectrum.shape
     down, across = (np.minimum(np.arange(size), size - np.arange(size)) for size in shape)
     cross = (down <= azimuth_stripe // 2)[:, None] | (across <= range_stripe // 2)
-    return np.asarray(scipy.fft.fftshift(scipy.fft.fft2(target.chip * cross)))
+    return scipy.fft.fftshift(scipy.fft.fft2(target.chip * cross))
 
 
 def centred(response: C128) -> C128:
@@ -157,7 +157,7 @@ def centred(response: C128) -> C128:
     frequencies = scipy.fft.fftshift(bins) / len(bins)
     frequencies = frequencies - np.mean(frequencies)
     moved = response * np.exp(2j * np.pi * frequencies * peak_offset(response, frequencies))
-    return np.asarray(moved / np.mean(moved))
+    return moved / np.mean(moved)
 
 
 def _stacked(targets: Sequence[PointTarget]) -> tuple[C128, F64]:
@@ -172,7 +172,7 @@ def _inverse(response: C128) -> C128:
     """Weights of the bins of a spectrum that `response` is a factor of, for the mean of the other factor."""
     power = np.abs(response) ** 2
     weights = np.conj(response) / (power + FLOOR * power.max())
-    return np.asarray(weights / (weights @ response))
+    return weights / (weights @ response)
 
 
 def _errors(variance: F64, responses: C128, shares: F64, mean: C128) -> tuple[F64, float]:

@@ -180,7 +180,7 @@ def _draw_cut(axis: Axes, offset: F64, power: F64, cut: CutResponse, kind: str) 
 
 def _decibels(power: F64) -> F64:
     with np.errstate(divide="ignore"):
-        return np.asarray(10 * np.log10(power))
+        return 10 * np.log10(power)
 
 
 def _show(axis: Axes, result: Mosaic, values: F64, limits: tuple[float, float], colours: str) -> AxesImage:

@@ -85,4 +85,4 @@ def _ground(line: Surface) -> F64:
 def _along(line: Surface, ends: F64) -> F64:
     """Distance on the ground (m) along the line between two `ends` (east and north, m, shape (2, 2))."""
     way = ends[:, 1] - ends[:, 0]
-    return np.asarray(way @ (_ground(line) - ends[:, :1]) / max(float(np.hypot(*way)), np.finfo(float).tiny))
+    return way @ (_ground(line) - ends[:, :1]) / max(float(np.hypot(*way)), np.finfo(float).tiny)

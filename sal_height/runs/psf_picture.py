@@ -208,4 +208,4 @@ def _leave_blank(axes: Axes, why: str) -> None:
 
 
 def _decibels(amplitude: F64) -> F64:
-    return np.asarray(20 * np.log10(np.maximum(amplitude, 1e-10)))
+    return 20 * np.log10(np.maximum(amplitude, 1e-10))

@@ -40,7 +40,7 @@ def saturated_shares(samples: C64, sensor: Sensor) -> F64:
     if sensor.matrix_in_antenna or not sensor.channel_matrix:
         return _shares(samples, limit)
     receivers = np.tensordot(np.linalg.inv(sensor.mixing).astype(np.complex64), samples, axes=1)
-    return np.asarray(np.max(_shares(receivers, limit) * (sensor.mixing != 0), axis=1))
+    return np.max(_shares(receivers, limit) * (sensor.mixing != 0), axis=1)
 
 
 def _shares(samples: C64, limit: np.float32) -> F64:
@@ -64,4 +64,4 @@ def distortion(share: npt.ArrayLike) -> F64:
     density = np.exp(-(limit**2) / 2) / np.sqrt(2 * np.pi)
     left = 1 - 2 * tail
     power = left - 2 * limit * density + 2 * limit**2 * tail
-    return np.asarray(power / left**2 - 1)
+    return power / left**2 - 1

@@ -300,7 +300,7 @@ class Sensor:
         if self.matrix_in_antenna:
             return receivers
         matrix = self.mixing
-        return np.asarray(matrix @ receivers @ matrix.conj().T)
+        return matrix @ receivers @ matrix.conj().T
 
     @property
     def _patterns(self) -> tuple[Pattern, ...]:

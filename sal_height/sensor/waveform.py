@@ -148,7 +148,7 @@ def _centred_dft(values: Complex, count: int, period: int) -> Complex:
     places = _centred(values.shape[-1])
     ramp = np.exp(1j * np.pi * (count - 1) / period * places)
     turn = np.exp(-2j * np.pi * places[0] / period * np.arange(count))
-    return np.asarray(fft.fft(values * ramp, period)[..., :count] * turn)
+    return fft.fft(values * ramp, period)[..., :count] * turn
 
 
 # Matched filter
@@ -157,7 +157,7 @@ def _centred_dft(values: Complex, count: int, period: int) -> Complex:
 def _replica(sensor: Sensor) -> C128:
     """Samples of the pulse s(t), its middle in the middle."""
     time = _centred(round(sensor.pulse_duration * sensor.sampling_rate)) / sensor.sampling_rate
-    return np.asarray(np.exp(1j * np.pi * sensor.chirp_rate * time**2))
+    return np.exp(1j * np.pi * sensor.chirp_rate * time**2)
 
 
 def _whole_pulse_delays(sensor: Sensor) -> int:
@@ -215,12 +215,12 @@ def _deramped_band(sensor: Sensor) -> int:
 def _video_phase(sensor: Sensor) -> F64:
     """Residual video phase at each beat frequency, in the order of an FFT, rad."""
     beat = fft.fftfreq(sensor.sample_count, 1 / sensor.sampling_rate)
-    return np.asarray(np.pi * beat**2 / sensor.chirp_rate)
+    return np.pi * beat**2 / sensor.chirp_rate
 
 
 def _filtered(values: Complex, response: Complex) -> Complex:
     """Values filtered with a response over the frequencies of their FFT."""
-    return np.asarray(fft.ifft(fft.fft(values) * response))
+    return fft.ifft(fft.fft(values) * response)
 
 
 def _ascending(values: Complex, sensor: Sensor) -> Complex:

@@ -68,7 +68,7 @@ class SimulatedFlight:
         seconds = np.asarray(seconds, dtype=np.float64)
         along = start + flight.speed_mps * seconds
         straight = abeam + along[..., None] * np.array([1.0, 0.0, 0.0])
-        return np.asarray(straight + self._gust.displacement(seconds) - self._gust.displacement(self._middle_of_flight))
+        return straight + self._gust.displacement(seconds) - self._gust.displacement(self._middle_of_flight)
 
     def velocity(self, seconds: npt.ArrayLike) -> F64:
         """Platform velocity (m/s, map) at times (s) after the start of the first dwell, shape (..., 3)."""
@@ -227,7 +227,7 @@ class SimulatedFlight:
         pointing = impairments.antenna_swing.pointing(times)
         sensor, antenna = echo_sensor(self.built), self.position(times)
         echoes = simulate_dwell(sensor, surface, amplitudes, antenna, reference, since, pointing)
-        return np.asarray(echoes * np.exp(1j * impairments.dwell_phase(len(times)))[:, None])
+        return echoes * np.exp(1j * impairments.dwell_phase(len(times)))[:, None]
 
     def _block(self, dwell: int, times: F64, reference: F64, _: np.random.Generator) -> Complex:
         """Noise-free phase history of a stripmap block, whose speckle is that of the ground."""

@@ -48,7 +48,7 @@ def response(omega: F64) -> F64:
     """Amplitude of the aircraft's velocity over that of the gust."""
     lag = 1 / np.hypot(1, RESPONSE_TIME * omega)
     held = omega**2 / np.hypot(TRACK_BANDWIDTH**2 - omega**2, 2 * DAMPING * TRACK_BANDWIDTH * omega)
-    return np.asarray(lag * held)
+    return lag * held
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class GustMotion:
         """Sum of harmonics whose amplitudes are multiplied by a power of omega, `lead` rad ahead of the velocity's."""
         turn = np.asarray(seconds, dtype=np.float64)[..., None] * self.omega
         wave = np.cos(turn[..., None] + self.phase + lead)
-        return np.asarray(np.einsum("...ha,ha->...a", wave, self.amplitude * self.omega[:, None] ** float(power)))
+        return np.einsum("...ha,ha->...a", wave, self.amplitude * self.omega[:, None] ** float(power))
 
 
 def gust_motion(gust: float, speed: float, rng: np.random.Generator) -> GustMotion:

@@ -58,7 +58,7 @@ class RangeSawtooth:
     def response(self, frequency: F64) -> F64:
         """Amplitude at frequencies in cycles per range cell."""
         tooth = self.teeth * frequency
-        return np.asarray(1 + self.depth * 2 * (tooth - np.floor(tooth + 0.5)))
+        return 1 + self.depth * 2 * (tooth - np.floor(tooth + 0.5))
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class RangeTaper:
 
         edges = np.linspace(-self.band_share / 2, self.band_share / 2, TAPER_NODES)
         weights = windows.taylor(TAPER_NODES, nbar=5, sll=self.sidelobe_db, norm=True)
-        return np.asarray(np.interp(frequency, edges, weights, left=0.0, right=0.0))
+        return np.interp(frequency, edges, weights, left=0.0, right=0.0)
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class AntennaSwing:
     def pointing(self, seconds: npt.ArrayLike) -> F64:
         """Angle (rad) by which the beams point ahead at times (s) after the start of the first dwell."""
         turn = 2 * np.pi * np.asarray(seconds, dtype=np.float64) / self.period_s + self.phase_rad
-        return np.asarray(self.amplitude_rad * np.sin(turn))
+        return self.amplitude_rad * np.sin(turn)
 
 
 STEADY = AntennaSwing(amplitude_rad=0.0, period_s=1.0)
@@ -207,7 +207,7 @@ def through_receivers(clean: Complex, sensor: Sensor, impairments: Impairments) 
     matrix = sensor.mixing if sensor.matrix_in_antenna else np.eye(sensor.detector_count)
     arriving = np.tensordot(matrix, clean, axes=1)
     change = (impairments.receiver_response(sensor) - 1)[:, None] * arriving + impairments.spur(sensor)[:, None]
-    return np.asarray(clean + np.tensordot(np.linalg.inv(matrix), change, axes=1))
+    return clean + np.tensordot(np.linalg.inv(matrix), change, axes=1)
 
 
 def pointing_rotation(pointing: F64, sensor: Sensor) -> F64:
@@ -217,4 +217,4 @@ def pointing_rotation(pointing: F64, sensor: Sensor) -> F64:
     squint y - pointing.
     """
     boresight = look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
-    return np.asarray(Rotation.from_rotvec(pointing[..., None] * np.cross(boresight, FORWARD)).as_matrix())
+    return Rotation.from_rotvec(pointing[..., None] * np.cross(boresight, FORWARD)).as_matrix()

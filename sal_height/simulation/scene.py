@@ -93,7 +93,7 @@ class Scene:
 
     def _interpolate(self, values: F64, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
         table = RegularGridInterpolator((self.north, self.east), values, bounds_error=False, fill_value=np.nan)
-        return np.asarray(table(np.stack(np.broadcast_arrays(north, east), axis=-1)))
+        return table(np.stack(np.broadcast_arrays(north, east), axis=-1))
 
     @cached_property
     def reference_height(self) -> float:
@@ -273,7 +273,7 @@ def _terrain_scatterers(
 
     def along(values: F64) -> F64:
         start, end = values[strip, node], values[strip, node + 1]
-        return np.asarray(start + (end - start) * fraction)
+        return start + (end - start) * fraction
 
     layers = scene.extent * ((np.arange(LAYERS) + 0.5) / LAYERS - 0.5) if scene.extent else np.zeros(1)
     heights = along(height) + layers[:, None]

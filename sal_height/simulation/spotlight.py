@@ -63,9 +63,7 @@ def simulate_dwell(
         delay = np.linalg.norm(surface.positions_after(second) - position, axis=-1) - reference
         strengths = weighted * np.exp(-1j * sensor.centre_wavenumber * delay)
         phase = sensor.wavenumber_step * delay
-        return np.asarray(
-            finufft.nufft1d1(phase, strengths, sensor.sample_count, isign=-1, eps=NUFFT_TOLERANCE, nthreads=1)
-        )
+        return finufft.nufft1d1(phase, strengths, sensor.sample_count, isign=-1, eps=NUFFT_TOLERANCE, nthreads=1)
 
     samples = np.empty((sensor.detector_count, len(antenna), sensor.sample_count), dtype=np.complex128)
     with ThreadPoolExecutor() as pool:

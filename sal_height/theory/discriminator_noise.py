@@ -64,17 +64,17 @@ def cnr_sum_of(cnr_detector: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLik
 def cnr_detector_of(cnr_sum: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
     """The inverse of `cnr_sum_of`: infinite where the sum channel sees nothing."""
     with np.errstate(divide="ignore"):
-        return np.asarray(np.asarray(cnr_sum) / _sum_gain(pair, elevation, squint))
+        return np.asarray(cnr_sum) / _sum_gain(pair, elevation, squint)
 
 
 def _sum_gain(pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
     response = pair.response(elevation, squint)
-    return np.asarray(np.abs(response.sum(axis=-1)) ** 2 / 2 / straight_power(pair))
+    return np.abs(response.sum(axis=-1)) ** 2 / 2 / straight_power(pair)
 
 
 def steady_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> F64:
     """Mean of one look at a target of constant brightness: kappa (1 - exp(-x)) (Kanter 1977). Broadcasts."""
-    return np.asarray(-np.asarray(kappa) * np.expm1(-np.asarray(cnr_sum)))
+    return -np.asarray(kappa) * np.expm1(-np.asarray(cnr_sum))
 
 
 def steady_looks_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike, looks: npt.ArrayLike) -> F64:
@@ -85,13 +85,13 @@ def steady_looks_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike, looks: npt.A
     many: kappa C / (C + 1), so that looks make the bias worse. Broadcasts.
     """
     kappa, cnr_sum, looks = np.asarray(kappa), np.asarray(cnr_sum), np.asarray(looks)
-    return np.asarray(kappa * cnr_sum * hyp1f1(1, looks + 1, -looks * cnr_sum))
+    return kappa * cnr_sum * hyp1f1(1, looks + 1, -looks * cnr_sum)
 
 
 def gaussian_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> F64:
     """Mean for a fluctuating (complex Gaussian) target: kappa C / (C + 1), for any number of looks. Broadcasts."""
     kappa, cnr_sum = np.asarray(kappa), np.asarray(cnr_sum)
-    return np.asarray(kappa * cnr_sum / (cnr_sum + 1))
+    return kappa * cnr_sum / (cnr_sum + 1)
 
 
 @dataclass(frozen=True)
@@ -110,15 +110,15 @@ class StudentLaw:
 
     def pdf(self, mu: npt.ArrayLike) -> F64:
         """Probability density; broadcasts."""
-        return np.asarray(t.pdf(mu, 2 * self.looks, self.centre, self.scale))
+        return t.pdf(mu, 2 * self.looks, self.centre, self.scale)
 
     def cdf(self, mu: npt.ArrayLike) -> F64:
         """Probability of less than `mu`; broadcasts."""
-        return np.asarray(t.cdf(mu, 2 * self.looks, self.centre, self.scale))
+        return t.cdf(mu, 2 * self.looks, self.centre, self.scale)
 
     def quantile(self, share: npt.ArrayLike) -> F64:
         """The value that the `share` (0 to 1) lies below; broadcasts."""
-        return np.asarray(t.ppf(share, 2 * self.looks, self.centre, self.scale))
+        return t.ppf(share, 2 * self.looks, self.centre, self.scale)
 
     @property
     def std(self) -> float:
@@ -169,7 +169,7 @@ class SteadyLaw:
         radius, off = np.hypot(mu, 1), mu - self.kappa
         a, b = (np.sqrt(self.cnr_sum / 2) * np.abs(radius + sign * off) / radius for sign in (1, -1))
         below = np.where(b > 0, ncx2.sf(b**2, 2, a**2), 1.0)
-        return np.asarray(below - (radius - mu) / (2 * radius) * np.exp(-((a - b) ** 2) / 2) * i0e(a * b))
+        return below - (radius - mu) / (2 * radius) * np.exp(-((a - b) ** 2) / 2) * i0e(a * b)
 
     def quantile(self, share: float) -> float:
         """The value that the `share` (0 to 1) lies below, to 1e-12."""
@@ -205,4 +205,4 @@ class SteadyMlLaw(SteadyLaw):
         coefficient = np.pi * power / 4 * bessel**2
         truth, angle = np.arctan(self.kappa), np.arctan(np.asarray(mu, dtype=np.float64))[..., None]
         turned = np.sin(2 * order * (angle - truth)) - np.sin(2 * order * (-np.pi / 2 - truth))
-        return np.asarray(0.5 + angle[..., 0] / np.pi + np.sum(coefficient / order * turned, axis=-1) / np.pi)
+        return 0.5 + angle[..., 0] / np.pi + np.sum(coefficient / order * turned, axis=-1) / np.pi

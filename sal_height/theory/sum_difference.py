@@ -28,7 +28,7 @@ def hybrid_gain(coupling: npt.ArrayLike, loss: npt.ArrayLike) -> F64:
         coupling: c, amplitude ratio.
         loss: L, power ratio, 1 or more.
     """
-    return np.asarray(2 * np.asarray(coupling) ** 2 / np.asarray(loss))
+    return 2 * np.asarray(coupling) ** 2 / np.asarray(loss)
 
 
 def synthesise(pulses: C128, phase: F64) -> C128:
@@ -37,7 +37,7 @@ def synthesise(pulses: C128, phase: F64) -> C128:
     Linear and the same for every channel, hence it may come before or after the forming of sum and difference. The
     estimate of gamma is not linear and must come last.
     """
-    return np.asarray(np.sum(pulses * np.exp(-1j * phase), axis=-1))
+    return np.sum(pulses * np.exp(-1j * phase), axis=-1)
 
 
 def crossover_slope(pattern: Pattern, separation: float, beamwidth: float) -> float:

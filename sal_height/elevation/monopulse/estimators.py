@@ -102,7 +102,7 @@ def total_least_squares(sum_power: F64, difference_power: F64, cross_power: C128
     tan(1/2 atan2(2 |R_DS|, R_SS - R_DD)), its phase that of R_DS. Needs equal noise in Sigma and Delta, not its value.
     """
     modulus = np.tan(np.arctan2(2 * np.abs(cross_power), sum_power - difference_power) / 2)
-    return np.asarray(modulus * np.cos(np.angle(cross_power)))
+    return modulus * np.cos(np.angle(cross_power))
 
 
 DISCRIMINANTS: dict[str, Estimator] = {
@@ -134,7 +134,7 @@ def discriminate(sums: Products, estimator: Estimator, noise_powers: NoisePowers
         estimate = estimator(
             even.sum_power, even.difference_power, even.cross_power.astype(np.complex128), sums.count * noise_powers[0]
         )
-    return np.asarray(estimate / scale)
+    return estimate / scale
 
 
 def whitened_products(sums: Products, noise_powers: NoisePowers) -> tuple[Products, float]:
@@ -187,7 +187,7 @@ def discriminator_variance(gamma: npt.ArrayLike, energy: npt.ArrayLike, noise_po
         noise_powers: of Sigma and Delta.
     """
     gamma, energy = np.asarray(gamma), np.asarray(energy)
-    return np.asarray((noise_powers[1] + gamma**2 * noise_powers[0]) / (2 * energy))
+    return (noise_powers[1] + gamma**2 * noise_powers[0]) / (2 * energy)
 
 
 def products_variance(
@@ -206,4 +206,4 @@ def products_variance(
         noise_powers: of Sigma and Delta.
     """
     over_noise = np.asarray(energy) * (1 / noise_powers[0] + np.asarray(gamma) ** 2 / noise_powers[1])
-    return np.asarray(discriminator_variance(gamma, energy, noise_powers) * (1 + np.asarray(count) / over_noise))
+    return discriminator_variance(gamma, energy, noise_powers) * (1 + np.asarray(count) / over_noise)

@@ -176,7 +176,7 @@ def moving_squint(squint: npt.ArrayLike, radial_velocity: npt.ArrayLike, speed: 
         radial_velocity: v_r of the target, m/s, positive if it recedes.
         speed: v of the platform, m/s.
     """
-    return np.asarray(np.asarray(squint) + np.asarray(radial_velocity) / np.asarray(speed))
+    return np.asarray(squint) + np.asarray(radial_velocity) / np.asarray(speed)
 
 
 def _ratio(amplitude: F64) -> F64:
@@ -189,7 +189,7 @@ def _ratio_slope(amplitude: F64, derivative: F64) -> F64:
     with np.errstate(divide="ignore", invalid="ignore"):
         total = np.sum(amplitude, axis=-1, keepdims=True)
         (lower, upper), (lower_slope, upper_slope) = (np.moveaxis(f / total, -1, 0) for f in (amplitude, derivative))
-        return np.asarray(2 * np.real(upper_slope * lower - upper * lower_slope))
+        return 2 * np.real(upper_slope * lower - upper * lower_slope)
 
 
 def _margin(pair: Beams, elevation: F64, squint: F64, phase: F64) -> F64:
@@ -248,7 +248,7 @@ def _domain(stack: Beams, squint: F64) -> tuple[F64, F64]:
 def _on_axis(pair: Beams, place: F64, squint: F64) -> F64:
     """Elevation (rad) of the direction at `squint` that has its `place` (rad from nadir) along the detector axis."""
     middle = pair.axis_middle
-    return np.asarray(middle + (place - middle - squint * math.sin(pair.rotation)) / math.cos(pair.rotation))
+    return middle + (place - middle - squint * math.sin(pair.rotation)) / math.cos(pair.rotation)
 
 
 def _known(pair: Beams, squint: F64) -> tuple[F64, F64]:
@@ -292,7 +292,7 @@ def _ends(stack: Beams, squint: F64, crossing: F64, direction: F64) -> F64:
 
 
 def _sum_phase(pair: Beams, elevation: F64, squint: F64) -> F64:
-    return np.asarray(np.angle(np.sum(pair.response(elevation, squint), axis=-1)))
+    return np.angle(np.sum(pair.response(elevation, squint), axis=-1))
 
 
 def _table(stack: Beams, squint: F64) -> _Table:
@@ -379,7 +379,7 @@ def invert_linear(pair: Beams, gamma: npt.ArrayLike, squint: npt.ArrayLike) -> I
 def equisignal_elevation(pair: Beams, squint: F64) -> F64:
     """Elevation (rad) at `squint` of the direction as far along the detector axis from one beam as from the other."""
     seen = squint + np.average(pair.aspects, weights=pair.weights)
-    return np.asarray(np.mean(pair.boresights) - seen * np.tan(pair.rotation))
+    return np.mean(pair.boresights) - seen * np.tan(pair.rotation)
 
 
 def inversion_between(elevation: F64, slope: F64, gamma: F64, ends: tuple[float, float], exists: Bool) -> Inversion:

@@ -263,7 +263,7 @@ def patch_centres(sensor: Sensor, aperture: ApertureState, grid: Grid) -> F64:
     width = 2 * patch_half_width(sensor) * azimuth_resolution(sensor, aperture, slant_range)
     rows = _spread(grid.rows, max(1, round(grid.rows * grid.row_spacing / row_step)))
     patches = _spread(grid.cols, int(np.ceil(grid.cols * grid.col_spacing / width)))
-    return np.asarray(grid.points(rows[:, None], patches))
+    return grid.points(rows[:, None], patches)
 
 
 def _spread(pixels: int, count: int) -> F64:
@@ -286,19 +286,19 @@ def _rms(values: F64) -> float:
 
 
 def _turned(responses: C128, phase: F64) -> C128:
-    return np.asarray(responses * np.exp(-1j * phase))
+    return responses * np.exp(-1j * phase)
 
 
 def _neighbour_products(responses: C128) -> C128:
     """Sum over all but the pulses of conj(g(t)) g(t+1), shape (pulses - 1,)."""
     flat = responses.reshape(-1, responses.shape[-1])
-    return np.asarray(np.einsum("gt,gt->t", flat[:, :-1].conj(), flat[:, 1:]))
+    return np.einsum("gt,gt->t", flat[:, :-1].conj(), flat[:, 1:])
 
 
 def _picture(responses: C128, half_width: int) -> F64:
     """Power of the azimuth cells around points, summed over the detectors, shape (points, 2 half_width + 1)."""
     power = np.sum(np.abs(np.fft.fft(responses)) ** 2, axis=0)
-    return np.asarray(np.roll(power, half_width, axis=-1)[:, : 2 * half_width + 1])
+    return np.roll(power, half_width, axis=-1)[:, : 2 * half_width + 1]
 
 
 def _sharpness(responses: C128, half_width: int) -> float:
@@ -315,14 +315,14 @@ def _centred_targets(responses: C128, half_width: int) -> C128:
     bright = picture.max(axis=-1) > BRIGHT_TARGET * np.median(picture)
     cell = picture[bright].argmax(axis=-1) - half_width
     pulses = responses.shape[-1]
-    return np.asarray(responses[:, bright] * np.exp(-2j * np.pi / pulses * cell[:, None] * np.arange(pulses)))
+    return responses[:, bright] * np.exp(-2j * np.pi / pulses * cell[:, None] * np.arange(pulses))
 
 
 def _windowed(responses: C128, width: float) -> C128:
     """Responses of what lies within `width` azimuth cells around the middle."""
     pulses = responses.shape[-1]
     near = np.abs(np.fft.fftfreq(pulses, 1 / pulses)) <= width / 2
-    return np.asarray(np.fft.ifft(np.fft.fft(responses) * near))
+    return np.fft.ifft(np.fft.fft(responses) * near)
 
 
 def _against_others(targets: C128) -> tuple[F64, float]:

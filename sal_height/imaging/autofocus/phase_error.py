@@ -18,7 +18,7 @@ def detrended(phase: F64) -> F64:
     """The phase without its mean and its linear trend: the least-squares line, every pulse counting the same."""
     time = np.linspace(-1.0, 1.0, len(phase))
     level = phase - phase.mean()
-    return np.asarray(level - time * (time @ level) / (time @ time))
+    return level - time * (time @ level) / (time @ time)
 
 
 def without_shift(phase: F64) -> F64:

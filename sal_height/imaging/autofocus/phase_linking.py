@@ -102,7 +102,7 @@ def beam_coherence(sensor: Sensor, antenna: F64, centre: F64) -> C128:
     points = centre + along[:, None] * (flight / np.linalg.norm(flight))
     farther = np.linalg.norm(points - antenna[:, None], axis=-1) - np.linalg.norm(centre - antenna, axis=-1)[:, None]
     waves = np.sqrt(power / power.sum()) * np.exp(-1j * sensor.centre_wavenumber * farther)
-    return np.asarray(waves @ waves.conj().T)
+    return waves @ waves.conj().T
 
 
 def signal_modes(responses: C128, noise_power: F64) -> tuple[C128, F64]:
@@ -175,4 +175,4 @@ def _inverse_without_trend(information: F64) -> F64:
     pulses = len(information)
     trend = np.stack([np.ones(pulses), np.linspace(-1.0, 1.0, pulses)], axis=1)
     rest = np.linalg.qr(trend, mode="complete")[0][:, 2:]
-    return np.asarray(rest @ np.linalg.inv(rest.T @ information @ rest) @ rest.T)
+    return rest @ np.linalg.inv(rest.T @ information @ rest) @ rest.T

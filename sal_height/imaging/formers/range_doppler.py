@@ -207,7 +207,7 @@ def _migration(distance: float, doppler: F64, wavenumber: F64, central: float) -
     """
     square = doppler[:, None] ** 2
     phase = square / (wavenumber + np.sqrt(wavenumber**2 - square)) - square / (central + np.sqrt(central**2 - square))
-    return np.asarray(-distance * phase)
+    return -distance * phase
 
 
 def _azimuth_filters(

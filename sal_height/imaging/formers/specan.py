@@ -142,7 +142,7 @@ def _distances(points: F64, antenna: F64) -> F64:
     x *= x
     x += y * y
     x += z * z
-    return np.asarray(np.sqrt(x, out=x))
+    return np.sqrt(x, out=x)
 
 
 def _rows(antenna: F64, grid: Grid) -> tuple[F64, F64]:

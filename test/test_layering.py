@@ -12,7 +12,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "sal_height"
 LAYERS = (
     ("errors",),
-    ("numeric", "io"),
+    ("numeric", "io", "settings"),
     ("geometry", "response"),
     ("beams",),
     ("sensor", "elevation"),

@@ -25,6 +25,7 @@ from sal_height.messages.frames import (
 )
 from sal_height.messages.heights import field_from_message, height_picture, height_points, height_to_message
 from sal_height.messages.images import check_slc, slc_from_messages, slc_to_messages
+from sal_height.messages.provenance import as_json, derived, recorded
 from sal_height.messages.relief import relief_picture, relief_points, relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 
@@ -32,11 +33,13 @@ __all__ = [
     "LONGEST_DWELL",
     "MAP_FRAME",
     "aperture_from_message",
+    "as_json",
     "calibration_from_message",
     "calibration_to_message",
     "check_frame",
     "check_slc",
     "complex_view",
+    "derived",
     "field_from_message",
     "float_view",
     "grid_from_message",
@@ -45,6 +48,7 @@ __all__ = [
     "height_to_message",
     "history_from_messages",
     "history_to_messages",
+    "recorded",
     "relief_picture",
     "relief_points",
     "relief_to_message",

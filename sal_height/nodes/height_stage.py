@@ -29,7 +29,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.imaging import image_beams
 from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
-from sal_height.nodes.parameters import derived, parameter, recorded
+from sal_height.nodes.parameters import parameter
 from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.numeric import C64, C128, F64, WINDOWS, Index
 from sal_height.relief import height_field
@@ -90,7 +90,7 @@ def processed_beams(sensor: Sensor, provenance: str) -> Beams:
     """
     if sensor.mode == "spotlight":
         return sensor.beams
-    window = recorded(provenance, "sar_compression", "azimuth_window")
+    window = messages.recorded(provenance, "sar_compression", "azimuth_window")
     return image_beams(sensor, window if isinstance(window, str) and window in WINDOWS else "rectangular")
 
 
@@ -182,7 +182,7 @@ class HeightStage(DwellStage):
             estimate = without_saturated(estimate)
             self.ignore("saturated", UserError(f"Dwell {images[0].dwell}: {_saturated(share, parameters)}"))
         field = height_field(estimate, looks, slc_grid, grid, aperture, sensor.look_side, velocity)
-        provenance = derived(before, self.get_name(), parameters)
+        provenance = messages.derived(before, self.get_name(), parameters)
         number_of_looks = (parameters.range_looks, parameters.azimuth_looks)
         image = messages.height_to_message(field, aperture, number_of_looks, self.estimator, images[0], provenance)
         self._image.publish(messages.height_picture(image))

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import Provenance
 
-from sal_height import __version__
 from sal_height.errors import UserError
 
 Table = TypeVar("Table")
@@ -72,40 +69,6 @@ def declare_parameters(node: Node, table: type[Table]) -> None:
 def read_parameters(node: Node, table: type[Table]) -> Table:
     """Current values of the parameters that `declare_parameters` declared."""
     return table(**{field.name: node.get_parameter(field.name).value for field in dataclasses.fields(table)})  # type: ignore[arg-type]
-
-
-def as_json(stage: str, values: Any, before: str = "{}") -> str:
-    """Provenance.parameters: the object `before` with the parameters of `stage` added.
-
-    What is no JSON object (somebody else's words) is kept under "before".
-    """
-    try:
-        stages = json.loads(before or "{}")
-    except ValueError:
-        stages = before
-    if not isinstance(stages, dict):
-        stages = {"before": stages}
-    return json.dumps(stages | {stage: dataclasses.asdict(values)}, sort_keys=True)
-
-
-def derived(before: Provenance, stage: str, values: Any) -> Provenance:
-    """Provenance of what `stage` with these parameters made of a product with the provenance `before`."""
-    return Provenance(
-        code_version=__version__,
-        config_hash=before.config_hash,
-        calibration_id=before.calibration_id,
-        parameters=as_json(stage, values, before.parameters),
-    )
-
-
-def recorded(parameters: str, stage: str, name: str) -> Any:
-    """Value of a parameter of a stage in a Provenance.parameters; None: it is not there."""
-    try:
-        stages = json.loads(parameters)
-    except ValueError:
-        return None
-    values = stages.get(stage) if isinstance(stages, dict) else None
-    return values.get(name) if isinstance(values, dict) else None
 
 
 def _descriptor(field: dataclasses.Field[Any]) -> ParameterDescriptor:

@@ -16,7 +16,7 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
 from sal_height.errors import Rejected, UserError
-from sal_height.nodes.parameters import declare_parameters, derived, parameter, read_parameters
+from sal_height.nodes.parameters import declare_parameters, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, Stage
 from sal_height.relief import check_geotiff, write_geotiff
@@ -164,7 +164,7 @@ class ReliefMapper(Stage):
 
     def _provenance(self, last: HeightImage) -> Provenance:
         """That of the last height image, with the parameters of this node."""
-        return derived(last.provenance, self.get_name(), self._settings)
+        return messages.derived(last.provenance, self.get_name(), self._settings)
 
     def _write(self, path: Path) -> None:
         relief = self._map.relief() if self._map else None

@@ -10,7 +10,7 @@ from sal_height_msgs.msg import HeightImage
 from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
-from sal_height.nodes.parameters import declare_parameters, derived, parameter, read_parameters
+from sal_height.nodes.parameters import declare_parameters, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import Stage
 from sal_height.relief import GATE, ReliefPrior, track
@@ -74,7 +74,7 @@ class ReliefTracker(Stage):
         known = parameters.correlation_length_m or None, parameters.relief_sigma_m or None
         tracked, prior = track(field, aperture, *known, parameters.gate, parameters.along_track)
         recorded = _Recorded(**dataclasses.asdict(parameters), prior=prior)
-        provenance = derived(message.provenance, self.get_name(), recorded)
+        provenance = messages.derived(message.provenance, self.get_name(), recorded)
         looks = message.range_looks, message.azimuth_looks
         image = messages.height_to_message(tracked, aperture, looks, PREFIX, message, provenance)
         self._image.publish(messages.height_picture(image))

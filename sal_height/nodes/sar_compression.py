@@ -20,7 +20,7 @@ from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import FORMERS, Settings, Slc, StripFocuser, focus_dwell
 from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
-from sal_height.nodes.parameters import as_json, parameter
+from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.numeric import F64, WINDOWS
@@ -144,7 +144,7 @@ class SarCompression(DwellStage):
             code_version=__version__,
             config_hash=sensor.config_hash,
             calibration_id=calibration.id if calibration else sensor.calibration_id,
-            parameters=as_json(self.get_name(), parameters),
+            parameters=messages.as_json(self.get_name(), parameters),
             autofocus_phase=slc.autofocus_phase.tolist(),
         )
         shares = np.max([share for _, share in self._blocks], axis=0)

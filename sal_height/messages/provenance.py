@@ -21,6 +21,7 @@ def derived(before: Provenance, stage: str, values: Any) -> Provenance:
         config_hash=before.config_hash,
         calibration_id=before.calibration_id,
         parameters=as_json(stage, values, before.parameters),
+        autofocus_phase=before.autofocus_phase,
     )
 
 

@@ -52,10 +52,9 @@ def node_over_core() -> Iterator[Row]:
     """A dwell through node ml_height, from the images' messages to published heights, against the core's own time."""
     samples = _slc("jinc")
     grid, aperture, sensor = _scene()
-    slc = Slc(samples, grid, aperture, [1.0] * DETECTORS)
-    stamp, shares = messages.to_stamp(0), np.zeros(DETECTORS)
-    frame = DetectorFrame(header=Header(stamp=stamp), dwell=0)
-    images = messages.slc_to_messages(slc, shares, frame, Provenance(config_hash=sensor.config_hash))
+    slc = Slc(samples, grid, aperture, np.ones(DETECTORS), np.zeros(DETECTORS))
+    frame = DetectorFrame(header=Header(stamp=messages.to_stamp(0)), dwell=0)
+    images = messages.slc_to_messages(slc, frame, Provenance(config_hash=sensor.config_hash))
     down, across = blocks(1, LOOKS)
     coarse = look_grid(grid, down, across)
     with Graph() as graph:

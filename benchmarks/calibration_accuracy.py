@@ -72,7 +72,7 @@ def _calibrated(flight: SimulatedFlight) -> Calibration:
     settings = Settings(range_window="rectangular", cols=flight.preset.image.cols)
     for dwell in range(DWELLS):
         slc = focus_dwell(flight.phase_history(dwell), track, sensor, settings)
-        calibrator.add(slc.images, slc.grid, slc.aperture, np.array(slc.noise_power))
+        calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
     return calibrator.calibration()[0]
 
 

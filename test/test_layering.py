@@ -18,6 +18,7 @@ LAYERS = (
     ("sensor", "elevation"),
     ("imaging", "relief", "simulation", "calibration"),
     ("theory",),
+    ("pipeline",),
     ("messages", "figures"),
     ("bag",),
     ("nodes",),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +53,7 @@ class Trajectory:
         """
         if len(states) < 2:
             raise UserError(f"The odometry has {len(states)} samples; 2 or more are needed to interpolate.")
+        self.states = states
         self.epoch_ns = states[0].stamp_ns
         seconds = np.array([(s.stamp_ns - self.epoch_ns) * 1e-9 for s in states])
         if not np.all(np.diff(seconds) > 0):
@@ -65,6 +67,17 @@ class Trajectory:
         )
         self._attitude = Slerp(seconds, Rotation.from_quat(np.array([s.orientation for s in states])))
         self._covariance = [s.covariance for s in states]
+
+    def between(self, start_ns: int, end_ns: int) -> Trajectory:
+        """The track from the last state at or before `start_ns` to the first at or after `end_ns`, if it has them."""
+        stamps = [state.stamp_ns for state in self.states]
+        first = max(0, bisect.bisect_right(stamps, start_ns) - 1)
+        return Trajectory(self.states[first : bisect.bisect_left(stamps, end_ns) + 1])
+
+    def followed_by(self, later: Trajectory) -> Trajectory:
+        """This track up to the first state of `later`, and `later` from there on."""
+        before = bisect.bisect_left(self.states, later.epoch_ns, key=lambda state: state.stamp_ns)
+        return Trajectory([*self.states[:before], *later.states])
 
     def _offsets(self, stamp_ns: int, seconds_after: F64) -> F64:
         """Times relative to the epoch.

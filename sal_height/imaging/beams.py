@@ -16,11 +16,12 @@ ASPECTS = 8
 
 
 def image_beams(sensor: Sensor, azimuth_window: str) -> Beams:
-    """The beams as a stripmap image has them: their mean over the aspects under which a target is processed.
+    """The beams as images have them: in spotlight those of the sensor, in stripmap their mean over a target's aspects.
 
-    At its peak a target has in every detector the mean of the pattern along its passage, weighted by the window (SAL
-    paper, section 4). Where the pattern does not separate into one across and one along the flight, as that of a round
-    aperture or with the detector axis turned, the ratios of detectors are not those of one direction.
+    At its peak a target of a stripmap image has in every detector the mean of the pattern along its passage, weighted
+    by the window (SAL paper, section 4). Where the pattern does not separate into one across and one along the flight,
+    as that of a round aperture or with the detector axis turned, the ratios of detectors are not those of one
+    direction.
 
     Scaled so that a detector looking straight at the target's elevation has the amplitude 1, as the CNRs of images
     refer to it. Beams that separate stay as they are.
@@ -36,6 +37,8 @@ def image_beams(sensor: Sensor, azimuth_window: str) -> Beams:
     Raises:
         UserError: there is no window of that name.
     """
+    if sensor.mode == "spotlight":
+        return sensor.beams
     processing = Processing(azimuth_window=azimuth_window, angle=processed_angle(sensor))
     nodes, weights = np.polynomial.legendre.leggauss(ASPECTS)
     aspects = processing.angle / 2 * nodes

@@ -59,7 +59,7 @@ class Settings:
     autofocus: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Slc:
     """Single-look complex images of all detectors.
 
@@ -67,14 +67,19 @@ class Slc:
         images: complex64, shape (detectors, rows, cols).
         grid: pixels.
         aperture: state of the platform in the middle of the aperture, or of the strip's image.
-        noise_power: E|n|^2 of a pixel of each detector.
-        focus: what autofocus found; None: not asked for.
+        noise_power: E|n|^2 of a pixel of each channel, shape (channels,).
+        saturated_share: greatest share of clipped samples in each channel in the dwells that the images are made of,
+            shape (channels,).
+        azimuth_window: over the synthetic aperture, a name of `windows.WINDOWS`.
+        focus: what autofocus found; None: it was not asked for.
     """
 
     images: C64
     grid: Grid
     aperture: ApertureState
-    noise_power: list[float]
+    noise_power: F64
+    saturated_share: F64
+    azimuth_window: str = "rectangular"
     focus: Focus | None = None
 
     @property
@@ -109,7 +114,8 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
         history = apply_phase(history, focus.phase)
     check_doppler_centroid(history, antenna, sensor, aperture, grid)
     images = former(history, antenna, sensor, processing, grid)
-    return Slc(images, grid, aperture, slc_noise_power(sensor, processing, len(antenna)), focus)
+    noise_power = slc_noise_power(sensor, processing, len(antenna))
+    return Slc(images, grid, aperture, noise_power, history.shares.max(axis=1), settings.azimuth_window, focus)
 
 
 def _dwell_grid(
@@ -127,20 +133,13 @@ def _dwell_grid(
 
 
 class StripFocuser:
-    """Images of a strip, as its blocks come; holds the pulses that the next ones need."""
+    """Images of a strip, as its blocks come; holds the pulses, and their track, that the next ones need."""
 
     def __init__(self) -> None:
         """Begin without a strip."""
         self._strip: Strip | None = None
+        self._track: Trajectory | None = None
         self._settings = Settings()
-
-    def needs_track_from(self, history: PhaseHistory, sensor: Sensor) -> int:
-        """Stamp (ns) of the first pulse that is needed with a block: the first held if the block goes on, or its own.
-
-        What is held of an earlier strip may be so old that its odometry is gone.
-        """
-        strip = self._strip
-        return strip.history.stamp_ns if strip and follows(history, strip, sensor) else history.stamp_ns
 
     def focus_block(self, history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: Settings) -> Slc | None:
         """Images of the columns that a block completes, a multiple of the settings' `cols`; None: not that many yet.
@@ -150,7 +149,7 @@ class StripFocuser:
 
         Args:
             history: of all detectors, as fast-time frequencies.
-            track: of the platform, from the first pulse needed (`needs_track_from`) to the block's last.
+            track: of the platform, from the first pulse of the block to its last.
             sensor: with waveform "spectrum".
             settings: what image is wanted.
 
@@ -164,6 +163,7 @@ class StripFocuser:
                 "set; stripmap allows only slant and false."
             )
         processing = Processing(settings.range_window, settings.azimuth_window, processed_angle(sensor))
+        track = self._track_with_held_pulses(history, track, sensor)
         antenna = track.positions(history.stamp_ns, history.pulse_times)
         aperture = track.aperture(history.stamp_ns, history.pulse_times)
         reference = float(history.reference_range[len(antenna) // 2])
@@ -187,7 +187,7 @@ class StripFocuser:
         drifted = abs(drift(strip)) > GREATEST_DRIFT * sensor.range_window
         if drifted or abs(turn(strip, sensor, aperture)) > GREATEST_TURN * sensor.beamwidth:
             strip = lay_anew(strip, lattice, processing)
-        self._strip, self._settings = strip, settings
+        self._strip, self._track, self._settings = strip, track, settings
         cols = complete_columns(strip, processing) // lattice.cols * lattice.cols
         if not cols:
             return None
@@ -198,5 +198,14 @@ class StripFocuser:
         abeam = track.aperture(strip.history.stamp_ns, around)
         length = aperture_length(sensor, reference)
         pulses = round(length * len(antenna) / aperture.length)
-        noise = slc_noise_power(sensor, processing, pulses)
-        return Slc(images, grid, replace(abeam, length=length, sliding=True), noise)
+        noise_power = slc_noise_power(sensor, processing, pulses)
+        shares = strip.history.shares.max(axis=1)
+        abeam = replace(abeam, length=length, sliding=True)
+        return Slc(images, grid, abeam, noise_power, shares, settings.azimuth_window)
+
+    def _track_with_held_pulses(self, history: PhaseHistory, track: Trajectory, sensor: Sensor) -> Trajectory:
+        """The track of a block, from the first pulse that the strip holds on if the block continues the strip."""
+        if self._strip is None or self._track is None or not follows(history, self._strip, sensor):
+            return track
+        first_ns = self._strip.history.stamp_ns
+        return self._track.followed_by(track).between(first_ns, history.stamp_of_last_pulse_ns)

@@ -19,8 +19,8 @@ def azimuth_resolution(sensor: Sensor, aperture: ApertureState, slant_range: flo
     return sensor.wavelength * slant_range / (2 * aperture.length)
 
 
-def slc_noise_power(sensor: Sensor, processing: Processing, pulses: int) -> list[float]:
-    """E|n|^2 of an SLC pixel of each channel: that of a sample, averaged over all, raised by the windows.
+def slc_noise_power(sensor: Sensor, processing: Processing, pulses: int) -> F64:
+    """E|n|^2 of an SLC pixel of each channel, shape (channels,): the mean of its samples' noise, raised by the windows.
 
     Args:
         sensor: noise powers and frequencies.
@@ -28,8 +28,7 @@ def slc_noise_power(sensor: Sensor, processing: Processing, pulses: int) -> list
         pulses: that a pixel is made of.
     """
     gain = noise_gain(processing.range_weights(sensor.sample_count)) * noise_gain(processing.azimuth_weights(pulses))
-    powers = np.diag(sensor.noise_covariance).real.tolist()
-    return [gain / (pulses * sensor.sample_count) * power for power in powers]
+    return gain / (pulses * sensor.sample_count) * np.diag(sensor.noise_covariance).real
 
 
 def slant_plane_size(

@@ -144,6 +144,7 @@ def extend_strip(strip: Strip, history: PhaseHistory, antenna: F64) -> Strip:
             pulse_times=np.concatenate([held.pulse_times, later]),
             reference_range=np.concatenate([held.reference_range, history.reference_range]),
             samples=np.concatenate([held.samples, history.samples], axis=1),
+            saturated_share=np.concatenate([held.shares, history.shares], axis=1),
         ),
         antenna=np.concatenate([strip.antenna, antenna]),
     )
@@ -198,6 +199,7 @@ def next_image(strip: Strip, cols: int, processing: Processing) -> tuple[Grid, S
         pulse_times=strip.history.pulse_times[held] - dropped_ns * 1e-9,
         reference_range=strip.history.reference_range[held],
         samples=strip.history.samples[:, held].copy(),
+        saturated_share=strip.history.shares[:, held],
     )
     return grid, Strip(history, strip.antenna[held], lattice)
 

@@ -24,8 +24,8 @@ from sal_height.messages.frames import (
     state_to_message,
 )
 from sal_height.messages.heights import field_from_message, height_picture, height_points, height_to_message
-from sal_height.messages.images import check_slc, slc_from_messages, slc_to_messages
-from sal_height.messages.provenance import as_json, derived, recorded
+from sal_height.messages.images import check_slc, recorded_azimuth_window, slc_from_messages, slc_to_messages
+from sal_height.messages.provenance import as_json, derived
 from sal_height.messages.relief import relief_picture, relief_points, relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 
@@ -48,7 +48,7 @@ __all__ = [
     "height_to_message",
     "history_from_messages",
     "history_to_messages",
-    "recorded",
+    "recorded_azimuth_window",
     "relief_picture",
     "relief_points",
     "relief_to_message",

@@ -9,7 +9,6 @@ from sal_height_msgs import msg as messages
 from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
-from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging import Slc
 from sal_height.messages.basics import (
     MAP_FRAME,
@@ -22,14 +21,15 @@ from sal_height.messages.basics import (
     grid_to_message,
     to_floats,
 )
-from sal_height.numeric import C64, F64
+from sal_height.messages.provenance import recorded
+from sal_height.numeric import WINDOWS
 from sal_height.sensor import Sensor
 
 
 def slc_to_messages(
-    slc: Slc, saturated_shares: F64, frame: messages.DetectorFrame, provenance: messages.Provenance
+    slc: Slc, frame: messages.DetectorFrame, provenance: messages.Provenance
 ) -> list[messages.ComplexImage]:
-    """One ComplexImage per detector, with the stamp and dwell of `frame`; shares as of `saturation`."""
+    """One ComplexImage per channel, with the stamp and dwell of `frame`."""
     return [
         messages.ComplexImage(
             header=Header(stamp=frame.header.stamp, frame_id=MAP_FRAME),
@@ -37,8 +37,8 @@ def slc_to_messages(
             detector=detector,
             grid=grid_to_message(slc.grid),
             aperture=aperture_to_message(slc.aperture),
-            noise_power=slc.noise_power[detector],
-            saturated_share=float(saturated_shares[detector]),
+            noise_power=float(slc.noise_power[detector]),
+            saturated_share=float(slc.saturated_share[detector]),
             samples=to_floats(image),
             provenance=provenance,
         )
@@ -68,8 +68,11 @@ def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
     check_geometry(image.grid, image.aperture, where)
 
 
-def slc_from_messages(images: Sequence[messages.ComplexImage]) -> tuple[C64, Grid, ApertureState, F64]:
-    """Images (detectors, rows, cols), grid, aperture and noise powers of the checked images of all detectors.
+def slc_from_messages(images: Sequence[messages.ComplexImage]) -> Slc:
+    """The images of all channels of a dwell, which `check_slc` has passed.
+
+    The azimuth window is that which the provenance records of sar_compression; rectangular if it names none that is
+    known. What autofocus found is not in the messages.
 
     Raises:
         Rejected: the detectors disagree on grid or aperture.
@@ -83,5 +86,17 @@ def slc_from_messages(images: Sequence[messages.ComplexImage]) -> tuple[C64, Gri
                 f"{first.detector}; all must share them.",
             )
     grid = grid_from_message(first.grid)
-    slc = np.stack([complex_view(image.samples, grid.shape) for image in images])
-    return slc, grid, aperture_from_message(first.aperture), np.array([image.noise_power for image in images])
+    return Slc(
+        images=np.stack([complex_view(image.samples, grid.shape) for image in images]),
+        grid=grid,
+        aperture=aperture_from_message(first.aperture),
+        noise_power=np.array([image.noise_power for image in images]),
+        saturated_share=np.array([image.saturated_share for image in images]),
+        azimuth_window=recorded_azimuth_window(first.provenance),
+    )
+
+
+def recorded_azimuth_window(provenance: messages.Provenance) -> str:
+    """Azimuth window that images were made with, as their provenance records it; rectangular if it names none known."""
+    name = recorded(provenance.parameters, "sar_compression", "azimuth_window")
+    return name if isinstance(name, str) and name in WINDOWS else "rectangular"

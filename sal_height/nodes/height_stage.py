@@ -31,7 +31,7 @@ from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.stage import LATCHED_QOS
-from sal_height.numeric import C64, C128, F64, WINDOWS, Index
+from sal_height.numeric import C64, C128, F64, Index
 from sal_height.relief import height_field
 from sal_height.sensor import MAX_SHARE, Channels, Sensor, whitened_channels, with_powers
 
@@ -80,18 +80,6 @@ class HeightParameters:
     def min_cnr(self) -> float:
         """Least CNR of a valid pixel, power ratio."""
         return float(10 ** (self.min_cnr_db / 10))
-
-
-def processed_beams(sensor: Sensor, provenance: str) -> Beams:
-    """The beams as images have them: in stripmap averaged over the processed angle (`stripmap.image_beams`).
-
-    With the azimuth window that `provenance`, a Provenance.parameters, records of sar_compression; rectangular if there
-    is none that is known.
-    """
-    if sensor.mode == "spotlight":
-        return sensor.beams
-    window = messages.recorded(provenance, "sar_compression", "azimuth_window")
-    return image_beams(sensor, window if isinstance(window, str) and window in WINDOWS else "rectangular")
 
 
 def live_channels(slc: C64, sensor: Sensor) -> Index:
@@ -163,13 +151,14 @@ class HeightStage(DwellStage):
     def process(self, images: list[ComplexImage], sensor: Sensor) -> int:
         """Estimate the heights of a dwell and publish them."""
         parameters = self.current_parameters()
-        slc, slc_grid, aperture, noise_powers = messages.slc_from_messages(images)
+        seen = messages.slc_from_messages(images)
+        slc, slc_grid, aperture, noise_powers = seen.images, seen.grid, seen.aperture, seen.noise_power
         live = live_channels(slc, sensor)
         slc = slc if len(live) == len(slc) else slc[live]
         noise = with_powers(sensor.noise_covariance, noise_powers)[np.ix_(live, live)]
         channels = self.channels(noise, sensor.mixing[np.ix_(live, live)])
         before = images[0].provenance
-        beams = processed_beams(sensor, before.parameters).widened(self._width_factor(images[0], sensor))
+        beams = image_beams(sensor, seen.azimuth_window).widened(self._width_factor(images[0], sensor))
         beams = beams.detectors(live).combined(channels.matrix)
         down, across = parameters.windows
         looks = windowed_looks(slc, down, across, beams.is_complex, channels.transform)

@@ -16,8 +16,8 @@ from sal_height import messages
 from sal_height.calibration import Calibrator, save_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import sphere_point
+from sal_height.imaging import image_beams
 from sal_height.nodes.dwell_stage import DwellStage
-from sal_height.nodes.height_stage import processed_beams
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS
@@ -102,10 +102,11 @@ class PsfCalibration(DwellStage):
                 f"Dwell {images[0].dwell}: {share:.3g} of a channel's samples are clipped; calibration needs "
                 f"{MAX_SHARE:g} or less.",
             )
+        slc = messages.slc_from_messages(images)
         if self._calibrator is None or self._calibrator.sensor.config_hash != sensor.config_hash:
-            beams = processed_beams(sensor, images[0].provenance.parameters)
+            beams = image_beams(sensor, slc.azimuth_window)
             self._calibrator = Calibrator(spectrum_sensor(sensor), beams, self._target)
-        self._calibrator.add(*messages.slc_from_messages(images))
+        self._calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
         self._stamp = images[0].header.stamp
         return self._complete() if self._calibrator.dwells >= parameters.dwells else 0
 

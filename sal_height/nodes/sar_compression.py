@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ComplexImage, DetectorFrame, Provenance
@@ -17,14 +16,15 @@ from sal_height import __version__, messages
 from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import PlatformState, Trajectory
-from sal_height.imaging import FORMERS, Settings, Slc, StripFocuser, focus_dwell
+from sal_height.imaging import FORMERS, Settings
 from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
-from sal_height.numeric import F64, WINDOWS
-from sal_height.sensor import PhaseHistory, Sensor, range_compressed, saturated_shares
+from sal_height.numeric import WINDOWS
+from sal_height.pipeline import Compressor
+from sal_height.sensor import Sensor
 
 HELD_STATES = 20_000
 """Odometry samples held: 100 s at 200 Hz."""
@@ -96,10 +96,9 @@ class SarCompression(DwellStage):
         """
         super().__init__("sar_compression", DetectorFrame, "phase_history", **node_arguments)
         self._states: list[PlatformState] = []
-        self._strip = (("", ""), StripFocuser())
+        self._compressor = Compressor()
         self._calibration: Calibration | None = None
         self._begin_calibration(self.current_parameters().calibration)
-        self._blocks: list[tuple[int, F64]] = []  # end (ns) and saturated shares of those whose pulses are held
         self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS)
         self._slc = self.offer(ComplexImage, "slc")
 
@@ -126,18 +125,11 @@ class SarCompression(DwellStage):
     def process(self, frames: list[DetectorFrame], sensor: Sensor) -> int:
         """Compress a dwell, or what a block completes of a strip, and publish the image of each detector."""
         parameters = self.current_parameters()
-        raw = messages.history_from_messages(frames)
-        history, spectrum = range_compressed(raw, sensor)
-        self._blocks.append((_end_ns(raw), saturated_shares(raw.samples, sensor)))
-        calibration = self._calibration_for(spectrum)
-        if calibration:
-            history = calibration.equalised(history)
-        slc = self._focus(history, spectrum, parameters.settings, calibration.id if calibration else "")
+        history, calibration = messages.history_from_messages(frames), self._calibration_for(sensor)
+        track = Trajectory(self._states_around(history.stamp_ns, float(history.pulse_times[-1])))
+        slc = self._compressor.add(history, track, sensor, parameters.settings, calibration)
         if slc is None:
             return 0
-        if calibration:
-            noise_power = calibration.noise_gains(parameters.range_window) * slc.noise_power
-            slc = replace(slc, noise_power=noise_power.tolist())
         if slc.focus and not slc.focus.trusted:
             self.ignore("autofocus", UserError(f"Dwell {frames[0].dwell}: {NOT_TRUSTED}"))
         provenance = Provenance(
@@ -147,24 +139,10 @@ class SarCompression(DwellStage):
             parameters=messages.as_json(self.get_name(), parameters),
             autofocus_phase=slc.autofocus_phase.tolist(),
         )
-        shares = np.max([share for _, share in self._blocks], axis=0)
-        images = messages.slc_to_messages(slc, shares, frames[0], provenance)
+        images = messages.slc_to_messages(slc, frames[0], provenance)
         for image in images:
             self._slc.publish(image)
         return len(images)
-
-    def _focus(self, history: PhaseHistory, sensor: Sensor, settings: Settings, calibration_id: str) -> Slc | None:
-        if sensor.mode == "spotlight":
-            self._blocks = self._blocks[-1:]
-            return focus_dwell(history, self._track(history.stamp_ns, _end_ns(history)), sensor, settings)
-        of, strip = self._strip
-        if of != (sensor.config_hash, calibration_id):
-            strip = StripFocuser()
-            self._strip = ((sensor.config_hash, calibration_id), strip)
-            self._blocks = self._blocks[-1:]
-        first_ns, last_ns = strip.needs_track_from(history, sensor), _end_ns(history)
-        self._blocks = [block for block in self._blocks if first_ns <= block[0] <= last_ns]
-        return strip.focus_block(history, self._track(first_ns, last_ns), sensor, settings)
 
     def _begin_calibration(self, source: str) -> None:
         """Load the calibration of a file and publish it, or listen to the topic; nothing if `source` is empty."""
@@ -178,16 +156,11 @@ class SarCompression(DwellStage):
             )
 
     def _calibration_for(self, sensor: Sensor) -> Calibration | None:
-        """The calibration to apply to the frames of a sensor; of those heard, only its own.
-
-        Raises:
-            UserError: that of the file is not for the sensor.
-        """
+        """The calibration to apply to a sensor's frames: that of the file, or its own if it was heard on the topic."""
         calibration = self._calibration
         heard = self.current_parameters().calibration == HEARD
         if calibration is None or (heard and calibration.config_hash != sensor.config_hash):
             return None
-        calibration.check(sensor)
         return calibration
 
     def _on_calibration(self, message: CalibrationMessage) -> None:
@@ -195,9 +168,6 @@ class SarCompression(DwellStage):
             self._calibration = messages.calibration_from_message(message)
         except UserError as error:
             self.ignore("calibration", error)
-
-    def _track(self, start_ns: int, end_ns: int) -> Trajectory:
-        return Trajectory(self._states_around(start_ns, (end_ns - start_ns) * 1e-9))
 
     def _on_odometry(self, message: Odometry) -> None:
         try:
@@ -219,10 +189,6 @@ class SarCompression(DwellStage):
         first = bisect.bisect_right(states, start_ns, key=_stamp) - 1
         last = bisect.bisect_left(states, end_ns, key=_stamp)
         return states[first : last + 1] if 0 <= first < last < len(states) else []
-
-
-def _end_ns(history: PhaseHistory) -> int:
-    return history.stamp_ns + round(float(history.pulse_times[-1]) * 1e9)
 
 
 def _stamp(state: PlatformState) -> int:

@@ -12,8 +12,7 @@ from sal_height_msgs.msg import HeightImage
 from sal_height import messages
 from sal_height.beams import column_squint
 from sal_height.geometry import sphere_coordinates
-from sal_height.imaging import azimuth_resolution
-from sal_height.nodes.height_stage import processed_beams
+from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.nodes.relief_tracker import PREFIX
 from sal_height.numeric import F64, Bool
 from sal_height.simulation import SimulatedFlight, VisibleSurface, truth_image
@@ -186,7 +185,7 @@ def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface
     grid, aperture = messages.grid_from_message(image.grid), messages.aperture_from_message(image.aperture)
     sensor, track = flight.sensor, flight.preset.flight
     cell = sensor.range_resolution * azimuth_resolution(sensor, aperture, track.slant_range_m)
-    beams = processed_beams(sensor, image.provenance.parameters)
+    beams = image_beams(sensor, messages.recorded_azimuth_window(image.provenance))
     truth = truth_image(surface, aperture, grid, cell, beams)
     squint = column_squint(grid, aperture, sensor.beams, sensor.look_side)
     slope = np.full(grid.shape, track.slant_range_m * np.sin(track.look_angle_rad))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from sal_height.numeric import C64, F64
 
 NUFFT_TOLERANCE = 1e-7
 """Relative error of the non-uniform FFTs: below the rounding of the complex64 samples they make or read."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PhaseHistory:
     """Phase history of one dwell.
 
@@ -22,9 +24,22 @@ class PhaseHistory:
         pulse_times: s after the stamp, shape (pulses,).
         reference_range: range to which each pulse's phase refers, m, shape (pulses,).
         samples: complex64, shape (detectors, pulses, samples).
+        saturated_share: for each channel and pulse, the share of clipped samples in the dwell that the pulse belongs to
+            (`receivers.saturated_shares`), shape (channels, pulses); None: not counted.
     """
 
     stamp_ns: int
     pulse_times: F64
     reference_range: F64
     samples: C64
+    saturated_share: F64 | None = None
+
+    @property
+    def stamp_of_last_pulse_ns(self) -> int:
+        """Time of the last pulse, ns since the epoch."""
+        return self.stamp_ns + round(float(self.pulse_times[-1]) * 1e9)
+
+    @property
+    def shares(self) -> F64:
+        """The saturated shares, shape (channels, pulses); 0 where they were not counted."""
+        return np.zeros(self.samples.shape[:2]) if self.saturated_share is None else self.saturated_share

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
 
 from sal_height.numeric import C64, F64
+from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 
 MAX_SHARE = 8e-4
@@ -41,6 +44,12 @@ def saturated_shares(samples: C64, sensor: Sensor) -> F64:
         return _shares(samples, limit)
     receivers = np.tensordot(np.linalg.inv(sensor.mixing).astype(np.complex64), samples, axes=1)
     return np.max(_shares(receivers, limit) * (sensor.mixing != 0), axis=1)
+
+
+def count_saturated(history: PhaseHistory, sensor: Sensor) -> PhaseHistory:
+    """The phase history of a dwell, as the sensor delivers it, with its `saturated_share`."""
+    shares = saturated_shares(history.samples, sensor)
+    return replace(history, saturated_share=np.repeat(shares[:, None], len(history.pulse_times), axis=1))
 
 
 def _shares(samples: C64, limit: np.float32) -> F64:

@@ -41,7 +41,7 @@ def images(flight: SimulatedFlight) -> Iterator[Slc]:
 def calibrated(flight: SimulatedFlight, slcs: Iterator[Slc] | list[Slc]) -> Any:
     calibrator = Calibrator(flight.sensor, flight.sensor.beams)
     for slc in slcs:
-        calibrator.add(slc.images, slc.grid, slc.aperture, np.array(slc.noise_power))
+        calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
     return calibrator.calibration()
 
 
@@ -131,7 +131,7 @@ def _narrow(slc: Slc) -> Slc:
 
 
 def _silent(slc: Slc) -> Slc:
-    return replace(slc, noise_power=[0.0] * len(slc.noise_power))
+    return replace(slc, noise_power=np.zeros_like(slc.noise_power))
 
 
 @pytest.mark.parametrize("spoil", [_zeros, _bad, _dead, _narrow, _silent])
@@ -179,7 +179,7 @@ def test_a_reference_target_tells_what_a_scene_cannot() -> None:
     flight = paired()
     (slc,) = images(flight)
     calibrator = Calibrator(flight.sensor, flight.sensor.beams, sphere_point(0.0, 0.1, 0.2))
-    calibrator.add(slc.images, slc.grid, slc.aperture, np.array(slc.noise_power))
+    calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
     calibration, undetermined = calibrator.calibration()
     gain = calibration.response.mean(axis=1)
     np.testing.assert_allclose(20 * np.log10(np.abs(gain)), [0.5, -0.5], atol=0.1)
@@ -193,7 +193,7 @@ def test_heights_of_a_pair_lose_their_bias_by_a_reference_target() -> None:
     flight, place = paired(), sphere_point(0.0, 0.1, 0.2)
     (slc,) = images(flight)
     calibrator = Calibrator(flight.sensor, flight.sensor.beams, place)
-    calibrator.add(slc.images, slc.grid, slc.aperture, np.array(slc.noise_power))
+    calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
     calibration, _ = calibrator.calibration()
     track, history, sensor = Trajectory(flight.platform_states(0)), flight.phase_history(0), flight.sensor
     _, elevation, _ = angles_of(place, slc.aperture, sensor.look_side)
@@ -213,7 +213,7 @@ def test_a_target_that_is_not_seen_leaves_the_scene_to_tell() -> None:
     flight = flown(10)
     calibrator = Calibrator(flight.sensor, flight.sensor.beams, sphere_point(1000.0, 0.0, 0.0))
     for slc in images(flight):
-        calibrator.add(slc.images, slc.grid, slc.aperture, np.array(slc.noise_power))
+        calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
     calibration, undetermined = calibrator.calibration()
     assert "by the reference target: No dwell shows the target" in undetermined[0]
     assert calibration.width_sigma > 0

@@ -108,7 +108,7 @@ def test_spectra_of_images_are_those_of_the_frames() -> None:
         history = replace(history, samples=samples)
         slc = focus_dwell(history, track, sensor, Settings(range_window="rectangular", cols=12))
         pixels = unwound(slc.images, slc.grid, slc.aperture, sensor)
-        spectra += cross_spectra(pixels, sensor, np.array(slc.noise_power))
+        spectra += cross_spectra(pixels, sensor, slc.noise_power)
     found = differential_response(spectra)
     assert found.echoes[3] >= 2
     assert found.echoes[[0, 1, 2, 4, 5, 6, 7]].sum() <= 1

@@ -70,8 +70,7 @@ class Flown:
     def feed(self, focuser: StripFocuser, first: int, last: int, settings: Settings) -> Slc | None:
         """The next block of a strip."""
         history = self.history(first, last)
-        end_ns = history.stamp_ns + round(history.pulse_times[-1] * 1e9)
-        track = self.track(focuser.needs_track_from(history, self.sensor), end_ns)
+        track = self.track(history.stamp_ns, history.stamp_of_last_pulse_ns)
         return focuser.focus_block(history, track, self.sensor, settings)
 
     def images(self, block: int, settings: Settings, lost: tuple[int, ...] = ()) -> list[Slc]:
@@ -199,19 +198,20 @@ def test_wide_beam_leaves_no_column_of_a_strip_empty() -> None:
 
 
 def test_pulses_that_no_column_needs_are_dropped_with_their_times() -> None:
-    """Also the odometry that is needed begins later and later."""
+    """Also the odometry that is held begins later and later."""
     flown, focuser, block, cols = noisy(64 * 60, strip_sensor(sample_count=24)), StripFocuser(), 64, 10
     settings, held, begins = Settings(former="backprojection", cols=cols, rows=1), [], []
     for first in range(0, flown.count, block):
         history = flown.history(first, first + block)
-        begins.append(history.stamp_ns - focuser.needs_track_from(history, flown.sensor))
         flown.feed(focuser, first, first + block, settings)
         assert focuser._strip
+        assert focuser._track
+        begins.append(history.stamp_ns - focuser._track.epoch_ns)
         held.append(focuser._strip.history.samples.shape[1])
     aperture = APERTURE / WAY
     most = (1 + SPARE_SHARE) * aperture + SPARE_PULSES + 2 * (cols + 1)
     assert max(held[10:]) <= most
-    assert max(begins) * 1e-9 <= most / PRF
+    assert max(begins) * 1e-9 <= most / PRF + 1 / ODOMETRY
     assert min(held[10:]) >= (1 + SPARE_SHARE) * aperture + SPARE_PULSES - 3
     assert min(begins[10:]) * 1e-9 >= aperture / PRF
 

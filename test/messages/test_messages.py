@@ -141,15 +141,18 @@ def test_images_grid_and_aperture_survive_their_messages(rng: np.random.Generato
     frame = DetectorFrame(dwell=9)
     frame.header.stamp = STAMP
     sent = messages.slc_to_messages(
-        Slc(slc, grid, aperture, [0.1, 0.2, 0.3]), np.array([0.0, 0.5, 1.0]), frame, Provenance(config_hash="x")
+        Slc(slc, grid, aperture, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.5, 1.0])),
+        frame,
+        Provenance(config_hash="x"),
     )
     assert [message.saturated_share for message in sent] == [0.0, 0.5, 1.0]
-    images, back_grid, back_aperture, noise = messages.slc_from_messages([through_the_wire(m) for m in sent])
-    assert np.array_equal(images, slc)
-    assert noise.tolist() == [0.1, 0.2, 0.3]
-    assert np.array_equal(back_grid.points(2, 3), grid.points(2, 3))
-    assert np.allclose(back_aperture.rotation, turn, atol=1e-15)
-    assert np.array_equal(back_aperture.covariance, np.eye(6))
+    back = messages.slc_from_messages([through_the_wire(m) for m in sent])
+    assert np.array_equal(back.images, slc)
+    assert back.noise_power.tolist() == [0.1, 0.2, 0.3]
+    assert back.saturated_share.tolist() == [0.0, 0.5, 1.0]
+    assert np.array_equal(back.grid.points(2, 3), grid.points(2, 3))
+    assert np.allclose(back.aperture.rotation, turn, atol=1e-15)
+    assert np.array_equal(back.aperture.covariance, np.eye(6))
     assert all(m.header.stamp == STAMP and m.header.frame_id == "map" and m.dwell == 9 for m in sent)
 
 

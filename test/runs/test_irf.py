@@ -57,9 +57,8 @@ def write_bag(path: Path, dwells: int = 2, info: bool = True, **changes: Any) ->
             bag.write("/sensor_info", serialize_message(messages.sensor_to_message(sensor, stamp)), 0, 0)
         for dwell in range(dwells):
             frame, provenance = DetectorFrame(dwell=dwell), Provenance(config_hash=sensor.config_hash)
-            for message in messages.slc_to_messages(
-                Slc(slc, GRID, aperture, [0.0] * 3), np.zeros(3), frame, provenance
-            ):
+            image = Slc(slc, GRID, aperture, np.zeros(3), np.zeros(3))
+            for message in messages.slc_to_messages(image, frame, provenance):
                 for name, value in changes.items():
                     setattr(message, name, value)
                 bag.write("/slc", serialize_message(message), dwell + 1, dwell + 1)

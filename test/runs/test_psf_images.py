@@ -249,8 +249,8 @@ def write_bag(path: Path, dwells: int = 2, stretched: float = 1.0) -> Path:
             wound = np.exp(4j * np.pi / sensor.wavelength * distance)
             slc = np.array([tape(3 * dwell + m, GRID.shape, ((64, 35),), noise=NOISE) for m in range(3)]) * wound
             frame, provenance = DetectorFrame(dwell=dwell), Provenance(config_hash=sensor.config_hash)
-            image = Slc(slc.astype(np.complex64), grid, aperture, [0.0] * 3)
-            for message in messages.slc_to_messages(image, np.zeros(3), frame, provenance):
+            image = Slc(slc.astype(np.complex64), grid, aperture, np.zeros(3), np.zeros(3))
+            for message in messages.slc_to_messages(image, frame, provenance):
                 bag.write("/slc", serialize_message(message), dwell + 1, dwell + 1)
     return path
 

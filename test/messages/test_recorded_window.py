@@ -1,4 +1,4 @@
-"""The beams that the height nodes invert: of one direction in spotlight, averaged over the aperture in stripmap."""
+"""The azimuth window that images were made with, by their provenance: stripmap beams depend on it."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import elevation_at, make_sensor
+from sal_height_msgs.msg import Provenance
 
+from sal_height import messages
 from sal_height.imaging.beams import image_beams
-from sal_height.nodes.height_stage import processed_beams
 
 ELEVATION = elevation_at(np.linspace(-1, 1, 5))
 STRIP = make_sensor(mode="stripmap", detector_rotation=0.26, pulse_repetition_frequency=20e3)
@@ -22,7 +23,7 @@ def made_with(window: object) -> str:
 
 def test_spotlight_has_the_beams_of_the_sensor() -> None:
     sensor = replace(STRIP, mode="spotlight", config_hash="")
-    assert processed_beams(sensor, made_with("hamming")) is sensor.beams
+    assert image_beams(sensor, "hamming") is sensor.beams
 
 
 @pytest.mark.parametrize(
@@ -41,7 +42,9 @@ def test_spotlight_has_the_beams_of_the_sensor() -> None:
     ],
 )
 def test_stripmap_averages_with_the_window_that_the_image_was_made_with(provenance: str, window: str) -> None:
-    seen = processed_beams(STRIP, provenance).response(ELEVATION, 0.0)
+    recorded = messages.recorded_azimuth_window(Provenance(parameters=provenance))
+    assert recorded == window
+    seen = image_beams(STRIP, recorded).response(ELEVATION, 0.0)
     np.testing.assert_array_equal(seen, image_beams(STRIP, window).response(ELEVATION, 0.0))
     others = {"hamming", "taylor", "rectangular"} - {window}
     assert all(np.abs(seen - image_beams(STRIP, o).response(ELEVATION, 0.0)).max() > 1e-4 for o in others)

@@ -1,0 +1,105 @@
+"""The core's way from phase history to heights, without ROS."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sal_height.calibration import Calibration
+from sal_height.errors import UserError
+from sal_height.geometry import Trajectory
+from sal_height.imaging import Settings
+from sal_height.pipeline import Compressor
+from sal_height.sensor import PhaseHistory, clipped
+from sal_height.simulation import SimulatedFlight, flight_of, load_preset
+from sal_height.simulation.receivers import receiver_noise
+
+STRIP_IMAGE = Settings(rows=16, cols=128)
+
+
+def strip_flight(full_scale: float = 0.0) -> SimulatedFlight:
+    """Eight blocks of 256 pulses; an image needs 256 pulses and the 310 of an aperture."""
+    flight = flight_of(replace(load_preset("sal_stripmap"), dwells=8), seed=3)
+    return replace(flight, sensor=replace(flight.sensor, full_scale=full_scale, config_hash=""))
+
+
+def noise_of(flight: SimulatedFlight, block: int) -> PhaseHistory:
+    """A block of receiver noise."""
+    samples = receiver_noise(flight.sensor, flight.sensor.pulse_count, np.random.default_rng(block))
+    reference = np.full(flight.sensor.pulse_count, flight.preset.flight.slant_range_m)
+    return PhaseHistory(flight.dwell_start_ns(block), flight.pulse_times, reference, samples)
+
+
+def track_of(flight: SimulatedFlight, block: int) -> Trajectory:
+    """Odometry of that block, and of the ones before."""
+    return Trajectory([state for number in range(block + 1) for state in flight.platform_states(number)])
+
+
+def no_calibration(flight: SimulatedFlight, config_hash: str) -> Calibration:
+    zeros = np.zeros(flight.sensor.detector_count)
+    response = np.ones((flight.sensor.detector_count, flight.sensor.sample_count), dtype=np.complex128)
+    return Calibration(config_hash, response, zeros, zeros, zeros)
+
+
+def test_images_of_a_strip_tell_of_the_clipped_blocks_that_are_in_them() -> None:
+    """Block 3 is clipped in channel 5; pulses are held a little longer than needed, so one more image may say so."""
+    flight, bad, compressor, told = strip_flight(full_scale=100.0), 3, Compressor(), {}
+    for block in range(flight.dwells):
+        history = noise_of(flight, block)
+        if block == bad:
+            history.samples[5] = clipped(1e5 * history.samples[5], flight.sensor.full_scale)
+        slc = compressor.add(history, track_of(flight, block), flight.sensor, STRIP_IMAGE)
+        if slc:
+            told[block] = slc.saturated_share
+    assert set(told) == set(range(2, flight.dwells))
+    clipped_images = {block for block, shares in told.items() if shares.any()}
+    assert {3, 4, 5} <= clipped_images <= {3, 4, 5, 6}
+    assert told[bad][5] > 0.99
+    assert not np.delete(told[bad], 5).any()
+
+
+def test_blocks_that_a_wrong_calibration_refuses_leave_nothing_behind() -> None:
+    """Neither their pulses nor their clipped samples."""
+    flight, compressor = strip_flight(full_scale=100.0), Compressor()
+    theirs, ours = no_calibration(flight, "another"), no_calibration(flight, flight.sensor.config_hash)
+    images = []
+    for block in range(6):
+        history = noise_of(flight, block)
+        if block in {0, 1}:
+            history.samples[:] = clipped(1e5 * history.samples, flight.sensor.full_scale)
+            with pytest.raises(UserError, match="another"):
+                compressor.add(history, track_of(flight, block), flight.sensor, STRIP_IMAGE, theirs)
+        else:
+            images.append(compressor.add(history, track_of(flight, block), flight.sensor, STRIP_IMAGE, ours))
+    assert [slc is not None for slc in images] == [False, False, True, True]
+    assert not any(slc.saturated_share.any() for slc in images if slc)
+
+
+def test_a_strip_needs_of_each_block_its_own_odometry_only() -> None:
+    """The images are those that odometry of the whole flight gives."""
+    flight, whole, own = strip_flight(), Compressor(), Compressor()
+    for block in range(5):
+        history, track = noise_of(flight, block), track_of(flight, block)
+        short = track.between(history.stamp_ns, history.stamp_of_last_pulse_ns)
+        assert len(short.states) < len(track.states) or block == 0
+        seen = [c.add(history, t, flight.sensor, STRIP_IMAGE) for c, t in ((whole, track), (own, short))]
+        assert (seen[0] is None) == (seen[1] is None)
+        if seen[0] and seen[1]:
+            np.testing.assert_allclose(seen[1].images, seen[0].images, rtol=0, atol=1e-6 * np.abs(seen[0].images).max())
+
+
+def test_a_calibration_states_the_noise_that_it_leaves() -> None:
+    flight = flight_of(replace(load_preset("small"), dwells=1), seed=1)
+    calibration = no_calibration(flight, flight.sensor.config_hash)
+    gains = np.linspace(0.5, 1.5, flight.sensor.detector_count)
+    weak = replace(calibration, response=calibration.response * gains[:, None])
+    history, track = flight.phase_history(0), Trajectory(flight.platform_states(0))
+    before = Compressor().add(history, track, flight.sensor, Settings(rows=8, cols=8))
+    after = Compressor().add(history, track, flight.sensor, Settings(rows=8, cols=8), weak)
+    assert before
+    assert after
+    equaliser = np.abs(weak.equaliser[:, 0]) ** 2
+    np.testing.assert_allclose(after.noise_power, before.noise_power * equaliser, rtol=1e-6)
+    np.testing.assert_allclose(after.images, before.images * weak.equaliser[:, :1, None], rtol=1e-3, atol=1e-4)

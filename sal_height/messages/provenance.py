@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
+from collections.abc import Mapping
 from typing import Any
 
 from sal_height_msgs.msg import Provenance
 
 from sal_height import __version__
+from sal_height.settings import Settings
 
 
-def derived(before: Provenance, stage: str, values: Any) -> Provenance:
+def derived(before: Provenance, stage: str, values: Settings | Mapping[str, Any]) -> Provenance:
     """Provenance of what `stage` with the parameters `values` made of a product with the provenance `before`.
 
     All that `before` says of the images stays: sensor, calibration, and the phase that autofocus took off.
@@ -25,8 +26,8 @@ def derived(before: Provenance, stage: str, values: Any) -> Provenance:
     )
 
 
-def as_json(stage: str, values: Any, before: str = "{}") -> str:
-    """Provenance.parameters: the JSON object `before` with the parameters of `stage` (a dataclass) added.
+def as_json(stage: str, values: Settings | Mapping[str, Any], before: str = "{}") -> str:
+    """Provenance.parameters: the JSON object `before` with the parameters of `stage` added.
 
     If `before` is no JSON object (another program wrote it), it is kept under the key "before".
     """
@@ -36,7 +37,7 @@ def as_json(stage: str, values: Any, before: str = "{}") -> str:
         stages = before
     if not isinstance(stages, dict):
         stages = {"before": stages}
-    return json.dumps(stages | {stage: dataclasses.asdict(values)}, sort_keys=True)
+    return json.dumps(stages | {stage: dict(values)}, sort_keys=True)
 
 
 def recorded(parameters: str, stage: str, name: str) -> Any:

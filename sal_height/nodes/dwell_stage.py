@@ -12,7 +12,6 @@ from sal_height_msgs.msg import SensorInfo
 from sal_height import messages
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.dwell import Dwell, DwellAssembler
-from sal_height.nodes.parameters import declare_parameters, read_parameters
 from sal_height.nodes.stage import LATCHED_QOS, Stage
 from sal_height.sensor import Sensor
 
@@ -40,9 +39,6 @@ class DwellStage(Stage):
     dropped and counted; the next dwell is not affected.
     """
 
-    parameters: type[Any]
-    """Dataclass of the node's parameters; has at least timeout_s, the longest wait for missing messages."""
-
     def __init__(self, name: str, message_type: type, topic: str, **node_arguments: Any) -> None:
         """Declare the parameters; subscribe to `topic` and to sensor_info.
 
@@ -50,17 +46,12 @@ class DwellStage(Stage):
             UserError: a parameter has a value that is not allowed.
         """
         super().__init__(name, **node_arguments)
-        declare_parameters(self, self.parameters)
         self._timeout = self.current_parameters().timeout_s
         self._streams: dict[str, _Stream] = {}
         self._early: list[tuple[float, Any]] = []
         self.listen(SensorInfo, "sensor_info", self._on_sensor_info, LATCHED_QOS)
         self.listen(message_type, topic, self._on_message)
         self.create_timer(0.1, self.advance, clock=self.steady_clock)
-
-    def current_parameters(self) -> Any:
-        """The parameters as they are now."""
-        return read_parameters(self, self.parameters)
 
     @abstractmethod
     def check(self, message: Any, sensor: Sensor) -> None:

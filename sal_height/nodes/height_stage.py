@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,44 +28,55 @@ from sal_height.errors import Rejected, UserError
 from sal_height.imaging import image_beams
 from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
-from sal_height.nodes.parameters import parameter
 from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.numeric import C64, C128, F64, Index
 from sal_height.relief import height_field
 from sal_height.sensor import MAX_SHARE, Channels, Sensor, whitened_channels, with_powers
+from sal_height.settings import Settings, setting
 
 HELD_CALIBRATIONS = 4
 """Calibrations held: images made with one may come after the next."""
 
 
-@dataclass(frozen=True)
-class HeightParameters:
+class HeightParameters(Settings):
     """Parameters that every height node has."""
 
-    range_looks: int = parameter(2, "pixels averaged in range", minimum=1, maximum=4096)
-    azimuth_looks: int = parameter(2, "pixels averaged in azimuth", minimum=1, maximum=4096)
-    range_step: int = parameter(
+    range_looks: int = setting(2, "pixels averaged in range", minimum=1, maximum=4096)
+    azimuth_looks: int = setting(2, "pixels averaged in azimuth", minimum=1, maximum=4096)
+    range_step: int = setting(
         0,
-        "pixels from one height to the next in range; fewer than looks: they overlap; 0: as many",
+        "pixels from one height to the next in range; less than range_looks: the averages overlap; 0: as range_looks",
         minimum=0,
         maximum=4096,
     )
-    azimuth_step: int = parameter(0, "the same in azimuth", minimum=0, maximum=4096)
-    look_window: str = parameter("boxcar", "weights of the looks over range and azimuth", choices=tuple(LOOK_WINDOWS))
-    min_cnr_db: float = parameter(5.0, "least CNR of a valid pixel, dB", minimum=-60.0, maximum=100.0)
-    radial_velocity_mps: float = parameter(
+    azimuth_step: int = setting(
+        0,
+        "pixels from one height to the next in azimuth; less than azimuth_looks: the averages overlap; "
+        "0: as azimuth_looks",
+        minimum=0,
+        maximum=4096,
+    )
+    look_window: str = setting(
+        "boxcar", "weights of the pixels that are averaged, in range and azimuth", choices=tuple(LOOK_WINDOWS)
+    )
+    min_cnr_db: float = setting(5.0, "lowest CNR of a valid pixel", unit="dB", minimum=-60.0, maximum=100.0)
+    radial_velocity_mps: float = setting(
         0.0,
-        "radial velocity of the targets wanted, receding positive, m/s: they get height and place, others wrong ones",
+        "radial velocity of the targets of interest, positive if they recede; heights and places are right for "
+        "targets of this velocity only",
+        unit="m/s",
         minimum=-1000.0,
         maximum=1000.0,
     )
-    max_saturated_share: float = parameter(
+    max_saturated_share: float = setting(
         MAX_SHARE,
-        "greatest share of clipped samples in a channel; with more, a dwell's heights are SATURATED",
+        "highest share of clipped samples in a channel; above it, all heights of the dwell are marked SATURATED",
         minimum=0.0,
         maximum=1.0,
     )
-    timeout_s: float = parameter(5.0, "wait for missing detectors, s", minimum=0.01, maximum=3600.0, read_only=True)
+    timeout_s: float = setting(
+        5.0, "longest wait for the missing channels of a dwell", unit="s", minimum=0.01, maximum=3600.0, read_only=True
+    )
 
     @property
     def windows(self) -> tuple[Window, Window]:

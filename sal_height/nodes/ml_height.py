@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from sal_height.beams import Beams
@@ -16,28 +15,29 @@ from sal_height.elevation import (
     resolve_layover,
 )
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
-from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.numeric import F64
+from sal_height.settings import setting
 
 
-@dataclass(frozen=True)
 class Parameters(HeightParameters):
     """Parameters of the node."""
 
-    objective: str = parameter(
+    objective: str = setting(
         "normalised",
-        "what is maximised: normalised (exact) or numerator (as published; biased near the array's ends)",
+        "function that is maximised: normalised (exact) or numerator (as published; biased near the ends of the array)",
         choices=tuple(OBJECTIVES),
     )
-    prior_strength: float = parameter(
+    prior_strength: float = setting(
         0.0,
-        f"how much neighbours have a say in which peak of the exact objective a pixel takes, 0: none; at low CNR "
-        f"{RECOMMENDED_STRENGTH:g} is good, small things may vanish",
+        f"weight of the spatial smoothness prior; 0: none; {RECOMMENDED_STRENGTH:g} is recommended at low CNR; "
+        "small features may vanish",
         minimum=0.0,
         maximum=100.0,
     )
-    layover: bool = parameter(True, "whether to look for two scatterers where one does not fit")
+    layover: bool = setting(
+        default=True, description="whether to search for two scatterers in pixels that a single one does not explain"
+    )
 
 
 class MlHeight(HeightStage):

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from sal_height.beams import Beams
 from sal_height.elevation import DISCRIMINANTS, ElevationEstimate, Looks, monopulse_elevation
 from sal_height.errors import Rejected
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
-from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.numeric import F64
+from sal_height.settings import setting
 
 
-@dataclass(frozen=True)
 class Parameters(HeightParameters):
     """Parameters of the node."""
 
-    discriminant: str = parameter(
+    discriminant: str = setting(
         "tls",
-        "estimate of Delta / Sigma: tls (total least squares), ratio (as published; biased at low CNR) or "
-        "noise_subtraction (ratio less the noise power in Sigma)",
+        "estimator of the ratio Delta / Sigma: tls (total least squares), ratio (as published; biased at low CNR) or "
+        "noise_subtraction (ratio, with the noise power subtracted from that of Sigma)",
         choices=tuple(DISCRIMINANTS),
     )
 

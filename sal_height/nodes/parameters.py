@@ -1,131 +1,101 @@
-"""Node parameters as one frozen dataclass: declaration, description, range check and typed values from one table."""
+"""The ROS parameters of a node, declared from a `Settings` class and read as one frozen object."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
-from typing import Any, TypeVar
+import threading
+from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sal_height.errors import UserError
+from sal_height.settings import Setting, Settings, settings_of
 
-Table = TypeVar("Table")
+SettingsT = TypeVar("SettingsT", bound=Settings)
 
-KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
-"""How messages call the types a parameter may have."""
-
-
-def parameter(
-    default: Any,
-    description: str,
-    *,
-    minimum: float | None = None,
-    maximum: float | None = None,
-    choices: Sequence[str] = (),
-    read_only: bool = False,
-) -> Any:
-    """A field of a parameter dataclass: default, description with unit, and what is allowed."""
-    metadata = {
-        "description": description,
-        "range": None if minimum is None else (minimum, maximum),
-        "choices": tuple(choices),
-        "read_only": read_only,
-    }
-    return dataclasses.field(default=default, metadata=metadata)
+INTEGER_LIMITS = (-(2**63), 2**63 - 1)
+FLOAT_LIMITS = (-1.7976931348623157e308, 1.7976931348623157e308)
+"""Range of a parameter that is bounded on one side only: ROS knows no open ranges."""
 
 
-def declare_parameters(node: Node, table: type[Table]) -> None:
-    """Declare every field of the dataclass `table` on `node`, and refuse values that it does not allow from now on.
+class LiveParameters(Generic[SettingsT]):
+    """The parameters of a running node.
 
-    A whole number is taken where the field is a float.
+    Every read of `current` gives an object whose values were set together: it is replaced as a whole after each change,
+    so that a thread that reads while another one sets never sees a mixture.
 
-    Raises:
-        UserError: an override has the wrong type, is out of range or is not one of the choices.
+    Attributes:
+        current: values as they are now.
     """
-    fields = {field.name: field for field in dataclasses.fields(table)}  # type: ignore[arg-type]
-    for name, field in fields.items():
-        # Declared twice: rclpy shows an override of any type only to a parameter of any type.
-        override = node.declare_parameter(name, field.default, ParameterDescriptor(dynamic_typing=True)).value
-        node.undeclare_parameter(name)
-        node.declare_parameter(name, accepted(field, override), _descriptor(field), ignore_override=True)
 
-    def convert(parameters: list[Parameter]) -> list[Parameter]:
-        return [
-            Parameter(p.name, value=_converted(fields[p.name], p.value)) if p.name in fields else p for p in parameters
-        ]
+    def __init__(self, node: Node, model: type[SettingsT]) -> None:
+        """Declare every field of `model` on `node`, and refuse values that it does not allow from now on.
 
-    def check(parameters: list[Parameter]) -> SetParametersResult:
-        refusals = [_refusal(fields[p.name], p.value) for p in parameters if p.name in fields]
-        reason = next((refusal for refusal in refusals if refusal), "")
-        return SetParametersResult(successful=not reason, reason=reason)
+        A whole number is accepted where the field is a float.
 
-    node.add_pre_set_parameters_callback(convert)
-    node.add_on_set_parameters_callback(check)
+        Raises:
+            UserError: an override has the wrong type, is out of range or is not one of the choices.
+        """
+        self._entries = settings_of(model)
+        self._lock = threading.Lock()
+        self.current = model(**{name: _override(node, entry) for name, entry in self._entries.items()})
+        for name, entry in self._entries.items():
+            node.declare_parameter(name, getattr(self.current, name), _descriptor(entry), ignore_override=True)
+        node.add_pre_set_parameters_callback(self._convert)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._replace)
 
+    def _convert(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Make floats of whole numbers, which rclpy would refuse."""
+        return [Parameter(p.name, value=float(p.value)) if self._takes_float(p) else p for p in parameters]
 
-def read_parameters(node: Node, table: type[Table]) -> Table:
-    """Current values of the parameters that `declare_parameters` declared."""
-    return table(**{field.name: node.get_parameter(field.name).value for field in dataclasses.fields(table)})  # type: ignore[arg-type]
+    def _takes_float(self, parameter: Parameter) -> bool:
+        entry = self._entries.get(parameter.name)
+        return entry is not None and entry.kind is float and type(parameter.value) is int
 
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            self._with(parameters)
+        except UserError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
-def _descriptor(field: dataclasses.Field[Any]) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(description=field.metadata["description"], read_only=field.metadata["read_only"])
-    descriptor.additional_constraints = _allowed(field)
-    if field.metadata["range"]:
-        low, high = field.metadata["range"]
-        if isinstance(field.default, float):
-            descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
-        else:
-            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
-    return descriptor
+    def _replace(self, parameters: list[Parameter]) -> None:
+        with self._lock:
+            self.current = self._with(parameters)
 
-
-def _allowed(field: dataclasses.Field[Any]) -> str:
-    if field.metadata["choices"]:
-        return f"allowed are {', '.join(field.metadata['choices'])}"
-    kind = KINDS[type(field.default)]
-    if field.metadata["range"]:
-        low, high = field.metadata["range"]
-        return f"it must be {kind} from {low:.10g} to {high:.10g}"
-    return f"it must be {kind}"
+    def _with(self, parameters: list[Parameter]) -> SettingsT:
+        return self.current.changed(**{p.name: p.value for p in parameters if p.name in self._entries})
 
 
-def accepted(field: dataclasses.Field[Any], value: Any) -> Any:
-    """A value for a field of a parameter dataclass in the field's type: a whole number is taken for a float, too.
+def _override(node: Node, entry: Setting) -> Any:
+    """The value that the parameter was given at the start, of whatever type, or its default.
 
-    Raises:
-        UserError: it is not allowed.
+    rclpy shows an override of the wrong type only to a parameter of any type. Such a parameter is declared for the
+    moment.
     """
-    value = _converted(field, value)
-    if refusal := _refusal(field, value):
-        raise UserError(refusal)
+    value = node.declare_parameter(entry.name, entry.default, ParameterDescriptor(dynamic_typing=True)).value
+    node.undeclare_parameter(entry.name)
     return value
 
 
-def _type_name(value: Any) -> str:
-    """What ROS calls the type of a value; Python's name if it is none of ROS."""
-    try:
-        return str(Parameter.Type.from_parameter_value(value).name).lower()
-    except TypeError:
-        return type(value).__name__
+def _descriptor(entry: Setting) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=entry.text, read_only=entry.read_only)
+    descriptor.additional_constraints = entry.allowed
+    if entry.minimum is None and entry.maximum is None:
+        return descriptor
+    if entry.kind is float:
+        low, high = _limits(entry, *FLOAT_LIMITS)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
+    else:
+        low, high = _limits(entry, *INTEGER_LIMITS)
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    return descriptor
 
 
-def _converted(field: dataclasses.Field[Any], value: Any) -> Any:
-    """The value, as a float if it is a whole number and the field a float."""
-    return float(value) if type(value) is int and isinstance(field.default, float) else value
-
-
-def _refusal(field: dataclasses.Field[Any], value: Any) -> str:
-    """Why the field does not allow the value, as a sentence; empty if it does."""
-    if value is None:
-        return f"Parameter {field.name} has no value; {_allowed(field)}."
-    given, wanted = _type_name(value), _type_name(field.default)
-    if given != wanted:
-        return f"Parameter {field.name} is {value!r} ({given}, not {wanted}); {_allowed(field)}."
-    low, high = field.metadata["range"] or (value, value)
-    if low <= value <= high and value in (field.metadata["choices"] or (value,)):
-        return ""
-    return f"Parameter {field.name} is {value!r}; {_allowed(field)}."
+def _limits(entry: Setting, lowest: float, highest: float) -> tuple[float, float]:
+    return (
+        lowest if entry.minimum is None else entry.minimum,
+        highest if entry.maximum is None else entry.maximum,
+    )

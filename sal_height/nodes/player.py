@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,9 @@ from sal_height import messages
 from sal_height.bag.definitions import message_class
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
-from sal_height.nodes.parameters import declare_parameters, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage
+from sal_height.settings import Settings, setting
 
 INPUTS = {"sensor_info": LATCHED_QOS, "platform/odometry": ODOMETRY_QOS, "phase_history": FRAMES_QOS}
 """Topics that are played."""
@@ -26,15 +25,16 @@ LONGEST_GROUP = 4
 """Dwells after whose number of frames a group ends, even if some of its dwells miss a frame."""
 
 
-@dataclass(frozen=True)
-class Parameters:
+class Parameters(Settings):
     """Parameters of the node."""
 
-    bag: str = parameter("", "path of the bag: its folder or its .mcap file", read_only=True)
+    bag: str = setting("", "path of the bag: its folder or its .mcap file", read_only=True)
 
 
 class Player(Stage):
     """Publishes the recorded bytes of one group of dwells at each call of ~/step."""
+
+    parameters = Parameters
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.
@@ -43,8 +43,7 @@ class Player(Stage):
             UserError: the bag cannot be used or lacks a topic.
         """
         super().__init__("player", **node_arguments)
-        declare_parameters(self, Parameters)
-        path = read_parameters(self, Parameters).bag
+        path = self.current_parameters().bag
         if not path:
             raise UserError("Parameter bag is empty; it must be the path of a bag.")
         self._reader = BagReader(Path(path))

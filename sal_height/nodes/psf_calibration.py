@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,38 +17,40 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import sphere_point
 from sal_height.imaging import image_beams
 from sal_height.nodes.dwell_stage import DwellStage
-from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.numeric import F64
 from sal_height.sensor import MAX_SHARE, Sensor, spectrum_sensor
+from sal_height.settings import Settings, setting
 
 MOST_DWELLS = 1024
 """That a calibration may be made of: 130 MB of pixels from 16 detectors."""
 
 
-@dataclass(frozen=True)
-class Parameters:
+class Parameters(Settings):
     """Parameters of the node."""
 
-    dwells: int = parameter(
-        64, "dwells that a calibration is made of; then the next begins", minimum=1, maximum=MOST_DWELLS
+    dwells: int = setting(
+        64, "dwells that a calibration is made from; then the next calibration begins", minimum=1, maximum=MOST_DWELLS
     )
-    dwell_step: int = parameter(
+    dwell_step: int = setting(
         10,
-        "of so many dwells one is taken in: receivers change slowly, and time is short",
+        "use every n-th dwell only: receivers change slowly, and computing time is limited",
         minimum=1,
         maximum=1_000_000,
     )
-    target: str = parameter(
+    target: str = setting(
         "",
-        "reference target: arc distances east and north of the map's origin, and height, m: E,N,H; empty: none",
+        "place of a reference target as E,N,H: arc distances east and north of the map's origin, and height, all in m; "
+        "empty: there is none",
         read_only=True,
     )
-    file: str = parameter(
-        "", "file that each calibration is written to, .npz; one that is there is replaced; empty: none"
+    file: str = setting(
+        "", "path of the .npz file that each calibration is written to; an existing file is replaced; empty: none"
     )
-    timeout_s: float = parameter(5.0, "wait for missing detectors, s", minimum=0.01, maximum=3600.0, read_only=True)
+    timeout_s: float = setting(
+        5.0, "longest wait for the missing channels of a dwell", unit="s", minimum=0.01, maximum=3600.0, read_only=True
+    )
 
 
 class PsfCalibration(DwellStage):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,48 +15,56 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
 from sal_height.errors import Rejected, UserError
-from sal_height.nodes.parameters import declare_parameters, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, Stage
 from sal_height.relief import check_geotiff, write_geotiff
 from sal_height.relief import map as relief_map
+from sal_height.settings import Settings, setting
 
 LAST_WORDS_S = 2.0
 """How long the end waits for subscribers to have the last map."""
 
 
-@dataclass(frozen=True)
-class Parameters:
+class Parameters(Settings):
     """Parameters of the node."""
 
-    estimator: str = parameter("ml", "whose heights: the topic is <estimator>/height", read_only=True)
-    cell_size_m: float = parameter(
+    estimator: str = setting(
+        "ml", "estimator whose heights enter the map; they come on topic <estimator>/height", read_only=True
+    )
+    cell_size_m: float = setting(
         0.0,
-        "side of a cell, m; 0: 1, 2 or 5 times a power of ten, the least that holds a pixel of the first height image",
+        "side of a cell of the map; 0: the smallest of 1, 2 or 5 times a power of ten that holds a pixel of the first "
+        "height image",
+        unit="m",
         minimum=0.0,
         maximum=1e5,
         read_only=True,
     )
-    max_cells: int = parameter(
+    max_cells: int = setting(
         4_000_000,
-        "greatest number of cells of the rectangle around all that was seen; heights beyond are left out",
+        "greatest number of cells of the map; heights that would need more are left out",
         minimum=1,
         maximum=1_000_000_000,
         read_only=True,
     )
-    period_s: float = parameter(
-        2.0, "least time between two maps published, s", minimum=0.1, maximum=3600.0, read_only=True
+    period_s: float = setting(
+        2.0, "shortest time between two maps published", unit="s", minimum=0.1, maximum=3600.0, read_only=True
     )
-    file: str = parameter(
+    file: str = setting(
         "",
-        "GeoTIFF that the map is written to when the node ends; a file there is replaced; empty: none",
+        "path of the GeoTIFF that the map is written to when the node ends; an existing file is replaced; empty: none",
         read_only=True,
     )
-    origin_latitude_deg: float = parameter(
-        0.0, "latitude of the map's origin, for the GeoTIFF, deg", minimum=-90.0, maximum=90.0, read_only=True
+    origin_latitude_deg: float = setting(
+        0.0, "latitude of the map's origin, for the GeoTIFF", unit="deg", minimum=-90.0, maximum=90.0, read_only=True
     )
-    origin_longitude_deg: float = parameter(
-        0.0, "longitude of the map's origin, for the GeoTIFF, deg", minimum=-180.0, maximum=180.0, read_only=True
+    origin_longitude_deg: float = setting(
+        0.0,
+        "longitude of the map's origin, for the GeoTIFF",
+        unit="deg",
+        minimum=-180.0,
+        maximum=180.0,
+        read_only=True,
     )
 
 
@@ -76,8 +83,7 @@ class ReliefMapper(Stage):
             UserError: a parameter has a value that is not allowed, or the file could not be written at the end.
         """
         super().__init__("relief_mapper", **node_arguments)
-        declare_parameters(self, Parameters)
-        self._settings = read_parameters(self, Parameters)
+        self._settings = self.current_parameters()
         if self._settings.file:
             check_geotiff(Path(self._settings.file))
         self.failure = ""

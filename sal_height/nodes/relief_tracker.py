@@ -3,46 +3,50 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 from typing import Any
 
 from sal_height_msgs.msg import HeightImage
 from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
-from sal_height.nodes.parameters import declare_parameters, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import Stage
-from sal_height.relief import GATE, ReliefPrior, track
+from sal_height.relief import GATE, track
+from sal_height.settings import Settings, setting
 
 PREFIX = "tracked"
 """Of the topics, and HeightImage.estimator."""
 
 
-@dataclass(frozen=True)
-class Parameters:
+class Parameters(Settings):
     """Parameters of the node."""
 
-    estimator: str = parameter(
-        "ml", "whose heights are tracked", choices=("ml", "monopulse", "sum_difference"), read_only=True
+    estimator: str = setting(
+        "ml",
+        "estimator whose heights are smoothed; they come on topic <estimator>/height",
+        choices=("ml", "monopulse", "sum_difference"),
+        read_only=True,
     )
-    correlation_length_m: float = parameter(
-        0.0, "correlation length of the relief on the ground, m; 0: estimated from each image", minimum=0.0, maximum=1e6
+    correlation_length_m: float = setting(
+        0.0,
+        "correlation length of the relief on the ground; 0: estimated from each image",
+        unit="m",
+        minimum=0.0,
+        maximum=1e6,
     )
-    relief_sigma_m: float = parameter(
-        0.0, "standard deviation of the relief, m; 0: estimated from each image", minimum=0.0, maximum=1e5
+    relief_sigma_m: float = setting(
+        0.0, "standard deviation of the relief; 0: estimated from each image", unit="m", minimum=0.0, maximum=1e5
     )
-    along_track: bool = parameter(True, "whether neighbours along the flight have a say, too")
-    gate: float = parameter(
-        GATE, "heights farther from their prediction are outliers, standard deviations", minimum=1.0, maximum=1000.0
+    along_track: bool = setting(
+        default=True, description="whether heights are smoothed along track as well as along range"
     )
-
-
-@dataclass(frozen=True)
-class _Recorded(Parameters):
-    """What the provenance tells: the parameters, and the prior that was used."""
-
-    prior: ReliefPrior | None = None
+    gate: float = setting(
+        GATE,
+        "heights farther than this from their prediction are outliers",
+        unit="standard deviations",
+        minimum=1.0,
+        maximum=1000.0,
+    )
 
 
 class ReliefTracker(Stage):
@@ -57,11 +61,10 @@ class ReliefTracker(Stage):
             UserError: a parameter has a value that is not allowed.
         """
         super().__init__("relief_tracker", **node_arguments)
-        declare_parameters(self, Parameters)
         self._height = self.offer(HeightImage, f"{PREFIX}/height")
         self._image = self.offer(Image, f"{PREFIX}/image")
         self._points = self.offer(PointCloud2, f"{PREFIX}/points")
-        self.listen(HeightImage, f"{read_parameters(self, Parameters).estimator}/height", self._on_height)
+        self.listen(HeightImage, f"{self.current_parameters().estimator}/height", self._on_height)
 
     def _on_height(self, message: HeightImage) -> None:
         self.tally.receive()
@@ -69,12 +72,12 @@ class ReliefTracker(Stage):
 
     def process(self, message: HeightImage) -> int:
         """Track the heights of a dwell (on the worker) and publish them; returns the number of height images."""
-        parameters = read_parameters(self, Parameters)
+        parameters = self.current_parameters()
         field, aperture = messages.field_from_message(message), messages.aperture_from_message(message.aperture)
         known = parameters.correlation_length_m or None, parameters.relief_sigma_m or None
         tracked, prior = track(field, aperture, *known, parameters.gate, parameters.along_track)
-        recorded = _Recorded(**dataclasses.asdict(parameters), prior=prior)
-        provenance = messages.derived(message.provenance, self.get_name(), recorded)
+        used = {**dict(parameters), "prior": dataclasses.asdict(prior)}
+        provenance = messages.derived(message.provenance, self.get_name(), used)
         looks = message.range_looks, message.azimuth_looks
         image = messages.height_to_message(tracked, aperture, looks, PREFIX, message, provenance)
         self._image.publish(messages.height_picture(image))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,15 +15,16 @@ from sal_height import __version__, messages
 from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import PlatformState, Trajectory
-from sal_height.imaging import FORMERS, Settings
+from sal_height.imaging import FORMERS
+from sal_height.imaging import Settings as ImageSettings
 from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
-from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.numeric import WINDOWS
 from sal_height.pipeline import Compressor
 from sal_height.sensor import Sensor
+from sal_height.settings import Settings, setting
 
 HELD_STATES = 20_000
 """Odometry samples held: 100 s at 200 Hz."""
@@ -35,43 +35,55 @@ HEARD = "topic"
 NOT_TRUSTED = "autofocus found nothing that it could trust, the image is as navigation focuses it."
 
 
-@dataclass(frozen=True)
-class Parameters:
+class Parameters(Settings):
     """Parameters of the node."""
 
-    former: str = parameter(
-        "auto", "image former; auto: the fast one where it is as good as backprojection", choices=("auto", *FORMERS)
+    former: str = setting(
+        "auto",
+        "image former; auto: a fast one where it is as accurate as backprojection",
+        choices=("auto", *FORMERS),
     )
-    image_plane: str = parameter(
+    image_plane: str = setting(
         "slant",
         "plane of the image: slant (range and Doppler) or ground (horizontal, spotlight only)",
         choices=("slant", "ground"),
     )
-    rows: int = parameter(0, "pixels in range; 0: all of the range window (slant)", minimum=0, maximum=65536)
-    cols: int = parameter(
-        0, "pixels in azimuth; 0: one beamwidth (spotlight) or a block's way (stripmap)", minimum=0, maximum=65536
+    rows: int = setting(0, "pixels in range; 0: the whole range window (slant plane)", minimum=0, maximum=65536)
+    cols: int = setting(
+        0,
+        "pixels in azimuth; 0: one beamwidth (spotlight) or the distance flown during a block (stripmap)",
+        minimum=0,
+        maximum=65536,
     )
-    ground_spacing_m: float = parameter(1.0, "pixel spacing in the ground plane, m", minimum=1e-6, maximum=1e6)
-    range_window: str = parameter("taylor", "window over the bandwidth", choices=tuple(sorted(WINDOWS)))
-    azimuth_window: str = parameter("rectangular", "window over the aperture", choices=tuple(sorted(WINDOWS)))
-    autofocus: bool = parameter(False, "take off the phase error that all detectors share (spotlight only)")
-    calibration: str = parameter(
+    ground_spacing_m: float = setting(1.0, "pixel spacing in the ground plane", unit="m", minimum=1e-6, maximum=1e6)
+    range_window: str = setting("taylor", "weighting over the bandwidth", choices=tuple(sorted(WINDOWS)))
+    azimuth_window: str = setting("rectangular", "weighting over the aperture", choices=tuple(sorted(WINDOWS)))
+    autofocus: bool = setting(
+        default=False,
+        description="whether to estimate and remove the phase error that all channels share (spotlight only)",
+    )
+    calibration: str = setting(
         "",
-        "file of a calibration that is applied and published on topic calibration; topic: the last one heard there, as "
-        "soon as there is one; empty: none",
+        "path of a calibration file, which is applied to the images and published on topic calibration; 'topic': apply "
+        "the last calibration received on topic calibration; empty: none",
         read_only=True,
     )
-    max_odometry_gap_s: float = parameter(
-        0.5, "longest time between two odometry samples during a dwell, s", minimum=1e-6, maximum=3600.0
+    max_odometry_gap_s: float = setting(
+        0.5, "longest time between two odometry samples during a dwell", unit="s", minimum=1e-6, maximum=3600.0
     )
-    timeout_s: float = parameter(
-        5.0, "wait for missing detectors or odometry, s", minimum=0.01, maximum=3600.0, read_only=True
+    timeout_s: float = setting(
+        5.0,
+        "longest wait for the missing channels or odometry of a dwell",
+        unit="s",
+        minimum=0.01,
+        maximum=3600.0,
+        read_only=True,
     )
 
     @property
-    def settings(self) -> Settings:
-        """Those that say what image is wanted."""
-        return Settings(
+    def settings(self) -> ImageSettings:
+        """The parameters that say what image is wanted."""
+        return ImageSettings(
             former=self.former,
             image_plane=self.image_plane,
             rows=self.rows,

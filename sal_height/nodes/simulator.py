@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from nav_msgs.msg import Odometry
@@ -10,20 +9,24 @@ from sal_height_msgs.msg import DetectorFrame, SensorInfo
 from std_srvs.srv import Trigger
 
 from sal_height import messages
-from sal_height.nodes.parameters import declare_parameters, parameter, read_parameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, Stage
+from sal_height.settings import Settings, setting
 from sal_height.simulation import flight_of, load_preset
 
 
-@dataclass(frozen=True)
-class Parameters:
+class Parameters(Settings):
     """Parameters of the node."""
 
-    preset: str = parameter("sal_spotlight", "name of a preset, or path of its YAML file", read_only=True)
-    seed: int = parameter(1, "seed of all random numbers", minimum=0, maximum=2**31 - 1, read_only=True)
-    period_s: float = parameter(
-        1.0, "time between dwells, s; 0: only when ~/step is called", minimum=0.0, maximum=3600.0, read_only=True
+    preset: str = setting("sal_spotlight", "name of a preset, or path of its YAML file", read_only=True)
+    seed: int = setting(1, "seed of the random numbers", minimum=0, maximum=2**31 - 1, read_only=True)
+    period_s: float = setting(
+        1.0,
+        "time between two dwells; 0: a dwell is made only when the service ~/step is called",
+        unit="s",
+        minimum=0.0,
+        maximum=3600.0,
+        read_only=True,
     )
 
 
@@ -33,6 +36,8 @@ class Simulator(Stage):
     Stamps begin at the time of start; everything else follows from preset and seed alone.
     """
 
+    parameters = Parameters
+
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.
 
@@ -40,8 +45,7 @@ class Simulator(Stage):
             UserError: a preset or scene that cannot be used.
         """
         super().__init__("simulator", **node_arguments)
-        declare_parameters(self, Parameters)
-        parameters = read_parameters(self, Parameters)
+        parameters = self.current_parameters()
         self.flight = flight_of(load_preset(parameters.preset), parameters.seed)
         self._next_dwell = 0
         self._start_ns = self.get_clock().now().nanoseconds

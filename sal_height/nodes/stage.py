@@ -20,7 +20,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 
 from sal_height.errors import Rejected, UserError
+from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.tally import Tally
+from sal_height.settings import Settings
 
 FRAMES_QOS = QoSProfile(depth=256, reliability=ReliabilityPolicy.RELIABLE)
 """Phase histories and images: nothing may be lost in the burst of frames that a dwell is."""
@@ -45,9 +47,17 @@ QUEUED_JOBS = 8
 class Stage(Node):
     """A node whose callbacks only take messages in; the work is done in order on a thread of its own."""
 
+    parameters: type[Settings] = Settings
+    """The node's ROS parameters."""
+
     def __init__(self, name: str, **node_arguments: Any) -> None:
-        """Make the node; `node_arguments` go to rclpy's Node (context, parameter_overrides, ...)."""
+        """Make the node; `node_arguments` go to rclpy's Node (context, parameter_overrides, ...).
+
+        Raises:
+            UserError: a parameter has a value that is not allowed.
+        """
         super().__init__(name, **node_arguments)
+        self._parameters_now = LiveParameters(self, self.parameters)
         self.tally = Tally()
         self.last_rejection = ""
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue(QUEUED_JOBS)
@@ -57,6 +67,10 @@ class Stage(Node):
         self.create_timer(DIAGNOSTICS_PERIOD_S, self.publish_diagnostics, clock=self.steady_clock)
         self._worker = threading.Thread(target=self._work, name=name, daemon=True)
         self._worker.start()
+
+    def current_parameters(self) -> Any:
+        """The parameters as they are now: a frozen object of the class `parameters`."""
+        return self._parameters_now.current
 
     def offer(self, message_type: type, topic: str, qos: QoSProfile = FRAMES_QOS) -> Publisher:
         """A publisher whose subscribers are counted in the diagnostics."""

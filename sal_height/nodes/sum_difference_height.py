@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,32 +17,31 @@ from sal_height.elevation import (
 )
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.height_stage import HeightParameters, HeightStage
-from sal_height.nodes.parameters import parameter
 from sal_height.nodes.program import run_node
 from sal_height.numeric import C128, F64
 from sal_height.sensor import Channels, sum_difference_channels
+from sal_height.settings import setting
 
 
-@dataclass(frozen=True)
 class Parameters(HeightParameters):
     """Parameters of the node."""
 
-    discriminant: str = parameter(
+    discriminant: str = setting(
         "tls",
-        "estimate of Delta / Sigma: tls (exact maximum likelihood), ratio (as published; biased at low CNR) or "
-        "noise_subtraction (ratio less the noise power in Sigma)",
+        "estimator of the ratio Delta / Sigma: tls (exact maximum likelihood), ratio (as published; biased at low CNR) "
+        "or noise_subtraction (ratio, with the noise power subtracted from that of Sigma)",
         choices=tuple(DISCRIMINANTS),
     )
-    inverse: str = parameter(
+    inverse: str = setting(
         "exact",
-        "elevation of Delta / Sigma: exact (by the beams) or linear (as published: by the slope in the equisignal "
-        "direction)",
+        "how elevation follows from Delta / Sigma: exact (from the beams) or linear (as published: from the slope in "
+        "the equisignal direction)",
         choices=tuple(INVERSES),
     )
-    slope_table: str = parameter(
+    slope_table: str = setting(
         "",
-        "CSV of a measured characteristic, angle_rad from the equisignal direction and gamma, in the place of inverse; "
-        "empty: none",
+        "path of a CSV file with a measured characteristic, which replaces inverse; its columns are angle_rad (from "
+        "the equisignal direction) and gamma; empty: none",
         read_only=True,
     )
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import dataclasses
 import json
 import os
 import signal
@@ -21,7 +20,6 @@ from sal_height.nodes import relief_tracker
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ml_height import MlHeight
 from sal_height.nodes.monopulse import Monopulse
-from sal_height.nodes.parameters import accepted
 from sal_height.nodes.player import Player
 from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.recorder import Recorder
@@ -31,6 +29,7 @@ from sal_height.nodes.sar_compression import HEARD, SarCompression
 from sal_height.nodes.simulator import Simulator
 from sal_height.nodes.sum_difference_height import SumDifferenceHeight
 from sal_height.sensor import Sensor, sum_difference_channels, whitened_channels
+from sal_height.settings import settings_of, unknown_name
 
 NODES: dict[str, Any] = {
     "simulator": Simulator,
@@ -84,11 +83,12 @@ def check_parameters(parameters: NodeParameters, settable: Sequence[str] = SETTA
     for name, values in parameters.items():
         if name not in settable:
             raise UserError(f"There is no node {name!r} with parameters to set; allowed are {', '.join(settable)}.")
-        known = {field.name: field for field in dataclasses.fields(NODES[name].parameters)}
-        if unknown := [key for key in values if key not in known]:
-            raise UserError(f"Node {name} has no parameter {unknown[0]!r}; allowed are {', '.join(known)}.")
+        model = NODES[name].parameters
+        if unknown := [key for key in values if key not in settings_of(model)]:
+            raise UserError(unknown_name(unknown[0], settings_of(model), f"Node {name}"))
         try:
-            checked[name] = {key: accepted(known[key], value) for key, value in values.items()}
+            accepted = model(**values)
+            checked[name] = {key: getattr(accepted, key) for key in values}
         except UserError as error:
             raise UserError(f"Node {name}: {error}") from error
     return checked

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 
 from sal_height_msgs.msg import Provenance
 
 from sal_height import __version__, messages
 from sal_height.messages.provenance import recorded
+from sal_height.settings import Settings
 
 
-@dataclass(frozen=True)
-class Looks:
+class Looks(Settings):
     """Parameters of some stage."""
 
     range_looks: int = 3
@@ -33,7 +32,7 @@ def test_a_product_keeps_what_is_known_of_the_images_it_is_made_of() -> None:
 
 
 def test_words_of_another_program_are_kept_beside_ours() -> None:
-    made = messages.as_json("monopulse", Looks(4), "not JSON")
+    made = messages.as_json("monopulse", Looks(range_looks=4), "not JSON")
     assert json.loads(made) == {"before": "not JSON", "monopulse": {"range_looks": 4}}
     assert recorded(made, "monopulse", "range_looks") == 4
     assert recorded(made, "monopulse", "azimuth_looks") is None

@@ -177,7 +177,7 @@ def test_a_parameter_set_at_run_time_takes_effect_at_the_next_dwell(fed: Any) ->
     [
         (MlHeight, "objective", "best", "normalised, numerator"),
         (MlHeight, "range_looks", 0, "from 1 to 4096"),
-        (MlHeight, "range_looks", "many", "int"),
+        (MlHeight, "range_looks", "many", "whole number"),
         (Monopulse, "discriminant", "mean", "tls, ratio, noise_subtraction"),
         (SarCompression, "range_window", "square", "hamming, rectangular, taylor"),
         (SarCompression, "timeout_s", -1.0, "from 0.01 to 3600"),

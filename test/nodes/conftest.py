@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
-
 import pytest
 from chain_fixture import Chain
 from sal_height_msgs.msg import HeightImage
 
+from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
@@ -29,9 +27,7 @@ def chain(graph: Graph, flight: SimulatedFlight) -> Chain:
 
 
 @pytest.fixture(scope="session")
-def reference(
-    flight: SimulatedFlight, free_domain: Callable[[], AbstractContextManager[int]]
-) -> dict[tuple[str, int], HeightImage]:
+def reference(flight: SimulatedFlight) -> dict[tuple[str, int], HeightImage]:
     """Heights of dwells 0 and 1 when all is well."""
     with free_domain() as domain, Graph(domain) as graph:
         chain = Chain(graph, flight, missing_after_s=30.0)

@@ -60,7 +60,7 @@ def _images(graph: Graph, compression: SarCompression, frames: list[object], sen
     images: list[ComplexImage] = []
     listener = graph.add(Node("listener", context=graph.context))
     listener.create_subscription(ComplexImage, "slc", images.append, FRAMES_QOS)
-    if not graph.spin_until(lambda: compression._slc.get_subscription_count() > 0, TIMEOUT_S):
+    if not graph.spin_until(lambda: compression._slc.subscribers > 0, TIMEOUT_S):
         raise TimeoutError("The images found no subscriber.")
     compression.process(frames, sensor)
     if not graph.spin_until(lambda: len(images) == sensor.detector_count, TIMEOUT_S):

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
@@ -20,12 +20,15 @@ from rclpy.subscription import Subscription
 from sal_height.bag.definitions import message_class
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.nodes.account import RECORDED, UNWRITTEN, Account
 from sal_height.nodes.program import run_node
 
+DIAGNOSTICS = "/diagnostics"
 NEVER_BY_DEFAULT = ("/rosout", "/parameter_events")
 QUEUE_DEPTH = 1000  # messages per topic that may wait while the disk is busy
 DISCOVERY_PERIOD_S = 0.1
-DIAGNOSTICS_PERIOD_S = 0.2
+DIAGNOSTICS_PERIOD_S = 0.5
+NEWS_DELAY_S = 0.02  # from the first message written to the account that counts it, for whoever waits for it
 FLUSH_PERIOD_S = 1.0  # at most this much is lost when the process is killed
 
 
@@ -59,8 +62,9 @@ class Recorder(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         self.create_timer(DISCOVERY_PERIOD_S, self._discover, clock=steady)
         self.create_timer(FLUSH_PERIOD_S, self._flush, clock=steady)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=steady)
+        self._news = self.create_timer(NEWS_DELAY_S, self._publish_diagnostics, clock=steady)
         self._discover()
 
     @property
@@ -144,6 +148,9 @@ class Recorder(Node):
             with self._lock:
                 if not self._closed:
                     self._write(topic, cdr, info)
+            # An account of the accounts recorded would be recorded in turn, without end.
+            if topic != DIAGNOSTICS and self._news.is_canceled():
+                self._news.reset()
 
         return received
 
@@ -173,12 +180,13 @@ class Recorder(Node):
 
     def _publish_diagnostics(self) -> None:
         """Publish how many messages of each topic are in the bag (recorded.<topic>) and how many were lost."""
+        self._news.cancel()
+        recorded = {f"{RECORDED}{topic}": count for topic, count in self._recorded.items()}
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if self._unwritten else DiagnosticStatus.OK,
             name=self.get_fully_qualified_name().lstrip("/"),
             message=f"{self._unwritten} messages could not be written" if self._unwritten else "recording",
-            values=[KeyValue(key="unwritten", value=str(self._unwritten))]
-            + [KeyValue(key=f"recorded.{topic}", value=str(count)) for topic, count in self._recorded.items()],
+            values=Account({UNWRITTEN: self._unwritten} | recorded).to_values(),
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

@@ -110,7 +110,7 @@ class ReliefMapper(Stage):
             self.finish()
             self._publish()
             with suppress(RCLError):
-                self._relief.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
+                self._relief.publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
             if self._settings.file:
                 self._write(Path(self._settings.file))
 
@@ -163,7 +163,7 @@ class ReliefMapper(Stage):
         message = messages.relief_to_message(relief, self._images, self._last, self._provenance(self._last))
         with suppress(RCLError):  # the context may have ended: nobody is left to publish to
             self._image.publish(messages.relief_picture(relief, self._last))
-            if self._points.get_subscription_count():  # heights wait while they are made: a second for millions
+            if self._points.subscribers:  # heights wait while they are made: a second for millions
                 self._points.publish(messages.relief_points(relief, self._last))
             self._relief.publish(message)
         return 1

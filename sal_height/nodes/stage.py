@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -20,6 +20,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 
 from sal_height.errors import Rejected, UserError
+from sal_height.nodes.account import DROPPED, IGNORED, JOBS, PUBLISHED_ON, SUBSCRIBERS, Account
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.tally import Tally
 from sal_height.settings import Settings
@@ -44,6 +45,30 @@ QUEUED_JOBS = 8
 """Jobs that may wait for the worker before further ones are dropped."""
 
 
+class Outlet:
+    """A publisher that counts its messages."""
+
+    def __init__(self, publisher: Publisher) -> None:
+        self.publisher = publisher
+        self.topic: str = publisher.topic_name
+        self.published = 0
+
+    @property
+    def subscribers(self) -> int:
+        """How many subscriptions it is matched with."""
+        return int(self.publisher.get_subscription_count())
+
+    @property
+    def keeps_all(self) -> bool:
+        """Whether it is meant to deliver every message; of a latched topic only the last one matters."""
+        return bool(self.publisher.qos_profile.durability != DurabilityPolicy.TRANSIENT_LOCAL)
+
+    def publish(self, message: Any) -> None:
+        """Publish a message, or the bytes of a serialized one."""
+        self.publisher.publish(message)
+        self.published += 1
+
+
 class Stage(Node):
     """A node whose callbacks only take messages in; the work is done in order on a thread of its own."""
 
@@ -60,8 +85,9 @@ class Stage(Node):
         self._parameters_now = LiveParameters(self, self.parameters)
         self.tally = Tally()
         self.last_rejection = ""
+        self.last_drop = ""
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue(QUEUED_JOBS)
-        self._products: list[Publisher] = []
+        self._offered: list[Outlet] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self.publish_diagnostics, clock=self.steady_clock)
@@ -72,11 +98,11 @@ class Stage(Node):
         """The parameters as they are now: a frozen object of the class `parameters`."""
         return self._parameters_now.current
 
-    def offer(self, message_type: type, topic: str, qos: QoSProfile = FRAMES_QOS) -> Publisher:
-        """A publisher whose subscribers are counted in the diagnostics."""
+    def offer(self, message_type: type, topic: str, qos: QoSProfile = FRAMES_QOS) -> Outlet:
+        """A publisher whose messages and subscribers are counted in the diagnostics."""
         publisher = self.create_publisher(message_type, topic, qos, qos_overriding_options=QOS_OVERRIDES)
-        self._products.append(publisher)
-        return publisher
+        self._offered.append(Outlet(publisher))
+        return self._offered[-1]
 
     def listen(
         self, message_type: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile = FRAMES_QOS
@@ -122,8 +148,9 @@ class Stage(Node):
 
     def reject(self, messages: int, error: Rejected) -> None:
         """Count messages left out, and say why."""
-        self.tally.drop(messages, error.reason)
         self.last_rejection = f"{error.reason}: {error}"
+        self.last_drop = str(error)  # before it is counted, so that no account has a drop without a reason
+        self.tally.drop(messages, error.reason)
         self.get_logger().warning(f"Dropped {messages} ({error.reason}): {error}", throttle_duration_sec=1.0)
 
     def ignore(self, what: str, error: UserError) -> None:
@@ -134,17 +161,20 @@ class Stage(Node):
 
     def publish_diagnostics(self) -> None:
         """Publish the stage's account on /diagnostics."""
-        summary = self.tally.summary()
-        lost = sum(int(count) for name, count in summary.items() if name.startswith(("dropped.", "ignored.")))
+        summary = self.tally.summary()  # first: what is processed then has been published
+        lost = sum(int(count) for name, count in summary.items() if name.startswith((DROPPED, IGNORED)))
+        account = Account(
+            summary
+            | {JOBS: self._jobs.unfinished_tasks}
+            | {f"{PUBLISHED_ON}{outlet.topic}": outlet.published for outlet in self._offered if outlet.keeps_all}
+            | {f"{SUBSCRIBERS}{outlet.topic}": outlet.subscribers for outlet in self._offered},
+            self.last_drop,
+        )
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if lost else DiagnosticStatus.OK,
             name=self.get_fully_qualified_name().lstrip("/"),
             message=f"{lost} dropped or ignored, last {self.last_rejection}" if lost else "all messages processed",
-            values=[KeyValue(key=key, value=str(value)) for key, value in summary.items()]
-            + [
-                KeyValue(key=f"subscribers.{p.topic_name}", value=str(p.get_subscription_count()))
-                for p in self._products
-            ],
+            values=account.to_values(),
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
@@ -169,3 +199,4 @@ class Stage(Node):
     def _work(self) -> None:
         while job := self._jobs.get():
             job()
+            self._jobs.task_done()

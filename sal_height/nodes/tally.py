@@ -7,6 +7,8 @@ from collections import Counter, deque
 
 import numpy as np
 
+from sal_height.nodes.account import DROPPED, IGNORED, PROCESSED, PUBLISHED, RECEIVED, WAITING
+
 
 class Tally:
     """Counts of one stage; safe to use from several threads.
@@ -51,13 +53,13 @@ class Tally:
             dropped = dict(self._dropped)
             ignored = dict(self._ignored)
             values: dict[str, int | float] = {
-                "in": self._received,
-                "processed": self._processed,
-                "out": self._published,
-                "waiting": self._received - self._processed - sum(dropped.values()),
+                RECEIVED: self._received,
+                PROCESSED: self._processed,
+                PUBLISHED: self._published,
+                WAITING: self._received - self._processed - sum(dropped.values()),
             }
             if self._latencies:
                 p50, p95 = np.percentile(self._latencies, [50, 95])
                 values |= {"latency_p50_ms": round(float(p50) * 1e3, 3), "latency_p95_ms": round(float(p95) * 1e3, 3)}
-        values |= {f"dropped.{reason}": count for reason, count in sorted(dropped.items())}
-        return values | {f"ignored.{reason}": count for reason, count in sorted(ignored.items())}
+        values |= {f"{DROPPED}{reason}": count for reason, count in sorted(dropped.items())}
+        return values | {f"{IGNORED}{reason}": count for reason, count in sorted(ignored.items())}

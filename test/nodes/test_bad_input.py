@@ -196,7 +196,7 @@ def test_bad_pixels_are_marked_as_missing(chain: Chain, graph: Graph) -> None:
     tap = graph.add(Node("tap", context=graph.context))
     tap.create_subscription(ComplexImage, "slc", images.append, 100)
     chain.wait(lambda: tap.count_publishers("slc") == 1, "discovery")
-    chain.wait(lambda: chain.stages["sar_compression"]._products[0].get_subscription_count() == 3, "the tap")
+    chain.wait(lambda: chain.stages["sar_compression"]._offered[0].subscribers == 3, "the tap")
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
     chain.wait(lambda: len(images) == DETECTORS, "the images")
@@ -220,7 +220,7 @@ def test_bad_images_are_counted_by_the_estimators(chain: Chain, reference: Any, 
     images: list[ComplexImage] = []
     tap = graph.add(Node("tap", context=graph.context))
     tap.create_subscription(ComplexImage, "slc", images.append, 100)
-    chain.wait(lambda: chain.stages["sar_compression"]._products[0].get_subscription_count() == 3, "the tap")
+    chain.wait(lambda: chain.stages["sar_compression"]._offered[0].subscribers == 3, "the tap")
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
     chain.wait(lambda: len(images) == DETECTORS, "the images")

@@ -99,7 +99,7 @@ def test_position_of_a_pixel_has_its_height(fed: Any, graph: Graph) -> None:
     listener.create_subscription(PointCloud2, "ml/points", clouds.append, 10)
     listener.create_subscription(Image, "ml/image", pictures.append, 10)
     fed.wait(lambda: listener.count_publishers("ml/points") and listener.count_publishers("ml/image"), "discovery")
-    fed.wait(lambda: all(p.get_subscription_count() for p in fed.stages["ml_height"]._products[1:]), "the viewer")
+    fed.wait(lambda: all(p.subscribers for p in fed.stages["ml_height"]._offered[1:]), "the viewer")
     fed.publish(*fed.odometry(1), *fed.frames(1))
     fed.await_heights(1)
     fed.wait(lambda: clouds and pictures, "points and picture")

@@ -1,0 +1,114 @@
+"""The account of a node: its message counts, as its status on /diagnostics carries them.
+
+Nodes write their account with `to_values`, and whoever watches a graph reads it with `of_status`: no other module knows
+how the counts are called on /diagnostics.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Self
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+RECEIVED, PROCESSED, PUBLISHED, WAITING = "in", "processed", "out", "waiting"
+JOBS = "jobs"
+DROPPED, IGNORED = "dropped.", "ignored."
+UNWRITTEN, RECORDED = "unwritten", "recorded."
+PUBLISHED_ON, SUBSCRIBERS = "published.", "subscribers."
+LAST_DROP = "last_drop"
+
+
+@dataclass(frozen=True)
+class Account:
+    """Message counts of one node.
+
+    At any time received = processed + dropped + waiting.
+
+    Attributes:
+        numbers: every finite number of the status, by its name.
+        last_drop: sentence that says why messages were last left out; empty if none were.
+    """
+
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    last_drop: str = ""
+
+    @classmethod
+    def of_status(cls, status: DiagnosticStatus) -> Self:
+        """Read an account; values that are not finite numbers are left out."""
+        numbers = {item.key: number for item in status.values if (number := _number(item.value)) is not None}
+        failures = [item.value for item in status.values if item.key == LAST_DROP]
+        return cls(numbers, "".join(failures))
+
+    def to_values(self) -> list[KeyValue]:
+        """The account as values of a status."""
+        texts = {**{key: str(number) for key, number in self.numbers.items()}, LAST_DROP: self.last_drop}
+        return [KeyValue(key=key, value=text) for key, text in texts.items() if text]
+
+    @property
+    def received(self) -> int:
+        """Messages that came in."""
+        return self.count(RECEIVED)
+
+    @property
+    def waiting(self) -> int:
+        """Messages that are neither processed nor dropped yet."""
+        return self.count(WAITING)
+
+    @property
+    def jobs(self) -> int:
+        """Jobs that the worker has at hand or before it: above 0, the node is working."""
+        return self.count(JOBS)
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Messages that were left out, by reason."""
+        return self.under(DROPPED)
+
+    @property
+    def ignored(self) -> dict[str, int]:
+        """Messages beside the frames, such as odometry, that could not be used, by kind."""
+        return self.under(IGNORED)
+
+    @property
+    def published(self) -> dict[str, int]:
+        """Messages published on each topic that keeps all of them (see `Stage.offer`)."""
+        return self.under(PUBLISHED_ON)
+
+    @property
+    def subscribers(self) -> dict[str, int]:
+        """Subscribers of each topic that the node publishes."""
+        return self.under(SUBSCRIBERS)
+
+    @property
+    def recorded(self) -> dict[str, int]:
+        """Messages in the bag, by topic (recorder only)."""
+        return self.under(RECORDED)
+
+    @property
+    def unwritten(self) -> int:
+        """Messages that could not be written to the bag (recorder only)."""
+        return self.count(UNWRITTEN)
+
+    def count(self, name: str) -> int:
+        """The count of that name; 0 if the account has none."""
+        return int(self.numbers.get(name, 0))
+
+    def under(self, prefix: str) -> dict[str, int]:
+        """The counts whose names begin with `prefix`, by the rest of the name; topics are without leading slash."""
+        return {
+            name.removeprefix(prefix).removeprefix("/"): int(number)
+            for name, number in self.numbers.items()
+            if name.startswith(prefix)
+        }
+
+
+def _number(text: str) -> float | None:
+    """The finite number that a text stands for, if any."""
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None

@@ -291,11 +291,12 @@ def _add_out(command: argparse.ArgumentParser, default: str) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from sal_height.io import free_folder
+    from sal_height.runs.conductor import Execution
     from sal_height.runs.simulate import RELIEF_MAP, run
 
     preset = _changed(load_preset(options.preset), options)
     out = options.out or free_folder(Path("out") / preset.name)
-    outcome = run(preset, options.seed, out, _collected(options.param), options.processes)
+    outcome = run(preset, options.seed, out, _collected(options.param), Execution(options.processes))
     pictured = (out / "height.png").is_file()
     files = [str(out / name) for name in ("height.png", RELIEF_MAP, "report.json") if (out / name).is_file()]
     interrupted = " (interrupted)" if outcome.interrupted else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -34,7 +35,7 @@ class Graph:
         self.executor.add_node(node)
         return node
 
-    def spin_until(self, predicate: Callable[[], bool], timeout_s: float) -> bool:
+    def spin_until(self, predicate: Callable[[], bool], timeout_s: float = math.inf) -> bool:
         """Run callbacks until `predicate()` holds (returns True) or `timeout_s` has passed (returns False)."""
         deadline = time.monotonic() + timeout_s
         while not predicate():

@@ -81,7 +81,7 @@ class Player(Stage):
                 message = self._reader.decode(recorded.type_name, recorded.cdr)
             except Exception as error:  # noqa: BLE001 (whatever the deserializer makes of broken bytes)
                 self.ignore(f"broken {recorded.topic}", UserError(f"A message cannot be decoded: {error}"))
-                self._next = next(self._messages, None)
+                self._advance()
                 continue
             if isinstance(message, SensorInfo):
                 self._detectors = max(1, len(message.elevation_boresights))
@@ -89,8 +89,20 @@ class Player(Stage):
                 break
             group.add(message)
             self._outlets[recorded.topic].publish(recorded.cdr)
-            self._next = next(self._messages, None)
+            self._advance()
         return group.frames.total()
+
+    def _advance(self) -> None:
+        """Read the next message.
+
+        Raises:
+            UserError: the bag is damaged; the message at hand was its last, so that none is played twice.
+        """
+        try:
+            self._next = next(self._messages, None)
+        except UserError:
+            self._next = None
+            raise
 
 
 class _Group:

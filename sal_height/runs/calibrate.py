@@ -12,11 +12,11 @@ from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import UserError
 from sal_height.io import new_folder, writing
 from sal_height.nodes.psf_calibration import MOST_DWELLS
-from sal_height.runs.conductor import Outcome, perform
+from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import CALIBRATOR, NodeParameters, check_parameters
 from sal_height.runs.picture import draw_calibration
 from sal_height.runs.replay import contents, recorded_parameters
-from sal_height.runs.simulate import conclude, merged, reporting
+from sal_height.runs.reporting import conclude, merged, reporting
 
 STAGES = ["sar_compression", CALIBRATOR]
 
@@ -24,7 +24,9 @@ CALIBRATION = "calibration.npz"
 """File of the calibration in the folder of a run."""
 
 
-def calibrate(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, Calibration | None]:
+def calibrate(
+    bag: Path, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT
+) -> tuple[Outcome, Calibration | None]:
     """Calibrate a sensor on what it has flown over, leaving calibration.npz, its picture and report.json in `out`.
 
     Images are made as the recording made them, but of the whole range window, without weights in range and without a
@@ -34,6 +36,7 @@ def calibrate(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome
         bag: folder of the recorded bag, or its .mcap file.
         out: folder; must be new or empty.
         parameters: of nodes, on top of the recorded ones.
+        execution: how it is carried out.
 
     Returns:
         What the run did, and the calibration; None: it was interrupted before.
@@ -51,7 +54,7 @@ def calibrate(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome
     with reporting(folder, {"bag": bag.name}) as report:
         nodes = {**values, "player": {"bag": str(bag)}}
         topics = ["sensor_info", "calibration", "diagnostics"]
-        outcome = perform("player", STAGES, topics, made, nodes, dwells)
+        outcome = perform(Plan("player", STAGES, topics, made, nodes, dwells), execution)
         conclude(outcome, made, values, report)
         path = Path(values[CALIBRATOR]["file"])
         if outcome.interrupted:

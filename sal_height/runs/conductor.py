@@ -1,11 +1,11 @@
-"""Running the graph in lockstep: the next dwell starts when every message of the last one is accounted for."""
+"""Run the graph in lockstep: the next dwell starts when every message of the last one is accounted for."""
 
 from __future__ import annotations
 
-import math
 import signal
+import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -17,26 +17,59 @@ from std_srvs.srv import Trigger
 from tqdm import tqdm
 
 from sal_height.errors import UserError
+from sal_height.nodes.account import RECEIVED, UNWRITTEN, WAITING, Account
+from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.player import INPUTS
-from sal_height.runs.ensemble import CALIBRATOR, ESTIMATORS, HEIGHTS, Ensemble, NodeParameters, height_sources
+from sal_height.runs.ensemble import Ensemble, NodeParameters, stage_inputs
 
-UNWATCHED = ("diagnostics",)
-"""Recorded topics that no stage counts the subscribers of."""
+UNCOUNTED = ("diagnostics",)
+"""Recorded topics of which the publishers count neither messages nor subscribers."""
 
 COMPANY_TIMEOUT_S = 0.5
-"""How long to look for other sensors before anything is started."""
+"""How long to look for other sensors before anything is started: discovery takes a few tenths of a second."""
 
-START_TIMEOUT_S = 30.0
-DWELL_TIMEOUT_S = 120.0
-"""Longest waits for the graph, and for the account of one dwell (one that misses something is dropped earlier)."""
+RECORDER = "recorder"
 
-STAGE_KEYS = ("in", "out", "waiting")
-RECORDER_KEYS = ("unwritten",)
-"""What the status of a stage and of the recorder have at least; one without is not ours."""
 
-Wait = Callable[[Callable[[], bool], float, str], None]
-"""Waits until a condition holds, at most that many seconds, for what the words say; UserError if in vain."""
+@dataclass(frozen=True)
+class Plan:
+    """What a run of the graph is made of.
+
+    Attributes:
+        source: name of the node that publishes dwells, "simulator" or "player".
+        stages: names of the processing nodes, sar_compression first.
+        recorded: topics to record, without leading slash.
+        bag: folder of the new bag.
+        parameters: values of the nodes' parameters.
+        dwells: number of dwells to expect, for the progress bar.
+    """
+
+    source: str
+    stages: list[str]
+    recorded: list[str]
+    bag: Path
+    parameters: NodeParameters
+    dwells: int
+
+
+@dataclass(frozen=True)
+class Execution:
+    """How a run is carried out; its results do not depend on it.
+
+    Attributes:
+        processes: whether each node gets a process of its own.
+        domain: the ROS domain of the nodes.
+        timeout_s: how long to wait for a graph in which no node works and nothing moves, s. A dwell may take longer, as
+            long as a node works on it.
+    """
+
+    processes: bool = False
+    domain: DomainChoice = "free"
+    timeout_s: float = 120.0
+
+
+DEFAULT = Execution()
 
 
 @dataclass(frozen=True)
@@ -44,13 +77,13 @@ class Outcome:
     """What a run did.
 
     Attributes:
-        stages: account of every stage by node name (see Tally.summary).
-        dwells: dwells that were played.
-        interrupted: True if the user stopped the run.
-        failure: why the run ended early, if not for the user.
+        stages: account of the source and of every stage, by node name.
+        dwells: number of dwells that were played.
+        interrupted: whether the user stopped the run.
+        failure: why the run ended early, unless the user stopped it.
     """
 
-    stages: dict[str, dict[str, float]]
+    stages: dict[str, Account]
     dwells: int
     interrupted: bool
     failure: UserError | None = None
@@ -88,50 +121,51 @@ class Interruption:
 
 
 class Conductor(Node):
-    """Watches the accounts of all stages on /diagnostics, and asks the source for dwells."""
+    """Reads the accounts of all nodes on /diagnostics, and asks the source for dwells."""
 
-    def __init__(
-        self, source: str, stages: list[str], recorded: list[str], takes: Mapping[str, str], **node_arguments: Any
-    ) -> None:
-        """Conduct from node `source` through `stages` (sar_compression first) to a recorder of topics `recorded`.
+    def __init__(self, plan: Plan, **node_arguments: Any) -> None:
+        """Conduct the nodes of a plan.
 
-        `takes` tells whose heights (a node of HEIGHTS) other stages take (`ensemble.height_sources`).
+        Raises:
+            UserError: a stage takes heights that no other stage makes.
         """
         super().__init__("conductor", **node_arguments)
-        self.accounts: dict[str, dict[str, float]] = {}
-        self._source = source
-        self._stages = stages
-        self._takes = takes
-        self._watched = {source, *stages, "recorder"}
-        self._recorded = recorded
+        self.accounts: dict[str, Account] = {}
+        self.last_progress = time.monotonic()
+        self._source = plan.source
+        self._recorded = plan.recorded
+        self._inputs = {plan.source: "", **stage_inputs(plan.stages, plan.parameters)}
         self._steps = 0
-        self._step = self.create_client(Trigger, f"{source}/step")
+        self._step = self.create_client(Trigger, f"{plan.source}/step")
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
     def connected(self) -> bool:
-        """Whether every topic has its subscribers, as its publisher counts them: nothing will be lost."""
-        consumers = Counter({"slc": sum(name in {*ESTIMATORS, CALIBRATOR} for name in self._stages)})
-        consumers.update({"phase_history": 1, "platform/odometry": 1})
-        consumers.update(f"{HEIGHTS[node]}/height" for node in self._takes.values())
-        counts = {
-            key.removeprefix("subscribers./"): count
-            for account in self.accounts.values()
-            for key, count in account.items()
-            if key.startswith("subscribers.")
-        }
-        topics = {*consumers, *(topic for topic in self._recorded if topic not in UNWATCHED)}
-        ready = all(counts.get(t, -1) >= consumers.get(t, 0) + (t in self._recorded) for t in topics)
-        sole = all(self.count_publishers(topic) == 1 for topic in INPUTS)
-        return ready and sole and self._step.service_is_ready() and self._watched <= self.accounts.keys()
-
-    def check(self) -> None:
-        """Make sure that the bag takes what comes, and that it comes from our source alone.
+        """Whether every topic has its subscribers, as its publisher counts them: nothing will be lost.
 
         Raises:
-            UserError: messages could not be written, or somebody else publishes.
+            UserError: a topic to record is published by no node.
         """
-        if lost := self.accounts.get("recorder", {}).get("unwritten"):
-            raise UserError(f"{lost:.0f} messages could not be written to the bag; make room on its disk.")
+        if not {*self._inputs, RECORDER} <= self.accounts.keys():
+            return False
+        offered = {topic: n for account in self.accounts.values() for topic, n in account.subscribers.items()}
+        recorded = set(self._recorded) - set(UNCOUNTED)
+        if unknown := sorted(recorded - offered.keys()):
+            raise UserError(f"No node of this run publishes topic {unknown[0]}; it has {', '.join(sorted(offered))}.")
+        needed = Counter(topic for topic in self._inputs.values() if topic)
+        needed.update(["platform/odometry", *recorded])
+        alone = all(self.count_publishers(topic) == 1 for topic in INPUTS)
+        return alone and all(offered[topic] >= n for topic, n in needed.items()) and self._step.service_is_ready()
+
+    def check(self) -> None:
+        """Make sure that the source works, that the bag takes what comes, and that nobody else publishes frames.
+
+        Raises:
+            UserError: it is not so.
+        """
+        if (source := self.accounts.get(self._source)) and source.dropped:
+            raise UserError(source.last_drop)
+        if (recorder := self.accounts.get(RECORDER)) and recorder.unwritten:
+            raise UserError(f"{recorder.unwritten} messages could not be written to the bag; make room on its disk.")
         self.refuse_company(own=1)
 
     def refuse_company(self, own: int) -> None:
@@ -145,108 +179,104 @@ class Conductor(Node):
         """
         for topic in INPUTS:
             if self.count_publishers(topic) > own:
-                whose = f"Somebody already publishes on /{topic} in this ROS domain"
-                raise UserError(f"{whose}; stop them or set another ROS_DOMAIN_ID.")
+                raise UserError(
+                    f"Somebody else publishes on /{topic} in this ROS domain; stop them, or choose another domain."
+                )
 
-    def step(self, wait: Wait) -> bool:
+    def step(self, wait: Callable[[Callable[[], bool], str], None]) -> bool:
         """Ask for the next dwell; False when there is none.
 
         Raises:
             UserError: the source does not answer.
         """
         answer = self._step.call_async(Trigger.Request())
-        wait(answer.done, START_TIMEOUT_S, f"an answer of node {self._source}")
+        wait(answer.done, f"an answer of node {self._source}")
         self._steps += answer.result().success
         return bool(answer.result().success)
 
     def settled(self) -> bool:
         """Whether all that was asked for has been published, accounted for in every stage, and recorded."""
-        source, first = self.accounts[self._source], self.accounts[self._stages[0]]
-        expected = dict.fromkeys(self._stages, first["out"]) | {
-            self._source: self._steps,
-            self._stages[0]: source["out"],
-        }
-        for name, node in self._takes.items():
-            expected[name] = self.accounts[node]["out"]
-        if any(
-            self.accounts[name]["in"] != count or self.accounts[name]["waiting"] for name, count in expected.items()
-        ):
-            return False
-        outputs = {"phase_history": source["out"]} | {
-            f"{HEIGHTS[name]}/height": self.accounts[name]["out"] for name in self._stages if name in HEIGHTS
-        }
-        recorder = self.accounts["recorder"]
-        return all(recorder.get(f"recorded./{t}", 0) == n for t, n in outputs.items() if t in self._recorded)
+        published: Counter[str] = Counter()
+        for account in self.accounts.values():
+            published.update(account.published)
+        for name, topic in self._inputs.items():
+            account = self.accounts[name]
+            expected = published[topic] if topic else self._steps
+            if account.waiting or account.received != expected:
+                return False
+        recorded = self.accounts[RECORDER].recorded
+        return all(recorded.get(topic) == published[topic] for topic in self._recorded if topic in published)
 
     def drops(self) -> str:
-        """What the stages have dropped so far, in a few words."""
+        """What the nodes have dropped so far, in a few words."""
         return ", ".join(
-            f"{name} {key.removeprefix('dropped.')}: {count:.0f}"
+            f"{name} {reason}: {count}"
             for name, account in self.accounts.items()
-            for key, count in account.items()
-            if key.startswith("dropped.")
+            for reason, count in account.dropped.items()
         )
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            numbers = {item.key: _number(item.value) for item in status.values}
-            account = {key: number for key, number in numbers.items() if number is not None}
-            expected = RECORDER_KEYS if status.name == "recorder" else STAGE_KEYS
-            if status.name in self._watched and account.keys() >= set(expected):
+            account = Account.of_status(status)
+            key = UNWRITTEN if status.name == RECORDER else WAITING
+            if status.name in {*self._inputs, RECORDER} and key in account.numbers:
+                if account.jobs or _counts(account) != _counts(self.accounts.get(status.name)):
+                    self.last_progress = time.monotonic()
                 self.accounts[status.name] = account
 
 
-def perform(
-    source: str,
-    stages: list[str],
-    recorded: list[str],
-    bag: Path,
-    parameters: NodeParameters,
-    dwells: int,
-    processes: bool = False,
-) -> Outcome:
+def _counts(account: Account | None) -> object:
+    """What changes in an account when the node gets on with its work."""
+    if account is None:
+        return None
+    recorded = {topic: count for topic, count in account.recorded.items() if topic not in UNCOUNTED}
+    return account.count(RECEIVED), account.waiting, account.published, account.subscribers, recorded
+
+
+def perform(plan: Plan, execution: Execution) -> Outcome:
     """Run the graph on all dwells of a source, in lockstep, and record it.
 
     What goes wrong once all nodes are started is in the outcome, together with the accounts up to then.
-
-    Args:
-        source: node name, "simulator" or "player".
-        stages: node names from sar_compression on.
-        recorded: topics to record, without leading slash.
-        bag: folder of the new bag.
-        parameters: of the nodes.
-        dwells: how many to expect, for the progress bar.
-        processes: each node in its own process.
 
     Raises:
         UserError: a node or the bag refuses its parameters, a stage takes heights that no other makes, or somebody else
             publishes frames.
     """
-    takes = height_sources(stages, parameters)
-    names = ["recorder", *reversed(stages), source]
-    values = {**parameters, "recorder": {"directory": str(bag), "topics": [f"/{topic}" for topic in recorded]}}
+    names = [RECORDER, *reversed(plan.stages), plan.source]
+    topics = [f"/{topic}" for topic in plan.recorded]
+    values = {**plan.parameters, RECORDER: {"directory": str(plan.bag), "topics": topics}}
     played, interrupted = 0, False
     failure: UserError | None = None
-    with Graph() as graph:
-        conductor = graph.add(Conductor(source, stages, recorded, takes, context=graph.context))
-        _refuse_company(graph, conductor)
-        with Interruption() as interruption, Ensemble(graph, names, values, processes) as ensemble:
+    with ros_domain(execution.domain), Graph() as graph:
+        conductor = graph.add(Conductor(plan, context=graph.context))
+        if execution.domain != "free":
+            _refuse_company(graph, conductor)
+        with Interruption() as interruption, Ensemble(graph, names, values, execution.processes) as ensemble:
 
-            def wait(condition: Callable[[], bool], timeout_s: float, what: str) -> None:
+            def wait(condition: Callable[[], bool], what: str) -> None:
+                began = time.monotonic()
+
                 def reached() -> bool:
                     interruption.check()
                     ensemble.check()
                     conductor.check()
-                    return condition()
+                    if condition():
+                        return True
+                    if time.monotonic() - max(began, conductor.last_progress) > execution.timeout_s:
+                        raise UserError(
+                            f"No node has made progress for {execution.timeout_s:g} s while waiting for {what}; the "
+                            "log above may say why."
+                        )
+                    return False
 
-                if not graph.spin_until(reached, timeout_s):
-                    raise UserError(f"Waited {timeout_s:.0f} s for {what}, in vain; the log above says why.")
+                if not graph.spin_until(reached):
+                    raise UserError(f"ROS was shut down while waiting for {what}.")
 
-            with tqdm(total=dwells, unit="dwell", desc=bag.parent.name) as progress:
+            with tqdm(total=plan.dwells, unit="dwell", desc=plan.bag.parent.name) as progress:
                 try:
-                    wait(conductor.connected, START_TIMEOUT_S, "the graph to come up")
+                    wait(conductor.connected, "the graph to come up")
                     while conductor.step(wait):
-                        wait(conductor.settled, DWELL_TIMEOUT_S, f"the account of dwell {played}")
+                        wait(conductor.settled, f"dwell {played} to be processed")
                         played += 1
                         progress.update()
                         progress.set_postfix_str(conductor.drops())
@@ -254,7 +284,8 @@ def perform(
                     interrupted = True
                 except UserError as error:
                     failure = error
-    return Outcome({name: conductor.accounts.get(name, {}) for name in [source, *stages]}, played, interrupted, failure)
+    stages = {name: conductor.accounts.get(name, Account()) for name in [plan.source, *plan.stages]}
+    return Outcome(stages, played, interrupted, failure)
 
 
 def _refuse_company(graph: Graph, conductor: Conductor) -> None:
@@ -269,12 +300,3 @@ def _refuse_company(graph: Graph, conductor: Conductor) -> None:
         return False
 
     graph.spin_until(found, COMPANY_TIMEOUT_S)
-
-
-def _number(text: str) -> float | None:
-    """The finite number that a text stands for, if any."""
-    try:
-        number = float(text)
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None

@@ -138,6 +138,17 @@ def height_sources(stages: list[str], parameters: NodeParameters) -> dict[str, s
     return sources
 
 
+def stage_inputs(stages: list[str], parameters: NodeParameters) -> dict[str, str]:
+    """The topic whose messages each stage counts as received, with these parameters of all nodes.
+
+    Raises:
+        UserError: a stage takes heights that no other stage makes.
+    """
+    inputs = {name: "slc" if name in {*ESTIMATORS, CALIBRATOR} else "phase_history" for name in stages}
+    makers = height_sources(stages, parameters)
+    return inputs | {name: f"{HEIGHTS[maker]}/height" for name, maker in makers.items()}
+
+
 class Ensemble:
     """The nodes of a run, either in this process or each in its own; ends them in the order of the data flow."""
 

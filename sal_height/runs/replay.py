@@ -14,16 +14,18 @@ from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.io import new_folder, writing
 from sal_height.response import measure_brightest
-from sal_height.runs.conductor import Outcome, perform
+from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, recorded_topics, suited
 from sal_height.runs.images import recorded_slc
 from sal_height.runs.picture import draw_image
 from sal_height.runs.report import or_null
-from sal_height.runs.simulate import conclude, merged, reporting
+from sal_height.runs.reporting import conclude, merged, reporting
 from sal_height.sensor import Sensor
 
 
-def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, dict[str, HeightComparison]]:
+def replay(
+    bag: Path, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT
+) -> tuple[Outcome, dict[str, HeightComparison]]:
     """Play the phase history of `bag` through the graph and record the products in `out`/bag.
 
     A bag of a single detector is focused only: its images (topic slc) are recorded instead of heights. There is no
@@ -33,6 +35,7 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, d
         bag: folder of the recorded bag; the parameters.yaml in it, if any, holds the parameters it was made with.
         out: folder; must be new or empty.
         parameters: of nodes, on top of the recorded ones.
+        execution: how it is carried out.
 
     Returns:
         What the replay did, and the comparison with the recorded heights by topic of the bag; empty if none were
@@ -50,7 +53,7 @@ def replay(bag: Path, out: Path, parameters: NodeParameters) -> tuple[Outcome, d
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
         nodes = {**values, "player": {"bag": str(bag)}}
-        outcome = perform("player", stages, recorded_topics(stages, values), made, nodes, dwells)
+        outcome = perform(Plan("player", stages, recorded_topics(stages, values), made, nodes, dwells), execution)
         conclude(outcome, made, values, report)
         compared = {}
         if any(f"/{prefix}/height" in reader.topics for prefix in HEIGHTS.values()) and not outcome.interrupted:

@@ -160,26 +160,6 @@ def _errors(result: Mosaic, chosen: Bool) -> dict[str, Any]:
     }
 
 
-def stage_report(accounts: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, object]]:
-    """Per stage `in`, `processed`, `out`, `dropped` and `ignored` by reason and latencies, from the diagnostics."""
-    return {
-        name: {
-            "in": int(account.get("in", 0)),
-            "processed": int(account.get("processed", 0)),
-            "out": int(account.get("out", 0)),
-            "dropped": _by_reason(account, "dropped."),
-            "ignored": _by_reason(account, "ignored."),
-            "latency_p50_ms": account.get("latency_p50_ms"),
-            "latency_p95_ms": account.get("latency_p95_ms"),
-        }
-        for name, account in accounts.items()
-    }
-
-
-def _by_reason(account: Mapping[str, float], prefix: str) -> dict[str, int]:
-    return {key.removeprefix(prefix): int(count) for key, count in account.items() if key.startswith(prefix)}
-
-
 def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface) -> _Pixels:
     """The valid pixels of a height image, with the truth."""
     grid, aperture = messages.grid_from_message(image.grid), messages.aperture_from_message(image.aperture)

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from sal_height import __version__
 from sal_height.bag.reader import BagReader
-from sal_height.errors import UserError
 from sal_height.io import new_folder, write_text, writing
-from sal_height.runs.conductor import Outcome, perform
+from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import (
     HEIGHTS,
     TRACKER,
@@ -28,51 +24,15 @@ from sal_height.runs.ensemble import (
 )
 from sal_height.runs.picture import draw_heights
 from sal_height.runs.profile import draw_profile
-from sal_height.runs.report import Mosaic, mosaic, stage_report, statistics
+from sal_height.runs.report import Mosaic, mosaic, statistics
+from sal_height.runs.reporting import conclude, merged, reporting
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
 RELIEF_MAP = "relief_map.tif"
 """File of the relief map in the folder of a run."""
 
 
-@contextmanager
-def reporting(folder: Path, known: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """A report that begins with what is `known`; left in `folder`/report.json even after a failure, which it names.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
-    report = {"version": __version__, **known}
-
-    def write() -> None:
-        write_text(folder / "report.json", json.dumps(report, indent=2) + "\n")
-
-    try:
-        yield report
-    except BaseException as error:
-        report["failed"] = str(error) or type(error).__name__
-        with suppress(UserError):  # the first failure is the one to tell
-            write()
-        raise
-    write()
-
-
-def conclude(outcome: Outcome, bag: Path, values: NodeParameters, report: dict[str, Any]) -> None:
-    """Put the outcome into the report, and the nodes' parameters beside the bag.
-
-    Raises:
-        UserError: the run has failed.
-    """
-    report["dwells"] = outcome.dwells
-    report["interrupted"] = outcome.interrupted
-    report["stages"] = stage_report(outcome.stages)
-    if bag.is_dir():
-        write_text(bag / "parameters.yaml", yaml.safe_dump(values))
-    if outcome.failure:
-        raise outcome.failure
-
-
-def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, processes: bool) -> Outcome:
+def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT) -> Outcome:
     """Simulate all dwells of `preset`, leaving its bag, report, pictures, relief_map.tif and preset.yaml in `out`.
 
     Without one valid height there is no picture and no relief_map.tif, nor is there the latter without rasterio.
@@ -82,7 +42,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
         seed: of all random numbers.
         out: folder; must be new or empty.
         parameters: of nodes, on top of those that follow from the preset.
-        processes: each node in its own process.
+        execution: how it is carried out.
 
     Raises:
         UserError: what was asked for cannot be done.
@@ -107,7 +67,8 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, proces
     with reporting(folder, known) as report:
         write_text(settings, yaml.safe_dump(json.loads(json.dumps(dataclasses.asdict(preset))), sort_keys=False))
         nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
-        outcome = perform("simulator", stages, recorded_topics(stages, values), bag, nodes, preset.dwells, processes)
+        plan = Plan("simulator", stages, recorded_topics(stages, values), bag, nodes, preset.dwells)
+        outcome = perform(plan, execution)
         conclude(outcome, bag, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
         mosaics = read_mosaics(bag, flight)
@@ -132,8 +93,3 @@ def read_mosaics(bag: Path, flight: SimulatedFlight) -> dict[str, Mosaic]:
     usable = {name: [i for i in found if 0 in i.validity] for name, found in images.items()}
     surfaces = {dwell: flight.surface(dwell) for dwell in {image.dwell for found in images.values() for image in found}}
     return {name: mosaic(images[name], flight, surfaces) for name, found in usable.items() if found}
-
-
-def merged(base: NodeParameters, changes: NodeParameters) -> dict[str, dict[str, Any]]:
-    """Node parameters of `base` with those of `changes` in their place."""
-    return {name: {**base.get(name, {}), **changes.get(name, {})} for name in {**base, **changes}}

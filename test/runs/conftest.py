@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,19 +13,6 @@ from sal_height.runs.simulate import run
 from sal_height.simulation.preset import Preset, load_preset
 
 SEED = 3
-
-
-@pytest.fixture(scope="session", autouse=True)
-def own_domain(free_domain: Callable[[], AbstractContextManager[int]]) -> Iterator[None]:
-    """Programs take their DDS domain from the environment."""
-    before = os.environ.get("ROS_DOMAIN_ID")
-    with free_domain() as domain:
-        os.environ["ROS_DOMAIN_ID"] = str(domain)
-        yield
-    if before is None:
-        del os.environ["ROS_DOMAIN_ID"]
-    else:
-        os.environ["ROS_DOMAIN_ID"] = before
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -48,5 +33,5 @@ def two_dwells() -> Preset:
 def recorded(two_dwells: Preset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Output folder of a run of two dwells."""
     out = tmp_path_factory.mktemp("runs") / "recorded"
-    run(two_dwells, SEED, out, {}, processes=False)
+    run(two_dwells, SEED, out, {})
     return out

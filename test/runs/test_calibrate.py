@@ -39,7 +39,7 @@ def impaired() -> Preset:
 @pytest.fixture(scope="module")
 def flown(impaired: Preset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("impaired") / "run"
-    run(impaired, 1, out, {}, processes=False)
+    run(impaired, 1, out, {})
     return out
 
 

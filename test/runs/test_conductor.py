@@ -7,7 +7,9 @@ import errno
 import json
 import os
 import signal
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +21,15 @@ from sal_height_msgs.msg import DetectorFrame, SensorInfo
 
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.nodes.account import Account
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.monopulse import Monopulse
 from sal_height.nodes.simulator import Simulator
 from sal_height.runs import conductor
-from sal_height.runs.conductor import Conductor
-from sal_height.runs.ensemble import NODES, Ensemble
+from sal_height.runs.conductor import Conductor, Execution, Plan
+from sal_height.runs.ensemble import NODES, Ensemble, NodeParameters
 from sal_height.runs.simulate import run
+from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import Preset
 
 SEED = 3
@@ -38,10 +43,13 @@ def long(two_dwells: Preset) -> Preset:
 
 
 @pytest.fixture
-def company() -> Iterator[Graph]:
-    """A graph of somebody else in the domain of the run."""
-    with Graph() as graph:
-        yield graph
+def beside(domain_id: int) -> Execution:
+    """A run in the domain of fixture `graph`, in which somebody else may be."""
+    return Execution(domain=domain_id)
+
+
+def plan_of(stages: list[str], parameters: NodeParameters | None = None, recorded: Sequence[str] = ()) -> Plan:
+    return Plan("simulator", stages, list(recorded), Path("bag"), parameters or {}, 1)
 
 
 def status(name: str, **values: object) -> DiagnosticStatus:
@@ -49,7 +57,7 @@ def status(name: str, **values: object) -> DiagnosticStatus:
 
 
 def test_diagnostics_of_others_are_ignored(graph: Graph) -> None:
-    watching = graph.add(Conductor("simulator", ["monopulse"], [], {}, context=graph.context))
+    watching = graph.add(Conductor(plan_of(["monopulse"]), context=graph.context))
     publisher = graph.add(Node("stages", context=graph.context)).create_publisher(DiagnosticArray, "/diagnostics", 10)
     assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, 10)
     ours = [status("recorder", unwritten=0), status("simulator", **{"in": 1, "out": 8, "waiting": 0, "note": "slow"})]
@@ -61,7 +69,7 @@ def test_diagnostics_of_others_are_ignored(graph: Graph) -> None:
     end = status("monopulse", **{"in": 8, "out": 1, "waiting": 0, "latency_p50_ms": "nan"})
     publisher.publish(DiagnosticArray(status=[*ours, *foreign, end]))
     assert graph.spin_until(lambda: "monopulse" in watching.accounts, 10)
-    assert watching.accounts == {
+    assert {name: account.numbers for name, account in watching.accounts.items()} == {
         "recorder": {"unwritten": 0.0},
         "simulator": {"in": 1.0, "out": 8.0, "waiting": 0.0},
         "monopulse": {"in": 8.0, "out": 1.0, "waiting": 0.0},
@@ -70,28 +78,83 @@ def test_diagnostics_of_others_are_ignored(graph: Graph) -> None:
 
 def test_a_dwell_is_settled_when_its_heights_are_in_the_map(graph: Graph) -> None:
     stages = ["sar_compression", "monopulse", "ml_height", "relief_mapper"]
-    watching = graph.add(Conductor("simulator", stages, [], {"relief_mapper": "monopulse"}, context=graph.context))
-    watching.accounts = {
-        "recorder": {"unwritten": 0},
-        "simulator": {"in": 0, "out": 8, "waiting": 0},
-        "sar_compression": {"in": 8, "out": 8, "waiting": 0},
-        "monopulse": {"in": 8, "out": 1, "waiting": 0},
-        "ml_height": {"in": 8, "out": 0, "waiting": 0},
+    plan = plan_of(stages, {"relief_mapper": {"estimator": "monopulse"}}, recorded=["monopulse/height"])
+    watching = graph.add(Conductor(plan, context=graph.context))
+
+    def recorded(count: int) -> Account:
+        return Account({"unwritten": 0, "recorded./monopulse/height": count})
+
+    before = {
+        "recorder": recorded(1),
+        "simulator": Account({"in": 0, "waiting": 0, "published./phase_history": 8, "published./platform/odometry": 9}),
+        "sar_compression": Account({"in": 8, "waiting": 0, "published./slc": 8}),
+        "monopulse": Account({"in": 8, "waiting": 0, "published./monopulse/height": 1}),
+        "ml_height": Account({"in": 8, "waiting": 0, "published./ml/height": 0}),
+        "relief_mapper": Account({"in": 1, "waiting": 0}),
     }
-    for entered, waiting, settled in ((0, 0, False), (1, 1, False), (1, 0, True), (2, 0, False)):
-        watching.accounts["relief_mapper"] = {"in": entered, "out": 0, "waiting": waiting}
-        assert watching.settled() is settled
+    watching.accounts = before
+    assert watching.settled()
+    for name, changed in (
+        ("relief_mapper", Account({"in": 0, "waiting": 0})),
+        ("relief_mapper", Account({"in": 1, "waiting": 1})),
+        ("relief_mapper", Account({"in": 2, "waiting": 0})),
+        ("simulator", Account({"in": 1, "waiting": 0, "published./phase_history": 8})),
+        ("simulator", Account({"in": 0, "waiting": 0, "published./phase_history": 16})),
+        ("recorder", recorded(0)),
+    ):
+        watching.accounts = {**before, name: changed}
+        assert not watching.settled(), (name, changed)
+
+
+def test_a_graph_in_which_nothing_moves_is_given_up(two_dwells: Preset, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr(Conductor, "settled", lambda _: False)
+    with pytest.raises(UserError, match=r"No node has made progress for 1 s while waiting for dwell 0 to be processed"):
+        run(two_dwells, SEED, tmp_path / "run", {}, Execution(timeout_s=1.0))
+
+
+def test_a_dwell_may_take_longer_than_the_limit(two_dwells: Preset, tmp_path: Path, monkeypatch: Any) -> None:
+    """A node that works all the time is waited for, here for twice the limit."""
+    limit_s, took = 1.0, []
+    process = Monopulse.process
+
+    def slow(self: Monopulse, *arguments: Any) -> int:
+        began = time.monotonic()
+        while time.monotonic() < began + 2 * limit_s:
+            threading.Event().wait(0.05)  # leaves the processor to the other nodes
+        took.append(time.monotonic() - began)
+        return process(self, *arguments)
+
+    monkeypatch.setattr(Monopulse, "process", slow)
+    outcome = run(dataclasses.replace(two_dwells, dwells=1), SEED, tmp_path / "run", {}, Execution(timeout_s=limit_s))
+    assert outcome.dwells == 1
+    assert took[0] > limit_s
+
+
+def test_a_source_that_fails_ends_the_run_with_its_own_sentence(
+    two_dwells: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    history = SimulatedFlight.phase_history
+
+    def failing(self: SimulatedFlight, dwell: int) -> Any:
+        if dwell:
+            raise UserError("The flight has left the scene.")
+        return history(self, dwell)
+
+    monkeypatch.setattr(SimulatedFlight, "phase_history", failing)
+    with pytest.raises(UserError, match=r"^The flight has left the scene\.$"):
+        run(two_dwells, SEED, tmp_path / "run", {})
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert report["dwells"] == 1
+    assert report["stages"]["ml_height"]["out"] == 1
 
 
 def test_a_full_disk_ends_the_run_at_once(long: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(self: BagWriter, topic: str, *_: Any) -> None:  # noqa: ARG001
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(conductor, "START_TIMEOUT_S", 10.0)
-    monkeypatch.setattr(conductor, "DWELL_TIMEOUT_S", 10.0)
     monkeypatch.setattr(BagWriter, "write", refuse)
     with pytest.raises(UserError, match="could not be written to the bag"):
-        run(long, SEED, tmp_path / "run", {}, processes=False)
+        run(long, SEED, tmp_path / "run", {})
     report = json.loads((tmp_path / "run" / "report.json").read_text())
     assert "could not be written" in report["failed"]
     assert "sar_compression" in report["stages"]
@@ -119,7 +182,7 @@ def test_a_file_that_cannot_be_written_is_named(
         monkeypatch.setattr("sal_height.runs.simulate.perform", perform)
     preset = dataclasses.replace(two_dwells, dwells=1)
     with pytest.raises(UserError, match=rf"{name} cannot be written: Is a directory\."):
-        run(preset, SEED, tmp_path / "run", {}, processes=False)
+        run(preset, SEED, tmp_path / "run", {})
 
 
 class Mute(Simulator):
@@ -144,13 +207,13 @@ def test_a_signal_ends_the_wait_for_a_step(
 ) -> None:
     step = Conductor.step
 
-    def interrupted_step(self: Conductor, wait: conductor.Wait) -> bool:
+    def interrupted_step(self: Conductor, wait: Any) -> bool:
         signal.raise_signal(number)
         return step(self, wait)
 
     monkeypatch.setitem(NODES, "simulator", Mute)
     monkeypatch.setattr(Conductor, "step", interrupted_step)
-    outcome = run(two_dwells, SEED, tmp_path / "run", {}, processes=False)
+    outcome = run(two_dwells, SEED, tmp_path / "run", {})
     assert outcome.interrupted
     assert outcome.dwells == 0
 
@@ -160,7 +223,7 @@ def test_a_dead_node_ends_the_wait_for_a_step(
 ) -> None:
     step, dead = Conductor.step, []
 
-    def step_of_the_dead(self: Conductor, wait: conductor.Wait) -> bool:
+    def step_of_the_dead(self: Conductor, wait: Any) -> bool:
         dead.append("simulator")
         return step(self, wait)
 
@@ -172,36 +235,38 @@ def test_a_dead_node_ends_the_wait_for_a_step(
     monkeypatch.setattr(Conductor, "step", step_of_the_dead)
     monkeypatch.setattr(Ensemble, "check", check)
     with pytest.raises(UserError, match="simulator ended"):
-        run(two_dwells, SEED, tmp_path / "run", {}, processes=False)
+        run(two_dwells, SEED, tmp_path / "run", {})
 
 
 @pytest.mark.parametrize("topic", INPUTS)
-def test_a_publisher_of_any_input_is_refused(topic: str, company: Graph, two_dwells: Preset, tmp_path: Path) -> None:
-    company.add(Node("other", context=company.context)).create_publisher(INPUTS[topic], topic, 1)
-    with pytest.raises(UserError, match=f"on /{topic} in this ROS domain; .* ROS_DOMAIN_ID"):
-        run(two_dwells, SEED, tmp_path / "run", {}, processes=False)
+def test_a_publisher_of_any_input_is_refused(
+    topic: str, graph: Graph, beside: Execution, two_dwells: Preset, tmp_path: Path
+) -> None:
+    graph.add(Node("other", context=graph.context)).create_publisher(INPUTS[topic], topic, 1)
+    with pytest.raises(UserError, match=f"on /{topic} in this ROS domain; .* another domain"):
+        run(two_dwells, SEED, tmp_path / "run", {}, beside)
 
 
-def test_a_simulator_that_idles_is_refused(company: Graph, two_dwells: Preset, tmp_path: Path) -> None:
-    company.add(Simulator(context=company.context))
-    with pytest.raises(UserError, match="ROS_DOMAIN_ID"):
-        run(two_dwells, SEED, tmp_path / "run", {}, processes=False)
+def test_a_simulator_that_idles_is_refused(graph: Graph, beside: Execution, two_dwells: Preset, tmp_path: Path) -> None:
+    graph.add(Simulator(context=graph.context))
+    with pytest.raises(UserError, match="another domain"):
+        run(two_dwells, SEED, tmp_path / "run", {}, beside)
 
 
 @pytest.mark.parametrize("moment", ["connected", "step"])
 def test_a_sensor_that_comes_later_is_refused(
-    moment: str, company: Graph, long: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    moment: str, graph: Graph, beside: Execution, long: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As when two runs start together: neither sees the other at first."""
     original, publishers = getattr(Conductor, moment), []
 
     def with_company(self: Conductor, *arguments: Any) -> Any:
         if not publishers:
-            node = company.add(Node("other", context=company.context))
+            node = graph.add(Node("other", context=graph.context))
             publishers.append(node.create_publisher(DetectorFrame, "phase_history", 1))
         return original(self, *arguments)
 
     monkeypatch.setattr(Conductor, moment, with_company)
-    with pytest.raises(UserError, match="ROS_DOMAIN_ID"):
-        run(long, SEED, tmp_path / "run", {}, processes=False)
-    assert "ROS_DOMAIN_ID" in json.loads((tmp_path / "run" / "report.json").read_text())["failed"]
+    with pytest.raises(UserError, match="another domain"):
+        run(long, SEED, tmp_path / "run", {}, beside)
+    assert "another domain" in json.loads((tmp_path / "run" / "report.json").read_text())["failed"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -127,6 +128,32 @@ def test_a_replay_that_drops_everything_says_that_all_is_missing(recorded: Path,
     assert main(["replay", str(without), "--out", str(tmp_path / "again")]) == 1
     changed = ["--param", "sar_compression.timeout_s=1"]
     assert main(["replay", str(without), "--out", str(tmp_path / "changed"), *changed]) == 0
+
+
+def test_a_damaged_chunk_ends_the_replay_at_once_and_says_so(recorded: Path, tmp_path: Path) -> None:
+    """What had been published of the dwell is counted, and no frame is published twice."""
+    bag = tmp_path / "bag"
+    with BagWriter(bag) as writer:  # a chunk for each message
+        reader = BagReader(recorded / "bag")
+        for topic in reader.topics.values():
+            writer.add_topic(topic.name, topic.type_name, topic.offered_qos)
+        for message in reader.messages():
+            writer.write(message.topic, message.cdr, message.log_time_ns, message.log_time_ns)
+            writer.flush()  # ends the chunk
+    last = max(BagReader(bag).messages(["/phase_history"]), key=lambda message: message.log_time_ns)
+    (file,) = bag.glob("*.mcap")
+    content = bytearray(file.read_bytes())
+    content[content.index(last.cdr) + len(last.cdr) // 2] ^= 1
+    file.write_bytes(content)
+    began = time.monotonic()
+    with pytest.raises(UserError, match=r"is damaged .*sal-height salvage"):
+        replay(bag, tmp_path / "out", {})
+    assert time.monotonic() - began < 20
+    stages = json.loads((tmp_path / "out" / "report.json").read_text())["stages"]
+    assert stages["player"]["published"]["phase_history"] == 15
+    assert stages["player"]["dropped"] == {"cannot be processed": 1}
+    frames = [message.cdr for message in BagReader(tmp_path / "out" / "bag").messages(["/phase_history"])]
+    assert len(frames) == len(set(frames)) == 15
 
 
 def test_a_failure_is_in_the_report(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

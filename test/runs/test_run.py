@@ -22,6 +22,7 @@ from sal_height.bag.compare import compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.relief.map import ReliefMap
+from sal_height.runs.conductor import Execution
 from sal_height.runs.ensemble import recorded_topics
 from sal_height.runs.profile import draw_profile
 from sal_height.runs.simulate import run
@@ -117,20 +118,20 @@ def test_the_same_seed_gives_the_same_heights_and_another_does_not(
 ) -> None:
     for seed, equal in ((SEED, True), (SEED + 1, False)):
         out = tmp_path / str(seed)
-        run(two_dwells, seed, out, {}, processes=False)
+        run(two_dwells, seed, out, {})
         compared = compare_heights(recorded / "bag", out / "bag")
         assert {result.equal for result in compared.values()} == {equal}
 
 
 def test_nodes_in_processes_give_the_same_heights(recorded: Path, two_dwells: Preset, tmp_path: Path) -> None:
-    run(two_dwells, SEED, tmp_path / "run", {}, processes=True)
+    run(two_dwells, SEED, tmp_path / "run", {}, Execution(processes=True))
     compared = compare_heights(recorded / "bag", tmp_path / "run" / "bag")
     assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
     assert all(result.equal for result in compared.values())
 
 
 def test_parameters_reach_their_node(recorded: Path, two_dwells: Preset, tmp_path: Path) -> None:
-    run(two_dwells, SEED, tmp_path / "run", {"ml_height": {"objective": "numerator"}}, processes=False)
+    run(two_dwells, SEED, tmp_path / "run", {"ml_height": {"objective": "numerator"}})
     compared = compare_heights(recorded / "bag", tmp_path / "run" / "bag")
     assert compared["/monopulse/height"].equal
     assert not compared["/ml/height"].equal
@@ -167,7 +168,7 @@ def test_the_lidar_is_as_accurate_as_theory_allows(tmp_path: Path) -> None:
     import dataclasses
 
     preset = dataclasses.replace(load_preset("sal_spotlight"), dwells=3)
-    run(preset, SEED, tmp_path / "run", {}, processes=False)
+    run(preset, SEED, tmp_path / "run", {})
     estimators = json.loads((tmp_path / "run" / "report.json").read_text())["estimators"]
     ml, monopulse = estimators["ml"], estimators["monopulse"]
     assert ml["cells"] > 300
@@ -196,10 +197,10 @@ def test_the_relief_map_holds_all_dwells(recorded: Path, report: Any) -> None:
 
 
 def test_the_relief_map_can_be_of_another_estimator_but_not_of_none(two_dwells: Preset, tmp_path: Path) -> None:
-    run(two_dwells, SEED, tmp_path / "run", {"relief_mapper": {"estimator": "monopulse"}}, processes=False)
+    run(two_dwells, SEED, tmp_path / "run", {"relief_mapper": {"estimator": "monopulse"}})
     with rasterio.open(tmp_path / "run" / "relief_map.tif") as file:
         assert (file.tags()["estimator"], file.tags()["images"]) == ("monopulse", "2")
     with pytest.raises(
         UserError, match="estimator 'music', which relief_mapper takes, are not made here; allowed are monopulse, ml"
     ):
-        run(two_dwells, SEED, tmp_path / "other", {"relief_mapper": {"estimator": "music"}}, processes=False)
+        run(two_dwells, SEED, tmp_path / "other", {"relief_mapper": {"estimator": "music"}})

@@ -27,7 +27,7 @@ def test_strip_images_join_and_their_heights_are_right(tmp_path: Path) -> None:
         image=dataclasses.replace(preset.image, rows=24, cols=64),
         dwells=DWELLS,
     )
-    run(preset, 5, tmp_path / "run", {}, processes=False)
+    run(preset, 5, tmp_path / "run", {})
     report = json.loads((tmp_path / "run" / "report.json").read_text())
     assert report["stages"]["sar_compression"]["dropped"] == {}
     reader = BagReader(tmp_path / "run" / "bag")

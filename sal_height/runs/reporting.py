@@ -1,0 +1,74 @@
+"""What `run`, `replay` and `calibrate` have in common: their report.json, and what becomes of an outcome."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from sal_height import __version__
+from sal_height.errors import UserError
+from sal_height.io import write_text
+from sal_height.nodes.account import PROCESSED, PUBLISHED, Account
+from sal_height.runs.conductor import Outcome
+from sal_height.runs.ensemble import NodeParameters
+
+
+@contextmanager
+def reporting(folder: Path, known: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """A report that begins with what is `known`; left in `folder`/report.json even after a failure, which it names.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    report = {"version": __version__, **known}
+
+    def write() -> None:
+        write_text(folder / "report.json", json.dumps(report, indent=2) + "\n")
+
+    try:
+        yield report
+    except BaseException as error:
+        report["failed"] = str(error) or type(error).__name__
+        with suppress(UserError):  # the first failure is the one to tell
+            write()
+        raise
+    write()
+
+
+def conclude(outcome: Outcome, bag: Path, values: NodeParameters, report: dict[str, Any]) -> None:
+    """Put the outcome into the report, and the nodes' parameters beside the bag.
+
+    Raises:
+        UserError: the run has failed.
+    """
+    report["dwells"] = outcome.dwells
+    report["interrupted"] = outcome.interrupted
+    report["stages"] = {name: _stage(account) for name, account in outcome.stages.items()}
+    if bag.is_dir():
+        write_text(bag / "parameters.yaml", yaml.safe_dump(values))
+    if outcome.failure:
+        raise outcome.failure
+
+
+def merged(base: NodeParameters, changes: NodeParameters) -> dict[str, dict[str, Any]]:
+    """Node parameters of `base` with those of `changes` in their place."""
+    return {name: {**base.get(name, {}), **changes.get(name, {})} for name in {**base, **changes}}
+
+
+def _stage(account: Account) -> dict[str, Any]:
+    """What the report says of one node."""
+    return {
+        "in": account.received,
+        "processed": account.count(PROCESSED),
+        "out": account.count(PUBLISHED),
+        "published": account.published,
+        "dropped": account.dropped,
+        "ignored": account.ignored,
+        "latency_p50_ms": account.numbers.get("latency_p50_ms"),
+        "latency_p95_ms": account.numbers.get("latency_p95_ms"),
+    }

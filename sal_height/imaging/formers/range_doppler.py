@@ -46,6 +46,13 @@ EVEN_PHASE = 0.003
 SMALL_PHASE = 0.001
 """Greatest phase (rad) by which Dopplers may differ, in migration or in the scale of range, and be treated alike."""
 
+WIDEST_SINE = 0.9
+"""Sine of the angle off abeam up to which Dopplers are processed, at the lowest frequency of the band.
+
+Beyond 1 waves are evanescent and migration has no real value. Pulses closer than a quarter of the wavelength sample
+such Dopplers too; no antenna sends there, so their filters are 0.
+"""
+
 COARSER = 1.02
 """Greatest even step over the pulse spacing: what the pulses sample and steps do not would appear as ambiguities."""
 
@@ -173,7 +180,9 @@ def _filters(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Pr
     off = np.abs(wanted[:pulses] - track.places[: len(wanted)]).max() if places == pulses else np.inf
     even = off * sensor.centre_wavenumber * processing.angle / 2 < EVEN_PHASE
     length = fold * fast_length(max(grid.cols, int(np.ceil((places + half_aperture / step) / fold))))
-    doppler = 2 * np.pi * scipy.fft.fftfreq(length, step)
+    every_doppler = 2 * np.pi * scipy.fft.fftfreq(length, step)
+    widest = WIDEST_SINE * wavenumber[0]
+    doppler = np.clip(every_doppler, -widest, widest)
     # Two-dimensional spectrum of the middle range, less its phase without migration (stationary phase).
     row_step = (distance[-1] - distance[0]) / max(1, grid.rows - 1)
     stretch = sensor.centre_wavenumber / np.sqrt(sensor.centre_wavenumber**2 - doppler**2)
@@ -188,8 +197,9 @@ def _filters(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Pr
     # By whole steps the replica is shifted in its spectrum, by the rest where it is made: its ends are sharp.
     whole = step * round((first_column - begin) / step)
     azimuth = _azimuth_filters(sensor, processing, distance, middle, step, length, begin + whole - first_column)
-    azimuth *= unit_phasors(doppler * whole)
+    azimuth *= unit_phasors(every_doppler * whole)
     azimuth *= scaled.after.T
+    azimuth[:, doppler != every_doppler] = 0
     return _Filters(
         compensation,
         None if even else resampling(track.places, wanted),
@@ -253,9 +263,12 @@ def expected_error(antenna: F64, sensor: Sensor, grid: Grid) -> float:
     As of `specan.expected_error`: what the compensation of motion leaves of the pulses in a pixel's aperture, by how
     much rows are not at even steps of range, and pulses not at even steps of the track. Sidelobes far along the track,
     which lie elsewhere where targets migrate by cells, add -40 dB if the azimuth window has low ones and -25 dB if it
-    is rectangular.
+    is rectangular. Infinite where the processed angle reaches beyond WIDEST_SINE.
     """
     angle = processed_angle(sensor)
+    lowest = sensor.centre_wavenumber - sensor.wavenumber_step * (sensor.sample_count // 2)
+    if sensor.centre_wavenumber * angle / 2 > WIDEST_SINE * lowest:
+        return np.inf
     track = straight_track(antenna, grid.col_direction)
     rows, cols = (np.linspace(0, n - 1, 5) for n in grid.shape)
     pixels = grid.points(rows[:, None], cols)[:, :, None]

@@ -70,6 +70,31 @@ def test_image_of_a_radar_strip_is_that_of_backprojection(changes: dict) -> None
     assert difference_db(image, reference) < -40
 
 
+CLOSE_PULSES = {
+    "wavelength": 1.0, "aperture": 2.0, "bandwidth": 3e6, "reach": 1000.0, "spacing": 0.2, "pulses": 5000, "rows": 20,
+    "frequencies": 32, "fold": 4, "gains": (1.0,), "targets": 20, "processing": Processing("taylor", "hamming"),
+}  # fmt: skip
+
+
+def test_pulses_closer_than_a_quarter_of_the_wavelength_do_not_spoil_the_image() -> None:
+    """A fifth of the Dopplers that they sample belong to no real angle."""
+    case = strip(np.random.default_rng(103), **CLOSE_PULSES)
+    assert CLOSE_PULSES["spacing"] < case.sensor.wavelength / 4
+    image, reference = case.image(focus_stripmap), case.image()
+    np.testing.assert_array_equal(np.isnan(image), np.isnan(reference))
+    assert difference_db(image, reference) < -45
+
+
+@pytest.mark.parametrize(("aperture", "fits"), [(0.559, True), (0.558, False)])
+def test_a_processed_angle_up_to_the_evanescent_waves_is_refused(aperture: float, fits: bool) -> None:
+    """Sine of half the angle at the lowest frequency, half a percent below the middle one: 1 / (2 aperture) / 0.995."""
+    case = strip(np.random.default_rng(104), **{**CLOSE_PULSES, "targets": 1, "pulses": 60, "margin": -1.0})
+    sensor = replace(case.sensor, aperture=aperture, config_hash="")
+    lowest = 1 - sensor.bandwidth / 2 * sensor.wavelength / 299_792_458
+    assert (1 / (2 * aperture) < 0.9 * lowest) == fits
+    assert np.isfinite(expected_error(case.antenna, sensor, case.grid)) == fits
+
+
 def test_rows_far_from_the_middle_have_the_migration_of_their_own_range() -> None:
     """A swath of a fifth of the range: with the middle's migration its edges would be off by a quarter of a cell."""
     case = strip(np.random.default_rng(92), **WIDE)

@@ -1,21 +1,48 @@
-"""FFTs of rows, as fast as the machine has them: FFTW where pyfftw is installed, scipy's otherwise."""
+"""FFTs of rows that stay in a processor's cache: by scipy, or by FFTW where the user chooses it.
+
+In the cache FFTW takes 0.4 times as long as scipy, and the fast image formers two thirds. The last digits of images
+differ between the two, so FFTW is never taken just because it is installed: set SAL_HEIGHT_FFT=fftw in the environment.
+"""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import scipy.fft
 
+from sal_height.errors import UserError
 from sal_height.numeric.arrays import C64, F64
 from sal_height.numeric.jit import compiled
 
 BUFFER = 2**16
 """Numbers in a buffer: half a megabyte."""
 
-BACKEND = "pyfftw" if find_spec("pyfftw") else "scipy"
+CHOICE = "SAL_HEIGHT_FFT"
+"""Environment variable that chooses the library."""
+
+
+def chosen_library() -> str:
+    """The library of FFTs that the user has chosen, "scipy" (the default) or "fftw".
+
+    Raises:
+        UserError: another name, or FFTW is not installed.
+    """
+    name = os.environ.get(CHOICE, "scipy")
+    if name not in ("scipy", "fftw"):
+        raise UserError(f"The environment variable {CHOICE} is {name!r}; allowed are 'scipy' and 'fftw'.")
+    if name == "fftw":
+        try:
+            import_module("pyfftw")
+        except ImportError as error:
+            raise UserError(
+                f"The environment variable {CHOICE} is 'fftw', but pyfftw is not installed; install it with: "
+                "pip install 'sal_height[fast]'."
+            ) from error
+    return name
 
 
 def fast_length(least: int) -> int:
@@ -45,17 +72,20 @@ class Rows:
     """
 
     def __init__(self, rows: int, length: int) -> None:
-        """Plan the transforms of `rows` rows of `length` numbers."""
-        self.data: C64
-        self.spectrum: C64
-        if BACKEND == "pyfftw":
+        """Plan the transforms of `rows` rows of `length` numbers.
+
+        Raises:
+            UserError: the library that was chosen cannot be used.
+        """
+        self.data: C64 = np.zeros((rows, length), dtype=np.complex64)
+        self.spectrum: C64 = np.zeros((rows, length), dtype=np.complex64)
+        self._planned: tuple[Callable[[], object], Callable[[], object]] | None = None
+        if chosen_library() == "fftw":
             fftw: Any = import_module("pyfftw")
             self.data, self.spectrum = (fftw.zeros_aligned((rows, length), dtype="complex64") for _ in range(2))
-            rule = ("FFTW_ESTIMATE",)
-            self._forward = fftw.FFTW(self.data, self.spectrum, direction="FFTW_FORWARD", flags=rule).execute
-            self._backward = fftw.FFTW(self.spectrum, self.data, direction="FFTW_BACKWARD", flags=rule).execute
-        else:
-            self.data, self.spectrum = (np.zeros((rows, length), dtype=np.complex64) for _ in range(2))
+            ways = ((self.data, self.spectrum, "FFTW_FORWARD"), (self.spectrum, self.data, "FFTW_BACKWARD"))
+            forward, backward = (fftw.FFTW(*way[:2], direction=way[2], flags=("FFTW_ESTIMATE",)) for way in ways)
+            self._planned = forward.execute, backward.execute
 
     def load(self, values: C64, factor: C64) -> None:
         """Put values * factor into the beginnings of `data`, then zeros; shapes (some rows, n), (as many or 1, n)."""
@@ -67,15 +97,15 @@ class Rows:
 
     def forward(self) -> None:
         """Put the FFT of every row of `data`, exp(-j 2 pi k n / length), not scaled, into `spectrum`."""
-        if BACKEND == "pyfftw":
-            self._forward()
+        if self._planned:
+            self._planned[0]()
         else:
             self.spectrum[:] = scipy.fft.fft(self.data, axis=-1)
 
     def backward(self) -> None:
         """Put the FFT of every row of `spectrum` with exp(+j 2 pi k n / length), not scaled, into `data`."""
-        if BACKEND == "pyfftw":
-            self._backward()
+        if self._planned:
+            self._planned[1]()
         else:
             self.data[:] = scipy.fft.ifft(self.spectrum, axis=-1, norm="forward")
 

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+import sys
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from helpers import circular
+import scipy.fft
+from helpers import assert_one_sentence, circular
 
-from sal_height.numeric import fft
-from sal_height.numeric.fft import Rows
+from sal_height.errors import UserError
+from sal_height.numeric.fft import CHOICE, Rows
 
-BACKENDS = [
+LIBRARIES = [
     "scipy",
-    pytest.param("pyfftw", marks=pytest.mark.skipif(not find_spec("pyfftw"), reason="pyfftw is not installed")),
+    pytest.param("fftw", marks=pytest.mark.skipif(not find_spec("pyfftw"), reason="pyfftw is not installed")),
 ]
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("library", LIBRARIES)
 @pytest.mark.parametrize("length", [1, 30, 49, 64])
 def test_rows_are_transformed_by_the_definition_and_not_scaled(
-    backend: str, length: int, monkeypatch: pytest.MonkeyPatch
+    library: str, length: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fft, "BACKEND", backend)
+    monkeypatch.setenv(CHOICE, library)
     numbers = circular(np.random.default_rng(62), (3, length)).astype(np.complex64)
     turns = np.outer(np.arange(length), np.arange(length)) / length
     rows = Rows(3, length)
@@ -36,12 +38,34 @@ def test_rows_are_transformed_by_the_definition_and_not_scaled(
         np.testing.assert_allclose(made, numbers @ np.exp(sign * 2j * np.pi * turns), atol=1e-5 * length)
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_forward_and_back_is_length_times_the_numbers(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fft, "BACKEND", backend)
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_forward_and_back_is_length_times_the_numbers(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CHOICE, library)
     numbers = circular(np.random.default_rng(63), (5, 60)).astype(np.complex64)
     rows = Rows(5, 60)
     rows.data[:] = numbers
     rows.forward()
     rows.backward()
     np.testing.assert_allclose(rows.data, 60 * numbers, atol=60 * 1e-6)
+
+
+def test_fftw_is_used_only_where_it_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An extra that happens to be installed must not change the last digits of images."""
+    monkeypatch.delenv(CHOICE, raising=False)
+    numbers = circular(np.random.default_rng(64), (4, 96)).astype(np.complex64)
+    rows = Rows(4, 96)
+    rows.data[:] = numbers
+    rows.forward()
+    np.testing.assert_array_equal(rows.spectrum, scipy.fft.fft(numbers))
+
+
+def test_a_library_that_cannot_be_used_is_refused_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CHOICE, "mkl")
+    with pytest.raises(UserError) as refusal:
+        Rows(1, 16)
+    assert_one_sentence(str(refusal.value), CHOICE, "'mkl'", "'scipy' and 'fftw'")
+    monkeypatch.setenv(CHOICE, "fftw")
+    monkeypatch.setitem(sys.modules, "pyfftw", None)
+    with pytest.raises(UserError) as refusal:
+        Rows(1, 16)
+    assert_one_sentence(str(refusal.value), CHOICE, "not installed", "sal_height[fast]")

@@ -23,6 +23,7 @@ setup(
     # messages from package.xml.
     install_requires=[
         "annotated-types",
+        "cyclopts",
         "finufft",
         "matplotlib",
         "mcap",
@@ -43,7 +44,7 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "sal-height = sal_height.cli:main",
+            "sal-height = sal_height.commands:main",
             "simulator = sal_height.nodes.simulator:main",
             "sar_compression = sal_height.nodes.sar_compression:main",
             "monopulse = sal_height.nodes.monopulse:main",

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.row import Row
+from sal_height.figures import DEFAULT_TRIALS
 from sal_height.figures.catalogue import FIGURES, make_figures, summary
-from sal_height.figures.help_texts import DEFAULT_TRIALS
 
 
 def all_figures() -> Iterator[Row]:

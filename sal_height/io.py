@@ -1,13 +1,33 @@
-"""Output folders and the files in them: what the disk refuses becomes a sentence."""
+"""Output folders and the files in them; a refusal by the file system becomes one sentence."""
 
 from __future__ import annotations
 
 import itertools
+import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from sal_height.errors import UserError
+
+
+def check_new_folder(path: Path) -> None:
+    """Check, without making anything, that `path` can become an output folder: it is new or empty, and may be written.
+
+    Raises:
+        UserError: it is not empty, is a file, or cannot be made.
+    """
+    try:
+        if path.is_dir() and any(path.iterdir()):
+            raise UserError(f"Output folder {path} is not empty; name another with --out, or remove it.")
+        existing = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    except OSError as error:
+        raise UserError(f"Output folder {path} cannot be made: {error.strerror}.") from error
+    if not existing.is_dir():
+        raise UserError(f"Output folder {path} cannot be made: {existing} is a file.")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise UserError(f"Output folder {path} cannot be made: permission to write in {existing} is denied.")
 
 
 def new_folder(path: Path) -> Path:
@@ -16,10 +36,9 @@ def new_folder(path: Path) -> Path:
     Raises:
         UserError: it exists and is not empty, or cannot be made.
     """
+    check_new_folder(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
-        if any(path.iterdir()):
-            raise UserError(f"Output folder {path} is not empty; name another with --out, or remove it.")
     except OSError as error:
         raise UserError(f"Output folder {path} cannot be made: {error.strerror}.") from error
     return path
@@ -55,3 +74,8 @@ def write_text(path: Path, text: str) -> None:
     """
     with writing(path):
         path.write_text(text, encoding="utf-8")
+
+
+def or_null(value: float) -> float | None:
+    """The number, or None (JSON's null) where it is not finite, because JSON has neither NaN nor infinity."""
+    return value if math.isfinite(value) else None

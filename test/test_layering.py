@@ -23,7 +23,8 @@ LAYERS = (
     ("bag",),
     ("nodes",),
     ("runs",),
-    ("cli",),
+    ("commands",),
+    ("__main__",),
 )
 """Packages and modules of sal_height in the order of the data: each imports from layers above it in this list only.
 
@@ -32,7 +33,7 @@ Packages of one layer do not know each other.
 
 LAYER = {name: number for number, names in enumerate(LAYERS) for name in names}
 
-SHELL = {"messages", "bag", "nodes", "runs", "cli"}
+SHELL = {"messages", "bag", "nodes", "runs", "commands", "__main__"}
 """Those that may know ROS and MCAP."""
 
 

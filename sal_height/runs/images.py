@@ -1,40 +1,33 @@
-"""Images to be measured: those of an array file, and those of a bag."""
+"""Images to be measured: those of array files here, those of bags in `recorded_images`, which needs ROS."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from sal_height import messages
-from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.geometry import Grid, without_range_phase
+from sal_height.geometry import Grid
 from sal_height.numeric import Complex
-from sal_height.sensor import Sensor
-
-IMAGE_TYPE = "sal_height_msgs/msg/ComplexImage"
-SENSOR_TYPE = "sal_height_msgs/msg/SensorInfo"
 
 AXES = ("range", "azimuth")
 """Directions of rows and columns."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Image:
     """An image to be measured.
 
     Attributes:
         pixels: complex, shape (rows, cols).
-        path: of the file or the bag it is in.
+        path: file or bag that holds the image.
         axes: directions of rows and columns.
-        topic: in the bag; None: not from a bag.
-        dwell: number of the dwell; None: not from a bag.
-        detector: number of the detector; None: from an array of one image.
-        grid: where the pixels lie; None: not known.
+        topic: topic in the bag; None if not from a bag.
+        dwell: number of the dwell; None if not from a bag.
+        channel: number of the channel; None if from an array of one image.
+        grid: positions of the pixels; None if unknown.
     """
 
     pixels: Complex
@@ -42,50 +35,60 @@ class Image:
     axes: tuple[str, str] = AXES
     topic: str | None = None
     dwell: int | None = None
-    detector: int | None = None
+    channel: int | None = None
     grid: Grid | None = None
 
     @property
     def name(self) -> str:
         """Name for people."""
-        return image_name(str(self.path), self.topic, self.dwell, self.detector)
+        return image_name(str(self.path), self.topic, self.dwell, self.channel)
 
 
-def image_name(path: str, topic: str | None, dwell: int | None, detector: int | None) -> str:
-    """Name of an image for people, of what is known of it."""
-    parts = {"topic": topic, "dwell": dwell, "detector": detector}
+def image_name(path: str, topic: str | None, dwell: int | None, channel: int | None) -> str:
+    """Name of an image for people, from whatever is known about it."""
+    parts = {"topic": topic, "dwell": dwell, "channel": channel}
     return ", ".join([path, *(f"{key} {value}" for key, value in parts.items() if value is not None)])
 
 
-def images_of(path: Path, dwell: int | None, detector: int | None, azimuth_axis: int) -> Iterator[Image]:
-    """The images of a file or bag that are of the dwell and detector; None: of any.
+def images_of(path: Path, dwell: int | None, channel: int | None, azimuth_axis: int) -> Iterator[Image]:
+    """Read the images of a file or bag, optionally only those of one dwell or one channel.
+
+    Args:
+        path: .npy or .npz file, folder of a bag, or its .mcap file.
+        dwell: number of the dwell; None for all.
+        channel: number of the channel; None for all.
+        azimuth_axis: along-track axis (0 or 1) of arrays in .npy and .npz files.
 
     Raises:
-        UserError: it cannot be read, or there is no such image.
+        UserError: the file cannot be read, or holds no such image.
     """
-    if path.suffix in {".npy", ".npz"}:
-        images = _array_images(path, azimuth_axis)
-    elif path.is_file() and path.suffix != ".mcap":
-        raise UserError(f"File {path} is no image; allowed are .npy and .npz files and bags (a folder or its .mcap).")
-    else:
-        images = _bag_images(path)
-    dwells, detectors = set(), set()
+    dwells, channels = set(), set()
     found = False
-    for image in images:
+    for image in _all_images(path, azimuth_axis):
         dwells.add(image.dwell)
-        detectors.add(image.detector)
-        if dwell in {None, image.dwell} and detector in {None, image.detector}:
+        channels.add(image.channel)
+        if dwell in {None, image.dwell} and channel in {None, image.channel}:
             found = True
             yield image
     if not dwells:
-        raise UserError(
-            f"Bag {path} has no {IMAGE_TYPE}; sal-height irf --help says how to record those that a replay makes."
-        )
+        raise UserError(f"Bag {path} holds no images; sal-height irf --help says how to record them during a replay.")
     if not found:
         raise UserError(
-            f"Of the dwell and detector asked for, {path} has no image; it has {_span('dwell', dwells)} and "
-            f"{_span('detector', detectors)}."
+            f"File {path} has no image of the requested dwell and channel; it has {_span('dwell', dwells)} and "
+            f"{_span('channel', channels)}."
         )
+
+
+def _all_images(path: Path, azimuth_axis: int) -> Iterator[Image]:
+    if path.suffix in {".npy", ".npz"}:
+        return _array_images(path, azimuth_axis)
+    if path.is_file() and path.suffix != ".mcap":
+        raise UserError(
+            f"File {path} is not an image; allowed are .npy and .npz files and bags (a folder or its .mcap)."
+        )
+    from sal_height.runs.recorded_images import bag_images  # noqa: PLC0415 (array files can be measured without ROS)
+
+    return bag_images(path)
 
 
 def _span(what: str, numbers: set[int | None]) -> str:
@@ -96,7 +99,7 @@ def _span(what: str, numbers: set[int | None]) -> str:
 
 
 def _array_images(path: Path, azimuth_axis: int) -> Iterator[Image]:
-    """The image of a .npy or .npz file, or one per detector.
+    """The image of a .npy or .npz file, or one per channel.
 
     Raises:
         UserError: the file cannot be read, or does not hold a single complex array of a fitting shape.
@@ -112,52 +115,15 @@ def _array_images(path: Path, azimuth_axis: int) -> Iterator[Image]:
     usable = [array for array in arrays.values() if np.iscomplexobj(array)]
     if len(usable) != 1:
         there = ", ".join(f"{name} of {a.dtype}".strip() for name, a in arrays.items()) or "nothing"
-        raise UserError(f"File {path} has {len(usable)} complex arrays; it must have one (in it: {there}).")
+        raise UserError(f"File {path} has {len(usable)} complex arrays; it must have one (it holds: {there}).")
     (array,) = usable
     if array.ndim not in {2, 3} or not array.size:
         raise UserError(
-            f"File {path} has an array of shape {array.shape}; it must be (rows, cols) or (detectors, rows, cols), and "
+            f"File {path} has an array of shape {array.shape}; it must be (rows, cols) or (channels, rows, cols), and "
             "not empty."
         )
     axes = AXES if azimuth_axis == 1 else AXES[::-1]
     if array.ndim == 2:
         yield Image(array, path, axes)
     else:
-        yield from (Image(pixels, path, axes, detector=detector) for detector, pixels in enumerate(array))
-
-
-def _bag_images(path: Path) -> Iterator[Image]:
-    for topic, message, pixels, grid in recorded_slc(path):
-        yield Image(pixels, path, AXES, topic, message.dwell, message.detector, grid)
-
-
-def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, Complex, Grid]]:
-    """Topic, message, pixels without the phase of range, and grid of each ComplexImage of a bag, in recorded order.
-
-    Raises:
-        UserError: the bag cannot be read, holds an image that is not whole, or not the sensor info of one.
-    """
-    reader = BagReader(bag)
-    sensors: dict[str, Sensor] = {}
-    for recorded in reader.messages(_topics(reader, SENSOR_TYPE)):
-        message = reader.decode(recorded.type_name, recorded.cdr)
-        sensors[message.config_hash] = messages.sensor_from_message(message)
-    for recorded in reader.messages(_topics(reader, IMAGE_TYPE)):
-        message = reader.decode(recorded.type_name, recorded.cdr)
-        sensor = sensors.get(message.provenance.config_hash)
-        if sensor is None:
-            raise UserError(
-                f"Bag {bag} has an image of sensor {message.provenance.config_hash!r} but not its sensor_info; "
-                "record topic sensor_info with the images."
-            )
-        try:
-            messages.check_slc(message, sensor)
-        except UserError as error:
-            raise UserError(f"Bag {bag}: {error}") from error
-        grid, aperture = messages.grid_from_message(message.grid), messages.aperture_from_message(message.aperture)
-        stored = messages.complex_view(message.samples, grid.shape)
-        yield recorded.topic, message, without_range_phase(stored, grid, aperture, sensor.wavelength), grid
-
-
-def _topics(reader: BagReader, type_name: str) -> list[str]:
-    return [topic.name for topic in reader.topics.values() if topic.type_name == type_name]
+        yield from (Image(pixels, path, axes, channel=channel) for channel, pixels in enumerate(array))

@@ -1,9 +1,8 @@
-"""Pictures: true and estimated heights of a run, their errors and the geometry; focused images and their targets."""
+"""Pictures of heights and their errors, of a calibration, and of focused images."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib as mpl
@@ -15,16 +14,11 @@ from matplotlib.image import AxesImage
 from sal_height.calibration import Calibration
 from sal_height.geometry import Grid
 from sal_height.numeric import C64, F64
-from sal_height.response import OVERSAMPLING, REACH, Chip, CutResponse, ImpulseResponse
+from sal_height.runs.irf_picture import decibels
 from sal_height.runs.report import Mosaic
 from sal_height.simulation import Preset, Scene
 
 mpl.use("Agg")
-
-PIXELS_SHOWN = 300
-"""Greatest number of interpolated rows or columns in a picture of a response."""
-
-HALF_POWER_DB = 10 * np.log10(0.5)
 
 TITLES = {
     "monopulse": "monopulse",
@@ -94,7 +88,7 @@ def draw_calibration(calibration: Calibration, sensor: str, path: Path) -> None:
 def draw_image(image: C64, grid: Grid, title: str, path: Path) -> None:
     """Write a PNG of the power of a focused image, 60 dB down from its peak, in the image plane's coordinates."""
     power = np.abs(image) ** 2
-    level = _decibels(power / np.nanmax(power))
+    level = decibels(power / np.nanmax(power))
     figure = Figure(figsize=(8.5, 7.5), layout="constrained")
     axis = figure.subplots()
     high, wide = grid.rows * grid.row_spacing / 2, grid.cols * grid.col_spacing / 2
@@ -102,85 +96,6 @@ def draw_image(image: C64, grid: Grid, title: str, path: Path) -> None:
     axis.set(title=title, xlabel="along the flight (m)", ylabel="away from the sensor (m)")
     figure.colorbar(shown, label="power (dB below the peak)")
     figure.savefig(path, dpi=110)
-
-
-@dataclass(frozen=True)
-class Target:
-    """A measured target, to be drawn.
-
-    Attributes:
-        title: what it is of.
-        axes: names of the directions of rows and of columns, e.g. range and azimuth.
-        chip: the pixels around it.
-        response: as measured.
-    """
-
-    title: str
-    axes: tuple[str, str]
-    chip: Chip
-    response: ImpulseResponse
-
-
-def draw_responses(targets: Sequence[Target], title: str, path: Path) -> None:
-    """Write a PNG with a row for each target: its surroundings, interpolated, and both cuts through its peak."""
-    figure = Figure(figsize=(15, 0.5 + 4.2 * len(targets)), layout="constrained")
-    for (surroundings, down, across), target in zip(
-        figure.subplots(len(targets), 3, squeeze=False), targets, strict=True
-    ):
-        chip, response = target.chip, target.response
-        rows = _around(response.row, response.row_cut, chip.finite[0])
-        cols = _around(response.col, response.col_cut, chip.finite[1])
-        peak = chip.power(response.row, response.col)[0, 0]
-        shown = surroundings.imshow(
-            _decibels(chip.power(_thinned(rows), _thinned(cols)) / peak),
-            extent=(cols[0], cols[-1], rows[-1], rows[0]),
-            vmin=-40,
-            vmax=0,
-            cmap="magma",
-            aspect="auto",
-        )
-        surroundings.set(title=target.title, xlabel=f"column ({target.axes[1]})", ylabel=f"row ({target.axes[0]})")
-        figure.colorbar(shown, ax=surroundings, label="power (dB below the peak)")
-        _draw_cut(down, rows - response.row, chip.power(rows, response.col) / peak, response.row_cut, target.axes[0])
-        _draw_cut(across, cols - response.col, chip.power(response.row, cols) / peak, response.col_cut, target.axes[1])
-    figure.suptitle(title)
-    figure.savefig(path, dpi=100)
-
-
-def _around(position: float, cut: CutResponse, finite: tuple[int, int]) -> F64:
-    """Positions to show beside a peak, interpolated ones: REACH widths to both sides, as far as there are pixels."""
-    reach = REACH * cut.width if np.isfinite(cut.width) else np.inf
-    first, last = max(finite[0], position - reach), min(finite[1], position + reach)
-    before, after = int((position - first) * OVERSAMPLING), int((last - position) * OVERSAMPLING)
-    return position + np.arange(-before, after + 1) / OVERSAMPLING
-
-
-def _thinned(positions: F64) -> F64:
-    """As many positions from first to last as a picture can show."""
-    return np.linspace(positions[0], positions[-1], min(len(positions), PIXELS_SHOWN))
-
-
-def _draw_cut(axis: Axes, offset: F64, power: F64, cut: CutResponse, kind: str) -> None:
-    """One cut, with its width at -3 dB and its greatest sidelobe."""
-    axis.plot(offset, _decibels(power.ravel()), lw=1)
-    axis.plot(
-        [-cut.width / 2, cut.width / 2], [HALF_POWER_DB] * 2, "|-", color="tab:red", ms=10, label="width at -3 dB"
-    )
-    if np.isfinite(cut.pslr_db):
-        axis.axhline(cut.pslr_db, color="tab:green", ls="--", lw=1, label="greatest sidelobe")
-    axis.set(
-        title=f"{kind}: {cut.width:.3f} px, PSLR {cut.pslr_db:.1f} dB, ISLR {cut.islr_db:.1f} dB".replace("nan", "-"),
-        xlabel=f"offset in {kind} (pixels)",
-        ylabel="power (dB below the peak)",
-        ylim=(-50, 3),
-    )
-    axis.grid(alpha=0.3)
-    axis.legend(loc="lower right")
-
-
-def _decibels(power: F64) -> F64:
-    with np.errstate(divide="ignore"):
-        return 10 * np.log10(power)
 
 
 def _show(axis: Axes, result: Mosaic, values: F64, limits: tuple[float, float], colours: str) -> AxesImage:

@@ -1,4 +1,4 @@
-"""`sal-height psf`: the complex point-spread function of a system from its images, as numbers, arrays and a picture."""
+"""Complex point-spread function of a system from its images: numbers, arrays and a picture (`sal-height psf`)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from sal_height.errors import UserError
-from sal_height.io import new_folder, write_text, writing
+from sal_height.io import check_new_folder, new_folder, or_null, write_text, writing
 from sal_height.numeric import Complex, frequencies
 from sal_height.response import (
     LONG_CHIPS,
@@ -25,12 +25,11 @@ from sal_height.response import (
 )
 from sal_height.runs.images import AXES, Image, images_of
 from sal_height.runs.psf_picture import draw_psf
-from sal_height.runs.report import or_null
 
 Entry = dict[str, Any]
 
 SAME_SPACING = 0.01
-"""Share by which the spacings of pooled images may differ."""
+"""Relative difference allowed between the pixel spacings of images that are measured together."""
 
 
 def psf(
@@ -38,32 +37,32 @@ def psf(
     out: Path,
     chip: tuple[int, int] | None = None,
     dwell: int | None = None,
-    detector: int | None = None,
+    channel: int | None = None,
     azimuth_axis: int = 1,
 ) -> list[Entry]:
-    """Measure the point-spread function of each detector on all its images, leaving psf.json, .npz and .png in `out`.
+    """Estimate the point-spread function of each channel from all its images; write psf.json, .npz and .png to `out`.
 
-    With several detectors the latter two are psf_N.npz and psf_N.png of detector N.
+    With several channels, psf_N.npz and psf_N.png belong to channel N.
 
     Args:
-        paths: of .npy and .npz files and of bags.
-        out: folder; must be new or empty.
-        chip: rows and columns around a target, range and azimuth; None: 64 x 64, or what the smallest image has.
-        dwell: only its images; None: all.
-        detector: only its images; None: all.
-        azimuth_axis: axis (0 or 1) along the flight in .npy and .npz; in bags it is 1.
+        paths: .npy and .npz files and bags.
+        out: folder; must be new or empty, which is checked before anything is measured.
+        chip: rows (range) and columns (azimuth) around a target; None for 64 x 64, or what the smallest image allows.
+        dwell: measure only the images of this dwell; None for all.
+        channel: measure only the images of this channel; None for all.
+        azimuth_axis: along-track axis (0 or 1) of arrays in .npy and .npz files; in bags it is 1.
 
     Returns:
-        The entries of psf.json, one per detector. None stands for what could not be determined; "undetermined" says
-        why.
+        The entries of psf.json, one per channel. What could not be estimated is None, and "undetermined" says why.
 
     Raises:
         UserError: something cannot be read, pooled or written.
     """
+    check_new_folder(out)
     groups: dict[int | None, list[Image]] = {}
-    images = (image for path in paths for image in images_of(path, dwell, detector, azimuth_axis))
+    images = (image for path in paths for image in images_of(path, dwell, channel, azimuth_axis))
     for image in tqdm(images, desc="psf: reading", unit="image", delay=1, leave=False):
-        groups.setdefault(image.detector, []).append(image)
+        groups.setdefault(image.channel, []).append(image)
     reports = [_measured(group, chip) for group in tqdm(groups.values(), desc="psf", delay=1, leave=False)]
     measured = zip(groups, groups.values(), reports, strict=True)
     pointings = [_pointing(group, report) for group, report in zip(groups.values(), reports, strict=True)]
@@ -81,12 +80,12 @@ def psf(
 
 
 def determined(entries: list[Entry]) -> bool:
-    """Whether the images of any detector tell anything."""
+    """Whether anything could be estimated from the images of any channel."""
     return any(entry[part] is not None for entry in entries for part in ("range", "speckle"))
 
 
 def psf_table(entries: list[Entry]) -> str:
-    """The entries of psf.json as lines for people; a dash stands for what could not be determined."""
+    """Format the entries of psf.json as a table; a dash stands for a quantity that could not be estimated."""
     return "\n\n".join("\n".join(_lines(entry)) for entry in entries)
 
 
@@ -112,10 +111,10 @@ def _title(group: list[Image]) -> str:
 
 
 def _spacing(group: list[Image]) -> tuple[float, float]:
-    """Of the pixels along range and azimuth, m; NaN if it is not known.
+    """Pixel spacing in range and azimuth, m; NaN if unknown.
 
     Raises:
-        UserError: it is not the same in all images.
+        UserError: the images have different spacings.
     """
     grids = [image.grid for image in group if image.grid]
     if len(grids) < len(group):
@@ -125,7 +124,7 @@ def _spacing(group: list[Image]) -> tuple[float, float]:
         low, high = both.min(axis=0), both.max(axis=0)
         raise UserError(
             f"{_title(group)} have pixels of {low[0]:g} to {high[0]:g} m in range and {low[1]:g} to {high[1]:g} m in "
-            f"azimuth; those measured together must agree to {100 * SAME_SPACING:g} %, choose with --dwell."
+            f"azimuth; images measured together must agree to {100 * SAME_SPACING:g} %. Select some with --dwell."
         )
     down, across = both.mean(axis=0)
     return float(down), float(across)
@@ -150,7 +149,7 @@ def _entry(number: int | None, group: list[Image], report: PsfReport, pointing: 
         )
     }
     return {
-        "detector": number,
+        "channel": number,
         "images": [{"image": str(one.path), "topic": one.topic, "dwell": one.dwell} for one in group],
         "spacing_m": dict(zip(AXES, map(or_null, spacing), strict=True)),
         "chip": list(report.chip),
@@ -237,7 +236,7 @@ def _linearity_entry(report: PsfReport) -> Entry | None:
     found, rows = report.linearity, report.linearity_rows
     if not found:
         return None
-    cut = f"No target is alone in a longer chip than {rows} rows, so that less is known of echoes that speckle shows; "
+    cut = f"No target is isolated in a chip longer than {rows} rows, so echoes farther away are not included; "
     return {
         "p_value": found.p_value,
         "chi_square": found.chi_square,
@@ -245,33 +244,33 @@ def _linearity_entry(report: PsfReport) -> Entry | None:
         "scale": found.scale,
         "noise": found.noise,
         "chip_rows": rows,
-        "remark": f"{cut}{LONG_CHIPS[0]} rows would tell more." if rows < LONG_CHIPS[0] else None,
+        "remark": f"{cut}{LONG_CHIPS[0]} rows would include more." if rows < LONG_CHIPS[0] else None,
     }
 
 
 def _missing_figures(figures: dict[str, Entry], report: PsfReport) -> dict[str, str]:
-    """A sentence for each axis whose cut does not show all figures, and on the agreement of a single target."""
+    """A sentence for each axis whose cut is too short, and one if a single target cannot show agreement."""
     reasons = {}
     for axis, length in zip(figures, report.chip, strict=False):
         missing = [name for name in ("width_px", "pslr_db", "islr_db") if figures[axis][name] is None]
         if missing:
             reasons[axis] = (
-                f"A chip of {length} pixels in {axis} does not show {', '.join(missing)}; needed is one of more widths "
-                "of the main lobe."
+                f"A chip of {length} pixels in {axis} is too short for {', '.join(missing)}; it needs to be longer "
+                "(--chip)."
             )
     if report.transfer and report.transfer.targets < 2:
-        reasons["disagreement"] = "One target does not tell whether targets agree; needed are two."
+        reasons["disagreement"] = "Agreement between targets needs at least two targets."
     return reasons
 
 
 def _missing_metres(spacing: tuple[float, float]) -> dict[str, str]:
     if np.isfinite(spacing).all():
         return {}
-    return {"metres": "An array does not tell how far apart its pixels are; needed is a bag, whose images do."}
+    return {"metres": "Widths in metres need the pixel spacing, which an array file does not hold; measure a bag."}
 
 
 def _arrays(report: PsfReport, pointing: list[ImagePointing]) -> dict[str, npt.NDArray[Any]]:
-    """The arrays of psf.npz: those of what could be determined."""
+    """The arrays of psf.npz: those that could be estimated."""
     rows, cols = report.chip
     arrays: dict[str, npt.NDArray[Any]] = {
         "range_frequency": frequencies(rows),
@@ -300,10 +299,10 @@ def _arrays(report: PsfReport, pointing: list[ImagePointing]) -> dict[str, npt.N
 
 
 def _lines(entry: Entry) -> list[str]:
-    """One detector's entry as lines for people."""
+    """Format one channel's entry."""
     first, count = entry["images"][0]["image"], len(entry["images"])
-    detector = "" if entry["detector"] is None else f", detector {entry['detector']}"
-    lines = [f"{first}{detector}{f', {count} images' if count > 1 else ''}"]
+    channel = "" if entry["channel"] is None else f", channel {entry['channel']}"
+    lines = [f"{first}{channel}{f', {count} images' if count > 1 else ''}"]
     if entry["range"]:
         lines.append(f"{'':10}{'px':>9}{'m':>9}{'PSLR dB':>9}{'ISLR dB':>9}")
     for axis in AXES if entry["range"] else ():

@@ -12,13 +12,12 @@ from sal_height import messages
 from sal_height.bag.compare import HeightComparison, compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.io import new_folder, writing
+from sal_height.io import new_folder, or_null, writing
 from sal_height.response import measure_brightest
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, recorded_topics, suited
-from sal_height.runs.images import recorded_slc
 from sal_height.runs.picture import draw_image
-from sal_height.runs.report import or_null
+from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.reporting import conclude, merged, reporting
 from sal_height.sensor import Sensor
 

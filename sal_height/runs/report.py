@@ -13,6 +13,7 @@ from sal_height import messages
 from sal_height.beams import column_squint
 from sal_height.geometry import sphere_coordinates
 from sal_height.imaging import azimuth_resolution, image_beams
+from sal_height.io import or_null
 from sal_height.nodes.relief_tracker import PREFIX
 from sal_height.numeric import F64, Bool
 from sal_height.simulation import SimulatedFlight, VisibleSurface, truth_image
@@ -182,8 +183,3 @@ def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface
     return _Pixels(
         ground_east, ground_north, height[valid], sigma[valid], truth.height[valid], bound[valid], truth.single[valid]
     )
-
-
-def or_null(value: float) -> float | None:
-    """The number as JSON has it: None where it does not exist."""
-    return value if np.isfinite(value) else None

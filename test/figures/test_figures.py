@@ -14,7 +14,7 @@ import pytest
 from helpers import assert_one_sentence
 from matplotlib.image import imread
 
-from sal_height.cli import main
+from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.figures import array_elevation, azimuth, noise
 from sal_height.figures.catalogue import COLUMNS, FIGURES, LEAST_TRIALS, make_figures, summary

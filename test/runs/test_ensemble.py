@@ -47,7 +47,7 @@ def test_no_process_survives_the_run(number: signal.Signals, tmp_path: Path) -> 
     words = ["run", "--preset", "small", "--dwells", "90", "--out", str(out), "--processes"]
     bag = out / "bag" / "bag_0.mcap"
     with subprocess.Popen(  # noqa: S603
-        [sys.executable, "-m", "sal_height.cli", *words], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+        [sys.executable, "-m", "sal_height", *words], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
     ) as program:
         wait_for(lambda: bag.is_file() and bag.stat().st_size > 300_000)
         nodes = children(program.pid)

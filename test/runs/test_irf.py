@@ -16,7 +16,7 @@ from sal_height_msgs.msg import DetectorFrame, Provenance
 
 from sal_height import messages
 from sal_height.bag.writer import BagWriter
-from sal_height.cli import main
+from sal_height.commands import main
 from sal_height.geometry.grid import Grid
 from sal_height.imaging.focus import Slc
 from sal_height.runs import irf as irf_module
@@ -96,7 +96,7 @@ def test_array_of_one_image(azimuth_axis: int, tmp_path: Path, capsys: pytest.Ca
     (entry,) = measured(tmp_path / "out")
     check_point(entry, PLACES[0], azimuth_axis)
     assert entry["image"] == str(tmp_path / "point.npy")
-    assert [entry[key] for key in ("topic", "dwell", "detector", "position_m")] == [None] * 4
+    assert [entry[key] for key in ("topic", "dwell", "channel", "position_m")] == [None] * 4
     assert entry["range"]["width_m"] is None
     assert entry["peak_over_median_db"] > 50
     check_picture(tmp_path / "out" / "irf.png", 1)
@@ -118,11 +118,11 @@ def test_array_of_several_detectors(tmp_path: Path) -> None:
     np.save(tmp_path / "points.npy", np.array([point_image(place) for place in PLACES]))
     assert main(["irf", str(tmp_path / "points.npy"), "--out", str(tmp_path / "all")]) == 0
     entries = measured(tmp_path / "all")
-    assert [entry["detector"] for entry in entries] == [0, 1, 2]
+    assert [entry["channel"] for entry in entries] == [0, 1, 2]
     for entry, place in zip(entries, PLACES, strict=True):
         check_point(entry, place)
     check_picture(tmp_path / "all" / "irf.png", 3)
-    assert main(["irf", str(tmp_path / "points.npy"), "--detector", "1", "--out", str(tmp_path / "one")]) == 0
+    assert main(["irf", str(tmp_path / "points.npy"), "--channel", "1", "--out", str(tmp_path / "one")]) == 0
     assert measured(tmp_path / "one") == entries[1:2]
 
 
@@ -130,7 +130,7 @@ def test_bag_gives_positions_and_widths_in_metres(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag")
     assert main(["irf", str(bag), "--out", str(tmp_path / "all")]) == 0
     entries = measured(tmp_path / "all")
-    assert [(e["topic"], e["dwell"], e["detector"]) for e in entries] == [
+    assert [(e["topic"], e["dwell"], e["channel"]) for e in entries] == [
         ("/slc", d, m) for d in (0, 1) for m in range(3)
     ]
     for entry, place in zip(entries, PLACES * 2, strict=True):
@@ -139,7 +139,7 @@ def test_bag_gives_positions_and_widths_in_metres(tmp_path: Path) -> None:
         assert entry["range"]["width_m"] == pytest.approx(CELLS[0] * HALF_POWER * GRID.row_spacing, rel=0.003)
         assert entry["azimuth"]["width_m"] == pytest.approx(CELLS[1] * HALF_POWER * GRID.col_spacing, rel=0.003)
     (file,) = bag.glob("*.mcap")
-    words = ["irf", str(file), "--dwell", "1", "--detector", "2", "--out", str(tmp_path / "one")]
+    words = ["irf", str(file), "--dwell", "1", "--channel", "2", "--out", str(tmp_path / "one")]
     assert main(words) == 0
     assert measured(tmp_path / "one") == [{**entries[5], "image": str(file)}]
 
@@ -222,11 +222,11 @@ USELESS = {
         "a of complex64, b of complex64, c of float32",
     ),
     "none.npz": (lambda path: save(path, c=POINT.real), "0 complex arrays"),
-    "empty.npz": (save, "in it: nothing"),
-    "image.h5": (lambda path: path.write_bytes(b"HDF"), "is no image"),
+    "empty.npz": (save, "it holds: nothing"),
+    "image.h5": (lambda path: path.write_bytes(b"HDF"), "is not an image"),
     "no_bag": (lambda path: path.mkdir(), "is not a bag"),
     "no_info": (lambda path: write_bag(path, info=False), "not its sensor_info"),
-    "no_images": (lambda path: write_bag(path, dwells=0), "has no sal_height_msgs/msg/ComplexImage"),
+    "no_images": (lambda path: write_bag(path, dwells=0), "holds no images"),
     "other_sensor": (lambda path: write_bag(path, provenance=Provenance(config_hash="x")), "an image of sensor 'x'"),
     "wrong_size": (lambda path: write_bag(path, samples=[1.0, 2.0]), "dwell 0, detector 0: samples has 2 entries"),
 }
@@ -252,10 +252,10 @@ def test_useless_image_is_refused_by_name(name: str, tmp_path: Path, capsys: pyt
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "name images to measure, or give --windows"),
-        (["point.npy", "--windows"], "name images to measure, or give --windows"),
-        (["point.npy", "--detector", "0"], "point.npy has no image; it has no dwell numbers and no detector numbers"),
-        (["points.npy", "--detector", "3"], "points.npy has no image; it has no dwell numbers and detectors 0 to 2"),
+        ([], "either images to measure or --windows"),
+        (["point.npy", "--windows"], "either images to measure or --windows"),
+        (["point.npy", "--channel", "0"], "it has no dwell numbers and no channel numbers"),
+        (["points.npy", "--channel", "3"], "it has no dwell numbers and channels 0 to 2"),
         (["point.npy", "--near", "300,300"], "within 8 pixels of row 300, column 300"),
         (["point.npy", "--out", "."], "not empty"),
     ],
@@ -273,15 +273,12 @@ def test_what_cannot_be_done_is_said_in_one_sentence(
 
 @pytest.mark.parametrize("words", [["--near", "3"], ["--near", "-1,2"], ["--azimuth-axis", "2"], ["--dwell", "x"]])
 def test_malformed_options_end_with_status_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(["irf", "point.npy", *words])
-    assert end.value.code == 2
-    assert "error:" in capsys.readouterr().err
+    assert main(["irf", "point.npy", *words]) == 2
+    assert words[0] in capsys.readouterr().err
 
 
 def test_a_bag_of_heights_says_how_to_get_images(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["irf", str(REFERENCE)]) == 2
     assert "sal-height irf --help" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        main(["irf", "--help"])
+    assert main(["irf", "--help"]) == 0
     assert "topics:=[/slc,/sensor_info]" in capsys.readouterr().out

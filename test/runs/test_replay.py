@@ -16,7 +16,7 @@ import pytest
 from sal_height.bag.compare import compare_heights
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
-from sal_height.cli import main
+from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.runs.gotcha import import_gotcha
 from sal_height.runs.replay import replay

@@ -142,7 +142,7 @@ def test_interrupting_leaves_a_whole_bag(tmp_path: Path, processes: list[str], n
     out = tmp_path / "run"
     words = ["run", "--preset", "small", "--dwells", "90", "--out", str(out), *processes]
     with subprocess.Popen(  # noqa: S603
-        [sys.executable, "-m", "sal_height.cli", *words], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "sal_height", *words], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as program:
         deadline = time.monotonic() + 60
         bag = out / "bag" / "bag_0.mcap"

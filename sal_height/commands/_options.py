@@ -1,0 +1,187 @@
+"""Options that mean the same in every command, and the texts that all commands share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+from cyclopts import App, Group, Parameter, Token
+from cyclopts.validators import Number
+
+from sal_height.errors import UserError
+
+DONE, FAILED, BAD_USE, INTERRUPTED = 0, 1, 2, 130
+"""Exit statuses. FAILED means something else in each command, whose help says what."""
+
+PROCESSING = Group("Simulate and process", sort_key=1)
+MEASURING = Group("Measure images", sort_key=2)
+THEORY = Group("Compare with theory", sort_key=3)
+KINDS = Group("Kinds of detectors", sort_key=3)
+BAGS = Group("Make and repair bags", sort_key=4)
+
+
+def command(name: str, group: Group, examples: str, failure: str | None = None) -> App:
+    """An app without a function yet, whose help ends with examples and exit statuses.
+
+    Args:
+        name: name of the command.
+        group: heading under which `sal-height --help` lists it.
+        examples: lines of examples, each indented by two spaces.
+        failure: when the exit status is 1; None: it never is.
+    """
+    return App(
+        name=name,
+        group=group,
+        help_format="plaintext",
+        help_epilogue=epilogue(examples, failure),
+        default_parameter=Parameter(negative=()),
+    )
+
+
+def epilogue(examples: str, failure: str | None = None) -> str:
+    """Examples and exit statuses as they stand at the end of a command's help."""
+    meanings = {
+        DONE: "done",
+        FAILED: failure,
+        BAD_USE: "wrong use, unusable input or failure; a sentence on stderr explains it",
+        INTERRUPTED: "interrupted by SIGINT (Ctrl-C), SIGTERM or SIGHUP; files stay on disk",
+    }
+    statuses = "\n".join(f"  {status:<4} {meaning}" for status, meaning in meanings.items() if meaning)
+    return f"examples:\n{examples.strip(chr(10))}\n\nexit status:\n{statuses}"
+
+
+def _pair_of(kind: type, separator: str, form: str) -> Any:
+    """Converter of texts such as 2x2 to a pair of numbers."""
+
+    def convert(_type: type, tokens: Sequence[Token]) -> tuple[Any, Any]:
+        text = tokens[0].value
+        first, found, second = text.partition(separator)
+        try:
+            if found and re.fullmatch(r"[\d.]+", first) and re.fullmatch(r"[\d.]+", second):
+                return kind(first), kind(second)
+        except ValueError:
+            pass
+        raise ValueError(f"{text!r} is not of the form {form}")
+
+    return convert
+
+
+def _positive(_type: type, pair: tuple[int, int] | None) -> None:
+    if pair is not None and min(pair) < 1:
+        raise ValueError("Both numbers must be 1 or more")
+
+
+Bag: TypeAlias = Annotated[Path, Parameter(name="BAG", help="Folder of the bag, or its .mcap file.")]
+
+OutputFolder: TypeAlias = Annotated[Path | None, Parameter(name="--out", metavar="DIR")]
+
+Seed: TypeAlias = Annotated[
+    int, Parameter(metavar="S", validator=Number(gte=0, lt=2**31), help="Seed of the random numbers.")
+]
+
+Trials: TypeAlias = Annotated[int, Parameter(metavar="N", help="Number of Monte Carlo trials at each point.")]
+
+RangeByAzimuth: TypeAlias = Annotated[
+    tuple[int, int] | None,
+    Parameter(
+        metavar="RxA",
+        n_tokens=1,
+        accepts_keys=False,
+        converter=_pair_of(int, "x", "RxA with whole numbers, for example 2x2"),
+        validator=_positive,
+    ),
+]
+
+PixelPosition: TypeAlias = Annotated[
+    tuple[int, int] | None,
+    Parameter(
+        metavar="ROW,COL",
+        n_tokens=1,
+        accepts_keys=False,
+        converter=_pair_of(int, ",", "ROW,COL with whole numbers, for example 120,45"),
+    ),
+]
+
+ElevationByAzimuth: TypeAlias = Annotated[
+    tuple[float, float],
+    Parameter(
+        metavar="ExA",
+        n_tokens=1,
+        accepts_keys=False,
+        converter=_pair_of(float, "x", "ExA with two numbers, for example 0.6x1.2"),
+    ),
+]
+
+NodeParameters: TypeAlias = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--param",
+        metavar="NODE.NAME=VALUE",
+        consume_multiple=False,
+        show_default=False,
+        help="Set a parameter of a node; may be repeated.",
+    ),
+]
+
+Images: TypeAlias = Annotated[tuple[Path, ...], Parameter(name="IMAGE", show_default=False)]
+
+Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
+
+Dwell: TypeAlias = Annotated[int | None, Parameter(metavar="N", help="Measure only the images of this dwell.")]
+
+Channel: TypeAlias = Annotated[int | None, Parameter(metavar="N", help="Measure only the images of this channel.")]
+
+AzimuthAxis: TypeAlias = Annotated[
+    int,
+    Parameter(
+        metavar="0|1",
+        validator=Number(gte=0, lte=1),
+        help="Along-track axis of .npy and .npz arrays: 1 for columns, 0 for rows.",
+    ),
+]
+
+
+def output_folder(given: Path | None, default: str) -> Path:
+    """The output folder of a command: `given`, which must be new or empty, or the first free one of `default`, ….
+
+    Nothing is written yet, so that a command that is refused leaves nothing behind.
+
+    Raises:
+        UserError: it is not empty, or cannot be made.
+    """
+    from sal_height.io import check_new_folder, free_folder
+
+    folder = given or free_folder(Path("out") / default)
+    check_new_folder(folder)
+    return folder
+
+
+def node_parameters(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Values of NODE.NAME=VALUE by node and name; values are read as YAML.
+
+    Raises:
+        UserError: an assignment has another form.
+    """
+    import yaml
+
+    values: dict[str, dict[str, Any]] = {}
+    for text in assignments:
+        match = re.fullmatch(r"(\w+)\.(\w+)=(.*)", text)
+        if not match:
+            raise UserError(f"Option --param is {text!r}; it must be of the form NODE.NAME=VALUE.")
+        node, name, value = match.groups()
+        try:
+            parsed = yaml.safe_load(value)
+        except (yaml.YAMLError, ValueError):
+            parsed = value  # a text, which the node refuses unless it wants one
+        values.setdefault(node, {})[name] = parsed
+    return values
+
+
+def bag_name(bag: Path) -> str:
+    """Name for what is made from a bag: that of its folder, or of the folder around one that is called just "bag"."""
+    path = bag.resolve()
+    folder = path.parent if path.suffix == ".mcap" and not path.is_dir() else path
+    return folder.parent.name if folder.name == "bag" else folder.name

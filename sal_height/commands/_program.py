@@ -1,0 +1,109 @@
+"""The program `sal-height`: finds its commands and turns errors and signals into a sentence and an exit status."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from importlib import import_module
+from pkgutil import iter_modules
+
+from cyclopts import App, CycloptsError, UnusedCliTokensError
+
+from sal_height import __version__
+from sal_height.commands._options import BAD_USE, DONE, INTERRUPTED, epilogue
+from sal_height.errors import UserError
+
+EXAMPLES = """
+  sal-height run                            simulate the lidar over a street
+  sal-height run --preset xband_relief      simulate the radar over terrain
+  sal-height replay out/sal_spotlight/bag   compute the heights again
+  sal-height figures                        the papers' figures and theory
+  sal-height COMMAND --help                 options and examples of a command
+"""
+
+HELP_FLAGS = ("--help", "-h", "--version")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status.
+
+    Args:
+        arguments: words after `sal-height`; None: those of the process.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    _interrupt_on_termination()
+    try:
+        status = program()(words, exit_on_error=False, print_error=False, result_action="return_value")
+    except CycloptsError as error:
+        return _complain(f"{_sentence_of(error)} See {_help_command(error)}.")
+    except UserError as error:
+        return _complain(str(error))
+    except ModuleNotFoundError as error:
+        if not _is_of_ros(error.name or ""):
+            raise
+        return _complain(_how_to_install(error.name or "", words[0]))
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    if status is None:  # help or the version was printed
+        return DONE if any(flag in words for flag in HELP_FLAGS) else BAD_USE
+    return int(status)
+
+
+def program() -> App:
+    """The command line with all its commands."""
+    app = App(
+        name="sal-height",
+        help="Height images from synthetic-aperture lidar and multi-beam radar, as a ROS 2 graph.",
+        help_format="plaintext",
+        help_epilogue=epilogue(EXAMPLES),
+        version=f"sal_height {__version__}",
+    )
+    for command in _commands():
+        app.command(command)
+    return app
+
+
+def _commands() -> Iterator[App]:
+    """The `app` of every module of this package whose name does not begin with an underscore."""
+    package = import_module(__package__ or "")
+    for module in iter_modules(package.__path__):
+        if not module.name.startswith("_"):
+            yield import_module(f"{package.__name__}.{module.name}").app
+
+
+def _interrupt_on_termination() -> None:
+    """Let SIGTERM and SIGHUP end a command as Ctrl-C does; a SIGHUP that `nohup` ignores stays ignored."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
+
+
+def _complain(sentence: str) -> int:
+    sys.stderr.write(f"sal-height: {sentence}\n")
+    return BAD_USE
+
+
+def _sentence_of(error: CycloptsError) -> str:
+    if isinstance(error, UnusedCliTokensError):
+        return f"There are more arguments than the command takes: {', '.join(map(repr, error.unused_tokens or ()))}."
+    return " ".join(str(error).split())
+
+
+def _help_command(error: CycloptsError) -> str:
+    return " ".join(["sal-height", *(error.command_chain or ()), "--help"])
+
+
+def _is_of_ros(module: str) -> bool:
+    """Whether a module belongs to ROS 2 or is one of the message packages."""
+    top = module.partition(".")[0]
+    return top.startswith(("rcl", "rosidl", "ament")) or top.endswith(("_msgs", "_interfaces", "_srvs"))
+
+
+def _how_to_install(module: str, command: str) -> str:
+    top = module.partition(".")[0]
+    if top == "sal_height_msgs":
+        how = "install the messages of sal_height, from its repository, with: pip install ./msg_defs"
+    else:
+        how = 'install ROS 2 with: pip install "ros-jazzy-rclpy[fastrtps]" ros-jazzy-common-interfaces'
+    return f"Command {command} needs the Python module {top}, which is not installed; {how}."

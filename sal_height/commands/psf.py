@@ -1,0 +1,106 @@
+"""`sal-height psf`: estimate the complex point-spread function of a system."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from sal_height.commands._options import (
+    DONE,
+    FAILED,
+    MEASURING,
+    AzimuthAxis,
+    Channel,
+    Dwell,
+    Images,
+    OutputFolder,
+    RangeByAzimuth,
+    command,
+    output_folder,
+)
+
+EXAMPLES = """
+  sal-height psf tape.npy             one image, range along the rows
+  sal-height psf reflector.npy --azimuth-axis 0 --chip 48x64
+  sal-height psf my_slc --channel 4   all dwells of a bag with images
+
+Images of this program are weighted in range by default, with pixels as wide
+as the weighted resolution, so that the edge of the band is folded into it.
+Focus them without weights for this measurement:
+  .venv/bin/recorder --ros-args -p directory:=my_slc -p topics:=[/slc,/sensor_info] &
+  sal-height replay BAG --param sar_compression.range_window=rectangular
+  kill -INT %1
+"""
+
+app = command("psf", MEASURING, EXAMPLES, "no estimate could be made from point targets or speckle")
+
+
+@app.default
+def psf(
+    images: Annotated[Images, Parameter(required=True)] = (),
+    /,
+    *,
+    chip: RangeByAzimuth = None,
+    dwell: Dwell = None,
+    channel: Channel = None,
+    azimuth_axis: AzimuthAxis = 1,
+    out: OutputFolder = None,
+) -> int:
+    """Estimate the complex point-spread function of each channel from all its images.
+
+    All images of a channel, whatever their dwell and file, are measured together.
+    They must come from one sensor and mode, have equally many range pixels, and
+    be sampled critically or finer. An image is one of
+      .npy, .npz   the complex array in it: (range, azimuth) or (channels, range,
+                   azimuth)
+      bag          folder or .mcap file: every ComplexImage in it (topic slc),
+                   with its sensor_info; adds m to pixels
+
+    There are two independent estimates, and each may fail:
+      targets      chips around bright, isolated point targets give the complex
+                   frequency responses R in range and A in azimuth, and so the
+                   point-spread function: width at -3 dB, PSLR, ISLR, and
+                   anomalous sidelobes, which rise above those nearer to the peak
+                   and indicate a fault
+      speckle      tiles of pure speckle give |R|^2 and |A|^2, the noise floor
+                   (the quietest eighth of the frequencies), a spur at half a
+                   cycle per range pixel, and the antenna pointing at each column
+                   of tiles
+      both         a test of superposition: the probability that a linear system
+                   shows a difference between its responses to targets and to
+                   speckle as large as this one, or larger. A small probability is
+                   evidence against linearity. Speckle within 128 range pixels of
+                   a bright point is excluded, because it contains the point's
+                   echoes
+
+    The output folder holds psf.json, psf.npz and psf.png; with several channels,
+    psf_N.npz and psf_N.png are those of channel N. An entry of psf.json belongs
+    to one channel. What cannot be estimated is null there, "undetermined" says
+    why and what would be needed, and psf.npz lacks its arrays.
+
+    psf.npz holds, along frequencies in cycles per pixel from -1/2 up
+    (range_frequency, azimuth_frequency),
+      R, A, R_sigma, A_sigma    responses to a point whose peak is 1 in pixel 0,
+                                and their standard errors
+      R_without_clutter, A_...  the same without what clutter explains
+      speckle_R2, speckle_A2    power with mean 1, corrected for short tiles;
+                                speckle_R2_sigma, speckle_A2_sigma
+      psf                       complex, 4 samples per pixel, peak in the middle
+      pointing, pointing_sigma  cycles per pixel, at column pointing_azimuth_px of
+                                image pointing_image
+
+    Args:
+        images: Files or bags.
+        chip: Size of the chips around targets in pixels, range x azimuth. Default: 64x64, or what the smallest image
+            allows.
+        out: Output folder, new or empty. Default: out/psf, or the next free of out/psf_2, ….
+    """
+    from sal_height.runs.psf import determined, psf_table
+    from sal_height.runs.psf import psf as measure
+
+    folder = output_folder(out, "psf")
+    entries = measure(list(images), folder, chip, dwell, channel, azimuth_axis)
+    pictures = ", ".join(sorted(str(path) for path in folder.glob("psf*.png")))
+    print(f"{psf_table(entries)}\nsee {folder}/psf.json and {pictures}")
+    return DONE if determined(entries) else FAILED

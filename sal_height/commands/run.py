@@ -1,0 +1,93 @@
+"""`sal-height run`: simulate a flight and process it with the graph."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+import sal_height
+from sal_height.commands._options import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    PROCESSING,
+    Flag,
+    NodeParameters,
+    OutputFolder,
+    RangeByAzimuth,
+    Seed,
+    command,
+    node_parameters,
+    output_folder,
+)
+
+if TYPE_CHECKING:
+    from sal_height.simulation import Preset
+
+EXAMPLES = """
+  sal-height run                             simulate the lidar over a street
+  sal-height run --preset xband_relief --dwells 8
+  sal-height run --cnr-db 10 --looks 4x2 --out out/noisy
+  sal-height run --param ml_height.objective=numerator
+"""
+
+PRESETS = ", ".join(sorted(path.stem for path in Path(sal_height.__path__[0], "presets").glob("*.yaml")))
+
+app = command("run", PROCESSING, EXAMPLES, "no valid height was produced")
+
+
+@app.default
+def run(
+    *,
+    preset: Annotated[str, Parameter(metavar="NAME|FILE", help=f"One of {PRESETS}, or a YAML file.")] = "sal_spotlight",
+    scene: Annotated[str | None, Parameter(metavar="NAME|PATH")] = None,
+    dwells: Annotated[int | None, Parameter(metavar="N")] = None,
+    cnr_db: Annotated[float | None, Parameter(metavar="X")] = None,
+    looks: RangeByAzimuth = None,
+    seed: Seed = 1,
+    processes: Flag = False,
+    out: OutputFolder = None,
+    param: NodeParameters = (),
+) -> int:
+    """Simulate a flight, process it with the graph of nodes, and compare the heights with the truth.
+
+    The output folder holds the recorded bag, report.json, height.png, profile.png
+    and relief_map.tif.
+
+    Args:
+        scene: Terrain: street, jacksboro_fault, or a DEM as .tif or .npz file. Default: the preset's.
+        dwells: Number of dwells. Default: the preset's.
+        cnr_db: Single-look CNR in dB of a detector pointed at the ground. Default: the preset's.
+        looks: Pixels averaged in range x azimuth, for example 2x2. Default: the preset's.
+        processes: Run each node in a process of its own.
+        out: Output folder, new or empty. Default: out/PRESET, or the next free of out/PRESET_2, ….
+    """
+    from sal_height.runs.conductor import Execution
+    from sal_height.runs.simulate import RELIEF_MAP
+    from sal_height.runs.simulate import run as simulate
+    from sal_height.simulation import load_preset
+
+    changed = _changed(load_preset(preset), {"scene": scene, "dwells": dwells, "cnr_db": cnr_db, "looks": looks})
+    folder = output_folder(out, changed.name)
+    outcome = simulate(changed, seed, folder, node_parameters(param), Execution(processes))
+    files = [str(folder / name) for name in ("height.png", RELIEF_MAP, "report.json") if (folder / name).is_file()]
+    interrupted = " (interrupted)" if outcome.interrupted else ""
+    print(f"{outcome.dwells} dwells{interrupted}; see {', '.join(files)} and {folder}/bag")
+    if outcome.interrupted:
+        return INTERRUPTED
+    if not (folder / "height.png").is_file():
+        print(f"sal-height: No valid height was produced; see {folder}/report.json for the reasons.", file=sys.stderr)
+        return FAILED
+    return DONE
+
+
+def _changed(preset: Preset, options: dict[str, object]) -> Preset:
+    """The preset with the options that were given in place of its own values, validated again."""
+    from sal_height.simulation import parse_preset
+
+    given = {name: value for name, value in options.items() if value is not None}
+    return parse_preset(dataclasses.asdict(preset) | given, f"{preset.name} with the options given")

@@ -1,0 +1,102 @@
+"""The picture of `sal-height irf`: measured targets and the cuts through their peaks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from sal_height.numeric import F64
+from sal_height.response import OVERSAMPLING, REACH, Chip, CutResponse, ImpulseResponse
+
+mpl.use("Agg")
+
+PIXELS_SHOWN = 300
+"""Greatest number of interpolated rows or columns in the picture of a target; more would not be visible."""
+
+HALF_POWER_DB = 10 * np.log10(0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A measured target to be drawn.
+
+    Attributes:
+        title: name of its image.
+        axes: names of the directions of rows and of columns, for example range and azimuth.
+        chip: the pixels around the target.
+        response: its measured impulse response.
+    """
+
+    title: str
+    axes: tuple[str, str]
+    chip: Chip
+    response: ImpulseResponse
+
+
+def draw_responses(targets: Sequence[Target], title: str, path: Path) -> None:
+    """Write a PNG with a row for each target: its interpolated surroundings and both cuts through its peak."""
+    figure = Figure(figsize=(15, 0.5 + 4.2 * len(targets)), layout="constrained")
+    for (surroundings, down, across), target in zip(
+        figure.subplots(len(targets), 3, squeeze=False), targets, strict=True
+    ):
+        chip, response = target.chip, target.response
+        rows = _around(response.row, response.row_cut, chip.finite[0])
+        cols = _around(response.col, response.col_cut, chip.finite[1])
+        peak = chip.power(response.row, response.col)[0, 0]
+        shown = surroundings.imshow(
+            decibels(chip.power(_thinned(rows), _thinned(cols)) / peak),
+            extent=(cols[0], cols[-1], rows[-1], rows[0]),
+            vmin=-40,
+            vmax=0,
+            cmap="magma",
+            aspect="auto",
+        )
+        surroundings.set(title=target.title, xlabel=f"column ({target.axes[1]})", ylabel=f"row ({target.axes[0]})")
+        figure.colorbar(shown, ax=surroundings, label="power (dB below the peak)")
+        _draw_cut(down, rows - response.row, chip.power(rows, response.col) / peak, response.row_cut, target.axes[0])
+        _draw_cut(across, cols - response.col, chip.power(response.row, cols) / peak, response.col_cut, target.axes[1])
+    figure.suptitle(title)
+    figure.savefig(path, dpi=100)
+
+
+def _around(position: float, cut: CutResponse, finite: tuple[int, int]) -> F64:
+    """Interpolated positions around a peak: REACH widths to both sides, as far as there are pixels."""
+    reach = REACH * cut.width if np.isfinite(cut.width) else np.inf
+    first, last = max(finite[0], position - reach), min(finite[1], position + reach)
+    before, after = int((position - first) * OVERSAMPLING), int((last - position) * OVERSAMPLING)
+    return position + np.arange(-before, after + 1) / OVERSAMPLING
+
+
+def _thinned(positions: F64) -> F64:
+    """At most PIXELS_SHOWN positions, evenly spaced from the first to the last."""
+    return np.linspace(positions[0], positions[-1], min(len(positions), PIXELS_SHOWN))
+
+
+def _draw_cut(axis: Axes, offset: F64, power: F64, cut: CutResponse, kind: str) -> None:
+    """Draw one cut with its width at -3 dB and its highest sidelobe."""
+    axis.plot(offset, decibels(power.ravel()), lw=1)
+    axis.plot(
+        [-cut.width / 2, cut.width / 2], [HALF_POWER_DB] * 2, "|-", color="tab:red", ms=10, label="width at -3 dB"
+    )
+    if np.isfinite(cut.pslr_db):
+        axis.axhline(cut.pslr_db, color="tab:green", ls="--", lw=1, label="highest sidelobe")
+    axis.set(
+        title=f"{kind}: {cut.width:.3f} px, PSLR {cut.pslr_db:.1f} dB, ISLR {cut.islr_db:.1f} dB".replace("nan", "-"),
+        xlabel=f"offset in {kind} (pixels)",
+        ylabel="power (dB below the peak)",
+        ylim=(-50, 3),
+    )
+    axis.grid(alpha=0.3)
+    axis.legend(loc="lower right")
+
+
+def decibels(power: F64) -> F64:
+    """Power ratio in dB; minus infinity for 0."""
+    with np.errstate(divide="ignore"):
+        return 10 * np.log10(power)

@@ -1,0 +1,56 @@
+"""Complex images of a bag, without the phase of range."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from sal_height import messages
+from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
+from sal_height.geometry import Grid, without_range_phase
+from sal_height.numeric import Complex
+from sal_height.runs.images import AXES, Image
+from sal_height.sensor import Sensor
+
+IMAGE_TYPE = "sal_height_msgs/msg/ComplexImage"
+SENSOR_TYPE = "sal_height_msgs/msg/SensorInfo"
+
+
+def bag_images(path: Path) -> Iterator[Image]:
+    """Every ComplexImage of a bag as an image to be measured, in recorded order."""
+    for topic, message, pixels, grid in recorded_slc(path):
+        yield Image(pixels, path, AXES, topic, message.dwell, message.detector, grid)
+
+
+def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, Complex, Grid]]:
+    """Read topic, message, pixels without the phase of range, and grid of each ComplexImage of a bag.
+
+    Raises:
+        UserError: the bag cannot be read, an image in it is damaged, or its sensor_info is missing.
+    """
+    reader = BagReader(bag)
+    sensors: dict[str, Sensor] = {}
+    for recorded in reader.messages(_topics(reader, SENSOR_TYPE)):
+        message = reader.decode(recorded.type_name, recorded.cdr)
+        sensors[message.config_hash] = messages.sensor_from_message(message)
+    for recorded in reader.messages(_topics(reader, IMAGE_TYPE)):
+        message = reader.decode(recorded.type_name, recorded.cdr)
+        sensor = sensors.get(message.provenance.config_hash)
+        if sensor is None:
+            raise UserError(
+                f"Bag {bag} has an image of sensor {message.provenance.config_hash!r} but not its sensor_info; "
+                "record topic sensor_info with the images."
+            )
+        try:
+            messages.check_slc(message, sensor)
+        except UserError as error:
+            raise UserError(f"Bag {bag}: {error}") from error
+        grid, aperture = messages.grid_from_message(message.grid), messages.aperture_from_message(message.aperture)
+        stored = messages.complex_view(message.samples, grid.shape)
+        yield recorded.topic, message, without_range_phase(stored, grid, aperture, sensor.wavelength), grid
+
+
+def _topics(reader: BagReader, type_name: str) -> list[str]:
+    return [topic.name for topic in reader.topics.values() if topic.type_name == type_name]

@@ -1,0 +1,220 @@
+"""The command line as a whole: help at once, wrong use in one sentence, commands without ROS."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import assert_one_sentence
+
+import sal_height.commands
+from sal_height import __version__
+from sal_height.commands import main
+from sal_height.commands._options import node_parameters, output_folder
+from sal_height.commands._program import program
+from sal_height.errors import UserError
+from sal_height.figures import catalogue
+from sal_height.figures.curve import Curve
+
+FOLDER = Path(sal_height.commands.__file__).parent
+COMMANDS = sorted(path.stem.replace("_", "-") for path in FOLDER.glob("[a-z]*.py"))
+PATHS = [[], *([name] for name in COMMANDS), ["montecarlo", "pair"], ["montecarlo", "array"]]
+
+SLOW_TO_IMPORT = ("numba", "scipy", "numpy", "rclpy", "matplotlib", "pydantic", "sal_height_msgs")
+"""Together they take 0.5 s and more to import, which would delay every --help and --version."""
+
+ROS = ("rclpy", "sal_height_msgs", "std_msgs", "sensor_msgs", "geometry_msgs", "nav_msgs", "mcap")
+
+IN_TURN = """
+import contextlib, io, json, sys
+blocked, many_words = map(json.loads, sys.argv[1:])
+
+class Blocker:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in blocked:
+            raise ModuleNotFoundError("No module named " + repr(name), name=name)
+
+sys.meta_path.insert(0, Blocker())
+from sal_height.commands import main
+results = []
+for words in many_words:
+    with contextlib.redirect_stderr(io.StringIO()) as complaint, contextlib.redirect_stdout(io.StringIO()) as said:
+        status = main(words)
+    results.append([status, said.getvalue(), complaint.getvalue()])
+print(json.dumps([results, sorted({name.partition(".")[0] for name in sys.modules})]))
+"""
+
+
+def run_fresh(many_words: Sequence[Sequence[str]], blocked: Sequence[str] = ()) -> tuple[list[Any], set[str]]:
+    """Run command lines one after the other in a new process that cannot import the `blocked` modules.
+
+    Returns status, output and error output of each, and the top-level modules that were imported.
+    """
+    command = [sys.executable, "-c", IN_TURN, json.dumps(blocked), json.dumps(many_words)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)  # noqa: S603 (our code)
+    assert result.returncode == 0, result.stderr
+    results, modules = json.loads(result.stdout)
+    return results, set(modules)
+
+
+def test_every_module_is_a_command() -> None:
+    listed = {name for name in program() if not name.startswith("-")}
+    assert listed == set(COMMANDS)
+    assert {"run", "replay", "calibrate", "irf", "psf", "figures", "montecarlo", "import-gotcha", "salvage"} <= listed
+
+
+def test_help_imports_nothing_that_is_slow() -> None:
+    results, modules = run_fresh([["--version"], *([*path, "--help"] for path in PATHS)])
+    assert [status for status, *_ in results] == [0] * len(results)
+    assert not modules & set(SLOW_TO_IMPORT)
+
+
+def test_the_module_is_the_program() -> None:
+    command = [sys.executable, "-m", "sal_height", "--version"]
+    result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)  # noqa: S603 (our own code)
+    assert result.stdout == f"sal_height {__version__}\n"
+
+
+@pytest.mark.parametrize("path", PATHS, ids=" ".join)
+def test_help_has_examples_that_can_be_parsed_and_exit_statuses(
+    path: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "150")
+    assert main([*path, "--help"]) == 0
+    text = capsys.readouterr().out
+    statuses = text[text.index("exit status:") :]
+    assert "  0    done" in statuses
+    assert "  2    " in statuses
+    assert "  130  interrupted" in statuses
+    examples = text[text.index("examples:") :].replace("\\\n", " ")
+    lines = [line.strip().split("  ")[0].split()[1:] for line in examples.splitlines() if line.startswith("  sal-h")]
+    assert lines
+    for line in lines:
+        if line[0] != "COMMAND":
+            program().parse_args(line, exit_on_error=False, print_error=False)
+
+
+@pytest.mark.parametrize(
+    ("command", "failure"),
+    [("run", "no valid height"), ("replay", "heights differ"), ("psf", "no estimate"), ("figures", "from theory")],
+)
+def test_status_1_is_explained_where_it_can_occur(
+    command: str, failure: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([command, "--help"])
+    status = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("  1    "))
+    assert failure in status
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["run", "--dwell", "2"], "Unknown option: --dwell"),
+        (["run", "--looks", "2"], "of the form RxA"),
+        (["run", "--looks", "0x2"], "1 or more"),
+        (["run", "--seed", "-1"], "--seed"),
+        (["run", "--seed", "4294967296"], "--seed"),
+        (["run", "--dwells", "two"], "--dwells"),
+        (["run", "--processes=maybe"], "--processes"),
+        (["replay"], "BAG"),
+        (["replay", "a", "b"], "more arguments than the command takes: 'b'"),
+        (["irf", "a.npy", "--azimuth-axis", "2"], "--azimuth-axis"),
+        (["import-gotcha"], "FILE"),
+        (["fly"], 'Unknown command "fly"'),
+    ],
+)
+def test_wrong_use_ends_with_status_2_and_names_the_help(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    printed = capsys.readouterr()
+    assert not printed.out
+    (line,) = printed.err.splitlines()
+    assert line.startswith("sal-height: ")
+    assert said in line
+    assert line.endswith(f"{'' if words[0] == 'fly' else words[0] + ' '}--help.")
+
+
+@pytest.mark.parametrize("words", [[], ["montecarlo"]], ids=["nothing", "montecarlo"])
+def test_a_missing_command_shows_the_help_and_ends_with_status_2(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    assert "Usage: sal-height" in capsys.readouterr().out
+
+
+def test_parameters_of_nodes_are_read_as_yaml() -> None:
+    found = node_parameters(["a.x=1", "a.y=[1, 2.5]", "b.z=text", "a.x=2", "b.w=[1,"])
+    assert found == {"a": {"x": 2, "y": [1, 2.5]}, "b": {"z": "text", "w": "[1,"}}
+    with pytest.raises(UserError, match=r"NODE\.NAME=VALUE"):
+        node_parameters(["x"])
+
+
+def test_the_output_folder_is_checked_before_any_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert output_folder(None, "irf") == Path("out/irf")
+    assert not Path("out").exists()
+    Path("file").touch()
+    Path("used").mkdir()
+    Path("used", "mine").touch()
+    for given, said in (("used", "not empty"), ("file", "is a file"), ("file/inside", "is a file")):
+        with pytest.raises(UserError, match=said):
+            output_folder(Path(given), "irf")
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "montecarlo"])
+def test_no_command_begins_with_an_output_folder_in_use(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The input does not exist either, which would be reported if the folder were looked at later."""
+    (tmp_path / "mine.txt").touch()
+    words = {"run": ["--preset", "small"], "figures": ["fig3"]}.get(command, ["missing.npy"])
+    assert main([command, *words, "--out", str(tmp_path)]) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_arrays_are_measured_without_ros(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    image = rng.standard_normal((128, 128)) + 1j * rng.standard_normal((128, 128))
+    image[64, 64] = 1000.0
+    np.save(tmp_path / "image.npy", image)
+    words = [[name, str(tmp_path / "image.npy"), "--out", str(tmp_path / name)] for name in ("irf", "psf")]
+    results, _ = run_fresh(words, ROS)
+    assert [status for status, *_ in results] == [0, 0], results
+    assert (tmp_path / "irf" / "irf.json").is_file()
+    assert (tmp_path / "psf" / "psf.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("missing", "how"), [("sal_height_msgs", "pip install ./msg_defs"), ("rclpy", "ros-jazzy-rclpy[fastrtps]")]
+)
+def test_commands_that_need_ros_say_what_to_install(missing: str, how: str, tmp_path: Path) -> None:
+    commands = ["run", "replay", "calibrate", "irf", "psf", "import-gotcha"]
+    commands += ["salvage"] if missing == "rclpy" else []  # it copies messages of any type
+    inputs = {"run": ["--preset", "small"]}
+    words = [[name, *inputs.get(name, [str(tmp_path)]), "--out", str(tmp_path / "out")] for name in commands]
+    results, _ = run_fresh(words, [missing])
+    for name, (status, _, complaint) in zip(commands, results, strict=True):
+        assert status == 2
+        assert_one_sentence(complaint.strip().removeprefix("sal-height: "), f"Command {name} needs", missing, how)
+
+
+def test_figures_end_with_status_1_if_a_check_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    right = catalogue.FIGURES["fig3"]
+
+    def shifted(trials: int, seed: int) -> Iterator[Curve]:
+        return (replace(curve, value=curve.value + 2e-9) for curve in right.curves(trials, seed))
+
+    monkeypatch.setitem(catalogue.FIGURES, "fig3", replace(right, curves=shifted))
+    assert main(["figures", "fig3", "--out", str(tmp_path / "wrong")]) == 1
+    assert ", 0 off" not in capsys.readouterr().out

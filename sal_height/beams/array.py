@@ -20,7 +20,7 @@ NEGLIGIBLE = 1e-6
 """Share of the greatest entry of a matrix, -120 dB, that is as good as none: samples have single precision."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Beams:
     """The receive beams of a detector array.
 

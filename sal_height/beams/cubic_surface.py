@@ -16,7 +16,7 @@ LEAST = 1 << 14
 """Values that are worth a thread."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CubicSurface:
     """A piecewise bicubic function of x and y.
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from sal_height.numeric import F64
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ApertureState:
     """State of the platform in the middle of a synthetic aperture.
 

@@ -11,7 +11,7 @@ from sal_height.geometry.frames import ApertureState
 from sal_height.numeric import F64, Complex
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Grid:
     """Pixel centres of an image in a plane of the map frame; the same content as sal_height_msgs/ImageGrid.
 

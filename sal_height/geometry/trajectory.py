@@ -14,7 +14,7 @@ from sal_height.geometry.frames import ApertureState
 from sal_height.numeric import F64
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlatformState:
     """One odometry sample.
 

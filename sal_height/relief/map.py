@@ -66,7 +66,7 @@ class Box:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CellHeights:
     """What one dwell says about the cells of a box; arrays of its shape, row 0 the southernmost.
 
@@ -81,7 +81,7 @@ class CellHeights:
     weight: F64
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Relief:
     """A map as it stands; arrays of shape (rows, cols), row 0 the southernmost.
 

@@ -11,7 +11,7 @@ from sal_height.errors import UserError
 from sal_height.numeric import C128, F64
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Channels:
     """The channels that an estimator takes, made of those of the sensor.
 

@@ -21,7 +21,7 @@ NoisePowers = tuple[float, float]
 """E|n|^2 of one sample of Sigma and of Delta; the two noises are independent."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Products:
     """Sums over looks or pulses, as the estimates in DISCRIMINANTS take them; arrays of one shape.
 

@@ -64,7 +64,7 @@ class Reason(IntEnum):
     NO_DOMAIN = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Inversion:
     """Elevations of discriminants; all arrays have their shape.
 
@@ -80,7 +80,7 @@ class Inversion:
     reason: U8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Table:
     """Nodes of the discriminant over its domain, shape (squints, TABLE_NODES); NaN where there is no domain."""
 

@@ -44,23 +44,6 @@ class Grid:
         along = np.asarray(col, dtype=np.float64)[..., None] * (self.col_spacing * self.col_direction)
         return self.origin + down + along
 
-    def distances(self, position: F64) -> F64:
-        """Distances (m) of all pixel centres from `position`, shape (rows, cols), without their coordinates.
-
-        The law of cosines in the two indices: 10 times faster, and as exact, as |pixels - position|.
-        """
-        sight = self.origin - position
-        down, along = (
-            np.arange(n) * step for n, step in zip(self.shape, (self.row_spacing, self.col_spacing), strict=True)
-        )
-        by_row = sight @ sight + down * (down + 2 * float(sight @ self.row_direction))
-        by_col = along * (along + 2 * float(sight @ self.col_direction))
-        square = by_row[:, None] + by_col
-        skew = 2 * float(self.row_direction @ self.col_direction)
-        if skew:
-            square += np.multiply.outer(skew * down, along)
-        return np.sqrt(square, out=square)
-
     def pixels(self) -> F64:
         """Positions (m) of all pixel centres, shape (rows, cols, 3)."""
         return self.points(np.arange(self.rows)[:, None], np.arange(self.cols)[None, :])

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
-from scipy.special import ndtri
 
 from sal_height.numeric import C64, F64
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 
 MAX_SHARE = 8e-4
-"""Share of saturated numbers that leaves 40 dB between Gaussian samples and their distortion (`distortion`)."""
+"""Greatest share of clipped real and imaginary parts: the distortion of Gaussian samples is then 40 dB below them.
+
+By Bussgang's theorem, which the tests evaluate."""
 
 ROUNDING = 1e-5
 """Share by which a clipped number may miss the full scale once a channel matrix in single precision is undone."""
@@ -55,22 +55,3 @@ def count_saturated(history: PhaseHistory, sensor: Sensor) -> PhaseHistory:
 def _shares(samples: C64, limit: np.float32) -> F64:
     parts = (np.ascontiguousarray(frame).view(np.float32) for frame in samples)
     return np.array([np.mean(np.abs(part) >= limit) for part in parts])
-
-
-def distortion(share: npt.ArrayLike) -> F64:
-    """Power of what clipping adds to Gaussian samples over that of what is left of them, where `share` is clipped.
-
-    Clipping is memoryless, so that of a circular Gaussian sample x a multiple alpha x is left, and the rest does not
-    correlate with it (Bussgang 1952). In standard deviations of a part, with the limit c, Q(c) = share / 2 and the
-    density phi, Price's theorem gives alpha = 1 - 2 Q(c), and the clipped part has the power
-    1 - 2 Q(c) - 2 c phi(c) + 2 c^2 Q(c).
-
-    Args:
-        share: of the real and imaginary parts that are clipped, above 0 and below 1.
-    """
-    tail = np.asarray(share) / 2
-    limit = -ndtri(tail)
-    density = np.exp(-(limit**2) / 2) / np.sqrt(2 * np.pi)
-    left = 1 - 2 * tail
-    power = left - 2 * limit * density + 2 * limit**2 * tail
-    return power / left**2 - 1

@@ -44,13 +44,14 @@ def straight_power(beams: Beams) -> float:
     return power
 
 
-def cnr_sum_of(cnr_detector: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
-    """CNR of the sum channel where one detector that looks straight at the target has `cnr_detector`.
+def cnr_detector_of(cnr_sum: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
+    """Return the CNR of one detector that looks straight at the target, from that of the sum channel.
 
-    |l + u|^2 / (2 |h(0, 0)|^2) times as much: l and u are the two responses, and Sigma has the noise of both.
+    It is 2 |h(0, 0)|^2 / |l + u|^2 times as much: l and u are the two responses, and Sigma has the noise of both.
+    Infinite where the sum channel sees nothing.
 
     Args:
-        cnr_detector: power ratio; broadcasts with the angles.
+        cnr_sum: power ratio; broadcasts with the angles.
         pair: beams of two detectors.
         elevation: of the target, rad.
         squint: of the target, rad.
@@ -58,18 +59,9 @@ def cnr_sum_of(cnr_detector: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLik
     Raises:
         UserError: the detectors see nothing straight ahead.
     """
-    return np.asarray(cnr_detector) * _sum_gain(pair, elevation, squint)
-
-
-def cnr_detector_of(cnr_sum: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
-    """The inverse of `cnr_sum_of`: infinite where the sum channel sees nothing."""
+    sum_gain = np.abs(pair.response(elevation, squint).sum(axis=-1)) ** 2 / 2 / straight_power(pair)
     with np.errstate(divide="ignore"):
-        return np.asarray(cnr_sum) / _sum_gain(pair, elevation, squint)
-
-
-def _sum_gain(pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
-    response = pair.response(elevation, squint)
-    return np.abs(response.sum(axis=-1)) ** 2 / 2 / straight_power(pair)
+        return np.asarray(cnr_sum) / sum_gain
 
 
 def steady_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> F64:

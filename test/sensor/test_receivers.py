@@ -10,7 +10,7 @@ from helpers import circular, make_sensor
 from scipy.stats import norm
 
 from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity, without_saturated
-from sal_height.sensor.receivers import MAX_SHARE, clipped, distortion, saturated_shares
+from sal_height.sensor.receivers import MAX_SHARE, clipped, saturated_shares
 from sal_height.simulation.receivers import received
 
 MIXTURE = ((0.6, 0.8, 0.0), (-0.8, 0.6, 0.0), (0.0, 0.0, 1j))
@@ -26,6 +26,17 @@ def test_clipping_stops_real_and_imaginary_parts_at_full_scale() -> None:
     expected = np.array([[0.5 - 1j, 1 + 0.1j], [-1 - 1j, 1j]], np.complex64)
     np.testing.assert_array_equal(clipped(samples, 1.0), expected)
     assert clipped(samples, 0.0) is samples
+
+
+def distortion(share: float) -> float:
+    """Power that clipping adds to Gaussian samples over that of what is left of them, where `share` is clipped.
+
+    Of a circular Gaussian sample x a multiple alpha x is left, and the rest does not correlate with it (Bussgang 1952).
+    In standard deviations of a part, with the limit c, Q(c) = share / 2 and the density phi, Price's theorem gives
+    alpha = 1 - 2 Q(c), and the clipped part has the power 1 - 2 Q(c) - 2 c phi(c) + 2 c^2 Q(c).
+    """
+    limit, left = norm.isf(share / 2), 1 - share
+    return float((left - 2 * limit * norm.pdf(limit) + limit**2 * share) / left**2 - 1)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.05, 8e-3])

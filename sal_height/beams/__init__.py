@@ -1,20 +1,14 @@
-"""What each detector makes of a scatterer: its complex amplitude over elevation and squint.
+"""The receive beams: the complex amplitude of every detector for a target at a given elevation and squint.
 
-Read `pattern` first (the registry PATTERNS of aperture patterns, point detectors and finite ones), then `table`
-(measured beams from CSV) and `array` (`Beams`: all detectors of a sensor, looking along their boresights). `apertures`,
-`pupil`, `band_limited` and `cubic_surface` are what patterns are computed with.
+Read `pattern` first (the registry PATTERNS of apertures, point detectors and finite ones), then `table` (measured beams
+from CSV) and `array` (`Beams`: all detectors of a sensor, each along its boresight). `apertures` holds the formulas,
+`detector` the mean over a finite detector, `spline` the interpolation of both kinds of table.
 """
 
+from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.beams.array import Beams, column_squint
-from sal_height.beams.pattern import (
-    GAUSSIAN_WIDTH,
-    PATTERNS,
-    Pattern,
-    detector_pattern,
-    pattern_named,
-    tabulated_pattern,
-)
-from sal_height.beams.table import BeamTable, read_beam_tables
+from sal_height.beams.pattern import PATTERNS, Pattern, detector_pattern, pattern_named
+from sal_height.beams.table import BeamTable, read_beam_tables, tabulated_pattern
 
 __all__ = [
     "GAUSSIAN_WIDTH",

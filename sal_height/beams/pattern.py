@@ -1,44 +1,39 @@
-"""Amplitude patterns of a detector's beam.
+"""Beam patterns: the registry PATTERNS of apertures, and what a detector of some size makes of them.
 
-A pattern is a function h of the direction to the target, seen from the beam's boresight: e in elevation and a in
-azimuth, both in beamwidths (wavelength / aperture diameter). For a point detector h(0, 0) = 1; a detector of some size
-has the mean of h over it (SAL paper, sections 2 and 3), which is less.
+A pattern is a function h of the direction to the target, seen from the beam's boresight: e in elevation (along the
+detector axis) and a in azimuth (beside it), both in beamwidths (wavelength / aperture). For a point detector
+h(0, 0) = 1; a detector of some size has the mean of h over it (SAL paper, sections 2 and 3), which is less.
+
+To add an aperture, add one entry to PATTERNS. Presets, commands and finite detectors then know it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
-from scipy.interpolate import CubicSpline
-from scipy.special import j0, j1
 
-from sal_height.beams.apertures import GAUSSIAN, GAUSSIAN_WIDTH, SINC, Profile
-from sal_height.beams.cubic_surface import Amplitudes, CubicSurface
-from sal_height.beams.pupil import Apodisation, apodised_sums, jinc_sums
-from sal_height.beams.table import BeamTable
+from sal_height.beams.apertures import (
+    JINC_NULL,
+    PatternFunction,
+    gaussian,
+    gaussian_slope,
+    jinc,
+    jinc_slope,
+    sinc,
+    sinc_slope,
+)
+from sal_height.beams.detector import average_over_detector
 from sal_height.errors import UserError
 from sal_height.numeric import F64
 
-__all__ = [
-    "GAUSSIAN_WIDTH",
-    "PATTERNS",
-    "Pattern",
-    "apodised_pattern",
-    "detector_pattern",
-    "pattern_named",
-    "sample_pattern",
-    "tabulated_pattern",
-]
+DIFFERENCE_STEP = 1e-3
+"""Step of numerical slopes in beamwidths: by Bernstein's inequality they err by less than pi^5 STEP^4 / 30 = 1e-11."""
 
-Function = Callable[[npt.ArrayLike, npt.ArrayLike], F64]
-
-EDGE = 1e-9
-"""Beamwidths beyond a table that are rounding, and belong to it."""
+LOBE_STEPS = 2000
+"""Steps in which the first null of a pattern is looked for."""
 
 
 @dataclass(frozen=True)
@@ -46,21 +41,23 @@ class Pattern:
     """A beam pattern and its slopes.
 
     Attributes:
-        name: how presets and messages call it.
+        name: its name in presets and messages.
         amplitude: h(e, a); broadcasts. Float64, or complex128 for a measured beam.
-        slope: the derivative of h with respect to e; broadcasts.
-        azimuth_slope: the derivative of h with respect to a; broadcasts.
-        domain: least and greatest e at which it is known.
+        slope: derivative of h with respect to e, per beamwidth; broadcasts.
+        azimuth_slope: derivative of h with respect to a, per beamwidth; broadcasts.
+        main_lobe: half-width of the main lobe in azimuth, from boresight to the first null, beamwidths.
+        domain: least and greatest e at which the pattern is known, beamwidths.
     """
 
     name: str
-    amplitude: Callable[[npt.ArrayLike, npt.ArrayLike], F64]
-    slope: Callable[[npt.ArrayLike, npt.ArrayLike], F64]
-    azimuth_slope: Callable[[npt.ArrayLike, npt.ArrayLike], F64]
+    amplitude: PatternFunction
+    slope: PatternFunction
+    azimuth_slope: PatternFunction
+    main_lobe: float
     domain: tuple[float, float] = (-np.inf, np.inf)
 
     def scaled(self, gain: float) -> Self:
-        """The pattern times a constant, real or complex."""
+        """Return the pattern times a constant, real or complex."""
         amplitude, slope, azimuth_slope = self.amplitude, self.slope, self.azimuth_slope
         return replace(
             self,
@@ -70,54 +67,59 @@ class Pattern:
         )
 
 
-def _jinc(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
-    """Circular aperture: 2 J1(x) / x with x = pi r."""
-    x = np.pi * np.hypot(e, a)
-    safe = np.where(x < 1e-6, 1.0, x)
-    return np.where(x < 1e-6, 1.0, 2 * j1(safe) / safe)
+def aperture_pattern(
+    name: str,
+    amplitude: PatternFunction,
+    main_lobe: float,
+    slope: PatternFunction | None = None,
+    azimuth_slope: PatternFunction | None = None,
+) -> Pattern:
+    """Describe the pattern of a point detector behind an aperture, as an entry of PATTERNS.
 
-
-def _jinc_slope(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
-    """d/dx [2 J1(x) / x] = -2 J2(x) / x, times dx/de = pi e / r."""
-    x = np.pi * np.hypot(e, a)
-    near = x < 0.1
-    safe = np.where(near, 1.0, x)
-    series = 0.25 * (1 - x**2 / 12 * (1 - x**2 / 32 * (1 - x**2 / 60)))
-    recurrence = 2 * (2 * j1(safe) / safe - j0(safe)) / safe**2  # J2(x) = 2 J1(x) / x - J0(x), ten times as fast
-    return -(np.pi**2) * np.asarray(e) * np.where(near, series, recurrence)
-
-
-def _turned(slope: Function) -> Function:
-    """The slope in azimuth of a pattern that is the same with elevation and azimuth exchanged."""
-    return lambda e, a: slope(a, e)
-
-
-def _separable(name: str, profile: Profile, size: tuple[float, float]) -> Pattern:
-    """The product of a profile along elevation and the same along azimuth, averaged over a detector."""
-    height, width = size
+    Args:
+        name: its name in presets.
+        amplitude: h(e, a) with h(0, 0) = 1; it must broadcast.
+        main_lobe: half-width of the main lobe, beamwidths: the first null, or where h no longer matters.
+        slope: dh/de; None: differences of the amplitude, within 1e-11.
+        azimuth_slope: dh/da; None: as `slope`.
+    """
     return Pattern(
         name,
-        lambda e, a: profile.mean(e, height) * profile.mean(a, width),
-        lambda e, a: profile.mean_slope(e, height) * profile.mean(a, width),
-        lambda e, a: profile.mean(e, height) * profile.mean_slope(a, width),
+        amplitude,
+        slope or (lambda e, a: _difference(lambda step: amplitude(np.asarray(e) + step, a))),
+        azimuth_slope or (lambda e, a: _difference(lambda step: amplitude(e, np.asarray(a) + step))),
+        main_lobe,
     )
 
 
-PROFILES = {"gaussian": GAUSSIAN, "sinc": SINC}
-"""Of the patterns that are a product: of a Gaussian beam, and of a square aperture with sides along the axes."""
+def _difference(function: Callable[[float], F64]) -> F64:
+    """Return the derivative at 0 by the central difference of fourth order."""
+    near, far = (function(step) - function(-step) for step in (DIFFERENCE_STEP, 2 * DIFFERENCE_STEP))
+    return (8 * near - far) / (12 * DIFFERENCE_STEP)
+
+
+def _exchanged(function: PatternFunction) -> PatternFunction:
+    """Return the function with elevation and azimuth exchanged: the azimuth slope of a pattern that is the same so."""
+    return lambda e, a: function(a, e)
+
 
 PATTERNS = {
-    **{name: _separable(name, profile, (0.0, 0.0)) for name, profile in PROFILES.items()},
-    "jinc": Pattern("jinc", _jinc, _jinc_slope, _turned(_jinc_slope)),
+    pattern.name: pattern
+    for pattern in (
+        # A Gaussian has no null; its main lobe is that of the circular aperture with the same half-power width.
+        aperture_pattern("gaussian", gaussian, JINC_NULL, gaussian_slope, _exchanged(gaussian_slope)),
+        aperture_pattern("sinc", sinc, 1.0, sinc_slope, _exchanged(sinc_slope)),
+        aperture_pattern("jinc", jinc, JINC_NULL, jinc_slope, _exchanged(jinc_slope)),
+    )
 }
-"""Patterns of point detectors by name."""
+"""Patterns of point detectors behind a Gaussian, a square ("sinc") and a circular aperture ("jinc"), by name."""
 
 
 def pattern_named(name: str) -> Pattern:
-    """The pattern called `name`.
+    """Return the point detector's pattern called `name`.
 
     Raises:
-        UserError: there is none of that name.
+        UserError: PATTERNS has no such entry.
     """
     if name not in PATTERNS:
         raise UserError(f"The beam pattern is {name!r}; allowed are {', '.join(sorted(PATTERNS))}.")
@@ -125,118 +127,37 @@ def pattern_named(name: str) -> Pattern:
 
 
 def detector_pattern(name: str, size: tuple[float, float]) -> Pattern:
-    """The pattern of a rectangular detector behind the aperture called `name` (SAL paper, sections 2 and 3).
+    """Return the pattern of a rectangular detector behind the aperture called `name` (SAL paper, sections 2 and 3).
 
     Detection is coherent: the amplitude is integrated over the detector, and divided by its area, so that a small one
-    has the point pattern. Closed forms but for "jinc", which is within 1e-10.
+    has the point pattern. Values are within 1e-10.
 
     Args:
         name: one of PATTERNS.
         size: widths of the detector along its axis and beside it, beamwidths; 0: a point.
 
     Raises:
-        UserError: no such aperture, or a size that is negative or not finite.
+        UserError: there is no such aperture, or a width is negative or not finite.
     """
-    _check_size(size)
+    if not all(np.isfinite(width) and width >= 0 for width in size):
+        raise UserError(f"The detector size is {size} beamwidths; both must be finite and 0 or more.")
     point = pattern_named(name)
     if not any(size):
         return point
-    return _separable(name, PROFILES[name], size) if name in PROFILES else Pattern(name, *jinc_sums(size))
+    amplitude, slope, azimuth_slope = (
+        average_over_detector(function, size) for function in (point.amplitude, point.slope, point.azimuth_slope)
+    )
+    return Pattern(name, amplitude, slope, azimuth_slope, first_null(amplitude, point.main_lobe + size[1] / 2))
 
 
-def apodised_pattern(apodisation: Apodisation, size: tuple[float, float] = (0.0, 0.0)) -> Pattern:
-    """The pattern of a rectangular detector behind a circular aperture that is weighted.
+def first_null(amplitude: PatternFunction, widest: float) -> float:
+    """Find the half-width of the main lobe in azimuth, beamwidths.
 
-    A weighting A(u, v) gives h(e, a) = int int A exp(-j 2 pi (u e + v a)) du dv / int int A du dv, averaged over the
-    detector: the field in the focal plane of SAL paper, section 2. Within 1e-9 where A is smooth; an edge in A is
-    followed by a grid of 1/96 of the diameter only. For very many values make a table of it with `sample_pattern`.
-
-    Args:
-        apodisation: A at arrays u, along the detector axis, and v, beside it, in aperture diameters: u^2 + v^2 <= 1/4;
-            real or complex, of any scale.
-        size: as in `detector_pattern`.
-
-    Returns:
-        Pattern: named "apodised"; float64 where A(-u, -v) is the conjugate of A(u, v), otherwise complex128.
-
-    Raises:
-        UserError: A is not finite, or its integral is 0; or a size that is negative or not finite.
+    It ends on either side of boresight where the power, once it is below half its maximum, rises again; at `widest` if
+    it does not. The greater of the two sides counts.
     """
-    _check_size(size)
-    return Pattern("apodised", *apodised_sums(apodisation, size))
-
-
-def _check_size(size: tuple[float, float]) -> None:
-    if not all(np.isfinite(width) and width >= 0 for width in size):
-        raise UserError(f"The detector size is {size} beamwidths; both must be finite and 0 or more.")
-
-
-def tabulated_pattern(table: BeamTable, beamwidth: float) -> Pattern:
-    """The pattern that a table holds: the cubic spline through its amplitudes, and that spline's derivatives.
-
-    A single azimuth: the pattern is the same at all. Beyond the table nothing is received: 0.
-
-    Args:
-        table: of a beam.
-        beamwidth: wavelength / aperture diameter, rad.
-
-    Returns:
-        Pattern: named "table", known where the table is; float64 where all amplitudes are real, otherwise complex128.
-    """
-    elevation, azimuth = (np.array(angles) / beamwidth for angles in (table.elevation, table.azimuth))
-    values: Amplitudes = table.values if any(table.imaginary) else table.values.real
-    extent = (elevation[[0, -1]], azimuth[[0, -1]] if azimuth.size > 1 else np.array([-np.inf, np.inf]))
-    spline = _surface(elevation, azimuth, values) if azimuth.size > 1 else _line(elevation, values[:, 0])
-    amplitude, slope, azimuth_slope = (_within(extent, partial(spline, orders)) for orders in ((0, 0), (1, 0), (0, 1)))
-    return Pattern("table", amplitude, slope, azimuth_slope, (float(elevation[0]), float(elevation[-1])))
-
-
-Spline = Callable[[tuple[int, int], F64, F64], F64]
-"""Derivatives of given orders with respect to elevation and azimuth, at both."""
-
-
-def _line(elevation: F64, values: Amplitudes) -> Spline:
-    spline = CubicSpline(elevation, values)
-
-    def derivative(orders: tuple[int, int], e: F64, _: F64) -> F64:
-        return np.zeros_like(e, dtype=values.dtype) if orders[1] else spline(e, orders[0])
-
-    return derivative
-
-
-def _surface(elevation: F64, azimuth: F64, values: Amplitudes) -> Spline:
-    surface = CubicSurface.through(elevation, azimuth, values)
-    return lambda orders, e, a: np.asarray(surface.at(e, a, orders))
-
-
-def _within(extent: tuple[F64, F64], spline: Callable[[F64, F64], F64]) -> Function:
-    """The spline, but 0 beyond its extent in elevation and azimuth (beamwidths)."""
-
-    def values(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
-        offsets = np.broadcast_arrays(np.asarray(e, dtype=np.float64), np.asarray(a, dtype=np.float64))
-        scale = np.ones(offsets[0].shape)
-        for offset, (low, high) in zip(offsets, extent, strict=True):
-            scale[(offset < low - EDGE) | (offset > high + EDGE)] = 0.0
-            scale[np.isnan(offset)] = np.nan
-        inside = (np.clip(np.nan_to_num(offset), *ends) for offset, ends in zip(offsets, extent, strict=True))
-        return scale * spline(*inside)
-
-    return values
-
-
-def sample_pattern(pattern: Pattern, elevation: npt.ArrayLike, azimuth: npt.ArrayLike, beamwidth: float) -> BeamTable:
-    """The table that a measurement of a pattern would give.
-
-    Args:
-        pattern: what is measured.
-        elevation: offsets from boresight, rad, increasing, shape (elevations,).
-        azimuth: the same across, shape (azimuths,).
-        beamwidth: wavelength / aperture diameter, rad.
-
-    Raises:
-        UserError: the angles make no table.
-    """
-    x, y = np.atleast_1d(elevation), np.atleast_1d(azimuth)
-    values = np.asarray(pattern.amplitude(x[:, None] / beamwidth, y / beamwidth))
-    real, imaginary = values.real.ravel(), values.imag.ravel()
-    return BeamTable(tuple(x.tolist()), tuple(y.tolist()), tuple(real.tolist()), tuple(imaginary.tolist()))
+    offsets = np.linspace(0.0, widest, LOBE_STEPS + 1)
+    power = np.abs(amplitude(0.0, offsets * np.array([[1.0], [-1.0]]))) ** 2
+    rises = (np.diff(power) > 0) & (power[:, :-1] < power.max() / 2)
+    ends = [offsets[np.argmax(side)] if side.any() else widest for side in rises]
+    return float(max(ends))

@@ -4,20 +4,32 @@ from __future__ import annotations
 
 import csv
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
 
+from sal_height.beams.apertures import PatternFunction
+from sal_height.beams.cubic_surface import Amplitudes, CubicSurface
+from sal_height.beams.pattern import Pattern, first_null
 from sal_height.errors import UserError
-from sal_height.numeric import C128
+from sal_height.numeric import C128, F64
 
 COLUMNS = ("detector", "elevation_beamwidths", "azimuth_beamwidths", "real", "imaginary")
 """Of a file of beam tables; the third may be absent."""
 
 LEAST_NODES = 4
-"""Of a cubic spline."""
+"""Least number of nodes of a cubic spline."""
+
+EDGE = 1e-9
+"""Beamwidths beyond a table that count as its edge: elevations in rad are rounded to about 1e-12 beamwidths."""
+
+UNKNOWN_MAIN_LOBE = 1.0
+"""Half-width of the main lobe in azimuth, beamwidths, of a table with a single azimuth: that of a square aperture."""
 
 
 @dataclass(frozen=True)
@@ -92,24 +104,6 @@ def read_beam_tables(path: Path, beamwidth: float) -> tuple[BeamTable, ...]:
         missing = min(set(range(len(grids))) - set(grids))
         raise UserError(f"{path} has beams of {len(grids)} detectors but none of detector {missing}; count from 0.")
     return tuple(_table(path, detector, grids[detector], beamwidth) for detector in range(len(grids)))
-
-
-def write_beam_tables(path: Path, tables: Sequence[BeamTable], beamwidth: float) -> None:
-    """Write what `read_beam_tables` reads; `beamwidth` in rad.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
-    try:
-        with path.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            for detector, table in enumerate(tables):
-                angles = [(e / beamwidth, a / beamwidth) for e in table.elevation for a in table.azimuth]
-                parts = zip(angles, table.real, table.imaginary, strict=True)
-                writer.writerows((detector, e, a, real, imaginary) for (e, a), real, imaginary in parts)
-    except OSError as error:
-        raise UserError(f"{path} cannot be written: {error.strerror}.") from error
 
 
 def _grids(path: Path) -> dict[int, Grid]:
@@ -187,3 +181,64 @@ def _table(path: Path, detector: int, grid: Grid, beamwidth: float) -> BeamTable
         )
     except UserError as error:
         raise UserError(f"{path}, detector {detector}: {str(error)[0].lower()}{str(error)[1:]}") from error
+
+
+def tabulated_pattern(table: BeamTable, beamwidth: float) -> Pattern:
+    """The pattern that a table holds: the cubic spline through its amplitudes, and that spline's derivatives.
+
+    A single azimuth: the pattern is the same at all. Beyond the table nothing is received: 0.
+
+    Args:
+        table: of a beam.
+        beamwidth: wavelength / aperture diameter, rad.
+
+    Returns:
+        Pattern: named "table", known where the table is; float64 where all amplitudes are real, otherwise complex128.
+    """
+    elevation, azimuth = (np.array(angles) / beamwidth for angles in (table.elevation, table.azimuth))
+    values: Amplitudes = table.values if any(table.imaginary) else table.values.real
+    extent = (elevation[[0, -1]], azimuth[[0, -1]] if azimuth.size > 1 else np.array([-np.inf, np.inf]))
+    spline = _surface(elevation, azimuth, values) if azimuth.size > 1 else _line(elevation, values[:, 0])
+    amplitude, slope, azimuth_slope = (_within(extent, partial(spline, orders)) for orders in ((0, 0), (1, 0), (0, 1)))
+    domain = (float(elevation[0]), float(elevation[-1]))
+    return Pattern("table", amplitude, slope, azimuth_slope, _main_lobe(amplitude, azimuth), domain)
+
+
+def _main_lobe(amplitude: PatternFunction, azimuth: F64) -> float:
+    """Return the half-width of a tabulated beam's main lobe in azimuth, beamwidths."""
+    if azimuth.size == 1:
+        return UNKNOWN_MAIN_LOBE
+    return first_null(amplitude, float(np.max(np.abs(azimuth))))
+
+
+Spline = Callable[[tuple[int, int], F64, F64], F64]
+"""Derivatives of given orders with respect to elevation and azimuth, at both."""
+
+
+def _line(elevation: F64, values: Amplitudes) -> Spline:
+    spline = CubicSpline(elevation, values)
+
+    def derivative(orders: tuple[int, int], e: F64, _: F64) -> F64:
+        return np.zeros_like(e, dtype=values.dtype) if orders[1] else spline(e, orders[0])
+
+    return derivative
+
+
+def _surface(elevation: F64, azimuth: F64, values: Amplitudes) -> Spline:
+    surface = CubicSurface.through(elevation, azimuth, values)
+    return lambda orders, e, a: np.asarray(surface.at(e, a, orders))
+
+
+def _within(extent: tuple[F64, F64], spline: Callable[[F64, F64], F64]) -> PatternFunction:
+    """The spline, but 0 beyond its extent in elevation and azimuth (beamwidths)."""
+
+    def values(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
+        offsets = np.broadcast_arrays(np.asarray(e, dtype=np.float64), np.asarray(a, dtype=np.float64))
+        scale = np.ones(offsets[0].shape)
+        for offset, (low, high) in zip(offsets, extent, strict=True):
+            scale[(offset < low - EDGE) | (offset > high + EDGE)] = 0.0
+            scale[np.isnan(offset)] = np.nan
+        inside = (np.clip(np.nan_to_num(offset), *ends) for offset, ends in zip(offsets, extent, strict=True))
+        return scale * spline(*inside)
+
+    return values

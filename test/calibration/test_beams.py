@@ -8,10 +8,11 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 import pytest
+from beam_tables import sample_pattern
 from helpers import BEAMWIDTH, circular, elevation_at, make_beams, make_sensor
 
 from sal_height.beams.array import Beams
-from sal_height.beams.pattern import Pattern, pattern_named, sample_pattern
+from sal_height.beams.pattern import Pattern, pattern_named
 from sal_height.calibration.beam_likelihood import curve_of, with_known_angles, with_unknown_angles
 from sal_height.calibration.beams import (
     BeamCalibration,

@@ -23,6 +23,7 @@ def phased(pattern: Pattern) -> Pattern:
         lambda e, a: pattern.amplitude(e, a) * np.exp(0.7j * np.asarray(e)),
         lambda e, a: (pattern.slope(e, a) + 0.7j * pattern.amplitude(e, a)) * np.exp(0.7j * np.asarray(e)),
         lambda e, a: pattern.azimuth_slope(e, a) * np.exp(0.7j * np.asarray(e)),
+        pattern.main_lobe,
     )
 
 

@@ -34,6 +34,7 @@ def bent(pattern: Pattern) -> Pattern:
         lambda e, a: pattern.amplitude(e, a) * phasor(e),
         lambda e, a: (pattern.slope(e, a) + 0.6j * np.asarray(e) * pattern.amplitude(e, a)) * phasor(e),
         lambda e, a: pattern.azimuth_slope(e, a) * phasor(e),
+        pattern.main_lobe,
     )
 
 

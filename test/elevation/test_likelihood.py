@@ -164,6 +164,7 @@ def turned(pattern: Pattern, per_beamwidth: float) -> Pattern:
         lambda e, a: pattern.amplitude(e, a) * phase(e),
         lambda e, a: (pattern.slope(e, a) + 1j * per_beamwidth * pattern.amplitude(e, a)) * phase(e),
         lambda e, a: pattern.azimuth_slope(e, a) * phase(e),
+        pattern.main_lobe,
     )
 
 

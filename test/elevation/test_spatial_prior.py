@@ -250,6 +250,7 @@ def with_phase(pattern: Pattern, phase: float) -> Pattern:
         lambda e, a: factor * pattern.amplitude(e, a),
         lambda e, a: factor * pattern.slope(e, a),
         lambda e, a: factor * pattern.azimuth_slope(e, a),
+        pattern.main_lobe,
     )
 
 

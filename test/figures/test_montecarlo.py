@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from beam_tables import sample_pattern, write_beam_tables
 from helpers import assert_one_sentence
 from scipy.stats import t as student
 
-from sal_height.beams.pattern import detector_pattern, pattern_named, sample_pattern
-from sal_height.beams.table import BeamTable, write_beam_tables
+from sal_height.beams.pattern import detector_pattern, pattern_named
+from sal_height.beams.table import BeamTable
 from sal_height.commands import main
 from sal_height.theory.discriminator_noise import NORMAL_SHARES, SteadyLaw
 

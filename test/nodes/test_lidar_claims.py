@@ -15,8 +15,8 @@ from sal_height_msgs.msg import ComplexImage, DetectorFrame
 from scipy.special import erf
 
 from sal_height import messages
+from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.beams.array import column_squint
-from sal_height.beams.pattern import GAUSSIAN_WIDTH
 from sal_height.geometry.earth import sphere_coordinates
 from sal_height.geometry.frames import look_direction
 from sal_height.nodes.graph import Graph

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from beam_tables import sample_pattern
 from helpers import BEAMWIDTH, elevation_at, flat_scene, make_aperture, make_sensor, with_waveform
 from scipy.special import fresnel
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.beams.pattern import pattern_named, sample_pattern
+from sal_height.beams.pattern import pattern_named
 from sal_height.geometry.frames import angles_of, look_direction
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.pixels import slant_plane_grid

@@ -19,7 +19,7 @@ from helpers import (
 from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
-from sal_height.beams.pattern import GAUSSIAN_WIDTH
+from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.geometry.frames import angles_of, look_direction
 from sal_height.imaging.beams import image_beams
 from sal_height.imaging.formers.backprojection import backproject_points

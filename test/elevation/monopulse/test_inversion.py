@@ -12,8 +12,9 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import jv
 
+from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.beams.array import Beams
-from sal_height.beams.pattern import GAUSSIAN_WIDTH, PATTERNS, Pattern
+from sal_height.beams.pattern import PATTERNS, Pattern
 from sal_height.elevation.monopulse.inversion import (
     LEAST_CLEARANCE,
     LEAST_SLOPE,
@@ -49,6 +50,7 @@ def tilted(name: str, gain: complex, tilt: float) -> Pattern:
         lambda e, a: plain.amplitude(e, a) * phase(e),
         lambda e, a: (plain.slope(e, a) + 1j * tilt * plain.amplitude(e, a)) * phase(e),
         lambda e, a: plain.azimuth_slope(e, a) * phase(e),
+        plain.main_lobe,
     )
 
 
@@ -59,7 +61,8 @@ def bounded(low: float, high: float) -> Pattern:
     def known(function: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
         return lambda e, a: np.where((low <= np.asarray(e)) & (np.asarray(e) <= high), function(e, a), np.nan)
 
-    return Pattern("bounded", known(plain.amplitude), known(plain.slope), known(plain.azimuth_slope), (low, high))
+    functions = known(plain.amplitude), known(plain.slope), known(plain.azimuth_slope)
+    return Pattern("bounded", *functions, plain.main_lobe, (low, high))
 
 
 PAIRS = {

@@ -21,8 +21,9 @@ from helpers import (
 from scipy import stats
 from scipy.integrate import quad
 
+from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.beams.array import Beams
-from sal_height.beams.pattern import GAUSSIAN_WIDTH, PATTERNS
+from sal_height.beams.pattern import PATTERNS
 from sal_height.elevation.bounds import stochastic_crb
 from sal_height.elevation.estimate import ElevationEstimate, Validity
 from sal_height.elevation.looks import Looks, multilook

@@ -22,8 +22,9 @@ from scipy import stats
 from scipy.optimize import minimize_scalar
 from scipy.special import j1, jv
 
+from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.beams.array import Beams
-from sal_height.beams.pattern import GAUSSIAN_WIDTH, PATTERNS, pattern_named
+from sal_height.beams.pattern import PATTERNS, pattern_named
 from sal_height.elevation.bounds import beam_power, information_of, stochastic_crb, stochastic_deviation
 from sal_height.elevation.estimate import ElevationEstimate, Validity
 from sal_height.elevation.looks import Looks, multilook

@@ -42,7 +42,7 @@ def jinc_slope(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
 
 def sinc(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
     """Evaluate the pattern of a square aperture with sides along the axes; broadcasts."""
-    return np.sinc(e) * np.sinc(a)
+    return np.sinc(np.asarray(e)) * np.sinc(np.asarray(a))
 
 
 def sinc_slope(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
@@ -51,7 +51,7 @@ def sinc_slope(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
     near = np.abs(e) < 1e-4
     safe = np.where(near, 1.0, e)
     slope = np.where(near, -(np.pi**2) / 3 * e, (np.cos(np.pi * safe) - np.sinc(safe)) / safe)
-    return slope * np.sinc(a)
+    return slope * np.sinc(np.asarray(a))
 
 
 def gaussian(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:

@@ -11,7 +11,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from sal_height.numeric import F64
 
-Values = npt.NDArray[np.inexact[Any]]
+Values = npt.NDArray[Any]
+"""Float64 or complex128."""
 
 Surface = Callable[[F64, F64, tuple[int, int]], Values]
 """Derivative of the given orders in x and y, at places x and y of one shape, in that shape."""

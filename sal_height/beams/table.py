@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections import defaultdict
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +12,19 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from sal_height.beams.apertures import PatternFunction
-from sal_height.beams.cubic_surface import Amplitudes, CubicSurface
 from sal_height.beams.pattern import Pattern, first_null
+from sal_height.beams.spline import Surface, Values, spline_surface
 from sal_height.errors import UserError
 from sal_height.numeric import C128, F64
 
 COLUMNS = ("detector", "elevation_beamwidths", "azimuth_beamwidths", "real", "imaginary")
 """Of a file of beam tables; the third may be absent."""
 
-LEAST_NODES = 4
-"""Least number of nodes of a cubic spline."""
+DEGREE = 3
+"""Degree of the spline through a table."""
+
+LEAST_NODES = DEGREE + 1
+"""Least number of offsets along one axis of a table."""
 
 EDGE = 1e-9
 """Beamwidths beyond a table that count as its edge: elevations in rad are rounded to about 1e-12 beamwidths."""
@@ -184,61 +185,48 @@ def _table(path: Path, detector: int, grid: Grid, beamwidth: float) -> BeamTable
 
 
 def tabulated_pattern(table: BeamTable, beamwidth: float) -> Pattern:
-    """The pattern that a table holds: the cubic spline through its amplitudes, and that spline's derivatives.
+    """Return the pattern that a table holds: the cubic spline through its amplitudes, and the spline's derivatives.
 
-    A single azimuth: the pattern is the same at all. Beyond the table nothing is received: 0.
+    With a single azimuth the pattern is the same at all azimuths. Beyond the table nothing is received: 0.
 
     Args:
-        table: of a beam.
+        table: of one detector's beam.
         beamwidth: wavelength / aperture diameter, rad.
 
     Returns:
         Pattern: named "table", known where the table is; float64 where all amplitudes are real, otherwise complex128.
     """
     elevation, azimuth = (np.array(angles) / beamwidth for angles in (table.elevation, table.azimuth))
-    values: Amplitudes = table.values if any(table.imaginary) else table.values.real
-    extent = (elevation[[0, -1]], azimuth[[0, -1]] if azimuth.size > 1 else np.array([-np.inf, np.inf]))
-    spline = _surface(elevation, azimuth, values) if azimuth.size > 1 else _line(elevation, values[:, 0])
-    amplitude, slope, azimuth_slope = (_within(extent, partial(spline, orders)) for orders in ((0, 0), (1, 0), (0, 1)))
+    values = table.values if any(table.imaginary) else table.values.real
     domain = (float(elevation[0]), float(elevation[-1]))
-    return Pattern("table", amplitude, slope, azimuth_slope, _main_lobe(amplitude, azimuth), domain)
-
-
-def _main_lobe(amplitude: PatternFunction, azimuth: F64) -> float:
-    """Return the half-width of a tabulated beam's main lobe in azimuth, beamwidths."""
     if azimuth.size == 1:
-        return UNKNOWN_MAIN_LOBE
-    return first_null(amplitude, float(np.max(np.abs(azimuth))))
+        surface, azimuths, main_lobe = _line(elevation, values[:, 0]), (-np.inf, np.inf), UNKNOWN_MAIN_LOBE
+    else:
+        surface, azimuths = spline_surface(elevation, azimuth, values, DEGREE), (float(azimuth[0]), float(azimuth[-1]))
+        main_lobe = first_null(_within(domain, azimuths, surface, (0, 0)), max(map(abs, azimuths)))
+    amplitude, slope, azimuth_slope = (
+        _within(domain, azimuths, surface, orders) for orders in ((0, 0), (1, 0), (0, 1))
+    )
+    return Pattern("table", amplitude, slope, azimuth_slope, main_lobe, domain)
 
 
-Spline = Callable[[tuple[int, int], F64, F64], F64]
-"""Derivatives of given orders with respect to elevation and azimuth, at both."""
-
-
-def _line(elevation: F64, values: Amplitudes) -> Spline:
+def _line(elevation: F64, values: Values) -> Surface:
+    """Interpolate values over elevation alone."""
     spline = CubicSpline(elevation, values)
-
-    def derivative(orders: tuple[int, int], e: F64, _: F64) -> F64:
-        return np.zeros_like(e, dtype=values.dtype) if orders[1] else spline(e, orders[0])
-
-    return derivative
+    return lambda e, _, orders: np.zeros_like(e, dtype=values.dtype) if orders[1] else spline(e, orders[0])
 
 
-def _surface(elevation: F64, azimuth: F64, values: Amplitudes) -> Spline:
-    surface = CubicSurface.through(elevation, azimuth, values)
-    return lambda orders, e, a: np.asarray(surface.at(e, a, orders))
-
-
-def _within(extent: tuple[F64, F64], spline: Callable[[F64, F64], F64]) -> PatternFunction:
-    """The spline, but 0 beyond its extent in elevation and azimuth (beamwidths)."""
+def _within(
+    elevations: tuple[float, float], azimuths: tuple[float, float], surface: Surface, orders: tuple[int, int]
+) -> PatternFunction:
+    """Return a derivative of the spline as a function of all offsets (beamwidths): 0 beyond the table."""
 
     def values(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
-        offsets = np.broadcast_arrays(np.asarray(e, dtype=np.float64), np.asarray(a, dtype=np.float64))
-        scale = np.ones(offsets[0].shape)
-        for offset, (low, high) in zip(offsets, extent, strict=True):
+        e, a = np.broadcast_arrays(np.asarray(e, dtype=np.float64), np.asarray(a, dtype=np.float64))
+        scale = np.where(np.isnan(e + a), np.nan, 1.0)
+        for offset, (low, high) in ((e, elevations), (a, azimuths)):
             scale[(offset < low - EDGE) | (offset > high + EDGE)] = 0.0
-            scale[np.isnan(offset)] = np.nan
-        inside = (np.clip(np.nan_to_num(offset), *ends) for offset, ends in zip(offsets, extent, strict=True))
-        return scale * spline(*inside)
+        nearest_e, nearest_a = np.clip(np.nan_to_num(e), *elevations), np.clip(np.nan_to_num(a), *azimuths)
+        return scale * surface(nearest_e, nearest_a, orders)
 
     return values

@@ -76,7 +76,7 @@ def against_dense_search() -> Iterator[Row]:
                 )
                 pixels = covariance(samples, hermitian=False)
                 expected, clear = _dense_search(pixels, beams)
-                error = (search.peaks(pixels)[0] - expected)[clear] / BEAMWIDTH
+                error = (search.peaks(pixels).elevation - expected)[clear] / BEAMWIDTH
                 squares += float(np.sum(error**2))
                 worst = max(worst, float(np.max(np.abs(error))))
                 unclear += int(np.count_nonzero(~clear))

@@ -250,7 +250,7 @@ def _of_scene(looks: Looks, beams: Beams, squint: F64, noise_power: float) -> Eq
             nonlocal total
             pixels = looks.covariance[rows, cols].reshape(-1, beams.count, beams.count)
             pixels = pixels * (phases.conj()[:, None] * phases / noise_power).astype(np.complex64)
-            elevation = search.peaks(pixels)[0]
+            elevation = search.peaks(pixels).elevation
             across = np.broadcast_to(squint[cols], looks.count[rows, cols].shape).reshape(-1)
             of_pixel = (looks.count[rows, cols].reshape(-1), looks.finite[rows, cols].reshape(-1))
             explained = search.fit(pixels, elevation)[0]

@@ -76,7 +76,7 @@ def peak_elevation(covariance: Covariances, beams: Beams, squint: F64, objective
         UserError: the beams have no elevation in common, or are complex where the covariance is not.
     """
     searches = PeakSearches.over(beams, np.unique(squint), objective, guard)
-    (elevation,) = searches.of_pixels(covariance, squint, 1, lambda search, pixels, *_: search.peaks(pixels)[0])
+    (elevation,) = searches.of_pixels(covariance, squint, 1, lambda search, pixels, *_: search.peaks(pixels).elevation)
     return elevation
 
 
@@ -107,8 +107,9 @@ def ml_elevation(
     margin = float(np.log(AMBIGUOUS_RATIO))
 
     def find(search: PeakSearch, pixels: Covariance, *_: object) -> F64:
-        peaks, share = search.peaks(pixels, margin * noise_power)
-        return np.vstack([peaks, share, search.fit(pixels, peaks)])
+        peaks = search.peaks(pixels, margin * noise_power)
+        share = np.divide(peaks.second, peaks.height, where=peaks.height > 0, out=np.zeros_like(peaks.height))
+        return np.vstack([peaks.elevation, share, search.fit(pixels, peaks.elevation)])
 
     searches = PeakSearches.over(beams, np.unique(squint), objective, search_guard(beams))
     elevation, share, explained, gain, turning = searches.of_pixels(looks.covariance, squint, 5, find)

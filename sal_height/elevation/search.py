@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -42,6 +42,13 @@ which varies beyond the array. Of 48 000 pixels at 0 to 20 dB none missed its hi
 alone would have missed 0.8 %.
 """
 
+BETWEEN_NODES = 1 / (2 * NEAR_HIGHEST - 1)
+"""Greatest range of an objective over its range on the grid: a function between 0 and 1 reaches NEAR_HIGHEST and
+1 - NEAR_HIGHEST at nodes. Where an objective is negative on the grid, this bounds it from below between the nodes."""
+
+ROUNDING = 1e-5
+"""Share of the greatest value below 0 that a positive objective may have on the grid: the error of its float32 sums."""
+
 SETTLED = 0.1
 """Newton step, in steps of the table, that is the last: the next would move the peak by 1e-5 beamwidths at most."""
 
@@ -56,6 +63,20 @@ SQUINTS_MORE = 14
 
 PIXELS_AT_ONCE = 2048
 """Pixels whose covariance and objective are held at a time: what fits into a processor's cache."""
+
+
+class Peaks(NamedTuple):
+    """The highest peak of the objective in each pixel; arrays of the shape (pixels,).
+
+    Attributes:
+        elevation: of the peak, rad; the end of the domain where the objective still rises there.
+        height: value of the objective there.
+        second: value of the objective at the second highest peak; minus infinity where there is none.
+    """
+
+    elevation: F64
+    height: F64
+    second: F64
 
 
 @dataclass(frozen=True)
@@ -106,28 +127,29 @@ class PeakSearch:
             complex_beams=complex_beams,
         )
 
-    def peaks(self, covariance: Covariance, margin: float = 0.0) -> tuple[F64, F64]:
-        """Where the objective is greatest in the search domain, and how great its next peak is beside it.
+    def peaks(self, covariance: Covariance, margin: float = 0.0) -> Peaks:
+        """Find the highest peak of the objective in the search domain, and how high the second one is.
 
-        Elevation (rad), the end of the domain where the objective still rises there; and the height of the second peak
-        as a share of the first, of those peaks that one scatterer of `margin` less power would have; 0: none. Both of
-        the shape (pixels,). Runs in the calling thread alone.
+        Runs in the calling thread alone.
 
         Args:
-            covariance: shape (pixels, channels, channels); complex if the beams are.
-            margin: of power, in the unit of the covariance.
+            covariance: matrices of the quadratic forms, shape (pixels, channels, channels); complex if the beams are.
+                They need not be positive.
+            margin: the second peak is looked for among those that lie lower by the objective of a scatterer of this
+                power at most, in the unit of the covariance.
 
         Raises:
             UserError: the beams are complex and the covariance is not.
         """
-        position, share = np.empty((2, len(covariance)))
+        position, height, second = np.empty((3, len(covariance)))
         margin *= float(np.max(np.sum(self.pieces[:, 0].astype(np.float64) ** 2, axis=-1)))
         for begin in range(0, len(covariance), PIXELS_AT_ONCE):
             block = slice(begin, begin + PIXELS_AT_ONCE)
             matrices = self._real(covariance[block])
             values = _on_grid(matrices, self.entries, self.grid)
-            _climb_highest(matrices, values, np.float32(margin), self.pieces, position[block], share[block])
-        return self.first + self.step * position, share
+            found = position[block], height[block], second[block]
+            _climb_highest(matrices, values, np.float32(margin), self.pieces, found)
+        return Peaks(self.first + self.step * position, height, second)
 
     def fit(self, covariance: Covariance, elevation: F64) -> F64:
         """What one scatterer at `elevation` (rad, (pixels,)) makes of some pixels, shape (3, pixels); NaN of NaN.
@@ -346,36 +368,38 @@ def _on_grid(matrices: F32, entries: Index, grid: F32) -> F32:
 
 
 @compiled
-def _climb_highest(matrices: F32, values: F32, margin: np.float32, pieces: F32, position: F64, share: F64) -> None:
-    """Climb from the high nodes of the grid, keep the highest peak, and how high the second is beside it.
+def _climb_highest(matrices: F32, values: F32, margin: np.float32, pieces: F32, found: tuple[F64, F64, F64]) -> None:
+    """Climb from the high nodes of the grid; keep the highest peak and the height of the second.
 
     Args:
         matrices: of the quadratic forms, shape (pixels, detectors, detectors).
         values: of the objective on the grid, shape (pixels, grid nodes).
         margin: by which second peaks may be lower.
         pieces: of `PeakSearch`.
-        position: to fill with the place of the peak, shape (pixels,).
-        share: to fill with the height of the second over that of the first, 0 if there is no second, shape (pixels,).
+        found: to fill with the place of the peak in steps of the table, its height, and that of the second, (pixels,).
     """
     work, last = np.empty((3, pieces.shape[2]), np.float32), values.shape[1] - 1
+    position, height, second = found
     for i in range(len(values)):
-        line, top = values[i], np.float32(0)
+        line, top, bottom = values[i], values[i, 0], values[i, 0]
         for g in range(line.size):
             top = max(top, line[g])
-        enough, best, second = np.float32(NEAR_HIGHEST) * (top - margin), -1.0, 0.0
-        position[i] = 0.0
+            bottom = min(bottom, line[g])
+        positive = bottom >= -np.float32(ROUNDING) * top
+        floor = np.float32(0) if positive else top - np.float32(BETWEEN_NODES) * (top - bottom)
+        enough = floor + np.float32(NEAR_HIGHEST) * (top - margin - floor)
+        position[i], height[i], second[i] = 0.0, -np.inf, -np.inf
         for g in range(line.size):
             if line[g] < enough:
                 continue
             rises, falls = g == 0 or line[g] >= line[g - 1], g == last or line[g] > line[g + 1]
             if not (rises and falls) and not _behind_a_dip(line, g):
                 continue
-            peak, height = _climb(matrices[i], pieces, max(g - 1, 0), _start(line, g), min(g + 1, last), work)
-            if height > best:
-                position[i], best, second = peak, height, max(best, 0.0)
+            place, value = _climb(matrices[i], pieces, max(g - 1, 0), _start(line, g), min(g + 1, last), work)
+            if value > height[i]:
+                position[i], height[i], second[i] = place, value, height[i]
             else:
-                second = max(second, height)
-        share[i] = second / best if best > 0 else 0.0
+                second[i] = max(second[i], value)
 
 
 @compiled

@@ -97,7 +97,7 @@ def run_array_trials(
 
     def work(rng: np.random.Generator, part: slice) -> None:
         samples = draw_pixels(rng, beams, elevation, 0.0, cnr, looks, part.stop - part.start, target)
-        estimates[part], _ = search.peaks(covariance(samples, beams.is_complex))
+        estimates[part] = search.peaks(covariance(samples, beams.is_complex)).elevation
 
     with_streams(work, seed, trials, max(1, SAMPLES_AT_ONCE // (looks * beams.count)))
     return estimates

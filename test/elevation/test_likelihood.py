@@ -232,7 +232,7 @@ def test_climb_that_starts_on_the_peak_stays_there() -> None:
     steps = np.arange(-peak_search.TABLE_STEPS, peak_search.TABLE_STEPS + 1.0)
     nodes, response, slope = np.pi / 4 + 1e-5 * steps, 1 - steps[:, None] ** 2 / 144, -steps[:, None] / 72e-5
     search = peak_search.PeakSearch.of(nodes, response, slope, OBJECTIVES["numerator"])
-    assert (search.peaks(np.ones((1, 1, 1)))[0][0] - np.pi / 4) / 1e-5 == pytest.approx(0, abs=1e-6)
+    assert (search.peaks(np.ones((1, 1, 1))).elevation[0] - np.pi / 4) / 1e-5 == pytest.approx(0, abs=1e-6)
 
 
 def test_search_ends_where_a_pattern_is_no_longer_known() -> None:

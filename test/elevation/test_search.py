@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, circular, elevation_at, make_beams
+from helpers import BEAMWIDTH, circular, elevation_at, make_beams, offset_of, target_slc
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS, Pattern
@@ -67,6 +67,51 @@ def test_fit_of_no_elevation_is_none_and_beyond_the_domain_is_its_end() -> None:
 
 def search(beams: Beams, squint: float, objective: str = "normalised") -> PeakSearch:
     return PeakSearches.over(beams, np.array([squint]), OBJECTIVES[objective], GUARD * BEAMWIDTH).at(squint)
+
+
+FINE = np.arange(-7, 7 + 5e-4, 1e-3)
+"""Offsets of a dense search over array and guard of 16 detectors, beamwidths."""
+
+
+def assert_highest(matrices: np.ndarray, objective: str) -> None:
+    """Assert that `peaks` finds the highest value of w^H R w on FINE, in its value and but for near ties in its place."""
+    beams = make_beams("sinc")
+    response = beams.response(elevation_at(FINE), 0.0)
+    weight, _ = OBJECTIVES[objective](response, np.zeros_like(response))
+    values = np.einsum("gm,pmn,gn->pg", weight, matrices, weight, optimize=True)
+    best, spread = values.max(axis=1), np.ptp(values, axis=1)
+    found = search(beams, 0.0, objective).peaks(matrices.astype(np.float32))
+    np.testing.assert_array_less(np.abs(found.height - best), 1e-4 * spread)
+    error = np.abs(offset_of(found.elevation) - FINE[values.argmax(axis=1)])
+    assert np.mean(error < 2e-3) > 0.995
+    there = values[np.arange(len(values)), np.searchsorted(FINE, offset_of(found.elevation)).clip(1) - 1]
+    np.testing.assert_array_less(best - there, 1e-3 * spread)
+
+
+@pytest.mark.parametrize("objective", sorted(OBJECTIVES))
+@pytest.mark.parametrize("looks", [1, 4, 16])
+def test_highest_peak_is_found_of_objectives_of_any_sign(looks: int, objective: str) -> None:
+    """Of Capon's -R^-1, negative everywhere; of R less a multiple of I, of both signs; and of R, positive."""
+    rng, unit = np.random.default_rng([50, looks]), np.eye(16)
+    slc = target_slc(make_beams("sinc"), rng.uniform(-3.75, 3.75, (400, looks)), 400, looks, 10.0, rng)
+    matrices = np.einsum("mpk,npk->pmn", slc, slc.conj()).real
+    assert_highest(-np.linalg.inv(matrices / looks + unit), objective)
+    assert_highest(matrices - matrices.trace(axis1=1, axis2=2)[:, None, None] / 16 * unit, objective)
+    assert_highest(matrices, objective)
+
+
+def test_second_peak_is_told_from_the_first() -> None:
+    """Of two equal scatterers 3 beamwidths apart and one 20 % weaker; of a beam that has one peak there is no second."""
+    beams = make_beams("sinc")
+    a, b = (beams.response(elevation_at(offset), 0.0) for offset in (-1.5, 1.5))
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    b = b - a * (a @ b)
+    b /= np.linalg.norm(b)
+    found = search(beams, 0.0).peaks((np.outer(a, a) + 0.8 * np.outer(b, b))[None].astype(np.float32), margin=0.5)
+    np.testing.assert_allclose(found.height, 1, atol=0.01)
+    np.testing.assert_allclose(found.second, 0.8, atol=0.01)
+    alone = search(make_beams("gaussian", count=3), 0.0).peaks(np.ones((1, 3, 3), np.float32))
+    assert alone.second[0] == -np.inf
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

@@ -288,7 +288,7 @@ def test_uphill_of_the_right_node_is_the_highest_peak() -> None:
     search = PeakSearches.over(beams, np.zeros(1), NORMALISED, 0.0).at(0.0)
     highest = np.argmax(search.on_grid(pixels), axis=1)
     for shift in (-1, 0, 1):
-        np.testing.assert_array_equal(search.peaks_uphill(pixels, highest + shift), search.peaks(pixels)[0])
+        np.testing.assert_array_equal(search.peaks_uphill(pixels, highest + shift), search.peaks(pixels).elevation)
     far = search.peaks_uphill(pixels, np.zeros_like(highest))
     assert np.all(np.abs(offset_of(far) - 0.4) > 1)
 

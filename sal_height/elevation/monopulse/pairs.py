@@ -47,7 +47,7 @@ def monopulse_elevation(
     searches = PeakSearches.over(beams, np.unique(squint), OBJECTIVES["normalised"], search_guard(beams))
 
     def strongest(search: PeakSearch, pixels: Covariance, *_where: object) -> F64:
-        best, _ = search.peaks(pixels)
+        best = search.peaks(pixels).elevation
         return np.stack([*_strongest_pair(pixels), best, search.fit(pixels, best)[0]])
 
     pair, lower, upper, real, imaginary, best, best_explained = searches.of_pixels(

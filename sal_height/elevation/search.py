@@ -49,6 +49,9 @@ BETWEEN_NODES = 1 / (2 * NEAR_HIGHEST - 1)
 ROUNDING = 1e-5
 """Share of the greatest value below 0 that a positive objective may have on the grid: the error of its float32 sums."""
 
+NO_PEAK = -1e300
+"""Height of a peak that is not there: less than any objective, and finite as compiled loops take all numbers to be."""
+
 SETTLED = 0.1
 """Newton step, in steps of the table, that is the last: the next would move the peak by 1e-5 beamwidths at most."""
 
@@ -71,7 +74,7 @@ class Peaks(NamedTuple):
     Attributes:
         elevation: of the peak, rad; the end of the domain where the objective still rises there.
         height: value of the objective there.
-        second: value of the objective at the second highest peak; minus infinity where there is none.
+        second: value of the objective at the second highest peak; NO_PEAK where there is none.
     """
 
     elevation: F64
@@ -388,7 +391,7 @@ def _climb_highest(matrices: F32, values: F32, margin: np.float32, pieces: F32, 
         positive = bottom >= -np.float32(ROUNDING) * top
         floor = np.float32(0) if positive else top - np.float32(BETWEEN_NODES) * (top - bottom)
         enough = floor + np.float32(NEAR_HIGHEST) * (top - margin - floor)
-        position[i], height[i], second[i] = 0.0, -np.inf, -np.inf
+        position[i], height[i], second[i] = 0.0, NO_PEAK, NO_PEAK
         for g in range(line.size):
             if line[g] < enough:
                 continue
@@ -441,9 +444,9 @@ def _climb(matrix: F32, pieces: F32, low: float, start: float, high: float, work
             low = place
         else:
             high = place
-        moved = place - slope / curvature if curvature < 0 else np.inf
-        if not low <= moved <= high:
-            moved = 0.5 * (low + high)
+        moved = 0.5 * (low + high)
+        if curvature < 0 and low <= place - slope / curvature <= high:
+            moved = place - slope / curvature
         height = value + 0.5 * slope * (moved - place)
         settled = abs(moved - place) < SETTLED
         place = moved

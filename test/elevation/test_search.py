@@ -74,7 +74,7 @@ FINE = np.arange(-7, 7 + 5e-4, 1e-3)
 
 
 def assert_highest(matrices: np.ndarray, objective: str) -> None:
-    """Assert that `peaks` finds the highest value of w^H R w on FINE, in its value and but for near ties in its place."""
+    """Assert that `peaks` finds the highest value of w^H R w on FINE, and its place but for near ties."""
     beams = make_beams("sinc")
     response = beams.response(elevation_at(FINE), 0.0)
     weight, _ = OBJECTIVES[objective](response, np.zeros_like(response))
@@ -101,7 +101,7 @@ def test_highest_peak_is_found_of_objectives_of_any_sign(looks: int, objective: 
 
 
 def test_second_peak_is_told_from_the_first() -> None:
-    """Of two equal scatterers 3 beamwidths apart and one 20 % weaker; of a beam that has one peak there is no second."""
+    """Two scatterers are 3 beamwidths apart, one 20 % weaker; three Gaussian beams alike make one peak only."""
     beams = make_beams("sinc")
     a, b = (beams.response(elevation_at(offset), 0.0) for offset in (-1.5, 1.5))
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
@@ -111,7 +111,7 @@ def test_second_peak_is_told_from_the_first() -> None:
     np.testing.assert_allclose(found.height, 1, atol=0.01)
     np.testing.assert_allclose(found.second, 0.8, atol=0.01)
     alone = search(make_beams("gaussian", count=3), 0.0).peaks(np.ones((1, 3, 3), np.float32))
-    assert alone.second[0] == -np.inf
+    assert alone.second[0] == peak_search.NO_PEAK
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

@@ -1,11 +1,13 @@
 """Elevation angle of the scatterer in each pixel, from the amplitude ratios between channels.
 
 Read `looks` first (channels' covariance over looks), then `estimate` (the result and the reasons for none),
-`likelihood` with `search` (maximum likelihood over the whole array), `monopulse` (pairs; sum and difference),
+`likelihood` with `search` (maximum likelihood over the whole array), `capon` and `music` (the two spectra known from
+tomography, on the same search), `monopulse` (pairs; sum and difference),
 `spatial_prior` (help from neighbours), `layover` (two scatterers in a pixel) and `bounds` (the Cramér-Rao bounds).
 """
 
 from sal_height.elevation.bounds import beam_power, conditional_crb, speckle_crb, stochastic_crb
+from sal_height.elevation.capon import capon_elevation
 from sal_height.elevation.estimate import MISFIT_SHARE, ElevationEstimate, Validity, without_saturated
 from sal_height.elevation.layover import resolve_layover, two_scatterers
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation, peak_elevation, search_guard
@@ -42,6 +44,7 @@ from sal_height.elevation.monopulse.inversion import (
 from sal_height.elevation.monopulse.pairs import monopulse_elevation
 from sal_height.elevation.monopulse.slope_table import read_slope_table
 from sal_height.elevation.monopulse.sum_difference import Discriminator, sum_difference_elevation
+from sal_height.elevation.music import music_elevation
 from sal_height.elevation.search import Columns, Objective, PeakSearch, PeakSearches
 from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH, prior_elevation
 
@@ -65,6 +68,7 @@ __all__ = [
     "Window",
     "beam_power",
     "blocks",
+    "capon_elevation",
     "conditional_crb",
     "covariance",
     "discriminant",
@@ -79,6 +83,7 @@ __all__ = [
     "monopulse_elevation",
     "moving_squint",
     "multilook",
+    "music_elevation",
     "peak_elevation",
     "prior_elevation",
     "products",

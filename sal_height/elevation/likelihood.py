@@ -11,6 +11,8 @@ or w^H R w with the weights w = a / |a| or w = a.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from sal_height.beams import Beams
@@ -44,6 +46,14 @@ With detectors half a beamwidth apart, at 5 dB or more in every look, this is le
 otherwise, and about half of those that are beside another peak. Detectors farther apart than a beamwidth see targets in
 several directions alike: there it is what tells. Two detectors always do, and are taken at their word.
 """
+
+
+SAME_PEAK = 0.5
+"""Beamwidths between the peaks of two objectives up to which they belong to the same scatterer."""
+
+Spectrum = Callable[[Covariance, F64], Covariance]
+"""Gives from covariances R (pixels, M, M) and numbers of looks (pixels,) matrices S (pixels, M, M): what is searched
+for its highest peak is u^H S u with the unit response u = a / |a|."""
 
 
 def _normalised(response: F64, slope: F64) -> tuple[F64, F64]:
@@ -101,9 +111,7 @@ def ml_elevation(
     Raises:
         UserError: fewer than two detectors, or a real covariance of complex beams.
     """
-    if beams.count < 2:
-        raise UserError(f"The sensor has {beams.count} detector; elevation needs 2 or more.")
-
+    _require_two(beams)
     margin = float(np.log(AMBIGUOUS_RATIO))
 
     def find(search: PeakSearch, pixels: Covariance, *_: object) -> F64:
@@ -120,6 +128,11 @@ def ml_elevation(
     return estimate
 
 
+def _require_two(beams: Beams) -> None:
+    if beams.count < 2:
+        raise UserError(f"The sensor has {beams.count} detector; elevation needs 2 or more.")
+
+
 def estimate_at(
     elevation: F64, looks: Looks, beams: Beams, squint: F64, noise_power: float, min_cnr: float
 ) -> ElevationEstimate:
@@ -134,6 +147,32 @@ def estimate_at(
     searches = PeakSearches.over(beams, np.unique(squint), _normalised, search_guard(beams))
     explained, gain, turning = searches.of_pixels(looks.covariance, squint, 3, find)
     return _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr)
+
+
+def estimate_at_peak(
+    spectrum: Spectrum, looks: Looks, beams: Beams, squint: F64, noise_power: float, min_cnr: float
+) -> ElevationEstimate:
+    """Elevation where the quadratic form of another spectrum is greatest; sigma and validity by the likelihood there.
+
+    A pixel is AMBIGUOUS where its likelihood is less than AMBIGUOUS_RATIO times that of another peak. Arguments and
+    errors are those of `ml_elevation`.
+    """
+    _require_two(beams)
+    margin = float(np.log(AMBIGUOUS_RATIO)) * noise_power
+
+    def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> F64:
+        found = search.peaks(spectrum(pixels, looks.count[rows, cols].reshape(-1))).elevation
+        likely = search.peaks(pixels, margin)
+        at_it = np.abs(likely.elevation - found) < SAME_PEAK * beams.beamwidth
+        fit = search.fit(pixels, found)
+        return np.vstack([found, fit[0] - np.where(at_it, likely.second, likely.height), fit])
+
+    searches = PeakSearches.over(beams, np.unique(squint), _normalised, search_guard(beams))
+    elevation, lead, explained, gain, turning = searches.of_pixels(looks.covariance, squint, 5, find)
+    estimate = _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr)
+    if beams.count > 2:
+        estimate.validity[(estimate.validity == Validity.OK) & (lead < margin)] = Validity.AMBIGUOUS
+    return estimate
 
 
 def _estimate(

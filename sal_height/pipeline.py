@@ -8,10 +8,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
+from sal_height.beams import column_squint
 from sal_height.calibration import Calibration
+from sal_height.elevation import (
+    ElevationEstimator,
+    HeightSettings,
+    live_detectors,
+    look_grid,
+    moving_squint,
+    windowed_looks,
+    without_saturated,
+)
+from sal_height.errors import Rejected
 from sal_height.geometry import Trajectory
-from sal_height.imaging import Settings, Slc, StripFocuser, focus_dwell
-from sal_height.sensor import PhaseHistory, Sensor, count_saturated, range_compressed
+from sal_height.imaging import Settings, Slc, StripFocuser, focus_dwell, image_beams
+from sal_height.numeric import C64, Index
+from sal_height.relief import HeightField, height_field
+from sal_height.sensor import PhaseHistory, Sensor, count_saturated, range_compressed, with_powers
 
 
 class Compressor:
@@ -73,3 +88,65 @@ class Compressor:
         if self._strip_of != key:
             self._strip, self._strip_of = StripFocuser(), key
         return self._strip
+
+
+def heights(
+    slc: Slc,
+    sensor: Sensor,
+    estimator: ElevationEstimator,
+    settings: HeightSettings,
+    calibration: Calibration | None = None,
+) -> HeightField:
+    """Height, its standard deviation and a place, or the reason why there is none, for every pixel of a dwell.
+
+    Args:
+        slc: images of all channels.
+        sensor: whose phase history they were made from.
+        estimator: one of `elevation.ESTIMATORS`.
+        settings: of the estimator, an object of its class `estimator.settings`.
+        calibration: that the images were made with; None: the beams are as the sensor describes them.
+
+    Raises:
+        Rejected: too few channels have a signal, or they are not those that the estimator needs.
+        UserError: looks that do not fit in the image, or noise powers that are not known.
+    """
+    # Channels without any signal are left out.
+    live = live_channels(slc.images, sensor)
+    images = slc.images if len(live) == len(slc.images) else slc.images[live]
+    # The channels that the estimator takes: of equal noise, or sum and difference.
+    noise = with_powers(sensor.noise_covariance, slc.noise_power)[np.ix_(live, live)]
+    channels = estimator.channels(noise, sensor.mixing[np.ix_(live, live)])
+    # Their beams, as the images have them and as wide as the calibration has found them.
+    beams = image_beams(sensor, slc.azimuth_window).widened(calibration.width_factor if calibration else 1.0)
+    beams = beams.detectors(live).combined(channels.matrix)
+    # Looks: the covariance of the channels in each height pixel.
+    down, across = settings.windows
+    looks = windowed_looks(images, down, across, beams.is_complex, channels.transform)
+    grid = look_grid(slc.grid, down, across)
+    # The squint of each column; a target that moves is seen at another one than its pixel says.
+    speed = np.linalg.norm(slc.aperture.velocity)
+    squint = column_squint(grid, slc.aperture, sensor.beams, sensor.look_side)
+    squint = moving_squint(squint, settings.radial_velocity_mps, speed)
+    # Elevation of every pixel; clipped samples have spoilt the ratios between channels.
+    estimate = estimator.estimate(looks, beams, squint, channels.noise_powers, settings)
+    if slc.saturated_share[live].max() > settings.max_saturated_share:
+        estimate = without_saturated(estimate)
+    # Range, Doppler and elevation give the place on the ground.
+    return height_field(estimate, looks, slc.grid, grid, slc.aperture, sensor.look_side, settings.radial_velocity_mps)
+
+
+def live_channels(images: C64, sensor: Sensor) -> Index:
+    """Numbers of the channels that are not dead (`looks.live_detectors`).
+
+    Raises:
+        Rejected: there are fewer than two, or one is missing of channels that are mixtures of detectors.
+    """
+    live = live_detectors(images)
+    if len(live) < len(images) and sensor.is_mixed:
+        dead = sorted(set(range(len(images))) - set(live.tolist()))
+        raise Rejected(
+            "dead channels",
+            f"Channels {dead} have no finite sample other than 0 in the images; the detectors cannot be told apart "
+            "without one of the channels that the channel matrix of SensorInfo mixes them into.",
+        )
+    return live

@@ -2,8 +2,9 @@
 
 Read `looks` first (channels' covariance over looks), then `estimate` (the result and the reasons for none),
 `likelihood` with `search` (maximum likelihood over the whole array), `capon` and `music` (the two spectra known from
-tomography, on the same search), `monopulse` (pairs; sum and difference),
-`spatial_prior` (help from neighbours), `layover` (two scatterers in a pixel) and `bounds` (the Cramér-Rao bounds).
+tomography, on the same search), `monopulse` (pairs; sum and difference), `spatial_prior` (help from neighbours),
+`layover` (two scatterers in a pixel), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators by name, with
+their settings).
 """
 
 from sal_height.elevation.bounds import beam_power, conditional_crb, speckle_crb, stochastic_crb
@@ -45,11 +46,14 @@ from sal_height.elevation.monopulse.pairs import monopulse_elevation
 from sal_height.elevation.monopulse.slope_table import read_slope_table
 from sal_height.elevation.monopulse.sum_difference import Discriminator, sum_difference_elevation
 from sal_height.elevation.music import music_elevation
+from sal_height.elevation.registry import ESTIMATORS, ElevationEstimator, MlSettings
 from sal_height.elevation.search import Columns, Objective, PeakSearch, PeakSearches
+from sal_height.elevation.settings import HeightSettings
 from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH, prior_elevation
 
 __all__ = [
     "DISCRIMINANTS",
+    "ESTIMATORS",
     "INVERSES",
     "LOOK_WINDOWS",
     "MISFIT_SHARE",
@@ -59,8 +63,11 @@ __all__ = [
     "Covariance",
     "Discriminator",
     "ElevationEstimate",
+    "ElevationEstimator",
     "Estimator",
+    "HeightSettings",
     "Looks",
+    "MlSettings",
     "Objective",
     "PeakSearch",
     "PeakSearches",

@@ -1,0 +1,58 @@
+"""Settings that all height estimators share: which looks make a pixel, and which pixels are valid."""
+
+from __future__ import annotations
+
+from sal_height.elevation.looks import LOOK_WINDOWS, Window
+from sal_height.sensor import MAX_SHARE
+from sal_height.settings import Settings, setting
+
+
+class HeightSettings(Settings):
+    """What a height image is made with, whichever estimator makes it."""
+
+    range_looks: int = setting(2, "pixels averaged in range", minimum=1, maximum=4096)
+    azimuth_looks: int = setting(2, "pixels averaged in azimuth", minimum=1, maximum=4096)
+    range_step: int = setting(
+        0,
+        "pixels from one height to the next in range; less than range_looks: the averages overlap; 0: as range_looks",
+        minimum=0,
+        maximum=4096,
+    )
+    azimuth_step: int = setting(
+        0,
+        "pixels from one height to the next in azimuth; less than azimuth_looks: the averages overlap; "
+        "0: as azimuth_looks",
+        minimum=0,
+        maximum=4096,
+    )
+    look_window: str = setting(
+        "boxcar", "weights of the pixels that are averaged, in range and azimuth", choices=tuple(LOOK_WINDOWS)
+    )
+    min_cnr_db: float = setting(5.0, "lowest CNR of a valid pixel", unit="dB", minimum=-60.0, maximum=100.0)
+    radial_velocity_mps: float = setting(
+        0.0,
+        "radial velocity of the targets of interest, positive if they recede; heights and places are right for "
+        "targets of this velocity only",
+        unit="m/s",
+        minimum=-1000.0,
+        maximum=1000.0,
+    )
+    max_saturated_share: float = setting(
+        MAX_SHARE,
+        "highest share of clipped samples in a channel; above it, all heights of the dwell are marked SATURATED",
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+    @property
+    def windows(self) -> tuple[Window, Window]:
+        """Looks in range and in azimuth."""
+        return (
+            Window.named(self.look_window, self.range_looks, self.range_step),
+            Window.named(self.look_window, self.azimuth_looks, self.azimuth_step),
+        )
+
+    @property
+    def min_cnr(self) -> float:
+        """Lowest CNR of a valid pixel, power ratio."""
+        return float(10 ** (self.min_cnr_db / 10))

@@ -6,6 +6,8 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 version = re.search(r'__version__ = "(.+)"', Path("sal_height/__init__.py").read_text(encoding="utf-8"))[1]
+estimators = Path("sal_height/elevation/registry.py").read_text(encoding="utf-8")
+height_nodes = re.findall(r'^ +node="(\w+)",$', estimators, re.MULTILINE)
 
 setup(
     name="sal_height",
@@ -47,9 +49,7 @@ setup(
             "sal-height = sal_height.commands:main",
             "simulator = sal_height.nodes.simulator:main",
             "sar_compression = sal_height.nodes.sar_compression:main",
-            "monopulse = sal_height.nodes.monopulse:main",
-            "ml_height = sal_height.nodes.ml_height:main",
-            "sum_difference_height = sal_height.nodes.sum_difference_height:main",
+            *(f"{node} = sal_height.nodes.height:main" for node in height_nodes),
             "relief_tracker = sal_height.nodes.relief_tracker:main",
             "player = sal_height.nodes.player:main",
             "recorder = sal_height.nodes.recorder:main",

@@ -14,23 +14,20 @@ from std_msgs.msg import Header
 from benchmarks.cases import SLANT_RANGE, spotlight
 from benchmarks.row import Row, medians
 from sal_height import messages
-from sal_height.beams import Beams, column_squint, pattern_named
+from sal_height.beams import Beams, pattern_named
 from sal_height.elevation import (
+    ESTIMATORS,
     OBJECTIVES,
     ElevationEstimate,
-    blocks,
-    look_grid,
     ml_elevation,
     multilook,
-    resolve_layover,
-    windowed_looks,
 )
 from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging import Slc
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.ml_height import MlHeight
+from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.numeric import C64, F64, in_parallel
-from sal_height.relief import height_field
+from sal_height.pipeline import heights
 from sal_height.sensor import Sensor
 from sal_height.theory.array_trials import SAMPLES_AT_ONCE, TARGETS, draw_pixels, run_array_trials, with_streams
 
@@ -55,18 +52,13 @@ def node_over_core() -> Iterator[Row]:
     slc = Slc(samples, grid, aperture, np.ones(DETECTORS), np.zeros(DETECTORS))
     frame = DetectorFrame(header=Header(stamp=messages.to_stamp(0)), dwell=0)
     images = messages.slc_to_messages(slc, frame, Provenance(config_hash=sensor.config_hash))
-    down, across = blocks(1, LOOKS)
-    coarse = look_grid(grid, down, across)
+    settings = ESTIMATORS["ml"].settings(range_looks=1, azimuth_looks=LOOKS)
     with Graph() as graph:
         looks = [Parameter("range_looks", value=1), Parameter("azimuth_looks", value=LOOKS)]
-        node = graph.add(MlHeight(context=graph.context, parameter_overrides=looks))
+        node = graph.add(HEIGHT_NODES["ml_height"](context=graph.context, parameter_overrides=looks))
 
         def core() -> None:
-            seen = windowed_looks(samples, down, across)
-            squint = column_squint(coarse, aperture, sensor.beams, sensor.look_side)
-            found = ml_elevation(seen, sensor.beams, squint, 1.0, OBJECTIVES["normalised"], MIN_CNR)
-            found = resolve_layover(found, seen, sensor.beams, squint, 1.0, MIN_CNR)
-            height_field(found, seen, grid, coarse, aperture, sensor.look_side)
+            heights(slc, sensor, ESTIMATORS["ml"], settings)
 
         through, alone = medians(lambda: node.process(images, sensor), core)
     yield Row(

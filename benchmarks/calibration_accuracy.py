@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.row import Row
-from sal_height.beams import column_squint
 from sal_height.calibration import Calibration, Calibrator
-from sal_height.elevation import OBJECTIVES, ElevationEstimate, Window, look_grid, ml_elevation, windowed_looks
+from sal_height.elevation import ESTIMATORS, ElevationEstimate, MlSettings
 from sal_height.geometry import Trajectory
-from sal_height.imaging import Settings, focus_dwell
-from sal_height.sensor import PhaseHistory, whitened_channels, with_powers
+from sal_height.imaging import ImageSettings, focus_dwell
+from sal_height.pipeline import Compressor, elevations
+from sal_height.sensor import PhaseHistory
 from sal_height.simulation import Impairments, RangeSawtooth, SimulatedFlight, flight_of, load_preset
 
 DWELLS = 100
@@ -25,7 +25,7 @@ COMPARED = 8
 CNR_DB, CLEAR_DB = 20.0, 40.0
 """At which the sensor is calibrated, and at which heights are compared, so that not the noise is."""
 
-MIN_CNR = 3.0
+MIN_CNR_DB = 10 * np.log10(3)
 
 SAWTOOTH = Impairments(range_sawtooth=RangeSawtooth(depth=0.1, teeth=16, receivers=(3,)))
 GAINS_DB = (0.5, -0.5, 0.5, -0.5, -0.5, 0.5, -0.5, 0.5)
@@ -69,7 +69,7 @@ def _track(flight: SimulatedFlight, dwells: int) -> Trajectory:
 def _calibrated(flight: SimulatedFlight) -> Calibration:
     sensor, track = flight.sensor, _track(flight, DWELLS)
     calibrator = Calibrator(sensor, sensor.beams)
-    settings = Settings(range_window="rectangular", cols=flight.preset.image.cols)
+    settings = ImageSettings(range_window="rectangular", cols=flight.preset.image.cols)
     for dwell in range(DWELLS):
         slc = focus_dwell(flight.phase_history(dwell), track, sensor, settings)
         calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
@@ -98,12 +98,9 @@ def _estimate(
     flight: SimulatedFlight, dwell: int, history: PhaseHistory, calibration: Calibration
 ) -> ElevationEstimate:
     sensor, image = flight.sensor, flight.preset.image
-    settings = Settings(rows=image.rows, cols=image.cols)
-    slc = focus_dwell(calibration.equalised(history), _track(flight, dwell + 1), sensor, settings)
-    powers = calibration.noise_gains(settings.range_window) * slc.noise_power
-    channels = whitened_channels(with_powers(sensor.noise_covariance, powers), sensor.mixing)
-    down, across = Window.named("boxcar", 2, 0), Window.named("boxcar", 2, 0)
-    looks = windowed_looks(slc.images, down, across, transform=channels.transform)
-    squint = column_squint(look_grid(slc.grid, down, across), slc.aperture, sensor.beams, sensor.look_side)
-    beams = sensor.beams.widened(calibration.width_factor).combined(channels.matrix)
-    return ml_elevation(looks, beams, squint, float(channels.noise_powers[0]), OBJECTIVES["normalised"], MIN_CNR)
+    settings = ImageSettings(rows=image.rows, cols=image.cols)
+    slc = Compressor().add(history, _track(flight, dwell + 1), sensor, settings, calibration)
+    if slc is None:
+        raise RuntimeError("A spotlight dwell makes an image.")
+    wanted = MlSettings(min_cnr_db=MIN_CNR_DB, layover=False)
+    return elevations(slc, sensor, ESTIMATORS["ml"], wanted, calibration)[0]

@@ -1,7 +1,7 @@
 """The whole way from phase history to heights, each step one line.
 
 `Compressor` makes the images of all channels of a dwell, or of what a block completes of a strip; `heights` makes the
-heights of one such set of images. The ROS nodes only turn messages into these calls and back.
+heights of one such set of images (by way of `elevations`). The ROS nodes only turn messages into these calls and back.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ import numpy as np
 from sal_height.beams import column_squint
 from sal_height.calibration import Calibration
 from sal_height.elevation import (
+    ElevationEstimate,
     ElevationEstimator,
     HeightSettings,
+    Looks,
     live_detectors,
     look_grid,
     moving_squint,
@@ -22,8 +24,8 @@ from sal_height.elevation import (
     without_saturated,
 )
 from sal_height.errors import Rejected
-from sal_height.geometry import Trajectory
-from sal_height.imaging import Settings, Slc, StripFocuser, focus_dwell, image_beams
+from sal_height.geometry import Grid, Trajectory
+from sal_height.imaging import ImageSettings, Slc, StripFocuser, focus_dwell, image_beams
 from sal_height.numeric import C64, Index
 from sal_height.relief import HeightField, height_field
 from sal_height.sensor import PhaseHistory, Sensor, count_saturated, range_compressed, with_powers
@@ -46,7 +48,7 @@ class Compressor:
         history: PhaseHistory,
         track: Trajectory,
         sensor: Sensor,
-        settings: Settings,
+        settings: ImageSettings,
         calibration: Calibration | None = None,
     ) -> Slc | None:
         """Images of a dwell, or of the columns that a block completes of a strip; None: of too few as yet.
@@ -99,6 +101,23 @@ def heights(
 ) -> HeightField:
     """Height, its standard deviation and a place, or the reason why there is none, for every pixel of a dwell.
 
+    Arguments and errors as of `elevations`.
+    """
+    estimate, looks, grid = elevations(slc, sensor, estimator, settings, calibration)
+    # Range, Doppler and elevation give the place on the ground.
+    side, velocity = sensor.look_side, settings.radial_velocity_mps
+    return height_field(estimate, looks, slc.grid, grid, slc.aperture, side, velocity)
+
+
+def elevations(
+    slc: Slc,
+    sensor: Sensor,
+    estimator: ElevationEstimator,
+    settings: HeightSettings,
+    calibration: Calibration | None = None,
+) -> tuple[ElevationEstimate, Looks, Grid]:
+    """Elevation of every height pixel, the looks that it was estimated from, and the grid of the pixels.
+
     Args:
         slc: images of all channels.
         sensor: whose phase history they were made from.
@@ -124,15 +143,13 @@ def heights(
     looks = windowed_looks(images, down, across, beams.is_complex, channels.transform)
     grid = look_grid(slc.grid, down, across)
     # The squint of each column; a target that moves is seen at another one than its pixel says.
-    speed = np.linalg.norm(slc.aperture.velocity)
     squint = column_squint(grid, slc.aperture, sensor.beams, sensor.look_side)
-    squint = moving_squint(squint, settings.radial_velocity_mps, speed)
-    # Elevation of every pixel; clipped samples have spoilt the ratios between channels.
+    squint = moving_squint(squint, settings.radial_velocity_mps, np.linalg.norm(slc.aperture.velocity))
+    # Elevation from the ratios between channels, which clipped samples spoil.
     estimate = estimator.estimate(looks, beams, squint, channels.noise_powers, settings)
     if slc.saturated_share[live].max() > settings.max_saturated_share:
         estimate = without_saturated(estimate)
-    # Range, Doppler and elevation give the place on the ground.
-    return height_field(estimate, looks, slc.grid, grid, slc.aperture, sensor.look_side, settings.radial_velocity_mps)
+    return estimate, looks, grid
 
 
 def live_channels(images: C64, sensor: Sensor) -> Index:

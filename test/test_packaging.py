@@ -12,6 +12,7 @@ from pathlib import Path
 import sal_height_msgs.msg as messages
 
 import sal_height
+from sal_height.elevation import ESTIMATORS
 
 ROOT = Path(__file__).parents[1]
 
@@ -32,9 +33,7 @@ def test_every_program_can_be_started() -> None:
         "sal-height",
         "simulator",
         "sar_compression",
-        "monopulse",
-        "ml_height",
-        "sum_difference_height",
+        *(estimator.node for estimator in ESTIMATORS.values()),
         "relief_tracker",
         "relief_mapper",
         "psf_calibration",

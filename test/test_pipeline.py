@@ -10,13 +10,13 @@ import pytest
 from sal_height.calibration import Calibration
 from sal_height.errors import UserError
 from sal_height.geometry import Trajectory
-from sal_height.imaging import Settings
+from sal_height.imaging import ImageSettings
 from sal_height.pipeline import Compressor
 from sal_height.sensor import PhaseHistory, clipped
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.receivers import receiver_noise
 
-STRIP_IMAGE = Settings(rows=16, cols=128)
+STRIP_IMAGE = ImageSettings(rows=16, cols=128)
 
 
 def strip_flight(full_scale: float = 0.0) -> SimulatedFlight:
@@ -96,8 +96,8 @@ def test_a_calibration_states_the_noise_that_it_leaves() -> None:
     gains = np.linspace(0.5, 1.5, flight.sensor.detector_count)
     weak = replace(calibration, response=calibration.response * gains[:, None])
     history, track = flight.phase_history(0), Trajectory(flight.platform_states(0))
-    before = Compressor().add(history, track, flight.sensor, Settings(rows=8, cols=8))
-    after = Compressor().add(history, track, flight.sensor, Settings(rows=8, cols=8), weak)
+    before = Compressor().add(history, track, flight.sensor, ImageSettings(rows=8, cols=8))
+    after = Compressor().add(history, track, flight.sensor, ImageSettings(rows=8, cols=8), weak)
     assert before
     assert after
     equaliser = np.abs(weak.equaliser[:, 0]) ** 2

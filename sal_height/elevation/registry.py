@@ -146,20 +146,20 @@ class SumDifferenceSettings(HeightSettings):
 
     discriminant: str = setting(
         "tls",
-        "estimator of the ratio Delta / Sigma: tls (exact maximum likelihood), ratio (as published; biased at low CNR) or "
-        "noise_subtraction (ratio, with the noise power subtracted from that of Sigma)",
+        "estimator of the ratio Delta / Sigma: tls (exact maximum likelihood), ratio (as published; biased at low CNR) "
+        "or noise_subtraction (ratio, with the noise power subtracted from that of Sigma)",
         choices=tuple(DISCRIMINANTS),
     )
     inverse: str = setting(
         "exact",
-        "elevation from Delta / Sigma: exact (by the beams) or linear (as published: by the slope in the equisignal "
-        "direction)",
+        "how elevation follows from Delta / Sigma: exact (from the beams) or linear (as published: from the slope in "
+        "the equisignal direction)",
         choices=tuple(INVERSES),
     )
     slope_table: str = setting(
         "",
-        "CSV file of a measured characteristic, angle_rad from the equisignal direction and gamma, that replaces "
-        "inverse; empty: none",
+        "path of a CSV file with a measured characteristic, which replaces inverse; its columns are angle_rad (from "
+        "the equisignal direction) and gamma; empty: none",
         read_only=True,
     )
 

@@ -10,7 +10,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, Trajectory
 from sal_height.imaging.autofocus.gradient import Focus, apply_phase, autofocus, patch_centres
 from sal_height.imaging.checks import check_doppler_centroid, check_pulses, check_range_window
-from sal_height.imaging.formers.choice import choose_former
+from sal_height.imaging.formers.choice import FORMERS, choose_former
 from sal_height.imaging.pixels import ground_plane_grid, slant_plane_grid, slant_plane_size, slc_noise_power
 from sal_height.imaging.strip import (
     GREATEST_DRIFT,
@@ -30,33 +30,38 @@ from sal_height.imaging.strip import (
     turn,
 )
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric import C64, F64, broadening
+from sal_height.numeric import C64, F64, WINDOWS, broadening
 from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
+from sal_height.settings import Settings, setting
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What image is wanted.
+class ImageSettings(Settings):
+    """What image is wanted of a dwell or a strip."""
 
-    Attributes:
-        former: a name of `formers.FORMERS`, or "auto".
-        image_plane: "slant" or "ground".
-        rows: pixels in range; 0: all of the range window (slant plane).
-        cols: pixels in azimuth; 0: one beamwidth (spotlight, slant plane), or as long as a block (stripmap).
-        ground_spacing: of pixels in the ground plane, m.
-        range_window: a name of `windows.WINDOWS`.
-        azimuth_window: a name of `windows.WINDOWS`.
-        autofocus: whether to take off the phase error that all detectors share.
-    """
-
-    former: str = "auto"
-    image_plane: str = "slant"
-    rows: int = 0
-    cols: int = 0
-    ground_spacing: float = 1.0
-    range_window: str = "taylor"
-    azimuth_window: str = "rectangular"
-    autofocus: bool = False
+    former: str = setting(
+        "auto",
+        "image former; auto: a fast one where it is as accurate as backprojection",
+        choices=("auto", *FORMERS),
+    )
+    image_plane: str = setting(
+        "slant",
+        "plane of the image: slant (range and Doppler) or ground (horizontal, spotlight only)",
+        choices=("slant", "ground"),
+    )
+    rows: int = setting(0, "pixels in range; 0: the whole range window (slant plane)", minimum=0, maximum=65536)
+    cols: int = setting(
+        0,
+        "pixels in azimuth; 0: one beamwidth (spotlight) or the distance flown during a block (stripmap)",
+        minimum=0,
+        maximum=65536,
+    )
+    ground_spacing_m: float = setting(1.0, "pixel spacing in the ground plane", unit="m", minimum=1e-6, maximum=1e6)
+    range_window: str = setting("taylor", "weighting over the bandwidth", choices=tuple(sorted(WINDOWS)))
+    azimuth_window: str = setting("rectangular", "weighting over the aperture", choices=tuple(sorted(WINDOWS)))
+    autofocus: bool = setting(
+        default=False,
+        description="whether to estimate and remove the phase error that all channels share (spotlight only)",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +93,7 @@ class Slc:
         return self.focus.phase if self.focus and self.focus.trusted else np.zeros(0)
 
 
-def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: Settings) -> Slc:
+def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: ImageSettings) -> Slc:
     """Images of a spotlight dwell.
 
     Args:
@@ -119,13 +124,13 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
 
 
 def _dwell_grid(
-    settings: Settings, sensor: Sensor, aperture: ApertureState, reference: float, processing: Processing
+    settings: ImageSettings, sensor: Sensor, aperture: ApertureState, reference: float, processing: Processing
 ) -> Grid:
     if settings.image_plane == "ground":
         if not (settings.rows and settings.cols):
             raise UserError("Parameters rows and cols are 0; in the ground plane they must be given.")
         shape = settings.rows, settings.cols
-        return ground_plane_grid(sensor, aperture, reference, *shape, settings.ground_spacing)
+        return ground_plane_grid(sensor, aperture, reference, *shape, settings.ground_spacing_m)
     broadened = broadening(processing.range_weights(sensor.sample_count))
     all_rows, all_cols = slant_plane_size(sensor, aperture, reference, broadened)
     rows, cols = settings.rows or all_rows, settings.cols or all_cols
@@ -139,9 +144,11 @@ class StripFocuser:
         """Begin without a strip."""
         self._strip: Strip | None = None
         self._track: Trajectory | None = None
-        self._settings = Settings()
+        self._settings = ImageSettings()
 
-    def focus_block(self, history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: Settings) -> Slc | None:
+    def focus_block(
+        self, history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: ImageSettings
+    ) -> Slc | None:
         """Images of the columns that a block completes, a multiple of the settings' `cols`; None: not that many yet.
 
         A block that does not follow the last one, or of which another image is wanted, begins a new strip; so does one
@@ -178,7 +185,7 @@ class StripFocuser:
             )
         if (
             strip
-            and replace(settings, former=self._settings.former) == self._settings
+            and settings.changed(former=self._settings.former) == self._settings
             and follows(history, strip, sensor)
         ):
             strip = extend_strip(strip, history, antenna)

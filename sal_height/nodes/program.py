@@ -22,7 +22,8 @@ def run_node(make: Callable[[], Node]) -> int:
     A signal only ends the loop, so that it can cut neither a message nor the node's end.
 
     Returns:
-        The exit status: 0, or 2 with one sentence on stderr if the arguments cannot be used.
+        The exit status: 0, 1 if the node ended with a `failure`, or 2 with one sentence on stderr if the arguments
+        cannot be used.
     """
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -41,4 +42,4 @@ def run_node(make: Callable[[], Node]) -> int:
         return 2
     finally:
         rclpy.try_shutdown()
-    return 0
+    return int(bool(getattr(node, "failure", "")))

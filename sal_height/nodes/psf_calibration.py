@@ -57,6 +57,8 @@ class PsfCalibration(DwellStage):
     """Measures receivers and beams on the images of whatever is flown over, and publishes what it found."""
 
     parameters = Parameters
+    takes_images = True
+    completes_file = True
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.

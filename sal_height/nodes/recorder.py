@@ -22,6 +22,7 @@ from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.nodes.account import RECORDED, UNWRITTEN, Account
 from sal_height.nodes.program import run_node
+from sal_height.nodes.role import Role
 
 DIAGNOSTICS = "/diagnostics"
 NEVER_BY_DEFAULT = ("/rosout", "/parameter_events")
@@ -32,11 +33,13 @@ NEWS_DELAY_S = 0.02  # from the first message written to the account that counts
 FLUSH_PERIOD_S = 1.0  # at most this much is lost when the process is killed
 
 
-class Recorder(Node):
+class Recorder(Role, Node):
     """Subscribes to topics as soon as they have a publisher and writes their serialized messages to a bag.
 
     The bag is complete once the node is destroyed or its context shut down.
     """
+
+    completes_file = True
 
     def __init__(self, directory: Path | None = None, **node_arguments: Any) -> None:
         """Record into the new folder `directory` (None: the parameter of that name).

@@ -9,13 +9,14 @@ from typing import Any
 
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.duration import Duration
-from rclpy.exceptions import InvalidTopicNameException
 from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
 from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
+from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.program import run_node
+from sal_height.nodes.relief_tracker import PREFIX as TRACKED
 from sal_height.nodes.stage import LATCHED_QOS, Stage
 from sal_height.relief import check_geotiff, write_geotiff
 from sal_height.relief import map as relief_map
@@ -29,7 +30,10 @@ class Parameters(Settings):
     """Parameters of the node."""
 
     estimator: str = setting(
-        "ml", "estimator whose heights enter the map; they come on topic <estimator>/height", read_only=True
+        "ml",
+        "estimator whose heights enter the map; they come on topic <estimator>/height",
+        choices=(*ESTIMATORS, TRACKED),
+        read_only=True,
     )
     cell_size_m: float = setting(
         0.0,
@@ -75,6 +79,9 @@ class ReliefMapper(Stage):
     """
 
     parameters = Parameters
+    takes_heights = True
+    settable = True
+    completes_file = True
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.
@@ -97,7 +104,7 @@ class ReliefMapper(Stage):
         self._relief = self.offer(ReliefMap, "map/relief", LATCHED_QOS)
         self._image = self.offer(Image, "map/image", LATCHED_QOS)
         self._points = self.offer(PointCloud2, "map/points", LATCHED_QOS)
-        self._listen_to(f"{self._settings.estimator}/height")
+        self.listen(HeightImage, f"{self._settings.estimator}/height", self._on_height)
         self.create_timer(self._settings.period_s, self._publish_when_changed, clock=self.steady_clock)
         self.context.on_shutdown(self.conclude)
 
@@ -118,15 +125,6 @@ class ReliefMapper(Stage):
         """Conclude, then end the node."""
         self.conclude()
         super().destroy_node()
-
-    def _listen_to(self, topic: str) -> None:
-        try:
-            self.listen(HeightImage, topic, self._on_height)
-        except InvalidTopicNameException as error:
-            raise UserError(
-                f"Parameter estimator is {self._settings.estimator!r}; it must be the prefix of a topic, as in "
-                "ml/height."
-            ) from error
 
     def _on_height(self, image: HeightImage) -> None:
         self.tally.receive()
@@ -195,13 +193,7 @@ class ReliefMapper(Stage):
 
 def main() -> int:
     """Console script; status 1 if the map could not be written."""
-    made: list[ReliefMapper] = []
-
-    def make() -> ReliefMapper:
-        made.append(ReliefMapper())
-        return made[0]
-
-    return run_node(make) or int(bool(made[0].failure))
+    return run_node(ReliefMapper)
 
 
 if __name__ == "__main__":

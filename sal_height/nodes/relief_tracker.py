@@ -9,6 +9,7 @@ from sal_height_msgs.msg import HeightImage
 from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
+from sal_height.elevation import ESTIMATORS
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import Stage
 from sal_height.relief import GATE, track
@@ -24,7 +25,7 @@ class Parameters(Settings):
     estimator: str = setting(
         "ml",
         "estimator whose heights are smoothed; they come on topic <estimator>/height",
-        choices=("ml", "monopulse", "sum_difference"),
+        choices=tuple(ESTIMATORS),
         read_only=True,
     )
     correlation_length_m: float = setting(
@@ -53,6 +54,9 @@ class ReliefTracker(Stage):
     """Tracks the heights of every image along range; its parameters are Parameters."""
 
     parameters = Parameters
+    product = PREFIX
+    takes_heights = True
+    settable = True
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.

@@ -15,16 +15,14 @@ from sal_height import __version__, messages
 from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import PlatformState, Trajectory
-from sal_height.imaging import FORMERS
-from sal_height.imaging import Settings as ImageSettings
+from sal_height.imaging import ImageSettings
 from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
-from sal_height.numeric import WINDOWS
 from sal_height.pipeline import Compressor
 from sal_height.sensor import Sensor
-from sal_height.settings import Settings, setting
+from sal_height.settings import setting
 
 HELD_STATES = 20_000
 """Odometry samples held: 100 s at 200 Hz."""
@@ -35,33 +33,9 @@ HEARD = "topic"
 NOT_TRUSTED = "autofocus found nothing that it could trust, the image is as navigation focuses it."
 
 
-class Parameters(Settings):
-    """Parameters of the node."""
+class Parameters(ImageSettings):
+    """Settings of the images, and what the node needs besides."""
 
-    former: str = setting(
-        "auto",
-        "image former; auto: a fast one where it is as accurate as backprojection",
-        choices=("auto", *FORMERS),
-    )
-    image_plane: str = setting(
-        "slant",
-        "plane of the image: slant (range and Doppler) or ground (horizontal, spotlight only)",
-        choices=("slant", "ground"),
-    )
-    rows: int = setting(0, "pixels in range; 0: the whole range window (slant plane)", minimum=0, maximum=65536)
-    cols: int = setting(
-        0,
-        "pixels in azimuth; 0: one beamwidth (spotlight) or the distance flown during a block (stripmap)",
-        minimum=0,
-        maximum=65536,
-    )
-    ground_spacing_m: float = setting(1.0, "pixel spacing in the ground plane", unit="m", minimum=1e-6, maximum=1e6)
-    range_window: str = setting("taylor", "weighting over the bandwidth", choices=tuple(sorted(WINDOWS)))
-    azimuth_window: str = setting("rectangular", "weighting over the aperture", choices=tuple(sorted(WINDOWS)))
-    autofocus: bool = setting(
-        default=False,
-        description="whether to estimate and remove the phase error that all channels share (spotlight only)",
-    )
     calibration: str = setting(
         "",
         "path of a calibration file, which is applied to the images and published on topic calibration; 'topic': apply "
@@ -80,25 +54,12 @@ class Parameters(Settings):
         read_only=True,
     )
 
-    @property
-    def settings(self) -> ImageSettings:
-        """The parameters that say what image is wanted."""
-        return ImageSettings(
-            former=self.former,
-            image_plane=self.image_plane,
-            rows=self.rows,
-            cols=self.cols,
-            ground_spacing=self.ground_spacing_m,
-            range_window=self.range_window,
-            azimuth_window=self.azimuth_window,
-            autofocus=self.autofocus,
-        )
-
 
 class SarCompression(DwellStage):
     """Focuses the frames of all detectors of a dwell with one and the same filter."""
 
     parameters = Parameters
+    settable = True
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.
@@ -139,7 +100,7 @@ class SarCompression(DwellStage):
         parameters = self.current_parameters()
         history, calibration = messages.history_from_messages(frames), self._calibration_for(sensor)
         track = Trajectory(self._states_around(history.stamp_ns, float(history.pulse_times[-1])))
-        slc = self._compressor.add(history, track, sensor, parameters.settings, calibration)
+        slc = self._compressor.add(history, track, sensor, parameters, calibration)
         if slc is None:
             return 0
         if slc.focus and not slc.focus.trusted:

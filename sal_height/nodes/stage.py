@@ -22,6 +22,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.account import DROPPED, IGNORED, JOBS, PUBLISHED_ON, SUBSCRIBERS, Account
 from sal_height.nodes.parameters import LiveParameters
+from sal_height.nodes.role import Role
 from sal_height.nodes.tally import Tally
 from sal_height.settings import Settings
 
@@ -69,7 +70,7 @@ class Outlet:
         self.published += 1
 
 
-class Stage(Node):
+class Stage(Role, Node):
     """A node whose callbacks only take messages in; the work is done in order on a thread of its own."""
 
     parameters: type[Settings] = Settings

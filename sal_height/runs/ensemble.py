@@ -9,65 +9,53 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self
 
 from rclpy.parameter import Parameter
 
+from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
-from sal_height.nodes import relief_tracker
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.ml_height import MlHeight
-from sal_height.nodes.monopulse import Monopulse
+from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.player import Player
+from sal_height.nodes.program import run_node
 from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.recorder import Recorder
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.nodes.sar_compression import HEARD, SarCompression
 from sal_height.nodes.simulator import Simulator
-from sal_height.nodes.sum_difference_height import SumDifferenceHeight
-from sal_height.sensor import Sensor, sum_difference_channels, whitened_channels
+from sal_height.sensor import Sensor
 from sal_height.settings import settings_of, unknown_name
 
-NODES: dict[str, Any] = {
+NODES: dict[str, type[Any]] = {
     "simulator": Simulator,
     "player": Player,
     "sar_compression": SarCompression,
-    "monopulse": Monopulse,
-    "ml_height": MlHeight,
-    "sum_difference_height": SumDifferenceHeight,
+    **HEIGHT_NODES,
     "psf_calibration": PsfCalibration,
     "relief_mapper": ReliefMapper,
     "relief_tracker": ReliefTracker,
     "recorder": Recorder,
 }
-"""Every node by its name; a new estimator is entered here and in ESTIMATORS."""
+"""Every node by its name; what runs know of a node are the attributes of its class (`nodes.role`)."""
 
-ESTIMATORS = {"monopulse": "monopulse", "ml_height": "ml", "sum_difference_height": "sum_difference"}
-"""Height nodes and the prefix of their topics."""
-
-TRACKER = "relief_tracker"
-"""Node that tracks the heights of one of the ESTIMATORS."""
-
-HEIGHTS = {**ESTIMATORS, TRACKER: relief_tracker.PREFIX}
+HEIGHTS = {name: node.product for name, node in NODES.items() if node.product}
 """Nodes whose products are height images, and the prefix of their topics."""
 
-CONSUMERS = {TRACKER, "relief_mapper"}
-"""Nodes that take the heights of the estimator that their parameter names."""
+SETTABLE = tuple(name for name, node in NODES.items() if node.settable)
+"""Nodes of a run or replay whose parameters users may set."""
 
-NodeParameters = Mapping[str, Mapping[str, Any]]
-"""Parameter values by node name and parameter name."""
+TRACKER = "relief_tracker"
+"""Node that tracks the heights of one estimator."""
 
 CALIBRATOR = "psf_calibration"
 """Node that calibrates the sensor on its images."""
 
-SETTABLE = ("sar_compression", *HEIGHTS, "relief_mapper")
-"""Nodes of a run or replay whose parameters users may set."""
-
-COMPLETING = ("recorder", "relief_mapper", CALIBRATOR)
-"""Nodes that complete a file when they end."""
+NodeParameters = Mapping[str, Mapping[str, Any]]
+"""Parameter values by node name and parameter name."""
 
 PR_SET_PDEATHSIG = 1
 """Option of prctl: the signal that a process gets when the one that started it ends (Linux)."""
@@ -94,18 +82,23 @@ def check_parameters(parameters: NodeParameters, settable: Sequence[str] = SETTA
     return checked
 
 
-def suited(sensor: Sensor) -> list[str]:
-    """The height nodes that can do with the sensor's channels; none for a single one."""
-    if sensor.detector_count < 2:
-        return []
-    if not sensor.is_mixed:
-        return ["monopulse", "ml_height"]
-    channels = whitened_channels(sensor.noise_covariance, sensor.mixing)
-    nodes = ["ml_height"] if sensor.beams.combined(channels.matrix).matrix is not None else ["monopulse", "ml_height"]
-    with suppress(UserError):
-        sum_difference_channels(sensor.noise_covariance, sensor.mixing)
-        nodes.append("sum_difference_height")
-    return nodes
+def suited(sensor: Sensor, asked: Sequence[str] | None = None) -> list[str]:
+    """The height nodes of a run: those of the estimators that are asked for, in the order of ESTIMATORS.
+
+    Args:
+        sensor: whose channels the estimators take.
+        asked: names of estimators; None: those that suit the sensor and work without being asked.
+
+    Raises:
+        UserError: there is no estimator of that name, or it does not suit the sensor.
+    """
+    suiting = {name: estimator for name, estimator in ESTIMATORS.items() if estimator.suits(sensor)}
+    if asked is None:
+        return [estimator.node for estimator in suiting.values() if estimator.by_default]
+    if wrong := [name for name in asked if name not in suiting]:
+        reason = "does not suit the sensor's channels" if wrong[0] in ESTIMATORS else "does not exist"
+        raise UserError(f"Estimator {wrong[0]!r} {reason}; allowed are {', '.join(suiting) or 'none'}.")
+    return [estimator.node for name, estimator in suiting.items() if name in asked]
 
 
 def recorded_topics(stages: list[str], parameters: NodeParameters) -> list[str]:
@@ -120,13 +113,13 @@ def recorded_topics(stages: list[str], parameters: NodeParameters) -> list[str]:
 
 
 def height_sources(stages: list[str], parameters: NodeParameters) -> dict[str, str]:
-    """The node whose heights each of the CONSUMERS among `stages` takes, with these parameters of all nodes.
+    """The node whose heights each of the `stages` that take some takes, with these parameters of all nodes.
 
     Raises:
         UserError: none of the stages makes those heights.
     """
     sources = {}
-    for name in CONSUMERS & set(stages):
+    for name in (stage for stage in stages if NODES[stage].takes_heights):
         prefix = parameters.get(name, {}).get("estimator", "ml")
         makers = {HEIGHTS[node]: node for node in stages if node in HEIGHTS and node != name}
         if prefix not in makers:
@@ -144,7 +137,7 @@ def stage_inputs(stages: list[str], parameters: NodeParameters) -> dict[str, str
     Raises:
         UserError: a stage takes heights that no other stage makes.
     """
-    inputs = {name: "slc" if name in {*ESTIMATORS, CALIBRATOR} else "phase_history" for name in stages}
+    inputs = {name: "slc" if NODES[name].takes_images else "phase_history" for name in stages}
     makers = height_sources(stages, parameters)
     return inputs | {name: f"{HEIGHTS[maker]}/height" for name, maker in makers.items()}
 
@@ -221,10 +214,10 @@ def main() -> int:
     Those that complete a file are then asked to end; the others hold nothing that anybody waits for.
     """
     name, parent = sys.argv[1], int(sys.argv[2])
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM if name in COMPLETING else signal.SIGKILL)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM if NODES[name].completes_file else signal.SIGKILL)
     if os.getppid() != parent:  # it has ended already
         return 1
-    return int(sys.modules[NODES[name].__module__].main())
+    return run_node(NODES[name])
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from sal_height.calibration import Calibration
+from sal_height.elevation import ESTIMATORS
 from sal_height.geometry import Grid
 from sal_height.numeric import C64, F64
 from sal_height.runs.irf_picture import decibels
@@ -20,12 +21,6 @@ from sal_height.simulation import Preset, Scene
 
 mpl.use("Agg")
 
-TITLES = {
-    "monopulse": "monopulse",
-    "ml": "array maximum likelihood",
-    "sum_difference": "sum and difference",
-    "tracked": "tracked",
-}
 
 
 def draw_heights(mosaics: Mapping[str, Mosaic], scene: Scene, preset: Preset, path: Path) -> None:
@@ -45,7 +40,7 @@ def draw_heights(mosaics: Mapping[str, Mosaic], scene: Scene, preset: Preset, pa
     truth = _show(axes[0, 0], first, terrain, (low, high), "terrain")
     axes[0, 0].set_title("truth: the terrain")
     for column, (name, result) in enumerate(mosaics.items(), start=1):
-        title = TITLES.get(name, name)
+        title = ESTIMATORS[name].title if name in ESTIMATORS else name
         _show(axes[0, column], result, result.height, (low, high), "terrain")
         axes[0, column].set_title(f"height, {title}")
         error = _show(axes[1, column], result, result.error, (-worst, worst), "RdBu_r")

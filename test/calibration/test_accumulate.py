@@ -20,7 +20,7 @@ from sal_height.figures.synthetic_tape import RangeFault, Target, make_tape
 from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.frames import angles_of
 from sal_height.geometry.trajectory import Trajectory
-from sal_height.imaging.focus import Settings, Slc, focus_dwell
+from sal_height.imaging.focus import ImageSettings, Slc, focus_dwell
 from sal_height.numeric.windows import window
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import Impairments, RangeSawtooth
@@ -33,7 +33,7 @@ def flown(dwells: int, **changes: Any) -> SimulatedFlight:
 
 def images(flight: SimulatedFlight) -> Iterator[Slc]:
     track = Trajectory([state for dwell in range(flight.dwells) for state in flight.platform_states(dwell)])
-    settings = Settings(range_window="rectangular", cols=flight.preset.image.cols)
+    settings = ImageSettings(range_window="rectangular", cols=flight.preset.image.cols)
     for dwell in range(flight.dwells):
         yield focus_dwell(flight.phase_history(dwell), track, flight.sensor, settings)
 
@@ -199,7 +199,7 @@ def test_heights_of_a_pair_lose_their_bias_by_a_reference_target() -> None:
     _, elevation, _ = angles_of(place, slc.aperture, sensor.look_side)
     biases = []
     for frames in (history, calibration.equalised(history)):
-        after = focus_dwell(frames, track, sensor, Settings(cols=12))
+        after = focus_dwell(frames, track, sensor, ImageSettings(cols=12))
         looks = multilook(after.images, 1, 1)
         squint = column_squint(after.grid, after.aperture, sensor.beams, sensor.look_side)
         found = ml_elevation(looks, sensor.beams, squint, after.noise_power[0], OBJECTIVES["normalised"], 1.0)

@@ -10,7 +10,7 @@ import pytest
 from sal_height.calibration.receivers import CrossSpectra, _information, cross_spectra, differential_response, unwound
 from sal_height.errors import NotDetermined
 from sal_height.geometry.trajectory import Trajectory
-from sal_height.imaging.focus import Settings, focus_dwell
+from sal_height.imaging.focus import ImageSettings, focus_dwell
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.preset import load_preset
 
@@ -106,7 +106,7 @@ def test_spectra_of_images_are_those_of_the_frames() -> None:
         samples = history.samples.copy()
         samples[3] *= fault.astype(np.complex64)
         history = replace(history, samples=samples)
-        slc = focus_dwell(history, track, sensor, Settings(range_window="rectangular", cols=12))
+        slc = focus_dwell(history, track, sensor, ImageSettings(range_window="rectangular", cols=12))
         pixels = unwound(slc.images, slc.grid, slc.aperture, sensor)
         spectra += cross_spectra(pixels, sensor, slc.noise_power)
     found = differential_response(spectra)
@@ -118,7 +118,7 @@ def test_spectra_of_images_are_those_of_the_frames() -> None:
 def test_weighted_images_are_refused() -> None:
     flight = flight_of(load_preset("small"), seed=1)
     track = Trajectory(flight.platform_states(0))
-    slc = focus_dwell(flight.phase_history(0), track, flight.sensor, Settings(cols=12))
+    slc = focus_dwell(flight.phase_history(0), track, flight.sensor, ImageSettings(cols=12))
     with pytest.raises(NotDetermined, match="range_window rectangular in the slant plane"):
         unwound(slc.images, slc.grid, slc.aperture, flight.sensor)
 

@@ -16,7 +16,7 @@ from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.autofocus.gradient import apply_phase
 from sal_height.imaging.checks import check_doppler_centroid, check_pulses, check_range_window
-from sal_height.imaging.focus import Settings, focus_dwell
+from sal_height.imaging.focus import ImageSettings, focus_dwell
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
@@ -109,7 +109,7 @@ def test_attitude_that_is_off_by_more_than_the_beam_is_refused(side: int) -> Non
     Held off the limit by a tenth of the beam: the centroid of a dwell of speckle scatters.
     """
     flight, history = dwell()
-    settings = Settings(former="backprojection", rows=4, cols=4)
+    settings = ImageSettings(former="backprojection", rows=4, cols=4)
     for beamwidths in (0.0, 0.4):
         inside = focus_dwell(history, track(side * beamwidths * BEAMWIDTH / LOOK), flight.spectrum, settings)
         assert np.isfinite(inside.images).all()
@@ -167,7 +167,7 @@ def test_white_phase_errors_do_not_look_like_a_wrong_attitude() -> None:
             apply_phase(history, -phase),
             track(0.0),
             flight.spectrum,
-            Settings(former="backprojection", rows=4, cols=4),
+            ImageSettings(former="backprojection", rows=4, cols=4),
         )
         assert np.isfinite(slc.images).all()
 
@@ -184,4 +184,4 @@ def test_dwells_are_checked_before_they_are_focused(reason: str, change: dict[st
     flight, history = dwell()
     sensor = replace(flight.spectrum, **change, config_hash="")
     with refusal(reason):
-        focus_dwell(history, track(0.0), sensor, Settings(former="backprojection", rows=4, cols=4))
+        focus_dwell(history, track(0.0), sensor, ImageSettings(former="backprojection", rows=4, cols=4))

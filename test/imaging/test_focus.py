@@ -15,7 +15,7 @@ from sal_height.geometry.frames import angles_of
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging import focus as focusing
 from sal_height.imaging.autofocus.gradient import Focus, apply_phase, autofocus, patch_centres
-from sal_height.imaging.focus import Settings, Slc, focus_dwell
+from sal_height.imaging.focus import ImageSettings, Slc, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.choice import FEW_PIXELS, FORMERS
 from sal_height.imaging.pixels import slc_noise_power
@@ -47,7 +47,7 @@ def track_of(flight: SimulatedFlight) -> Trajectory:
 
 def focused(name: str, history: PhaseHistory | None = None, **settings: object) -> Slc:
     flight = flight_of(name)
-    return focus_dwell(history or dwell_of(name), track_of(flight), flight.spectrum, Settings(**settings))
+    return focus_dwell(history or dwell_of(name), track_of(flight), flight.spectrum, ImageSettings(**settings))
 
 
 def power(values: np.ndarray) -> float:
@@ -78,7 +78,7 @@ def test_image_is_that_of_backprojection_with_odometry_at_the_stated_pixels(form
     """In the plane asked for, its middle in the middle of the beams at the reference range."""
     flight, history = flight_of("small"), dwell_of("small")
     slc = focused(
-        "small", former=former, image_plane=plane, rows=9, cols=8, ground_spacing=0.06, range_window="hamming"
+        "small", former=former, image_plane=plane, rows=9, cols=8, ground_spacing_m=0.06, range_window="hamming"
     )
     antenna = flight.position(flight.pulse_times)
     expected = backproject(history, antenna, flight.spectrum, Processing("hamming"), slc.grid)
@@ -135,7 +135,7 @@ def test_auto_takes_the_fast_former_where_it_pays_and_is_as_good(monkeypatch: py
     assert FEW_PIXELS < 640 * 16
     focused("small", rows=640, cols=16)
     # Columns of a ground plane that reaches over half a kilometre bow by many wavelengths.
-    focused("small", image_plane="ground", rows=11, cols=1000, ground_spacing=0.5)
+    focused("small", image_plane="ground", rows=11, cols=1000, ground_spacing_m=0.5)
     assert used == ["backprojection", "specan", "backprojection"]
 
 
@@ -149,7 +149,7 @@ def test_former_of_the_other_mode_is_refused() -> None:
 @pytest.mark.parametrize("plane", ["slant", "ground"])
 def test_autofocus_takes_off_what_an_atmosphere_has_put_on(former: str, plane: str) -> None:
     """2 rad rms over the pulses: what is left is that of speckle alone, and the image as sharp as without an error."""
-    name, size = "sal_spotlight", {"rows": 184, "cols": 12, "ground_spacing": 0.04}
+    name, size = "sal_spotlight", {"rows": 184, "cols": 12, "ground_spacing_m": 0.04}
     error = power_law_phase(64, 2.0, ATMOSPHERE, np.random.default_rng(91))
     blurred = apply_phase(dwell_of(name), -error)
     settings = {"former": former, "image_plane": plane, **size}
@@ -230,7 +230,7 @@ def test_detectors_that_see_the_same_in_proportion_are_imaged_in_proportion(
         history,
         track_of(flight),
         flight.spectrum,
-        Settings(former=former, autofocus=wanted, rows=30, cols=12, image_plane=plane, ground_spacing=0.05),
+        ImageSettings(former=former, autofocus=wanted, rows=30, cols=12, image_plane=plane, ground_spacing_m=0.05),
     )
     assert bool(slc.autofocus_phase.size) == wanted
     expected = weights[:, None, None] * (slc.images[-1] / weights[-1])

@@ -15,7 +15,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry.frames import look_direction
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import PlatformState, Trajectory
-from sal_height.imaging.focus import Settings, Slc, StripFocuser
+from sal_height.imaging.focus import ImageSettings, Slc, StripFocuser
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.strip import GREATEST_DRIFT, SPARE_PULSES, SPARE_SHARE
 from sal_height.imaging.weighting import Processing
@@ -67,13 +67,13 @@ class Flown:
         times, ranges = np.arange(last - first) / prf, np.full(last - first, self.reach)
         return PhaseHistory(round(first / prf * 1e9), times, ranges, self.samples[:, first:last])
 
-    def feed(self, focuser: StripFocuser, first: int, last: int, settings: Settings) -> Slc | None:
+    def feed(self, focuser: StripFocuser, first: int, last: int, settings: ImageSettings) -> Slc | None:
         """The next block of a strip."""
         history = self.history(first, last)
         track = self.track(history.stamp_ns, history.stamp_of_last_pulse_ns)
         return focuser.focus_block(history, track, self.sensor, settings)
 
-    def images(self, block: int, settings: Settings, lost: tuple[int, ...] = ()) -> list[Slc]:
+    def images(self, block: int, settings: ImageSettings, lost: tuple[int, ...] = ()) -> list[Slc]:
         """Of all blocks but those that are lost."""
         focuser = StripFocuser()
         slcs = [
@@ -83,7 +83,7 @@ class Flown:
         ]
         return [slc for slc in slcs if slc]
 
-    def at_once(self, grid: Grid, settings: Settings, count: int | None = None) -> np.ndarray:
+    def at_once(self, grid: Grid, settings: ImageSettings, count: int | None = None) -> np.ndarray:
         """One backprojection of all pulses."""
         history = self.history(0, count or self.count)
         antenna = Trajectory(self.states).positions(0, history.pulse_times)
@@ -153,7 +153,7 @@ def test_images_are_those_of_one_long_compression_and_no_column_is_missing(gust:
 
     The pulse at the end of an aperture counts by its share within, for which a pulse's way is the mean of those held.
     """
-    flown, settings = echoing(gust), Settings(former="backprojection", cols=cols)
+    flown, settings = echoing(gust), ImageSettings(former="backprojection", cols=cols)
     slcs = flown.images(block, settings)
     cols = cols or block // 2
     assert_one_lattice(slcs, cols)
@@ -172,7 +172,7 @@ def test_images_are_those_of_one_long_compression_and_no_column_is_missing(gust:
 @pytest.mark.parametrize("gust", [0.0, 1.0], ids=["calm", "gusts"])
 @pytest.mark.parametrize(("block", "cols"), [(256, 0), (100, 37)])
 def test_fast_former_makes_the_same_strip(gust: float, block: int, cols: int) -> None:
-    flown, settings = echoing(gust), Settings(former="range_doppler", cols=cols)
+    flown, settings = echoing(gust), ImageSettings(former="range_doppler", cols=cols)
     slcs = flown.images(block, settings)
     assert_one_lattice(slcs, cols or block // 2)
     image, grid = joined(slcs)
@@ -189,7 +189,7 @@ def test_wide_beam_leaves_no_column_of_a_strip_empty() -> None:
     )  # fmt: skip
     samples = circular(np.random.default_rng(73), (1, 1500, 32)).astype(np.complex64)
     flown = Flown(sensor, samples, odometry(1.2), reach=100.0)
-    settings = Settings(former="backprojection", cols=16, rows=12)
+    settings = ImageSettings(former="backprojection", cols=16, rows=12)
     image, grid = joined(flown.images(150, settings))
     assert grid.cols > 350
     assert np.isfinite(image).all()
@@ -200,7 +200,7 @@ def test_wide_beam_leaves_no_column_of_a_strip_empty() -> None:
 def test_pulses_that_no_column_needs_are_dropped_with_their_times() -> None:
     """Also the odometry that is held begins later and later."""
     flown, focuser, block, cols = noisy(64 * 60, strip_sensor(sample_count=24)), StripFocuser(), 64, 10
-    settings, held, begins = Settings(former="backprojection", cols=cols, rows=1), [], []
+    settings, held, begins = ImageSettings(former="backprojection", cols=cols, rows=1), [], []
     for first in range(0, flown.count, block):
         history = flown.history(first, first + block)
         flown.feed(focuser, first, first + block, settings)
@@ -219,7 +219,10 @@ def test_pulses_that_no_column_needs_are_dropped_with_their_times() -> None:
 @pytest.mark.parametrize("gust", [0.0, 5.0], ids=["calm", "gusts"])
 def test_aperture_is_that_abeam_of_the_middle_column(gust: float) -> None:
     flown = noisy(1500, gust=gust)
-    slcs, motion = flown.images(300, Settings(cols=20, rows=2)), gust_motion(gust, SPEED, np.random.default_rng(70))
+    slcs, motion = (
+        flown.images(300, ImageSettings(cols=20, rows=2)),
+        gust_motion(gust, SPEED, np.random.default_rng(70)),
+    )
     assert len(slcs) > 2
     for slc in slcs:
         aperture = slc.aperture
@@ -236,7 +239,7 @@ def test_aperture_is_that_abeam_of_the_middle_column(gust: float) -> None:
         np.testing.assert_allclose(aperture.rotation, motion.rotation(time).as_matrix(), atol=1e-2 * BEAMWIDTH)
 
 
-def assert_true(slcs: list[Slc], flown: Flown, settings: Settings) -> None:
+def assert_true(slcs: list[Slc], flown: Flown, settings: ImageSettings) -> None:
     """Every image is what one long compression has at its pixels, and none is empty."""
     for slc in slcs:
         expected = flown.at_once(slc.grid, settings)
@@ -245,7 +248,7 @@ def assert_true(slcs: list[Slc], flown: Flown, settings: Settings) -> None:
 
 def test_columns_over_a_lost_block_are_not_published() -> None:
     flown, block, lost = noisy(2400), 150, 7
-    settings = Settings(former="backprojection", cols=10, rows=8)
+    settings = ImageSettings(former="backprojection", cols=10, rows=8)
     slcs = flown.images(block, settings, lost=(lost,))
     assert_true(slcs, flown, settings)
     places = np.concatenate([slc.grid.points(0, np.arange(slc.grid.cols))[:, 0] for slc in slcs])
@@ -262,8 +265,8 @@ def test_columns_over_a_lost_block_are_not_published() -> None:
 @pytest.mark.parametrize("change", [{"rows": 6}, {"cols": 16}, {"azimuth_window": "taylor"}])
 def test_strip_begins_anew_where_another_image_is_wanted(change: dict[str, int]) -> None:
     flown, focuser, block = noisy(1500), StripFocuser(), 150
-    first = Settings(former="backprojection", cols=10, rows=8)
-    second = replace(first, **change)
+    first = ImageSettings(former="backprojection", cols=10, rows=8)
+    second = first.changed(**change)
     before = [flown.feed(focuser, n * block, (n + 1) * block, first) for n in range(5)]
     after = [flown.feed(focuser, n * block, (n + 1) * block, second) for n in range(5, 10)]
     assert [slc is not None for slc in before] == [slc is not None for slc in after] == [False, False, *[True] * 3]
@@ -276,7 +279,7 @@ def test_another_former_goes_on_with_the_strip() -> None:
     flown, focuser = echoing(0.0), StripFocuser()
     formers = ["backprojection", "range_doppler", "auto", "range_doppler", "backprojection"]
     slcs = [
-        flown.feed(focuser, n * 300, (n + 1) * 300, Settings(former=former, cols=10))
+        flown.feed(focuser, n * 300, (n + 1) * 300, ImageSettings(former=former, cols=10))
         for n, former in enumerate(formers)
     ]
     assert_one_lattice([slc for slc in slcs if slc], 10)
@@ -287,7 +290,7 @@ def test_another_former_goes_on_with_the_strip() -> None:
 def test_block_that_is_not_later_than_the_last_is_rejected_and_the_strip_goes_on(again: int) -> None:
     """The last one once more, the one before it, the first; those between are still held, or not any more."""
     flown, focuser, block, slcs = noisy(1500), StripFocuser(), 150, []
-    settings = Settings(former="backprojection", cols=10, rows=8)
+    settings = ImageSettings(former="backprojection", cols=10, rows=8)
     for number in range(10):
         slcs.append(flown.feed(focuser, number * block, (number + 1) * block, settings))
         if number == 4:
@@ -311,7 +314,7 @@ def assert_no_gap_along(slcs: list[Slc]) -> None:
 def test_drift_out_of_the_range_window_lays_the_lattice_anew_without_a_gap() -> None:
     """Crosswind of 16 m/s on a body that keeps its heading: the ground draws away by a range window in 0.2 s."""
     flown = noisy(3600, wind=16.0)
-    settings = Settings(former="backprojection", cols=20, rows=8)
+    settings = ImageSettings(former="backprojection", cols=20, rows=8)
     slcs = flown.images(300, settings)
     assert_true(slcs[::2], flown, settings)
     assert_no_gap_along(slcs)
@@ -329,7 +332,9 @@ def test_drift_out_of_the_range_window_lays_the_lattice_anew_without_a_gap() -> 
 def test_rows_that_drift_out_of_the_range_window_are_empty_whatever_the_former() -> None:
     """Rows that fill the window: those at its edges leave it, and must not show what lies at the other edge."""
     flown = noisy(1800, wind=8.0)
-    slow, fast = (flown.images(300, Settings(former=name, cols=20)) for name in ("backprojection", "range_doppler"))
+    slow, fast = (
+        flown.images(300, ImageSettings(former=name, cols=20)) for name in ("backprojection", "range_doppler")
+    )
     (reference, grid), (image, _) = joined(slow), joined(fast)
     assert grid.rows == 23
     empty = np.isnan(reference).all(axis=0)
@@ -341,7 +346,7 @@ def test_rows_that_drift_out_of_the_range_window_are_empty_whatever_the_former()
 def test_body_that_turns_takes_the_lattice_with_it_without_a_gap() -> None:
     """By two beamwidths in 0.15 s, a fifth of one per aperture."""
     flown = noisy(3000, yaw_rate=2e-3)
-    settings = Settings(former="backprojection", cols=10, rows=8)
+    settings = ImageSettings(former="backprojection", cols=10, rows=8)
     slcs = flown.images(100, settings)
     assert_true(slcs[::4], flown, settings)
     assert_no_gap_along(slcs)
@@ -359,7 +364,7 @@ def test_body_that_turns_takes_the_lattice_with_it_without_a_gap() -> None:
 def test_body_that_turns_too_fast_leaves_columns_out_rather_than_empty(yaw_rate: float) -> None:
     """By half a beamwidth from one block to the next."""
     flown = noisy(3000, yaw_rate=yaw_rate)
-    settings = Settings(former="backprojection", cols=10, rows=8)
+    settings = ImageSettings(former="backprojection", cols=10, rows=8)
     slcs = flown.images(200, settings)
     assert len(slcs) > 3
     assert all(np.isfinite(slc.images).all() for slc in slcs)
@@ -367,7 +372,7 @@ def test_body_that_turns_too_fast_leaves_columns_out_rather_than_empty(yaw_rate:
 
 @pytest.mark.parametrize(("heading", "allowed"), [(1.0, True), (1.1, False), (-1.1, False), (np.pi, False)])
 def test_flight_across_the_body_is_refused(heading: float, allowed: bool) -> None:
-    flown, settings = noisy(100, heading=heading), Settings(cols=10, rows=8)
+    flown, settings = noisy(100, heading=heading), ImageSettings(cols=10, rows=8)
     if allowed:
         assert flown.feed(StripFocuser(), 0, 100, settings) is None
         return
@@ -382,7 +387,7 @@ def test_flight_across_the_body_is_refused(heading: float, allowed: bool) -> Non
     [({"image_plane": "ground"}, "ground"), ({"autofocus": True}, "true"), ({"former": "specan"}, "specan")],
 )
 def test_what_stripmap_does_not_allow_is_said_in_one_sentence(change: dict[str, object], part: str) -> None:
-    settings = replace(Settings(cols=10, rows=8), **change)
+    settings = ImageSettings(cols=10, rows=8).changed(**change)
     with pytest.raises(UserError) as caught:
         noisy(600).images(600, settings)
     assert_one_sentence(str(caught.value), part, "stripmap", "allow")
@@ -394,7 +399,7 @@ def test_noise_of_an_image_is_what_it_states(window: str) -> None:
     sensor = strip_sensor(noise_power=tuple(powers))
     white = noisy(2800, sensor)
     flown = replace(white, samples=white.samples * np.sqrt(powers)[:, None, None].astype(np.float32))
-    slcs = flown.images(400, Settings(former="backprojection", range_window=window, azimuth_window=window))
+    slcs = flown.images(400, ImageSettings(former="backprojection", range_window=window, azimuth_window=window))
     image, _ = joined(slcs)
     measured = np.mean(np.abs(image) ** 2, axis=(1, 2))
     # Powers of neighbours, a resolution apart, correlate by 0.11 under the Taylor window, in both directions.
@@ -406,7 +411,7 @@ def test_noise_of_an_image_is_what_it_states(window: str) -> None:
 
 def test_a_clock_that_begins_anew_begins_a_new_strip() -> None:
     """A bag played again: the same blocks, hours earlier, give the same images."""
-    flown, focuser, settings = noisy(900), StripFocuser(), Settings(former="backprojection", cols=10, rows=8)
+    flown, focuser, settings = noisy(900), StripFocuser(), ImageSettings(former="backprojection", cols=10, rows=8)
 
     def fly() -> list[np.ndarray]:
         slcs = [flown.feed(focuser, number * 150, (number + 1) * 150, settings) for number in range(6)]

@@ -14,9 +14,7 @@ from sal_height_msgs.msg import DetectorFrame, HeightImage, SensorInfo
 
 from sal_height import messages
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height_stage import HeightStage
-from sal_height.nodes.ml_height import MlHeight
-from sal_height.nodes.monopulse import Monopulse
+from sal_height.nodes.height import HEIGHT_NODES, HeightNode
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.simulation.flight import SimulatedFlight
@@ -27,7 +25,7 @@ TIMEOUT_S = 30.0
 DETECTORS = 8
 
 
-ESTIMATORS: dict[str, type[HeightStage]] = {"monopulse": Monopulse, "ml": MlHeight}
+ESTIMATORS = {"monopulse": HEIGHT_NODES["monopulse"], "ml": HEIGHT_NODES["ml_height"]}
 
 
 class Chain:
@@ -42,7 +40,7 @@ class Chain:
         heights: Mapping[str, Any] = MappingProxyType({}),
         monopulse: Mapping[str, Any] = MappingProxyType({}),
         ml_height: Mapping[str, Any] = MappingProxyType({}),
-        estimators: Mapping[str, type[HeightStage]] = MappingProxyType(ESTIMATORS),
+        estimators: Mapping[str, type[HeightNode]] = MappingProxyType(ESTIMATORS),
         own: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
     ) -> None:
         """Parameters: `image` of sar_compression, `heights` of all height nodes, the others of one (`own` by name)."""

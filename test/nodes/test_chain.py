@@ -21,8 +21,7 @@ from sal_height import messages
 from sal_height.errors import UserError
 from sal_height.geometry.earth import height_of
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.ml_height import MlHeight
-from sal_height.nodes.monopulse import Monopulse
+from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.truth import truth_image
@@ -175,10 +174,10 @@ def test_a_parameter_set_at_run_time_takes_effect_at_the_next_dwell(fed: Any) ->
 @pytest.mark.parametrize(
     ("node", "name", "value", "said"),
     [
-        (MlHeight, "objective", "best", "normalised, numerator"),
-        (MlHeight, "range_looks", 0, "from 1 to 4096"),
-        (MlHeight, "range_looks", "many", "whole number"),
-        (Monopulse, "discriminant", "mean", "tls, ratio, noise_subtraction"),
+        (HEIGHT_NODES["ml_height"], "objective", "best", "normalised, numerator"),
+        (HEIGHT_NODES["ml_height"], "range_looks", 0, "from 1 to 4096"),
+        (HEIGHT_NODES["ml_height"], "range_looks", "many", "whole number"),
+        (HEIGHT_NODES["monopulse"], "discriminant", "mean", "tls, ratio, noise_subtraction"),
         (SarCompression, "range_window", "square", "hamming, rectangular, taylor"),
         (SarCompression, "timeout_s", -1.0, "from 0.01 to 3600"),
     ],
@@ -197,18 +196,19 @@ def test_a_wrong_parameter_at_run_time_changes_nothing(fed: Any) -> None:
     stage = fed.stages["ml_height"]
     for wrong in (Parameter("objective", value="best"), Parameter("range_looks", value=0)):
         assert not stage.set_parameters([wrong])[0].successful
-    assert stage.current_parameters() == MlHeight.parameters(timeout_s=0.5)
+    assert stage.current_parameters() == HEIGHT_NODES["ml_height"].parameters(timeout_s=0.5)
 
 
 def test_every_node_is_a_program(tmp_path: Path) -> None:
     import subprocess
     import sys
 
-    for name in ("simulator", "sar_compression", "monopulse", "ml_height", "player"):
+    programs = [["simulator"], ["sar_compression"], ["height", "monopulse"], ["height", "ml_height"], ["player"]]
+    for module, *name in programs:
         wrong = ["--ros-args", "-p", "no_such_thing:=1", "-p", "preset:=no_such_preset", "-p", "timeout_s:=-1.0"]
         wrong += ["-p", f"bag:={tmp_path}"]
         done = subprocess.run(  # noqa: S603
-            [sys.executable, "-m", f"sal_height.nodes.{name}", *wrong],
+            [sys.executable, "-m", f"sal_height.nodes.{module}", *name, *wrong],
             check=False,
             capture_output=True,
             text=True,

@@ -191,7 +191,7 @@ def test_images_wait_for_their_calibration_and_go_without_it(
     with_file = flown(graph, faulty(flight), saved(tmp_path, calibration_of(faulty(flight))))
     from sal_height_msgs.msg import ComplexImage
 
-    from sal_height.nodes.ml_height import MlHeight
+    from sal_height.nodes.height import HEIGHT_NODES
     from sal_height.nodes.stage import FRAMES_QOS
 
     _listen(graph, ComplexImage, images)
@@ -199,7 +199,7 @@ def test_images_wait_for_their_calibration_and_go_without_it(
     with_file.wait(lambda: len(images) == DETECTORS, "images")
     deaf = [Parameter("timeout_s", value=0.5)]
     late = graph.add(
-        MlHeight(
+        HEIGHT_NODES["ml_height"](
             context=graph.context,
             parameter_overrides=deaf,
             cli_args=["--ros-args", "-r", "slc:=other", "-r", "calibration:=unheard", "-r", "__node:=late"],

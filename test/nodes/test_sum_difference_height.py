@@ -16,12 +16,12 @@ from sal_height_msgs.msg import HeightImage
 from sal_height.elevation.estimate import Validity
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.sum_difference_height import SumDifferenceHeight
+from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import HybridSettings, load_preset
 from sal_height.simulation.scenes import load_scene
 
-WITH_SUM_DIFFERENCE = {**ESTIMATORS, "sum_difference": SumDifferenceHeight}
+WITH_SUM_DIFFERENCE = {**ESTIMATORS, "sum_difference": HEIGHT_NODES["sum_difference_height"]}
 
 
 def flown(pattern: str = "jinc", **hybrid: Any) -> SimulatedFlight:
@@ -146,5 +146,7 @@ def test_a_slope_table_that_cannot_be_used_is_refused_at_the_start(
     if text is not None:
         table.write_text(text)
     with pytest.raises(UserError) as refused:
-        SumDifferenceHeight(context=graph.context, parameter_overrides=[Parameter("slope_table", value=str(table))])
+        HEIGHT_NODES["sum_difference_height"](
+            context=graph.context, parameter_overrides=[Parameter("slope_table", value=str(table))]
+        )
     assert_one_sentence(str(refused.value), *parts)

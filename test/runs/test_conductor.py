@@ -23,7 +23,7 @@ from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.nodes.account import Account
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.monopulse import Monopulse
+from sal_height.nodes.height import HEIGHT_NODES, HeightNode
 from sal_height.nodes.simulator import Simulator
 from sal_height.runs import conductor
 from sal_height.runs.conductor import Conductor, Execution, Plan
@@ -115,16 +115,16 @@ def test_a_graph_in_which_nothing_moves_is_given_up(two_dwells: Preset, tmp_path
 def test_a_dwell_may_take_longer_than_the_limit(two_dwells: Preset, tmp_path: Path, monkeypatch: Any) -> None:
     """A node that works all the time is waited for, here for twice the limit."""
     limit_s, took = 1.0, []
-    process = Monopulse.process
+    process = HeightNode.process
 
-    def slow(self: Monopulse, *arguments: Any) -> int:
+    def slow(self: HeightNode, *arguments: Any) -> int:
         began = time.monotonic()
         while time.monotonic() < began + 2 * limit_s:
             threading.Event().wait(0.05)  # leaves the processor to the other nodes
         took.append(time.monotonic() - began)
         return process(self, *arguments)
 
-    monkeypatch.setattr(Monopulse, "process", slow)
+    monkeypatch.setattr(HEIGHT_NODES["monopulse"], "process", slow)
     outcome = run(dataclasses.replace(two_dwells, dwells=1), SEED, tmp_path / "run", {}, Execution(timeout_s=limit_s))
     assert outcome.dwells == 1
     assert took[0] > limit_s

@@ -201,6 +201,7 @@ def test_the_relief_map_can_be_of_another_estimator_but_not_of_none(two_dwells: 
     with rasterio.open(tmp_path / "run" / "relief_map.tif") as file:
         assert (file.tags()["estimator"], file.tags()["images"]) == ("monopulse", "2")
     with pytest.raises(
-        UserError, match="estimator 'music', which relief_mapper takes, are not made here; allowed are monopulse, ml"
+        UserError,
+        match="estimator 'sum_difference', which relief_mapper takes, are not made here; allowed are monopulse, ml",
     ):
-        run(two_dwells, SEED, tmp_path / "other", {"relief_mapper": {"estimator": "music"}})
+        run(two_dwells, SEED, tmp_path / "other", {"relief_mapper": {"estimator": "sum_difference"}})

@@ -1,0 +1,146 @@
+"""The height nodes: slc → <estimator>/height, image and points, one node for each of `elevation.ESTIMATORS`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import create_model
+from sal_height_msgs.msg import Calibration as CalibrationMessage
+from sal_height_msgs.msg import ComplexImage, HeightImage
+from sensor_msgs.msg import Image, PointCloud2
+
+from sal_height import messages
+from sal_height.calibration import Calibration
+from sal_height.elevation import ESTIMATORS, ElevationEstimator, Validity
+from sal_height.errors import Rejected, UserError
+from sal_height.nodes.dwell import Dwell
+from sal_height.nodes.dwell_stage import DwellStage
+from sal_height.nodes.program import run_node
+from sal_height.nodes.stage import LATCHED_QOS
+from sal_height.pipeline import heights
+from sal_height.sensor import Sensor
+from sal_height.settings import Settings, setting
+
+HELD_CALIBRATIONS = 4
+"""Calibrations held: images made with one may come after the next."""
+
+
+class Waiting(Settings):
+    """Parameters of a height node besides its estimator's settings."""
+
+    timeout_s: float = setting(
+        5.0, "longest wait for the missing channels of a dwell", unit="s", minimum=0.01, maximum=3600.0, read_only=True
+    )
+
+
+class HeightNode(DwellStage):
+    """Turns the images of all channels of a dwell into one height image.
+
+    Its parameters are the settings of its estimator, and those of Waiting.
+    """
+
+    estimator: ElevationEstimator
+    takes_images = True
+    settable = True
+
+    def __init__(self, **node_arguments: Any) -> None:
+        """Make the node; `node_arguments` go to rclpy's Node.
+
+        Raises:
+            UserError: a parameter has a value that is not allowed.
+        """
+        super().__init__(self.estimator.node, ComplexImage, "slc", **node_arguments)
+        self._calibrations: dict[str, Calibration] = {}
+        self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS)
+        self._height = self.offer(HeightImage, f"{self.product}/height")
+        self._image = self.offer(Image, f"{self.product}/image")
+        self._points = self.offer(PointCloud2, f"{self.product}/points")
+
+    def identity(self, message: ComplexImage) -> str:
+        """The config_hash of the sensor info that the image was made with."""
+        return str(message.provenance.config_hash)
+
+    def check(self, message: ComplexImage, sensor: Sensor) -> None:
+        """Size of an image; single bad pixels are marked as such."""
+        messages.check_slc(message, sensor)
+
+    def missing(self, dwell: Dwell[ComplexImage]) -> Rejected | None:
+        """The calibration that the images were made with: it may have changed the beams."""
+        image = next(iter(dwell.items.values()))
+        try:
+            self._calibration_of(image, self.sensor_of(image))
+        except Rejected as error:
+            return error
+        return None
+
+    def process(self, images: list[ComplexImage], sensor: Sensor) -> int:
+        """Estimate the heights of a dwell and publish them."""
+        parameters, first = self.current_parameters(), images[0]
+        slc, calibration = messages.slc_from_messages(images), self._calibration_of(first, sensor)
+        field = heights(slc, sensor, self.estimator, parameters, calibration)
+        if np.any(field.validity == Validity.SATURATED):
+            share, limit = slc.saturated_share.max(), parameters.max_saturated_share
+            sentence = (
+                f"Dwell {first.dwell}: {share:.3g} of a channel's samples are clipped; heights need {limit:g} or "
+            )
+            self.ignore("saturated", UserError(f"{sentence}less (max_saturated_share)."))
+        provenance = messages.derived(first.provenance, self.get_name(), parameters)
+        looks = (parameters.range_looks, parameters.azimuth_looks)
+        image = messages.height_to_message(field, slc.aperture, looks, self.estimator.name, first, provenance)
+        self._image.publish(messages.height_picture(image))
+        self._points.publish(messages.height_points(field, image))
+        self._height.publish(image)
+        return 1
+
+    def _calibration_of(self, image: ComplexImage, sensor: Sensor) -> Calibration | None:
+        """The calibration that an image was made with; None: the sensor's own, or none.
+
+        Raises:
+            Rejected: it has not come.
+        """
+        applied = image.provenance.calibration_id
+        if applied in {"", sensor.calibration_id}:
+            return None
+        calibration = self._calibrations.get(applied)
+        if calibration is None:
+            raise Rejected(
+                "no calibration",
+                f"Dwell {image.dwell}: its images were made with calibration {applied!r}, which has not come on topic "
+                "calibration (transient local).",
+            )
+        return calibration
+
+    def _on_calibration(self, message: CalibrationMessage) -> None:
+        try:
+            calibration = messages.calibration_from_message(message)
+        except UserError as error:
+            self.ignore("calibration", error)
+            return
+        held = [*self._calibrations.values(), calibration][-HELD_CALIBRATIONS:]
+        self._calibrations = {one.id: one for one in held}
+
+
+def height_node(estimator: ElevationEstimator) -> type[HeightNode]:
+    """The class of an estimator's node."""
+    parameters = create_model(f"{estimator.name}_parameters", __base__=(estimator.settings, Waiting))
+    attributes = {"estimator": estimator, "product": estimator.name, "parameters": parameters}
+    return type(f"HeightNode_{estimator.name}", (HeightNode,), attributes)
+
+
+HEIGHT_NODES = {estimator.node: height_node(estimator) for estimator in ESTIMATORS.values()}
+"""Classes of the height nodes by the name of the node."""
+
+
+def main() -> int:
+    """Console script of all height nodes; the name of the script says which node it is."""
+    return run_node(HEIGHT_NODES[Path(sys.argv[0]).stem])
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 2 or sys.argv[1] not in HEIGHT_NODES:
+        sys.exit(f"Which height node is to be started must come first; allowed are {', '.join(HEIGHT_NODES)}.")
+    sys.argv.pop(0)
+    raise SystemExit(main())

@@ -1,0 +1,24 @@
+"""What runs know of a node, as attributes of its class."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+
+class Role:
+    """Part of a node's class; the defaults are those of a node that nothing special is known of."""
+
+    product: ClassVar[str] = ""
+    """Prefix of the topics of the heights that the node publishes, `<product>/height`; empty: it publishes none."""
+
+    takes_images: ClassVar[bool] = False
+    """Whether the node takes the images of all channels, topic slc."""
+
+    takes_heights: ClassVar[bool] = False
+    """Whether the node takes the heights of the estimator that its parameter `estimator` names."""
+
+    settable: ClassVar[bool] = False
+    """Whether users may set the node's parameters in a run or replay."""
+
+    completes_file: ClassVar[bool] = False
+    """Whether the node completes a file when it ends, so that it has to be asked to and waited for."""

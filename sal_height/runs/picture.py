@@ -22,7 +22,6 @@ from sal_height.simulation import Preset, Scene
 mpl.use("Agg")
 
 
-
 def draw_heights(mosaics: Mapping[str, Mosaic], scene: Scene, preset: Preset, path: Path) -> None:
     """Write a PNG: the terrain and each estimator's height above, the geometry and each error below.
 

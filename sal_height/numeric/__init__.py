@@ -10,7 +10,14 @@ from sal_height.numeric.chirp_z import ChirpZ, apply_chirp_z
 from sal_height.numeric.fft import Rows, blocks, fast_length, frequencies, rows_at_once
 from sal_height.numeric.jit import WORKERS, compiled, in_parallel, inlined
 from sal_height.numeric.phasors import cosine_and_sine, distance_phasors, outer_phasors, unit_phasors
-from sal_height.numeric.range_profiles import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
+from sal_height.numeric.range_profiles import (
+    OVERSAMPLING,
+    TAPS,
+    dense_profiles,
+    spectra_of_profiles,
+    tap_polynomials,
+    tap_weights,
+)
 from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, window
 
 __all__ = [
@@ -44,6 +51,7 @@ __all__ = [
     "noise_gain",
     "outer_phasors",
     "rows_at_once",
+    "spectra_of_profiles",
     "tap_polynomials",
     "tap_weights",
     "unit_phasors",

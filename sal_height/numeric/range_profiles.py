@@ -51,10 +51,7 @@ def dense_profiles(spectra: C64, weights: F64) -> F32:
     """
     detectors, pulses, count = spectra.shape
     dense = OVERSAMPLING * count
-    frequency = np.arange(count) - count // 2
-    root = np.sqrt(_SHAPE**2 - (np.pi * TAPS * frequency / dense) ** 2)
-    # A sign that alternates in frequency is half a period in delay: it puts the delay 0 into the middle.
-    factor = (np.where(frequency % 2, -1, 1) * weights * root / (TAPS * np.sinh(root))).astype(np.float32)
+    factor = (weights * _deconvolution(count)).astype(np.float32)
     middle = count // 2
     padded = np.zeros((detectors, pulses, dense), dtype=np.complex64)
     np.multiply(spectra[..., middle:], factor[middle:], out=padded[..., : count - middle])
@@ -66,6 +63,37 @@ def dense_profiles(spectra: C64, weights: F64) -> F32:
     ready[:, : TAPS // 2] = ready[:, dense : dense + TAPS // 2]
     ready[:, -(TAPS // 2) :] = ready[:, TAPS // 2 : TAPS]
     return ready
+
+
+def spectra_of_profiles(profiles: C64) -> C64:
+    """Fast-time frequencies of dense range profiles: the adjoint of `dense_profiles` with weights of 1.
+
+    With the taps of an echo added to a profile where `dense_profiles` would read it, this is the type-1 non-uniform
+    FFT: a sum of exp(-j 2 pi f delay) over echoes.
+
+    Args:
+        profiles: complex64, shape (pulses, OVERSAMPLING * frequencies + TAPS, detectors); not changed.
+
+    Returns:
+        Shape (detectors, pulses, frequencies).
+    """
+    half = TAPS // 2
+    period = profiles[:, half:-half].copy()
+    period[:, -half:] += profiles[:, :half]
+    period[:, :half] += profiles[:, -half:]
+    count = period.shape[1] // OVERSAMPLING
+    spectra = scipy.fft.fft(period, axis=1, overwrite_x=True)[:, np.arange(count) - count // 2]
+    return np.ascontiguousarray((spectra * _deconvolution(count)[:, None].astype(np.float32)).transpose(2, 0, 1))
+
+
+def _deconvolution(count: int) -> F64:
+    """Inverse of the kernel's transform at `count` frequencies, with the delay 0 in the middle of the profile.
+
+    A sign that alternates in frequency is half a period in delay.
+    """
+    frequency = np.arange(count) - count // 2
+    root = np.sqrt(_SHAPE**2 - (np.pi * TAPS * frequency / (OVERSAMPLING * count)) ** 2)
+    return np.where(frequency % 2, -1, 1) * root / (TAPS * np.sinh(root))
 
 
 @compiled

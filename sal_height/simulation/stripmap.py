@@ -20,7 +20,7 @@ from sal_height.numeric import (
     TAPS,
     Complex,
     compiled,
-    dense_profiles,
+    spectra_of_profiles,
     tap_polynomials,
     tap_weights,
     unit_phasors,
@@ -75,7 +75,7 @@ def simulate_block(
     the positions as given). As in `simulate_dwell` that is the weight of the receiving beam.
 
     The sum over scatterers at every frequency is the adjoint of reading a range profile at their delays: each is spread
-    with the interpolator's kernel onto a dense profile, which then goes through the transposed matrix.
+    with the interpolator's kernel onto a dense profile, whose FFT is then divided by that of the kernel.
 
     Angles are measured from the middle of the beams, and phases reduced to a turn, in float64; what follows is float32,
     which has as many digits as the samples need, and is several times faster.
@@ -131,14 +131,7 @@ def simulate_block(
         pulses = (antenna, rotation, reference_range, np.broadcast_to(seconds, len(antenna)))
         profiles = np.stack(list(pool.map(pulse_profile, *pulses)))
     real, imaginary = np.split(profiles, 2, axis=-1)
-    spectra = np.einsum("fi,pid->dpf", _spectrum_of_profile(sensor.sample_count), real + 1j * imaginary, optimize=True)
-    return np.ascontiguousarray(spectra, dtype=np.complex64)
-
-
-def _spectrum_of_profile(count: int) -> C64:
-    """Matrix from dense range profiles to `count` frequencies: the adjoint of `dense_profiles`."""
-    profiles = dense_profiles(np.eye(count, dtype=np.complex64)[None], np.ones(count))[..., 0]
-    return np.asarray(profiles[:, :, 0] - 1j * profiles[:, :, 1], dtype=np.complex64)
+    return spectra_of_profiles(real + 1j * imaginary)
 
 
 @compiled

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.numeric.range_profiles import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
+from sal_height.numeric.range_profiles import (
+    OVERSAMPLING,
+    TAPS,
+    dense_profiles,
+    spectra_of_profiles,
+    tap_polynomials,
+    tap_weights,
+)
 
 
 def read(spectra: np.ndarray, weights: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -37,6 +46,30 @@ def test_profile_repeats_itself_at_the_ends_of_the_window() -> None:
     profiles = dense_profiles(spectra, np.ones(20))
     assert profiles.shape == (3, OVERSAMPLING * 20 + TAPS, 2, 2)
     np.testing.assert_array_equal(profiles[:, :TAPS], profiles[:, -TAPS:])
+
+
+@pytest.mark.parametrize("count", [16, 17, 63])
+def test_spectra_of_profiles_are_the_adjoint_of_profiles_of_spectra(count: int) -> None:
+    """<profile of s, p> = <s, spectrum of p> for any s and p, also where p reaches over the ends of the window."""
+    rng = np.random.default_rng(69)
+    spectra = circular(rng, (3, 2, count)).astype(np.complex64)
+    profiles = circular(rng, (2, OVERSAMPLING * count + TAPS, 3)).astype(np.complex64)
+    dense = dense_profiles(spectra, np.ones(count))
+    made = spectra_of_profiles(profiles)
+    assert made.shape == spectra.shape
+    assert made.dtype == np.complex64
+    forward = np.vdot(dense[:, :, 0] + 1j * dense[:, :, 1], profiles)
+    np.testing.assert_allclose(np.vdot(spectra, made), forward, rtol=3e-6)
+
+
+def test_spectra_of_long_profiles_take_the_memory_of_the_profiles() -> None:
+    """A matrix of 4096 frequencies by 8198 samples would take 269 MB."""
+    profiles = np.ones((2, OVERSAMPLING * 4096 + TAPS, 1), np.complex64)
+    tracemalloc.start()
+    spectra_of_profiles(profiles)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 6 * profiles.nbytes
 
 
 def test_polynomials_are_a_kernel_that_is_even() -> None:

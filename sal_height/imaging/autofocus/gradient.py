@@ -56,6 +56,14 @@ TARGET_CHANGE = 0.05
 """Rms change, rad, below which iteration on targets ends, and so do the rounds."""
 
 
+MOST_RESPONSES = 2**25
+"""Greatest number of responses (detectors x points x pulses): 0.5 GB, of which four copies are held at a time."""
+
+MOST_LINKED_PULSES = 1024
+"""Greatest number of pulses whose phases are linked: their matrices take 0.3 GB and 6 s, growing with its third power.
+"""
+
+
 @dataclass(frozen=True)
 class Focus:
     """A phase error as autofocus sees it.
@@ -64,7 +72,6 @@ class Focus:
         phase: estimated error, rad, shape (pulses,); 0 where there is nothing to focus on.
         method: "speckle", "targets", or "none" where there is nothing to focus on.
         standard_error: rms over the pulses that the estimate's own statistics predict, rad; infinite if "none".
-        coherence: of neighbouring pulses after correction, over all responses, 0 to 1.
         sharpness_gain: sum of squared powers in the picture after correction over that before.
         iterations: number of them.
         last_change: rms change of the phase in the last iteration, or in the last round on targets, rad.
@@ -73,7 +80,6 @@ class Focus:
     phase: F64
     method: str
     standard_error: float
-    coherence: float
     sharpness_gain: float
     iterations: int
     last_change: float
@@ -96,14 +102,24 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64)
         patches: points (m) at whose azimuths the scene is looked at, shape (rows, patches, 3) (`patch_centres`).
 
     Raises:
-        UserError: a stripmap sensor.
+        UserError: a stripmap sensor, or a dwell that is too large.
     """
     if sensor.mode != "spotlight":
         raise UserError(f"The sensor's mode is {sensor.mode}; autofocus needs spotlight, one aperture for all pixels.")
+    if (count := sensor.detector_count * patches[..., 0].size * sensor.pulse_count) > MOST_RESPONSES:
+        raise UserError(
+            f"Autofocus would hold {count} responses of pulses at points of the image; at most {MOST_RESPONSES} are "
+            "allowed, so set autofocus to false or form a smaller image."
+        )
+    if sensor.pulse_count > MOST_LINKED_PULSES and _links_phases(sensor, antenna):
+        raise UserError(
+            f"The dwell has {sensor.pulse_count} pulses, autofocus links the phases of at most {MOST_LINKED_PULSES} "
+            "pulses of speckle; set autofocus to false or send shorter dwells."
+        )
     responses = pulse_responses(history, antenna, sensor, np.ones(sensor.sample_count), patches.reshape(-1, 3))
     half = patch_half_width(sensor)
     focus = _nothing(sensor.pulse_count)
-    if _sees_whole_beam(sensor, antenna) and min(sensor.noise_power) > 0:
+    if _links_phases(sensor, antenna):
         middle = len(patches) // 2, patches.shape[1] // 2
         lit = responses.reshape(len(responses), *patches.shape[:2], -1)[:, :, middle[1]]
         white = np.einsum("mn,npt->mpt", np.linalg.inv(np.linalg.cholesky(sensor.noise_covariance)), lit)
@@ -116,7 +132,6 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64)
     return replace(
         focus,
         phase=phase,
-        coherence=neighbour_coherence(corrected),
         sharpness_gain=_sharpness(corrected, half) / _sharpness(responses, half),
     )
 
@@ -168,15 +183,6 @@ def phase_gradient(responses: C128) -> F64:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def neighbour_coherence(responses: C128) -> float:
-    """Magnitude of the kernel's sums over that of perfectly coherent responses, over all pulses: 0 to 1.
-
-    Noise alone gives about 1 / sqrt(responses). Weighted with the powers, so that dark cells do not count.
-    """
-    power = np.sum(np.abs(responses.reshape(-1, responses.shape[-1])) ** 2, axis=0)
-    return float(np.sum(np.abs(_neighbour_products(responses))) / np.sum(np.sqrt(power[1:] * power[:-1])))
-
-
 def focus_speckle(responses: C128, noise_power: F64, coherence: C128) -> Focus:
     """Phase error from all that the beam lights: gradient of neighbours, then all pairs of pulses.
 
@@ -189,7 +195,7 @@ def focus_speckle(responses: C128, noise_power: F64, coherence: C128) -> Focus:
     if not len(modes):
         return _nothing(responses.shape[-1])
     linked = link_phases(covariances(modes, snr), coherence, phase_gradient(modes))
-    return Focus(linked.phase, "speckle", linked.standard_error, np.nan, np.nan, linked.iterations, linked.last_change)
+    return Focus(linked.phase, "speckle", linked.standard_error, np.nan, linked.iterations, linked.last_change)
 
 
 def focus_targets(responses: C128, half_width: int) -> Focus:
@@ -209,7 +215,7 @@ def focus_targets(responses: C128, half_width: int) -> Focus:
             return _nothing(len(phase))
         phase += found
         change, iterations, rounds = _rms(detrended(np.unwrap(found))), iterations + count, rounds + 1
-    return Focus(phase, "targets", float(np.hypot(error, change)), np.nan, np.nan, iterations, change)
+    return Focus(phase, "targets", float(np.hypot(error, change)), np.nan, iterations, change)
 
 
 def _round(responses: C128, half_width: int) -> tuple[F64, float, int]:
@@ -271,14 +277,14 @@ def _spread(pixels: int, count: int) -> F64:
     return (np.arange(count) + 0.5) * pixels / count - 0.5
 
 
-def _sees_whole_beam(sensor: Sensor, antenna: F64) -> bool:
-    """Whether all that the beam lights stays in its range cell during the dwell."""
+def _links_phases(sensor: Sensor, antenna: F64) -> bool:
+    """Whether all that the beam lights stays in its range cell during the dwell, and the noise is known."""
     half_beam = 2 * np.linalg.norm(antenna[-1] - antenna[0]) * sensor.beamwidth / sensor.wavelength
-    return bool(half_beam <= patch_half_width(sensor))
+    return bool(half_beam <= patch_half_width(sensor)) and min(sensor.noise_power) > 0
 
 
 def _nothing(pulses: int) -> Focus:
-    return Focus(np.zeros(pulses), "none", np.inf, 0.0, 1.0, 0, 0.0)
+    return Focus(np.zeros(pulses), "none", np.inf, 1.0, 0, 0.0)
 
 
 def _rms(values: F64) -> float:

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import struct
+import zlib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import BinaryIO
 
 import yaml
+from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 from mcap.writer import MCAP0_MAGIC
 from rclpy.qos import QoSProfile
@@ -12,6 +18,15 @@ from rclpy.qos import QoSProfile
 from sal_height.bag import qos
 from sal_height.bag.definitions import Definition
 from sal_height.errors import UserError
+
+# How a file ends: start of the summary, start of the summary offsets, checksum from the former up to here; magic.
+_FOOTER_TAIL = struct.Struct("<QQI8s")
+
+CUSTOM_DATA = "sal_height"
+"""Name of the MCAP metadata record that holds the custom data from the start of a file of ours."""
+
+CHECKSUM = "crc32"
+"""Name of the checksum in that record."""
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -38,6 +53,15 @@ def check_start(file: Path, start: bytes) -> None:
         raise UserError(f"file '{file}' is not an MCAP file; name a bag folder or an .mcap file")
 
 
+def check_summary_crc(stream: BinaryIO) -> None:
+    """McapError if the index is not as it was written; the mcap package does not look."""
+    crc_end = stream.seek(-_FOOTER_TAIL.size, os.SEEK_END) + 2 * 8
+    summary_start, _, crc, _ = _FOOTER_TAIL.unpack(stream.read())
+    stream.seek(summary_start)
+    if crc and zlib.crc32(stream.read(crc_end - summary_start)) != crc:
+        raise McapError("the checksum of its index is wrong")
+
+
 def check_profile(file: Path, profile: str) -> None:
     """UserError unless the `profile` in the header says that the file comes from ROS 2."""
     if profile != "ros2":
@@ -61,6 +85,25 @@ def recorded_definition(channel: Channel, schema: Schema) -> Definition:
 def recorded_qos(channel: Channel) -> tuple[QoSProfile, ...]:
     """Profiles that the channel's publishers offered; empty where they were not recorded."""
     return tuple(qos.from_yaml(channel.metadata.get("offered_qos_profiles", "")))
+
+
+def checksum(texts: Mapping[str, str]) -> str:
+    """Checksum of custom data, for MCAP has none for metadata records."""
+    return f"{zlib.crc32(repr(sorted(texts.items())).encode()):08x}"
+
+
+def custom_data_of(record: str, values: dict[str, str]) -> dict[str, str] | None:
+    """Custom data in the MCAP metadata record of that name; None if it holds none, or damaged ones."""
+    if record == CUSTOM_DATA:
+        texts = {name: text for name, text in values.items() if name != CHECKSUM}
+        return texts if values.get(CHECKSUM) == checksum(texts) else None
+    if record != "rosbag2":
+        return None
+    try:
+        found = yaml.safe_load(values["serialized_metadata"])["custom_data"] or {}
+        return {str(name): str(value) for name, value in found.items()}
+    except (yaml.YAMLError, KeyError, TypeError, AttributeError):  # rosbag2 before version 6 has none
+        return None
 
 
 def _listed_files(metadata: Path) -> list[str]:

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import os
-import struct
-import zlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,13 +23,12 @@ from sal_height.bag.files import (
     check_encoding,
     check_profile,
     check_start,
+    check_summary_crc,
+    custom_data_of,
     recorded_definition,
     recorded_qos,
 )
 from sal_height.errors import UserError
-
-# How a file ends: start of the summary, start of the summary offsets, checksum from the former up to here; magic.
-_FOOTER_TAIL = struct.Struct("<QQI8s")
 
 
 @dataclass(frozen=True)
@@ -60,15 +56,21 @@ class BagMessage(NamedTuple):
 
 
 class BagReader:
-    """A bag: a folder, or one .mcap file. Nothing stays open between calls."""
+    """A bag: a folder, or one .mcap file. Nothing stays open between calls.
+
+    topics: by name. custom_data: texts by name that the recording program stored in the bag.
+    """
 
     def __init__(self, path: Path) -> None:
         """Read the index of the bag at `path`; UserError with the remedy if it is not a complete bag."""
         self.path = path
         self._files = bag_files(path)
         self.topics: dict[str, Topic] = {}
+        self.custom_data: dict[str, str] = {}
         for file in self._files:
-            for topic in _read_topics(file):
+            topics, custom_data = _read_index(file)
+            self.custom_data |= custom_data
+            for topic in topics:
                 self._add(topic)
         self._checked_types: set[str] = set()
 
@@ -124,11 +126,13 @@ class BagReader:
                 )
 
 
-def _read_topics(file: Path) -> list[Topic]:
+def _read_index(file: Path) -> tuple[list[Topic], dict[str, str]]:
+    """Topics and custom data of a file."""
     try:
         with file.open("rb") as stream:
             _check_complete(file, stream)
             summary, statistics = _read_summary(file, stream)
+            custom_data = _read_custom_data(file, stream)
     except OSError as error:
         raise UserError(f"file '{file}' cannot be read: {error.strerror}") from error
     counts = statistics.channel_message_counts
@@ -138,7 +142,7 @@ def _read_topics(file: Path) -> list[Topic]:
         schema = summary.schemas[channel.schema_id]
         definition = recorded_definition(channel, schema)
         topics.append(Topic(channel.topic, schema.name, counts.get(channel.id, 0), recorded_qos(channel), definition))
-    return topics
+    return topics, custom_data
 
 
 def _check_complete(file: Path, stream: BinaryIO) -> None:
@@ -155,7 +159,7 @@ def _check_complete(file: Path, stream: BinaryIO) -> None:
 def _read_summary(file: Path, stream: BinaryIO) -> tuple[Summary, Statistics]:
     """Index of a complete file; UserError if it is of another profile, damaged or missing."""
     try:
-        _check_summary_crc(stream)
+        check_summary_crc(stream)
         stream.seek(0)
         header = next(StreamReader(stream).records)
         stream.seek(0)
@@ -172,13 +176,14 @@ def _read_summary(file: Path, stream: BinaryIO) -> tuple[Summary, Statistics]:
     return summary, statistics
 
 
-def _check_summary_crc(stream: BinaryIO) -> None:
-    """McapError if the index is not as it was written; the mcap package does not look."""
-    crc_end = stream.seek(-_FOOTER_TAIL.size, os.SEEK_END) + 2 * 8
-    summary_start, _, crc, _ = _FOOTER_TAIL.unpack(stream.read())
-    stream.seek(summary_start)
-    if crc and zlib.crc32(stream.read(crc_end - summary_start)) != crc:
-        raise McapError("the checksum of its index is wrong")
+def _read_custom_data(file: Path, stream: BinaryIO) -> dict[str, str]:
+    """Custom data of a complete file: from the record of `BagWriter`, or else from that of rosbag2."""
+    try:
+        records = {record.name: record.metadata for record in SeekingReader(stream).iter_metadata()}
+    except Exception as error:  # mcap reports damage by whatever its parser stumbles over
+        raise _damaged(file, error) from error
+    known = [custom_data_of(name, values) for name, values in records.items()]
+    return next((texts for texts in known if texts), {})
 
 
 def _read_messages(file: Path, topics: Collection[str] | None) -> Iterator[BagMessage]:

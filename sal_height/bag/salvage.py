@@ -6,6 +6,7 @@ import logging
 import os
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -13,9 +14,8 @@ from typing import BinaryIO
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, Header, Message, Schema
+from mcap.records import Channel, Chunk, Header, Message, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
-from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
 from sal_height.bag.files import (
@@ -23,6 +23,8 @@ from sal_height.bag.files import (
     check_encoding,
     check_profile,
     check_start,
+    check_summary_crc,
+    custom_data_of,
     recorded_definition,
     recorded_qos,
 )
@@ -32,17 +34,27 @@ from sal_height.errors import UserError
 _LOG = logging.getLogger(__name__)
 
 
+@dataclass
+class _Contents:
+    """What is known of a file so far: descriptions of its topics, and its custom data."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    custom_data: dict[str, str] = field(default_factory=dict)
+
+
 def salvage(path: Path, out_directory: Path) -> int:
     """Copy every whole message of the bag at `path` into a new bag in `out_directory`; returns their number.
 
-    Reads up to the cut, if there is one, and leaves out chunks whose checksum is wrong (each with a warning).
+    Reads up to the cut, if there is one, and leaves out chunks and records that are damaged (each with a warning).
+    Topics without messages and the custom data (the parameters of a run) are copied too.
     UserError if `path` is no MCAP bag of ROS 2 or `out_directory` is not empty.
     """
     files = bag_files(path)
     for file in files:
         _check_header(file)
     count = 0
-    with BagWriter(out_directory) as bag:
+    with BagWriter(out_directory, _custom_data(files)) as bag:
         for file in files:
             try:
                 count += _copy(file, bag)
@@ -59,50 +71,105 @@ def _check_header(file: Path) -> None:
     except OSError as error:
         raise UserError(f"file '{file}' cannot be read: {error.strerror}") from error
     if whole:
-        check_profile(file, Header.read(_fields(body)).profile if opcode == Opcode.HEADER else "")
+        check_profile(file, _profile(body) if opcode == Opcode.HEADER else "")
+
+
+def _profile(body: bytes) -> str:
+    """The profile in a header; empty if it is damaged."""
+    try:
+        return Header.read(_fields(body)).profile
+    except Exception:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
+        return ""
+
+
+def _custom_data(files: list[Path]) -> dict[str, str]:
+    """The custom data at the start of the files; what later ones say counts."""
+    found: dict[str, str] = {}
+    for file in files:
+        with file.open("rb") as stream:
+            stream.seek(len(MCAP0_MAGIC))
+            contents = _Contents()
+            for opcode, body, whole in _records(stream):
+                if opcode == Opcode.CHUNK:
+                    break
+                if whole and opcode == Opcode.METADATA:
+                    _describe(file, opcode, body, contents)
+            found |= contents.custom_data
+    return found
 
 
 def _copy(file: Path, bag: BagWriter) -> int:
     """Copy the topics and whole messages of `file` into `bag`; returns the number of messages."""
+    count = 0
     with file.open("rb") as stream:
-        # A complete file repeats its schemas and channels at the end, where damage to a chunk does not reach them.
-        summary = _summary(stream)
-        schemas, channels = summary.schemas, summary.channels
-        count = 0
+        contents = _index(stream)
         stream.seek(len(MCAP0_MAGIC))
         for opcode, body in _unpacked_records(file, stream):
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(_fields(body))
-                schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(_fields(body))
-                channels[channel.id] = channel
-            elif opcode == Opcode.MESSAGE:
-                message = Message.read(_fields(body), len(body))
-                known = channels.get(message.channel_id)
-                if known is None or known.schema_id not in schemas:
-                    continue  # the description of the topic was in a damaged chunk
-                _add_topic(file, bag, known, schemas[known.schema_id])
-                bag.write(known.topic, message.data, message.log_time, message.publish_time)
-                count += 1
+            if opcode == Opcode.MESSAGE:
+                count += _copy_message(file, body, contents, bag)
+            else:
+                _describe(file, opcode, body, contents)
+    for channel in contents.channels.values():  # those without messages, too
+        _add_topic(file, bag, channel, contents)
     return count
 
 
-def _add_topic(file: Path, bag: BagWriter, channel: Channel, schema: Schema) -> None:
+def _index(stream: BinaryIO) -> _Contents:
+    """What a complete file repeats at its end, where damage to a chunk does not reach; nothing if it is damaged."""
+    try:
+        check_summary_crc(stream)
+        stream.seek(0)
+        summary = SeekingReader(stream).get_summary()
+    except Exception:  # noqa: BLE001 - a cut file has none, and mcap stumbles over whatever stands there
+        return _Contents()
+    return _Contents(summary.schemas, summary.channels) if summary else _Contents()
+
+
+def _describe(file: Path, opcode: int, body: bytes, contents: _Contents) -> None:
+    """Take in a record that describes a type or topic, or that holds the custom data."""
+    try:
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(_fields(body))
+            contents.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(_fields(body))
+            contents.channels[channel.id] = channel
+        elif opcode == Opcode.METADATA:
+            record = Metadata.read(_fields(body))
+            contents.custom_data.update(custom_data_of(record.name, record.metadata) or {})
+    except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
+        _LOG.warning("left out a damaged record of '%s': %s", file, error)
+
+
+def _copy_message(file: Path, body: bytes, contents: _Contents, bag: BagWriter) -> bool:
+    """Copy a message whose topic is known; returns whether it was."""
+    try:
+        message = Message.read(_fields(body), len(body))
+    except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
+        _LOG.warning("left out a damaged message of '%s': %s", file, error)
+        return False
+    channel = contents.channels.get(message.channel_id)
+    if channel is None or not _add_topic(file, bag, channel, contents):
+        return False  # the description of the topic was in a damaged chunk
+    bag.write(channel.topic, message.data, message.log_time, message.publish_time)
+    return True
+
+
+def _add_topic(file: Path, bag: BagWriter, channel: Channel, contents: _Contents) -> bool:
+    """Add a topic to the new bag; returns whether its type is known."""
+    schema = contents.schemas.get(channel.schema_id)
+    if schema is None:
+        return False
     check_encoding(file, channel)
     bag.add_topic(channel.topic, schema.name, recorded_qos(channel), recorded_definition(channel, schema))
-
-
-def _summary(stream: BinaryIO) -> Summary:
-    try:
-        return SeekingReader(stream).get_summary() or Summary()
-    except Exception:  # noqa: BLE001 - a cut file has none, and mcap stumbles over whatever stands there
-        return Summary()
+    return True
 
 
 def _unpacked_records(file: Path, stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Whole records as (opcode, body), those inside chunks in place of the chunks."""
+    """Whole records before the index as (opcode, body), those inside chunks in place of the chunks."""
     for opcode, body, whole in _records(stream):
+        if opcode == Opcode.DATA_END:  # `_index` has read the rest, if it is sound
+            return
         if opcode == Opcode.CHUNK:
             inner = _records(BytesIO(_chunk_data(file, body, whole)))
             yield from ((inner_opcode, inner_body) for inner_opcode, inner_body, inner_whole in inner if inner_whole)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
 import yaml
@@ -15,6 +15,7 @@ from rclpy.qos import QoSProfile
 
 from sal_height.bag import qos as qos_text
 from sal_height.bag.definitions import Definition, installed_definition
+from sal_height.bag.files import CHECKSUM, CUSTOM_DATA, checksum
 from sal_height.errors import UserError
 
 METADATA_VERSION = 9
@@ -40,9 +41,11 @@ class BagWriter:
     Everything up to the last `flush` outlives a killed process and is recovered by `sal_height.bag.salvage`.
     """
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, custom_data: Mapping[str, str] = MappingProxyType({})) -> None:
         """Create the folder `directory` and in it ``<name of the folder>_0.mcap``.
 
+        custom_data: texts by name that travel with the bag, as those of ``ros2 bag record --custom-data``. They are
+        written first, so that they outlive a killed process.
         UserError if the folder cannot be made or already holds something.
         """
         self.directory = directory
@@ -54,6 +57,7 @@ class BagWriter:
             self._stream = self.file.open("xb")
         except OSError as error:
             raise UserError(f"bag folder '{directory}' cannot be written: {error.strerror}") from error
+        self._custom_data = dict(custom_data)
         self._topics: dict[str, _Topic] = {}
         self._schema_ids: dict[tuple[str, Definition], int] = {}
         self._first_ns = _NO_TIME
@@ -63,6 +67,8 @@ class BagWriter:
         self._writer = Writer(self._stream, chunk_size=CHUNK_SIZE, compression=CompressionType.NONE)
         with self._breaking():
             self._writer.start(profile="ros2", library="sal_height")
+            if custom_data:
+                self._writer.add_metadata(CUSTOM_DATA, {**custom_data, CHECKSUM: checksum(custom_data)})
 
     def add_topic(
         self, name: str, type_name: str, qos: Sequence[QoSProfile] = (), definition: Definition | None = None
@@ -196,6 +202,6 @@ class BagWriter:
                     "message_count": count,
                 }
             ],
-            "custom_data": None,
+            "custom_data": self._custom_data or None,
             "ros_distro": ROS_DISTRO,
         }

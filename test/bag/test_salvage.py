@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
@@ -105,6 +106,62 @@ def test_a_damaged_chunk_is_left_out_with_a_warning(tmp_path: Path, caplog: pyte
     assert [message.cdr for message in BagReader(tmp_path / "saved").messages()] == messages[-saved:]
     (warning,) = caplog.messages
     assert "left out a damaged chunk" in warning
+
+
+@pytest.fixture(scope="module")
+def chunked(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[bytes]]:
+    """A file of BagWriter with custom data, a topic without messages and four chunks of five messages; the messages."""
+    folder = tmp_path_factory.mktemp("chunked") / "run"
+    messages = [serialize_message(String(data=f"number {i}")) for i in range(20)]
+    with BagWriter(folder, {"parameters": "{}"}) as writer:
+        for topic in ("/greeting", "/silent"):
+            writer.add_topic(topic, STRING)
+        for i, message in enumerate(messages):
+            writer.write("/greeting", message, i, i)
+            if i % 5 == 4:
+                writer.flush()
+    return (folder / "run_0.mcap").read_bytes(), messages
+
+
+def test_any_flipped_bit_costs_one_chunk_at_most_and_invents_nothing(
+    tmp_path: Path, chunked: tuple[bytes, list[bytes]]
+) -> None:
+    """Except in the few bytes whose damage hides the rest: the lengths of the chunks, which no checksum protects."""
+    data, messages = chunked
+    rng = np.random.default_rng(14)
+    saved, refused = [], 0
+    for number in range(120):
+        damaged = bytearray(data)
+        damaged[rng.integers(len(data))] ^= 1 << rng.integers(8)
+        (tmp_path / "damaged.mcap").write_bytes(damaged)
+        out = tmp_path / str(number)
+        try:
+            count = salvage(tmp_path / "damaged.mcap", out)
+        except UserError:  # the first bytes no longer say that it is a bag of ROS 2
+            refused += 1
+            continue
+        reader = BagReader(out)
+        found = [message.cdr for message in reader.messages()]
+        saved.append(count)
+        assert count == len(found)
+        assert set(found) <= set(messages)
+        assert set(reader.topics) <= {"/greeting", "/silent"}
+        assert reader.custom_data in ({"parameters": "{}"}, {})
+    assert refused + sum(count < 15 for count in saved) <= 5
+    assert sum(count == 20 for count in saved) > 40
+
+
+@pytest.mark.parametrize("cut", [0, 1])
+def test_custom_data_and_topics_without_messages_survive(
+    cut: int, tmp_path: Path, chunked: tuple[bytes, list[bytes]]
+) -> None:
+    """Of a whole file, and of one cut off."""
+    data, _ = chunked
+    (tmp_path / "run.mcap").write_bytes(data[: len(data) - cut])
+    salvage(tmp_path / "run.mcap", tmp_path / "saved")
+    reader = BagReader(tmp_path / "saved")
+    assert {name: topic.count for name, topic in reader.topics.items()} == {"/greeting": 20, "/silent": 0}
+    assert reader.custom_data == {"parameters": "{}"}
 
 
 def test_a_damaged_length_ends_the_recovery(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -255,3 +256,32 @@ def test_an_odometry_message_comes_back(tmp_path: Path) -> None:
         writer.write("/platform/odometry", serialize_message(odometry), 1, 1)
     (message,) = BagReader(tmp_path / "run").messages()
     assert deserialize_message(message.cdr, Odometry) == odometry
+
+
+def test_custom_data_are_found_by_others_and_by_us(tmp_path: Path) -> None:
+    """In metadata.yaml and the record of rosbag2, as ros2 bag record --custom-data leaves them."""
+    texts = {"parameters": '{"ml_height": {"range_looks": 2}}', "note": "first line\nand = another"}
+    with BagWriter(tmp_path / "run", texts):
+        pass
+    assert (
+        yaml.safe_load((tmp_path / "run" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]["custom_data"]
+        == texts
+    )
+    with (tmp_path / "run" / "run_0.mcap").open("rb") as stream:
+        (record,) = [r for r in make_reader(stream).iter_metadata() if r.name == "rosbag2"]
+    assert yaml.safe_load(record.metadata["serialized_metadata"])["custom_data"] == texts
+    assert BagReader(tmp_path / "run").custom_data == texts
+    with Reader(tmp_path / "run") as foreign:
+        assert foreign.message_count == 0
+
+
+@pytest.mark.parametrize("place", [bytes.find, bytes.rfind])
+def test_damaged_custom_data_are_never_taken_for_good(place: Any, tmp_path: Path) -> None:
+    """They are in the file twice; the checksum tells which one is whole."""
+    with BagWriter(tmp_path / "run", {"range_looks": "2222"}):
+        pass
+    file = tmp_path / "run" / "run_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[place(bytes(data), b"2222")] ^= 1
+    file.write_bytes(data)
+    assert BagReader(tmp_path / "run").custom_data == {"range_looks": "2222"}

@@ -50,7 +50,8 @@ class Recorder(Role, Node):
         super().__init__("recorder", **node_arguments)
         try:
             self._topics = self._declare_topics()
-            self._bag = BagWriter(self._declare_directory(directory))
+            custom_data = self._declare_custom_data()
+            self._bag = BagWriter(self._declare_directory(directory), custom_data)
         except (ParameterException, UserError) as error:
             super().destroy_node()
             raise UserError(str(error)) from error
@@ -115,6 +116,16 @@ class Recorder(Role, Node):
         )
         names = self.get_parameter_or("topics", Parameter("topics", Parameter.Type.STRING_ARRAY, [])).value
         return [self.resolve_topic_name(name) for name in names]
+
+    def _declare_custom_data(self) -> dict[str, str]:
+        description = "Texts to store in the bag, each as NAME=TEXT, as with ros2 bag record --custom-data."
+        self.declare_parameter(
+            "custom_data", Parameter.Type.STRING_ARRAY, ParameterDescriptor(description=description, read_only=True)
+        )
+        texts = self.get_parameter_or("custom_data", Parameter("custom_data", Parameter.Type.STRING_ARRAY, [])).value
+        if wrong := [text for text in texts if "=" not in text]:
+            raise UserError(f"parameter 'custom_data' of the recorder has {wrong[0]!r}; each text must be NAME=TEXT")
+        return dict(text.split("=", 1) for text in texts)
 
     def _discover(self) -> None:
         """Subscribe to the topics that have come to have a publisher."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import CALIBRATOR, NodeParameters, check_parameters
 from sal_height.runs.picture import draw_calibration
 from sal_height.runs.replay import contents, recorded_parameters
-from sal_height.runs.reporting import conclude, merged, reporting
+from sal_height.runs.reporting import PARAMETERS, conclude, merged, reporting
 
 STAGES = ["sar_compression", CALIBRATOR]
 
@@ -44,18 +45,20 @@ def calibrate(
     Raises:
         UserError: the bag cannot be used, or too much of it was dropped for a calibration.
     """
-    sensor, dwells = contents(BagReader(bag))
+    reader = BagReader(bag)
+    sensor, dwells = contents(reader)
     unweighted = {"sar_compression": {"range_window": "rectangular", "rows": 0, "calibration": ""}}
     wanted = {CALIBRATOR: {"dwells": min(dwells, MOST_DWELLS), "dwell_step": 1, "file": str(out / CALIBRATION)}}
-    recorded = {"sar_compression": recorded_parameters(bag).get("sar_compression", {})}
+    recorded = {"sar_compression": recorded_parameters(reader).get("sar_compression", {})}
     values = check_parameters(merged(merged(merged(recorded, unweighted), wanted), parameters), STAGES)
     folder = new_folder(out)
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
         nodes = {**values, "player": {"bag": str(bag)}}
         topics = ["sensor_info", "calibration", "diagnostics"]
-        outcome = perform(Plan("player", STAGES, topics, made, nodes, dwells), execution)
-        conclude(outcome, made, values, report)
+        custom_data = {PARAMETERS: json.dumps(values)}
+        outcome = perform(Plan("player", STAGES, topics, made, nodes, dwells, custom_data), execution)
+        conclude(outcome, values, report)
         path = Path(values[CALIBRATOR]["file"])
         if outcome.interrupted:
             return outcome, None

@@ -5,8 +5,8 @@ from __future__ import annotations
 import signal
 import time
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
@@ -43,6 +43,7 @@ class Plan:
         bag: folder of the new bag.
         parameters: values of the nodes' parameters.
         dwells: number of dwells to expect, for the progress bar.
+        custom_data: texts by name to store in the bag.
     """
 
     source: str
@@ -51,6 +52,7 @@ class Plan:
     bag: Path
     parameters: NodeParameters
     dwells: int
+    custom_data: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -244,7 +246,9 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
     """
     names = [RECORDER, *reversed(plan.stages), plan.source]
     topics = [f"/{topic}" for topic in plan.recorded]
-    values = {**plan.parameters, RECORDER: {"directory": str(plan.bag), "topics": topics}}
+    custom_data = [f"{name}={text}" for name, text in plan.custom_data.items()]
+    recording = {"directory": str(plan.bag), "topics": topics, **({"custom_data": custom_data} if custom_data else {})}
+    values = {**plan.parameters, RECORDER: recording}
     played, interrupted = 0, False
     failure: UserError | None = None
     with ros_domain(execution.domain), Graph() as graph:

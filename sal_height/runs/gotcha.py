@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from scipy.constants import speed_of_light
@@ -19,6 +19,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import PlatformState
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.numeric import F64, I64
+from sal_height.runs.reporting import PARAMETERS
 from sal_height.sensor import PhaseHistory, Sensor
 
 FIELDS = ("fp", "freq", "x", "y", "z", "r0")
@@ -68,7 +69,6 @@ def import_gotcha(files: list[Path], out: Path) -> int:
     history = PhaseHistory(0, times, reference, samples)
     states = _states(times_ns, antenna, velocity, sensor.look_side)
     _write(out, sensor, history, states)
-    (out / "parameters.yaml").write_text(yaml.safe_dump(FOCUSING))
     return len(times)
 
 
@@ -152,7 +152,7 @@ def _write(out: Path, sensor: Sensor, history: PhaseHistory, states: list[Platfo
     ]
     frames = messages.history_to_messages(history, sensor, 0, messages.to_stamp(history.stamp_ns))
     recorded += [("/phase_history", frame, end_ns + 1) for frame in frames]
-    with BagWriter(out) as bag:
+    with BagWriter(out, {PARAMETERS: json.dumps(FOCUSING)}) as bag:
         for topic, (type_name, qos) in topics.items():
             bag.add_topic(topic, type_name, [qos])
         for topic, message, time_ns in recorded:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, recorded_topics, suited
 from sal_height.runs.picture import draw_image
 from sal_height.runs.recorded_images import recorded_slc
-from sal_height.runs.reporting import conclude, merged, reporting
+from sal_height.runs.reporting import PARAMETERS, conclude, merged, reporting
 from sal_height.sensor import Sensor
 
 
@@ -43,8 +44,8 @@ def replay(
     Raises:
         UserError: the bag cannot be used.
     """
-    values = check_parameters(merged(recorded_parameters(bag), parameters))
     reader = BagReader(bag)
+    values = check_parameters(merged(recorded_parameters(reader), parameters))
     sensor, dwells = contents(reader)
     estimators = suited(sensor)
     stages = ["sar_compression", *((*estimators, TRACKER) if estimators else ())]
@@ -52,8 +53,9 @@ def replay(
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
         nodes = {**values, "player": {"bag": str(bag)}}
-        outcome = perform(Plan("player", stages, recorded_topics(stages, values), made, nodes, dwells), execution)
-        conclude(outcome, made, values, report)
+        topics, custom_data = recorded_topics(stages, values), {**reader.custom_data, PARAMETERS: json.dumps(values)}
+        outcome = perform(Plan("player", stages, topics, made, nodes, dwells, custom_data), execution)
+        conclude(outcome, values, report)
         compared = {}
         if any(f"/{prefix}/height" in reader.topics for prefix in HEIGHTS.values()) and not outcome.interrupted:
             results = compare_heights(bag, made)
@@ -98,19 +100,22 @@ def contents(reader: BagReader) -> tuple[Sensor, int]:
     return sensor, -(-topics["/phase_history"].count // sensor.detector_count)
 
 
-def recorded_parameters(bag: Path) -> dict[str, dict[str, Any]]:
-    """Node parameters that lie beside a bag.
+def recorded_parameters(reader: BagReader) -> dict[str, dict[str, Any]]:
+    """Node parameters that a bag was made with; empty if it does not hold them, as a bag recorded in flight.
+
+    They are in the bag's custom data; older bags have a file parameters.yaml beside them instead.
 
     Raises:
-        UserError: the file is not what this program writes.
+        UserError: they are not what this program writes.
     """
-    path = (bag if bag.is_dir() else bag.parent) / "parameters.yaml"
-    if not path.is_file():
-        return {}
+    path = (reader.path if reader.path.is_dir() else reader.path.parent) / "parameters.yaml"
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+        text = reader.custom_data.get(PARAMETERS) or (path.read_text(encoding="utf-8") if path.is_file() else "")
+        values = yaml.safe_load(text) or {}  # JSON is a part of YAML
     except (OSError, ValueError, yaml.YAMLError) as error:
-        raise UserError(f"File {path} cannot be read: {' '.join(str(error).split())}.") from error
+        raise UserError(
+            f"The parameters of bag {reader.path} cannot be read: {' '.join(str(error).split())}."
+        ) from error
     if not (isinstance(values, dict) and all(isinstance(entry, dict) for entry in values.values())):
-        raise UserError(f"File {path} must map node names to mappings of parameter names to values.")
+        raise UserError(f"The parameters of bag {reader.path} must map node names to mappings of names to values.")
     return values

@@ -8,14 +8,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from sal_height import __version__
 from sal_height.errors import UserError
 from sal_height.io import write_text
 from sal_height.nodes.account import PROCESSED, PUBLISHED, Account
 from sal_height.runs.conductor import Outcome
 from sal_height.runs.ensemble import NodeParameters
+
+PARAMETERS = "parameters"
+"""Name of the nodes' parameters (JSON) in the custom data of a bag."""
 
 
 @contextmanager
@@ -40,8 +41,8 @@ def reporting(folder: Path, known: dict[str, Any]) -> Iterator[dict[str, Any]]:
     write()
 
 
-def conclude(outcome: Outcome, bag: Path, values: NodeParameters, report: dict[str, Any]) -> None:
-    """Put the outcome into the report, and the nodes' parameters beside the bag.
+def conclude(outcome: Outcome, values: NodeParameters, report: dict[str, Any]) -> None:
+    """Put the outcome and the nodes' parameters into the report.
 
     Raises:
         UserError: the run has failed.
@@ -49,8 +50,7 @@ def conclude(outcome: Outcome, bag: Path, values: NodeParameters, report: dict[s
     report["dwells"] = outcome.dwells
     report["interrupted"] = outcome.interrupted
     report["stages"] = {name: _stage(account) for name, account in outcome.stages.items()}
-    if bag.is_dir():
-        write_text(bag / "parameters.yaml", yaml.safe_dump(values))
+    report["parameters"] = values
     if outcome.failure:
         raise outcome.failure
 

@@ -25,7 +25,7 @@ from sal_height.runs.ensemble import (
 from sal_height.runs.picture import draw_heights
 from sal_height.runs.profile import draw_profile
 from sal_height.runs.report import Mosaic, mosaic, statistics
-from sal_height.runs.reporting import conclude, merged, reporting
+from sal_height.runs.reporting import PARAMETERS, conclude, merged, reporting
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
 RELIEF_MAP = "relief_map.tif"
@@ -65,11 +65,13 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     bag = folder / "bag"
     known = {"preset": preset.name, "seed": seed, "cnr_db": preset.cnr_db, "looks": list(preset.looks)}
     with reporting(folder, known) as report:
-        write_text(settings, yaml.safe_dump(json.loads(json.dumps(dataclasses.asdict(preset))), sort_keys=False))
+        flown = json.dumps(dataclasses.asdict(preset))
+        write_text(settings, yaml.safe_dump(json.loads(flown), sort_keys=False))
+        custom_data = {PARAMETERS: json.dumps(values), "preset": flown, "seed": str(seed)}
         nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
-        plan = Plan("simulator", stages, recorded_topics(stages, values), bag, nodes, preset.dwells)
+        plan = Plan("simulator", stages, recorded_topics(stages, values), bag, nodes, preset.dwells, custom_data)
         outcome = perform(plan, execution)
-        conclude(outcome, bag, values, report)
+        conclude(outcome, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
         mosaics = read_mosaics(bag, flight)
         report["estimators"] = {

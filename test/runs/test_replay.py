@@ -6,20 +6,20 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 
 from sal_height.bag.compare import compare_heights
-from sal_height.bag.reader import BagReader
+from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.runs.gotcha import import_gotcha
-from sal_height.runs.replay import replay
+from sal_height.runs.replay import recorded_parameters, replay
 
 REFERENCE = Path(__file__).parents[2] / "bags" / "small_street"
 
@@ -57,33 +57,17 @@ def test_the_reference_bag_gives_the_heights_recorded_in_it(tmp_path: Path) -> N
 
 def test_the_tolerance_of_the_reference_test_notices_a_wrong_range(tmp_path: Path) -> None:
     """A reference range that is off by a tenth of a millimetre moves the heights by more than the tolerance."""
-    moved = tmp_path / "moved"
     reader = BagReader(REFERENCE)
-    with BagWriter(moved) as bag:
-        for topic in reader.topics.values():
-            bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
-        for message in reader.messages():
-            cdr = message.cdr
-            if message.topic == "/platform/odometry":
-                cdr = lifted(reader, message)
-            bag.write(message.topic, cdr, message.log_time_ns, message.log_time_ns)
-    (moved / "parameters.yaml").write_text((REFERENCE / "parameters.yaml").read_text())
+    moved = copy_of(REFERENCE, tmp_path / "moved", [lifted(reader, message) for message in reader.messages()])
+    shutil.copy(REFERENCE / "parameters.yaml", moved)
     _, compared = replay(moved, tmp_path / "replay", {})
     assert compared["/ml/height"].greatest_height_difference > 5 * CPU_TOLERANCE_M
 
 
 def test_a_dwell_that_lost_a_frame_is_counted_and_the_others_are_exact(recorded: Path, tmp_path: Path) -> None:
-    torn = tmp_path / "torn"
-    reader = BagReader(recorded / "bag")
-    frames = 0
-    with BagWriter(torn) as bag:
-        for topic in reader.topics.values():
-            bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
-        for message in reader.messages():
-            frames += message.topic == "/phase_history"
-            if not (message.topic == "/phase_history" and frames == 3):
-                bag.write(message.topic, message.cdr, message.log_time_ns, message.log_time_ns)
-    (torn / "parameters.yaml").write_text((recorded / "bag" / "parameters.yaml").read_text())
+    messages = list(BagReader(recorded / "bag").messages())
+    third = [message for message in messages if message.topic == "/phase_history"][2]
+    torn = copy_of(recorded / "bag", tmp_path / "torn", [message for message in messages if message is not third])
     _, compared = replay(torn, tmp_path / "replay", {"sar_compression": {"timeout_s": 0.5}})
     assert (compared["/ml/height"].matched, compared["/ml/height"].missing) == (1, 1)
     assert compared["/ml/height"].pixels_different == 0
@@ -93,29 +77,24 @@ def test_a_dwell_that_lost_a_frame_is_counted_and_the_others_are_exact(recorded:
 
 def test_dwells_that_lie_among_each_other_are_exact(recorded: Path, tmp_path: Path) -> None:
     """The frames of both dwells in turn, and the odometry last, as two slow writers would leave them."""
-    mixed = tmp_path / "mixed"
-    reader = BagReader(recorded / "bag")
-    messages = list(reader.messages())
+    messages = list(BagReader(recorded / "bag").messages())
     frames = [m for m in messages if m.topic == "/phase_history"]
     others = [m for m in messages if m.topic not in ("/phase_history", "/platform/odometry")]
     odometry = [m for m in messages if m.topic == "/platform/odometry"]
     half = len(frames) // 2
     in_turn = [frame for pair in zip(frames[:half], frames[half:], strict=True) for frame in pair]
-    with BagWriter(mixed) as bag:
-        for topic in reader.topics.values():
-            bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
-        for time_ns, message in enumerate([*others, *in_turn, *odometry]):
-            bag.write(message.topic, message.cdr, time_ns, time_ns)
-    (mixed / "parameters.yaml").write_text((recorded / "bag" / "parameters.yaml").read_text())
+    in_order = [m._replace(log_time_ns=n) for n, m in enumerate([*others, *in_turn, *odometry])]
+    mixed = copy_of(recorded / "bag", tmp_path / "mixed", in_order)
     _, compared = replay(mixed, tmp_path / "replay", {})
     assert all(result.equal and result.matched == 2 for result in compared.values())
 
 
 def test_a_replay_that_drops_everything_says_that_all_is_missing(recorded: Path, tmp_path: Path) -> None:
     """Without odometry no frame can be focused."""
-    without = copy_without(recorded / "bag", tmp_path / "without", "/platform/odometry")
+    messages = [m for m in BagReader(recorded / "bag").messages() if m.topic != "/platform/odometry"]
+    parameters = json.dumps({"sar_compression": {"timeout_s": 0.5}})
+    without = copy_of(recorded / "bag", tmp_path / "without", messages, {"parameters": parameters})
     out = tmp_path / "replay"
-    (without / "parameters.yaml").write_text("sar_compression: {timeout_s: 0.5}")
     _, compared = replay(without, out, {})
     assert {topic: (r.matched, r.missing) for topic, r in compared.items()} == {
         "/ml/height": (0, 2),
@@ -132,14 +111,7 @@ def test_a_replay_that_drops_everything_says_that_all_is_missing(recorded: Path,
 
 def test_a_damaged_chunk_ends_the_replay_at_once_and_says_so(recorded: Path, tmp_path: Path) -> None:
     """What had been published of the dwell is counted, and no frame is published twice."""
-    bag = tmp_path / "bag"
-    with BagWriter(bag) as writer:  # a chunk for each message
-        reader = BagReader(recorded / "bag")
-        for topic in reader.topics.values():
-            writer.add_topic(topic.name, topic.type_name, topic.offered_qos)
-        for message in reader.messages():
-            writer.write(message.topic, message.cdr, message.log_time_ns, message.log_time_ns)
-            writer.flush()  # ends the chunk
+    bag = copy_of(recorded / "bag", tmp_path / "bag", BagReader(recorded / "bag").messages())
     last = max(BagReader(bag).messages(["/phase_history"]), key=lambda message: message.log_time_ns)
     (file,) = bag.glob("*.mcap")
     content = bytearray(file.read_bytes())
@@ -167,15 +139,30 @@ def test_a_failure_is_in_the_report(recorded: Path, tmp_path: Path, monkeypatch:
     assert (report["bag"], report["failed"]) == ("bag", "The disk is gone.")
 
 
-def test_values_beside_a_bag_are_checked(recorded: Path, tmp_path: Path) -> None:
-    bag = tmp_path / "bag"
-    shutil.copytree(recorded / "bag", bag)
-    for text, said in {
-        "ml_height: {min_cnr_db: 2020-01-01}": "Node ml_height: Parameter min_cnr_db",
-        "ml_height: {min_cnr_db: 2020-13-01}": "cannot be read",
-        "ml_height: {range_looks: }": "it must be a whole number from 1",
-    }.items():
-        (bag / "parameters.yaml").write_text(text)
+def test_parameters_travel_with_the_file(recorded: Path, tmp_path: Path) -> None:
+    """Of the bag nothing is taken but its .mcap file."""
+    file = shutil.copy(recorded / "bag" / "bag_0.mcap", tmp_path / "copy.mcap")
+    assert recorded_parameters(BagReader(Path(file)))["ml_height"] == {"range_looks": 2, "azimuth_looks": 2}
+    replay(Path(file), tmp_path / "out", {"ml_height": {"range_looks": 4}})
+    again = recorded_parameters(BagReader(tmp_path / "out" / "bag"))
+    assert again["ml_height"] == {"range_looks": 4, "azimuth_looks": 2}
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["parameters"] == again
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_parameters_of_a_bag_are_checked(beside: bool, recorded: Path, tmp_path: Path) -> None:
+    """Those in the bag, and those in a file beside it, as older bags have them."""
+    for number, (text, said) in enumerate(
+        {
+            "ml_height: {min_cnr_db: 2020-01-01}": "Node ml_height: Parameter min_cnr_db",
+            "ml_height: {min_cnr_db: 2020-13-01}": "cannot be read",
+            "ml_height: {range_looks: }": "it must be a whole number from 1",
+            "ml_height": "must map node names",
+        }.items()
+    ):
+        bag = copy_of(recorded / "bag", tmp_path / str(number), (), {} if beside else {"parameters": text})
+        if beside:
+            (bag / "parameters.yaml").write_text(text)
         with pytest.raises(UserError, match=said):
             replay(bag, tmp_path / "out", {})
     assert not (tmp_path / "out").exists()
@@ -228,22 +215,24 @@ def validity(bag: Path, topic: str) -> list[np.ndarray]:
     return [np.array(reader.decode(m.type_name, m.cdr).validity) for m in reader.messages([topic])]
 
 
-def copy_without(bag: Path, copy: Path, topic: str) -> Path:
-    """A copy of a bag in which a topic has no messages."""
+def copy_of(
+    bag: Path, copy: Path, messages: Iterable[BagMessage], custom_data: Mapping[str, str] | None = None
+) -> Path:
+    """A bag with the topics and custom data of another one, and these messages, each in a chunk of its own."""
     reader = BagReader(bag)
-    with BagWriter(copy) as writer:
-        for known in reader.topics.values():
-            writer.add_topic(known.name, known.type_name, known.offered_qos)
-        for message in reader.messages([name for name in reader.topics if name != topic]):
+    with BagWriter(copy, reader.custom_data if custom_data is None else custom_data) as writer:
+        for topic in reader.topics.values():
+            writer.add_topic(topic.name, topic.type_name, topic.offered_qos)
+        for message in messages:
             writer.write(message.topic, message.cdr, message.log_time_ns, message.log_time_ns)
-    shutil.copy(bag / "parameters.yaml", copy)
+            writer.flush()
     return copy
 
 
-def lifted(reader: BagReader, message: Any) -> bytes:
-    """The odometry with the platform 0.1 mm higher."""
-    from rclpy.serialization import serialize_message
-
+def lifted(reader: BagReader, message: BagMessage) -> BagMessage:
+    """The message; odometry with the platform 0.1 mm higher."""
+    if message.topic != "/platform/odometry":
+        return message
     odometry = reader.decode(message.type_name, message.cdr)
     odometry.pose.pose.position.z += 1e-4
-    return serialize_message(odometry)
+    return message._replace(cdr=serialize_message(odometry))

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from threading import Lock
 from typing import Self
 
 import numpy as np
@@ -244,10 +243,9 @@ def _of_scene(looks: Looks, beams: Beams, squint: F64, noise_power: float) -> Eq
         amplitudes = wide.scaled(np.abs(calibration.gains))
         searches = PeakSearches.over(amplitudes, squints, OBJECTIVES["normalised"], search_guard(beams))
         share = MISFIT_SHARE if calibration.steps > 1 else FIRST_MISFIT_SHARE
-        total, lock = Normal.zero(beams.count), Lock()
+        of_blocks: dict[tuple[int, int], Normal] = {}
 
         def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
-            nonlocal total
             pixels = looks.covariance[rows, cols].reshape(-1, beams.count, beams.count)
             pixels = pixels * (phases.conj()[:, None] * phases / noise_power).astype(np.complex64)
             elevation = search.peaks(pixels).elevation
@@ -256,11 +254,12 @@ def _of_scene(looks: Looks, beams: Beams, squint: F64, noise_power: float) -> Eq
             explained = search.fit(pixels, elevation)[0]
             usable = of_pixel[1] & _usable(pixels, explained, of_pixel[0], elevation, beams, share)
             curve = curve_of(wide, np.abs(calibration.gains), elevation[usable], across[usable])
-            found = with_unknown_angles(curve, pixels[usable], of_pixel[0][usable])
-            with lock:
-                total += found
+            block = (rows.start, int(np.arange(squint.size)[cols][0]))
+            of_blocks[block] = with_unknown_angles(curve, pixels[usable], of_pixel[0][usable])
 
         searches.each(squint, looks.covariance.shape[0], work)
+        # Floating-point sums depend on their order, so that it must not be the one in which threads finish.
+        total = sum((of_blocks[block] for block in sorted(of_blocks)), start=Normal.zero(beams.count))
         if total.pixels < LEAST_PIXELS * (2 * beams.count + 1):
             raise NotDetermined(
                 f"{total.pixels} pixels show one scatterer between the boresights with an energy of {LEAST_ENERGY:g} "

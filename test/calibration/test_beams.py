@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -24,6 +25,7 @@ from sal_height.calibration.beams import (
 )
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation
 from sal_height.elevation.looks import Looks, covariance, multilook
+from sal_height.elevation.search import PeakSearches
 from sal_height.errors import NotDetermined, UserError
 from sal_height.sensor.channels import whitened_channels
 from sal_height.sensor.sensor import Sensor
@@ -296,6 +298,27 @@ def test_scatterers_beyond_the_boresights_are_left_out() -> None:
     elevation = elevation_at(rng.uniform(-2.5, 2.5, 4000))
     looks = looks_of(draw_samples(rng, beams, elevation, np.zeros(4000), 100.0, 4))
     assert calibrate_beams(looks, beams, NADIR, 1.0).pixels == pytest.approx(2000, rel=0.06)
+
+
+def test_the_order_in_which_threads_finish_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The blocks of pixels are worked on once in order and once backwards; the id of a calibration hangs on its bits."""
+    rng, beams = np.random.default_rng(8), make_beams("sinc", 4)
+    scene = draw_scene(rng, beams_with(beams, draw_truth(rng, 4)), 20_000, 10.0)
+    forwards = calibrate_beams(scene, beams, NADIR, 1.0)
+    each, blocks = PeakSearches.each, []
+
+    def backwards(searches: PeakSearches, squint: Array, rows: int, work: Callable[..., object]) -> None:
+        calls: list[tuple[object, ...]] = []
+        each(searches, squint, rows, lambda *call: calls.append(call))
+        blocks.append(len(calls))
+        for call in sorted(calls, key=lambda call: call[1].start, reverse=True):
+            work(*call)
+
+    monkeypatch.setattr(PeakSearches, "each", backwards)
+    again = calibrate_beams(scene, beams, NADIR, 1.0)
+    assert min(blocks) > 5
+    assert again.gains.tobytes() == forwards.gains.tobytes()
+    assert (again.width_factor, again.width_sigma) == (forwards.width_factor, forwards.width_sigma)
 
 
 def test_two_detectors_tell_their_phase() -> None:

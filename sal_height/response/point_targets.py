@@ -14,6 +14,7 @@ from enum import StrEnum
 import numpy as np
 import scipy.fft
 from scipy.ndimage import maximum_filter, median_filter
+from scipy.spatial import cKDTree
 
 from sal_height.errors import NotDetermined, UserError
 from sal_height.numeric import C64, C128, F32, F64, Complex, compiled, in_parallel
@@ -176,7 +177,7 @@ def find_targets(image: Complex, chip: tuple[int, int] = CHIP) -> TargetSurvey:
     with np.errstate(over="ignore", invalid="ignore"):  # what is too great is not finite
         pixels = np.ascontiguousarray(image, dtype=np.complex64)
     candidates, clutter = _survey(pixels)
-    candidates = _crowds_marked(candidates, clutter, chip, pixels.shape)
+    candidates = _mark_crowds(candidates, clutter, chip, pixels.shape)
     promising = [index for index, one in enumerate(candidates) if one.verdict is Verdict.ACCEPTED]
     targets: dict[int, PointTarget] = {}
     for index in promising[:MAX_CHIPS]:
@@ -309,16 +310,21 @@ def _add_blocks(parts: F32, mean: F64, peak: F64) -> None:
             peak[i, j] = greatest
 
 
-def _crowds_marked(
+def _mark_crowds(
     candidates: list[Candidate], clutter: F64, chip: tuple[int, int], shape: tuple[int, ...]
 ) -> list[Candidate]:
-    """The candidates, those marked that share their chip with another, or whose chip leaves the image."""
-    places = np.array([(one.row, one.col) for one in candidates]).reshape(-1, 2)
+    """The candidates with the verdict CROWDED where a chip holds another bright one, EDGE where it leaves the image.
+
+    Another one crowds a chip if it has more than FOREIGN times the power of the candidate in its middle.
+    """
+    if not candidates:
+        return []
+    places = np.array([(one.row, one.col) for one in candidates]) / (np.array(chip) // 2)
     power = np.array([one.over_clutter for one in candidates]) * clutter
-    shares = power[None, :] > FOREIGN * power[:, None]
-    for place, size in zip(places.T, chip, strict=True):
-        shares &= np.abs(place[None, :] - place[:, None]) <= size // 2
-    crowded = np.count_nonzero(shares, axis=1) > 1  # itself too
+    first, second = cKDTree(places).query_pairs(1 + 1e-6, p=np.inf, output_type="ndarray").T
+    crowded = np.zeros(len(candidates), dtype=np.bool_)
+    crowded[first[power[second] > FOREIGN * power[first]]] = True
+    crowded[second[power[first] > FOREIGN * power[second]]] = True
     marked = []
     for one, alone in zip(candidates, ~crowded, strict=True):
         inside = _start(one.row, shape[0], chip[0]) >= 0 and _start(one.col, shape[1], chip[1]) >= 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from helpers import assert_one_sentence, circular
@@ -10,7 +12,7 @@ from numpy.testing import assert_allclose
 from sal_height.errors import NotDetermined, UserError
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
 from sal_height.response import point_targets
-from sal_height.response.point_targets import BLOCK, Verdict, chip_at, find_targets
+from sal_height.response.point_targets import BLOCK, Candidate, Verdict, chip_at, find_targets
 
 SIDE = 256
 PLACES = ((70.3, 60.8), (80.0, 190.45), (190.75, 100.1))
@@ -145,6 +147,49 @@ def test_two_that_are_not_resolved_are_wider_than_the_others() -> None:
     found = {candidate.row: candidate.verdict for candidate in find_targets(image).candidates}
     assert sorted(found.values()) == [Verdict.ACCEPTED, Verdict.ACCEPTED, Verdict.COMPLICATED]
     assert found[190] is found[60] is Verdict.ACCEPTED
+
+
+def crowded_pairwise(candidates: list[Candidate], clutter: np.ndarray, chip: tuple[int, int]) -> list[bool]:
+    """Each candidate against every other."""
+    power = [one.over_clutter * level for one, level in zip(candidates, clutter, strict=True)]
+    return [
+        any(
+            other is not one
+            and abs(other.row - one.row) <= chip[0] // 2
+            and abs(other.col - one.col) <= chip[1] // 2
+            and power[j] > point_targets.FOREIGN * power[i]
+            for j, other in enumerate(candidates)
+        )
+        for i, one in enumerate(candidates)
+    ]
+
+
+def draw_candidates(count: int, side: int) -> tuple[list[Candidate], np.ndarray]:
+    rng = np.random.default_rng(7)
+    places, levels = rng.integers(0, side, (count, 2)), 10 ** rng.uniform(2, 5, count)
+    found = [Candidate(int(row), int(col), float(over)) for (row, col), over in zip(places, levels, strict=True)]
+    return found, rng.uniform(1, 2, count)
+
+
+@pytest.mark.parametrize("chip", [(64, 64), (30, 6)])
+def test_crowds_are_those_of_all_pairs(chip: tuple[int, int]) -> None:
+    candidates, clutter = draw_candidates(300, 600)
+    marked = point_targets._mark_crowds(candidates, clutter, chip, (10_000, 10_000))
+    inside = [one for one in marked if one.verdict is not Verdict.EDGE]
+    expected = crowded_pairwise(candidates, clutter, chip)
+    crowded = {(one.row, one.col) for one, is_crowded in zip(candidates, expected, strict=True) if is_crowded}
+    assert 50 < len(crowded) < 290
+    assert all(((one.row, one.col) in crowded) == (one.verdict is Verdict.CROWDED) for one in inside)
+
+
+def test_crowds_of_a_city_need_little_memory() -> None:
+    """All pairs of as many candidates would take 3 GB."""
+    candidates, clutter = draw_candidates(20_000, 8192)
+    tracemalloc.start()
+    point_targets._mark_crowds(candidates, clutter, (64, 64), (8192, 8192))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 50e6
 
 
 def test_no_more_chips_than_enough(monkeypatch: pytest.MonkeyPatch) -> None:

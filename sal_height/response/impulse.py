@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
 from scipy.special import entr
 
 from sal_height.errors import UserError
@@ -23,8 +24,17 @@ REACH = 10
 NEAR = 8
 """A target is looked for this many pixels around the place it is said to be near."""
 
-SEEN_BAND = 0.1
-"""Coherence of neighbouring pixels from which on the place of the chip's band can be told."""
+GAP = 1 / 16
+"""Share of the sampling rate over which a spectrum is averaged to find the gap beside its band.
+
+It is wide enough that the fringes of two targets or the speckle of clutter leave no gap of their own.
+"""
+
+EMPTY = 0.8
+"""Energy in the emptiest part of a spectrum, over its mean, below which that part is a gap beside the band.
+
+Speckle in a chip of CHIP columns varies by 2 % there; a gap of 2 % of the sampling rate leaves 0.6.
+"""
 
 
 @dataclass(frozen=True)
@@ -219,17 +229,22 @@ def _run(finite: Bool, at: int, start: int) -> tuple[int, int]:
 
 
 def band_frequencies(energy: F64) -> I64:
-    """Frequencies (cycles per chip) of the bins of a spectrum: of all those a bin stands for, that in its band.
+    """Frequencies (cycles per chip) of the bins of a spectrum: of all those a bin stands for, the one in its band.
 
-    The band may lie anywhere. It is centred on the energy's centre of gravity on the circle of frequencies or, if the
-    energy is spread too evenly over the circle to have one, on 0.
+    The band may lie anywhere on the circle of frequencies, and clutter may weigh one side of it more than the other:
+    the circle is cut where the spectrum is emptiest. A spectrum without a gap is cut at half a cycle per pixel.
+
+    Args:
+        energy: of each bin, in the order of `numpy.fft.fft`, shape (bins,).
     """
     count = len(energy)
-    bins = np.arange(count)
-    coherence = np.sum(energy * np.exp(2j * np.pi * bins / count)) / np.sum(energy)
-    centre = round(float(np.angle(coherence)) / (2 * np.pi) * count) if np.abs(coherence) > SEEN_BAND else 0
-    lowest = centre - count // 2
-    return lowest + (bins - lowest) % count
+    around = max(3, round(GAP * count / 2))
+    smooth = uniform_filter1d(
+        uniform_filter1d(np.asarray(energy, dtype=np.float64), around, mode="wrap"), around, mode="wrap"
+    )
+    emptiest = int(np.argmin(smooth))
+    highest = emptiest if smooth[emptiest] < EMPTY * np.mean(energy) else (count + 1) // 2
+    return (np.arange(count) - highest) % count + highest - count
 
 
 def _peak(chip: Chip, row: int, col: int) -> tuple[float, float]:

@@ -301,7 +301,7 @@ def test_scatterers_beyond_the_boresights_are_left_out() -> None:
 
 
 def test_the_order_in_which_threads_finish_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The blocks of pixels are worked on once in order and once backwards; the id of a calibration hangs on its bits."""
+    """The blocks of pixels are taken in order, then backwards; the id of a calibration depends on its bits."""
     rng, beams = np.random.default_rng(8), make_beams("sinc", 4)
     scene = draw_scene(rng, beams_with(beams, draw_truth(rng, 4)), 20_000, 10.0)
     forwards = calibrate_beams(scene, beams, NADIR, 1.0)

@@ -27,6 +27,28 @@ def test_one_version() -> None:
     assert len(versions) == 1
 
 
+BY_PIP = {"annotated-types", "cyclopts", "finufft", "mcap", "numba", "pydantic"}
+"""Requirements that package.xml leaves to pip, and names in a comment: rosdep has no fitting package for them."""
+
+NAMED_OTHERWISE = {"pyyaml": "python3-yaml"}
+
+ROS_WHEELS = {"ros-jazzy-common-interfaces", "ros-jazzy-rclpy"}
+"""Wheels whose ROS packages package.xml lists one by one."""
+
+
+def test_package_xml_has_the_requirements_of_setup_py() -> None:
+    manifest = ROOT / "package.xml"
+    listed = {tag.text for tag in ET.parse(manifest).getroot().iter("exec_depend")}  # noqa: S314 (our own file)
+    pythonic = {name for name in listed if name and name.startswith("python3-")}
+    text = (ROOT / "setup.py").read_text()
+    block = text[text.index("install_requires") : text.index("extras_require")]
+    required = {re.split(r"[\[<>=]", name)[0] for name in re.findall(r'"([^"]+)"', block)} - ROS_WHEELS
+    assert required >= BY_PIP
+    assert pythonic == {NAMED_OTHERWISE.get(name, f"python3-{name}") for name in required - BY_PIP}
+    (comment,) = (part for part in re.findall(r"<!--(.*?)-->", manifest.read_text(), re.DOTALL) if "pip" in part)
+    assert set(re.findall(r"[a-z][a-z-]+", comment)) >= BY_PIP
+
+
 def test_every_program_can_be_started() -> None:
     programs = {e.name: e.value for e in entry_points(group="console_scripts") if e.value.startswith("sal_height.")}
     assert {

@@ -1,7 +1,4 @@
-"""Measures all rows, prints them and writes bench.json; status 1 if one misses its target.
-
-`python -m benchmarks WORD…` measures only the groups whose name holds a word, and leaves bench.json alone.
-"""
+"""Measures speed, memory and accuracy against their targets: `python -m benchmarks --help`."""
 
 from __future__ import annotations
 
@@ -9,70 +6,106 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterator
+import traceback
+from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Annotated
 
-from benchmarks import (
-    array_accuracy,
-    array_estimator,
-    backprojection,
-    beam_calibration,
-    calibration_accuracy,
-    calibration_node,
-    fast_formers,
-    figures,
-    layover,
-    memory,
-    psf,
-    relief_map,
-    relief_tracking,
-)
-from benchmarks.row import REPEATS, Row
-from sal_height.numeric import WORKERS
+from cyclopts import App, Parameter
 
-GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
-    "fast-formers": fast_formers.against_fft,
-    "backprojection": backprojection.throughput,
-    "array-trials": array_estimator.against_random_numbers,
-    "array-images": array_estimator.throughput,
-    "array-node": array_estimator.node_over_core,
-    "array-memory": memory.array_memory,
-    "beam-calibration": beam_calibration.from_a_scene,
-    "calibration-node": calibration_node.beside_compression,
-    "accuracy-calibration": calibration_accuracy.left_of_errors,
-    "layover": layover.throughput,
-    "psf-targets": psf.target_route,
-    "psf-both": psf.both_routes,
-    "relief-map": relief_map.throughput,
-    "relief-tracking": relief_tracking.throughput,
-    "figures": figures.all_figures,
-    "memory": memory.peak_memory,
-    "accuracy-array": array_accuracy.against_theory,
-    "accuracy-array-search": array_accuracy.against_dense_search,
-    "accuracy-backprojection": backprojection.accuracy,
-    "accuracy-fast-formers": fast_formers.against_backprojection,
+from benchmarks.row import QUICK, Row
+
+GROUPS = {
+    "fast-formers": "fast_formers:against_fft",
+    "backprojection": "backprojection:throughput",
+    "array-trials": "array_estimator:against_random_numbers",
+    "array-images": "array_estimator:throughput",
+    "array-node": "array_estimator:node_over_core",
+    "array-memory": "memory:array_memory",
+    "beam-calibration": "beam_calibration:from_a_scene",
+    "calibration-node": "calibration_node:beside_compression",
+    "accuracy-calibration": "calibration_accuracy:left_of_errors",
+    "layover": "layover:throughput",
+    "psf-targets": "psf:target_route",
+    "psf-both": "psf:both_routes",
+    "relief-map": "relief_map:throughput",
+    "relief-tracking": "relief_tracking:throughput",
+    "figures": "figures:all_figures",
+    "memory": "memory:peak_memory",
+    "accuracy-array": "array_accuracy:against_theory",
+    "accuracy-array-search": "array_accuracy:against_dense_search",
+    "accuracy-backprojection": "backprojection:accuracy",
+    "accuracy-fast-formers": "fast_formers:against_backprojection",
 }
-"""All benchmarks: functions that measure rows. Add one here."""
+"""All groups of benchmarks: module and function that yields rows. Add one here."""
 
-RESULT = Path("bench.json")
+app = App(name="python -m benchmarks", help_format="plaintext", default_parameter=Parameter(negative=()))
 
 
-def main(words: list[str]) -> int:
-    """Measure, print, write; the exit status."""
+@app.default
+def benchmarks(
+    groups: Annotated[tuple[str, ...], Parameter(name="GROUP", show_default=False)] = (),
+    /,
+    *,
+    out: Annotated[Path, Parameter(metavar="FILE")] = Path("bench.json"),
+    list_groups: Annotated[bool, Parameter(name="--list", show_default=False)] = False,
+    quick: Annotated[bool, Parameter(show_default=False)] = False,
+) -> int:
+    """Measure speed, memory and accuracy, and print each number beside its target.
+
+    Rows are written to the file as they come. The exit status is 1 if a target is missed or a group failed.
+
+    Args:
+        groups: Groups to measure; * stands for any text. Default: all.
+        out: File of the results.
+        list_groups: List the groups instead.
+        quick: Try out one row of each group at a small size; its number means nothing, and the exit status is 1 only
+            if a group fails.
+    """
+    chosen = [name for name in GROUPS if not groups or any(fnmatchcase(name, group) for group in groups)]
+    unknown = [group for group in groups if not any(fnmatchcase(name, group) for name in GROUPS)]
+    if unknown:
+        sys.stderr.write(f"There is no group {', '.join(unknown)}; --list shows all groups.\n")
+        return 2
+    if list_groups:
+        _print("\n".join(chosen))
+        return 0
+    if quick:
+        os.environ[QUICK] = "1"  # before the groups are imported, and for their child processes
+    return _measure(chosen, out, quick)
+
+
+def _measure(chosen: Sequence[str], out: Path, quick: bool) -> int:
+    """Measure groups, print and write their rows as they come; the exit status."""
     _print(machine())
-    rows: list[Row] = []
-    for name, measure in GROUPS.items():
-        if not words or any(word in name for word in words):
-            for row in measure():
+    entries: list[dict[str, object]] = []
+    failed = []
+    for name in chosen:
+        try:
+            for row in rows_of(name):
+                entries.append({"group": name, **row.as_json()})
+                out.write_text(json.dumps(entries, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
                 _print(line(row))
-                rows.append(row)
-    missed = sum(not row.ok for row in rows)
-    _print(f"{len(rows) - missed} of {len(rows)} targets met{f', {missed} MISSED' if missed else ''}")
-    if not words:
-        RESULT.write_text(json.dumps([row.as_json() for row in rows], indent=1, ensure_ascii=False) + "\n", "utf-8")
-        _print(f"wrote {RESULT}")
-    return 1 if missed else 0
+                if quick:
+                    break
+        except Exception:  # noqa: BLE001 (the other groups are still of interest)
+            failed.append(name)
+            _print(traceback.format_exc())
+    missed = sum(not entry["ok"] for entry in entries)
+    _print(f"{len(entries) - missed} of {len(entries)} targets met{f', {missed} MISSED' if missed else ''}; see {out}")
+    if failed:
+        _print(f"FAILED: {', '.join(failed)}")
+    return 1 if failed or (missed and not quick) else 0
+
+
+def rows_of(group: str) -> Iterator[Row]:
+    """The rows of a group, each measured when it is asked for."""
+    module, function = GROUPS[group].split(":")
+    rows: Iterator[Row] = getattr(import_module(f"benchmarks.{module}"), function)()
+    return rows
 
 
 def line(row: Row) -> str:
@@ -83,14 +116,16 @@ def line(row: Row) -> str:
 
 
 def machine() -> str:
-    """What it is measured on, and what else the machine has to do."""
+    """The machine that is measured on, its load, and the versions that matter for speed."""
+    from sal_height.numeric import WORKERS  # noqa: PLC0415 (--help and --list need no NumPy)
+
     info = Path("/proc/cpuinfo")
     text = info.read_text(encoding="utf-8") if info.exists() else ""
     models = [entry.partition(":")[2].strip() for entry in text.splitlines() if entry.startswith("model name")]
     libraries = " ".join(_versions("numpy", "scipy", "numba", "pyfftw", "ducc0", "mkl_fft"))
     return (
         f"{models[0] if models else platform.machine()}, {WORKERS} processors, load {os.getloadavg()[0]:.1f}\n"
-        f"Python {platform.python_version()}, {libraries}; medians of {REPEATS}, measured in turn"
+        f"Python {platform.python_version()}, {libraries}; medians of repeated measurements, taken in turn"
     )
 
 
@@ -108,4 +143,4 @@ def _print(text: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(app(result_action="return_value"))

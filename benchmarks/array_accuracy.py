@@ -7,19 +7,18 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.array_estimator import BEAMWIDTH, DETECTORS, beams_of, elevation_at
-from benchmarks.row import Row
+from benchmarks.row import Row, sized
 from sal_height.beams import Beams
 from sal_height.elevation import OBJECTIVES, Covariance, PeakSearches, covariance, stochastic_crb
 from sal_height.numeric import F64, Bool
 from sal_height.theory import TARGETS, draw_pixels, run_array_trials
 
 PATTERNS = ("sinc", "jinc")
-TRIALS = 400_000
+TRIALS = sized(400_000, 2000)
 CNR = 100.0
 """Well above the threshold, where one peak in 1000 is still another for four looks."""
 
-PIXELS = 1_000_000
-PIXELS_AT_ONCE = 12_500
+PIXELS, PIXELS_AT_ONCE = sized((1_000_000, 12_500), (800, 100))
 LEVELS_DB = (0, 5, 10, 20)
 SEARCH_LOOKS = 4
 

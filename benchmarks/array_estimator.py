@@ -12,7 +12,7 @@ from sal_height_msgs.msg import DetectorFrame, Provenance
 from std_msgs.msg import Header
 
 from benchmarks.cases import SLANT_RANGE, spotlight
-from benchmarks.row import Row, medians
+from benchmarks.row import Row, medians, sized
 from sal_height import messages
 from sal_height.beams import Beams, pattern_named
 from sal_height.elevation import (
@@ -32,8 +32,8 @@ from sal_height.sensor import Sensor
 from sal_height.theory.array_trials import SAMPLES_AT_ONCE, TARGETS, draw_pixels, run_array_trials, with_streams
 
 DETECTORS, PITCH, BEAMWIDTH, LOOKS = 16, 0.5, 1.55e-4, 4
-TRIALS = 100_000
-ROWS, COLS = 400, 250
+TRIALS = sized(100_000, 1000)
+ROWS, COLS = sized((400, 250), (20, 20))
 CNR = 10.0
 
 UPSAMPLING = 16

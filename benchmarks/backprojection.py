@@ -8,12 +8,12 @@ import numpy as np
 import scipy.fft
 
 from benchmarks.cases import Case, spotlight
-from benchmarks.row import Row, medians
+from benchmarks.row import Row, medians, sized
 from sal_height.imaging import backproject
 from sal_height.numeric import C128
 
-DETECTORS, PULSES, FREQUENCIES = 16, 128, 256
-ROWS, COLS = 200, 1024
+DETECTORS, PULSES, FREQUENCIES = sized((16, 128, 256), (2, 32, 64))
+ROWS, COLS = sized((200, 1024), (20, 64))
 
 NUMPY_OVERSAMPLING = 8
 """Of the range profiles between which NumPy interpolates linearly."""

@@ -9,14 +9,15 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.array_estimator import beams_of, elevation_at
-from benchmarks.row import Row
+from benchmarks.row import Row, sized
 from sal_height.beams import Beams
 from sal_height.calibration import BeamCalibration, beams_with, calibrate_beams
 from sal_height.elevation import OBJECTIVES, covariance, multilook, peak_elevation
 from sal_height.numeric import C64, F64
 from sal_height.theory.array_trials import TARGETS, draw_pixels
 
-ROWS, COLS, LOOKS, CNR = 400, 500, 4, 10**1.5
+ROWS, COLS = sized((400, 500), (40, 50))
+LOOKS, CNR = 4, 10**1.5
 WIDTH, GAIN_DB, PHASE = 1.05, 0.5, np.radians(5)
 """What is wrong with the description: the width factor, and standard deviations of gains (dB) and phases (rad)."""
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.row import Row
+from benchmarks.row import Row, sized
 from sal_height.calibration import Calibration, Calibrator
 from sal_height.elevation import ESTIMATORS, ElevationEstimate, MlSettings
 from sal_height.geometry import Trajectory
@@ -16,10 +16,10 @@ from sal_height.pipeline import Compressor, elevations
 from sal_height.sensor import PhaseHistory
 from sal_height.simulation import Impairments, RangeSawtooth, SimulatedFlight, flight_of, load_preset
 
-DWELLS = 100
+DWELLS = sized(100, 4)
 """Of preset small: a second of flight."""
 
-COMPARED = 8
+COMPARED = sized(8, 1)
 """Dwells whose heights are compared."""
 
 CNR_DB, CLEAR_DB = 20.0, 40.0

@@ -8,7 +8,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sal_height_msgs.msg import ComplexImage
 
-from benchmarks.row import Row, medians
+from benchmarks.row import Row, medians, sized
 from sal_height import messages
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.psf_calibration import PsfCalibration
@@ -17,7 +17,7 @@ from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.sensor import Sensor
 from sal_height.simulation import flight_of, load_preset
 
-DWELLS = 640
+DWELLS = sized(640, 10)
 """After which there is a calibration, as the node has it by default: of every tenth."""
 
 TIMEOUT_S = 10.0

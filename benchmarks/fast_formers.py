@@ -11,13 +11,13 @@ import numpy as np
 
 from benchmarks.bare_fft import Pass, candidates
 from benchmarks.cases import Case, spotlight, stripmap, with_targets
-from benchmarks.row import Row, medians
+from benchmarks.row import Row, medians, sized
 from sal_height.imaging import Former, backproject
 from sal_height.imaging.formers import range_doppler, specan
 from sal_height.numeric.fft import CHOICE
 
-DETECTORS, PULSES, FREQUENCIES = 16, 512, 1024
-ROWS, COLS = 1024, 512
+DETECTORS, PULSES, FREQUENCIES = sized((16, 512, 1024), (1, 512, 128))
+ROWS, COLS = sized((1024, 512), (64, 64))
 
 
 def against_fft() -> Iterator[Row]:

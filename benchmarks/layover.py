@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.row import Row, medians
+from benchmarks.row import Row, medians, sized
 from sal_height.beams import Beams, pattern_named
 from sal_height.elevation import OBJECTIVES, Covariance, peak_elevation, search_guard, two_scatterers
 from sal_height.theory.array_trials import TARGETS, draw_pixels
 
 DETECTORS, PITCH, BEAMWIDTH, LOOKS = 16, 0.5, 1.55e-4, 4
-SIDE = 256
+SIDE = sized(256, 16)
 CNR = 100.0
 FALSE_ALARM = 0.01
 SHARE = 0.1

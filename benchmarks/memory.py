@@ -11,12 +11,12 @@ import numpy as np
 
 from benchmarks.array_estimator import beams_of
 from benchmarks.cases import Case, spotlight, stripmap
-from benchmarks.row import Row
+from benchmarks.row import Row, sized
 from sal_height.elevation import OBJECTIVES, ml_elevation, multilook
 from sal_height.imaging import FORMERS
 from sal_height.numeric import C64
 
-DETECTORS, PULSES, FREQUENCIES, ROWS, COLS = 16, 512, 1024, 1024, 512
+DETECTORS, PULSES, FREQUENCIES, ROWS, COLS = sized((16, 512, 1024, 1024, 512), (4, 512, 64, 64, 64))
 
 ARRAY = "array"
 """Instead of the name of a former: the array estimate."""

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import scipy.fft
 
-from benchmarks.row import Row, medians
+from benchmarks.row import Row, medians, sized
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
 from sal_height.numeric import C64, WORKERS
 from sal_height.response import (
@@ -22,8 +22,9 @@ from sal_height.response import (
     find_targets,
 )
 
-SIDE = 2048
-TARGETS = tuple(Target(row + 0.3, col + 0.6, 40.0) for row in (300, 1600) for col in (500, 1300))
+SIDE = sized(2048, 512)
+PLACES = [(row * SIDE / 2048, col * SIDE / 2048) for row in (300, 1600) for col in (500, 1300)]
+TARGETS = tuple(Target(row + 0.3, col + 0.6, 40.0) for row, col in PLACES)
 
 
 def target_route() -> Iterator[Row]:

@@ -13,15 +13,14 @@ from std_msgs.msg import Header
 
 from benchmarks.cases import spotlight
 from benchmarks.memory import resident
-from benchmarks.row import Row, medians
+from benchmarks.row import Row, medians, sized
 from sal_height import messages
 from sal_height.geometry import ApertureState, above_place
 from sal_height.relief import HeightField, ReliefMap, Surface
 
-SIDE = 512
-DWELLS = 1000
-WARM_UP = 50
-"""Dwells after which all that is allocated once is there."""
+SIDE = sized(512, 32)
+DWELLS, WARM_UP = sized((1000, 50), (3, 1))
+"""Dwells of the test of memory, and those after which everything that is allocated once is there."""
 
 
 def throughput() -> Iterator[Row]:

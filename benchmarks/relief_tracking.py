@@ -6,14 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.row import Row, medians
+from benchmarks.row import Row, medians, sized
 from sal_height.relief import ReliefPrior, smoothed, smoothed_field
 
-ROWS, COLS = 1024, 1024
+ROWS, COLS = sized((1024, 1024), (64, 64))
 SPACING = 0.5
 PRIOR = ReliefPrior(20.0, 1.0)
 
-FIELD_ROWS, FIELD_COLS = 256, 256
+FIELD_ROWS, FIELD_COLS = sized((256, 256), (16, 16))
 """Of the image that is tracked along the flight, too."""
 
 

@@ -1,17 +1,30 @@
-"""A row of the benchmark: something measured, beside what it has to be."""
+"""A row of the benchmark: something measured beside its target, and how times are measured."""
 
 from __future__ import annotations
 
 import operator
+import os
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import TypeVar
 
-REPEATS = 9
-"""Of everything that is timed; its median counts."""
+Size = TypeVar("Size")
 
-_COMPARISONS: dict[str, Callable[[float, float], bool]] = {"<=": operator.le, ">=": operator.ge}
+QUICK = "SAL_HEIGHT_QUICK_BENCHMARKS"
+"""Environment variable that, if set, shrinks all sizes: to test that benchmarks run, not to measure anything."""
+
+_COMPARISONS: dict[str, Callable[[float, float], object]] = {"<=": operator.le, ">=": operator.ge}
+
+
+def sized(full: Size, quick: Size) -> Size:
+    """Choose the size of a benchmark: `full` to measure, `quick` to test that it runs."""
+    return quick if os.environ.get(QUICK) else full
+
+
+REPEATS = sized(9, 1)
+"""How often everything is timed; the median counts."""
 
 
 @dataclass(frozen=True)
@@ -20,8 +33,8 @@ class Row:
 
     Attributes:
         name: what was measured.
-        value: of it.
-        unit: of value and target; "1" for a ratio.
+        value: the number.
+        unit: unit of value and target; "1" for a ratio.
         target: "<= number" or ">= number".
         reference: what it was measured against, or on.
     """
@@ -36,16 +49,15 @@ class Row:
     def ok(self) -> bool:
         """Whether the value meets the target; NaN does not."""
         comparison, limit = self.target.split()
-        return _COMPARISONS[comparison](self.value, float(limit))
+        return bool(_COMPARISONS[comparison](self.value, float(limit)))
 
     def as_json(self) -> dict[str, object]:
-        """The row as it is kept in bench.json."""
-        names = ("name", "value", "unit", "target", "reference", "ok")
-        return {name: getattr(self, name) for name in names}
+        """The row as bench.json holds it: numbers of Python, not of NumPy, which the module json refuses."""
+        return {**asdict(self), "value": float(self.value), "ok": self.ok}
 
 
 def medians(*functions: Callable[[], object]) -> list[float]:
-    """Median times (s) of some functions, measured in turn so that what else the machine does strikes all alike."""
+    """Median times (s) of some functions, measured in turn, so that other load of the machine affects all alike."""
     for function in functions:
         function()
     times = [[_time(function) for function in functions] for _ in range(REPEATS)]

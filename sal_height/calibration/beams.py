@@ -29,9 +29,11 @@ from sal_height.elevation import (
     OBJECTIVES,
     Columns,
     Covariance,
+    Fit,
     Looks,
     PeakSearch,
     PeakSearches,
+    is_one_scatterer,
     search_guard,
 )
 from sal_height.errors import NotDetermined, UserError
@@ -300,11 +302,10 @@ def _first_gains(covariance: Covariance, beams: Beams, elevation: F64, squint: F
 
 
 def _usable(pixels: Covariance, explained: F64, count: F64, elevation: F64, beams: Beams, share: float) -> Bool:
-    """Pixels of one scatterer (`estimate.validity_of`), bright enough and between the boresights."""
+    """Pixels of one scatterer (`is_one_scatterer`), bright enough and between the boresights."""
     first, last = beams.span
     left = np.trace(pixels, axis1=1, axis2=2).real - explained
-    degrees = (beams.count - 1) * count
-    one = (left <= degrees + 5 * np.sqrt(degrees)) | (left - degrees <= share * explained)
+    one = is_one_scatterer(Fit(explained, left, (beams.count - 1) * count - 0.5, beams.count), share)
     return one & (explained - count >= LEAST_ENERGY) & (elevation >= first) & (elevation <= last)
 
 

@@ -9,7 +9,14 @@ their settings).
 
 from sal_height.elevation.bounds import beam_power, conditional_crb, speckle_crb, stochastic_crb
 from sal_height.elevation.capon import capon_elevation
-from sal_height.elevation.estimate import MISFIT_SHARE, ElevationEstimate, Validity, without_saturated
+from sal_height.elevation.estimate import (
+    MISFIT_SHARE,
+    ElevationEstimate,
+    Fit,
+    Validity,
+    is_one_scatterer,
+    without_saturated,
+)
 from sal_height.elevation.layover import resolve_layover, two_scatterers
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation, peak_elevation, search_guard
 from sal_height.elevation.looks import (
@@ -65,6 +72,7 @@ __all__ = [
     "ElevationEstimate",
     "ElevationEstimator",
     "Estimator",
+    "Fit",
     "HeightSettings",
     "Looks",
     "MlSettings",
@@ -84,6 +92,7 @@ __all__ = [
     "discriminate",
     "discriminator_variance",
     "invert",
+    "is_one_scatterer",
     "live_detectors",
     "look_grid",
     "ml_elevation",

@@ -8,14 +8,13 @@ from enum import IntEnum
 import numpy as np
 from scipy.special import gammainccinv
 
-from sal_height.beams import Beams
 from sal_height.elevation.bounds import beam_power
 from sal_height.elevation.looks import Covariance, Looks
-from sal_height.numeric import F64, U8, compiled, in_parallel
+from sal_height.numeric import F64, U8, Bool
 
 
 class Validity(IntEnum):
-    """Why a pixel has no height, two or that of its neighbours; as the constants of sal_height_msgs/HeightImage."""
+    """Why a pixel has no height, or two, or one from its neighbours; the values are those of HeightImage.msg."""
 
     OK = 0
     LOW_CNR = 1
@@ -64,76 +63,101 @@ class ElevationEstimate:
 
 
 MISFIT_SHARE = 0.03
-"""Share of a pixel's power that may remain unexplained before it counts as more than one scatterer."""
+"""Share of a pixel's explained power that may be left beyond the noise before it counts as more than one scatterer.
 
-PIXELS_OF_THREAD = 2**14
-"""Pixels that are worth a thread."""
+What errors of the beams leave grows with the power of the scatterer, and would reject every bright pixel.
+"""
 
-FALSE_ALARMS = 1e-4
-"""Share of pixels of noise alone in which the strongest of M independent directions passes for a signal."""
+FALSE_ALARM_RATE = 1e-4
+"""Share of single scatterers that are rejected because of noise, and of noise that passes for a scatterer.
+
+The latter is that of the strongest of M independent directions. The search sees more directions, but most of them are
+outside the array: of pixels of noise alone 0.1 to 1.7 times this share are valid, without any least CNR.
+"""
 
 
-def validity_of(
-    looks: Looks, beams: Beams, noise_power: float, elevation: F64, explained: F64, cnr: F64, min_cnr: float
-) -> U8:
-    """Reason for which each pixel's estimate cannot be used, the first that applies, or OK.
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """How well one scatterer explains each pixel; arrays (rows, cols), powers in units of the noise power.
 
-    What one scatterer at `elevation` leaves of the power is noise: (M - 1) K sigma^2 with the spread of a chi-square
-    of 2 (M - 1) K degrees of freedom. If more is left, the pixel holds another scatterer, or none where it was put.
+    Attributes:
+        explained: power that the scatterer explains, sum over looks, its share of the noise included.
+        left: power that it does not explain.
+        degrees: order of the gamma distribution of `left` if nothing but noise is left: half the number of real
+            dimensions of noise in K looks of M channels, less those that the scatterer's parameters have taken.
+        directions: number of independent directions among which the strongest was chosen.
+    """
+
+    explained: F64
+    left: F64
+    degrees: F64
+    directions: int
+
+
+def array_fit(looks: Looks, noise_power: float, explained: F64) -> Fit:
+    """Fit of a scatterer with the response of real beams to M channels of equal noise.
+
+    K complex amplitudes and one elevation leave M K - K - 1/2 complex dimensions of noise.
+
+    Args:
+        looks: covariance of M channels in each pixel.
+        noise_power: E|n|^2 of one SLC pixel in every channel.
+        explained: a^H R a / |a|^2 over the noise power, shape (rows, cols).
+    """
+    channels = looks.covariance.shape[-1]
+    return Fit(explained, looks.power / noise_power - explained, (channels - 1) * looks.count - 0.5, channels)
+
+
+def noise_limit(degrees: F64, rate: float) -> F64:
+    """Power, in units of the noise power, that noise exceeds with the probability `rate`; 0 where it has no power.
+
+    The sum of `degrees` squared moduli of circular Gaussian noise of mean power 1 has a gamma distribution.
+    """
+    orders, which = np.unique(degrees, return_inverse=True)
+    return np.where(orders > 0, gammainccinv(np.maximum(orders, 0.5), rate), 0.0)[which]
+
+
+def is_one_scatterer(fit: Fit, misfit_share: float = MISFIT_SHARE) -> Bool:
+    """Whether what a scatterer leaves of a pixel is noise, or a small share of what it explains.
+
     Two scatterers closer than about half a beamwidth cannot be told from one. Looks in range on sloping ground differ
     in elevation; from about 0.3 beamwidths on they count as several scatterers.
 
     Args:
-        looks: covariance of M channels in each pixel.
-        beams: of the M detectors.
-        noise_power: E|n|^2 of one SLC pixel in every channel.
-        elevation: estimates, rad, shape (rows, cols).
-        explained: power that one scatterer there explains (`explained_power`) over the noise power, shape (rows, cols).
-        cnr: estimates, power ratio, shape (rows, cols).
-        min_cnr: least usable power ratio.
+        fit: of one scatterer to every pixel.
+        misfit_share: greatest share of the explained power that may be left beyond the mean of the noise.
     """
-    degrees = (beams.count - 1) * looks.count
-    counts, which = np.unique(looks.count, return_inverse=True)
-    detected = explained >= gammainccinv(counts, FALSE_ALARMS / beams.count)[which]
-    left = looks.power / noise_power - explained
-    misfit = (left > degrees + 5 * np.sqrt(degrees)) & (left - degrees > MISFIT_SHARE * explained)
-    first, last = beams.span
+    noise = fit.left <= noise_limit(fit.degrees, FALSE_ALARM_RATE)
+    return noise | (fit.left - fit.degrees <= misfit_share * fit.explained)
+
+
+def decide_validity(looks: Looks, fit: Fit, strong: Bool, inside: Bool, outside: Validity) -> U8:
+    """Reason for which each pixel's estimate cannot be used, the first that applies, or OK; for every estimator.
+
+    Args:
+        looks: covariance of the channels in each pixel.
+        fit: of one scatterer to every pixel.
+        strong: where its CNR is sufficient.
+        inside: where its elevation is one that the estimator can tell.
+        outside: reason to give elsewhere.
+    """
+    detected = fit.explained >= noise_limit(looks.count, FALSE_ALARM_RATE / fit.directions)
     return np.select(
-        [~looks.finite, ~(detected & (cnr >= min_cnr)), ~((elevation >= first) & (elevation <= last)), misfit],
-        [Validity.MISSING_DATA, Validity.LOW_CNR, Validity.OUTSIDE_ARRAY, Validity.NOT_ONE_SCATTERER],
+        [~looks.finite, ~(detected & strong), ~inside, ~is_one_scatterer(fit)],
+        [Validity.MISSING_DATA, Validity.LOW_CNR, outside, Validity.NOT_ONE_SCATTERER],
         Validity.OK,
     ).astype(np.uint8)
 
 
 def explained_power(covariance: Covariance, response: F64) -> F64:
-    """Power that a single scatterer seen with amplitudes `response` explains: a^H R a / a^H a, shape (...)."""
-    return output_power(covariance, response) / beam_power(response)
-
-
-def output_power(covariance: Covariance, response: F64) -> F64:
-    """Power of the channels combined with weights `response`, a^H R a, in double precision.
+    """Power that a scatterer with the response a explains: a^H R a / |a|^2, shape (...), in double precision.
 
     Args:
-        covariance: shape (..., M, M); complex if the response is.
-        response: shape (..., M).
+        covariance: R, shape (..., M, M); complex if the response is.
+        response: a, shape (..., M).
     """
-    size = response.shape[-1]
-    power = np.empty(response.shape[:-1])
-    matrices, weights = covariance.reshape(-1, size, size), np.ascontiguousarray(response).reshape(-1, size)
-    flat = power.reshape(-1)
-    in_parallel(lambda part: _quadratic_forms(matrices[part], weights[part], flat[part]), flat.size, PIXELS_OF_THREAD)
-    return power
-
-
-@compiled
-def _quadratic_forms(matrices: Covariance, weights: F64, result: F64) -> None:
-    for i in range(result.size):
-        total = 0.0
-        for m in range(weights.shape[1]):
-            row, weight = matrices[i, m], np.conj(weights[i, m])
-            for n in range(weights.shape[1]):
-                total += (weight * row[n] * weights[i, n]).real
-        result[i] = total
+    outputs = np.einsum("...mn,...n->...m", covariance, response)
+    return np.sum(response.conj() * outputs, axis=-1).real / beam_power(response)
 
 
 def without_saturated(estimate: ElevationEstimate) -> ElevationEstimate:

@@ -17,7 +17,7 @@ import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation.bounds import stochastic_deviation
-from sal_height.elevation.estimate import ElevationEstimate, Validity, validity_of
+from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
 from sal_height.elevation.looks import Covariance, Covariances, Looks
 from sal_height.elevation.search import Columns, Objective, PeakSearch, PeakSearches
 from sal_height.errors import UserError
@@ -193,9 +193,12 @@ def _estimate(
     """
     explained = explained / noise_power
     cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
+    first, last = beams.span
+    inside = (elevation >= first) & (elevation <= last)
+    fit = array_fit(looks, noise_power, explained)
     return ElevationEstimate(
         elevation=elevation,
         sigma=stochastic_deviation((explained - noise) / gain, noise, gain, turning * gain),
         cnr=cnr,
-        validity=validity_of(looks, beams, noise_power, elevation, explained, cnr, min_cnr),
+        validity=decide_validity(looks, fit, cnr >= min_cnr, inside, Validity.OUTSIDE_ARRAY),
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation.estimate import ElevationEstimate, Validity, validity_of
+from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
 from sal_height.elevation.likelihood import OBJECTIVES, search_guard
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.elevation.monopulse.estimators import Estimator, accuracy, discriminate, sum_and_difference
@@ -63,8 +63,10 @@ def monopulse_elevation(
         return search.fit(pixels, found.elevation[rows, cols].reshape(-1))[:1]
 
     (explained,) = searches.of_pixels(looks.covariance, squint, 1, at_found) / noise_power
-    validity = validity_of(looks, beams, noise_power, found.elevation, explained, cnr, min_cnr)
     first, last = beams.span
+    inside = (found.elevation >= first) & (found.elevation <= last)
+    fit = array_fit(looks, noise_power, explained)
+    validity = decide_validity(looks, fit, cnr >= min_cnr, inside, Validity.OUTSIDE_ARRAY)
     outside = ((best < first) | (best > last)) & (best_explained / noise_power - explained > OUTSIDE_MARGIN)
     validity = np.where((validity == Validity.OK) & outside, Validity.OUTSIDE_ARRAY, validity)
     unpaired = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN]) & looks.finite

@@ -16,10 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammainccinv
 
 from sal_height.beams import Beams
-from sal_height.elevation.estimate import FALSE_ALARMS, MISFIT_SHARE, ElevationEstimate, Validity
+from sal_height.elevation.estimate import ElevationEstimate, Fit, Validity, decide_validity
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.monopulse.estimators import (
     Estimator,
@@ -63,7 +62,7 @@ def sum_difference_elevation(
 
     LOW_CNR: what both channels have in common is not clear of noise, or below `min_cnr`. OUTSIDE_PAIR: gamma has no
     elevation, as where there is a signal in Delta and none in Sigma. NOT_ONE_SCATTERER: of two whitened channels one
-    scatterer leaves K noise powers and not more, as in `estimate.validity_of`.
+    scatterer leaves K - 1 noise powers in the mean and not more (`estimate.is_one_scatterer`).
 
     Args:
         looks: covariance of Sigma = upper + lower and Delta = upper - lower in each pixel (`sum_difference_channels`).
@@ -91,22 +90,9 @@ def sum_difference_elevation(
 def _validity(looks: Looks, sums: Products, noise_powers: NoisePowers, found: Inversion, strong: Bool) -> U8:
     """Reason for which each pixel's estimate cannot be used, the first that applies, or OK."""
     explained, left = _eigenvalues(whitened_products(sums, noise_powers)[0]) / noise_powers[0]
-    count = looks.count
-    counts, which = np.unique(count, return_inverse=True)
-    detected = explained >= gammainccinv(counts, FALSE_ALARMS / 2)[which]
+    fit = Fit(explained, left, looks.count - 1, directions=2)  # K amplitudes and one complex gamma are estimated
     outside = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN])
-    misfit = (left > count + 5 * np.sqrt(count)) & (left - count > MISFIT_SHARE * explained)
-    return np.select(
-        [~looks.finite, ~detected, outside, ~strong, misfit],
-        [
-            Validity.MISSING_DATA,
-            Validity.LOW_CNR,
-            Validity.OUTSIDE_PAIR,
-            Validity.LOW_CNR,
-            Validity.NOT_ONE_SCATTERER,
-        ],
-        Validity.OK,
-    ).astype(np.uint8)
+    return decide_validity(looks, fit, strong | outside, ~outside, Validity.OUTSIDE_PAIR)
 
 
 def _eigenvalues(sums: Products) -> F64:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sal_height.errors import UserError
-from sal_height.io import writing
+from sal_height.io import write_whole
 from sal_height.numeric import C64, C128, F64, window
 from sal_height.sensor import PhaseHistory, Sensor
 
@@ -134,10 +134,7 @@ def save_calibration(path: Path, calibration: Calibration) -> None:
     """
     stream = io.BytesIO()
     np.savez(stream, **{field.name: getattr(calibration, field.name) for field in fields(calibration)})
-    unfinished = path.with_name(f".{path.name}.part")
-    with writing(path):
-        unfinished.write_bytes(stream.getvalue())
-        unfinished.replace(path)
+    write_whole(path, stream.getvalue())
 
 
 def load_calibration(path: Path) -> Calibration:

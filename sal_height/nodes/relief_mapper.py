@@ -60,7 +60,13 @@ class Parameters(Settings):
         read_only=True,
     )
     origin_latitude_deg: float = setting(
-        0.0, "latitude of the map's origin, for the GeoTIFF", unit="deg", minimum=-90.0, maximum=90.0, read_only=True
+        0.0,
+        "latitude of the map's origin, for the GeoTIFF; if it and the longitude are 0, the origin is not known and the "
+        "file has local coordinates",
+        unit="deg",
+        minimum=-90.0,
+        maximum=90.0,
+        read_only=True,
     )
     origin_longitude_deg: float = setting(
         0.0,
@@ -185,10 +191,16 @@ class ReliefMapper(Stage):
         }
         origin = self._settings.origin_latitude_deg, self._settings.origin_longitude_deg
         try:
-            write_geotiff(path, relief, *origin, tags)
+            write_geotiff(path, relief, origin if any(origin) else None, tags)
         except UserError as error:
             self.failure = str(error)
             self.get_logger().error(self.failure)
+            return
+        if not any(origin):
+            self.get_logger().warning(
+                f"{path} has local coordinates; set origin_latitude_deg and origin_longitude_deg to place it on the "
+                "earth."
+            )
 
 
 def main() -> int:

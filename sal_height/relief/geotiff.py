@@ -2,33 +2,39 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sal_height.errors import UserError
-from sal_height.geometry import EARTH_RADIUS
-from sal_height.io import writing
+from sal_height.io import write_whole
 from sal_height.relief.map import Relief
 
 BANDS = {
-    "height": "mean height above the sphere, m",
+    "height": "mean height above the sphere of 6371008.8 m that touches the earth at the map's origin, m",
     "sigma": "standard deviation of the mean height, m",
-    "disagreement": "of dwells, over what sigma lets expect",
-    "count": "height images that saw the cell",
+    "disagreement": "spread of the dwells' heights over that expected from sigma (Birge ratio)",
+    "count": "number of height images that saw the cell",
 }
 """Bands in their order, layers of `Relief`, and how the file describes them."""
 
+PLACED = "+proj=aeqd +lat_0={!r} +lon_0={!r} +datum=WGS84 +units=m +no_defs"
+"""Coordinate system about a known origin (latitude, longitude in degrees): azimuthal equidistant on the ellipsoid."""
+
+UNPLACED = (
+    'LOCAL_CS["map axes, origin unknown",LOCAL_DATUM["origin of the map",32767],UNIT["metre",1],'
+    'AXIS["East",EAST],AXIS["North",NORTH]]'
+)
+"""Engineering coordinate system (OGC WKT 1) of a map whose origin is not known."""
+
 
 def check_geotiff(path: Path) -> None:
-    """Make sure, before a map is made, that it can be written to `path`.
+    """Check, before a map is made, that it can be written to `path`.
 
     Raises:
-        UserError: there is no rasterio, the folder does not exist, or there is a folder of that name.
+        UserError: rasterio is not installed, the folder does not exist, or `path` is a folder.
     """
     _rasterio(path)
     if path.is_dir():
@@ -37,33 +43,30 @@ def check_geotiff(path: Path) -> None:
         raise UserError(f"File {path} cannot be written: folder {path.parent} does not exist.")
 
 
-def write_geotiff(
-    path: Path, relief: Relief, latitude_deg: float, longitude_deg: float, tags: Mapping[str, str]
-) -> None:
+def write_geotiff(path: Path, relief: Relief, origin: tuple[float, float] | None, tags: Mapping[str, str]) -> None:
     """Write a relief map with north up, one float32 band for each layer, NaN where nothing was seen.
 
-    The coordinates are those of map, arc distances east and north: on a sphere of EARTH_RADIUS that is the azimuthal
-    equidistant projection about the map's origin. The file appears under its name when it is whole, in the place of
-    one that was there.
+    The map's coordinates are arc distances east and north of its origin, hence those of the azimuthal equidistant
+    projection about it. On the WGS-84 ellipsoid a cell 10 km from the origin then lies within 1 cm of where local ENU
+    axes place it; heights, which refer to a sphere, differ from ellipsoidal ones by up to 5 cm there. The file appears
+    under its name when it is complete, in place of one that was there.
 
     Args:
         path: of the file.
         relief: the map.
-        latitude_deg: of the map's origin, degrees.
-        longitude_deg: of the map's origin, degrees.
+        origin: latitude and longitude of the map's origin, degrees; None: not known, the file has local coordinates.
         tags: metadata of the file.
 
     Raises:
-        UserError: there is no rasterio, or the file cannot be written.
+        UserError: rasterio is not installed, or the file cannot be written.
     """
-    with _rasterio(path).MemoryFile() as memory:
-        _fill(memory, relief, latitude_deg, longitude_deg, tags)
-        with writing(path):
-            _replace(path, memory.getbuffer())
+    with _rasterio(path).MemoryFile() as memory:  # written there first, where the disk cannot cut it short
+        _fill(memory, relief, PLACED.format(*origin) if origin else UNPLACED, tags)
+        write_whole(path, memory.getbuffer())
 
 
-def _fill(memory: Any, relief: Relief, latitude_deg: float, longitude_deg: float, tags: Mapping[str, str]) -> None:
-    """Write the file into memory, where the disk cannot cut it short."""
+def _fill(memory: Any, relief: Relief, coordinates: str, tags: Mapping[str, str]) -> None:
+    """Write the file into memory."""
     rows, cols = relief.height.shape
     west = relief.east - relief.cell_size / 2
     north = relief.north + (rows - 0.5) * relief.cell_size
@@ -74,7 +77,7 @@ def _fill(memory: Any, relief: Relief, latitude_deg: float, longitude_deg: float
         count=len(BANDS),
         dtype="float32",
         nodata=np.nan,
-        crs=f"+proj=aeqd +lat_0={latitude_deg!r} +lon_0={longitude_deg!r} +R={EARTH_RADIUS!r} +units=m +no_defs",
+        crs=coordinates,
         transform=_rasterio(Path()).Affine(relief.cell_size, 0.0, west, 0.0, -relief.cell_size, north),
         compress="deflate",
         predictor=3,
@@ -90,23 +93,8 @@ def _fill(memory: Any, relief: Relief, latitude_deg: float, longitude_deg: float
             file.update_tags(band, description=description)
 
 
-def _replace(path: Path, content: memoryview) -> None:
-    """Put a whole file in the place of `path`, or leave that as it is."""
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with part.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    except BaseException:
-        with suppress(OSError):
-            part.unlink()
-        raise
-
-
 def _rasterio(path: Path) -> Any:
-    """The package, which is an extra.
+    """Return the package, which is an extra.
 
     Raises:
         UserError: it is not installed.

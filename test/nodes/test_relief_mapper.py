@@ -278,25 +278,28 @@ def test_the_file_is_what_was_published(graph: Graph, mapped: Mapped, tmp_path: 
         assert set(json.loads(tags["parameters"])) == {"ml_height", "relief_mapper"}
 
 
-def test_the_file_has_its_place_on_the_earth(graph: Graph, tmp_path: Path) -> None:
-    """The arc to a cell leaves the origin in its direction: by spherical trigonometry, to 0.1 mm on the ground."""
-    latitude, longitude = 47.5, -8.25
+@pytest.mark.parametrize(
+    ("origin", "is_placed"),
+    [
+        ({"origin_latitude_deg": 47.5, "origin_longitude_deg": -8.25}, True),
+        ({"origin_longitude_deg": 7.0}, True),
+        ({}, False),
+    ],
+    ids=["both", "equator", "none"],
+)
+def test_the_file_is_placed_on_the_earth_where_the_origin_is_known(
+    graph: Graph, tmp_path: Path, origin: dict[str, float], is_placed: bool
+) -> None:
     path = tmp_path / "map.tif"
-    origin = {"origin_latitude_deg": latitude, "origin_longitude_deg": longitude}
     mapped = Mapped(graph, start(graph, cell_size_m=1.0, file=str(path), **origin))
-    mapped.feed(height_image(0, shift=40_000))
+    mapped.feed(height_image(0))
     graph.close()
     with rasterio.open(path) as file:
-        crs, (easting, northing) = file.crs, file.xy(2, 3)
-    (east,), (north,) = transform(crs, f"+proj=longlat +R={EARTH_RADIUS} +no_defs", [easting], [northing])
-    true_east, true_north = WEST + 40_000 + 3.5, SOUTH + ROWS - 2.5
-    angle, azimuth = np.hypot(true_east, true_north) / EARTH_RADIUS, np.arctan2(true_east, true_north)
-    lat = np.radians(latitude)
-    expected = np.arcsin(np.sin(lat) * np.cos(angle) + np.cos(lat) * np.sin(angle) * np.cos(azimuth))
-    turn = np.arctan2(np.sin(azimuth) * np.sin(angle) * np.cos(lat), np.cos(angle) - np.sin(lat) * np.sin(expected))
-    tolerance = np.degrees(1e-4 / EARTH_RADIUS)
-    assert abs(north - np.degrees(expected)) < tolerance
-    assert abs(east - longitude - np.degrees(turn)) < tolerance / np.cos(lat)
+        assert file.crs.is_projected == is_placed
+        if is_placed:
+            (east,), (north,) = transform(file.crs, "EPSG:4326", [0.0], [0.0])
+            expected = origin["origin_longitude_deg"], origin.get("origin_latitude_deg", 0.0)
+            assert (east, north) == pytest.approx(expected, abs=1e-9)
 
 
 def test_shutting_the_context_down_writes_the_file(graph: Graph, mapped: Mapped, tmp_path: Path) -> None:
@@ -385,7 +388,8 @@ def test_a_signal_ends_the_program_with_a_whole_file(
     graph: Graph, tmp_path: Path, domain_id: int, number: signal.Signals
 ) -> None:
     path = tmp_path / "map.tif"
-    process = run_main(domain_id, "-p", f"file:={path}", "-p", "cell_size_m:=1.0", "-p", "period_s:=0.1")
+    values = f"file:={path}", "cell_size_m:=1.0", "period_s:=0.1", "origin_latitude_deg:=47.5"
+    process = run_main(domain_id, *(word for value in values for word in ("-p", value)))
     mapped = Mapped(graph, None)
     mapped.feed(*(height_image(dwell) for dwell in range(5)))
     process.send_signal(number)

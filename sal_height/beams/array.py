@@ -30,8 +30,7 @@ class Beams:
 
     Attributes:
         patterns: amplitude pattern of every detector, or the one common to all.
-        boresights: angle of each beam along the detector axis in rad from nadir, shape (detectors,), increasing; of a
-            stack of pairs, which responds to one target each, (targets, 2).
+        boresights: angle of each beam along the detector axis in rad from nadir, shape (detectors,), increasing.
         beamwidth: wavelength / aperture diameter in rad.
         rotation: psi of the detector axis from elevation towards the direction of flight, rad.
         aspects: angles along the flight, relative to the squint, under which a target was seen while its image was
@@ -99,23 +98,14 @@ class Beams:
         patterns = self.patterns if len(self.patterns) == 1 else tuple(self.patterns[i] for i in indices)
         return replace(self, patterns=patterns, boresights=self.boresights[indices], middle=self.axis_middle)
 
-    def pair(self, lower: int | Index) -> Self:
-        """The beams of detectors `lower` and `lower` + 1, on the same axis.
-
-        A stack of pairs for an array, whose detectors must have one pattern in common.
-
-        Raises:
-            UserError: the channels are mixtures of detectors.
-        """
-        self._check_unmixed()
-        patterns = self.patterns if len(self.patterns) == 1 else self.patterns[int(lower) : int(lower) + 2]
-        boresights = self.boresights[np.asarray(lower)[..., None] + np.arange(2)]
-        return replace(self, patterns=patterns, boresights=boresights, middle=self.axis_middle)
+    def pair(self, lower: int) -> Self:
+        """Return the beams of detectors `lower` and `lower` + 1, on the same axis; errors as of `detectors`."""
+        return self.detectors(np.array([lower, lower + 1]))
 
     @property
     def count(self) -> int:
         """Number of detectors."""
-        return int(self.boresights.shape[-1])
+        return self.boresights.size
 
     @property
     def is_complex(self) -> bool:
@@ -138,22 +128,27 @@ class Beams:
         first, last = self.span
         margin = (last - first) / max(1, self.count - 1) / 2 + guard
         low, high = self.known
-        return max(first - margin, float(low)), min(last + margin, float(high))
+        return max(first - margin, low), min(last + margin, high)
 
     @property
-    def known(self) -> tuple[F64, F64]:
+    def known(self) -> tuple[float, float]:
         """Angles along the axis (rad) between which the patterns of all detectors are known.
 
         Raises:
             UserError: there is none.
         """
         ends = np.array([pattern.domain for pattern in self.patterns]) * self.beamwidth
-        low, high = np.max(self.boresights + ends[:, 0], axis=-1), np.min(self.boresights + ends[:, 1], axis=-1)
-        if np.any(low > high):
+        low, high = float(np.max(self.boresights + ends[:, 0])), float(np.min(self.boresights + ends[:, 1]))
+        if low > high:
             raise UserError(
                 f"The patterns of the {self.count} detectors have no elevation in common: they must overlap."
             )
         return low, high
+
+    @property
+    def mean_aspect(self) -> float:
+        """Mean of the aspects with their weights, rad."""
+        return float(np.average(self.aspects, weights=self.weights))
 
     @property
     def axis_middle(self) -> float:

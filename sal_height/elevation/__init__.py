@@ -31,6 +31,12 @@ from sal_height.elevation.looks import (
     multilook,
     windowed_looks,
 )
+from sal_height.elevation.monopulse.discriminant import (
+    discriminant,
+    discriminant_domain,
+    discriminant_slope,
+    moving_squint,
+)
 from sal_height.elevation.monopulse.estimators import (
     DISCRIMINANTS,
     Estimator,
@@ -41,14 +47,7 @@ from sal_height.elevation.monopulse.estimators import (
     sum_and_difference,
     total_least_squares,
 )
-from sal_height.elevation.monopulse.inversion import (
-    INVERSES,
-    discriminant,
-    discriminant_domain,
-    discriminant_slope,
-    invert,
-    moving_squint,
-)
+from sal_height.elevation.monopulse.inversion import INVERSES, invert
 from sal_height.elevation.monopulse.pairs import monopulse_elevation
 from sal_height.elevation.monopulse.slope_table import read_slope_table
 from sal_height.elevation.monopulse.sum_difference import Discriminator, sum_difference_elevation

@@ -17,7 +17,7 @@ from sal_height.elevation.monopulse.estimators import Estimator, accuracy, discr
 from sal_height.elevation.monopulse.inversion import Inversion, Reason, invert
 from sal_height.elevation.search import Columns, PeakSearch, PeakSearches
 from sal_height.errors import UserError
-from sal_height.numeric import F64, Bool, Index
+from sal_height.numeric import F64, Index
 
 OUTSIDE_MARGIN = 3.0
 """Noise powers by which a direction outside the array must explain a pixel better to be believed."""
@@ -90,20 +90,13 @@ def _strongest_pair(covariance: Covariance) -> tuple[F64, F64, F64, F64, F64]:
 
 
 def _invert_pairs(beams: Beams, pair: Index, mu: F64, squint: F64) -> tuple[Inversion, F64]:
-    """What `mu` of each pixel's `pair` means, and the response of the pair's beams there, (..., 2)."""
+    """Invert the discriminant of each pixel's `pair`; also return the response of the pair's beams there, (..., 2)."""
     elevation, slope = np.full((2, *mu.shape), np.nan)
     reason = np.full(mu.shape, Reason.NOT_FINITE, np.uint8)
     response = np.full((*mu.shape, 2), np.nan, dtype=np.complex128)
-    for here in _inverted_together(beams, pair):
-        beams_here = beams.pair(pair[here] if len(beams.patterns) == 1 else pair[here][0])
-        found = invert(beams_here, mu[here], squint[here])
+    for lower in np.unique(pair).tolist():
+        here, pair_beams = pair == lower, beams.pair(lower)
+        found = invert(pair_beams, mu[here], squint[here])
         elevation[here], slope[here], reason[here] = found.elevation, found.slope, found.reason
-        response[here] = beams_here.response(found.elevation, squint[here])
+        response[here] = pair_beams.response(found.elevation, squint[here])
     return Inversion(elevation, slope, reason), response
-
-
-def _inverted_together(beams: Beams, pair: Index) -> list[Bool]:
-    """Pixels whose pairs make a stack: all where the detectors have one pattern, otherwise those of each pair."""
-    if len(beams.patterns) == 1:
-        return [np.ones(pair.shape, dtype=np.bool_)]
-    return [pair == lower for lower in np.unique(pair)]

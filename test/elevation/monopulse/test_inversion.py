@@ -15,17 +15,16 @@ from scipy.special import jv
 from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS, Pattern
-from sal_height.elevation.monopulse.inversion import (
+from sal_height.elevation.monopulse import inversion
+from sal_height.elevation.monopulse.discriminant import (
     LEAST_CLEARANCE,
     LEAST_SLOPE,
-    Reason,
-    _newton,
     discriminant,
     discriminant_domain,
     discriminant_slope,
-    invert,
     moving_squint,
 )
+from sal_height.elevation.monopulse.inversion import Reason, invert
 from sal_height.errors import UserError
 
 JINC_NULL = 1.2196698912665045
@@ -277,17 +276,13 @@ def test_a_target_in_the_null_of_the_farther_beam_is_inside(pattern: str, turn: 
     np.testing.assert_allclose(offset_of(result.elevation), offset_of(discriminant_domain(pair, squint)), atol=1e-9)
 
 
-@pytest.mark.parametrize("patterns", PAIRS.values(), ids=PAIRS.keys())
-@pytest.mark.parametrize("start", [0, 1])
-def test_newton_stays_in_its_bracket_however_wide(patterns: tuple[Pattern, ...], start: int) -> None:
-    """From either end of the domain, where the Gaussian's tangent leads 1e5 beamwidths away."""
-    pair = replace(turned_pair("jinc", 15.0), patterns=patterns)
-    low, high = discriminant_domain(pair, 0.0)
-    elevation = np.linspace(low, high, 99)[1:-1]
-    bracket = [np.full(97, low), np.full(97, high)]
-    stack = replace(pair, boresights=np.tile(pair.boresights, (97, 1)), middle=pair.axis_middle)
-    found, _ = _newton(stack, discriminant(pair, elevation, 0.0), np.zeros(97), bracket[start].copy(), *bracket)
-    np.testing.assert_allclose(offset_of(found), offset_of(elevation), atol=1e-9)
+def test_a_single_newton_step_is_not_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What holds the error below 1e-9 beamwidths are the steps, not the table alone."""
+    pair = turned_pair("gaussian", 0.0)
+    elevation = np.linspace(*discriminant_domain(pair, 0.0), 400)
+    monkeypatch.setattr(inversion, "MOST_STEPS", 1)
+    found = invert(pair, discriminant(pair, elevation, 0.0), 0.0).elevation
+    assert 1e-9 < np.max(np.abs(offset_of(found) - offset_of(elevation))) < 1e-3
 
 
 def test_inversion_broadcasts() -> None:
@@ -302,23 +297,6 @@ def test_inversion_broadcasts() -> None:
     of_columns = invert(pair, mu[:, :1], squint).elevation
     np.testing.assert_allclose(offset_of(of_columns[:, 0]), offset_of(result.elevation[:, 0]), atol=1e-10)
     assert invert(pair, np.zeros((0, 7)), squint).elevation.shape == (0, 7)
-
-
-def test_a_stack_of_pairs_is_inverted_as_each_of_them() -> None:
-    beams = replace(make_beams("jinc", count=6), rotation=0.4)
-    rng = np.random.default_rng(2)
-    lower, mu = rng.integers(0, 5, (40, 7)), rng.uniform(-1.1, 1.1, (40, 7))
-    squint = np.linspace(-0.4, 0.4, 7) * BEAMWIDTH
-    result = invert(beams.pair(lower), mu, squint)
-    low, high = discriminant_domain(beams.pair(lower[0]), squint)
-    for i in range(5):
-        each, here = invert(beams.pair(i), mu, squint), lower == i
-        np.testing.assert_array_equal(result.reason[here], each.reason[here])
-        np.testing.assert_allclose(offset_of(result.elevation[here]), offset_of(each.elevation[here]), atol=1e-9)
-        np.testing.assert_allclose(result.slope[here], each.slope[here], rtol=1e-8)
-        ends = np.array(discriminant_domain(beams.pair(i), squint))[:, here[0]]
-        np.testing.assert_allclose(offset_of(np.array([low, high])[:, here[0]]), offset_of(ends), atol=1e-9)
-    assert set(np.unique(result.reason)) == {Reason.INSIDE, Reason.BELOW, Reason.ABOVE}
 
 
 def test_a_pixel_whose_squint_is_not_known_has_no_elevation() -> None:

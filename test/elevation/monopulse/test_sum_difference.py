@@ -28,6 +28,7 @@ from sal_height.beams.pattern import PATTERNS, pattern_named
 from sal_height.elevation.bounds import beam_power, information_of, stochastic_crb, stochastic_deviation
 from sal_height.elevation.estimate import ElevationEstimate, Validity
 from sal_height.elevation.looks import Looks, multilook
+from sal_height.elevation.monopulse.discriminant import discriminant, discriminant_domain, discriminant_slope
 from sal_height.elevation.monopulse.estimators import (
     DISCRIMINANTS,
     NoisePowers,
@@ -37,15 +38,7 @@ from sal_height.elevation.monopulse.estimators import (
     ratio,
     total_least_squares,
 )
-from sal_height.elevation.monopulse.inversion import (
-    INVERSES,
-    Reason,
-    discriminant,
-    discriminant_domain,
-    discriminant_slope,
-    invert,
-    invert_linear,
-)
+from sal_height.elevation.monopulse.inversion import INVERSES, Reason, invert, invert_linear
 from sal_height.elevation.monopulse.pairs import monopulse_elevation
 from sal_height.elevation.monopulse.slope_table import SlopeTable
 from sal_height.elevation.monopulse.sum_difference import Discriminator, sum_difference_elevation

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from sal_height.calibration import Calibration
+from sal_height.elevation import ESTIMATORS, MlSettings, Validity
 from sal_height.errors import UserError
 from sal_height.geometry import Trajectory
-from sal_height.imaging import ImageSettings
-from sal_height.pipeline import Compressor
+from sal_height.imaging import ImageSettings, Slc
+from sal_height.pipeline import Compressor, heights
 from sal_height.sensor import PhaseHistory, clipped
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.receivers import receiver_noise
@@ -103,3 +104,69 @@ def test_a_calibration_states_the_noise_that_it_leaves() -> None:
     equaliser = np.abs(weak.equaliser[:, 0]) ** 2
     np.testing.assert_allclose(after.noise_power, before.noise_power * equaliser, rtol=1e-6)
     np.testing.assert_allclose(after.images, before.images * weak.equaliser[:, :1, None], rtol=1e-3, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def small() -> tuple[SimulatedFlight, Slc]:
+    """A dwell of the small preset, and its images."""
+    preset = load_preset("small")
+    flight = flight_of(replace(preset, dwells=1), seed=1)
+    image = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
+    slc = Compressor().add(flight.phase_history(0), Trajectory(flight.platform_states(0)), flight.sensor, image)
+    assert slc
+    return flight, slc
+
+
+@pytest.mark.parametrize("objective", ["normalised", "numerator"])
+def test_every_usable_pixel_has_a_finite_height_and_sigma(small: tuple[SimulatedFlight, Slc], objective: str) -> None:
+    """With the published objective one pixel was said to hold two scatterers of an infinite sigma."""
+    flight, slc = small
+    field = heights(slc, flight.sensor, ESTIMATORS["ml"], MlSettings(objective=objective))
+    for surface, validity in ((field.first, (Validity.OK, Validity.TWO_SCATTERERS)), (field.second, (6,))):
+        assert surface
+        usable = np.isin(field.validity, validity)
+        assert usable.any()
+        assert np.isfinite(surface.sigma[usable]).all()
+        assert np.isfinite(surface.height[usable]).all()
+        assert not np.isfinite(surface.height[~usable]).any()
+
+
+def test_a_dead_channel_is_left_out(small: tuple[SimulatedFlight, Slc]) -> None:
+    """Of eight detectors the heights that seven give; ruined samples of a single pixel cost that pixel only."""
+    flight, slc = small
+    images = slc.images.copy()
+    images[0] = 0
+    field = heights(replace(slc, images=images), flight.sensor, ESTIMATORS["ml"], MlSettings())
+    sensor = flight.sensor
+    rest = replace(
+        sensor, elevation_boresights=sensor.elevation_boresights[1:], noise_power=sensor.noise_power[1:], config_hash=""
+    )
+    seven = replace(slc, images=images[1:], noise_power=slc.noise_power[1:], saturated_share=slc.saturated_share[1:])
+    expected = heights(seven, rest, ESTIMATORS["ml"], MlSettings())
+    np.testing.assert_array_equal(field.validity, expected.validity)
+    np.testing.assert_array_equal(field.first.height, expected.first.height)
+
+
+def test_clipped_samples_mark_the_heights_of_a_dwell(small: tuple[SimulatedFlight, Slc]) -> None:
+    flight, slc = small
+    share = np.zeros(flight.sensor.detector_count)
+    share[3] = 1e-3
+    marked = heights(replace(slc, saturated_share=share), flight.sensor, ESTIMATORS["ml"], MlSettings())
+    allowed = heights(
+        replace(slc, saturated_share=share), flight.sensor, ESTIMATORS["ml"], MlSettings(max_saturated_share=1e-3)
+    )
+    usable = np.isin(allowed.validity, (Validity.OK, Validity.TWO_SCATTERERS))
+    assert (marked.validity[usable] == Validity.SATURATED).all()
+    assert usable.sum() > 30
+    assert not np.isfinite(marked.first.height).any()
+
+
+def test_the_width_of_the_beams_is_that_of_the_calibration(small: tuple[SimulatedFlight, Slc]) -> None:
+    """As if the sensor were described with beams of that width."""
+    flight, slc = small
+    wide = replace(no_calibration(flight, flight.sensor.config_hash), width_factor=1.1)
+    calibrated = heights(slc, flight.sensor, ESTIMATORS["monopulse"], ESTIMATORS["monopulse"].settings(), wide)
+    described = heights(slc, flight.sensor.widened(1.1), ESTIMATORS["monopulse"], ESTIMATORS["monopulse"].settings())
+    plain = heights(slc, flight.sensor, ESTIMATORS["monopulse"], ESTIMATORS["monopulse"].settings())
+    np.testing.assert_allclose(calibrated.first.height, described.first.height, rtol=0, atol=1e-9)
+    assert np.nanmax(np.abs(calibrated.first.height - plain.first.height)) > 0.01

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,13 @@ class Surface:
     sigma: F64
     cnr_db: F64
     positions: F64
+
+    @property
+    def is_determined(self) -> Bool:
+        """Where place and height are finite, and sigma is so in single precision, which messages have: (rows, cols)."""
+        with np.errstate(over="ignore"):
+            sigma = self.sigma.astype(np.float32)
+        return np.isfinite(self.positions).all(axis=-1) & np.isfinite(sigma) & (sigma > 0)
 
 
 @dataclass(frozen=True)
@@ -139,10 +146,25 @@ def height_field(
     first = circles.surface(estimate.elevation, estimate.sigma, estimate.cnr)
     other = estimate.second
     second = circles.surface(other.elevation, other.sigma, other.cnr) if other else None
-    usable = np.isin(estimate.validity, (Validity.OK, Validity.TWO_SCATTERERS))
-    located = np.isfinite(first.positions).all(axis=-1)
-    validity = np.where(usable & ~located, Validity.OUTSIDE_ARRAY, estimate.validity)
-    return HeightField(grid, validity.astype(np.uint8), _only(first, usable & located), second)
+    validity = _checked_validity(estimate.validity, first, second)
+    usable, two = np.isin(validity, (Validity.OK, Validity.TWO_SCATTERERS)), validity == Validity.TWO_SCATTERERS
+    if second:
+        second = replace(_only(second, two), cnr_db=np.where(two, second.cnr_db, np.nan))
+    return HeightField(grid, validity, _only(first, usable), second)
+
+
+def _checked_validity(validity: U8, first: Surface, second: Surface | None) -> U8:
+    """The validity with a reason in the place of OK and TWO_SCATTERERS where a height or its sigma is not determined.
+
+    OUTSIDE_ARRAY: no place on the ground has that range, Doppler and elevation. LOW_CNR: sigma is infinite, as without
+    a signal. NOT_ONE_SCATTERER: of two scatterers one or both are not determined.
+    """
+    two = validity == Validity.TWO_SCATTERERS
+    told_apart = first.is_determined & (second.is_determined if second else np.False_)
+    placed = np.isfinite(first.positions).all(axis=-1)
+    doubtful = np.where(two, ~told_apart, (validity == Validity.OK) & ~first.is_determined)
+    reason = np.select([two, placed], [Validity.NOT_ONE_SCATTERER, Validity.LOW_CNR], Validity.OUTSIDE_ARRAY)
+    return np.where(doubtful, reason, validity).astype(np.uint8)
 
 
 def _only(surface: Surface, there: Bool) -> Surface:

@@ -308,3 +308,55 @@ def test_second_scatterer_lies_on_the_circle_of_the_first() -> None:
     assert distances[0] == pytest.approx(distances[1], abs=1e-6)
     for values in (field.second.height, field.second.sigma, field.second.cnr_db, field.second.positions[..., 1]):
         np.testing.assert_array_equal(np.isnan(values), [[False, True]])
+
+
+def layover_of(sigmas: tuple[float, float], shape: tuple[int, int] = (1, 1)) -> HeightField:
+    """Two scatterers in every pixel, whose elevations are known to `sigmas`, rad."""
+    aperture = make_aperture()
+    elevation = np.full(shape, np.pi / 4)
+    estimate = replace(
+        estimate_of(elevation, sigmas[0], Validity.TWO_SCATTERERS),
+        second=SecondScatterer(elevation - BEAMWIDTH, np.full(shape, sigmas[1]), np.full(shape, 20.0)),
+    )
+    grid = slant_grid(aperture)
+    looks = looks_at(np.full(shape, 14.5), np.full(shape, 9.5))
+    return height_field(estimate, looks, grid, replace(grid, rows=shape[0], cols=shape[1]), aperture, 1)
+
+
+@pytest.mark.parametrize("sigmas", [(np.inf, 1e-5), (1e-5, np.inf), (1e-5, np.nan), (1e40, 1e-5)])
+def test_two_scatterers_of_which_one_is_not_determined_have_no_heights(sigmas: tuple[float, float]) -> None:
+    """1e40 is infinite as a message holds it, in single precision."""
+    field = layover_of(sigmas)
+    assert (field.validity == Validity.NOT_ONE_SCATTERER).all()
+    assert field.second
+    for surface in (field.first, field.second):
+        assert not np.isfinite(np.stack([surface.height, surface.sigma, *np.moveaxis(surface.positions, -1, 0)])).any()
+    assert not np.isfinite(field.second.cnr_db).any()
+
+
+def test_two_scatterers_that_are_determined_keep_their_heights() -> None:
+    field = layover_of((1e-5, 2e-5))
+    assert (field.validity == Validity.TWO_SCATTERERS).all()
+    assert field.second
+    assert np.isfinite(field.first.height).all()
+    assert field.second.height < field.first.height
+
+
+@pytest.mark.parametrize(
+    ("elevation", "sigma", "reason"),
+    [
+        (np.pi / 4, np.inf, Validity.LOW_CNR),
+        (np.pi / 4, np.nan, Validity.LOW_CNR),
+        (np.nan, 1e-5, Validity.OUTSIDE_ARRAY),
+    ],
+)
+def test_a_pixel_without_a_finite_height_and_sigma_has_a_reason(elevation: float, sigma: float, reason: int) -> None:
+    aperture = make_aperture()
+    grid = slant_grid(aperture)
+    looks, estimate = (
+        looks_at(np.full((1, 1), 14.5), np.full((1, 1), 9.5)),
+        estimate_of(np.full((1, 1), elevation), sigma),
+    )
+    field = height_field(estimate, looks, grid, replace(grid, rows=1, cols=1), aperture, 1)
+    assert field.validity == reason
+    assert not np.isfinite([field.first.height, field.first.sigma]).any()

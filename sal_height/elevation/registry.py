@@ -15,6 +15,7 @@ from typing import Any
 from pydantic import field_validator
 
 from sal_height.beams import Beams
+from sal_height.elevation.capon import LOADING, capon_elevation
 from sal_height.elevation.estimate import ElevationEstimate
 from sal_height.elevation.layover import resolve_layover
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
@@ -24,11 +25,12 @@ from sal_height.elevation.monopulse.inversion import INVERSES
 from sal_height.elevation.monopulse.pairs import monopulse_elevation
 from sal_height.elevation.monopulse.slope_table import SlopeTable, read_slope_table
 from sal_height.elevation.monopulse.sum_difference import Discriminator, sum_difference_elevation
+from sal_height.elevation.music import music_elevation
 from sal_height.elevation.settings import HeightSettings
 from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH, prior_elevation
 from sal_height.errors import Rejected, UserError
 from sal_height.numeric import C128, F64
-from sal_height.sensor import Channels, Sensor, sum_difference_channels, whitened_channels
+from sal_height.sensor import MAX_DETECTORS, Channels, Sensor, sum_difference_channels, whitened_channels
 from sal_height.settings import setting
 
 MakeChannels = Callable[[C128, C128], Channels]
@@ -193,6 +195,39 @@ def _estimate_by_sum_and_difference(
     return sum_difference_elevation(looks, beams, squint, powers, discriminator, settings.min_cnr)
 
 
+class CaponSettings(HeightSettings):
+    """Settings of Capon's method."""
+
+    loading: float = setting(
+        LOADING,
+        "power added to the diagonal of the mean covariance before it is inverted; more of it lowers the noise of the "
+        "estimate, less of it separates scatterers better",
+        unit="noise powers",
+        minimum=1e-3,
+        maximum=1e3,
+    )
+
+
+def _estimate_by_capon(
+    looks: Looks, beams: Beams, squint: F64, noise_powers: F64, settings: CaponSettings
+) -> ElevationEstimate:
+    return capon_elevation(looks, beams, squint, float(noise_powers[0]), settings.min_cnr, settings.loading)
+
+
+class MusicSettings(HeightSettings):
+    """Settings of MUSIC."""
+
+    order: int = setting(
+        1, "dimensions of the signal subspace; fewer than there are detectors", minimum=1, maximum=MAX_DETECTORS - 1
+    )
+
+
+def _estimate_by_music(
+    looks: Looks, beams: Beams, squint: F64, noise_powers: F64, settings: MusicSettings
+) -> ElevationEstimate:
+    return music_elevation(looks, beams, squint, float(noise_powers[0]), settings.min_cnr, settings.order)
+
+
 _ENTRIES = (
     ElevationEstimator(
         name="monopulse",
@@ -217,6 +252,22 @@ _ENTRIES = (
         estimate=_estimate_by_sum_and_difference,
         suits=has_sum_and_difference,
         channels=_sum_and_difference,
+    ),
+    ElevationEstimator(
+        name="capon",
+        node="capon_height",
+        title="Capon",
+        settings=CaponSettings,
+        estimate=_estimate_by_capon,
+        by_default=False,
+    ),
+    ElevationEstimator(
+        name="music",
+        node="music_height",
+        title="MUSIC",
+        settings=MusicSettings,
+        estimate=_estimate_by_music,
+        by_default=False,
     ),
 )
 

@@ -34,7 +34,8 @@ $(venv):
 	@tools/python_headers.sh .venv/bin/python $(CURDIR)/.venv/headers
 	@touch $@
 
-$(packages): $(venv) constraints.txt setup.py pyproject.toml msg_defs/pyproject.toml
+# setup.py reads from the registry which height nodes there are.
+$(packages): $(venv) constraints.txt setup.py pyproject.toml msg_defs/pyproject.toml sal_height/elevation/registry.py
 	@echo 'Installing ROS 2 and Python packages (a minute or two)'
 	@requires=$$(.venv/bin/python -c 'import tomllib; \
 		print(*tomllib.load(open("msg_defs/pyproject.toml", "rb"))["build-system"]["requires"])') && \

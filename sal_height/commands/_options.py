@@ -125,6 +125,24 @@ NodeParameters: TypeAlias = Annotated[
     ),
 ]
 
+
+def _names(_type: type, tokens: Sequence[Token]) -> tuple[str, ...]:
+    return tuple(name.strip() for name in tokens[0].value.split(","))
+
+
+Estimators: TypeAlias = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--estimators",
+        metavar="NAME,NAME",
+        n_tokens=1,
+        accepts_keys=False,
+        show_default=False,
+        converter=_names,
+        help="Height estimators, for example ml,capon,music. Default: the standard ones that suit the sensor.",
+    ),
+]
+
 Images: TypeAlias = Annotated[tuple[Path, ...], Parameter(name="IMAGE", show_default=False)]
 
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]

@@ -32,6 +32,7 @@ ARRAY_EXAMPLES = """
   sal-height montecarlo array --theta 1.75 --cnr-db 4.77 --look-count 4
   sal-height montecarlo array --theta 3.5 --cnr-db 20 --look-count 16 --objective numerator --json
   sal-height montecarlo array --theta 0.1 --cnr-db 10 --look-count 16 --estimator tls
+  sal-height montecarlo array --theta 0.1 --cnr-db 10 --look-count 16 --estimator capon
   sal-height montecarlo array --pattern beams.csv --pitch 0.5 --theta 0.1
 """
 
@@ -134,7 +135,12 @@ def array(
         Parameter(metavar="M", help="Number of detectors. Default: 16, or as many as the file of beams has."),
     ] = None,
     estimator: Annotated[
-        Estimator, Parameter(help="ml uses all detectors; the others use the discriminant of the strongest pair.")
+        str,
+        Parameter(
+            metavar="NAME",
+            help="ml, capon, music and any other height estimator; or tls, ratio or noise_subtraction: the "
+            "discriminant of the strongest pair.",
+        ),
     ] = "ml",
     cnr_db: Annotated[
         float, Parameter(metavar="X", help="CNR in dB of a detector pointed at the target, in one look.")

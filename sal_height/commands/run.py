@@ -15,6 +15,7 @@ from sal_height.commands._options import (
     FAILED,
     INTERRUPTED,
     PROCESSING,
+    Estimators,
     Flag,
     NodeParameters,
     OutputFolder,
@@ -33,6 +34,7 @@ EXAMPLES = """
   sal-height run --preset xband_relief --dwells 8
   sal-height run --cnr-db 10 --looks 4x2 --out out/noisy
   sal-height run --param ml_height.objective=numerator
+  sal-height run --preset small --estimators ml,capon,music
 """
 
 PRESETS = ", ".join(sorted(path.stem for path in Path(sal_height.__path__[0], "presets").glob("*.yaml")))
@@ -52,6 +54,7 @@ def run(
     processes: Flag = False,
     out: OutputFolder = None,
     param: NodeParameters = (),
+    estimators: Estimators = (),
 ) -> int:
     """Simulate a flight, process it with the graph of nodes, and compare the heights with the truth.
 
@@ -71,7 +74,10 @@ def run(
     from sal_height.runs.simulate import run as simulate
     from sal_height.simulation import load_preset
 
-    changed = _changed(load_preset(preset), {"scene": scene, "dwells": dwells, "cnr_db": cnr_db, "looks": looks})
+    changed = _changed(
+        load_preset(preset),
+        {"scene": scene, "dwells": dwells, "cnr_db": cnr_db, "looks": looks, "estimators": estimators or None},
+    )
     folder = output_folder(out, changed.name)
     outcome = simulate(changed, seed, folder, node_parameters(param), Execution(processes))
     files = [str(folder / name) for name in ("height.png", RELIEF_MAP, "report.json") if (folder / name).is_file()]

@@ -12,8 +12,11 @@ import numpy as np
 from sal_height.beams import PATTERNS, Beams, detector_pattern, read_beam_tables, tabulated_pattern
 from sal_height.elevation import (
     DISCRIMINANTS,
+    ESTIMATORS,
     OBJECTIVES,
     Covariance,
+    ElevationEstimator,
+    HeightSettings,
     Looks,
     conditional_crb,
     covariance,
@@ -21,7 +24,6 @@ from sal_height.elevation import (
     discriminant_domain,
     discriminant_slope,
     discriminate,
-    monopulse_elevation,
     speckle_crb,
     stochastic_crb,
     sum_and_difference,
@@ -30,6 +32,7 @@ from sal_height.errors import UserError
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, share, std
 from sal_height.figures.unit_arrays import array_of
 from sal_height.numeric import F64, Bool
+from sal_height.sensor import whitened_channels
 from sal_height.theory import (
     TARGETS,
     cnr_detector_of,
@@ -53,6 +56,9 @@ DETECTORS, MOST_DETECTORS = 16, 128
 
 FARTHEST_SEARCH = 200.0
 """Beamwidths to each side."""
+
+ARRAY_ESTIMATORS = tuple(name for name, entry in ESTIMATORS.items() if entry.channels is whitened_channels)
+"""Those of ESTIMATORS that take detectors in equal noise, as they are drawn here."""
 
 BOUNDS = {
     "crb_conditional": conditional_crb,
@@ -150,13 +156,16 @@ def array_statistics(experiment: Experiment, estimator: str, objective: str, dom
 
     Args:
         experiment: its `cnr` is that of one detector looking straight at the target.
-        estimator: "ml": maximum likelihood over all detectors; or one of DISCRIMINANTS: the strongest pair's.
-        objective: one of OBJECTIVES.
-        domain: half width of the search, beamwidths; None: M pitch / 2.
+        estimator: one of ARRAY_ESTIMATORS, with its node's default settings; or one of DISCRIMINANTS: that of the
+            strongest pair.
+        objective: of "ml", one of OBJECTIVES.
+        domain: half width of the search of "ml", beamwidths; None: M pitch / 2.
 
     Raises:
-        UserError: the target is outside the search.
+        UserError: there is no such estimator, or the target is outside the search.
     """
+    if estimator not in (names := (*ARRAY_ESTIMATORS, *DISCRIMINANTS)):
+        raise UserError(f"The estimator is {estimator!r}; allowed are {', '.join(names)}.")
     beams, guard = experiment.beams, search_guard(experiment.beams, domain)
     low, high = beams.domain(guard)
     if not low <= experiment.theta <= high:
@@ -167,8 +176,14 @@ def array_statistics(experiment: Experiment, estimator: str, objective: str, dom
     if estimator == "ml":
         estimates = _elevations(experiment, power, objective, guard)
         clipped = _at_edge(estimates, low, high)
+    elif estimator in DISCRIMINANTS:
+        pairs = ESTIMATORS["monopulse"]
+        settings = pairs.settings.model_validate({"discriminant": estimator})
+        estimates = _registered_elevations(experiment, power, pairs, settings)
+        clipped = np.isnan(estimates)
     else:
-        estimates = _pair_elevations(experiment, power, estimator)
+        entry = ESTIMATORS[estimator]
+        estimates = _registered_elevations(experiment, power, entry, entry.settings())
         clipped = np.isnan(estimates)
     return {
         "theta": experiment.theta,
@@ -257,15 +272,17 @@ def _elevations(experiment: Experiment, power: float, objective: str, guard: flo
     )
 
 
-def _pair_elevations(experiment: Experiment, power: float, estimator: str) -> F64:
-    """Elevations by the strongest pair as the node has them, shape (trials,); NaN where there is none."""
+def _registered_elevations(
+    experiment: Experiment, power: float, estimator: ElevationEstimator, settings: HeightSettings
+) -> F64:
+    """Elevations by an estimator as its node has them, shape (trials,); NaN where there is none."""
 
     def elevations(matrices: Covariance) -> F64:
         pixels = matrices[:, None]
         middle = np.zeros(pixels.shape[:2])
         power = np.trace(pixels.real, axis1=-2, axis2=-1, dtype=np.float64)
         looks = Looks(pixels, middle + experiment.looks, middle, middle, power, np.ones(middle.shape, dtype=np.bool_))
-        found = monopulse_elevation(looks, experiment.beams, np.zeros(1), 1.0, DISCRIMINANTS[estimator], 0.0)
+        found = estimator.estimate(looks, experiment.beams, np.zeros(1), np.ones(experiment.beams.count), settings)
         return found.elevation[:, 0]
 
     return _from_covariances(experiment, power, elevations)

@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self
@@ -82,23 +82,34 @@ def check_parameters(parameters: NodeParameters, settable: Sequence[str] = SETTA
     return checked
 
 
-def suited(sensor: Sensor, asked: Sequence[str] | None = None) -> list[str]:
+def suited(sensor: Sensor, asked: Collection[str] = ()) -> list[str]:
     """The height nodes of a run: those of the estimators that are asked for, in the order of ESTIMATORS.
 
     Args:
         sensor: whose channels the estimators take.
-        asked: names of estimators; None: those that suit the sensor and work without being asked.
+        asked: names of estimators; none: those that suit the sensor and need not be asked for.
 
     Raises:
         UserError: there is no estimator of that name, or it does not suit the sensor.
     """
     suiting = {name: estimator for name, estimator in ESTIMATORS.items() if estimator.suits(sensor)}
-    if asked is None:
+    if not asked:
         return [estimator.node for estimator in suiting.values() if estimator.by_default]
     if wrong := [name for name in asked if name not in suiting]:
         reason = "does not suit the sensor's channels" if wrong[0] in ESTIMATORS else "does not exist"
         raise UserError(f"Estimator {wrong[0]!r} {reason}; allowed are {', '.join(suiting) or 'none'}.")
     return [estimator.node for name, estimator in suiting.items() if name in asked]
+
+
+def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:
+    """Parameters of tracker and mapper that let them take heights that are made: of maximum likelihood, or the first.
+
+    Args:
+        estimators: the height nodes of a run.
+    """
+    if not estimators or ESTIMATORS["ml"].node in estimators:
+        return {}
+    return {name: {"estimator": HEIGHTS[estimators[0]]} for name in (TRACKER, "relief_mapper")}
 
 
 def recorded_topics(stages: list[str], parameters: NodeParameters) -> list[str]:

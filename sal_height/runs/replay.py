@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,20 @@ import yaml
 from sal_height import messages
 from sal_height.bag.compare import HeightComparison, compare_heights
 from sal_height.bag.reader import BagReader
+from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
 from sal_height.response import measure_brightest
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
-from sal_height.runs.ensemble import HEIGHTS, TRACKER, NodeParameters, check_parameters, recorded_topics, suited
+from sal_height.runs.ensemble import (
+    HEIGHTS,
+    TRACKER,
+    NodeParameters,
+    check_parameters,
+    consumers,
+    recorded_topics,
+    suited,
+)
 from sal_height.runs.picture import draw_image
 from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.reporting import PARAMETERS, conclude, merged, reporting
@@ -24,7 +34,11 @@ from sal_height.sensor import Sensor
 
 
 def replay(
-    bag: Path, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT
+    bag: Path,
+    out: Path,
+    parameters: NodeParameters,
+    execution: Execution = DEFAULT,
+    estimators: Collection[str] = (),
 ) -> tuple[Outcome, dict[str, HeightComparison]]:
     """Play the phase history of `bag` through the graph and record the products in `out`/bag.
 
@@ -36,6 +50,8 @@ def replay(
         out: folder; must be new or empty.
         parameters: of nodes, on top of the recorded ones.
         execution: how it is carried out.
+        estimators: names of those whose heights are made; none: those whose heights the bag holds, or else all that
+            suit the sensor and need not be asked for.
 
     Returns:
         What the replay did, and the comparison with the recorded heights by topic of the bag; empty if none were
@@ -45,10 +61,12 @@ def replay(
         UserError: the bag cannot be used.
     """
     reader = BagReader(bag)
-    values = check_parameters(merged(recorded_parameters(reader), parameters))
     sensor, dwells = contents(reader)
-    estimators = suited(sensor)
-    stages = ["sar_compression", *((*estimators, TRACKER) if estimators else ())]
+    recorded = [name for name in ESTIMATORS if f"/{name}/height" in reader.topics]
+    height_nodes = suited(sensor, estimators or recorded)
+    own = merged(consumers(height_nodes), recorded_parameters(reader))
+    values = check_parameters(merged(own, parameters))
+    stages = ["sar_compression", *((*height_nodes, TRACKER) if height_nodes else ())]
     folder = new_folder(out)
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
@@ -59,9 +77,12 @@ def replay(
         compared = {}
         if any(f"/{prefix}/height" in reader.topics for prefix in HEIGHTS.values()) and not outcome.interrupted:
             results = compare_heights(bag, made)
-            compared = {topic: result for topic, result in results.items() if topic in reader.topics}
+            wanted = (
+                {f"/{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS} if estimators else results.keys()
+            )
+            compared = {topic: results[topic] for topic in results if topic in reader.topics and topic in wanted}
         report["comparison"] = {topic: dataclasses.asdict(result) for topic, result in compared.items()}
-        report["images"] = [] if estimators else _measure_images(folder)
+        report["images"] = [] if height_nodes else _measure_images(folder)
     return outcome, compared
 
 

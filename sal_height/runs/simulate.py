@@ -18,6 +18,7 @@ from sal_height.runs.ensemble import (
     TRACKER,
     NodeParameters,
     check_parameters,
+    consumers,
     height_sources,
     recorded_topics,
     suited,
@@ -47,9 +48,9 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     Raises:
         UserError: what was asked for cannot be done.
     """
-    parameters = check_parameters(parameters)
+    parameters = check_parameters(merged(preset.processing, parameters))
     flight = flight_of(preset, seed)
-    estimators = suited(flight.sensor)
+    estimators = suited(flight.sensor, preset.estimators)
     flight.surface(0)  # refuses a flight beside the scene before anything is started
     folder = new_folder(out)
     settings = folder / "preset.yaml"
@@ -57,6 +58,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     values: dict[str, dict[str, Any]] = {
         "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols},
         **{name: dict(looks) for name in estimators},
+        **consumers(estimators),
     }
     values = merged(values, parameters)
     simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0}

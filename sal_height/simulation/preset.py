@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -206,6 +207,9 @@ class Preset:
     In stripmap it looks straight at the cell in elevation; what its beam loses over the aperture is made good.
     `scene_extent_m` spreads the scatterers in height about the scene's terrain (`Scene.extent`); `targets` are added to
     it, at rest or moving. `impairments` are what the description of the sensor does not tell of.
+
+    `estimators` are the names of those whose heights a run makes; none: all that suit the sensor and need not be asked
+    for. `processing` holds parameters of nodes by node and name, as the option --param does, which overrides them.
     """
 
     __pydantic_config__ = STRICT_KEYS
@@ -221,6 +225,8 @@ class Preset:
     scene_extent_m: Annotated[Float, Ge(0), Le(10_000)] = 0.0
     targets: tuple[TargetSettings, ...] = ()
     impairments: Impairments = UNIMPAIRED
+    estimators: tuple[str, ...] = ()
+    processing: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def dwell_spacing_m(self) -> float:

@@ -60,7 +60,7 @@ def node_over_core() -> Iterator[Row]:
         def core() -> None:
             heights(slc, sensor, ESTIMATORS["ml"], settings)
 
-        through, alone = medians(lambda: node.process(images, sensor), core)
+        through, alone = medians(lambda: node.process(images, sensor, None), core)
     yield Row(
         "node ml_height over the core",
         through / alone,

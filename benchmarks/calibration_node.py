@@ -39,13 +39,14 @@ def _beside_compression(name: str) -> Iterator[Row]:
         for state in flight.platform_states(0):
             compression._on_odometry(messages.state_to_message(state, messages.to_stamp(state.stamp_ns)))
         images = _images(graph, compression, frames, sensor)
+        supplies = compression.supplies(frames, sensor)
         calibration = graph.add(PsfCalibration(context=graph.context))
 
         def calibrate() -> None:
             for _ in range(DWELLS):
-                calibration.process(images, sensor)
+                calibration.process(images, sensor, None)
 
-        one, many = medians(lambda: compression.process(frames, sensor), calibrate)
+        one, many = medians(lambda: compression.process(frames, sensor, supplies), calibrate)
     yield Row(
         f"node psf_calibration over sar_compression, {name}",
         many / DWELLS / one,
@@ -62,7 +63,7 @@ def _images(graph: Graph, compression: SarCompression, frames: list[object], sen
     listener.create_subscription(ComplexImage, "slc", images.append, FRAMES_QOS)
     if not graph.spin_until(lambda: compression._slc.subscribers > 0, TIMEOUT_S):
         raise TimeoutError("The images found no subscriber.")
-    compression.process(frames, sensor)
+    compression.process(frames, sensor, compression.supplies(frames, sensor))
     if not graph.spin_until(lambda: len(images) == sensor.detector_count, TIMEOUT_S):
         raise TimeoutError("The images did not arrive.")
     return sorted(images, key=lambda image: int(image.detector))

@@ -27,6 +27,11 @@ class Dwell(Generic[Item]):
     began: float
     items: dict[int, Item] = field(default_factory=dict)
 
+    @property
+    def messages(self) -> list[Item]:
+        """The frames in the order of detectors."""
+        return [self.items[detector] for detector in sorted(self.items)]
+
 
 class DwellAssembler(Generic[Item]):
     """Bounded buffer of unfinished dwells. Times are seconds of any steady clock."""
@@ -59,7 +64,7 @@ class DwellAssembler(Generic[Item]):
         """Remove a dwell; its frames in the order of detectors."""
         del self._dwells[dwell.key]
         self._finished.append(dwell.key)
-        return [dwell.items[detector] for detector in sorted(dwell.items)]
+        return dwell.messages
 
     def overdue(self, now: float) -> list[Dwell[Item]]:
         """Dwells that have waited longer than the timeout, and the oldest beyond the capacity; they stay."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from abc import abstractmethod
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 from sal_height_msgs.msg import SensorInfo
@@ -57,29 +58,39 @@ class DwellStage(Stage):
     def check(self, message: Any, sensor: Sensor) -> None:
         """Raise Rejected if the message cannot be processed with `sensor`."""
 
+    def supplies(self, dwell: list[Any], sensor: Sensor) -> Any:  # noqa: ARG002 (subclasses use them)
+        """What a dwell needs besides its messages, as it is now; it is handed over together with them.
+
+        Raises:
+            Rejected: it has not come yet; why the dwell is dropped if it never does.
+        """
+        return None
+
     @abstractmethod
-    def process(self, dwell: list[Any], sensor: Sensor) -> int:
-        """Process the messages of all detectors (on the worker); returns the number of messages published."""
+    def process(self, dwell: list[Any], sensor: Sensor, supplies: Any) -> int:
+        """Process the messages of all channels (on the worker thread).
+
+        Args:
+            dwell: one message per channel, in the order of the channels.
+            sensor: that they were made with.
+            supplies: what `supplies` returned when the dwell was complete.
+
+        Returns:
+            The number of messages published.
+        """
 
     def identity(self, message: Any) -> str:
         """The config_hash of the sensor info that a message was made with."""
         return str(message.config_hash)
-
-    def sensor_of(self, message: Any) -> Sensor:
-        """The sensor that a message was made with, which has been heard."""
-        return self._streams[self.identity(message)].sensor
-
-    def missing(self, dwell: Dwell[Any]) -> Rejected | None:  # noqa: ARG002 (subclasses use it)
-        """What a dwell of all detectors still waits for, or None."""
-        return None
 
     def advance(self) -> None:
         """Hand over what is complete; drop what has waited too long."""
         now = time.monotonic()
         for sensor, assembler in self._streams.values():
             for dwell in assembler.complete(sensor.detector_count):
-                if self.missing(dwell) is None:
-                    self._hand_over(assembler.take(dwell), sensor)
+                with suppress(Rejected):
+                    supplies = self.supplies(dwell.messages, sensor)
+                    self._hand_over(assembler.take(dwell), sensor, supplies)
             for dwell in assembler.overdue(now):
                 reason = self._why_unfinished(dwell, sensor, now)
                 self.reject(len(assembler.take(dwell)), reason)
@@ -88,8 +99,8 @@ class DwellStage(Stage):
             self.reject(1, self._unmatched(message))
         self._early = self._early[len(overdue) :]
 
-    def _hand_over(self, dwell: list[Any], sensor: Sensor) -> None:
-        self.submit(len(dwell), lambda: self.process(dwell, sensor))
+    def _hand_over(self, dwell: list[Any], sensor: Sensor, supplies: Any) -> None:
+        self.submit(len(dwell), lambda: self.process(dwell, sensor, supplies))
 
     def _on_sensor_info(self, message: SensorInfo) -> None:
         try:
@@ -138,7 +149,11 @@ class DwellStage(Stage):
         absent = sorted(set(range(sensor.detector_count)) - set(dwell.items))
         if absent:
             return Rejected("incomplete dwell", f"{name}: detectors {absent} did not come within {self._timeout:g} s.")
-        return self.missing(dwell) or Rejected("incomplete dwell", f"{name}: completed too late.")
+        try:
+            self.supplies(dwell.messages, sensor)
+        except Rejected as missing:
+            return missing
+        return Rejected("incomplete dwell", f"{name}: completed too late.")
 
     def _unmatched(self, message: Any) -> Rejected:
         if not self._streams:

@@ -16,7 +16,6 @@ from sal_height import messages
 from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, Validity
 from sal_height.errors import Rejected, UserError
-from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS
@@ -67,19 +66,14 @@ class HeightNode(DwellStage):
         """Size of an image; single bad pixels are marked as such."""
         messages.check_slc(message, sensor)
 
-    def missing(self, dwell: Dwell[ComplexImage]) -> Rejected | None:
+    def supplies(self, dwell: list[ComplexImage], sensor: Sensor) -> Calibration | None:
         """The calibration that the images were made with: it may have changed the beams."""
-        image = next(iter(dwell.items.values()))
-        try:
-            self._calibration_of(image, self.sensor_of(image))
-        except Rejected as error:
-            return error
-        return None
+        return self._calibration_of(dwell[0], sensor)
 
-    def process(self, images: list[ComplexImage], sensor: Sensor) -> int:
+    def process(self, images: list[ComplexImage], sensor: Sensor, calibration: Calibration | None) -> int:
         """Estimate the heights of a dwell and publish them."""
         parameters, first = self.current_parameters(), images[0]
-        slc, calibration = messages.slc_from_messages(images), self._calibration_of(first, sensor)
+        slc = messages.slc_from_messages(images)
         field = heights(slc, sensor, self.estimator, parameters, calibration)
         if np.any(field.validity == Validity.SATURATED):
             share, limit = slc.saturated_share.max(), parameters.max_saturated_share

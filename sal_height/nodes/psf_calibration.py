@@ -92,7 +92,7 @@ class PsfCalibration(DwellStage):
                 "sar_compression).",
             )
 
-    def process(self, images: list[ComplexImage], sensor: Sensor) -> int:
+    def process(self, images: list[ComplexImage], sensor: Sensor, _: None) -> int:
         """Take in the images of a dwell, or pass it by; publish a calibration if it is the last one needed."""
         parameters = self.current_parameters()
         self._dwells += 1

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import bisect
+import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import Calibration as CalibrationMessage
@@ -16,16 +16,13 @@ from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings
-from sal_height.nodes.dwell import Dwell
 from sal_height.nodes.dwell_stage import DwellStage
+from sal_height.nodes.odometry import Arrival, OdometryHistory
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.pipeline import Compressor
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
-
-HELD_STATES = 20_000
-"""Odometry samples held: 100 s at 200 Hz."""
 
 HEARD = "topic"
 """Value of the parameter calibration for that which comes on the topic."""
@@ -45,6 +42,14 @@ class Parameters(ImageSettings):
     max_odometry_gap_s: float = setting(
         0.5, "longest time between two odometry samples during a dwell", unit="s", minimum=1e-6, maximum=3600.0
     )
+    odometry_held_s: float = setting(
+        100.0,
+        "time for which odometry is held; a dwell must be complete within it",
+        unit="s",
+        minimum=1.0,
+        maximum=86400.0,
+        read_only=True,
+    )
     timeout_s: float = setting(
         5.0,
         "longest wait for the missing channels or odometry of a dwell",
@@ -53,6 +58,18 @@ class Parameters(ImageSettings):
         maximum=3600.0,
         read_only=True,
     )
+
+
+class Supplies(NamedTuple):
+    """What a dwell is compressed with besides its frames.
+
+    Attributes:
+        states: odometry from the last sample before the first pulse to the first after the last pulse.
+        calibration: of the sensor's receivers; None: there is none.
+    """
+
+    states: list[PlatformState]
+    calibration: Calibration | None
 
 
 class SarCompression(DwellStage):
@@ -68,7 +85,7 @@ class SarCompression(DwellStage):
             UserError: a parameter has a value that is not allowed, or the calibration cannot be used.
         """
         super().__init__("sar_compression", DetectorFrame, "phase_history", **node_arguments)
-        self._states: list[PlatformState] = []
+        self._odometry = OdometryHistory(self.current_parameters().odometry_held_s)
         self._compressor = Compressor()
         self._calibration: Calibration | None = None
         self._begin_calibration(self.current_parameters().calibration)
@@ -79,27 +96,38 @@ class SarCompression(DwellStage):
         """Size, numbers and pulse times of a frame."""
         messages.check_frame(message, sensor)
 
-    def missing(self, dwell: Dwell[DetectorFrame]) -> Rejected | None:
-        """Odometry from before the first pulse to after the last, without gaps."""
-        frame = next(iter(dwell.items.values()))
+    def supplies(self, dwell: list[DetectorFrame], sensor: Sensor) -> Supplies:
+        """Odometry from before the first pulse to after the last without gaps, and the calibration in force.
+
+        Raises:
+            Rejected: the odometry does not cover the pulses yet, or has a gap.
+        """
+        frame = dwell[0]
         start_ns = messages.to_ns(frame.header.stamp)
+        states = self._odometry.around(start_ns, start_ns + round(frame.pulse_time[-1] * 1e9))
+        gap = max(((later.stamp_ns - earlier.stamp_ns) * 1e-9 for earlier, later in pairwise(states)), default=math.inf)
         limit = self.current_parameters().max_odometry_gap_s
-        stamps = [state.stamp_ns for state in self._states_around(start_ns, frame.pulse_time[-1])]
-        gaps = [(later - earlier) * 1e-9 for earlier, later in pairwise(stamps)]
-        if gaps and max(gaps) <= limit:
-            return None
-        return Rejected(
+        if gap <= limit:
+            return Supplies(states, self._calibration_for(sensor))
+        found = f"there are {gap:g} s between two" if states else self._odometry_held(start_ns)
+        raise Rejected(
             "odometry gap",
-            f"Dwell {dwell.key[0]}: platform/odometry must reach from its first pulse to its last with a sample every "
-            f"{limit:g} s (max_odometry_gap_s); "
-            + (f"there are {max(gaps):g} s between two." if gaps else "it does not (is its QoS compatible?)."),
+            f"Dwell {frame.dwell}: platform/odometry must reach from its first pulse to its last with a sample "
+            f"every {limit:g} s (max_odometry_gap_s); {found}.",
         )
 
-    def process(self, frames: list[DetectorFrame], sensor: Sensor) -> int:
+    def _odometry_held(self, start_ns: int) -> str:
+        """What odometry there is, relative to a dwell that it does not cover."""
+        if self._odometry.span_ns is None:
+            return "no sample has come (is its QoS compatible?)"
+        first, last = ((stamp_ns - start_ns) * 1e-9 for stamp_ns in self._odometry.span_ns)
+        return f"samples are held from {first:.6g} s to {last:.6g} s after its first pulse"
+
+    def process(self, frames: list[DetectorFrame], sensor: Sensor, supplies: Supplies) -> int:
         """Compress a dwell, or what a block completes of a strip, and publish the image of each detector."""
         parameters = self.current_parameters()
-        history, calibration = messages.history_from_messages(frames), self._calibration_for(sensor)
-        track = Trajectory(self._states_around(history.stamp_ns, float(history.pulse_times[-1])))
+        history, calibration = messages.history_from_messages(frames), supplies.calibration
+        track = Trajectory(supplies.states)
         slc = self._compressor.add(history, track, sensor, parameters, calibration)
         if slc is None:
             return 0
@@ -148,24 +176,20 @@ class SarCompression(DwellStage):
         except Rejected as error:
             self.ignore("odometry", error)
             return
-        states = self._states
-        if states and state.stamp_ns <= states[-1].stamp_ns:
-            # A clock that starts anew, or a sample that comes twice: what is later than this one is obsolete.
-            states = states[: bisect.bisect_left(states, state.stamp_ns, key=_stamp)]
-        self._states = [*states[-HELD_STATES:], state]
+        arrival = self._odometry.add(state)
+        if arrival is Arrival.SET_ASIDE:
+            self.ignore("odometry out of time", UserError(_out_of_time(state, self._odometry)))
+        elif arrival is not Arrival.IN_ORDER:
+            self.tally.note(f"odometry.{arrival.value}")
         self.advance()
 
-    def _states_around(self, start_ns: int, seconds: float) -> list[PlatformState]:
-        """The odometry samples from the last before an aperture to the first after it; none if it is not covered."""
-        states = self._states
-        end_ns = start_ns + round(seconds * 1e9)
-        first = bisect.bisect_right(states, start_ns, key=_stamp) - 1
-        last = bisect.bisect_left(states, end_ns, key=_stamp)
-        return states[first : last + 1] if 0 <= first < last < len(states) else []
 
-
-def _stamp(state: PlatformState) -> int:
-    return state.stamp_ns
+def _out_of_time(state: PlatformState, history: OdometryHistory) -> str:
+    _, last_ns = history.span_ns or (0, 0)
+    return (
+        f"A sample is stamped {(state.stamp_ns - last_ns) * 1e-9:.6g} s after the latest one; it is used only if the "
+        "next sample continues it, as when the clock has started anew."
+    )
 
 
 def main() -> int:

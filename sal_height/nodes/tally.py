@@ -23,6 +23,7 @@ class Tally:
         self._published = 0
         self._dropped: Counter[str] = Counter()
         self._ignored: Counter[str] = Counter()
+        self._noted: Counter[str] = Counter()
         self._latencies: deque[float] = deque(maxlen=1000)
 
     def receive(self) -> None:
@@ -40,6 +41,11 @@ class Tally:
         with self._lock:
             self._ignored[reason] += 1
 
+    def note(self, event: str) -> None:
+        """Something worth counting has happened that costs no message."""
+        with self._lock:
+            self._noted[event] += 1
+
     def finish(self, messages: int, published: int, latency_s: float) -> None:
         """That many messages became that many products, `latency_s` after they were complete and handed over."""
         with self._lock:
@@ -48,10 +54,11 @@ class Tally:
             self._latencies.append(latency_s)
 
     def summary(self) -> dict[str, int | float]:
-        """Counts and latencies by name; `dropped.<reason>` and `ignored.<reason>` for each reason."""
+        """Counts and latencies by name; `dropped.<reason>` and `ignored.<reason>` for each reason, and events noted."""
         with self._lock:
             dropped = dict(self._dropped)
             ignored = dict(self._ignored)
+            noted = dict(self._noted)
             values: dict[str, int | float] = {
                 RECEIVED: self._received,
                 PROCESSED: self._processed,
@@ -62,4 +69,5 @@ class Tally:
                 p50, p95 = np.percentile(self._latencies, [50, 95])
                 values |= {"latency_p50_ms": round(float(p50) * 1e3, 3), "latency_p95_ms": round(float(p95) * 1e3, 3)}
         values |= {f"{DROPPED}{reason}": count for reason, count in sorted(dropped.items())}
-        return values | {f"{IGNORED}{reason}": count for reason, count in sorted(ignored.items())}
+        values |= {f"{IGNORED}{reason}": count for reason, count in sorted(ignored.items())}
+        return values | dict(sorted(noted.items()))

@@ -174,6 +174,15 @@ def test_odometry_with_nan_is_ignored(chain: Chain, reference: Any) -> None:
     assert same_heights(chain.heights["ml", 0], reference["ml", 0])
 
 
+def test_odometry_with_an_unset_stamp_costs_no_other_sample(chain: Chain, reference: Any) -> None:
+    unset = chain.odometry(0)[2]
+    unset.header.stamp = messages.to_stamp(0)
+    chain.publish(chain.sensor_info(), *chain.odometry(0)[:3], unset, *chain.odometry(0)[3:], *chain.frames(0))
+    chain.await_heights(0)
+    assert chain.accounts()["sar_compression"]["ignored.odometry out of time"] == 1
+    assert same_heights(chain.heights["ml", 0], reference["ml", 0])
+
+
 def test_detectors_that_disagree_on_pulse_times(chain: Chain, reference: Any) -> None:
     frames = chain.frames(0)
     frames[5].pulse_time[-1] += 1e-6

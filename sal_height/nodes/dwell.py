@@ -1,77 +1,135 @@
-"""Assembling dwells: the frames of all detectors of a dwell, whatever order they come in."""
+"""Assembling dwells from the messages of their channels, in whatever order these come."""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from sal_height.errors import Rejected
+from sal_height.sensor import Sensor
 
 Item = TypeVar("Item")
-Key = tuple[int, int]
-"""Dwell number and stamp in ns: a sensor that starts anew may count dwells from 0 again."""
+
+FINISHED_KEPT = 64
+"""Dwells remembered after they were handed over or dropped, so that their stragglers are known as late."""
+
+LONGEST_TICK_S = 0.2
+"""Longest time that one tick of the waiting clock may count: two periods of its timer."""
+
+
+class Key(NamedTuple):
+    """What tells dwells apart: a sensor that starts anew may count them from 0 again."""
+
+    config_hash: str
+    number: int
+    stamp_ns: int
 
 
 @dataclass
 class Dwell(Generic[Item]):
-    """The frames of one dwell that have come so far.
+    """The messages of one dwell that have come so far.
 
     Attributes:
-        key: dwell number and stamp.
-        began: time of the first frame, s.
-        items: frames by detector.
+        key: config_hash of the sensor, dwell number and stamp.
+        sensor: that the messages were made with.
+        began: time at which the first message came, s of a steady clock.
+        items: messages by channel.
+        size: bytes that they hold.
     """
 
     key: Key
+    sensor: Sensor
     began: float
     items: dict[int, Item] = field(default_factory=dict)
+    size: int = 0
 
     @property
     def messages(self) -> list[Item]:
-        """The frames in the order of detectors."""
-        return [self.items[detector] for detector in sorted(self.items)]
+        """The messages in the order of channels."""
+        return [self.items[channel] for channel in sorted(self.items)]
+
+    @property
+    def absent(self) -> list[int]:
+        """The channels of which no message has come."""
+        return sorted(set(range(self.sensor.detector_count)) - set(self.items))
 
 
 class DwellAssembler(Generic[Item]):
-    """Bounded buffer of unfinished dwells. Times are seconds of any steady clock."""
+    """The unfinished dwells of all sensors, oldest first."""
 
-    def __init__(self, capacity: int, timeout: float) -> None:
-        """Hold up to `capacity` dwells, none longer than `timeout` seconds."""
-        self.capacity = capacity
-        self.timeout = timeout
+    def __init__(self) -> None:
         self._dwells: dict[Key, Dwell[Item]] = {}
-        self._finished: deque[Key] = deque(maxlen=4 * capacity)
+        self._finished: deque[Key] = deque(maxlen=FINISHED_KEPT)
+        self._newest_ns: dict[str, int] = {}
 
-    def add(self, key: Key, detector: int, item: Item, now: float) -> None:
-        """Take a frame in.
+    def add(self, key: Key, sensor: Sensor, channel: int, item: Item, now: float, size: int = 0) -> None:
+        """Take a message of `size` bytes in.
 
         Raises:
-            Rejected: "duplicate" (this detector has come already) or "late" (the dwell has been finished or dropped).
+            Rejected: "duplicate" (this channel has come already) or "late" (the dwell has been finished or dropped).
         """
         if key in self._finished:
-            raise Rejected("late", f"Dwell {key[0]}, detector {detector}: the dwell was finished or dropped before.")
-        dwell = self._dwells.setdefault(key, Dwell(key, now))
-        if detector in dwell.items:
-            raise Rejected("duplicate", f"Dwell {key[0]}, detector {detector}: the same frame came twice.")
-        dwell.items[detector] = item
+            raise Rejected("late", f"Dwell {key.number}, channel {channel}: the dwell was finished or dropped before.")
+        dwell = self._dwells.setdefault(key, Dwell(key, sensor, now))
+        if channel in dwell.items:
+            raise Rejected("duplicate", f"Dwell {key.number}, channel {channel}: the same message came twice.")
+        dwell.items[channel] = item
+        dwell.size += size
+        self._newest_ns[key.config_hash] = max(key.stamp_ns, self._newest_ns.get(key.config_hash, key.stamp_ns))
 
-    def complete(self, detectors: int) -> list[Dwell[Item]]:
-        """Dwells of which all detectors have come, oldest first; they stay until taken."""
-        return [dwell for dwell in self._dwells.values() if len(dwell.items) == detectors]
+    def __contains__(self, dwell: Dwell[Item]) -> bool:
+        """Whether a dwell is unfinished."""
+        return dwell.key in self._dwells
 
-    def take(self, dwell: Dwell[Item]) -> list[Item]:
-        """Remove a dwell; its frames in the order of detectors."""
+    def held(self) -> list[Dwell[Item]]:
+        """All unfinished dwells, in the order in which they began."""
+        return list(self._dwells.values())
+
+    def surplus(self, capacity: int, capacity_bytes: float) -> list[Dwell[Item]]:
+        """The oldest dwells that are too many, or whose messages take too much memory; one may always stay."""
+        dwells = self.held()
+        excess = sum(dwell.size for dwell in dwells)
+        for count, dwell in enumerate(dwells[:-1]):
+            if len(dwells) - count <= capacity and excess <= capacity_bytes:
+                return dwells[:count]
+            excess -= dwell.size
+        return dwells[:-1]
+
+    def is_passed(self, dwell: Dwell[Item], seconds: float) -> bool:
+        """Whether a message of the same sensor has come that is stamped later than the dwell by that many seconds."""
+        return self._newest_ns[dwell.key.config_hash] - dwell.key.stamp_ns > seconds * 1e9
+
+    def take(self, dwell: Dwell[Item]) -> None:
+        """Remove a dwell; what comes of it afterwards is late."""
         del self._dwells[dwell.key]
         self._finished.append(dwell.key)
-        return dwell.messages
 
-    def overdue(self, now: float) -> list[Dwell[Item]]:
-        """Dwells that have waited longer than the timeout, and the oldest beyond the capacity; they stay."""
-        dwells = list(self._dwells.values())
-        surplus = max(0, len(dwells) - self.capacity)
-        return dwells[:surplus] + [dwell for dwell in dwells[surplus:] if now - dwell.began > self.timeout]
+    def forget_finished(self, config_hash: str) -> None:
+        """Accept dwells of a sensor again that were finished before: it has started anew."""
+        self._finished = deque((k for k in self._finished if k.config_hash != config_hash), FINISHED_KEPT)
+        self._newest_ns.pop(config_hash, None)
+        self._newest_ns |= {key.config_hash: key.stamp_ns for key in self._dwells if key.config_hash == config_hash}
 
-    def forget_finished(self) -> None:
-        """Accept dwells again that were finished before: the stream has started anew."""
-        self._finished.clear()
+
+class WaitingClock:
+    """How long a node has been waiting without anything to do.
+
+    It is moved on by the ticks of a timer of the node, each for a fraction of a second at most, and starts from 0
+    whenever there is work. So, unlike the clock on the wall, it does not run while a slow or loaded machine keeps the
+    node from its messages.
+    """
+
+    def __init__(self) -> None:
+        self.waited_s = 0.0
+        self._last: float | None = None
+
+    def restart(self) -> None:
+        """A message has come."""
+        self.waited_s = 0.0
+
+    def tick(self, now: float, busy: bool) -> None:
+        """Move on to the time `now` of a steady clock, s; `busy`: the node is working or has work before it."""
+        step = 0.0 if self._last is None else min(now - self._last, LONGEST_TICK_S)
+        self._last = now
+        self.waited_s = 0.0 if busy else self.waited_s + step

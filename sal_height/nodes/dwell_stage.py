@@ -1,44 +1,71 @@
-"""A stage that works on whole dwells: gathers the messages of all detectors, and the sensor they belong to."""
+"""A stage that works on whole dwells: it gathers the messages of all channels, and the sensor they belong to."""
 
 from __future__ import annotations
 
-import math
+import array
+import copy
 import time
 from abc import abstractmethod
-from contextlib import suppress
-from typing import Any, NamedTuple
+from collections import Counter
+from typing import Any
 
 from sal_height_msgs.msg import SensorInfo
 
 from sal_height import messages
 from sal_height.errors import Rejected, UserError
-from sal_height.nodes.dwell import Dwell, DwellAssembler
-from sal_height.nodes.stage import LATCHED_QOS, Stage
+from sal_height.nodes.dwell import Dwell, DwellAssembler, Key, WaitingClock
+from sal_height.nodes.stage import LATCHED_QOS, Stage, StageParameters, payload_bytes
 from sal_height.sensor import Sensor
+from sal_height.settings import setting
 
-HELD_DWELLS = 8
-"""Unfinished dwells held before the oldest is dropped."""
-
-HELD_MESSAGES = 256
-"""Messages held that wait for their sensor info."""
+HELD_EARLY = 256
+"""Messages held that wait for their sensor info: a dwell of the greatest number of channels, twice."""
 
 HELD_SENSORS = 4
 """Sensor descriptions held: messages made with one may come after the next."""
 
+GONE_AFTER = 3
+"""Dwells in a row that lack a channel before the next ones are no longer held back for it."""
 
-class _Stream(NamedTuple):
-    """A sensor description and the unfinished dwells made with it."""
+TICK_S = 0.1
+"""Period at which the node looks for dwells that are overdue."""
 
-    sensor: Sensor
-    assembler: DwellAssembler[Any]
+
+class DwellParameters(StageParameters):
+    """Parameters of every node that works on whole dwells."""
+
+    timeout_s: float = setting(
+        5.0,
+        "longest wait for what a dwell lacks; it counts while the node has nothing else to do, or once the sensor has "
+        "moved on by as much",
+        unit="s",
+        minimum=0.01,
+        maximum=3600.0,
+    )
+    missing_channels: str = setting(
+        "refuse",
+        "what becomes of a dwell of which channels have not come in time: refuse drops it, proceed processes the other "
+        "channels as if these were dead",
+        choices=("refuse", "proceed"),
+    )
+    min_channels: int = setting(
+        2, "smallest number of channels to proceed with if others are missing", minimum=1, maximum=128
+    )
+    max_unfinished_dwells: int = setting(
+        8, "unfinished dwells that are held before the oldest is given up", minimum=1, maximum=10_000
+    )
 
 
 class DwellStage(Stage):
-    """Takes one message per detector and hands over complete dwells.
+    """Takes one message per channel and hands over complete dwells.
 
-    Messages that come before their sensor info wait for it. What does not become complete within the timeout is
-    dropped and counted; the next dwell is not affected.
+    Messages that come before their sensor info wait for it. A dwell that stays incomplete is given up and counted, and
+    the next one is not affected. It is given up when the node has waited for timeout_s without anything to do; or when
+    the dwell is older than timeout_s and messages have come whose stamps are later by as much. So neither a slow
+    machine nor a source that waits for the graph makes a dwell time out.
     """
+
+    parameters: type[DwellParameters] = DwellParameters
 
     def __init__(self, name: str, message_type: type, topic: str, **node_arguments: Any) -> None:
         """Declare the parameters; subscribe to `topic` and to sensor_info.
@@ -47,12 +74,14 @@ class DwellStage(Stage):
             UserError: a parameter has a value that is not allowed.
         """
         super().__init__(name, **node_arguments)
-        self._timeout = self.current_parameters().timeout_s
-        self._streams: dict[str, _Stream] = {}
-        self._early: list[tuple[float, Any]] = []
+        self._sensors: dict[str, Sensor] = {}
+        self._assembler: DwellAssembler[Any] = DwellAssembler()
+        self._early: list[tuple[Any, int]] = []
+        self._waiting = WaitingClock()
+        self._absences: dict[str, Counter[int]] = {}
         self.listen(SensorInfo, "sensor_info", self._on_sensor_info, LATCHED_QOS)
         self.listen(message_type, topic, self._on_message)
-        self.create_timer(0.1, self.advance, clock=self.steady_clock)
+        self.every(TICK_S, self._tick)
 
     @abstractmethod
     def check(self, message: Any, sensor: Sensor) -> None:
@@ -84,23 +113,80 @@ class DwellStage(Stage):
         return str(message.config_hash)
 
     def advance(self) -> None:
-        """Hand over what is complete; drop what has waited too long."""
-        now = time.monotonic()
-        for sensor, assembler in self._streams.values():
-            for dwell in assembler.complete(sensor.detector_count):
-                with suppress(Rejected):
-                    supplies = self.supplies(dwell.messages, sensor)
-                    self._hand_over(assembler.take(dwell), sensor, supplies)
-            for dwell in assembler.overdue(now):
-                reason = self._why_unfinished(dwell, sensor, now)
-                self.reject(len(assembler.take(dwell)), reason)
-        overdue = [message for began, message in self._early if now - began > self._timeout]
-        for message in overdue:
-            self.reject(1, self._unmatched(message))
-        self._early = self._early[len(overdue) :]
+        """Hand over what is complete; give up what has waited too long or is too much to hold."""
+        parameters, now = self.current_parameters(), time.monotonic()
+        idle = self._waiting.waited_s > parameters.timeout_s
+        for dwell in self._assembler.held():
+            missing = self._hand_over(dwell) if self._is_complete(dwell) else None
+            old = now - dwell.began > parameters.timeout_s and self._assembler.is_passed(dwell, parameters.timeout_s)
+            if (idle or old) and dwell in self._assembler:
+                self._give_up(dwell, missing or self._incomplete(dwell, f"within {parameters.timeout_s:g} s"))
+        for dwell in self._assembler.surplus(parameters.max_unfinished_dwells, parameters.max_memory_bytes):
+            self._give_up(dwell, self._surplus(dwell))
+        if idle:
+            self._give_up_early(0, 0)
+        self._give_up_early(HELD_EARLY, parameters.max_memory_bytes)
 
-    def _hand_over(self, dwell: list[Any], sensor: Sensor, supplies: Any) -> None:
-        self.submit(len(dwell), lambda: self.process(dwell, sensor, supplies))
+    def note_progress(self) -> None:
+        """Something that dwells wait for has come: the node has not been waiting in vain."""
+        self._waiting.restart()
+
+    def _tick(self) -> None:
+        self._waiting.tick(time.monotonic(), busy=self.jobs > 0)
+        self.advance()
+
+    def _is_complete(self, dwell: Dwell[Any]) -> bool:
+        """Whether all channels have come, but for those that are given up."""
+        absences = self._absences.get(dwell.key.config_hash, Counter())
+        return not dwell.absent or (self._may_proceed(dwell) and all(absences[c] >= GONE_AFTER for c in dwell.absent))
+
+    def _may_proceed(self, dwell: Dwell[Any]) -> bool:
+        """Whether the channels that have come may be processed without the others."""
+        parameters = self.current_parameters()
+        return parameters.missing_channels == "proceed" and len(dwell.items) >= parameters.min_channels
+
+    def _hand_over(self, dwell: Dwell[Any]) -> Rejected | None:
+        """Submit a dwell, with blank messages for channels that are absent, if there is all that it needs.
+
+        Returns:
+            What it still waits for, or None.
+        """
+        blanks = {channel: _blank(dwell.messages[0], channel) for channel in dwell.absent}
+        items = {**dwell.items, **blanks}
+        frames = [items[channel] for channel in sorted(items)]
+        try:
+            supplies = self.supplies(frames, dwell.sensor)
+        except Rejected as missing:
+            return missing
+        except Exception as error:  # noqa: BLE001 (no message may end the node, nor stay for ever)
+            self._assembler.take(dwell)
+            self.reject(len(dwell.items), self.unexpected(error))
+            return None
+        self._assembler.take(dwell)
+        if dwell.absent:
+            sentence = f"Dwell {dwell.key.number} is processed without channels {dwell.absent}, which have not come."
+            self.ignore("missing channels", UserError(sentence))
+        self.submit(len(dwell.items), lambda: self.process(frames, dwell.sensor, supplies), dwell.size)
+        return None
+
+    def _give_up(self, dwell: Dwell[Any], reason: Rejected) -> None:
+        """End the wait for a dwell: proceed with the channels that have come if that is allowed, or drop it."""
+        self._absences.setdefault(dwell.key.config_hash, Counter()).update(dwell.absent)
+        if dwell.absent and self._may_proceed(dwell):
+            missing = self._hand_over(dwell)
+            if missing is None:
+                return
+            reason = missing
+        self._assembler.take(dwell)
+        self.reject(len(dwell.items), reason)
+
+    def _give_up_early(self, count: int, size: float) -> None:
+        """Drop the oldest messages without sensor info until there are `count` and `size` bytes of them at most."""
+        excess = sum(held for _, held in self._early) - size
+        while self._early and (len(self._early) > count or excess > 0):
+            message, held = self._early.pop(0)
+            excess -= held
+            self.reject(1, self._unmatched(message))
 
     def _on_sensor_info(self, message: SensorInfo) -> None:
         try:
@@ -108,59 +194,72 @@ class DwellStage(Stage):
         except UserError as error:
             self.ignore("sensor info", error)
             return
-        stream = self._streams.pop(sensor.config_hash, _Stream(sensor, DwellAssembler(HELD_DWELLS, self._timeout)))
-        stream.assembler.forget_finished()
-        self._streams[sensor.config_hash] = stream._replace(sensor=sensor)
-        if len(self._streams) > HELD_SENSORS:
-            self._give_up(self._streams.pop(next(iter(self._streams))))
+        self.hardware_id = sensor.name
+        self._sensors.pop(sensor.config_hash, None)  # to be the last that is forgotten
+        self._sensors[sensor.config_hash] = sensor
+        self._assembler.forget_finished(sensor.config_hash)
+        if len(self._sensors) > HELD_SENSORS:
+            self._forget(next(iter(self._sensors)))
         waiting, self._early = self._early, []
-        for began, early in waiting:
-            self._take_in(early, began)
+        for early, _ in waiting:
+            self._take_in(early)
+        self.advance()
 
-    def _give_up(self, stream: _Stream) -> None:
-        """Drop the unfinished dwells of a sensor that has been replaced."""
-        for dwell in stream.assembler.overdue(math.inf):
-            reason = self._why_unfinished(dwell, stream.sensor, math.inf)
-            self.reject(len(stream.assembler.take(dwell)), reason)
+    def _forget(self, config_hash: str) -> None:
+        """Drop the description of a sensor, and its unfinished dwells."""
+        del self._sensors[config_hash]
+        for dwell in self._assembler.held():
+            if dwell.key.config_hash == config_hash:
+                missing = None if dwell.absent else self._hand_over(dwell)
+                if dwell in self._assembler:
+                    self._give_up(dwell, missing or self._incomplete(dwell, "before other sensors replaced theirs"))
+        self._absences.pop(config_hash, None)
 
     def _on_message(self, message: Any) -> None:
         self.tally.receive()
-        self._take_in(message, time.monotonic())
-
-    def _take_in(self, message: Any, arrived: float) -> None:
-        stream = self._streams.get(self.identity(message))
-        if stream is None:
-            self._early.append((arrived, message))
-            if len(self._early) > HELD_MESSAGES:
-                self.reject(1, self._unmatched(self._early.pop(0)[1]))
-            return
-        key = (message.dwell, messages.to_ns(message.header.stamp))
-        try:
-            self.check(message, stream.sensor)
-            stream.assembler.add(key, message.detector, message, arrived)
-        except Rejected as error:
-            self.reject(1, error)
+        self._waiting.restart()
+        self._take_in(message)
         self.advance()
 
-    def _why_unfinished(self, dwell: Dwell[Any], sensor: Sensor, now: float) -> Rejected:
-        name = f"Dwell {dwell.key[0]}"
-        if now - dwell.began <= self._timeout:
-            return Rejected("buffer full", f"{name}: more than {HELD_DWELLS} unfinished dwells; the oldest had to go.")
-        absent = sorted(set(range(sensor.detector_count)) - set(dwell.items))
-        if absent:
-            return Rejected("incomplete dwell", f"{name}: detectors {absent} did not come within {self._timeout:g} s.")
+    def _take_in(self, message: Any) -> None:
         try:
-            self.supplies(dwell.messages, sensor)
-        except Rejected as missing:
-            return missing
-        return Rejected("incomplete dwell", f"{name}: completed too late.")
+            sensor = self._sensors.get(self.identity(message))
+            if sensor is None:
+                self._early.append((message, payload_bytes(message)))
+                return
+            self.check(message, sensor)
+            self._absences.setdefault(sensor.config_hash, Counter()).pop(message.detector, None)
+            key = Key(sensor.config_hash, message.dwell, messages.to_ns(message.header.stamp))
+            size = payload_bytes(message)
+            self._assembler.add(key, sensor, message.detector, message, time.monotonic(), size)
+        except Exception as error:  # noqa: BLE001 (no message may end the node)
+            self.reject(1, self.unexpected(error))
+
+    def _incomplete(self, dwell: Dwell[Any], when: str) -> Rejected:
+        return Rejected("incomplete dwell", f"Dwell {dwell.key.number}: channels {dwell.absent} did not come {when}.")
+
+    def _surplus(self, dwell: Dwell[Any]) -> Rejected:
+        parameters = self.current_parameters()
+        return Rejected(
+            "buffer full",
+            f"Dwell {dwell.key.number} was the oldest unfinished one of more than {parameters.max_unfinished_dwells} "
+            f"(max_unfinished_dwells) or {parameters.max_memory_mb} MB (max_memory_mb).",
+        )
 
     def _unmatched(self, message: Any) -> Rejected:
-        if not self._streams:
+        if not self._sensors:
             return Rejected("no sensor info", "No usable message on sensor_info; publish one (transient local).")
-        known = ", ".join(self._streams)
+        known = ", ".join(self._sensors)
         return Rejected(
             "contradicts sensor info",
-            f"Dwell {message.dwell}, detector {message.detector}: config_hash {self.identity(message)!r} is none of "
+            f"Dwell {message.dwell}, channel {message.detector}: config_hash {self.identity(message)!r} is none of "
             f"those on sensor_info ({known}).",
         )
+
+
+def _blank(message: Any, channel: int) -> Any:
+    """A message of zeros in the place of one that has not come: estimators leave such a channel out as dead."""
+    blank = copy.copy(message)
+    blank.detector = channel
+    blank.samples = array.array("f", bytes(4 * len(message.samples)))
+    return blank

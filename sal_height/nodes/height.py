@@ -16,29 +16,20 @@ from sal_height import messages
 from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, Validity
 from sal_height.errors import Rejected, UserError
-from sal_height.nodes.dwell_stage import DwellStage
+from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.pipeline import heights
 from sal_height.sensor import Sensor
-from sal_height.settings import Settings, setting
 
 HELD_CALIBRATIONS = 4
 """Calibrations held: images made with one may come after the next."""
 
 
-class Waiting(Settings):
-    """Parameters of a height node besides its estimator's settings."""
-
-    timeout_s: float = setting(
-        5.0, "longest wait for the missing channels of a dwell", unit="s", minimum=0.01, maximum=3600.0, read_only=True
-    )
-
-
 class HeightNode(DwellStage):
     """Turns the images of all channels of a dwell into one height image.
 
-    Its parameters are the settings of its estimator, and those of Waiting.
+    Its parameters are the settings of its estimator, and those of DwellParameters.
     """
 
     estimator: ElevationEstimator
@@ -53,7 +44,7 @@ class HeightNode(DwellStage):
         """
         super().__init__(self.estimator.node, ComplexImage, "slc", **node_arguments)
         self._calibrations: dict[str, Calibration] = {}
-        self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS)
+        self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS, optional=True)
         self._height = self.offer(HeightImage, f"{self.product}/height")
         self._image = self.offer(Image, f"{self.product}/image")
         self._points = self.offer(PointCloud2, f"{self.product}/points")
@@ -119,7 +110,7 @@ class HeightNode(DwellStage):
 
 def height_node(estimator: ElevationEstimator) -> type[HeightNode]:
     """The class of an estimator's node."""
-    parameters = create_model(f"{estimator.name}_parameters", __base__=(estimator.settings, Waiting))
+    parameters = create_model(f"{estimator.name}_parameters", __base__=(estimator.settings, DwellParameters))
     attributes = {"estimator": estimator, "product": estimator.name, "parameters": parameters}
     return type(f"HeightNode_{estimator.name}", (HeightNode,), attributes)
 

@@ -8,15 +8,14 @@ from typing import Any
 
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import DetectorFrame, SensorInfo
-from std_srvs.srv import Trigger
 
 from sal_height import messages
 from sal_height.bag.definitions import message_class
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage
-from sal_height.settings import Settings, setting
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage, StageParameters
+from sal_height.settings import setting
 
 INPUTS = {"sensor_info": LATCHED_QOS, "platform/odometry": ODOMETRY_QOS, "phase_history": FRAMES_QOS}
 """Topics that are played."""
@@ -25,7 +24,7 @@ LONGEST_GROUP = 4
 """Dwells after whose number of frames a group ends, even if some of its dwells miss a frame."""
 
 
-class Parameters(Settings):
+class Parameters(StageParameters):
     """Parameters of the node."""
 
     bag: str = setting("", "path of the bag: its folder or its .mcap file", read_only=True)
@@ -59,15 +58,14 @@ class Player(Stage):
         self._messages = self._reader.messages(list(self._outlets))
         self._next: BagMessage | None = next(self._messages, None)
         self._detectors = 1
-        self.create_service(Trigger, "~/step", self._on_step)
+        self.serve("~/step", self._step)
 
-    def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self._next is not None
-        response.message = "next dwell" if response.success else "the bag has ended"
-        if response.success:
-            self.tally.receive()
-            self.submit(1, self._publish_group)
-        return response
+    def _step(self) -> tuple[bool, str]:
+        if self._next is None:
+            return False, "the bag has ended"
+        self.tally.receive()
+        self.submit(1, self._publish_group)
+        return True, "next dwell"
 
     def _publish_group(self) -> int:
         """Publish up to the first frame that is not of this group; the number of frames.

@@ -16,18 +16,18 @@ from sal_height.calibration import Calibrator, save_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import sphere_point
 from sal_height.imaging import image_beams
-from sal_height.nodes.dwell_stage import DwellStage
+from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.numeric import F64
 from sal_height.sensor import MAX_SHARE, Sensor, spectrum_sensor
-from sal_height.settings import Settings, setting
+from sal_height.settings import setting
 
 MOST_DWELLS = 1024
 """That a calibration may be made of: 130 MB of pixels from 16 detectors."""
 
 
-class Parameters(Settings):
+class Parameters(DwellParameters):
     """Parameters of the node."""
 
     dwells: int = setting(
@@ -47,9 +47,6 @@ class Parameters(Settings):
     )
     file: str = setting(
         "", "path of the .npz file that each calibration is written to; an existing file is replaced; empty: none"
-    )
-    timeout_s: float = setting(
-        5.0, "longest wait for the missing channels of a dwell", unit="s", minimum=0.01, maximum=3600.0, read_only=True
     )
 
 

@@ -17,16 +17,16 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.program import run_node
 from sal_height.nodes.relief_tracker import PREFIX as TRACKED
-from sal_height.nodes.stage import LATCHED_QOS, Stage
+from sal_height.nodes.stage import LATCHED_QOS, Stage, StageParameters, payload_bytes
 from sal_height.relief import check_geotiff, write_geotiff
 from sal_height.relief import map as relief_map
-from sal_height.settings import Settings, setting
+from sal_height.settings import setting
 
 LAST_WORDS_S = 2.0
 """How long the end waits for subscribers to have the last map."""
 
 
-class Parameters(Settings):
+class Parameters(StageParameters):
     """Parameters of the node."""
 
     estimator: str = setting(
@@ -111,7 +111,7 @@ class ReliefMapper(Stage):
         self._image = self.offer(Image, "map/image", LATCHED_QOS)
         self._points = self.offer(PointCloud2, "map/points", LATCHED_QOS)
         self.listen(HeightImage, f"{self._settings.estimator}/height", self._on_height)
-        self.create_timer(self._settings.period_s, self._publish_when_changed, clock=self.steady_clock)
+        self.every(self._settings.period_s, self._publish_when_changed)
         self.context.on_shutdown(self.conclude)
 
     def conclude(self) -> None:
@@ -137,7 +137,7 @@ class ReliefMapper(Stage):
         if self._ended:
             self.reject(1, Rejected("ended", "The map is written; heights that come later are left out."))
         else:
-            self.submit(1, lambda: self._enter(image))
+            self.submit(1, lambda: self._enter(image), payload_bytes(image))
 
     def _enter(self, image: HeightImage) -> int:
         """Enter a height image into the map, which stays as it is if that is refused."""
@@ -155,7 +155,7 @@ class ReliefMapper(Stage):
         return 0
 
     def _publish_when_changed(self) -> None:
-        if self._unpublished and not self._jobs.full():
+        if self._unpublished and self.jobs <= self.current_parameters().max_queued_dwells:
             self._unpublished = False
             self.submit(0, self._publish)
 

@@ -11,15 +11,15 @@ from sensor_msgs.msg import Image, PointCloud2
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import Stage
+from sal_height.nodes.stage import Stage, StageParameters, payload_bytes
 from sal_height.relief import GATE, track
-from sal_height.settings import Settings, setting
+from sal_height.settings import setting
 
 PREFIX = "tracked"
 """Of the topics, and HeightImage.estimator."""
 
 
-class Parameters(Settings):
+class Parameters(StageParameters):
     """Parameters of the node."""
 
     estimator: str = setting(
@@ -72,7 +72,7 @@ class ReliefTracker(Stage):
 
     def _on_height(self, message: HeightImage) -> None:
         self.tally.receive()
-        self.submit(1, lambda: self.process(message))
+        self.submit(1, lambda: self.process(message), payload_bytes(message))
 
     def process(self, message: HeightImage) -> int:
         """Track the heights of a dwell (on the worker) and publish them; returns the number of height images."""

@@ -16,7 +16,7 @@ from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings
-from sal_height.nodes.dwell_stage import DwellStage
+from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.odometry import Arrival, OdometryHistory
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
@@ -30,7 +30,7 @@ HEARD = "topic"
 NOT_TRUSTED = "autofocus found nothing that it could trust, the image is as navigation focuses it."
 
 
-class Parameters(ImageSettings):
+class Parameters(ImageSettings, DwellParameters):
     """Settings of the images, and what the node needs besides."""
 
     calibration: str = setting(
@@ -48,14 +48,6 @@ class Parameters(ImageSettings):
         unit="s",
         minimum=1.0,
         maximum=86400.0,
-        read_only=True,
-    )
-    timeout_s: float = setting(
-        5.0,
-        "longest wait for the missing channels or odometry of a dwell",
-        unit="s",
-        minimum=0.01,
-        maximum=3600.0,
         read_only=True,
     )
 
@@ -86,6 +78,7 @@ class SarCompression(DwellStage):
         """
         super().__init__("sar_compression", DetectorFrame, "phase_history", **node_arguments)
         self._odometry = OdometryHistory(self.current_parameters().odometry_held_s)
+        self._last_pulse_ns = 0
         self._compressor = Compressor()
         self._calibration: Calibration | None = None
         self._begin_calibration(self.current_parameters().calibration)
@@ -95,6 +88,8 @@ class SarCompression(DwellStage):
     def check(self, message: DetectorFrame, sensor: Sensor) -> None:
         """Size, numbers and pulse times of a frame."""
         messages.check_frame(message, sensor)
+        end_ns = messages.to_ns(message.header.stamp) + round(message.pulse_time[-1] * 1e9)
+        self._last_pulse_ns = max(self._last_pulse_ns, end_ns)
 
     def supplies(self, dwell: list[DetectorFrame], sensor: Sensor) -> Supplies:
         """Odometry from before the first pulse to after the last without gaps, and the calibration in force.
@@ -148,7 +143,7 @@ class SarCompression(DwellStage):
     def _begin_calibration(self, source: str) -> None:
         """Load the calibration of a file and publish it, or listen to the topic; nothing if `source` is empty."""
         if source == HEARD:
-            self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS)
+            self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS, optional=True)
         elif source:
             self._calibration = load_calibration(Path(source))
             stamp = self.get_clock().now().to_msg()
@@ -176,6 +171,8 @@ class SarCompression(DwellStage):
         except Rejected as error:
             self.ignore("odometry", error)
             return
+        if state.stamp_ns <= self._last_pulse_ns:
+            self.note_progress()  # what dwells still wait for is on its way
         arrival = self._odometry.add(state)
         if arrival is Arrival.SET_ASIDE:
             self.ignore("odometry out of time", UserError(_out_of_time(state, self._odometry)))

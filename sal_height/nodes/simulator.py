@@ -6,16 +6,15 @@ from typing import Any
 
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import DetectorFrame, SensorInfo
-from std_srvs.srv import Trigger
 
 from sal_height import messages
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, Stage
-from sal_height.settings import Settings, setting
+from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, Stage, StageParameters
+from sal_height.settings import setting
 from sal_height.simulation import flight_of, load_preset
 
 
-class Parameters(Settings):
+class Parameters(StageParameters):
     """Parameters of the node."""
 
     preset: str = setting("sal_spotlight", "name of a preset, or path of its YAML file", read_only=True)
@@ -53,18 +52,16 @@ class Simulator(Stage):
         self._odometry = self.offer(Odometry, "platform/odometry", ODOMETRY_QOS)
         self._frames = self.offer(DetectorFrame, "phase_history")
         self._info.publish(messages.sensor_to_message(self.flight.sensor, self._stamp(0)))
-        self.create_service(Trigger, "~/step", self._on_step)
+        self.serve("~/step", self._step)
         if parameters.period_s > 0:
-            self.create_timer(parameters.period_s, self._begin_dwell)
+            self.every(parameters.period_s, self._begin_dwell, self.get_clock())
 
     def _stamp(self, ns_after_start: int) -> Any:
         return messages.to_stamp(self._start_ns + ns_after_start)
 
-    def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _step(self) -> tuple[bool, str]:
         dwell = self._begin_dwell()
-        response.success = dwell is not None
-        response.message = f"dwell {dwell} of {self.flight.dwells}" if response.success else "the flight has ended"
-        return response
+        return (False, "the flight has ended") if dwell is None else (True, f"dwell {dwell} of {self.flight.dwells}")
 
     def _begin_dwell(self) -> int | None:
         """Have the next dwell simulated; its number, or None when the flight has ended."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import queue
+import array
+import math
 import threading
 import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock
@@ -18,13 +21,15 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
+from std_srvs.srv import Trigger
 
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.account import DROPPED, IGNORED, JOBS, PUBLISHED_ON, SUBSCRIBERS, Account
+from sal_height.nodes.jobs import Job, JobQueue
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.role import Role
 from sal_height.nodes.tally import Tally
-from sal_height.settings import Settings
+from sal_height.settings import Settings, setting
 
 FRAMES_QOS = QoSProfile(depth=256, reliability=ReliabilityPolicy.RELIABLE)
 """Phase histories and images: nothing may be lost in the burst of frames that a dwell is."""
@@ -42,8 +47,33 @@ QOS_OVERRIDES = QoSOverridingOptions(
 
 DIAGNOSTICS_PERIOD_S = 0.5
 
-QUEUED_JOBS = 8
-"""Jobs that may wait for the worker before further ones are dropped."""
+RECENT_S = 10.0
+"""The level of the diagnostics tells what was lost in this time; the counts tell what was lost at all."""
+
+
+class StageParameters(Settings):
+    """Parameters of every processing node."""
+
+    max_queued_dwells: int = setting(
+        8, "dwells that may wait for their processing, beside the one in work", minimum=1, maximum=10_000
+    )
+    queue_policy: str = setting(
+        "newest",
+        "which dwell is dropped when too many wait: the oldest of those that wait, or the newest, which has just come",
+        choices=("oldest", "newest"),
+    )
+    max_memory_mb: int = setting(
+        2048,
+        "memory for unfinished dwells, and as much again for dwells that wait for their processing",
+        unit="MB",
+        minimum=1,
+        maximum=1_000_000,
+    )
+
+    @property
+    def max_memory_bytes(self) -> int:
+        """Memory for unfinished dwells, bytes."""
+        return self.max_memory_mb * 1_000_000
 
 
 class Outlet:
@@ -70,10 +100,29 @@ class Outlet:
         self.published += 1
 
 
+@dataclass
+class Inlet:
+    """A topic that a node needs.
+
+    Attributes:
+        topic: its name.
+        latched: whether one message is enough for all time.
+        heard_at: when the last message came, s of the monotonic clock.
+    """
+
+    topic: str
+    latched: bool
+    heard_at: float = -math.inf
+
+    def is_silent(self, now: float) -> bool:
+        """Whether messages that should come do not."""
+        return now - self.heard_at > (math.inf if self.latched and self.heard_at > 0 else RECENT_S)
+
+
 class Stage(Role, Node):
     """A node whose callbacks only take messages in; the work is done in order on a thread of its own."""
 
-    parameters: type[Settings] = Settings
+    parameters: type[StageParameters] = StageParameters
     """The node's ROS parameters."""
 
     def __init__(self, name: str, **node_arguments: Any) -> None:
@@ -87,11 +136,14 @@ class Stage(Role, Node):
         self.tally = Tally()
         self.last_rejection = ""
         self.last_drop = ""
-        self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue(QUEUED_JOBS)
-        self._offered: list[Outlet] = []
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.hardware_id = ""
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self.publish_diagnostics, clock=self.steady_clock)
+        self._jobs = JobQueue()
+        self._lost_at = -math.inf
+        self._offered: list[Outlet] = []
+        self._inlets: list[Inlet] = []
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.every(DIAGNOSTICS_PERIOD_S, self.publish_diagnostics)
         self._worker = threading.Thread(target=self._work, name=name, daemon=True)
         self._worker.start()
 
@@ -106,56 +158,119 @@ class Stage(Role, Node):
         return self._offered[-1]
 
     def listen(
-        self, message_type: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile = FRAMES_QOS
+        self,
+        message_type: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile = FRAMES_QOS,
+        *,
+        optional: bool = False,
     ) -> None:
-        """Subscribe; users can adapt the QoS to a publisher of theirs by the qos_overrides parameters."""
+        """Subscribe; users can adapt the QoS to a publisher of theirs by the qos_overrides parameters.
 
-        def guarded(message: Any) -> None:
-            try:
-                callback(message)
-            except Exception as error:  # noqa: BLE001 (no message may end the node)
-                self.get_logger().error(f"Unexpected failure, please report it: {traceback.format_exc()}")
-                self.ignore("internal error", UserError(repr(error)))
+        Args:
+            message_type: class of the messages.
+            topic: name of the topic.
+            callback: takes a message; an error in it is counted and logged.
+            qos: quality of service.
+            optional: whether the node can do its work without a message on this topic.
+        """
+        inlet = Inlet(self.resolve_topic_name(topic), latched=qos is LATCHED_QOS)
+        if not optional:
+            self._inlets.append(inlet)
 
-        self.create_subscription(message_type, topic, guarded, qos, qos_overriding_options=QOS_OVERRIDES)
+        def receive(message: Any) -> None:
+            inlet.heard_at = time.monotonic()
+            callback(message)
 
-    def submit(self, messages: int, work: Callable[[], int]) -> None:
-        """Have `work` done on the worker; it consumes `messages` messages and returns the number it published.
+        self.create_subscription(message_type, topic, self._guarded(receive), qos, qos_overriding_options=QOS_OVERRIDES)
 
-        What it rejects or fails at is counted, said in the log, and does not end the node.
+    def every(self, period_s: float, callback: Callable[[], Any], clock: Clock | None = None) -> None:
+        """Call `callback` again and again, by a clock that never stands still unless another one is given."""
+        self.create_timer(period_s, self._guarded(callback), clock=clock or self.steady_clock)
+
+    def serve(self, name: str, callback: Callable[[], tuple[bool, str]]) -> None:
+        """Offer a service of type Trigger; `callback` returns whether it succeeded, and a message."""
+
+        def respond(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            failure = False, "internal error; the log of the node says more"
+            response.success, response.message = self._guarded(callback)() or failure
+            return response
+
+        self.create_service(Trigger, name, respond)
+
+    def submit(self, messages: int, work: Callable[[], int], size: int = 0) -> None:
+        """Have `work` done on the worker thread.
+
+        What it rejects or fails at is counted and logged, and does not end the node.
+
+        Args:
+            messages: number of messages that it consumes.
+            work: returns the number of messages it published.
+            size: bytes that the messages hold.
         """
         arrived = time.monotonic()
 
-        def job() -> None:
+        def run() -> None:
             try:
                 published = work()
-            except Rejected as error:
-                self.reject(messages, error)
-            except UserError as error:
-                self.reject(messages, Rejected("cannot be processed", str(error)))
             except Exception as error:  # noqa: BLE001 (no message may end the node)
-                if not self.context.ok():
+                if not (isinstance(error, UserError) or self.context.ok()):
                     return  # shutting down: nobody is left to publish to
-                self.get_logger().error(f"Unexpected failure, please report it: {traceback.format_exc()}")
-                self.reject(messages, Rejected("internal error", repr(error)))
+                self.reject(messages, self.unexpected(error))
             else:
                 self.tally.finish(messages, published, time.monotonic() - arrived)
             self.publish_diagnostics()
 
-        try:
-            self._jobs.put_nowait(job)
-        except queue.Full:
-            self.reject(messages, Rejected("queue full", f"More than {QUEUED_JOBS} dwells wait; slow the sensor down."))
+        parameters = self.current_parameters()
+        capacity, policy = parameters.max_queued_dwells, parameters.queue_policy
+        full = (
+            f"Processing falls behind: {capacity} dwells (max_queued_dwells) or {parameters.max_memory_mb} MB "
+            f"(max_memory_mb) wait already, and the {policy} dwell was dropped (queue_policy)."
+        )
+        for job in self._jobs.put(Job(run, messages, size), capacity, parameters.max_memory_bytes, policy):
+            ended = Rejected("ended", "The node is ending; what comes now is left out.")
+            self.reject(job.messages, ended if self._jobs.closed else Rejected("queue full", full))
+
+    @property
+    def jobs(self) -> int:
+        """Jobs that wait or run: above 0, the node is working."""
+        return self._jobs.unfinished
+
+    def unexpected(self, error: Exception) -> Rejected:
+        """Why messages are dropped after an error; one that no input should cause is logged in full."""
+        if isinstance(error, Rejected):
+            return error
+        if isinstance(error, UserError):
+            return Rejected("cannot be processed", str(error))
+        trace = "".join(traceback.format_exception(error))
+        self.get_logger().error(f"Unexpected failure, please report it: {trace}")
+        return Rejected("internal error", repr(error))
+
+    def _guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """The callback, except that an error in it is counted and logged, and does not end the node."""
+
+        def guarded(*arguments: Any) -> Any:
+            try:
+                return callback(*arguments)
+            except Exception as error:  # noqa: BLE001 (no message may end the node)
+                reason = self.unexpected(error)
+                self.ignore(reason.reason, reason)
+                return None
+
+        return guarded
 
     def reject(self, messages: int, error: Rejected) -> None:
         """Count messages left out, and say why."""
         self.last_rejection = f"{error.reason}: {error}"
         self.last_drop = str(error)  # before it is counted, so that no account has a drop without a reason
+        self._lost_at = time.monotonic()
         self.tally.drop(messages, error.reason)
         self.get_logger().warning(f"Dropped {messages} ({error.reason}): {error}", throttle_duration_sec=1.0)
 
     def ignore(self, what: str, error: UserError) -> None:
         """Count a message beside the stream of frames that cannot be used, and say why."""
+        self._lost_at = time.monotonic()
         self.tally.ignore(what)
         self.last_rejection = f"{what}: {error}"
         self.get_logger().warning(f"Ignored {what}: {error}", throttle_duration_sec=1.0)
@@ -166,15 +281,17 @@ class Stage(Role, Node):
         lost = sum(int(count) for name, count in summary.items() if name.startswith((DROPPED, IGNORED)))
         account = Account(
             summary
-            | {JOBS: self._jobs.unfinished_tasks}
+            | {JOBS: self.jobs}
             | {f"{PUBLISHED_ON}{outlet.topic}": outlet.published for outlet in self._offered if outlet.keeps_all}
             | {f"{SUBSCRIBERS}{outlet.topic}": outlet.subscribers for outlet in self._offered},
             self.last_drop,
         )
+        level, message = self._state(lost)
         status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if lost else DiagnosticStatus.OK,
+            level=level,
             name=self.get_fully_qualified_name().lstrip("/"),
-            message=f"{lost} dropped or ignored, last {self.last_rejection}" if lost else "all messages processed",
+            message=message,
+            hardware_id=self.hardware_id,
             values=account.to_values(),
         )
         message = DiagnosticArray(status=[status])
@@ -182,22 +299,38 @@ class Stage(Role, Node):
         with suppress(RCLError):  # the context may end meanwhile
             self._diagnostics.publish(message)
 
+    def silent_topics(self) -> list[str]:
+        """The topics that the node needs and on which no message has come lately."""
+        return [inlet.topic for inlet in self._inlets if inlet.is_silent(time.monotonic())]
+
+    def _state(self, lost: int) -> tuple[Any, str]:
+        """Level and message of the diagnostics, as of the last seconds.
+
+        WARN: messages were lost; STALE: messages that the node needs do not come; OK: neither.
+        """
+        if time.monotonic() - self._lost_at < RECENT_S:
+            return DiagnosticStatus.WARN, f"{lost} dropped or ignored in all, last {self.last_rejection}"
+        if (silent := self.silent_topics()) and not self.jobs:
+            return DiagnosticStatus.STALE, f"waiting for {', '.join(silent)}"
+        return DiagnosticStatus.OK, "processing"
+
     def finish(self) -> None:
         """Finish all jobs that wait, and take no more; may be called twice."""
-        if self._worker.is_alive():
-            self._jobs.put(None)
-            self._worker.join()
+        self._jobs.close()
+        self._worker.join()
 
     def destroy_node(self) -> None:
         """Finish the job at hand, then end the node; jobs that still wait are given up."""
-        if self._worker.is_alive():
-            with suppress(queue.Empty):
-                while True:
-                    self._jobs.get_nowait()
+        self._jobs.clear()
         self.finish()
         super().destroy_node()
 
     def _work(self) -> None:
         while job := self._jobs.get():
-            job()
-            self._jobs.task_done()
+            job.run()
+
+
+def payload_bytes(message: Any) -> int:
+    """Bytes of the arrays of a message; all else in it is small."""
+    values = (getattr(message, name) for name in message.get_fields_and_field_types())
+    return sum(len(value) * value.itemsize for value in values if isinstance(value, (array.array, np.ndarray)))

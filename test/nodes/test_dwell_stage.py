@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import array
+import time
 from dataclasses import replace
+from threading import Event
 from typing import Any
 
 import pytest
@@ -12,24 +15,27 @@ from sal_height_msgs.msg import DetectorFrame
 
 from sal_height import messages
 from sal_height.errors import Rejected
-from sal_height.nodes.dwell_stage import DwellStage
+from sal_height.nodes.dwell_stage import GONE_AFTER, HELD_EARLY, HELD_SENSORS, DwellParameters, DwellStage
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.sar_compression import Parameters
 from sal_height.sensor import Sensor
 
-CHANNELS = 3
+SAMPLES = array.array("f", [1.0]) * 250_000
+"""Of a frame: 1 MB."""
+
 TIMEOUT_S = 20.0
 
 
 class Gate(DwellStage):
     """A stage whose dwells are supplied when the test says so, and which keeps what it is handed."""
 
-    parameters = Parameters
+    parameters = DwellParameters
 
     def __init__(self, graph: Graph, **parameters: Any) -> None:
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         self.supply: Any = "supplied"
         self.processed: list[tuple[list[int], Any]] = []
+        self.may_work, self.at_work = Event(), Event()
+        self.may_work.set()
         super().__init__("gate", DetectorFrame, "phase_history", context=graph.context, parameter_overrides=overrides)
         graph.add(self)
         self.graph = graph
@@ -43,13 +49,18 @@ class Gate(DwellStage):
         return self.supply
 
     def process(self, dwell: list[Any], _: Sensor, supplies: Any) -> int:
-        self.processed.append(([frame.detector for frame in dwell], supplies))
+        self.at_work.set()
+        assert self.may_work.wait(TIMEOUT_S)
+        self.processed.append(
+            ([frame.detector for frame in dwell if len(frame.samples) and any(frame.samples)], supplies)
+        )
         return len(dwell)
 
     def hear(self, dwell: int, *channels: int, sensor: Sensor | None = None, stamp: float | None = None) -> None:
         """Take in frames of a dwell as if they came by the topic; they are a second apart."""
         for channel in channels:
             frame = DetectorFrame(dwell=dwell, detector=channel, config_hash=(sensor or SENSOR).config_hash)
+            frame.samples = SAMPLES
             frame.header.stamp = messages.to_stamp(round(1e9 * (1000.0 + (dwell if stamp is None else stamp))))
             self._on_message(frame)
 
@@ -61,9 +72,8 @@ class Gate(DwellStage):
         """The account without latencies and zeros."""
         return {k: v for k, v in self.tally.summary().items() if v and not k.startswith("latency")}
 
-    def await_counts(self, **counts: float) -> None:
+    def await_counts(self, **wanted: float) -> None:
         """Spin until the account is this one."""
-        wanted = {name.replace("dropped_", "dropped."): value for name, value in counts.items()}
         assert self.graph.spin_until(lambda: self.counts() == wanted, TIMEOUT_S), (self.counts(), wanted)
 
 
@@ -104,3 +114,182 @@ def test_a_dwell_of_a_sensor_that_is_forgotten_is_dropped_for_what_it_waits_for(
     gate.supply = "now"
     gate.hear(5, 1, 2, sensor=early)  # the frame that came before its description has been taken in
     gate.await_counts(**{"in": 7, "processed": 3, "out": 3, "dropped.no supply": 3, "dropped.incomplete dwell": 1})
+
+
+def dropped(gate: Gate) -> dict[str, float]:
+    return {name.removeprefix("dropped."): n for name, n in gate.counts().items() if name.startswith("dropped.")}
+
+
+def overdue_gate(graph: Graph, **parameters: Any) -> Gate:
+    """A gate that waits for a very short time only."""
+    stage = Gate(graph, timeout_s=0.01, **parameters)
+    stage.describe(SENSOR)
+    return stage
+
+
+def test_the_oldest_unfinished_dwell_goes_when_there_are_too_many(gate: Gate) -> None:
+    for dwell in range(8):
+        gate.hear(dwell, 0)
+    assert dropped(gate) == {}
+    gate.hear(8, 0)
+    assert dropped(gate) == {"buffer full": 1}
+    assert "Dwell 0 was the oldest" in gate.last_drop
+    gate.hear(1, 1, 2)
+    gate.await_counts(**{"in": 11, "processed": 3, "out": 3, "waiting": 7, "dropped.buffer full": 1})
+
+
+def test_unfinished_dwells_are_bounded_by_memory(graph: Graph) -> None:
+    gate = Gate(graph, max_memory_mb=4)
+    gate.describe(SENSOR)
+    for dwell in range(4):
+        gate.hear(dwell, 0)
+    assert dropped(gate) == {}
+    gate.hear(3, 1)
+    assert dropped(gate) == {"buffer full": 1}
+    assert "4 MB" in gate.last_drop
+
+
+def test_messages_without_sensor_info_are_bounded_in_number(graph: Graph) -> None:
+    gate = Gate(graph)
+    for dwell in range(HELD_EARLY):
+        gate.hear(dwell, 0)
+    assert dropped(gate) == {}
+    gate.hear(HELD_EARLY, 0)
+    assert dropped(gate) == {"no sensor info": 1}
+
+
+def test_messages_without_sensor_info_are_bounded_by_memory(graph: Graph) -> None:
+    gate = Gate(graph, max_memory_mb=4)
+    for dwell in range(6):
+        gate.hear(dwell, 0)
+    assert dropped(gate) == {"no sensor info": 2}
+
+
+def test_descriptions_of_sensors_are_bounded(gate: Gate) -> None:
+    for number in range(HELD_SENSORS - 1):
+        gate.describe(other_sensor(number))
+    gate.hear(0, 0, 1, 2)
+    gate.await_counts(**{"in": 3, "processed": 3, "out": 3})
+    gate.describe(other_sensor(HELD_SENSORS))
+    gate.hear(1, 0)
+    assert gate.counts()["waiting"] == 1  # for a description that is no longer held
+    gate.describe(SENSOR)
+    gate.hear(1, 1, 2)
+    gate.await_counts(**{"in": 6, "processed": 6, "out": 6})
+
+
+@pytest.mark.parametrize(("policy", "kept"), [("newest", [1, 2, 3]), ("oldest", [1, 4, 5])])
+def test_dwells_that_wait_for_processing_are_bounded(graph: Graph, policy: str, kept: list[int]) -> None:
+    gate = Gate(graph, max_queued_dwells=2, queue_policy=policy)
+    gate.describe(SENSOR)
+    gate.may_work.clear()
+    for dwell in range(1, 6):
+        gate.supply = dwell
+        gate.hear(dwell, 0, 1, 2)
+        assert gate.at_work.wait(TIMEOUT_S)  # the first is at work, and none of those that wait
+    assert dropped(gate) == {"queue full": 6}
+    assert f"the {policy} dwell was dropped" in gate.last_drop
+    gate.may_work.set()
+    gate.await_counts(**{"in": 15, "processed": 9, "out": 9, "dropped.queue full": 6})
+    assert [supplies for _, supplies in gate.processed] == kept
+
+
+def test_dwells_that_wait_for_processing_are_bounded_by_memory(graph: Graph) -> None:
+    gate = Gate(graph, max_memory_mb=7)
+    gate.describe(SENSOR)
+    gate.may_work.clear()
+    for dwell in range(1, 5):  # 3 MB each
+        gate.hear(dwell, 0, 1, 2)
+        assert gate.at_work.wait(TIMEOUT_S)
+    assert dropped(gate) == {"queue full": 3}
+    gate.may_work.set()
+    gate.await_counts(**{"in": 12, "processed": 9, "out": 9, "dropped.queue full": 3})
+
+
+def test_an_incomplete_dwell_is_dropped_after_an_idle_wait(graph: Graph) -> None:
+    gate = overdue_gate(graph)
+    gate.hear(0, 0, 2)
+    gate.await_counts(**{"in": 2, "dropped.incomplete dwell": 2})
+    assert "channels [1] did not come" in gate.last_drop
+
+
+def test_a_dwell_does_not_time_out_while_the_node_is_working(graph: Graph) -> None:
+    """The clock on the wall passes the timeout ten times over meanwhile."""
+    gate = overdue_gate(graph)
+    gate.may_work.clear()
+    gate.hear(0, 0, 1, 2)
+    assert gate.at_work.wait(TIMEOUT_S)
+    gate.hear(1, 0)
+    began = time.monotonic()
+    assert graph.spin_until(lambda: time.monotonic() - began > 0.3, TIMEOUT_S)
+    assert dropped(gate) == {}
+    gate.hear(1, 1, 2)
+    gate.may_work.set()
+    gate.await_counts(**{"in": 6, "processed": 6, "out": 6})
+
+
+def test_a_dwell_does_not_time_out_while_its_messages_are_on_their_way(graph: Graph) -> None:
+    """One message every 0.05 s, of dwells whose stamps are close to each other: the node is never idle."""
+    gate = Gate(graph, timeout_s=0.2)
+    gate.describe(SENSOR)
+    began = time.monotonic()
+    gate.hear(0, 0)
+    for message in range(1, 9):
+        assert graph.spin_until(lambda m=message: time.monotonic() - began > 0.05 * m, TIMEOUT_S)
+        gate.hear(message, 0, stamp=message * 0.01)
+    assert time.monotonic() - began > 2 * 0.2
+    assert "incomplete dwell" not in dropped(gate)
+
+
+def test_a_dwell_is_dropped_once_the_sensor_has_moved_on(graph: Graph) -> None:
+    gate = Gate(graph, timeout_s=0.2)
+    gate.describe(SENSOR)
+    began = time.monotonic()
+    gate.hear(0, 0)
+    gate.hear(1, 0, 1, 2)
+    assert dropped(gate) == {}  # later by the stamps, but not by the clock on the wall
+    while time.monotonic() - began < 0.3:  # a stream that never pauses
+        gate.hear(1000 + gate.tally.summary()["in"], 0, 1, 2, stamp=1.0)
+    assert dropped(gate)["incomplete dwell"] == 1
+
+
+def test_without_a_channel_dwells_proceed_if_that_is_allowed(graph: Graph) -> None:
+    gate = overdue_gate(graph, missing_channels="proceed")
+    gate.hear(0, 0, 2)
+    gate.await_counts(**{"in": 2, "processed": 2, "out": 3, "ignored.missing channels": 1})
+    assert gate.processed == [([0, 2], "supplied")]
+    assert "without channels [1]" in gate.last_rejection
+
+
+def test_too_few_channels_are_dropped(graph: Graph) -> None:
+    gate = overdue_gate(graph, missing_channels="proceed")
+    gate.hear(0, 0)
+    gate.await_counts(**{"in": 1, "dropped.incomplete dwell": 1})
+
+
+def test_a_channel_that_is_gone_is_no_longer_waited_for_until_it_returns(graph: Graph) -> None:
+    gate = Gate(graph, missing_channels="proceed", max_unfinished_dwells=1)
+    gate.describe(SENSOR)
+    for dwell in range(GONE_AFTER + 1):  # each makes its predecessor go
+        gate.hear(dwell, 0, 2)
+    assert gate.counts()["ignored.missing channels"] == GONE_AFTER + 1  # the last one did not wait
+    gate.hear(10, 1, 0)
+    gate.await_counts(**{"in": 10, "processed": 8, "out": 12, "waiting": 2, "ignored.missing channels": 4})
+    gate.hear(10, 2)
+    gate.await_counts(**{"in": 11, "processed": 11, "out": 15, "ignored.missing channels": 4})
+    assert gate.processed[-1] == ([0, 1, 2], "supplied")
+
+
+@pytest.mark.parametrize("part", ["check", "supplies", "identity"])
+def test_an_error_that_no_input_should_cause_costs_its_message_only(
+    gate: Gate, monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
+    def fail(*_: Any) -> None:
+        raise ZeroDivisionError(part)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(gate, part, fail)
+        gate.hear(0, 0, 1, 2)
+    assert gate.counts()["dropped.internal error"] == 3
+    gate.hear(1, 0, 1, 2)
+    gate.await_counts(**{"in": 6, "processed": 3, "out": 3, "dropped.internal error": 3})

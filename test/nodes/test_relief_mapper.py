@@ -33,7 +33,7 @@ from sal_height.geometry.earth import EARTH_RADIUS, sphere_coordinates, sphere_p
 from sal_height.geometry.grid import Grid
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.relief_mapper import ReliefMapper
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, QUEUED_JOBS
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, StageParameters
 from sal_height.relief.heights import HeightField, Surface
 
 TIMEOUT_S = 20.0
@@ -341,11 +341,11 @@ def test_a_disk_that_is_full_leaves_the_older_file_and_nothing_half_written(mapp
 
 def test_heights_that_wait_for_the_worker_are_in_the_map(graph: Graph, tmp_path: Path) -> None:
     mapper = start(graph, cell_size_m=1.0, file=str(tmp_path / "map.tif"))
-    for dwell in range(QUEUED_JOBS):
+    for dwell in range(StageParameters().max_queued_dwells):
         mapper._on_height(height_image(dwell))
     mapper.conclude()
     with rasterio.open(tmp_path / "map.tif") as file:
-        assert file.read(4).max() == QUEUED_JOBS
+        assert file.read(4).max() == StageParameters().max_queued_dwells
 
 
 def test_heights_after_the_end_are_counted(mapped: Mapped) -> None:

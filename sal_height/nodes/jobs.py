@@ -1,0 +1,93 @@
+"""The bounded queue of work between a node's callbacks and its worker thread."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+QueuePolicy = Literal["oldest", "newest"]
+"""Which job is dropped when there are too many: the one that waits longest, or the one that comes."""
+
+
+class Job(NamedTuple):
+    """Work for the worker thread.
+
+    Attributes:
+        run: does the work; must not raise.
+        messages: number of messages that it consumes.
+        size: bytes that these hold.
+    """
+
+    run: Callable[[], None]
+    messages: int
+    size: int = 0
+
+
+class JobQueue:
+    """Jobs in the order in which they were put; safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._waiting: deque[Job] = deque()
+        self._running = False
+        self._closed = False
+
+    def put(self, job: Job, capacity: int, capacity_bytes: float, policy: QueuePolicy) -> list[Job]:
+        """Append a job, unless there is no room for it; a queue without any job takes every job.
+
+        Args:
+            job: the job.
+            capacity: greatest number of jobs that may wait, without the one that runs.
+            capacity_bytes: greatest sum of their sizes.
+            policy: which jobs are dropped to make room.
+
+        Returns:
+            The jobs that were dropped.
+        """
+        with self._changed:
+            if self._closed:
+                return [job]
+            dropped: list[Job] = []
+            while self._waiting and self._is_full(job, capacity, capacity_bytes):
+                if policy == "newest":
+                    return [job]
+                dropped.append(self._waiting.popleft())
+            self._waiting.append(job)
+            self._changed.notify()
+            return dropped
+
+    def get(self) -> Job | None:
+        """Wait for the next job; the one before it is done. None: the queue is closed and empty."""
+        with self._changed:
+            self._running = False
+            self._changed.wait_for(lambda: self._waiting or self._closed)
+            self._running = bool(self._waiting)
+            return self._waiting.popleft() if self._waiting else None
+
+    def close(self) -> None:
+        """Take no more jobs; those that wait are still handed out."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def clear(self) -> None:
+        """Drop all jobs that wait."""
+        with self._changed:
+            self._waiting.clear()
+
+    @property
+    def closed(self) -> bool:
+        """Whether no more jobs are taken."""
+        return self._closed
+
+    @property
+    def unfinished(self) -> int:
+        """Number of jobs that wait or run."""
+        with self._changed:
+            return len(self._waiting) + self._running
+
+    def _is_full(self, job: Job, capacity: int, capacity_bytes: float) -> bool:
+        size = job.size + sum(waiting.size for waiting in self._waiting)
+        return len(self._waiting) >= capacity or size > capacity_bytes

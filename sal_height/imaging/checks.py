@@ -1,21 +1,119 @@
-"""Whether pulses and frequencies sample the scene that the beams light: what an image cannot be made of."""
+"""Refuse dwells of which no image can be made: odometry, pulse times and Doppler that disagree, and aliasing.
+
+What the data cannot tell is not refused but said (`describe_unverified_squint`).
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from sal_height.errors import Rejected
-from sal_height.geometry import ApertureState, Grid
+from sal_height.geometry import ApertureState, Grid, look_direction
 from sal_height.imaging.pixels import aim_point
 from sal_height.numeric import F64
-from sal_height.sensor import PhaseHistory, Sensor
+from sal_height.sensor import PhaseHistory, Sensor, lit_angle
 
 COHERENT = 0.5
-"""Share of the products of neighbouring pulses that must agree, for the dwell to have one Doppler centroid."""
-
+"""Least share of the products of neighbouring pulses that must agree for the dwell to have one Doppler centroid."""
 
 ROUNDING = 1e-6
-"""Share by which a limit may be passed: who keeps to the number that a sentence states is within."""
+"""Share by which a limit may be exceeded, so that a value at the limit that a sentence states is accepted."""
+
+TIMING_TOLERANCE = 0.1
+"""Greatest relative difference between the mean pulse interval and that of the stated pulse repetition frequency.
+
+Pulse intervals may vary by design (staggered pulses), their mean may not; errors of description are factors of 2 or 10.
+"""
+
+LOWEST_FLIGHT = 0.5
+"""Depth of the antenna below the map's origin, over its height above the aim point, beyond which z must point down.
+
+With z down, the ground would be nearer to the height of the origin than with z up: for any depth greater than 0. Half
+of the height allows maps whose origin lies above the flight.
+"""
+
+WIDEST_CRAB = 0.07
+"""Greatest squint without doubt, rad: gusts of 2 m/s rms turn a flight at 50 m/s by 0.02 rad rms, at most 0.068."""
+
+
+def check_dwell(history: PhaseHistory, antenna: F64, sensor: Sensor, aperture: ApertureState) -> None:
+    """Make sure that odometry, pulse times and frequencies fit each other and sample what the beams light.
+
+    Args:
+        history: of all detectors, as fast-time frequencies.
+        antenna: position at each pulse, m, shape (pulses, 3).
+        sensor: with waveform "spectrum".
+        aperture: state of the platform in the middle of the pulses.
+
+    Raises:
+        Rejected: they do not.
+    """
+    reference_range = float(history.reference_range[len(antenna) // 2])
+    check_frames(sensor, aperture, reference_range)
+    check_pulse_times(sensor, history.pulse_times)
+    check_pulses(sensor, antenna, aperture)
+    check_range_window(sensor, reference_range)
+
+
+def check_frames(sensor: Sensor, aperture: ApertureState, reference_range: float) -> None:
+    """Make sure that map is east-north-up and base_link forward-left-up, as REP 103 of ROS has them.
+
+    Odometry in the aviation frames (map north-east-down, base_link forward-right-down) is consistent in itself, so that
+    the data focus and heights would be wrong by twice the height of the flight. Its antenna is below the map's origin.
+
+    Raises:
+        Rejected: z of base_link points down, or the antenna is far below the map's origin (LOWEST_FLIGHT).
+    """
+    if aperture.rotation[2, 2] <= 0:
+        raise Rejected(
+            "odometry frames",
+            f"The z axis of base_link points {np.arccos(np.clip(aperture.rotation[2, 2], -1, 1)):.3g} rad away from up "
+            "in map; base_link must have x forward, y left and z up, map east-north-up.",
+        )
+    height = float(aperture.position[2])
+    drop = height - float(aim_point(sensor, aperture, reference_range)[2])
+    if height < -LOWEST_FLIGHT * drop:
+        raise Rejected(
+            "odometry frames",
+            f"The antenna is at z = {height:.4g} m in map and {drop:.4g} m above the point it looks at, as if z "
+            "pointed down; odometry must be east-north-up, with the map's origin near the ground.",
+        )
+
+
+def check_pulse_times(sensor: Sensor, pulse_times: F64) -> None:
+    """Make sure that pulses come at the stated pulse repetition frequency, in the mean, up to TIMING_TOLERANCE.
+
+    Raises:
+        Rejected: they do not.
+    """
+    found = (len(pulse_times) - 1) / float(pulse_times[-1] - pulse_times[0])
+    stated = sensor.pulse_repetition_frequency
+    if abs(stated / found - 1) > TIMING_TOLERANCE:
+        raise Rejected(
+            "pulse times",
+            f"The pulse times make a pulse repetition frequency of {found:.4g} Hz, sensor_info states {stated:.4g} Hz; "
+            f"they must agree to {TIMING_TOLERANCE:.0%}.",
+        )
+
+
+def describe_unverified_squint(sensor: Sensor, aperture: ApertureState) -> str:
+    """A sentence on a squint that the data cannot confirm; empty where they can.
+
+    Doppler is measured modulo the pulse repetition frequency, so it confirms where the beams point along the flight up
+    to multiples of wavelength PRF / (2 speed). Beams within half of that about abeam, or within what gusts do to the
+    direction of flight (WIDEST_CRAB), are not doubted; farther ahead or behind, a wrong yaw may look the same.
+    """
+    sight = aperture.rotation @ look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
+    squint = float(np.arcsin(np.clip(sight @ aperture.direction, -1.0, 1.0)))
+    speed = float(np.linalg.norm(aperture.velocity))
+    limit = max(WIDEST_CRAB, sensor.wavelength * sensor.pulse_repetition_frequency / (4 * speed))
+    if abs(squint) <= limit:
+        return ""
+    where = "ahead of" if squint > 0 else "behind"
+    return (
+        f"The odometry makes the beams look {abs(squint):.3g} rad {where} abeam of the flight; beyond {limit:.3g} rad "
+        "the Doppler of the pulses cannot confirm it, so that an error in yaw or boresights would go unnoticed."
+    )
 
 
 def check_pulses(sensor: Sensor, antenna: F64, aperture: ApertureState) -> None:
@@ -80,17 +178,41 @@ def check_doppler_centroid(
     """
     aim = aim_point(sensor, aperture, float(np.mean(history.reference_range)))
     delay = np.linalg.norm(aim - antenna, axis=-1) - history.reference_range
-    turn = np.exp(1j * sensor.centre_wavenumber * np.diff(delay))
+    slant_range = float(np.linalg.norm(aim - aperture.position))
+    width = max(grid.cols * grid.col_spacing / slant_range, sensor.beamwidth)
+    _check_centroid(history, np.diff(delay), sensor, antenna, aperture, width)
+
+
+def check_strip_centroid(history: PhaseHistory, antenna: F64, sensor: Sensor, aperture: ApertureState) -> None:
+    """Make sure that a stripmap block's Doppler centroid is that of the middle of the beams, to half their width.
+
+    As `check_doppler_centroid`, but the aim point moves with the platform.
+
+    Raises:
+        Rejected: the centroid is outside.
+    """
+    sight = aperture.rotation @ look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
+    steps = -np.diff(antenna, axis=0) @ sight - np.diff(history.reference_range)
+    width = 2 * lit_angle(sensor.beams) - sensor.beamwidth
+    _check_centroid(history, steps, sensor, antenna, aperture, width)
+
+
+def _check_centroid(
+    history: PhaseHistory, steps: F64, sensor: Sensor, antenna: F64, aperture: ApertureState, width: float
+) -> None:
+    """Make sure that the centroid, relative to a point whose delay changes by `steps` (m), is within `width` (rad).
+
+    Raises:
+        Rejected: it is outside.
+    """
     products = np.einsum("mpf,mpf->p", history.samples[:, :-1].conj(), history.samples[:, 1:])
-    correlation = complex(np.sum(products * turn))
+    correlation = complex(np.sum(products * np.exp(1j * sensor.centre_wavenumber * steps)))
     if abs(correlation) <= COHERENT * float(np.sum(np.abs(products))):
         return  # noise, or errors of phase from pulse to pulse: there is no centroid
-    slant_range = float(np.linalg.norm(aim - aperture.position))
-    step = float(np.linalg.norm(antenna[-1] - antenna[0])) / (len(antenna) - 1)
-    rate = float(np.linalg.norm(aperture.velocity)) / step
-    half_width = max(grid.cols * grid.col_spacing, sensor.beamwidth * slant_range) / 2
+    speed = float(np.linalg.norm(aperture.velocity))
+    rate = speed * (len(antenna) - 1) / float(np.linalg.norm(antenna[-1] - antenna[0]))
     found = float(np.angle(correlation)) / (2 * np.pi) * rate
-    allowed = 2 * half_width * step * rate / (sensor.wavelength * slant_range)
+    allowed = speed * width / sensor.wavelength
     if abs(found) > allowed:
         raise Rejected(
             "Doppler centroid outside the band",

@@ -9,7 +9,12 @@ import numpy as np
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, Trajectory
 from sal_height.imaging.autofocus.gradient import Focus, apply_phase, autofocus, patch_centres
-from sal_height.imaging.checks import check_doppler_centroid, check_pulses, check_range_window
+from sal_height.imaging.checks import (
+    check_doppler_centroid,
+    check_dwell,
+    check_strip_centroid,
+    describe_unverified_squint,
+)
 from sal_height.imaging.formers.choice import FORMERS, choose_former
 from sal_height.imaging.pixels import ground_plane_grid, slant_plane_grid, slant_plane_size, slc_noise_power
 from sal_height.imaging.strip import (
@@ -77,6 +82,7 @@ class Slc:
             shape (channels,).
         azimuth_window: over the synthetic aperture, a name of `windows.WINDOWS`.
         focus: what autofocus found; None: it was not asked for.
+        doubt: a sentence on what of the odometry the data cannot confirm; empty: nothing.
     """
 
     images: C64
@@ -86,6 +92,7 @@ class Slc:
     saturated_share: F64
     azimuth_window: str = "rectangular"
     focus: Focus | None = None
+    doubt: str = ""
 
     @property
     def autofocus_phase(self) -> F64:
@@ -110,8 +117,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     antenna = track.positions(history.stamp_ns, history.pulse_times)
     aperture = track.aperture(history.stamp_ns, history.pulse_times)
     reference = float(history.reference_range[len(antenna) // 2])
-    check_pulses(sensor, antenna, aperture)
-    check_range_window(sensor, reference)
+    check_dwell(history, antenna, sensor, aperture)
     grid = _dwell_grid(settings, sensor, aperture, reference, processing)
     former = choose_former(settings.former, antenna, sensor, processing, grid)
     focus = autofocus(history, antenna, sensor, patch_centres(sensor, aperture, grid)) if settings.autofocus else None
@@ -120,7 +126,8 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     check_doppler_centroid(history, antenna, sensor, aperture, grid)
     images = former(history, antenna, sensor, processing, grid)
     noise_power = slc_noise_power(sensor, processing, len(antenna))
-    return Slc(images, grid, aperture, noise_power, history.shares.max(axis=1), settings.azimuth_window, focus)
+    doubt = describe_unverified_squint(sensor, aperture)
+    return Slc(images, grid, aperture, noise_power, history.shares.max(axis=1), settings.azimuth_window, focus, doubt)
 
 
 def _dwell_grid(
@@ -174,8 +181,8 @@ class StripFocuser:
         antenna = track.positions(history.stamp_ns, history.pulse_times)
         aperture = track.aperture(history.stamp_ns, history.pulse_times)
         reference = float(history.reference_range[len(antenna) // 2])
-        check_pulses(sensor, antenna, aperture)
-        check_range_window(sensor, reference)
+        check_dwell(history, antenna, sensor, aperture)
+        check_strip_centroid(history, antenna, sensor, aperture)
         shape = settings.rows, settings.cols
         lattice = lay_lattice(sensor, processing, aperture, antenna, reference, shape)
         strip = self._strip if self._strip and not starts_anew(history, self._strip) else None
@@ -208,7 +215,8 @@ class StripFocuser:
         noise_power = slc_noise_power(sensor, processing, pulses)
         shares = strip.history.shares.max(axis=1)
         abeam = replace(abeam, length=length, sliding=True)
-        return Slc(images, grid, abeam, noise_power, shares, settings.azimuth_window)
+        doubt = describe_unverified_squint(sensor, aperture)
+        return Slc(images, grid, abeam, noise_power, shares, settings.azimuth_window, doubt=doubt)
 
     def _track_with_held_pulses(self, history: PhaseHistory, track: Trajectory, sensor: Sensor) -> Trajectory:
         """The track of a block, from the first pulse that the strip holds on if the block continues the strip."""

@@ -128,6 +128,8 @@ class SarCompression(DwellStage):
             return 0
         if slc.focus and not slc.focus.trusted:
             self.ignore("autofocus", UserError(f"Dwell {frames[0].dwell}: {NOT_TRUSTED}"))
+        if slc.doubt:
+            self.ignore("odometry", UserError(f"Dwell {frames[0].dwell}: {slc.doubt}"))
         provenance = Provenance(
             code_version=__version__,
             config_hash=sensor.config_hash,

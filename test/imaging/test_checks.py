@@ -15,13 +15,22 @@ from sal_height.errors import Rejected
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.autofocus.gradient import apply_phase
-from sal_height.imaging.checks import check_doppler_centroid, check_pulses, check_range_window
+from sal_height.imaging.checks import (
+    check_doppler_centroid,
+    check_dwell,
+    check_frames,
+    check_pulse_times,
+    check_pulses,
+    check_range_window,
+    check_strip_centroid,
+    describe_unverified_squint,
+)
 from sal_height.imaging.focus import ImageSettings, focus_dwell
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight
-from sal_height.simulation.preset import load_preset
+from sal_height.simulation.preset import load_preset, preset_names
 
 REACH, SPEED = 5000.0, 50.0
 
@@ -170,6 +179,119 @@ def test_white_phase_errors_do_not_look_like_a_wrong_attitude() -> None:
             ImageSettings(former="backprojection", rows=4, cols=4),
         )
         assert np.isfinite(slc.images).all()
+
+
+TO_AVIATION = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""From east-north-up to north-east-down."""
+
+FORWARD_RIGHT_DOWN = np.diag([1.0, -1.0, -1.0])
+"""From forward-left-up."""
+
+
+@pytest.mark.parametrize(
+    ("map_axes", "body_axes", "said"),
+    [
+        (TO_AVIATION, FORWARD_RIGHT_DOWN, "as if z pointed down"),
+        (TO_AVIATION, np.eye(3), "3.14 rad away from up"),
+        (np.eye(3), FORWARD_RIGHT_DOWN, "3.14 rad away from up"),
+    ],
+    ids=["both", "map", "base_link"],
+)
+def test_odometry_in_the_frames_of_aviation_is_refused(map_axes: np.ndarray, body_axes: np.ndarray, said: str) -> None:
+    """All of it is turned alike, so that nothing in the data contradicts it."""
+    flight, history = dwell()
+    states = [
+        replace(
+            state,
+            position=map_axes @ state.position,
+            velocity=map_axes @ state.velocity,
+            orientation=Rotation.from_matrix(map_axes @ np.eye(3) @ body_axes).as_quat(),
+        )
+        for state in flight.platform_states(0)
+    ]
+    with refusal("odometry frames", said):
+        focus_dwell(history, Trajectory(states), flight.spectrum, ImageSettings(rows=4, cols=4))
+
+
+@pytest.mark.parametrize(("height", "fits"), [(100.0, True), (-1750.0, True), (-1780.0, False)])
+def test_antenna_may_be_below_the_origin_by_half_its_height_above_the_ground(height: float, fits: bool) -> None:
+    """It looks down at 45 degrees from 5 km: half of 3536 m is 1768 m."""
+    aperture = replace(make_aperture(), position=np.array([0.0, 0.0, height]))
+    if fits:
+        check_frames(make_sensor(), aperture, REACH)
+        return
+    with refusal("odometry frames", "z = -1780 m", "3536 m"):
+        check_frames(make_sensor(), aperture, REACH)
+
+
+@pytest.mark.parametrize(("ratio", "fits"), [(1.0, True), (0.92, True), (1.09, True), (10.0, False), (0.89, False)])
+def test_stated_pulse_repetition_frequency_must_be_that_of_the_pulse_times(ratio: float, fits: bool) -> None:
+    sensor, times = make_sensor(), np.arange(48) / 30e3
+    sensor = replace(sensor, pulse_repetition_frequency=30e3 * ratio, config_hash="")
+    if fits:
+        check_pulse_times(sensor, times)
+        return
+    with refusal("pulse times", "3e+04 Hz", f"{3e4 * ratio:.4g} Hz", "10%"):
+        check_pulse_times(sensor, times)
+
+
+@pytest.mark.parametrize(("wavelength", "limit"), [(1.55e-6, 0.07), (1e-3, 0.15)])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_squint_that_doppler_cannot_confirm_is_said(wavelength: float, limit: float, side: int) -> None:
+    """Half of wavelength * PRF / (2 speed) is 1e-3 * 30e3 / 200 = 0.15 rad; the lidar's is 2e-4, less than gusts."""
+    sensor = make_sensor(wavelength=wavelength, pulse_repetition_frequency=30e3)
+    near, far = (make_aperture(angles=(0, 0, side * np.arcsin(np.sin(share * limit) / LOOK))) for share in (0.99, 1.01))
+    assert describe_unverified_squint(sensor, near) == ""
+    where = "ahead of" if side > 0 else "behind"
+    assert_one_sentence(describe_unverified_squint(sensor, far), f"{1.01 * limit:.3g} rad {where}", f"{limit:.3g} rad")
+
+
+def test_yaw_of_a_tenth_of_a_radian_is_accepted_with_its_doubt() -> None:
+    """Its Doppler, 4.6 MHz, is folded into the band of the pulses, here by chance to where the beams look."""
+    flight, history = dwell()
+    settings = ImageSettings(former="backprojection", rows=4, cols=4)
+    assert focus_dwell(history, track(0.0), flight.spectrum, settings).doubt == ""
+    fold = flight.spectrum.wavelength * flight.spectrum.pulse_repetition_frequency / (2 * SPEED)
+    yaw = np.arcsin(round(0.1 * LOOK / fold) * fold / LOOK)
+    slc = focus_dwell(history, track(yaw), flight.spectrum, settings)
+    assert_one_sentence(slc.doubt, "abeam", "yaw")
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_no_preset_is_refused_or_doubted_in_gusts(name: str) -> None:
+    """Of 2 m/s, in three flights of five dwells each."""
+    preset = load_preset(name)
+    preset = replace(preset, flight=replace(preset.flight, gust_mps=2.0), dwells=5)
+    for seed in range(3):
+        flight = SimulatedFlight(preset, preset.make_sensor(), flat_scene(), 5, seed)
+        for number in range(5):
+            aperture = flight.aperture(number)
+            antenna = flight.position(flight.dwell_start_ns(number) * 1e-9 + flight.pulse_times)
+            reference = np.full(len(antenna), preset.flight.slant_range_m)
+            history = PhaseHistory(0, flight.pulse_times, reference, np.zeros((1, 1, 1), np.complex64))
+            check_dwell(history, antenna, flight.spectrum, aperture)
+            assert describe_unverified_squint(flight.spectrum, aperture) == ""
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.9 * BEAMWIDTH])
+def test_centroid_of_a_block_must_be_within_half_the_beam_of_its_middle(yaw: float) -> None:
+    """A point that keeps x m ahead of the middle of beams that move with the platform; PRF four times speed / antenna.
+
+    0.37 of the PRF are 7400 Hz, 0.74 beamwidths or 0.5735 m.
+    """
+    sensor = make_sensor(mode="stripmap", pulse_repetition_frequency=20e3)
+    antenna, aperture = antenna_of(256, 255 * SPEED / 20e3), make_aperture(angles=(0, 0, yaw))
+    sight = aperture.rotation @ np.array([0, -np.sin(np.pi / 4), -np.cos(np.pi / 4)])
+    for ahead, inside in ((0.0, True), (0.38, True), (-0.38, True), (0.4, False), (0.5735, False), (-0.5735, False)):
+        doppler = 2 * SPEED / sensor.wavelength * (sight[0] + ahead / REACH)
+        phase = 2 * np.pi * doppler * np.arange(256) / 20e3
+        samples = np.exp(1j * phase)[None, :, None] * np.ones((3, 1, 64))
+        history = PhaseHistory(0, np.arange(256) / 20e3, np.full(256, REACH), samples.astype(np.complex64))
+        if inside:
+            check_strip_centroid(history, antenna, sensor, aperture)
+            continue
+        with refusal("Doppler centroid outside the band", f"{2 * SPEED * ahead / 7.75e-3:+.4g} Hz", "5000 Hz"):
+            check_strip_centroid(history, antenna, sensor, aperture)
 
 
 @pytest.mark.parametrize(

@@ -206,7 +206,7 @@ def test_only_a_trusted_phase_is_taken_off(
     monkeypatch: pytest.MonkeyPatch, standard_error: float, gain: float, applied: bool
 ) -> None:
     phase = np.linspace(-1, 1, 48) ** 2
-    found = Focus(phase, "targets", standard_error, 0.9, gain, 3, 0.01)
+    found = Focus(phase, "targets", standard_error, gain, 3, 0.01)
     monkeypatch.setattr(focusing, "autofocus", lambda *_: found)
     size = {"rows": 8, "cols": 8}
     slc = focused("small", autofocus=True, **size)

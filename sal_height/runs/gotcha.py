@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -30,46 +32,125 @@ SPEED = 100.0
 BEAM = 0.0145
 """Beamwidth (rad) put into the sensor info; the files do not state the antenna. As wide as the pulses sample: 147 m."""
 
-FOCUSING = {
-    "sar_compression": {
-        "image_plane": "ground",
-        "rows": 501,
-        "cols": 501,
-        "ground_spacing_m": 0.2,
-        "range_window": "rectangular",
-    }
-}
-"""Parameters that focus the 100 m scene; they are put beside the bag."""
+SCENE = 100.0
+"""Side of the square of the scene that is imaged, m."""
+
+WIDEST_SPACING = 0.2
+"""Greatest pixel spacing of the image, m: of range cells of 0.34 m on the ground; 6 files or less resolve no more."""
+
+MOST_PIXELS = 4095
+"""Greatest number of rows and columns of the image: with so many it is smaller than SCENE rather than undersampled."""
+
+PLAUSIBLE = {"freq": (1e9, 1e11), "r0": (1e3, 1e6)}
+"""Values of an airborne radar in Hz and m; others are of other units."""
+
+REFERENCE_TOLERANCE = 0.01
+"""Greatest difference of r0 from the distance to the scene's centre, m: ten times the rounding of float32 at 10 km."""
+
+PULSE_STEP = (0.5, 1.5)
+"""Distance from the last pulse of a file to the first of the next, over the median distance between pulses."""
 
 
 def import_gotcha(files: list[Path], out: Path) -> int:
-    """Write sensor info, odometry and phase history of consecutive files as one dwell of a bag; the number of pulses.
+    """Write sensor info, odometry and phase history of files, in the order of flight, as one dwell of a bag.
 
     Pulse times follow from the recorded antenna positions at constant SPEED; base_link is level and looks at the
-    scene's centre, which is the map's origin.
+    scene's centre, which is the map's origin. The bag has the parameters that focus the scene.
+
+    Args:
+        files: of one pass and polarisation, in any order.
+        out: folder of the bag.
+
+    Returns:
+        The number of pulses.
 
     Raises:
-        UserError: a file is not Gotcha phase history, the files differ in frequency, or the bag cannot be written.
+        UserError: a file is not Gotcha phase history, the files differ in frequency or polarisation, overlap or have a
+            gap between them, or the bag cannot be written.
     """
-    parts = [_load(path) for path in files]
-    frequency = parts[0]["freq"].ravel()
-    for path, part in zip(files, parts, strict=True):
+    polarisation = _common_polarisation(files)
+    parts = {path: _load(path) for path in files}
+    frequency = parts[files[0]]["freq"].ravel()
+    for path, part in parts.items():
         if part["freq"].size != frequency.size or not np.allclose(part["freq"].ravel(), frequency, rtol=1e-9):
             raise UserError(f"File {path} has other frequencies than {files[0]}; all must share them.")
-    antenna: F64 = np.concatenate([np.stack([p[axis].ravel() for axis in "xyz"], axis=-1) for p in parts])
-    samples = np.concatenate([p["fp"].T for p in parts]).astype(np.complex64)[None]
+    ordered = _in_order_of_flight(files, parts)
+    antenna: F64 = np.concatenate([_positions(part) for part in ordered])
+    samples = np.concatenate([part["fp"].T for part in ordered]).astype(np.complex64)[None]
     steps = np.linalg.norm(np.diff(antenna, axis=0), axis=-1)
     times_ns = np.rint(np.concatenate([[0.0], np.cumsum(steps)]) / SPEED * 1e9).astype(np.int64)
     if not np.all(np.diff(times_ns) > 0):
         raise UserError("Two pulses were taken at the same antenna position; name each file once.")
     times: F64 = times_ns * np.float64(1e-9)
     velocity = np.asarray(np.gradient(antenna, times, axis=0), dtype=np.float64)
-    reference = np.concatenate([p["r0"].ravel() for p in parts])
-    sensor = _sensor(frequency, antenna, velocity, times)
+    reference = np.concatenate([part["r0"].ravel() for part in ordered])
+    sensor = _sensor(frequency, antenna, velocity, times, polarisation)
     history = PhaseHistory(0, times, reference, samples)
     states = _states(times_ns, antenna, velocity, sensor.look_side)
-    _write(out, sensor, history, states)
+    _write(out, sensor, history, states, focusing(sensor, antenna))
     return len(times)
+
+
+def focusing(sensor: Sensor, antenna: F64) -> dict[str, dict[str, Any]]:
+    """Parameters that focus the scene on pixels no farther apart than the aperture resolves.
+
+    The resolution along the flight is wavelength * range / (2 * aperture length).
+    """
+    length = float(np.linalg.norm(np.diff(antenna, axis=0), axis=-1).sum())
+    resolution = sensor.wavelength * float(np.linalg.norm(antenna[len(antenna) // 2])) / (2 * length)
+    spacing = min(WIDEST_SPACING, resolution)
+    pixels = min(2 * round(SCENE / 2 / spacing) + 1, MOST_PIXELS)
+    image = {"image_plane": "ground", "rows": pixels, "cols": pixels, "ground_spacing_m": spacing}
+    return {"sar_compression": image | {"range_window": "rectangular"}}
+
+
+def _common_polarisation(files: list[Path]) -> str:
+    """The polarisation in the names of files (HH, HV, VH or VV); empty: names do not tell.
+
+    Raises:
+        UserError: the files differ in it, or a file is named twice.
+    """
+    for path in files:
+        if files.count(path) > 1:
+            raise UserError(f"File {path} is named twice; name each file once.")
+    named = {path: match[1] if (match := re.search(r"_([HV]{2})$", path.stem)) else "" for path in files}
+    for path, polarisation in named.items():
+        if polarisation != named[files[0]]:
+            raise UserError(
+                f"File {path} has the polarisation {polarisation or 'of no name'}, {files[0]} "
+                f"{named[files[0]] or 'of no name'}; all files must share one."
+            )
+    return named[files[0]]
+
+
+def _positions(part: dict[str, Any]) -> F64:
+    """Antenna positions, m, shape (pulses, 3)."""
+    return np.stack([part[axis].ravel() for axis in "xyz"], axis=-1)
+
+
+def _in_order_of_flight(files: list[Path], parts: dict[Path, dict[str, Any]]) -> list[dict[str, Any]]:
+    """The parts in the order in which they were flown on the circle around the scene.
+
+    Raises:
+        UserError: pulses are missing between two parts, or they overlap.
+    """
+    azimuth = {path: np.unwrap(np.arctan2(*_positions(parts[path])[:, 1::-1].T)) for path in files}
+    turn = np.sign(azimuth[files[0]][-1] - azimuth[files[0]][0]) or 1.0
+    middles = np.sort(np.mod([turn * azimuth[path].mean() for path in files], 2 * np.pi))
+    # The flight begins behind the widest gap of the circle.
+    begin = middles[np.argmax(np.diff(middles, prepend=middles[-1] - 2 * np.pi))]
+    ordered = sorted(files, key=lambda path: np.mod(turn * azimuth[path].mean() - begin + 1e-9, 2 * np.pi))
+    for path, following in pairwise(ordered):
+        before, after = _positions(parts[path]), _positions(parts[following])
+        usual = float(np.median(np.linalg.norm(np.diff(before, axis=0), axis=-1)))
+        step = after[0] - before[-1]
+        ahead = float(np.linalg.norm(step)) * float(np.sign(step @ (before[-1] - before[0])))
+        if not PULSE_STEP[0] < ahead / usual < PULSE_STEP[1]:
+            raise UserError(
+                f"File {following} begins {ahead:.4g} m after the last pulse of {path}, which has one every "
+                f"{usual:.4g} m; name consecutive files of one pass, without a gap and each once."
+            )
+    return [parts[path] for path in ordered]
 
 
 def _load(path: Path) -> dict[str, Any]:
@@ -80,6 +161,7 @@ def _load(path: Path) -> dict[str, Any]:
     """
     try:
         data = loadmat(path)["data"][0][0]
+        is_complex = np.iscomplexobj(data["fp"])
         part = {name: np.asarray(data[name], dtype="c8" if name == "fp" else "f8") for name in FIELDS}
     except Exception as error:  # scipy, zlib and numpy each have their own for a damaged file
         raise UserError(
@@ -102,17 +184,41 @@ def _load(path: Path) -> dict[str, Any]:
     even, step = np.linspace(frequency[0], frequency[-1], frequencies, retstep=True)
     if not (frequency[0] > 0 and step > 0 and np.abs(frequency - even).max() <= 0.01 * step):
         raise UserError(f"File {path} has uneven .freq; it must rise from above 0 in equal steps, to 1 % of a step.")
+    if not is_complex:
+        raise UserError(f"File {path} has real samples .fp; phase history is complex.")
+    _check_units(path, part)
     return part
 
 
-def _sensor(frequency: F64, antenna: F64, velocity: F64, times: F64) -> Sensor:
+def _check_units(path: Path, part: dict[str, Any]) -> None:
+    """Make sure that frequencies are in Hz, distances in m, and r0 is the distance to the scene's centre.
+
+    Raises:
+        UserError: they are not.
+    """
+    for name, unit in (("freq", "Hz"), ("r0", "m")):
+        low, high = PLAUSIBLE[name]
+        if not (low <= part[name].min() and part[name].max() <= high):
+            raise UserError(
+                f"File {path} has .{name} from {part[name].min():.4g} to {part[name].max():.4g}; in {unit} it must be "
+                f"between {low:g} and {high:g}."
+            )
+    off = float(np.abs(np.linalg.norm(_positions(part), axis=-1) - part["r0"].ravel()).max())
+    if off > REFERENCE_TOLERANCE:
+        raise UserError(
+            f"File {path} has .r0 up to {off:.4g} m off the distance of .x, .y, .z from the scene's centre; they must "
+            f"agree to {REFERENCE_TOLERANCE:g} m."
+        )
+
+
+def _sensor(frequency: F64, antenna: F64, velocity: F64, times: F64, polarisation: str) -> Sensor:
     """One receiver with its boresight on the map's origin, seen from the middle of the track."""
     middle = len(antenna) // 2
     level = float(np.hypot(*antenna[middle, :2]))
     turn = np.cross(velocity[middle], -antenna[middle])[2]
     wavelength = speed_of_light / float(np.mean(frequency))
     return Sensor(
-        name="afrl_gotcha",
+        name=f"afrl_gotcha_{polarisation}".rstrip("_"),
         look_side=-1 if turn > 0 else 1,
         wavelength=wavelength,
         bandwidth=float(frequency[-1] - frequency[0]) * len(frequency) / (len(frequency) - 1),
@@ -136,8 +242,14 @@ def _states(times_ns: I64, antenna: F64, velocity: F64, look_side: int) -> list[
     ]
 
 
-def _write(out: Path, sensor: Sensor, history: PhaseHistory, states: list[PlatformState]) -> None:
-    """The bag: each message logged at the time it would have been received."""
+def _write(
+    out: Path,
+    sensor: Sensor,
+    history: PhaseHistory,
+    states: list[PlatformState],
+    parameters: dict[str, dict[str, Any]],
+) -> None:
+    """Write the bag: each message logged at the time it would have been received."""
     topics: dict[str, tuple[str, QoSProfile]] = {
         "/sensor_info": ("sal_height_msgs/msg/SensorInfo", LATCHED_QOS),
         "/platform/odometry": ("nav_msgs/msg/Odometry", ODOMETRY_QOS),
@@ -152,7 +264,7 @@ def _write(out: Path, sensor: Sensor, history: PhaseHistory, states: list[Platfo
     ]
     frames = messages.history_to_messages(history, sensor, 0, messages.to_stamp(history.stamp_ns))
     recorded += [("/phase_history", frame, end_ns + 1) for frame in frames]
-    with BagWriter(out, {PARAMETERS: json.dumps(FOCUSING)}) as bag:
+    with BagWriter(out, {PARAMETERS: json.dumps(parameters)}) as bag:
         for topic, (type_name, qos) in topics.items():
             bag.add_topic(topic, type_name, [qos])
         for topic, message, time_ns in recorded:

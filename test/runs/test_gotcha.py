@@ -10,25 +10,26 @@ import pytest
 from helpers import assert_one_sentence
 from scipy.io import savemat
 
+from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.runs.gotcha import import_gotcha
+from sal_height.runs.gotcha import focusing, import_gotcha
 
 PULSES, FREQUENCIES = 5, 16
 STEP = 1.5e6
 
 
-def write_mat(path: Path, **changes: Any) -> Path:
-    """A file in the format of Gotcha, with other values of some fields."""
+def write_mat(path: Path, first_degree: float = 0.0, step: float = 0.01, **changes: Any) -> Path:
+    """A file in the format of Gotcha, from an azimuth on, a pulse every `step` degrees; with other values of fields."""
     rng = np.random.default_rng(1)
-    azimuth = np.radians(np.linspace(0, 0.04, PULSES))[None]
+    azimuth = np.radians(first_degree + step * np.arange(PULSES))[None]
     values = {
         "fp": rng.standard_normal((FREQUENCIES, PULSES)) + 1j * rng.standard_normal((FREQUENCIES, PULSES)),
         "freq": (9.3e9 + STEP * np.arange(FREQUENCIES))[:, None].astype(np.float32),
         "x": 7000 * np.cos(azimuth),
         "y": 7000 * np.sin(azimuth),
         "z": np.full((1, PULSES), 7000.0),
-        "r0": np.full((1, PULSES), 9900.0),
+        "r0": np.full((1, PULSES), 7000.0 * np.sqrt(2)),
     }
     savemat(path, {"data": values | changes})
     return path
@@ -69,6 +70,10 @@ def test_whole_file_becomes_a_bag(tmp_path: Path) -> None:
         ({"freq": np.full(FREQUENCIES, 9e9)}, "uneven .freq"),
         ({"freq": bent(0.0) - 9.3e9}, "uneven .freq"),
         ({"x": ["a"] * PULSES}, "is not AFRL Gotcha phase history"),
+        ({"fp": np.ones((FREQUENCIES, PULSES))}, "real samples .fp"),
+        ({"freq": bent(0.0) / 1e9}, "in Hz it must be between 1e+09 and 1e+11"),
+        ({"r0": np.full((1, PULSES), 9.8995)}, "in m it must be between 1000 and 1e+06"),
+        ({"r0": np.full((1, PULSES), 7000.0 * np.sqrt(2) + 0.02)}, "0.02 m off"),
     ],
 )
 def test_useless_file_is_refused_by_name(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
@@ -94,3 +99,54 @@ def test_pulses_less_than_a_nanosecond_apart_are_refused(tmp_path: Path) -> None
     with pytest.raises(UserError) as refusal:
         import_gotcha([path], tmp_path / "bag")
     assert_one_sentence(str(refusal.value), "same antenna position")
+
+
+def import_pass(folder: Path, degrees: list[float], step: float = 0.01) -> list[Any]:
+    """Import files that begin at these azimuths, one after the other; the odometry that the bag has of them."""
+    files = [write_mat(folder / f"az{number}_HH.mat", degree, step) for number, degree in enumerate(degrees)]
+    import_gotcha(files, folder / "bag")
+    reader = BagReader(folder / "bag")
+    return [reader.decode(m.type_name, m.cdr) for m in reader.messages(["/platform/odometry"])]
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_files_in_any_order_are_put_into_that_of_flight(tmp_path: Path, turn: int) -> None:
+    """Also across north, where azimuth goes from 360 to 0 degrees, and whichever way the pass was flown."""
+    states = import_pass(tmp_path, [0.0, turn * 359.95, turn * 0.05], turn * 0.01)
+    azimuth = [np.degrees(np.arctan2(s.pose.pose.position.y, s.pose.pose.position.x)) for s in states]
+    np.testing.assert_allclose(azimuth, turn * (-0.05 + 0.01 * np.arange(3 * PULSES)), atol=1e-6)
+
+
+@pytest.mark.parametrize("degrees", [[0.0, 0.06], [0.0, 0.04], [0.0, 0.0], [0.0, 0.02], [0.05, 0.0, 0.15]], ids=str)
+def test_files_with_a_gap_or_an_overlap_are_refused(tmp_path: Path, degrees: list[float]) -> None:
+    """A file takes 0.05 degrees; a pulse more or less than that, the same pulses twice, and half of them."""
+    with pytest.raises(UserError) as refusal:
+        import_pass(tmp_path, degrees)
+    assert_one_sentence(str(refusal.value), "which has one every 1.222 m", "consecutive files of one pass")
+
+
+def test_file_named_twice_and_polarisations_mixed_are_refused(tmp_path: Path) -> None:
+    first = write_mat(tmp_path / "az001_HH.mat")
+    second = write_mat(tmp_path / "az002_VV.mat", 0.05)
+    with pytest.raises(UserError) as refusal:
+        import_gotcha([first, first], tmp_path / "bag")
+    assert_one_sentence(str(refusal.value), str(first), "named twice")
+    with pytest.raises(UserError) as refusal:
+        import_gotcha([first, second], tmp_path / "bag")
+    assert_one_sentence(str(refusal.value), str(second), "VV", "HH")
+
+
+def test_pixels_are_as_close_as_the_aperture_resolves(tmp_path: Path) -> None:
+    """Wavelength times range over twice the aperture: 0.2 m up to 6 degrees at 7 km on the ground, then less."""
+    import_pass(tmp_path, [0.0])
+    reader = BagReader(tmp_path / "bag")
+    (message,) = reader.messages(["/sensor_info"])
+    sensor = messages.sensor_from_message(reader.decode(message.type_name, message.cdr))
+    for degrees, spacing in ((3.0, 0.2), (6.0, 0.2), (12.0, None)):
+        angle = np.radians(np.linspace(0, degrees, 1000))
+        antenna = 7000 * np.stack([np.cos(angle), np.sin(angle), np.ones(1000)], axis=-1)
+        resolution = sensor.wavelength * 7000 * np.sqrt(2) / (2 * 7000 * np.radians(degrees))
+        image = focusing(sensor, antenna)["sar_compression"]
+        assert image["ground_spacing_m"] == pytest.approx(spacing or resolution, rel=1e-4)
+        assert image["rows"] == image["cols"] == 2 * round(50 / image["ground_spacing_m"]) + 1
+        assert image["ground_spacing_m"] < 1.0001 * resolution

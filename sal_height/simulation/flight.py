@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.geometry import ApertureState, PlatformState, look_direction, sphere_point
+from sal_height.geometry import ApertureState, PlatformState, Trajectory, look_direction, sphere_point
 from sal_height.numeric import F64, Complex
 from sal_height.sensor import (
     PhaseHistory,
@@ -118,6 +118,13 @@ class SimulatedFlight:
         first = last_sample(dwell - 1) + 1 if dwell else -margin
         stamps = [index * period_ns for index in range(first, last_sample(dwell) + 1)]
         return [self._state(stamp_ns) for stamp_ns in stamps]
+
+    def track(self, dwell: int) -> Trajectory:
+        """Odometry of a dwell: from the last sample before its first pulse to the first after its last."""
+        period_ns, start_ns = round(1e9 / self.preset.flight.odometry_rate_hz), self.dwell_start_ns(dwell)
+        end_ns = start_ns + round(float(self.pulse_times[-1]) * 1e9)
+        samples = range(start_ns // period_ns, -(-end_ns // period_ns) + 1)
+        return Trajectory([self._state(sample * period_ns) for sample in samples])
 
     def _state(self, stamp_ns: int) -> PlatformState:
         seconds = stamp_ns * 1e-9

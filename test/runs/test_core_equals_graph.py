@@ -1,0 +1,43 @@
+"""The core alone makes the heights that the graph has recorded."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+
+from sal_height import messages
+from sal_height.bag.reader import BagReader
+from sal_height.elevation import ESTIMATORS
+from sal_height.geometry import Trajectory
+from sal_height.imaging import ImageSettings
+from sal_height.pipeline import Compressor, heights
+from sal_height.runs.replay import recorded_parameters
+
+
+def test_the_core_makes_the_heights_of_the_graph(recorded: Path) -> None:
+    """Value for value; the messages hold them in single precision."""
+    reader = BagReader(recorded / "bag")
+    found = defaultdict(list)
+    for message in reader.messages([topic for topic in reader.topics if topic != "/diagnostics"]):
+        found[message.topic].append(reader.decode(message.type_name, message.cdr))
+    sensor = messages.sensor_from_message(found["/sensor_info"][0])
+    track = Trajectory([messages.state_from_message(message) for message in found["/platform/odometry"]])
+    size = recorded_parameters(reader)["sar_compression"]
+    settings = ImageSettings(rows=size["rows"], cols=size["cols"])
+    compressor, compared = Compressor(), 0
+    for dwell in sorted({frame.dwell for frame in found["/phase_history"]}):
+        frames = sorted((f for f in found["/phase_history"] if f.dwell == dwell), key=lambda frame: frame.detector)
+        slc = compressor.add(messages.history_from_messages(frames), track, sensor, settings)
+        assert slc
+        for name in ("ml", "monopulse"):
+            (image,) = [message for message in found[f"/{name}/height"] if message.dwell == dwell]
+            estimator = ESTIMATORS[name]
+            looks = {"range_looks": image.range_looks, "azimuth_looks": image.azimuth_looks}
+            field = heights(slc, sensor, estimator, estimator.settings(**looks))
+            height = messages.float_view(image.height, field.grid.shape)
+            np.testing.assert_array_equal(field.validity.ravel(), np.array(image.validity))
+            np.testing.assert_array_equal(field.first.height.astype(np.float32), height)
+            compared += int(np.isfinite(height).sum())
+    assert compared > 100

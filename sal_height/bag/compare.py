@@ -8,11 +8,11 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from sal_height_msgs.msg import HeightImage, ImageGrid
+from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.reader import BagReader
 
@@ -50,11 +50,14 @@ class HeightComparison:
         return self.matched > 0 and not (self.missing or self.extra or self.grids_different or self.pixels_different)
 
 
-def compare_heights(recorded: Heights, replayed: Heights) -> dict[str, HeightComparison]:
+def compare_heights(recorded: Heights, replayed: Heights, tolerance_m: float = 0.0) -> dict[str, HeightComparison]:
     """Match images by topic and dwell and compare every decoded value; one result per topic of either side.
 
     Provenance and stamps are not compared, nor bytes: equal messages differ in their padding. All images are missing
     from a side that has none. UserError if a bag cannot be read.
+
+    With a tolerance_m above 0 a pixel is taken for equal if its validity is the same and no height differs by more: its
+    other values (sigma, position, CNR) follow from the height. Numbers of the grids may differ by as much.
     """
     total: dict[str, HeightComparison] = {}
     waiting: tuple[dict[_Key, HeightImage], dict[_Key, HeightImage]] = ({}, {})
@@ -65,7 +68,7 @@ def compare_heights(recorded: Heights, replayed: Heights) -> dict[str, HeightCom
                 key, image = entry
                 waiting[side][key] = image
                 if key in waiting[1 - side]:
-                    result = _compare(waiting[0].pop(key), waiting[1].pop(key))
+                    result = _compare(waiting[0].pop(key), waiting[1].pop(key), tolerance_m)
                     total[key[0]] = _add(total.get(key[0]), result)
     for topic, _, _ in waiting[0]:
         total[topic] = _add(total.get(topic), HeightComparison(missing=1))
@@ -92,7 +95,7 @@ def _unfold(images: Mapping[str, Iterable[HeightImage]]) -> Iterator[tuple[str, 
     return ((topic, image) for topic, sequence in images.items() for image in sequence)
 
 
-def _compare(recorded: HeightImage, replayed: HeightImage) -> HeightComparison:
+def _compare(recorded: HeightImage, replayed: HeightImage, tolerance_m: float) -> HeightComparison:
     ours, theirs = _arrays(recorded), _arrays(replayed)
     given = [name for name in ours if ours[name].size or theirs[name].size]  # a second surface need not be
     # A well-formed image has rows * cols entries in every array given; of others the longest array counts.
@@ -101,11 +104,15 @@ def _compare(recorded: HeightImage, replayed: HeightImage) -> HeightComparison:
     if len(sizes) != 1:
         different, greatest = pixels, 0.0
     else:
-        different = int(np.count_nonzero(np.any([_differs(ours[name], theirs[name]) for name in given], axis=0)))
+        heights = {name for name in given if name.endswith("height")}
+        compared = {name for name in given if not tolerance_m or name == "validity"} | heights
+        allowed = {name: tolerance_m if name in heights else 0.0 for name in compared}
+        differences = [_differs(ours[name], theirs[name], allowed[name]) for name in compared]
+        different = int(np.count_nonzero(np.any(differences, axis=0)))
         greatest = _greatest_difference(ours["height"], theirs["height"])
     return HeightComparison(
         matched=1,
-        grids_different=int(_geometry(recorded) != _geometry(replayed)),
+        grids_different=int(np.any(np.abs(_geometry(recorded) - _geometry(replayed)) > tolerance_m)),
         pixels=pixels,
         pixels_different=different,
         greatest_height_difference=greatest,
@@ -118,13 +125,23 @@ def _arrays(image: HeightImage) -> dict[str, NDArray[np.generic]]:
     return {name: np.asarray(value) for name, value in values.items() if isinstance(value, array)}
 
 
-def _geometry(image: HeightImage) -> tuple[ImageGrid, int, int, float]:
-    return image.grid, image.range_looks, image.azimuth_looks, image.earth_radius
+def _geometry(image: HeightImage) -> NDArray[np.float64]:
+    """All numbers that say where the pixels lie, and of how many looks they are."""
+    return _numbers((image.grid, image.range_looks, image.azimuth_looks, image.earth_radius))
 
 
-def _differs(ours: NDArray[np.generic], theirs: NDArray[np.generic]) -> NDArray[np.bool_]:
+def _numbers(value: Any) -> NDArray[np.float64]:
+    """All numbers in messages and tuples of them, one after the other."""
+    if hasattr(value, "get_fields_and_field_types"):
+        value = tuple(getattr(value, name) for name in value.get_fields_and_field_types())
+    parts = [_numbers(part) for part in value] if isinstance(value, tuple) else [np.array([value], dtype=np.float64)]
+    return np.concatenate(parts)
+
+
+def _differs(ours: NDArray[Any], theirs: NDArray[Any], tolerance: float) -> NDArray[np.bool_]:
     both_nan = np.isnan(ours) & np.isnan(theirs)
-    differs: NDArray[np.bool_] = (ours != theirs) & ~both_nan
+    near = np.abs(ours.astype(np.float64) - theirs.astype(np.float64)) <= tolerance
+    differs: NDArray[np.bool_] = ~((ours == theirs) | near | both_nan)
     return differs
 
 

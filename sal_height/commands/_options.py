@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from cyclopts import App, Group, Parameter, Token
 from cyclopts.validators import Number
 
 from sal_height.errors import UserError
+
+if TYPE_CHECKING:
+    from sal_height.nodes.domain import DomainChoice
+    from sal_height.runs.conductor import Execution
 
 DONE, FAILED, BAD_USE, INTERRUPTED = 0, 1, 2, 130
 """Exit statuses. FAILED means something else in each command, whose help says what."""
@@ -142,6 +148,68 @@ Estimators: TypeAlias = Annotated[
         help="Height estimators, for example ml,capon,music. Default: the standard ones that suit the sensor.",
     ),
 ]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class GraphOptions:
+    """How the commands that bring a graph of nodes with them run it."""
+
+    record: Annotated[
+        tuple[str, ...],
+        Parameter(
+            metavar="TOPIC",
+            consume_multiple=False,
+            show_default=False,
+            help="Record this topic, too, such as slc (the complex images); may be repeated.",
+        ),
+    ] = ()
+    domain: Annotated[
+        int | None,
+        Parameter(
+            metavar="N",
+            validator=Number(gte=0, lte=232),
+            help="Use this ROS domain on this machine. Default: a domain that nobody uses.",
+        ),
+    ] = None
+    join: Annotated[
+        bool,
+        Parameter(
+            show_default=False,
+            help="Use the domain and range of discovery that the environment variables of ROS say.",
+        ),
+    ] = False
+    timeout: Annotated[
+        float,
+        Parameter(
+            metavar="S",
+            validator=Number(gt=0),
+            help="Give up after this time, in seconds, in which no node works and no message moves.",
+        ),
+    ] = 120.0
+
+    def execution(self, processes: bool = False) -> Execution:
+        """The options as `perform` takes them.
+
+        Raises:
+            UserError: they contradict each other.
+        """
+        from sal_height.runs.conductor import Execution
+
+        if self.join and self.domain is not None:
+            raise UserError("Options --join and --domain exclude each other; give one of them.")
+        default: DomainChoice = "environment" if self.join else "free"
+        return Execution(processes, default if self.domain is None else self.domain, self.record, self.timeout)
+
+
+GRAPH = GraphOptions()
+
+
+def complain(sentences: Sequence[str]) -> None:
+    """Print sentences on stderr, as the program says what went wrong."""
+    for sentence in sentences:
+        print(f"sal-height: {sentence}", file=sys.stderr)
+
 
 Images: TypeAlias = Annotated[tuple[Path, ...], Parameter(name="IMAGE", show_default=False)]
 

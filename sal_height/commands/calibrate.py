@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from sal_height.commands._options import (
     DONE,
+    GRAPH,
     INTERRUPTED,
     PROCESSING,
     Bag,
+    GraphOptions,
     NodeParameters,
     OutputFolder,
     bag_name,
     command,
+    complain,
     node_parameters,
     output_folder,
 )
@@ -25,7 +28,7 @@ app = command("calibrate", PROCESSING, EXAMPLES)
 
 
 @app.default
-def calibrate(bag: Bag, /, *, out: OutputFolder = None, param: NodeParameters = ()) -> int:
+def calibrate(bag: Bag, /, *, graph: GraphOptions = GRAPH, out: OutputFolder = None, param: NodeParameters = ()) -> int:
     """Measure a sensor's receivers and beams on the scene of a recorded bag.
 
     The bag is focused without range weighting. On the images of all its dwells
@@ -53,7 +56,8 @@ def calibrate(bag: Bag, /, *, out: OutputFolder = None, param: NodeParameters = 
     from sal_height.runs.calibrate import calibrate as measure
 
     folder = output_folder(out, f"calibrate_{bag_name(bag)}")
-    _, calibration = measure(bag, folder, node_parameters(param))
+    outcome, calibration = measure(bag, folder, node_parameters(param), graph.execution())
+    complain(outcome.losses)
     if calibration is None:
         print(f"interrupted; see {folder}/report.json")
         return INTERRUPTED

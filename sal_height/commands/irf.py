@@ -23,13 +23,11 @@ EXAMPLES = """
   sal-height irf out/replay_gotcha/bag   images that a replay records
   sal-height irf --windows               what windows cost and gain
 
-A replay records the images of single detectors only. To have those of several, record while they are made:
-  .venv/bin/recorder --ros-args -p directory:=my_slc -p topics:=[/slc,/sensor_info] &
-  sal-height replay BAG --param sar_compression.image_plane=ground \\
-    --param sar_compression.ground_spacing_m=0.02 --param sar_compression.rows=300 \\
-    --param sar_compression.cols=60
-  kill -INT %1
-  sal-height irf my_slc --channel 4
+A replay records the images of a single channel by itself. To have those of several channels:
+  sal-height replay BAG --record slc --out out/images \\
+    --param sar_compression.image_plane=ground --param sar_compression.ground_spacing_m=0.02 \\
+    --param sar_compression.rows=300 --param sar_compression.cols=60
+  sal-height irf out/images/bag --channel 4
 """
 
 app = command("irf", MEASURING, EXAMPLES)

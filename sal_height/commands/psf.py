@@ -23,14 +23,13 @@ from sal_height.commands._options import (
 EXAMPLES = """
   sal-height psf tape.npy             one image, range along the rows
   sal-height psf reflector.npy --azimuth-axis 0 --chip 48x64
-  sal-height psf my_slc --channel 4   all dwells of a bag with images
+  sal-height psf out/images/bag --channel 4   all dwells of a bag with images
 
 Images of this program are weighted in range by default, with pixels as wide
 as the weighted resolution, so that the edge of the band is folded into it.
 Focus them without weights for this measurement:
-  .venv/bin/recorder --ros-args -p directory:=my_slc -p topics:=[/slc,/sensor_info] &
-  sal-height replay BAG --param sar_compression.range_window=rectangular
-  kill -INT %1
+  sal-height replay BAG --record slc --out out/images --param sar_compression.range_window=rectangular
+  sal-height psf out/images/bag --channel 4
 """
 
 app = command("psf", MEASURING, EXAMPLES, "no estimate could be made from point targets or speckle")

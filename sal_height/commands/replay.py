@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
 from sal_height.commands._options import (
+    DONE,
+    FAILED,
+    GRAPH,
     INTERRUPTED,
     PROCESSING,
     Bag,
     Estimators,
+    GraphOptions,
     NodeParameters,
     OutputFolder,
     bag_name,
     command,
+    complain,
     node_parameters,
     output_folder,
 )
@@ -19,6 +29,8 @@ EXAMPLES = """
   sal-height replay out/sal_spotlight/bag
   sal-height replay out/sal_spotlight/bag --param ml_height.objective=numerator
   sal-height replay out/sal_spotlight/bag --estimators ml,capon
+  sal-height replay out/sal_spotlight/bag --tolerance 1e-5
+  sal-height replay out/sal_spotlight/bag --record slc --record ml/points
   sal-height replay out/sal_spotlight/bag \\
     --param sar_compression.calibration=out/calibrated/calibration.npz
 """
@@ -27,29 +39,45 @@ app = command(
     "replay",
     PROCESSING,
     EXAMPLES,
-    "heights differ from the recorded ones, are missing or extra, and no --param was given",
+    "messages were dropped, no image came out, or heights are missing or extra; without --param also: heights differ",
 )
 
 
 @app.default
-def replay(bag: Bag, /, *, out: OutputFolder = None, param: NodeParameters = (), estimators: Estimators = ()) -> int:
+def replay(
+    bag: Bag,
+    /,
+    *,
+    tolerance: Annotated[float, Parameter(metavar="METRES", validator=Number(gte=0))] = 0.0,
+    graph: GraphOptions = GRAPH,
+    out: OutputFolder = None,
+    param: NodeParameters = (),
+    estimators: Estimators = (),
+) -> int:
     """Play a recorded bag through the same nodes and compare the heights with those recorded.
 
     The output folder holds the new bag and report.json. A bag with one detector
     is focused only; its images are recorded, drawn and measured. Without
     --estimators, heights are made by those that made the recorded ones.
 
+    Heights are equal if all values of all pixels are. Processors round differently:
+    on another one a --tolerance is needed.
+
     Args:
+        tolerance: How far a height may be from the recorded one, in metres. Default: equal value for value.
         out: Output folder, new or empty. Default: out/replay_BAG, or the next free of out/replay_BAG_2, ….
     """
     from sal_height.runs.replay import replay as play_again
+    from sal_height.runs.tables import comparison_table, images_table, results_table
 
     folder = output_folder(out, f"replay_{bag_name(bag)}")
-    outcome, compared = play_again(bag, folder, node_parameters(param), estimators=estimators)
-    for topic, result in compared.items():
-        verdict = "equal to the recorded ones, value for value" if result.equal else f"different: {result}"
-        print(f"{topic}: {result.matched} height images, {verdict}")
-    print(f"{'interrupted; ' if outcome.interrupted else ''}see {folder}/report.json and {folder}/bag")
-    if outcome.interrupted:
+    result = play_again(bag, folder, node_parameters(param), graph.execution(), tolerance, estimators)
+    print(images_table(result.images) if result.images else results_table(result.outcome, result.accuracy))
+    if result.compared:
+        print(f"\n{comparison_table(result.compared)}")
+    print(f"{'interrupted; ' if result.outcome.interrupted else ''}see {folder}/report.json and {folder}/bag")
+    if result.outcome.interrupted:
         return INTERRUPTED
-    return int(not param and not all(result.equal for result in compared.values()))
+    shortfalls = result.shortfalls(changed=bool(param))
+    complain(shortfalls)
+    return FAILED if shortfalls else DONE

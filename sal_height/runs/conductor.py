@@ -5,8 +5,8 @@ from __future__ import annotations
 import signal
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
@@ -62,12 +62,14 @@ class Execution:
     Attributes:
         processes: whether each node gets a process of its own.
         domain: the ROS domain of the nodes.
+        record: topics to record besides those that the run needs, with or without leading slash.
         timeout_s: how long to wait for a graph in which no node works and nothing moves, s. A dwell may take longer, as
             long as a node works on it.
     """
 
     processes: bool = False
     domain: DomainChoice = "free"
+    record: Sequence[str] = ()
     timeout_s: float = 120.0
 
 
@@ -89,6 +91,15 @@ class Outcome:
     dwells: int
     interrupted: bool
     failure: UserError | None = None
+
+    @property
+    def losses(self) -> list[str]:
+        """A sentence for each node that dropped messages."""
+        return [
+            f"Node {name} dropped {count} messages ({reason})."
+            for name, account in self.stages.items()
+            for reason, count in account.dropped.items()
+        ]
 
 
 class Interruption:
@@ -241,9 +252,11 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
     What goes wrong once all nodes are started is in the outcome, together with the accounts up to then.
 
     Raises:
-        UserError: a node or the bag refuses its parameters, a stage takes heights that no other makes, or somebody else
-            publishes frames.
+        UserError: a node or the bag refuses its parameters, a stage takes heights that no other makes, no node
+            publishes a topic that is to be recorded, or somebody else publishes frames.
     """
+    also = [topic.removeprefix("/") for topic in execution.record]
+    plan = replace(plan, recorded=list(dict.fromkeys([*plan.recorded, *also])))
     names = [RECORDER, *reversed(plan.stages), plan.source]
     topics = [f"/{topic}" for topic in plan.recorded]
     custom_data = [f"{name}={text}" for name, text in plan.custom_data.items()]

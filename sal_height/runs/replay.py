@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,48 @@ from sal_height.runs.ensemble import (
 )
 from sal_height.runs.picture import draw_image
 from sal_height.runs.recorded_images import recorded_slc
-from sal_height.runs.reporting import PARAMETERS, conclude, merged, reporting
+from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
+from sal_height.runs.simulate import accuracies, read_mosaics
 from sal_height.sensor import Sensor
+from sal_height.simulation import SimulatedFlight, flight_of, parse_preset
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What a replay did.
+
+    Attributes:
+        outcome: what became of its dwells.
+        compared: comparison with the recorded heights by topic of the bag; empty if none were recorded or the replay
+            was interrupted.
+        accuracy: errors of each estimator (`report.statistics`) by prefix of its topics; empty unless the bag says from
+            which simulated flight it is.
+        images: measures of the brightest target of each image; empty unless the sensor has a single channel.
+    """
+
+    outcome: Outcome
+    compared: Mapping[str, HeightComparison]
+    accuracy: Mapping[str, Mapping[str, Any]]
+    images: Sequence[Mapping[str, Any]]
+
+    def shortfalls(self, changed: bool) -> list[str]:
+        """A sentence for everything that the replay lacks or has differently.
+
+        Args:
+            changed: whether it was made with other parameters than the recording, so that values may differ.
+        """
+        made = self.images or any(
+            account.published.get(f"{HEIGHTS[name]}/height")
+            for name, account in self.outcome.stages.items()
+            if name in HEIGHTS
+        )
+        lacks = [] if made else ["No image came out."]
+        for topic, result in self.compared.items():
+            if result.missing or result.extra:
+                lacks.append(f"Topic {topic} misses {result.missing} images and has {result.extra} more than recorded.")
+            elif not (changed or result.equal):
+                lacks.append(f"Topic {topic} differs from the recorded one.")
+        return [*self.outcome.losses, *lacks]
 
 
 def replay(
@@ -38,24 +79,22 @@ def replay(
     out: Path,
     parameters: NodeParameters,
     execution: Execution = DEFAULT,
+    tolerance_m: float = 0.0,
     estimators: Collection[str] = (),
-) -> tuple[Outcome, dict[str, HeightComparison]]:
+) -> Replay:
     """Play the phase history of `bag` through the graph and record the products in `out`/bag.
 
-    A bag of a single detector is focused only: its images (topic slc) are recorded instead of heights. There is no
-    relief map: it follows from the heights, which are compared value for value.
+    The images (topic slc) of a sensor with a single channel are recorded instead of heights. There is no relief map: it
+    follows from the heights, which are compared value for value.
 
     Args:
-        bag: folder of the recorded bag; the parameters.yaml in it, if any, holds the parameters it was made with.
+        bag: folder of the recorded bag, or its .mcap file; it holds the parameters it was made with.
         out: folder; must be new or empty.
         parameters: of nodes, on top of the recorded ones.
         execution: how it is carried out.
+        tolerance_m: how far heights may be from the recorded ones, m (`compare_heights`).
         estimators: names of those whose heights are made; none: those whose heights the bag holds, or else all that
             suit the sensor and need not be asked for.
-
-    Returns:
-        What the replay did, and the comparison with the recorded heights by topic of the bag; empty if none were
-        recorded or the replay was interrupted.
 
     Raises:
         UserError: the bag cannot be used.
@@ -76,14 +115,19 @@ def replay(
         conclude(outcome, values, report)
         compared = {}
         if any(f"/{prefix}/height" in reader.topics for prefix in HEIGHTS.values()) and not outcome.interrupted:
-            results = compare_heights(bag, made)
+            results = compare_heights(bag, made, tolerance_m)
             wanted = (
                 {f"/{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS} if estimators else results.keys()
             )
             compared = {topic: results[topic] for topic in results if topic in reader.topics and topic in wanted}
+        flight = recorded_flight(reader)
+        accuracy = accuracies(read_mosaics(made, flight), stages) if flight else {}
+        images = [] if height_nodes else _measure_images(folder)
+        report["tolerance_m"] = tolerance_m
         report["comparison"] = {topic: dataclasses.asdict(result) for topic, result in compared.items()}
-        report["images"] = [] if height_nodes else _measure_images(folder)
-    return outcome, compared
+        report["estimators"] = accuracy
+        report["images"] = images
+    return Replay(outcome, compared, accuracy, images)
 
 
 def _measure_images(folder: Path) -> list[dict[str, Any]]:
@@ -119,6 +163,20 @@ def contents(reader: BagReader) -> tuple[Sensor, int]:
     first = next(reader.messages(["/sensor_info"]))
     sensor = messages.sensor_from_message(reader.decode(first.type_name, first.cdr))
     return sensor, -(-topics["/phase_history"].count // sensor.detector_count)
+
+
+def recorded_flight(reader: BagReader) -> SimulatedFlight | None:
+    """The simulated flight that a bag is from; None if it is from no simulation, or from one that cannot be made again.
+
+    It cannot be if, for example, the elevation model of its scene is no longer there.
+    """
+    if PRESET not in reader.custom_data:
+        return None
+    try:
+        preset = parse_preset(json.loads(reader.custom_data[PRESET]), f"in bag {reader.path}")
+        return flight_of(preset, int(reader.custom_data[SEED]))
+    except (UserError, ValueError, KeyError):
+        return None
 
 
 def recorded_parameters(reader: BagReader) -> dict[str, dict[str, Any]]:

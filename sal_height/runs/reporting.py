@@ -18,6 +18,9 @@ from sal_height.runs.ensemble import NodeParameters
 PARAMETERS = "parameters"
 """Name of the nodes' parameters (JSON) in the custom data of a bag."""
 
+PRESET, SEED = "preset", "seed"
+"""Names of the preset (JSON) and the seed of a simulated flight in the custom data of a bag."""
+
 
 @contextmanager
 def reporting(folder: Path, known: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -50,6 +53,7 @@ def conclude(outcome: Outcome, values: NodeParameters, report: dict[str, Any]) -
     report["dwells"] = outcome.dwells
     report["interrupted"] = outcome.interrupted
     report["stages"] = {name: _stage(account) for name, account in outcome.stages.items()}
+    report["losses"] = outcome.losses
     report["parameters"] = values
     if outcome.failure:
         raise outcome.failure

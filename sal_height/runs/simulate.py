@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -26,14 +28,27 @@ from sal_height.runs.ensemble import (
 from sal_height.runs.picture import draw_heights
 from sal_height.runs.profile import draw_profile
 from sal_height.runs.report import Mosaic, mosaic, statistics
-from sal_height.runs.reporting import PARAMETERS, conclude, merged, reporting
+from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
 RELIEF_MAP = "relief_map.tif"
 """File of the relief map in the folder of a run."""
 
 
-def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT) -> Outcome:
+@dataclass(frozen=True)
+class Run:
+    """What a run did.
+
+    Attributes:
+        outcome: what became of its dwells.
+        accuracy: errors of each estimator (`report.statistics`), by prefix of its topics.
+    """
+
+    outcome: Outcome
+    accuracy: Mapping[str, Mapping[str, Any]]
+
+
+def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT) -> Run:
     """Simulate all dwells of `preset`, leaving its bag, report, pictures, relief_map.tif and preset.yaml in `out`.
 
     Without one valid height there is no picture and no relief_map.tif, nor is there the latter without rasterio.
@@ -69,22 +84,27 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     with reporting(folder, known) as report:
         flown = json.dumps(dataclasses.asdict(preset))
         write_text(settings, yaml.safe_dump(json.loads(flown), sort_keys=False))
-        custom_data = {PARAMETERS: json.dumps(values), "preset": flown, "seed": str(seed)}
+        custom_data = {PARAMETERS: json.dumps(values), PRESET: flown, SEED: str(seed)}
         nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
         plan = Plan("simulator", stages, recorded_topics(stages, values), bag, nodes, preset.dwells, custom_data)
         outcome = perform(plan, execution)
         conclude(outcome, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
         mosaics = read_mosaics(bag, flight)
-        report["estimators"] = {
-            HEIGHTS[name]: statistics(mosaics.get(HEIGHTS[name])) for name in stages if name in HEIGHTS
-        }
+        accuracy = accuracies(mosaics, stages)
+        report["estimators"] = accuracy
     if mosaics:
         with writing(folder / "height.png"):
             draw_heights(mosaics, flight.scene, preset, folder / "height.png")
         with writing(folder / "profile.png"):
             draw_profile(bag, HEIGHTS[height_sources(stages, values)[TRACKER]], flight.scene, folder / "profile.png")
-    return outcome
+    return Run(outcome, accuracy)
+
+
+def accuracies(mosaics: Mapping[str, Mosaic], stages: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Errors of each height node among `stages`, by prefix of its topics."""
+    prefixes = [HEIGHTS[name] for name in stages if name in HEIGHTS]
+    return {prefix: statistics(mosaics.get(prefix)) for prefix in prefixes}
 
 
 def read_mosaics(bag: Path, flight: SimulatedFlight) -> dict[str, Mosaic]:

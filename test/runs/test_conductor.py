@@ -125,8 +125,8 @@ def test_a_dwell_may_take_longer_than_the_limit(two_dwells: Preset, tmp_path: Pa
         return process(self, *arguments)
 
     monkeypatch.setattr(HEIGHT_NODES["monopulse"], "process", slow)
-    outcome = run(dataclasses.replace(two_dwells, dwells=1), SEED, tmp_path / "run", {}, Execution(timeout_s=limit_s))
-    assert outcome.dwells == 1
+    preset = dataclasses.replace(two_dwells, dwells=1)
+    assert run(preset, SEED, tmp_path / "run", {}, Execution(timeout_s=limit_s)).outcome.dwells == 1
     assert took[0] > limit_s
 
 
@@ -213,7 +213,7 @@ def test_a_signal_ends_the_wait_for_a_step(
 
     monkeypatch.setitem(NODES, "simulator", Mute)
     monkeypatch.setattr(Conductor, "step", interrupted_step)
-    outcome = run(two_dwells, SEED, tmp_path / "run", {})
+    outcome = run(two_dwells, SEED, tmp_path / "run", {}).outcome
     assert outcome.interrupted
     assert outcome.dwells == 0
 

@@ -75,7 +75,7 @@ def test_a_preset_names_estimators_and_parameters_and_a_replay_repeats_them(tmp_
     assert values["sar_compression"]["range_window"] == "hamming"
     assert (values["capon_height"]["loading"], values["capon_height"]["min_cnr_db"]) == (2.0, 6.0)
     assert values["relief_tracker"]["estimator"] == "capon"
-    _, compared = replay(tmp_path / "run" / "bag", tmp_path / "replay", {})
+    compared = replay(tmp_path / "run" / "bag", tmp_path / "replay", {}).compared
     assert set(compared) == {"/capon/height", "/music/height", "/tracked/height"}
     assert all(result.equal for result in compared.values())
 

@@ -18,6 +18,7 @@ from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
+from sal_height.runs.conductor import Execution
 from sal_height.runs.gotcha import import_gotcha
 from sal_height.runs.replay import recorded_parameters, replay
 
@@ -28,7 +29,7 @@ CPU_TOLERANCE_M = 1e-5
 
 
 def test_replay_equals_the_recording_value_for_value(recorded: Path, tmp_path: Path) -> None:
-    _, compared = replay(recorded / "bag", tmp_path / "replay", {})
+    compared = replay(recorded / "bag", tmp_path / "replay", {}).compared
     assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
     for result in compared.values():
         assert result.equal
@@ -37,14 +38,54 @@ def test_replay_equals_the_recording_value_for_value(recorded: Path, tmp_path: P
 
 
 def test_replay_with_another_parameter_shows_the_difference(recorded: Path, tmp_path: Path) -> None:
-    _, compared = replay(recorded / "bag", tmp_path / "replay", {"ml_height": {"objective": "numerator"}})
-    assert compared["/monopulse/height"].equal
-    assert not compared["/ml/height"].equal
-    assert compared["/ml/height"].pixels_different > 0
+    result = replay(recorded / "bag", tmp_path / "replay", {"ml_height": {"objective": "numerator"}})
+    assert result.compared["/monopulse/height"].equal
+    assert not result.compared["/ml/height"].equal
+    assert result.compared["/ml/height"].pixels_different > 0
+    assert result.accuracy.keys() == {"monopulse", "ml", "tracked"}
+    accuracy = json.loads((recorded / "report.json").read_text())["estimators"]
+    assert result.accuracy["monopulse"] == accuracy["monopulse"]  # by the flight in the bag
+    assert result.accuracy["ml"]["s68_m"] != accuracy["ml"]["s68_m"]
+
+
+def test_the_tables_say_what_came_out(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of an estimator as recorded, and of one that finds nothing; and two more topics are recorded."""
+    parameters = ["--param", "ml_height.min_cnr_db=100", "--param", "relief_tracker.estimator=monopulse"]
+    topics = ["--record", "slc", "--record", "/monopulse/points"]
+    assert main(["replay", str(recorded / "bag"), "--out", str(tmp_path / "out"), *parameters, *topics]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    rows = {line[0]: line[1:] for line in lines if line}
+    accuracy = json.loads((recorded / "report.json").read_text())["estimators"]["monopulse"]
+    assert rows["monopulse"][:3] == ["2", "0", f"{100 * accuracy['valid']:.1f}"]
+    assert float(rows["monopulse"][3]) == pytest.approx(accuracy["bias_m"], rel=1e-3)
+    assert float(rows["monopulse"][4]) == pytest.approx(accuracy["s68_m"], rel=1e-3)
+    assert float(rows["monopulse"][5]) == pytest.approx(accuracy["crb_m"], rel=1e-3)
+    assert float(rows["monopulse"][6]) == pytest.approx(100 * accuracy["within_1_sigma"], abs=0.05)
+    assert rows["ml"] == ["2", "0", "0.0", "-", "-", "-", "-"]
+    assert rows["/monopulse/height"][:4] == ["2", "0", "0", "0"]
+    pixels = int(rows["/monopulse/height"][6])
+    assert rows["/monopulse/height"][4:] == ["0", "of", str(pixels), "0"]
+    assert pixels > 200
+    known = BagReader(tmp_path / "out" / "bag").topics
+    assert (known["/slc"].count, known["/monopulse/points"].count) == (16, 2)
+
+
+def test_a_topic_that_nobody_publishes_cannot_be_recorded(recorded: Path, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"^No node of this run publishes topic music; it has .*slc.*\.$"):
+        replay(recorded / "bag", tmp_path / "out", {}, Execution(record=["/music"]))
+
+
+def test_within_the_tolerance_heights_are_equal(recorded: Path, tmp_path: Path) -> None:
+    """The platform 0.1 mm higher: heights are, too, and the CNR is another."""
+    reader = BagReader(recorded / "bag")
+    moved = copy_of(recorded / "bag", tmp_path / "moved", [lifted(reader, message) for message in reader.messages()])
+    for tolerance_m, equal in ((0.0, False), (1e-6, False), (1e-3, True)):
+        compared = replay(moved, tmp_path / str(tolerance_m), {}, tolerance_m=tolerance_m).compared
+        assert compared["/monopulse/height"].equal is equal, compared
 
 
 def test_the_reference_bag_gives_the_heights_recorded_in_it(tmp_path: Path) -> None:
-    _, compared = replay(REFERENCE, tmp_path / "replay", {})
+    compared = replay(REFERENCE, tmp_path / "replay", {}).compared
     assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
     for topic, result in compared.items():
         assert (result.matched, result.missing, result.extra) == (2, 0, 0)
@@ -60,7 +101,7 @@ def test_the_tolerance_of_the_reference_test_notices_a_wrong_range(tmp_path: Pat
     reader = BagReader(REFERENCE)
     moved = copy_of(REFERENCE, tmp_path / "moved", [lifted(reader, message) for message in reader.messages()])
     shutil.copy(REFERENCE / "parameters.yaml", moved)
-    _, compared = replay(moved, tmp_path / "replay", {})
+    compared = replay(moved, tmp_path / "replay", {}).compared
     assert compared["/ml/height"].greatest_height_difference > 5 * CPU_TOLERANCE_M
 
 
@@ -68,7 +109,7 @@ def test_a_dwell_that_lost_a_frame_is_counted_and_the_others_are_exact(recorded:
     messages = list(BagReader(recorded / "bag").messages())
     third = [message for message in messages if message.topic == "/phase_history"][2]
     torn = copy_of(recorded / "bag", tmp_path / "torn", [message for message in messages if message is not third])
-    _, compared = replay(torn, tmp_path / "replay", {"sar_compression": {"timeout_s": 0.5}})
+    compared = replay(torn, tmp_path / "replay", {"sar_compression": {"timeout_s": 1.5}}).compared
     assert (compared["/ml/height"].matched, compared["/ml/height"].missing) == (1, 1)
     assert compared["/ml/height"].pixels_different == 0
     report = json.loads((tmp_path / "replay" / "report.json").read_text())
@@ -85,17 +126,19 @@ def test_dwells_that_lie_among_each_other_are_exact(recorded: Path, tmp_path: Pa
     in_turn = [frame for pair in zip(frames[:half], frames[half:], strict=True) for frame in pair]
     in_order = [m._replace(log_time_ns=n) for n, m in enumerate([*others, *in_turn, *odometry])]
     mixed = copy_of(recorded / "bag", tmp_path / "mixed", in_order)
-    _, compared = replay(mixed, tmp_path / "replay", {})
+    compared = replay(mixed, tmp_path / "replay", {}).compared
     assert all(result.equal and result.matched == 2 for result in compared.values())
 
 
-def test_a_replay_that_drops_everything_says_that_all_is_missing(recorded: Path, tmp_path: Path) -> None:
+def test_a_replay_that_drops_everything_says_that_all_is_missing(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Without odometry no frame can be focused."""
     messages = [m for m in BagReader(recorded / "bag").messages() if m.topic != "/platform/odometry"]
     parameters = json.dumps({"sar_compression": {"timeout_s": 0.5}})
     without = copy_of(recorded / "bag", tmp_path / "without", messages, {"parameters": parameters})
     out = tmp_path / "replay"
-    _, compared = replay(without, out, {})
+    compared = replay(without, out, {}).compared
     assert {topic: (r.matched, r.missing) for topic, r in compared.items()} == {
         "/ml/height": (0, 2),
         "/monopulse/height": (0, 2),
@@ -104,9 +147,15 @@ def test_a_replay_that_drops_everything_says_that_all_is_missing(recorded: Path,
     report = json.loads((out / "report.json").read_text())
     assert report["comparison"]["/ml/height"]["missing"] == 2
     assert report["stages"]["sar_compression"]["dropped"] == {"odometry gap": 16}
-    assert main(["replay", str(without), "--out", str(tmp_path / "again")]) == 1
-    changed = ["--param", "sar_compression.timeout_s=1"]
-    assert main(["replay", str(without), "--out", str(tmp_path / "changed"), *changed]) == 0
+    changed = ["--param", "sar_compression.timeout_s=0.6"]
+    assert main(["replay", str(without), "--out", str(tmp_path / "changed"), *changed]) == 1
+    said = capsys.readouterr()
+    for sentence in (
+        "Node sar_compression dropped 16 messages (odometry gap).",
+        "No image came out.",
+        "Topic /ml/height misses 2 images and has 0 more than recorded.",
+    ):
+        assert f"sal-height: {sentence}\n" in said.err
 
 
 def test_a_damaged_chunk_ends_the_replay_at_once_and_says_so(recorded: Path, tmp_path: Path) -> None:

@@ -42,5 +42,5 @@ def test_strip_images_join_and_their_heights_are_right(tmp_path: Path) -> None:
     assert errors["valid"] > 0.6
     assert abs(errors["bias_m"]) < 3 * errors["sigma_m"] / np.sqrt(errors["cells"])
     assert errors["rms_m"] < 2 * errors["crb_m"]
-    _, compared = replay(tmp_path / "run" / "bag", tmp_path / "again", {})
+    compared = replay(tmp_path / "run" / "bag", tmp_path / "again", {}).compared
     assert [result.equal for result in compared.values()] == [True, True, True]

@@ -1,0 +1,82 @@
+"""What `run` and `replay` print at their end, as lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from sal_height.bag.compare import HeightComparison
+from sal_height.runs.conductor import Outcome
+from sal_height.runs.ensemble import HEIGHTS
+
+ABSENT = "-"
+"""Stands for a number that does not exist, such as the bias of an estimator without valid pixels."""
+
+
+def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -> str:
+    """Height images, messages dropped and, where the truth is known, the errors of each estimator.
+
+    Args:
+        outcome: of the run.
+        accuracy: statistics of each estimator (`report.statistics`) by prefix of its topics; empty: no truth is known.
+    """
+    heading = ["estimator", "images", "dropped", "valid %", "bias m", "s68 m", "bound m", "within 1 sigma %"]
+    rows = []
+    for node, prefix in HEIGHTS.items():
+        if node in outcome.stages:
+            account, errors = outcome.stages[node], accuracy.get(prefix, {})
+            rows.append(
+                [
+                    prefix,
+                    str(account.published.get(f"{prefix}/height", 0)),
+                    str(sum(account.dropped.values())),
+                    _number(errors.get("valid"), ".1f", 100.0),
+                    _number(errors.get("bias_m"), "+.4g"),
+                    _number(errors.get("s68_m"), ".4g"),
+                    _number(errors.get("crb_m"), ".4g"),
+                    _number(errors.get("within_1_sigma"), ".1f", 100.0),
+                ]
+            )
+    return aligned([heading, *rows])
+
+
+def comparison_table(compared: Mapping[str, HeightComparison]) -> str:
+    """How the heights of a replay compare with the recorded ones, by topic."""
+    heading = ["topic", "compared", "missing", "extra", "grids differ", "pixels differ", "greatest difference m"]
+    return aligned(
+        [
+            heading,
+            *(
+                [
+                    topic,
+                    str(result.matched),
+                    str(result.missing),
+                    str(result.extra),
+                    str(result.grids_different),
+                    f"{result.pixels_different} of {result.pixels}",
+                    f"{result.greatest_height_difference:.3g}",
+                ]
+                for topic, result in compared.items()
+            ),
+        ]
+    )
+
+
+def images_table(images: Sequence[Mapping[str, Any]]) -> str:
+    """The brightest target of each image of a single channel."""
+    heading = ["dwell", "peak over median dB", "width of rows m", "width of columns m"]
+    keys = ("peak_over_median_db", "row_width_3db_m", "col_width_3db_m")
+    return aligned([heading, *([str(one["dwell"]), *(_number(one[key], ".4g") for key in keys)] for one in images)])
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Rows of texts as lines with columns two spaces apart, the first aligned left and the others right."""
+    widths = [max(len(text) for text in column) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join([row[0].ljust(widths[0]), *(t.rjust(w) for t, w in zip(row[1:], widths[1:], strict=True))])
+        for row in rows
+    )
+
+
+def _number(value: float | None, form: str, scale: float = 1.0) -> str:
+    return ABSENT if value is None else format(scale * value, form)

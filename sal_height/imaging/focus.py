@@ -68,6 +68,11 @@ class ImageSettings(Settings):
         description="whether to estimate and remove the phase error that all channels share (spotlight only)",
     )
 
+    def describes_pixels_of(self, other: ImageSettings) -> bool:
+        """Whether images with the other settings join on to these: all are equal but the former that makes them."""
+        names = ImageSettings.model_fields.keys() - {"former"}
+        return all(getattr(self, name) == getattr(other, name) for name in names)
+
 
 @dataclass(frozen=True, eq=False)
 class Slc:
@@ -190,11 +195,7 @@ class StripFocuser:
             raise Rejected(
                 "out of order", "A block of the strip is not later than the last one; blocks must come in order."
             )
-        if (
-            strip
-            and settings.changed(former=self._settings.former) == self._settings
-            and follows(history, strip, sensor)
-        ):
+        if strip and settings.describes_pixels_of(self._settings) and follows(history, strip, sensor):
             strip = extend_strip(strip, history, antenna)
         else:
             strip = begin_strip(history, antenna, lattice, processing)

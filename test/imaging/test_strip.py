@@ -22,6 +22,7 @@ from sal_height.imaging.weighting import Processing
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 from sal_height.sensor.stripmap import processed_angle
+from sal_height.settings import setting
 from sal_height.simulation.gust import gust_motion
 from sal_height.simulation.stripmap import simulate_block
 
@@ -273,6 +274,22 @@ def test_strip_begins_anew_where_another_image_is_wanted(change: dict[str, int])
     assert all(slc.grid.rows == second.rows and slc.grid.cols % second.cols == 0 for slc in after if slc)
     assert_true([slc for slc in before if slc], flown, first)
     assert_true([slc for slc in after if slc], flown, second)
+
+
+class NodeSettings(ImageSettings):
+    """Settings of images, and one that says nothing of them."""
+
+    patience: float = setting(1.0, "how long to wait", unit="s")
+
+
+def test_settings_that_say_nothing_of_images_go_on_with_the_strip() -> None:
+    flown, focuser = echoing(0.0), StripFocuser()
+    slcs = [
+        flown.feed(focuser, n * 300, (n + 1) * 300, NodeSettings(former="backprojection", cols=10, patience=1.0 + n))
+        for n in range(5)
+    ]
+    assert_one_lattice([slc for slc in slcs if slc], 10)
+    assert all(slc is not None for slc in slcs[1:])
 
 
 def test_another_former_goes_on_with_the_strip() -> None:

@@ -68,11 +68,11 @@ def _track(flight: SimulatedFlight, dwells: int) -> Trajectory:
 
 def _calibrated(flight: SimulatedFlight) -> Calibration:
     sensor, track = flight.sensor, _track(flight, DWELLS)
-    calibrator = Calibrator(sensor, sensor.beams)
+    calibrator = Calibrator(sensor)
     settings = ImageSettings(range_window="rectangular", cols=flight.preset.image.cols)
     for dwell in range(DWELLS):
         slc = focus_dwell(flight.phase_history(dwell), track, sensor, settings)
-        calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
+        calibrator.add(slc)
     return calibrator.calibration()[0]
 
 

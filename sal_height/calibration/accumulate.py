@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.fft
 
-from sal_height.beams import Beams, column_squint
+from sal_height.beams import column_squint
 from sal_height.calibration.beams import (
     MIXED,
     BeamCalibration,
@@ -20,8 +20,8 @@ from sal_height.calibration.calibration import Calibration
 from sal_height.calibration.receivers import CrossSpectra, cross_spectra, differential_response, unwound
 from sal_height.calibration.reference_target import Sighting, sighting
 from sal_height.elevation import Window, windowed_looks
-from sal_height.errors import NotDetermined, UserError
-from sal_height.geometry import ApertureState, Grid
+from sal_height.errors import NotDetermined, Rejected, UserError
+from sal_height.imaging import Slc, image_beams
 from sal_height.numeric import C64, C128, F64, WORKERS, noise_gain, window
 from sal_height.response import (
     CHIP,
@@ -31,7 +31,7 @@ from sal_height.response import (
     find_targets,
     without_clutter,
 )
-from sal_height.sensor import Sensor, whitened_channels, with_powers
+from sal_height.sensor import MAX_SHARE, Sensor, spectrum_sensor, whitened_channels, with_powers
 
 LOOKS = 4
 """Columns averaged to a pixel that tells of the beams; rows are not, so that slopes do not mix elevations."""
@@ -49,39 +49,45 @@ SQUINT_STEP = 0.01
 class Calibrator:
     """Gathers what the images of a sensor tell, dwell by dwell."""
 
-    def __init__(self, sensor: Sensor, beams: Beams, target: F64 | None = None) -> None:
+    def __init__(self, sensor: Sensor, target: F64 | None = None) -> None:
         """Begin.
 
         Args:
-            sensor: its description, with waveform "spectrum".
-            beams: as images have them.
+            sensor: its description.
             target: place of a reference target in the map, m, shape (3,); None: there is none.
         """
-        self.sensor = sensor
+        self.sensor = spectrum_sensor(sensor)
         self._target = target
         self._sightings: list[Sighting] = []
         self.dwells = 0
-        self._beams = beams
-        self._spectra = CrossSpectra.none(sensor.detector_count, sensor.sample_count)
+        self._beams = self.sensor.beams
+        self._spectra = CrossSpectra.none(self.sensor.detector_count, self.sensor.sample_count)
         self._targets: list[PointTarget] = []
         self._columns: list[C64] = []
         self._squints: list[F64] = []
-        self._noise_powers = np.zeros(sensor.detector_count)
+        self._noise_powers = np.zeros(self.sensor.detector_count)
 
-    def add(self, slc: C64, grid: Grid, aperture: ApertureState, noise_powers: F64) -> None:
+    def add(self, slc: Slc) -> None:
         """Take in the images of a dwell.
 
         Args:
-            slc: of all channels, unweighted in range, shape (channels, rows, cols).
-            grid: pixels; rows a range cell apart.
-            aperture: the images were made with.
-            noise_powers: E|n|^2 of a pixel of each channel.
+            slc: images of all channels in the slant plane, unweighted in range, their rows a range cell apart.
 
         Raises:
             NotDetermined: the images are weighted in range or not in the slant plane.
+            Rejected: samples of a channel are clipped.
         """
-        pixels = unwound(slc, grid, aperture, self.sensor)
-        self._spectra += cross_spectra(pixels, self.sensor, noise_powers)
+        share = slc.saturated_share.max()
+        if share > MAX_SHARE:
+            raise Rejected(
+                "saturated",
+                f"{share:.3g} of a channel's samples are clipped; calibration needs {MAX_SHARE:g} or less.",
+            )
+        if not self.dwells:
+            self._beams = image_beams(self.sensor, slc.azimuth_window)
+        grid, aperture = slc.grid, slc.aperture
+        pixels = unwound(slc.images, grid, aperture, self.sensor)
+        self._spectra += cross_spectra(pixels, self.sensor, slc.noise_power)
         self._targets += targets_in(pixels.sum(axis=0))
         if self._target is not None:
             seen = sighting(pixels, grid, aperture, self.sensor.look_side, self._target)
@@ -91,7 +97,7 @@ class Calibrator:
             columns = slice(LOOKS * block, LOOKS * (block + 1))
             self._columns.append(pixels[..., columns].copy())
             self._squints.append(squint[columns].mean())
-        self._noise_powers += noise_powers
+        self._noise_powers += slc.noise_power
         self.dwells += 1
 
     def calibration(self) -> tuple[Calibration, list[str]]:

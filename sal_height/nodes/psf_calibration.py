@@ -15,12 +15,11 @@ from sal_height import messages
 from sal_height.calibration import Calibrator, save_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import sphere_point
-from sal_height.imaging import image_beams
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.numeric import F64
-from sal_height.sensor import MAX_SHARE, Sensor, spectrum_sensor
+from sal_height.sensor import Sensor
 from sal_height.settings import setting
 
 MOST_DWELLS = 1024
@@ -95,18 +94,12 @@ class PsfCalibration(DwellStage):
         self._dwells += 1
         if (self._dwells - 1) % parameters.dwell_step:
             return 0
-        share = max(image.saturated_share for image in images)
-        if share > MAX_SHARE:
-            raise Rejected(
-                "saturated",
-                f"Dwell {images[0].dwell}: {share:.3g} of a channel's samples are clipped; calibration needs "
-                f"{MAX_SHARE:g} or less.",
-            )
-        slc = messages.slc_from_messages(images)
         if self._calibrator is None or self._calibrator.sensor.config_hash != sensor.config_hash:
-            beams = image_beams(sensor, slc.azimuth_window)
-            self._calibrator = Calibrator(spectrum_sensor(sensor), beams, self._target)
-        self._calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
+            self._calibrator = Calibrator(sensor, self._target)
+        try:
+            self._calibrator.add(messages.slc_from_messages(images))
+        except Rejected as error:
+            raise Rejected(error.reason, f"Dwell {images[0].dwell}: {error}") from error
         self._stamp = images[0].header.stamp
         return self._complete() if self._calibrator.dwells >= parameters.dwells else 0
 

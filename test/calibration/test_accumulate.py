@@ -39,9 +39,9 @@ def images(flight: SimulatedFlight) -> Iterator[Slc]:
 
 
 def calibrated(flight: SimulatedFlight, slcs: Iterator[Slc] | list[Slc]) -> Any:
-    calibrator = Calibrator(flight.sensor, flight.sensor.beams)
+    calibrator = Calibrator(flight.sensor)
     for slc in slcs:
-        calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
+        calibrator.add(slc)
     return calibrator.calibration()
 
 
@@ -178,8 +178,8 @@ def test_a_reference_target_tells_what_a_scene_cannot() -> None:
     """Amplitudes of a pair; speckle beside the target leaves 1 %. The bias of monopulse goes with them."""
     flight = paired()
     (slc,) = images(flight)
-    calibrator = Calibrator(flight.sensor, flight.sensor.beams, sphere_point(0.0, 0.1, 0.2))
-    calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
+    calibrator = Calibrator(flight.sensor, sphere_point(0.0, 0.1, 0.2))
+    calibrator.add(slc)
     calibration, undetermined = calibrator.calibration()
     gain = calibration.response.mean(axis=1)
     np.testing.assert_allclose(20 * np.log10(np.abs(gain)), [0.5, -0.5], atol=0.1)
@@ -192,8 +192,8 @@ def test_heights_of_a_pair_lose_their_bias_by_a_reference_target() -> None:
     """Elevation of the target itself: before, off by 1 dB over the slope of the pair; a tenth of that after."""
     flight, place = paired(), sphere_point(0.0, 0.1, 0.2)
     (slc,) = images(flight)
-    calibrator = Calibrator(flight.sensor, flight.sensor.beams, place)
-    calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
+    calibrator = Calibrator(flight.sensor, place)
+    calibrator.add(slc)
     calibration, _ = calibrator.calibration()
     track, history, sensor = Trajectory(flight.platform_states(0)), flight.phase_history(0), flight.sensor
     _, elevation, _ = angles_of(place, slc.aperture, sensor.look_side)
@@ -211,9 +211,9 @@ def test_heights_of_a_pair_lose_their_bias_by_a_reference_target() -> None:
 
 def test_a_target_that_is_not_seen_leaves_the_scene_to_tell() -> None:
     flight = flown(10)
-    calibrator = Calibrator(flight.sensor, flight.sensor.beams, sphere_point(1000.0, 0.0, 0.0))
+    calibrator = Calibrator(flight.sensor, sphere_point(1000.0, 0.0, 0.0))
     for slc in images(flight):
-        calibrator.add(slc.images, slc.grid, slc.aperture, slc.noise_power)
+        calibrator.add(slc)
     calibration, undetermined = calibrator.calibration()
     assert "by the reference target: No dwell shows the target" in undetermined[0]
     assert calibration.width_sigma > 0

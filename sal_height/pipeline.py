@@ -84,6 +84,11 @@ class Compressor:
             slc = replace(slc, noise_power=calibration.noise_gains(settings.range_window) * slc.noise_power)
         return slc
 
+    @property
+    def shortfall(self) -> str:
+        """Why the block that began a strip completed no image, a sentence; empty: it did, or was not the last one."""
+        return self._strip.shortfall
+
     def _strip_for(self, sensor: Sensor, calibration: Calibration | None) -> StripFocuser:
         """The strip that a block continues; a new one if the sensor or the calibration is another."""
         key = (sensor.config_hash, calibration.id if calibration else "")

@@ -150,10 +150,16 @@ def _dwell_grid(
 
 
 class StripFocuser:
-    """Images of a strip, as its blocks come; holds the pulses, and their track, that the next ones need."""
+    """Images of a strip, as its blocks come; holds the pulses, and their track, that the next ones need.
+
+    Attributes:
+        shortfall: why the block that has begun a strip completed no image, a sentence; empty: it did, or another block
+            came last.
+    """
 
     def __init__(self) -> None:
         """Begin without a strip."""
+        self.shortfall = ""
         self._strip: Strip | None = None
         self._track: Trajectory | None = None
         self._settings = ImageSettings()
@@ -195,15 +201,20 @@ class StripFocuser:
             raise Rejected(
                 "out of order", "A block of the strip is not later than the last one; blocks must come in order."
             )
-        if strip and settings.describes_pixels_of(self._settings) and follows(history, strip, sensor):
-            strip = extend_strip(strip, history, antenna)
+        goes_on = strip and settings.describes_pixels_of(self._settings) and follows(history, strip, sensor)
+        continued = strip if goes_on else None
+        if continued:
+            strip = extend_strip(continued, history, antenna)
         else:
             strip = begin_strip(history, antenna, lattice, processing)
         drifted = abs(drift(strip)) > GREATEST_DRIFT * sensor.range_window
         if drifted or abs(turn(strip, sensor, aperture)) > GREATEST_TURN * sensor.beamwidth:
             strip = lay_anew(strip, lattice, processing)
         self._strip, self._track, self._settings = strip, track, settings
-        cols = complete_columns(strip, processing) // lattice.cols * lattice.cols
+        complete = complete_columns(strip, processing)
+        # Without a stated width the first image has the columns that there are, so that a single block has an image.
+        cols = complete if not (continued or settings.cols) else complete // lattice.cols * lattice.cols
+        self.shortfall = "" if cols or continued else _describe_shortfall(strip, lattice, complete)
         if not cols:
             return None
         grid, self._strip = next_image(strip, cols, processing)
@@ -225,3 +236,11 @@ class StripFocuser:
             return track
         first_ns = self._strip.history.stamp_ns
         return self._track.followed_by(track).between(first_ns, history.stamp_of_last_pulse_ns)
+
+
+def _describe_shortfall(strip: Strip, lattice: Grid, complete: int) -> str:
+    reach = float(np.linalg.norm(strip.antenna[-1] - strip.antenna[0]))
+    return (
+        f"The first block of the strip reaches over {reach:.4g} m and fills the synthetic apertures of {complete} of "
+        f"{lattice.cols} columns; the first image comes with a later block."
+    )

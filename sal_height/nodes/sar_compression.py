@@ -125,6 +125,8 @@ class SarCompression(DwellStage):
         track = Trajectory(supplies.states)
         slc = self._compressor.add(history, track, sensor, parameters, calibration)
         if slc is None:
+            if self._compressor.shortfall:
+                self.ignore("strip incomplete", UserError(f"Dwell {frames[0].dwell}: {self._compressor.shortfall}"))
             return 0
         if slc.focus and not slc.focus.trusted:
             self.ignore("autofocus", UserError(f"Dwell {frames[0].dwell}: {NOT_TRUSTED}"))

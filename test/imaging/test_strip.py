@@ -442,3 +442,27 @@ def test_a_clock_that_begins_anew_begins_a_new_strip() -> None:
     assert len(first) == len(second) > 0
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_a_single_block_without_a_stated_width_has_the_columns_that_its_pulses_fill() -> None:
+    """900 pulses of 2.5 mm, an aperture of 310 of them: 590 places, at the resolution of two pulses 295 columns."""
+    flown, focuser, settings = noisy(1800), StripFocuser(), ImageSettings(former="backprojection", rows=8)
+    first = flown.feed(focuser, 0, 900, settings)
+    assert first is not None
+    assert first.grid.cols == pytest.approx(590 / 2, abs=3)
+    assert np.isfinite(first.images).all()
+    assert focuser.shortfall == ""
+    second = flown.feed(focuser, 900, 1800, settings)
+    assert second is not None
+    assert second.grid.cols == 900 // 2
+    assert_one_lattice([first, second], 1)
+
+
+@pytest.mark.parametrize(("pulses", "cols", "said"), [(300, 0, "0 of 150 columns"), (400, 100, "of 100 columns")])
+def test_a_first_block_without_an_image_says_why(pulses: int, cols: int, said: str) -> None:
+    flown, focuser = noisy(900), StripFocuser()
+    settings = ImageSettings(former="backprojection", rows=8, cols=cols)
+    assert flown.feed(focuser, 0, pulses, settings) is None
+    assert_one_sentence(focuser.shortfall, said, f"{(pulses - 1) * SPEED / PRF:.4g} m", "later block")
+    flown.feed(focuser, pulses, 900, settings)
+    assert focuser.shortfall == ""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sal_height.geometry import Grid, look_direction
-from sal_height.imaging import Former, Processing
+from sal_height.imaging import FormImages, Processing
 from sal_height.numeric import C64, F64
 from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
 from sal_height.simulation import VisibleSurface, load_preset, simulate_block
@@ -29,7 +29,7 @@ class Case:
     processing: Processing
     grid: Grid
 
-    def form(self, former: Former) -> C64:
+    def form(self, former: FormImages) -> C64:
         """Images of all detectors by `former`."""
         return former(self.history, self.antenna, self.sensor, self.processing, self.grid)
 

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.bare_fft import Pass, candidates
 from benchmarks.cases import Case, spotlight, stripmap, with_targets
 from benchmarks.row import Row, medians, sized
-from sal_height.imaging import Former, backproject
+from sal_height.imaging import FormImages, backproject
 from sal_height.imaging.formers import range_doppler, specan
 from sal_height.numeric.fft import CHOICE
 
@@ -69,7 +69,7 @@ def range_doppler_passes(case: Case) -> list[Pass]:
     ]
 
 
-def _compare(name: str, former: Former, case: Case, passes: list[Pass]) -> Row:
+def _compare(name: str, former: FormImages, case: Case, passes: list[Pass]) -> Row:
     """The former and all passes by all libraries in turn; of each pass the fastest library counts."""
     libraries = [candidates(one) for one in passes]
     functions: list[Callable[[], object]] = [lambda: case.form(former)]
@@ -94,7 +94,7 @@ def _compare(name: str, former: Former, case: Case, passes: list[Pass]) -> Row:
 
 def against_backprojection() -> Iterator[Row]:
     """Error power of the images over that of backprojection's, where both are finite."""
-    cases: list[tuple[str, Former, Case]] = [
+    cases: list[tuple[str, FormImages, Case]] = [
         ("specan", specan.focus_spotlight, spotlight(1, PULSES, FREQUENCIES, ROWS, 64)),
         ("range_doppler", range_doppler.focus_stripmap, with_targets(stripmap(1, PULSES, FREQUENCIES // 4, 200))),
     ]

@@ -74,10 +74,10 @@ def _measure_array() -> None:
 
 def _measure(former: str) -> None:
     """Print the bytes of the phase history, and those by which the peak lies above what was resident before."""
-    _case(former, 2, PULSES, 64, 64).form(FORMERS[former])  # so that code and libraries are loaded
+    _case(former, 2, PULSES, 64, 64).form(FORMERS[former].form)  # so that code and libraries are loaded
     case = _case(former, DETECTORS, PULSES, FREQUENCIES, ROWS)
     before = resident("VmRSS")
-    case.form(FORMERS[former])
+    case.form(FORMERS[former].form)
     sys.stdout.write(f"{case.history.samples.nbytes} {resident('VmHWM') - before}\n")
 
 

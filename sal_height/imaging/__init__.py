@@ -8,13 +8,13 @@ Read `focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixel
 from sal_height.imaging.beams import image_beams
 from sal_height.imaging.focus import ImageSettings, Slc, StripFocuser, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject
-from sal_height.imaging.formers.choice import FORMERS, Former
+from sal_height.imaging.formers.choice import FORMERS, FormImages
 from sal_height.imaging.pixels import azimuth_resolution
 from sal_height.imaging.weighting import Processing
 
 __all__ = [
     "FORMERS",
-    "Former",
+    "FormImages",
     "ImageSettings",
     "Processing",
     "Slc",

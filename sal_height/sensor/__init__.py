@@ -8,13 +8,14 @@ over frequency), `waveform` (raw chirp or deramped echoes to phase history), `re
 from sal_height.sensor.channels import Channels, sum_difference_channels, whitened_channels, with_powers
 from sal_height.sensor.phase_history import NUFFT_TOLERANCE, PhaseHistory
 from sal_height.sensor.receivers import MAX_SHARE, clipped, count_saturated, saturated_shares
-from sal_height.sensor.sensor import MAX_DETECTORS, Sensor
+from sal_height.sensor.sensor import MAX_DETECTORS, MODES, Sensor
 from sal_height.sensor.stripmap import aperture_length, lit_angle, processed_angle
 from sal_height.sensor.waveform import echo_sensor, from_spectrum, range_compressed, spectrum_sensor
 
 __all__ = [
     "MAX_DETECTORS",
     "MAX_SHARE",
+    "MODES",
     "NUFFT_TOLERANCE",
     "Channels",
     "PhaseHistory",

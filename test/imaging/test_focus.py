@@ -127,7 +127,8 @@ def test_auto_takes_the_fast_former_where_it_pays_and_is_as_good(monkeypatch: py
 
     def spy(name: str) -> None:
         former = FORMERS[name]
-        monkeypatch.setitem(FORMERS, name, lambda *given: used.append(name) or former(*given))
+        spied = replace(former, form=lambda *given: used.append(name) or former.form(*given))
+        monkeypatch.setitem(FORMERS, name, spied)
 
     for name in SPOTLIGHT_FORMERS:
         spy(name)

@@ -17,7 +17,7 @@ from sal_height.elevation.looks import blocks, look_grid, multilook
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.formers.backprojection import backproject
-from sal_height.imaging.formers.choice import FAST, FORMERS
+from sal_height.imaging.formers.choice import FORMERS
 from sal_height.imaging.pixels import slant_plane_grid, slc_noise_power
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric.windows import broadening
@@ -130,8 +130,8 @@ def azimuth_cut(flight: SimulatedFlight, steps: Array, former: str) -> npt.NDArr
     step = resolution * (steps[1] - steps[0])
     start_point = point + resolution * steps[0] * aperture.forward
     grid = Grid(start_point, sight / np.linalg.norm(sight), aperture.forward, resolution, step, 1, len(steps))
-    name = FAST[sensor.mode] if former == "fast" else former
-    return FORMERS[name](history, track, sensor, processing, grid)[0, 0]
+    name = {"spotlight": "specan", "stripmap": "range_doppler"}[sensor.mode] if former == "fast" else former
+    return FORMERS[name].form(history, track, sensor, processing, grid)[0, 0]
 
 
 def peak_sidelobe_db(power: np.ndarray) -> float:

@@ -3,42 +3,59 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
-from sal_height.imaging.formers import range_doppler, specan
+from sal_height.imaging.formers import accuracy, range_doppler, specan
 from sal_height.imaging.formers.backprojection import backproject
-from sal_height.imaging.formers.range_doppler import focus_stripmap, sidelobes_stray
-from sal_height.imaging.formers.specan import ALLOWED_ERROR, focus_spotlight
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import C64, F64
-from sal_height.sensor import PhaseHistory, Sensor
+from sal_height.sensor import MODES, PhaseHistory, Sensor
 
-Former = Callable[[PhaseHistory, F64, Sensor, Processing, Grid], C64]
+FormImages = Callable[[PhaseHistory, F64, Sensor, Processing, Grid], C64]
 """From phase history, antenna positions, sensor, weights and pixels to the images of all detectors."""
 
-FORMERS: dict[str, Former] = {
-    "backprojection": backproject,
-    "specan": focus_spotlight,
-    "range_doppler": focus_stripmap,
-}
-"""Image formers by name: the reference for any track, and a fast one for each mode on pixels in the slant plane."""
-
-FAST = {"spotlight": "specan", "stripmap": "range_doppler"}
-"""The fast former of each mode."""
-
-EXPECTED_ERROR: dict[str, Callable[[F64, Sensor, Grid], float]] = {
-    "spotlight": specan.expected_error,
-    "stripmap": range_doppler.expected_error,
-}
-"""By how much the fast former of each mode errs, by geometry."""
-
 FEW_PIXELS = 10_000
-"""Images that backprojection forms in about the same time."""
+"""Pixels of an image that backprojection forms in about the same time as a fast former."""
 
 
-def choose_former(name: str, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> Former:
-    """The former of that name; for "auto", the fast one if it is as good as backprojection and worth it.
+@dataclass(frozen=True)
+class Former:
+    """An image former, and when it is as good as backprojection.
+
+    Attributes:
+        form: makes the images.
+        modes: of the sensor for which it works.
+        worthwhile_above: pixels of an image above which it is faster than backprojection.
+        expected_error: power of the difference to backprojection over that of the image, from antenna positions (m,
+            shape (pulses, 3)), sensor and pixels alone.
+        suits: whether it is as good for the windows, too; from antenna positions, sensor, weights and pixels.
+    """
+
+    form: FormImages
+    modes: tuple[str, ...]
+    worthwhile_above: int = 0
+    expected_error: Callable[[F64, Sensor, Grid], float] = lambda *_: 0.0
+    suits: Callable[[F64, Sensor, Processing, Grid], bool] = lambda *_: True
+
+
+FORMERS: dict[str, Former] = {
+    "backprojection": Former(backproject, MODES),
+    "specan": Former(specan.focus_spotlight, ("spotlight",), FEW_PIXELS, specan.expected_error),
+    "range_doppler": Former(
+        range_doppler.focus_stripmap,
+        ("stripmap",),
+        FEW_PIXELS,
+        range_doppler.expected_error,
+        range_doppler.keeps_sidelobes,
+    ),
+}
+"""Image formers by name, from the slowest to the fastest; a new one is a module and an entry here."""
+
+
+def choose_former(name: str, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> FormImages:
+    """The former of that name; for "auto", the fastest that is as good as backprojection and worth it.
 
     Args:
         name: of FORMERS, or "auto".
@@ -48,17 +65,20 @@ def choose_former(name: str, antenna: F64, sensor: Sensor, processing: Processin
         grid: pixels.
 
     Raises:
-        UserError: there is no former of that name, or it is a fast one that is not for the sensor's mode.
+        UserError: there is no former of that name, or it does not work in the sensor's mode.
     """
-    if name != "auto" and name not in FORMERS:
-        raise UserError(f"The former is {name!r}; allowed are auto, {', '.join(FORMERS)}.")
-    if name in FAST.values() and name != FAST[sensor.mode]:
-        raise UserError(
-            f"The former {name} does not work in {sensor.mode}; allowed are {FAST[sensor.mode]} and backprojection."
-        )
+    allowed = {key: former for key, former in FORMERS.items() if sensor.mode in former.modes}
     if name == "auto":
-        wide = grid.rows * grid.cols > FEW_PIXELS
-        fits = wide and EXPECTED_ERROR[sensor.mode](antenna, sensor, grid) <= ALLOWED_ERROR
-        fits = fits and not sidelobes_stray(antenna, sensor, processing, grid)
-        name = FAST[sensor.mode] if fits else "backprojection"
-    return FORMERS[name]
+        fitting = [
+            former
+            for former in allowed.values()
+            if grid.rows * grid.cols > former.worthwhile_above
+            and former.expected_error(antenna, sensor, grid) <= accuracy.ALLOWED_ERROR
+            and former.suits(antenna, sensor, processing, grid)
+        ]
+        return fitting[-1].form
+    if name not in FORMERS:
+        raise UserError(f"The former is {name!r}; allowed are auto, {', '.join(FORMERS)}.")
+    if name not in allowed:
+        raise UserError(f"The former {name} does not work in {sensor.mode}; allowed are {' and '.join(allowed)}.")
+    return allowed[name].form

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sal_height.errors import UserError
 from sal_height.geometry import Grid
+from sal_height.imaging.formers.accuracy import check_expected_error
 from sal_height.imaging.formers.backprojection import valid_pixels
 from sal_height.imaging.formers.straight_track import straight_track
 from sal_height.imaging.weighting import Processing
@@ -33,9 +33,6 @@ from sal_height.numeric import (
     unit_phasors,
 )
 from sal_height.sensor import PhaseHistory, Sensor
-
-ALLOWED_ERROR = 1e-4
-"""Greatest expected error power, over that of the image."""
 
 
 @dataclass(frozen=True)
@@ -56,14 +53,9 @@ def focus_spotlight(history: PhaseHistory, antenna: F64, sensor: Sensor, process
     """Images of all detectors, (detectors, rows, cols); parameters and result as of `backprojection.backproject`.
 
     Raises:
-        UserError: the image would differ from backprojection's by more than ALLOWED_ERROR.
+        UserError: the image would differ from backprojection's by more than accuracy.ALLOWED_ERROR.
     """
-    error = expected_error(antenna, sensor, grid)
-    if error > ALLOWED_ERROR:
-        raise UserError(
-            f"The former specan would err by {10 * np.log10(error):.1f} dB on this dwell, which is too wide or uneven; "
-            f"at most {10 * np.log10(ALLOWED_ERROR):.0f} dB are allowed; use backprojection."
-        )
+    check_expected_error("specan", expected_error(antenna, sensor, grid))
     factors = _factors(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
     with ThreadPoolExecutor(WORKERS) as pool:

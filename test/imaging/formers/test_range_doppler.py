@@ -11,9 +11,9 @@ from helpers import assert_one_sentence, circular
 
 from sal_height.errors import UserError
 from sal_height.geometry.grid import Grid
-from sal_height.imaging.formers import range_doppler
+from sal_height.imaging.formers import accuracy
+from sal_height.imaging.formers.accuracy import ALLOWED_ERROR
 from sal_height.imaging.formers.range_doppler import expected_error, focus_stripmap
-from sal_height.imaging.formers.specan import ALLOWED_ERROR
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric.fft import CHOICE
 
@@ -221,7 +221,7 @@ FLOOR = 10**-4.4
 )
 def test_expected_error_bounds_the_measured_one_on_any_strip(base: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of tracks that are bent or not along the columns, and of pixels that are not in the slant plane."""
-    monkeypatch.setattr(range_doppler, "ALLOWED_ERROR", np.inf)
+    monkeypatch.setattr(accuracy, "ALLOWED_ERROR", np.inf)
     short = {**base, "gains": (1.0,), "targets": 12, "margin": 1.2, "processing": Processing("taylor", "hamming")}
     rng, ratios = np.random.default_rng(101), []
     for changes in (

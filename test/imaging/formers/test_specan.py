@@ -12,8 +12,9 @@ from scipy.constants import speed_of_light
 
 from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
-from sal_height.imaging.formers import specan
-from sal_height.imaging.formers.specan import ALLOWED_ERROR, expected_error, focus_spotlight
+from sal_height.imaging.formers import accuracy
+from sal_height.imaging.formers.accuracy import ALLOWED_ERROR
+from sal_height.imaging.formers.specan import expected_error, focus_spotlight
 from sal_height.imaging.pixels import ground_plane_grid, slant_plane_grid
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric.fft import CHOICE
@@ -145,7 +146,7 @@ def random_dwell(rng: np.random.Generator) -> Case:
 
 def test_expected_error_bounds_the_measured_one_on_any_dwell(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is that of the worst pixel: the image errs by less, and by no more than 16 dB less."""
-    monkeypatch.setattr(specan, "ALLOWED_ERROR", np.inf)
+    monkeypatch.setattr(accuracy, "ALLOWED_ERROR", np.inf)
     rng, seen = np.random.default_rng(76), []
     while len(seen) < 24:
         case = random_dwell(rng)

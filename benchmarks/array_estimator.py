@@ -19,8 +19,10 @@ from sal_height.elevation import (
     ESTIMATORS,
     OBJECTIVES,
     ElevationEstimate,
+    Looks,
+    Window,
     ml_elevation,
-    multilook,
+    windowed_looks,
 )
 from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging import Slc
@@ -124,7 +126,7 @@ def _throughput(name: str) -> Iterator[Row]:
     one, many = np.zeros(COLS), np.linspace(-0.5, 0.5, COLS) * BEAMWIDTH
 
     def estimate(squint: F64) -> ElevationEstimate:
-        return ml_elevation(multilook(slc, 1, LOOKS), beams, squint, 1.0, normalised, MIN_CNR)
+        return ml_elevation(azimuth_looks(slc, LOOKS), beams, squint, 1.0, normalised, MIN_CNR)
 
     there = np.zeros_like(slc)
     single, several, paper, copy = medians(
@@ -200,6 +202,11 @@ def by_convolution(slc: C64, looks: int, beams: Beams) -> F64:
     in_parallel(work, len(profiles))
     elevation: F64 = beams.boresights[0] + place[best] * (pitch / UPSAMPLING)
     return elevation.reshape(rows, -1)
+
+
+def azimuth_looks(slc: C64, count: int, hermitian: bool = False) -> Looks:
+    """Looks of pixels of `count` samples in azimuth."""
+    return windowed_looks(slc, Window.named("boxcar", 1), Window.named("boxcar", count), hermitian)
 
 
 def beams_of(name: str) -> Beams:

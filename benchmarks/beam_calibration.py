@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.array_estimator import beams_of, elevation_at
+from benchmarks.array_estimator import azimuth_looks, beams_of, elevation_at
 from benchmarks.row import Row, sized
 from sal_height.beams import Beams
 from sal_height.calibration import BeamCalibration, beams_with, calibrate_beams
-from sal_height.elevation import OBJECTIVES, covariance, multilook, peak_elevation
+from sal_height.elevation import OBJECTIVES, covariance, peak_elevation
 from sal_height.numeric import C64, F64
 from sal_height.theory.array_trials import TARGETS, draw_pixels
 
@@ -36,7 +36,7 @@ def from_a_scene() -> Iterator[Row]:
 def _from_a_scene(name: str) -> Iterator[Row]:
     rng, beams = np.random.default_rng(3), beams_of(name)
     truth = _truth(rng, beams.count)
-    looks = multilook(_slc(rng, beams_with(beams, truth)), 1, LOOKS, hermitian=True)
+    looks = azimuth_looks(_slc(rng, beams_with(beams, truth)), LOOKS, hermitian=True)
     begin = time.perf_counter()
     found = calibrate_beams(looks, beams, np.zeros(COLS), 1.0)
     took = time.perf_counter() - begin

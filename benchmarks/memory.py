@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.array_estimator import beams_of
+from benchmarks.array_estimator import azimuth_looks, beams_of
 from benchmarks.cases import Case, spotlight, stripmap
 from benchmarks.row import Row, sized
-from sal_height.elevation import OBJECTIVES, ml_elevation, multilook
+from sal_height.elevation import OBJECTIVES, ml_elevation
 from sal_height.imaging import FORMERS
 from sal_height.numeric import C64
 
@@ -62,7 +62,7 @@ def _measure_array() -> None:
     beams, squint = beams_of("jinc"), np.zeros(COLS // 4)
 
     def estimate(slc: C64) -> None:
-        ml_elevation(multilook(slc, 1, 4), beams, squint, 1.0, OBJECTIVES["normalised"], 3.0)
+        ml_elevation(azimuth_looks(slc, 4), beams, squint, 1.0, OBJECTIVES["normalised"], 3.0)
 
     rng = np.random.default_rng(1)
     slc = rng.standard_normal((DETECTORS, ROWS, 2 * COLS), dtype=np.float32).view(np.complex64)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import pattern_named
-from sal_height.elevation.looks import Looks
+from sal_height.elevation.looks import Looks, Window, windowed_looks
 from sal_height.geometry.frames import ApertureState
 from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.preset import Preset
@@ -142,6 +142,22 @@ def target_slc(
     response = beams.response(elevation_at(np.broadcast_to(offset, (pixels, looks))), squint)
     amplitude = np.sqrt(cnr) * circular(rng, (pixels, looks))
     return np.moveaxis(response * amplitude[..., None], -1, 0) + circular(rng, (len(beams.boresights), pixels, looks))
+
+
+def blocks(range_looks: int, azimuth_looks: int) -> tuple[Window, Window]:
+    """Windows in range and azimuth of pixels of `range_looks` x `azimuth_looks` samples without overlap."""
+    return Window.named("boxcar", range_looks), Window.named("boxcar", azimuth_looks)
+
+
+def multilook(
+    slc: npt.NDArray[Any],
+    range_looks: int,
+    azimuth_looks: int,
+    hermitian: bool = False,
+    transform: npt.NDArray[Any] | None = None,
+) -> Looks:
+    """`windowed_looks` over `blocks`."""
+    return windowed_looks(slc, *blocks(range_looks, azimuth_looks), hermitian, transform)
 
 
 def circular(rng: np.random.Generator, shape: tuple[int, ...]) -> npt.NDArray[np.complex128]:

@@ -24,11 +24,9 @@ from sal_height.elevation.looks import (
     Covariance,
     Looks,
     Window,
-    blocks,
     covariance,
     live_detectors,
     look_grid,
-    multilook,
     windowed_looks,
 )
 from sal_height.elevation.monopulse.discriminant import (
@@ -81,7 +79,6 @@ __all__ = [
     "Validity",
     "Window",
     "beam_power",
-    "blocks",
     "capon_elevation",
     "conditional_crb",
     "covariance",
@@ -97,7 +94,6 @@ __all__ = [
     "ml_elevation",
     "monopulse_elevation",
     "moving_squint",
-    "multilook",
     "music_elevation",
     "peak_elevation",
     "prior_elevation",

@@ -1,7 +1,7 @@
 """Least standard deviation of an elevation estimate from the detectors of an array.
 
 A target at elevation theta gives detector m the amplitude A_k a_m(theta) in look k, plus noise of variance sigma^2.
-Of the change a' = da/dtheta, the part along a looks like another amplitude; only the rest tells of elevation:
+The part of a' = da/dtheta along a cannot be told from another amplitude; only the rest holds information on theta:
 
     D = a'^H (I - a a^H / |a|^2) a'
 
@@ -11,11 +11,16 @@ Acoustics, Speech and Signal Processing 38, 1990). CNR is |A|^2 / sigma^2: that 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams import Beams
 from sal_height.numeric import F64
+
+Numbers = npt.NDArray[Any]
+"""Real or complex."""
 
 
 def information(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
@@ -27,6 +32,12 @@ def information_of(response: F64, slope: F64) -> F64:
     """D of responses a and slopes a' of shape (..., detectors), 1/rad^2 if the slopes are per rad."""
     overlap = np.abs(np.sum(response.conj() * slope, axis=-1)) ** 2
     return np.sum(np.abs(slope) ** 2, axis=-1) - overlap / beam_power(response)
+
+
+def unit_vectors(response: Numbers) -> Numbers:
+    """The vectors a / |a| of responses a of shape (..., detectors); 0 where no detector sees anything."""
+    norm = np.linalg.norm(response, axis=-1, keepdims=True)
+    return response * np.divide(1.0, norm, where=norm > 0, out=np.zeros_like(norm))
 
 
 def beam_power(response: F64) -> F64:

@@ -22,52 +22,45 @@ from scipy.optimize import brentq
 from scipy.special import gammaincc, gammaln
 
 from sal_height.beams import Beams
-from sal_height.elevation.bounds import beam_power, information
+from sal_height.elevation._kernels import GRID_STEP, LEAST_RESIDUE, best_pairs, gains_beside
+from sal_height.elevation.bounds import Numbers, beam_power, information, unit_vectors
 from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity, explained_power
 from sal_height.elevation.likelihood import GUARD
 from sal_height.elevation.looks import Covariance, Looks
+from sal_height.elevation.search import REAL_COVARIANCE
 from sal_height.errors import UserError
-from sal_height.numeric import F32, F64, Bool, Index, compiled, in_parallel
-
-Numbers = npt.NDArray[Any]
-"""Real, or complex if the beams are."""
-
-GRID_STEP = 0.2
-"""Spacing of the coarse search in beamwidths, as of the search for one scatterer."""
+from sal_height.numeric import F32, F64, Bool, in_parallel
 
 LEAST_SEPARATION = 0.1
-"""Beamwidths between the elevations of a pair: well below what can be told apart, so that none pile up there."""
-
-LEAST_RESIDUE = 0.02
-"""Share of |a|^2 that must lie off another a for the two to be tried as a pair on the grid."""
+"""Least distance between the elevations of a pair, beamwidths: well below what can be resolved."""
 
 SUSPICIOUS = 10.0
-"""Times the false alarms: share of single scatterers for which pairs are tried at all."""
+"""Pairs are tried for so many times the share of single scatterers that may be taken for two."""
 
 NEWTON_STEPS = 12
-"""Of the climb from the grid at most, each half a step of the grid at most."""
+"""Maximum number of Newton steps of the climb from the grid, each of half a step of the grid at most."""
 
 SETTLED = 1e-5
-"""Newton step in beamwidths that is the last."""
+"""Convergence threshold of the Newton iteration, beamwidths."""
 
 FALSE_ALARM = 1e-3
-"""Share of single scatterers that may pass for two, of the few that do not look like one."""
+"""Share of single scatterers that may be taken for two, of the few that do not pass for one."""
 
 PIXELS_AT_ONCE = 1024
-"""Pixels whose beams are held at a time."""
+"""Number of pixels whose beams are held at a time."""
 
 
 @dataclass(frozen=True)
 class TwoScatterers:
-    """The two scatterers of every pixel, the one nearer to nadir first; NaN where two were not detected.
+    """The two scatterers of every pixel, the one closer to nadir first; NaN where two were not detected.
 
     Attributes:
         detected: whether there are two, both within the span of the boresights, shape (rows, cols).
         elevation: rad from nadir, shape (rows, cols, 2).
         power: carrier-to-noise power ratio of one look in a detector looking straight at the scatterer, (rows, cols,
             2).
-        sigma: standard deviation of elevation, rad, (rows, cols, 2): the bound for the amplitudes of these looks, to
-            first order in noise power over theirs. Infinite where that much is not known of them.
+        sigma: standard deviation of elevation, rad, (rows, cols, 2): the Cramer-Rao bound for the amplitudes of these
+            looks, to first order in the ratio of noise power to theirs. Infinite where the looks do not determine it.
     """
 
     detected: Bool
@@ -87,8 +80,8 @@ def two_scatterers(
 ) -> TwoScatterers:
     """Find the pixels that hold two scatterers rather than one, and the elevations of both.
 
-    A pixel counts as two if the best pair explains more than `detection_threshold` beyond the best single elevation.
-    Pairs are tried where a second scatterer beside the single one explains enough to be suspicious.
+    A pixel holds two if the best pair explains `detection_threshold` more power than the best single elevation. To
+    save time, pairs are only tried where one more scatterer beside the single one explains nearly as much.
 
     Args:
         covariance: R of M channels, shape (rows, cols, M, M), finite; complex if the beams are.
@@ -96,7 +89,7 @@ def two_scatterers(
         squint: of each column, rad, shape (cols,).
         noise_power: E|n|^2 of one SLC pixel in one channel.
         looks_count: K, for all pixels or each.
-        single: elevation of the most likely single scatterer (`array_ml.peak_elevation`), rad, shape (rows, cols).
+        single: elevation of the most likely single scatterer (`likelihood.peak_elevation`), rad, shape (rows, cols).
         false_alarm: share of single scatterers that may be taken for two, above 0 and up to 0.1.
 
     Raises:
@@ -130,12 +123,13 @@ def two_scatterers(
 def resolve_layover(
     estimate: ElevationEstimate, looks: Looks, beams: Beams, squint: F64, noise_power: float, min_cnr: float
 ) -> ElevationEstimate:
-    """The estimate with both scatterers of the pixels that do not fit one, where two can be told apart.
+    """Resolve the pixels that do not fit one scatterer into two, where two are detected.
 
-    Those become TWO_SCATTERERS, with the stronger one in the place of the estimate. Both must have `min_cnr`.
+    Those become TWO_SCATTERERS: the stronger one replaces the estimate, the weaker one is the second. Both must have
+    `min_cnr`.
 
     Args:
-        estimate: by all detectors (`array_ml.ml_elevation`); with fewer than three it stays as it is.
+        estimate: by all detectors (`likelihood.ml_elevation`); with fewer than three it is returned as it is.
         looks: covariance of M channels in each pixel.
         beams: of the M detectors.
         squint: of each column, rad, shape (cols,).
@@ -161,7 +155,10 @@ def resolve_layover(
 
 
 def _thresholds(beams: Beams, squint: float, looks: F64, false_alarm: float) -> F64:
-    """Gains (sigma^2) that are suspicious, and that detect, with the looks of each pixel (pixels,): (2, pixels)."""
+    """Gains (in sigma^2) from which on pairs are tried, and from which on they are detected, shape (2, pixels).
+
+    `looks` are the numbers of looks of the pixels, shape (pixels,).
+    """
     counts, which = np.unique(looks, return_inverse=True)
     shares = (SUSPICIOUS * false_alarm, false_alarm)
     levels = [[detection_threshold(beams, squint, count, share) for count in counts.tolist()] for share in shares]
@@ -169,10 +166,11 @@ def _thresholds(beams: Beams, squint: float, looks: F64, false_alarm: float) -> 
 
 
 def detection_threshold(beams: Beams, squint: float, looks: float, false_alarm: float) -> float:
-    """Least gain of a second scatterer, in units of sigma^2, that one scatterer reaches with a share `false_alarm`.
+    """Gain in explained power, in sigma^2, that a second scatterer seems to bring with the probability `false_alarm`.
 
-    In a known direction, noise gives the gain a gamma distribution of order K. Its greatest value over direction passes
-    a level x no more often than it starts above x and crosses it upwards (Rice; Davies, Biometrika 64, 1977):
+    If there is one scatterer only, the gain in a known direction is noise with a gamma distribution of order K. Its
+    greatest value over direction exceeds a level x no more often than it starts above x or crosses x upwards (Rice;
+    Davies, Biometrika 64, 1977):
 
         P(max > x) <= Q(x) + L sqrt(x / pi) p(x)
 
@@ -195,33 +193,9 @@ def detection_threshold(beams: Beams, squint: float, looks: float, false_alarm: 
     return float(brentq(excess, looks, 10 * looks + 1000))
 
 
-def two_source_crb(
-    beams: Beams, elevations: npt.ArrayLike, squint: npt.ArrayLike, cnrs: npt.ArrayLike, looks: int
-) -> F64:
-    """Least standard deviation (rad) of the elevations of two independent Gaussian scatterers, shape (..., 2).
-
-    With S the covariance of the amplitudes over sigma^2, unknown, and D = [a'(t1) a'(t2)] (Stoica and Nehorai, IEEE
-    Trans. Acoustics, Speech and Signal Processing 38, 1990):
-
-        F = 2 K Re{(D^H (I - P) D) * (S (S + (A^H A)^-1)^-1 S)^T},    * element by element
-
-    Args:
-        beams: of the array.
-        elevations: of both scatterers, rad, shape (..., 2).
-        squint: rad, shape (...).
-        cnrs: power ratio of each in one look of a detector that looks straight at it, shape (..., 2); both bounds are
-            infinite where one is not positive.
-        looks: K.
-    """
-    elevations = np.asarray(elevations, dtype=np.float64)
-    model = _PairModel.of(beams, elevations, np.asarray(squint, dtype=np.float64))
-    signal = np.maximum(cnrs, 0.0)[..., None] * np.eye(2)
-    return model.bound(signal @ np.linalg.inv(signal + model.gram) @ signal, looks)
-
-
 @dataclass(frozen=True)
 class _PairModel:
-    """A pair's beams A, and what its likelihood and bound need of them; all of shape (..., ., .).
+    """The beams A of a pair of elevations and the matrices of its likelihood and bound, shapes (..., rows, cols).
 
     Attributes:
         gram: (A^H A)^-1, (..., 2, 2).
@@ -239,7 +213,7 @@ class _PairModel:
 
     @classmethod
     def of(cls, beams: Beams, elevations: F64, squint: F64 | float) -> Self:
-        """Of pairs at `elevations` (..., 2) and `squint` (...), rad."""
+        """The model of pairs at `elevations` (..., 2) and `squint` (...), rad."""
         angle = np.asarray(squint)[..., None]
         matrix = np.swapaxes(beams.response(elevations, angle), -1, -2)
         slope = np.swapaxes(beams.slope(elevations, angle), -1, -2)
@@ -257,17 +231,22 @@ class _PairModel:
         return fitted @ _adjoint(self.inverse)
 
     def newton_step(self, fitted: Numbers) -> F64:
-        """Gauss-Newton step of f, rad, (..., 2): its curvature as it is expected of these amplitudes."""
+        """Gauss-Newton step of f, rad, (..., 2): with the expected curvature for these amplitudes."""
         gradient = _traces(fitted, self.beyond)
         curvature = (self.slope_power * np.swapaxes(self.amplitudes(fitted), -1, -2)).real
         ridge = 1e-9 * np.trace(curvature, axis1=-2, axis2=-1)[..., None, None] * np.eye(2)
         return np.linalg.solve(curvature + ridge, gradient[..., None])[..., 0]
 
     def bound(self, known: Numbers, looks: npt.ArrayLike) -> F64:
-        """1 / sqrt of F = 2 K Re{(D^H (I - P) D) * known^T}, rad, (..., 2); infinite where F is not positive definite.
+        """Cramer-Rao bound of both elevations, rad, (..., 2); infinite where the information is not positive definite.
+
+        With D = [a'(t1) a'(t2)] and the covariance S of the amplitudes over sigma^2 (Stoica and Nehorai, IEEE Trans.
+        Acoustics, Speech and Signal Processing 38, 1990), * element by element:
+
+            F = 2 K Re{(D^H (I - P) D) * known^T},    known = S (S + (A^H A)^-1)^-1 S
 
         Args:
-            known: covariance of the amplitudes in one look over sigma^2, less what noise makes of it, (..., 2, 2).
+            known: that matrix, or S - (A^H A)^-1, which equals it to first order in the noise; shape (..., 2, 2).
             looks: K, shape (...).
         """
         fisher = 2 * np.asarray(looks)[..., None, None] * (self.slope_power * np.swapaxes(known, -1, -2)).real
@@ -279,7 +258,7 @@ class _PairModel:
 
 @dataclass(frozen=True)
 class _PairGrid:
-    """Coarse search for a pair, at one squint.
+    """The coarse search for a pair of elevations at one squint.
 
     Attributes:
         beams: of the array.
@@ -287,7 +266,7 @@ class _PairGrid:
         nodes: elevations, rad, shape (nodes,).
         units: u = a / |a| at the nodes, (M, nodes).
         overlap: u_i^H u_j, (nodes, nodes).
-        weight: 1 / (1 - |overlap|^2) of pairs that are tried, i < j; 0 elsewhere.
+        weight: 1 / (1 - |overlap|^2) of the pairs i < j that are tried; 0 elsewhere.
     """
 
     beams: Beams
@@ -299,10 +278,10 @@ class _PairGrid:
 
     @classmethod
     def of(cls, beams: Beams, squint: float) -> Self:
-        """Over the array and as far beyond as one scatterer is searched."""
+        """The grid over the array and the guard beyond it, as in the search for one scatterer."""
         first, last = beams.domain(GUARD * beams.beamwidth)
         nodes = np.linspace(first, last, math.ceil((last - first) / (GRID_STEP * beams.beamwidth)) + 1)
-        unit = _unit(beams.response(nodes, squint))
+        unit = unit_vectors(beams.response(nodes, squint))
         overlap = unit.conj() @ unit.T
         residue = 1 - np.abs(overlap) ** 2
         weight = np.divide(1.0, residue, where=np.triu(residue > LEAST_RESIDUE, 1), out=np.zeros_like(residue))
@@ -311,28 +290,28 @@ class _PairGrid:
         return cls(beams, squint, nodes, units, overlap.astype(kind), weight.astype(np.float32))
 
     def gain_beside(self, covariance: Covariance, first: F64) -> F32:
-        """Greatest power that a node explains beyond what elevations `first` (rad, (pixels,)) do, (pixels,)."""
-        one = _unit(self.beams.response(first, self.squint)).astype(self.units.dtype)
+        """Greatest power that one more scatterer at a node explains beside those at `first` (rad), shape (pixels,)."""
+        one = unit_vectors(self.beams.response(first, self.squint)).astype(self.units.dtype)
         gain = np.empty(len(covariance), np.float32)
-        _gains(covariance, one, self.units, gain)
+        gains_beside(covariance, one, self.units, gain)
         return gain
 
     def best(self, covariance: Covariance) -> F64:
-        """Nodes (rad) of the pair that explains most, shape (pixels, 2)."""
+        """Elevations (rad) of the two nodes that together explain most, shape (pixels, 2)."""
         place = np.empty((len(covariance), 2), dtype=np.intp)
-        _best_pairs(covariance, self.units, self.overlap, self.weight, place)
+        best_pairs(covariance, self.units, self.overlap, self.weight, place)
         return self.nodes[place]
 
 
 def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: F64, single: F64, levels: F64) -> F64:
-    """Elevations, powers and deviations of the pairs in some pixels, shape (pixels, 3, 2); NaN where there is none.
+    """Elevations, powers and sigmas of the two scatterers in some pixels, (pixels, 3, 2); NaN where there are no two.
 
     Args:
         covariance: in units of the noise power, shape (pixels, M, M).
         grid: at the pixels' squint.
         looks: K, (pixels,).
         single: elevations of the single scatterers, rad, (pixels,).
-        levels: gains that are suspicious, and that detect, (2, pixels).
+        levels: gains from which on pairs are tried, and are detected, (2, pixels).
     """
     found = np.full((len(covariance), 3, 2), np.nan)
     covariance = covariance.astype(grid.units.dtype)
@@ -355,7 +334,10 @@ def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: F64, single: F64, 
 
 
 def _climb(covariance: Numbers, grid: _PairGrid, start: F64) -> F64:
-    """Pairs (pixels, 2) from nodes of the grid to peaks of f near them, rad; a step that does not rise is quartered."""
+    """Climb from pairs of nodes to the peaks of f near them, rad, shape (pixels, 2).
+
+    A step after which f is not higher is undone, and the next is a quarter of it at most.
+    """
     found, active = start.copy(), np.arange(len(start))
     reach = np.full((len(start), 1), GRID_STEP * grid.beams.beamwidth / 2)
     model = _PairModel.of(grid.beams, start, grid.squint)
@@ -378,12 +360,6 @@ def _climb(covariance: Numbers, grid: _PairGrid, start: F64) -> F64:
     return found
 
 
-def _unit(response: Numbers) -> Numbers:
-    """Responses (..., M) over their norm; 0 where no detector sees anything."""
-    norm = np.linalg.norm(response, axis=-1, keepdims=True)
-    return response * np.divide(1.0, norm, where=norm > 0, out=np.zeros_like(norm))
-
-
 def _traces(left: Numbers, right: Numbers) -> F64:
     """Real diagonal of `left` (..., 2, M) times `right` (..., M, 2), shape (..., 2)."""
     return np.einsum("...im,...mi->...i", left, right).real
@@ -399,80 +375,10 @@ def _require(
     if beams.count < 3:
         raise UserError(f"The sensor has {beams.count} detectors; telling two scatterers from one needs 3 or more.")
     if beams.is_complex and not np.iscomplexobj(covariance):
-        raise UserError("The covariance of complex beams is real; it must be complex (multilook with hermitian).")
+        raise UserError(REAL_COVARIANCE)
     if not (np.isfinite(noise_power) and noise_power > 0):
         raise UserError(f"The noise power is {noise_power:g}; it must be finite and greater than 0.")
     if np.any(np.asarray(looks_count) < 1):
         raise UserError(f"The number of looks is {np.min(looks_count):g}; it must be 1 or more.")
     if not 0 < false_alarm <= 0.1:
         raise UserError(f"The share of false alarms is {false_alarm:g}; it must be above 0 and up to 0.1.")
-
-
-# The loops below are compiled; sums over nodes are vectorised.
-
-
-@compiled
-def _gains(covariance: Numbers, one: Numbers, units: Numbers, gain: F32) -> None:
-    """Greatest power that a node explains beyond unit vectors `one` (pixels, M), the part of u_j along them removed."""
-    count = units.shape[1]
-    outputs = np.empty_like(units)
-    own = np.empty(count, np.float32)
-    cross, overlap = np.empty(count, units.dtype), np.empty(count, units.dtype)
-    for p in range(len(covariance)):
-        _outputs(covariance[p], units, outputs, own)
-        cross[:] = 0
-        overlap[:] = 0
-        power = np.float32(0)
-        for m in range(len(units)):
-            weight = np.conj(one[p, m])
-            for n in range(len(units)):
-                power += (weight * covariance[p, m, n] * one[p, n]).real
-            for j in range(count):
-                cross[j] += weight * outputs[m, j]
-                overlap[j] += weight * units[m, j]
-        gain[p] = 0
-        for j in range(count):
-            along = overlap[j].real ** 2 + overlap[j].imag ** 2
-            if 1 - along > LEAST_RESIDUE:
-                beyond = own[j] - 2 * (np.conj(overlap[j]) * cross[j]).real + along * power
-                gain[p] = max(gain[p], beyond / (1 - along))
-
-
-@compiled
-def _best_pairs(covariance: Numbers, units: Numbers, overlap: Numbers, weight: F32, place: Index) -> None:
-    """Nodes i < j of the greatest (c_ii + c_jj - 2 Re(overlap_ij^* c_ij)) weight_ij, c = u_i^H R u_j, per pixel."""
-    count = units.shape[1]
-    outputs, cross = np.empty_like(units), np.empty(count, units.dtype)
-    own, explained = np.empty(count, np.float32), np.empty(count, np.float32)
-    for p in range(len(covariance)):
-        _outputs(covariance[p], units, outputs, own)
-        best = np.float32(-1)
-        for i in range(count):
-            cross[:] = 0
-            for m in range(len(units)):
-                left = np.conj(units[m, i])
-                for j in range(i + 1, count):
-                    cross[j] += left * outputs[m, j]
-            for j in range(i + 1, count):
-                both = own[i] + own[j] - np.float32(2) * (np.conj(overlap[i, j]) * cross[j]).real
-                explained[j] = both * weight[i, j]
-            highest = np.float32(-1)
-            for j in range(i + 1, count):
-                highest = max(highest, explained[j])
-            if highest > best:
-                best, place[p, 0], place[p, 1] = highest, i, i + 1 + np.argmax(explained[i + 1 :])
-
-
-@compiled
-def _outputs(matrix: Numbers, units: Numbers, outputs: Numbers, own: F32) -> None:
-    """R u_j of every node, shape (M, nodes), and u_j^H R u_j."""
-    outputs[:] = 0
-    own[:] = 0
-    for m in range(len(units)):
-        output = outputs[m]
-        for n in range(len(units)):
-            factor = matrix[m, n]
-            for j in range(output.size):
-                output[j] += factor * units[n, j]
-        for j in range(output.size):
-            own[j] += (np.conj(units[m, j]) * output[j]).real

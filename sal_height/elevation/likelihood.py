@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation.bounds import stochastic_deviation
+from sal_height.elevation.bounds import stochastic_deviation, unit_vectors
 from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
 from sal_height.elevation.looks import Covariance, Covariances, Looks
 from sal_height.elevation.search import Columns, Objective, PeakSearch, PeakSearches
@@ -57,11 +57,11 @@ for its highest peak is u^H S u with the unit response u = a / |a|."""
 
 
 def _normalised(response: F64, slope: F64) -> tuple[F64, F64]:
-    """The unit vector a / |a|, or 0 where no detector sees anything."""
+    """The unit vector u = a / |a| and its slope, the part of a' perpendicular to u over |a|; 0 where |a| is."""
     norm = np.linalg.norm(response, axis=-1, keepdims=True)
-    inverse = np.divide(1.0, norm, where=norm > 0, out=np.zeros_like(norm))
-    unit = response * inverse
-    return unit, (slope - unit * np.sum(unit * slope, axis=-1, keepdims=True)) * inverse
+    unit = unit_vectors(response)
+    turn = slope - unit * np.sum(unit * slope, axis=-1, keepdims=True)
+    return unit, turn * np.divide(1.0, norm, where=norm > 0, out=np.zeros_like(norm))
 
 
 def _numerator(response: F64, slope: F64) -> tuple[F64, F64]:

@@ -21,12 +21,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams import Beams
+from sal_height.elevation._kernels import concentrate, most_likely, send_along
 from sal_height.elevation.estimate import ElevationEstimate
 from sal_height.elevation.likelihood import OBJECTIVES, estimate_at, peak_elevation, search_guard
 from sal_height.elevation.looks import Covariances, Looks
 from sal_height.elevation.search import Columns, PeakSearch, PeakSearches
 from sal_height.errors import UserError
-from sal_height.numeric import F32, F64, Bool, Index, compiled, in_parallel
+from sal_height.numeric import F32, F64, Bool, Index, in_parallel
 
 RECOMMENDED_STRENGTH = 0.75
 """What cuts the outliers of four looks at 5 dB more than tenfold, and keeps steps of 3 beamwidths where they are.
@@ -37,13 +38,6 @@ more often than without, squares of 2 x 2 pixels as often with four looks, less 
 cuts little more.
 """
 
-FREE_NODES = 2
-"""Nodes of the grid (0.2 beamwidths) by which elevation may change from pixel to pixel at no cost.
-
-Level ground and slopes change it from row to row. Where it is 0.4 beamwidths a row, the looks of a pixel differ by as
-much and count as several scatterers (`estimate.is_one_scatterer`).
-"""
-
 DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
 """Steps in rows and columns along the lines."""
 
@@ -52,9 +46,6 @@ TILE = 512
 
 MARGIN = 32
 """Pixels around a tile where lines start already; what lies farther away has faded."""
-
-LOWEST = np.float32(-1e30)
-"""Less than any log-likelihood, and finite as compiled loops want it."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +140,7 @@ def _log_likelihood(
         pixels, count = covariance[here], looks[here]
         has_data[some, columns] = np.any(np.diagonal(pixels, axis1=-2, axis2=-1) != 0, axis=-1)
         values = search.on_grid(pixels.reshape(-1, *pixels.shape[2:]))
-        _concentrate(values, noise_power, count.reshape(-1))
+        concentrate(values, noise_power, count.reshape(-1))
         own[some, columns] = values.reshape(*count.shape, -1)
 
     searches.each(angles, len(tile.rows), work)
@@ -163,7 +154,7 @@ def _messages(own: F32, has_data: Bool, strength: float) -> F32:
         starts = _starts(own.shape[0], own.shape[1], step)
 
         def send(part: slice, starts: Index = starts, step: tuple[int, int] = step) -> None:
-            _send_along(own, has_data, np.float32(strength), starts[part], step, messages)
+            send_along(own, has_data, np.float32(strength), starts[part], step, messages)
 
         in_parallel(send, len(starts))
     return messages
@@ -194,7 +185,7 @@ def _move(
     grid_step = (searches.nodes[-1] - searches.nodes[0]) / (own.shape[2] - 1)
     alone = np.rint((elevation[rows[:, None], cols] - searches.nodes[0]) / grid_step).astype(np.intp)
     together = np.empty_like(alone)
-    _most_likely(own, messages, alone, together)
+    most_likely(own, messages, alone, together)
 
     def work(search: PeakSearch, part: slice, columns: Columns) -> None:
         row, col = np.nonzero(together[part, columns] != alone[part, columns])
@@ -203,65 +194,3 @@ def _move(
         elevation[there] = search.peaks_uphill(covariance[there], together[row, col])
 
     searches.each(squint[cols], len(rows), work)
-
-
-# The loops below are compiled; elevations are nodes of the grid.
-
-
-@compiled
-def _concentrate(values: F32, noise_power: float, looks: F64) -> None:
-    """Replace values of the objective by log-likelihoods; `looks` K of each pixel."""
-    for i in range(len(values)):
-        line, count, scale = values[i], np.float32(looks[i]), np.float32(1 / (looks[i] * noise_power))
-        for g in range(line.size):
-            q = max(line[g] * scale, np.float32(1))
-            line[g] = count * (q - np.float32(1) - np.log(q))
-
-
-@compiled
-def _send_along(
-    own: F32, has_data: Bool, strength: np.float32, starts: Index, step: tuple[int, int], messages: F32
-) -> None:
-    """Walk along lines and add to `messages` what the pixels before say (Viterbi's recursion, less its maximum)."""
-    rows, cols, count = own.shape
-    path = np.full(count + 2 * FREE_NODES, LOWEST, np.float32)
-    inner, message = path[FREE_NODES : FREE_NODES + count], np.zeros(count, np.float32)
-    for line in range(len(starts)):
-        r, c = starts[line]
-        message[:] = 0
-        while 0 <= r < rows and 0 <= c < cols:
-            if has_data[r, c]:
-                pixel, total = own[r, c], messages[r, c]
-                for g in range(count):
-                    total[g] += message[g]
-                    inner[g] = pixel[g] + message[g]
-                _pass_on(path, strength, message)
-            else:
-                message[:] = 0
-            r, c = r + step[0], c + step[1]
-
-
-@compiled
-def _pass_on(path: F32, strength: np.float32, message: F32) -> None:
-    """What the next pixel hears: the best of nearby nodes, or of all for a jump, less the greatest."""
-    highest = LOWEST
-    for g in range(path.size):
-        highest = max(highest, path[g])
-    message[:] = path[: message.size]
-    for k in range(1, 2 * FREE_NODES + 1):
-        for g in range(message.size):
-            message[g] = max(message[g], path[g + k])
-    for g in range(message.size):
-        message[g] = max(message[g] - highest, -strength)
-
-
-@compiled
-def _most_likely(own: F32, messages: F32, alone: Index, together: Index) -> None:
-    """Fill `together` with the node of the greatest sum, or `alone` where the neighbours do not prefer that node."""
-    for r in range(own.shape[0]):
-        for c in range(own.shape[1]):
-            best = alone[r, c]
-            for g in range(own.shape[2]):
-                if own[r, c, g] + messages[r, c, g] > own[r, c, best] + messages[r, c, best]:
-                    best = g
-            together[r, c] = best if messages[r, c, best] > messages[r, c, alone[r, c]] else alone[r, c]

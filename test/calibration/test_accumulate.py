@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, circular
+from helpers import assert_one_sentence, circular, multilook
 
 from sal_height.beams.array import Beams, column_squint
 from sal_height.calibration.accumulate import Calibrator, common_response, targets_in
 from sal_height.calibration.beams import BeamCalibration
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import Looks, multilook
+from sal_height.elevation.looks import Looks
 from sal_height.errors import NotDetermined
 from sal_height.figures.synthetic_tape import RangeFault, Target, make_tape
 from sal_height.geometry.earth import sphere_point

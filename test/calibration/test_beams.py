@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from beam_tables import sample_pattern
-from helpers import BEAMWIDTH, circular, elevation_at, make_beams, make_sensor
+from helpers import BEAMWIDTH, circular, elevation_at, make_beams, make_sensor, multilook
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import Pattern, pattern_named
@@ -24,7 +24,7 @@ from sal_height.calibration.beams import (
     calibrate_phases,
 )
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation
-from sal_height.elevation.looks import Looks, covariance, multilook
+from sal_height.elevation.looks import Looks, covariance
 from sal_height.elevation.search import PeakSearches
 from sal_height.errors import NotDetermined, UserError
 from sal_height.sensor.channels import whitened_channels

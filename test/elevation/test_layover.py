@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, assert_one_sentence, circular, elevation_at, make_beams, offset_of
+from helpers import BEAMWIDTH, assert_one_sentence, circular, elevation_at, make_beams, multilook, offset_of
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS, Pattern
 from sal_height.elevation import layover
-from sal_height.elevation.layover import TwoScatterers, detection_threshold, two_scatterers, two_source_crb
+from sal_height.elevation.layover import TwoScatterers, detection_threshold, two_scatterers
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation, search_guard
-from sal_height.elevation.looks import multilook
 from sal_height.errors import UserError
 
 ONE_PERCENT = 0.01
@@ -116,6 +115,15 @@ def numerical_bound(beams: Beams, offsets: tuple[float, float], signal: np.ndarr
     ]
     fisher = 4 * np.array([[np.trace(first @ second).real for second in slopes] for first in slopes])
     return np.sqrt(np.diagonal(np.linalg.inv(fisher))[:2])
+
+
+def two_source_crb(
+    beams: Beams, elevations: np.ndarray, squint: float, cnrs: np.ndarray | tuple[float, float], looks: int
+) -> np.ndarray:
+    """Cramer-Rao bound (rad) of two independent Gaussian scatterers of unknown power, shape (..., 2)."""
+    model = layover._PairModel.of(beams, elevations, np.asarray(squint))
+    signal = np.maximum(cnrs, 0.0)[..., None] * np.eye(2)
+    return model.bound(signal @ np.linalg.inv(signal + model.gram) @ signal, looks)
 
 
 PAIRS = pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from helpers import (
     elevation_at,
     looks_of,
     make_beams,
+    multilook,
     noise_free_looks,
     offset_of,
     standard_error_of_rms,
@@ -25,7 +26,7 @@ from sal_height.elevation import search as peak_search
 from sal_height.elevation.bounds import stochastic_crb
 from sal_height.elevation.estimate import ElevationEstimate, Validity
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation, peak_elevation
-from sal_height.elevation.looks import Looks, live_detectors, multilook
+from sal_height.elevation.looks import Looks, live_detectors
 from sal_height.elevation.monopulse.estimators import DISCRIMINANTS
 from sal_height.elevation.monopulse.pairs import monopulse_elevation
 from sal_height.errors import UserError

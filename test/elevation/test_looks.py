@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, circular
+from helpers import assert_one_sentence, circular, multilook
 
-from sal_height.elevation.looks import Window, covariance, live_detectors, multilook, windowed_looks
+from sal_height.elevation.looks import Window, covariance, live_detectors, windowed_looks
 from sal_height.errors import Rejected, UserError
 
 CHANNELS, ROWS, COLS = 3, 7, 9

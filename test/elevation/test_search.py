@@ -10,7 +10,7 @@ from helpers import BEAMWIDTH, circular, elevation_at, make_beams, offset_of, ta
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS, Pattern
-from sal_height.elevation import search as peak_search
+from sal_height.elevation._kernels import NO_PEAK, is_behind_a_dip
 from sal_height.elevation.bounds import beam_power, information
 from sal_height.elevation.estimate import explained_power
 from sal_height.elevation.likelihood import GUARD, OBJECTIVES
@@ -111,7 +111,7 @@ def test_second_peak_is_told_from_the_first() -> None:
     np.testing.assert_allclose(found.height, 1, atol=0.01)
     np.testing.assert_allclose(found.second, 0.8, atol=0.01)
     alone = search(make_beams("gaussian", count=3), 0.0).peaks(np.ones((1, 3, 3), np.float32))
-    assert alone.second[0] == peak_search.NO_PEAK
+    assert alone.second[0] == NO_PEAK
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -119,7 +119,7 @@ def test_peak_behind_a_dip_that_falls_between_nodes_is_climbed(mirrored: bool) -
     """Of two peaks a third of a beamwidth apart the grid shows the lower one; the other is beside a bend upwards."""
     line = np.array([9.0, 12.20, 12.376, 12.3676, 12.3645, 11.78, 9.0], np.float32)
     line = line[::-1].copy() if mirrored else line
-    behind = [peak_search._behind_a_dip(line, g) for g in range(len(line))]
+    behind = [is_behind_a_dip(line, g) for g in range(len(line))]
     assert behind == [g == (2 if mirrored else 4) for g in range(len(line))]
     single = np.cos(np.linspace(-1.2, 1.2, 13)).astype(np.float32) ** 2
-    assert not any(peak_search._behind_a_dip(single, g) for g in range(2, 11))
+    assert not any(is_behind_a_dip(single, g) for g in range(2, 11))

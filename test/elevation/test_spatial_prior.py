@@ -7,16 +7,17 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, assert_one_sentence, make_beams, offset_of, target_slc
+from helpers import BEAMWIDTH, assert_one_sentence, make_beams, multilook, offset_of, target_slc
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import Pattern
 from sal_height.elevation import spatial_prior
+from sal_height.elevation._kernels import FREE_NODES
 from sal_height.elevation.estimate import explained_power
 from sal_height.elevation.likelihood import GUARD, OBJECTIVES, ml_elevation, peak_elevation
-from sal_height.elevation.looks import Covariance, multilook
+from sal_height.elevation.looks import Covariance
 from sal_height.elevation.search import PeakSearches
-from sal_height.elevation.spatial_prior import FREE_NODES, RECOMMENDED_STRENGTH, prior_elevation, smoothed_peaks
+from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH, prior_elevation, smoothed_peaks
 from sal_height.errors import UserError
 
 NORMALISED = OBJECTIVES["normalised"]

@@ -13,13 +13,13 @@ from helpers import (
     elevation_at,
     make_beams,
     make_sensor,
+    multilook,
     offset_of,
     target_slc,
 )
 
 from sal_height.elevation.estimate import ElevationEstimate, Validity
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import multilook
 from sal_height.errors import UserError
 from sal_height.sensor.channels import whitening, with_powers
 from sal_height.sensor.sensor import Sensor

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, flat_scene, looks_of, make_aperture, make_beams, make_sensor
+from helpers import BEAMWIDTH, blocks, flat_scene, looks_of, make_aperture, make_beams, make_sensor, multilook
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams.array import column_squint
 from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import Looks, Window, blocks, look_grid, multilook
+from sal_height.elevation.looks import Looks, Window, look_grid
 from sal_height.geometry.earth import EARTH_RADIUS, height_of, sphere_point
 from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
 from sal_height.geometry.grid import Grid, pixels_at

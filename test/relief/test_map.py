@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import assert_one_sentence, looks_of, make_aperture, make_sensor
+from helpers import assert_one_sentence, blocks, looks_of, make_aperture, make_sensor
 from scipy.spatial.transform import Rotation
 
 from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.looks import blocks, look_grid
+from sal_height.elevation.looks import look_grid
 from sal_height.errors import Rejected
 from sal_height.geometry.earth import height_of, sphere_point
 from sal_height.geometry.frames import ApertureState

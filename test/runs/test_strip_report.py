@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import blocks
 from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance
 
 from sal_height import messages
-from sal_height.elevation.looks import blocks, look_grid
+from sal_height.elevation.looks import look_grid
 from sal_height.errors import UserError
 from sal_height.geometry.frames import aperture_at
 from sal_height.geometry.locate import locate_at_elevation

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import bare_scatterers, direct_history, flat_scene
+from helpers import bare_scatterers, blocks, direct_history, flat_scene, multilook
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams.array import column_squint
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import blocks, look_grid, multilook
+from sal_height.elevation.looks import look_grid
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.formers.backprojection import backproject

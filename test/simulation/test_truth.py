@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, elevation_at, flat_scene, make_aperture, make_beams, make_sensor, offset_of, target_slc
+from helpers import (
+    BEAMWIDTH,
+    elevation_at,
+    flat_scene,
+    make_aperture,
+    make_beams,
+    make_sensor,
+    multilook,
+    offset_of,
+    target_slc,
+)
 
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import multilook
 from sal_height.geometry.earth import height_of
 from sal_height.geometry.frames import angles_of, look_direction
 from sal_height.geometry.grid import Grid, pixels_at

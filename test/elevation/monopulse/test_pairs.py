@@ -13,6 +13,7 @@ from helpers import (
     elevation_at,
     looks_of,
     make_beams,
+    multilook,
     noise_free_looks,
     offset_of,
     standard_error_of_rms,
@@ -26,7 +27,7 @@ from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS
 from sal_height.elevation.bounds import stochastic_crb
 from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.looks import Looks, multilook
+from sal_height.elevation.looks import Looks
 from sal_height.elevation.monopulse.estimators import (
     DISCRIMINANTS,
     noise_subtraction,

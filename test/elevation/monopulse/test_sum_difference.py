@@ -14,6 +14,7 @@ from helpers import (
     elevation_at,
     looks_of,
     make_beams,
+    multilook,
     noise_free_looks,
     offset_of,
     standard_error_of_rms,
@@ -27,7 +28,7 @@ from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS, pattern_named
 from sal_height.elevation.bounds import beam_power, information_of, stochastic_crb, stochastic_deviation
 from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.looks import Looks, multilook
+from sal_height.elevation.looks import Looks
 from sal_height.elevation.monopulse.discriminant import discriminant, discriminant_domain, discriminant_slope
 from sal_height.elevation.monopulse.estimators import (
     DISCRIMINANTS,

@@ -1,0 +1,138 @@
+"""Compiled loops over the looks of pixels: their power and centre, and the channels' covariance.
+
+Each has a twin in plain NumPy in the tests. Of each axis the loops know the first sample of pixel 0, the step from
+pixel to pixel and the weights of the looks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sal_height.numeric import C64, F32, F64, Index, compiled, inlined
+
+LOOKS_AT_ONCE = 4
+"""Looks whose outer products are added at a time: as many as stay in registers."""
+
+EXPONENT = np.uint32(0x7F800000)
+"""Bits of a float32's exponent, all set if it is infinite or not a number: compiled loops cannot ask for that."""
+
+
+@compiled
+def sum_powers(numbers: F32, weights: F32, first: int, power: F32) -> None:
+    """Weighted sum over channels of |g|^2 of samples from row `first` on; -1 where it is infinite or not a number."""
+    bits = power.view(np.uint32)
+    for r in range(len(power)):
+        line = power[r]
+        line[:] = 0
+        for m in range(len(numbers)):
+            here, weight = numbers[m, first + r], weights[m]
+            for c in range(line.size):
+                line[c] += weight * (here[2 * c] * here[2 * c] + here[2 * c + 1] * here[2 * c + 1])
+        for c in range(line.size):
+            if (bits[r, c] & EXPONENT) == EXPONENT:
+                line[c] = -1
+
+
+@compiled
+def find_centres(
+    sample_power: F32,
+    down: tuple[int, int, F64],
+    across: tuple[int, int, F64],
+    first: int,
+    result: tuple[F64, F64, F64],
+) -> None:
+    """Power, mean row and mean column of the looks of pixels from row `first` on; power -1 where one is bad."""
+    (top, row_step, row_weights), (left, col_step, col_weights) = down, across
+    rows, cols = sample_power.shape
+    power, row, col = result
+    for i in range(power.shape[0]):
+        for j in range(power.shape[1]):
+            start, side = top + (first + i) * row_step, left + j * col_step
+            total, by_row, by_col, count, mean_row, mean_col, bad = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False
+            for r in range(max(start, 0), min(start + row_weights.size, rows)):
+                for c in range(max(side, 0), min(side + col_weights.size, cols)):
+                    looked = row_weights[r - start] * col_weights[c - side]
+                    weight = looked * sample_power[r, c]
+                    bad |= weight < 0
+                    total += weight
+                    by_row += weight * r
+                    by_col += weight * c
+                    count += looked
+                    mean_row += looked * r
+                    mean_col += looked * c
+            empty = bad or total == 0
+            power[i, j] = -1.0 if bad else total
+            row[i, j] = mean_row / count if empty else by_row / total
+            col[i, j] = mean_col / count if empty else by_col / total
+
+
+@compiled
+def sum_covariances(
+    numbers: F32,
+    gains: C64,
+    pixels: tuple[Index, Index],
+    down: tuple[int, int, F32],
+    across: tuple[int, int, F32],
+    scale: F32,
+    parts: F32,
+) -> None:
+    """See `SlcCovariance`; `parts` are the real part, and the imaginary one if wanted: (pixels, 1 or 2, M, M)."""
+    (top, row_step, row_weights), (left, col_step, col_weights) = down, across
+    channels, rows, twice = numbers.shape
+    most = row_weights.size * col_weights.size + LOOKS_AT_ONCE
+    x, y = np.empty((most, channels), np.float32), np.empty((most, channels), np.float32)
+    for i in range(len(parts)):
+        row, col = pixels[0][i], pixels[1][i]
+        start, side, count = top + row * row_step, left + col * col_step, 0
+        if scale[row, col] > 0:
+            for r in range(max(start, 0), min(start + row_weights.size, rows)):
+                for c in range(max(side, 0), min(side + col_weights.size, twice // 2)):
+                    weight = np.sqrt(scale[row, col] * row_weights[r - start] * col_weights[c - side])
+                    for m in range(channels):
+                        real, imaginary = weight * numbers[m, r, 2 * c], weight * numbers[m, r, 2 * c + 1]
+                        x[count, m] = gains[m].real * real - gains[m].imag * imaginary
+                        y[count, m] = gains[m].real * imaginary + gains[m].imag * real
+                    count += 1
+        _sum_outer_products(x, y, count, parts[i])
+
+
+@compiled
+def sum_samples(numbers: F32, parts: F32) -> None:
+    """See `covariance`; numbers of shape (pixels, looks, 2 M), parts as of `sum_covariances`."""
+    looks, channels = numbers.shape[1], numbers.shape[2] // 2
+    x = np.empty((looks + LOOKS_AT_ONCE, channels), np.float32)
+    y = np.empty_like(x)
+    for i in range(len(numbers)):
+        for k in range(looks):
+            for m in range(channels):
+                x[k, m] = numbers[i, k, 2 * m]
+                y[k, m] = numbers[i, k, 2 * m + 1]
+        _sum_outer_products(x, y, looks, parts[i])
+
+
+@inlined
+def _sum_outer_products(x: F32, y: F32, count: int, parts: F32) -> None:
+    """Sum of g g^H over `count` samples g = x + j y, as parts (1 or 2, M, M); spare rows of x and y are overwritten."""
+    padded = max(1, -(-count // LOOKS_AT_ONCE)) * LOOKS_AT_ONCE
+    for k in range(count, padded):
+        for m in range(x.shape[1]):
+            x[k, m] = 0
+            y[k, m] = 0
+    for k in range(0, padded, LOOKS_AT_ONCE):
+        _add_four(x, y, np.float32(1), x, y, k, parts[0])
+        if len(parts) == 2:
+            _add_four(y, x, np.float32(-1), x, y, k, parts[1])
+
+
+@inlined
+def _add_four(p: F32, q: F32, sign: np.float32, x: F32, y: F32, k: int, result: F32) -> None:
+    """Add p x^T + sign q y^T of four samples from number `k` on to `result` (M, M), which the first ones overwrite."""
+    x0, x1, x2, x3, y0, y1, y2, y3 = x[k], x[k + 1], x[k + 2], x[k + 3], y[k], y[k + 1], y[k + 2], y[k + 3]
+    for m in range(len(result)):
+        row = result[m]
+        p0, p1, p2, p3 = p[k, m], p[k + 1, m], p[k + 2, m], p[k + 3, m]
+        q0, q1, q2, q3 = sign * q[k, m], sign * q[k + 1, m], sign * q[k + 2, m], sign * q[k + 3, m]
+        for n in range(row.size):
+            before = row[n] if k > 0 else np.float32(0)
+            first = p0 * x0[n] + p1 * x1[n] + p2 * x2[n] + p3 * x3[n]
+            row[n] = before + first + q0 * y0[n] + q1 * y1[n] + q2 * y2[n] + q3 * y3[n]

@@ -175,9 +175,7 @@ class PeakSearch:
         return np.ascontiguousarray(np.block([[real, -imaginary], [imaginary, real]]), dtype=np.float32)
 
 
-REAL_COVARIANCE = (
-    "The beams are complex but the covariance is real; it must be complex (argument hermitian of the looks)."
-)
+REAL_COVARIANCE = "The covariance of complex beams is real; it must be complex (looks with hermitian=True)."
 
 Find = Callable[[PeakSearch, Covariance, slice, Columns], F64]
 """Gives numbers (count, pixels) from the search at the pixels' squint, their covariance (pixels, channels, channels),

@@ -122,7 +122,7 @@ class Setting:
         """The values that are allowed, as the end of a sentence."""
         if self.choices:
             return f"allowed are {', '.join(self.choices)}"
-        kind = KINDS.get(self.kind, f"of type {self.kind}")
+        kind = KINDS.get(self.kind, "a list of texts" if self.kind == tuple[str, ...] else f"of type {self.kind}")
         if self.minimum is not None and self.maximum is not None:
             return f"it must be {kind} from {self.minimum:.10g} to {self.maximum:.10g}"
         if self.minimum is not None:

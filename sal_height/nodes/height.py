@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import create_model
@@ -18,7 +18,8 @@ from sal_height.elevation import ESTIMATORS, ElevationEstimator, Validity
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import LATCHED_QOS
+from sal_height.nodes.role import Topics
+from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS, height_topics
 from sal_height.pipeline import heights
 from sal_height.sensor import Sensor
 
@@ -33,6 +34,7 @@ class HeightNode(DwellStage):
     """
 
     estimator: ElevationEstimator
+    inputs: ClassVar[Topics] = {"sensor_info": SENSOR_TOPICS["sensor_info"], **IMAGES, **CALIBRATION}
     takes_images = True
     settable = True
 
@@ -75,8 +77,8 @@ class HeightNode(DwellStage):
         provenance = messages.derived(first.provenance, self.get_name(), parameters)
         looks = (parameters.range_looks, parameters.azimuth_looks)
         image = messages.height_to_message(field, slc.aperture, looks, self.estimator.name, first, provenance)
-        self._image.publish(messages.height_picture(image))
-        self._points.publish(messages.height_points(field, image))
+        self._image.publish_if_heard(lambda: messages.height_picture(image))
+        self._points.publish_if_heard(lambda: messages.height_points(field, image))
         self._height.publish(image)
         return 1
 
@@ -111,7 +113,13 @@ class HeightNode(DwellStage):
 def height_node(estimator: ElevationEstimator) -> type[HeightNode]:
     """The class of an estimator's node."""
     parameters = create_model(f"{estimator.name}_parameters", __base__=(estimator.settings, DwellParameters))
-    attributes = {"estimator": estimator, "product": estimator.name, "parameters": parameters}
+    attributes = {
+        "estimator": estimator,
+        "product": estimator.name,
+        "outputs": height_topics(estimator.name),
+        "parameters": parameters,
+        "__doc__": f"Estimates heights from the images of all channels of a dwell; estimator: {estimator.title}.",
+    }
     return type(f"HeightNode_{estimator.name}", (HeightNode,), attributes)
 
 

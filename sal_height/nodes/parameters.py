@@ -41,7 +41,7 @@ class LiveParameters(Generic[SettingsT]):
         self._lock = threading.Lock()
         self.current = model(**{name: _override(node, entry) for name, entry in self._entries.items()})
         for name, entry in self._entries.items():
-            node.declare_parameter(name, getattr(self.current, name), _descriptor(entry), ignore_override=True)
+            node.declare_parameter(name, _to_ros(getattr(self.current, name)), _descriptor(entry), ignore_override=True)
         node.add_pre_set_parameters_callback(self._convert)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._replace)
@@ -66,7 +66,9 @@ class LiveParameters(Generic[SettingsT]):
             self.current = self._with(parameters)
 
     def _with(self, parameters: list[Parameter]) -> SettingsT:
-        return self.current.changed(**{p.name: p.value for p in parameters if p.name in self._entries})
+        return self.current.changed(
+            **{p.name: _from_ros(p.value, self._entries[p.name]) for p in parameters if p.name in self._entries}
+        )
 
 
 def _override(node: Node, entry: Setting) -> Any:
@@ -75,9 +77,22 @@ def _override(node: Node, entry: Setting) -> Any:
     rclpy shows an override of the wrong type only to a parameter of any type. Such a parameter is declared for the
     moment.
     """
-    value = node.declare_parameter(entry.name, entry.default, ParameterDescriptor(dynamic_typing=True)).value
+    default = None if isinstance(entry.default, tuple) else entry.default
+    value = node.declare_parameter(entry.name, default, ParameterDescriptor(dynamic_typing=True)).value
     node.undeclare_parameter(entry.name)
-    return value
+    return _from_ros(value, entry)
+
+
+def _from_ros(value: Any, entry: Setting) -> Any:
+    """A value of ROS as the model takes it: lists as tuples, and the default for a list that is not given."""
+    if not isinstance(entry.default, tuple):
+        return value
+    return entry.default if value is None else tuple(value) if isinstance(value, list) else value
+
+
+def _to_ros(value: Any) -> Any:
+    """A value of a model as rclpy takes it; an empty list, of which rclpy cannot tell the type, is one of texts."""
+    return (list(value) or Parameter.Type.STRING_ARRAY) if isinstance(value, tuple) else value
 
 
 def _descriptor(entry: Setting) -> ParameterDescriptor:

@@ -14,7 +14,7 @@ from sal_height.bag.definitions import message_class
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage, StageParameters
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS, Stage, StageParameters
 from sal_height.settings import setting
 
 INPUTS = {"sensor_info": LATCHED_QOS, "platform/odometry": ODOMETRY_QOS, "phase_history": FRAMES_QOS}
@@ -34,6 +34,7 @@ class Player(Stage):
     """Publishes the recorded bytes of one group of dwells at each call of ~/step."""
 
     parameters = Parameters
+    outputs = SENSOR_TOPICS
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.

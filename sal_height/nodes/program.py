@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Callable
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
@@ -14,10 +13,11 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from sal_height.errors import UserError
+from sal_height.nodes.usage import announce, check_arguments, check_overrides, program_name, usage
 
 
-def run_node(make: Callable[[], Node]) -> int:
-    """Run one node until SIGINT or SIGTERM.
+def run_node(make: type[Node]) -> int:
+    """Run one node until SIGINT or SIGTERM, or print what it does if --help is asked for.
 
     A signal only ends the loop, so that it can cut neither a message nor the node's end.
 
@@ -25,18 +25,25 @@ def run_node(make: Callable[[], Node]) -> int:
         The exit status: 0, 1 if the node ended with a `failure`, or 2 with one sentence on stderr if the arguments
         cannot be used.
     """
+    if {"--help", "-h"} & set(sys.argv[1:]):
+        sys.stdout.write(usage(make, program_name()))
+        return 0
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+        check_arguments(sys.argv)
         node = make()
+        check_overrides(node)
+        announce(node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not stop.is_set():
             executor.spin_once(timeout_sec=0.1)
         executor.remove_node(node)
         node.destroy_node()
+        executor.shutdown()
     except (UserError, RCLError) as error:
         sys.stderr.write(f"{' '.join(str(error).split())}\n")
         return 2

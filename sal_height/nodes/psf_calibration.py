@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from builtin_interfaces.msg import Time
 from rclpy._rclpy_pybind11 import RCLError
@@ -17,7 +17,8 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import sphere_point
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import LATCHED_QOS
+from sal_height.nodes.role import Topics
+from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS
 from sal_height.numeric import F64
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
@@ -53,6 +54,8 @@ class PsfCalibration(DwellStage):
     """Measures receivers and beams on the images of whatever is flown over, and publishes what it found."""
 
     parameters = Parameters
+    inputs: ClassVar[Topics] = {"sensor_info": SENSOR_TOPICS["sensor_info"], **IMAGES}
+    outputs = CALIBRATION
     takes_images = True
     completes_file = True
 

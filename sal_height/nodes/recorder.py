@@ -5,15 +5,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
-from rclpy.exceptions import ParameterException
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
@@ -21,8 +18,10 @@ from sal_height.bag.definitions import message_class
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.nodes.account import RECORDED, UNWRITTEN, Account
+from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
-from sal_height.nodes.role import Role
+from sal_height.nodes.role import Role, Topics
+from sal_height.settings import Settings, setting
 
 DIAGNOSTICS = "/diagnostics"
 NEVER_BY_DEFAULT = ("/rosout", "/parameter_events")
@@ -33,12 +32,26 @@ NEWS_DELAY_S = 0.02  # from the first message written to the account that counts
 FLUSH_PERIOD_S = 1.0  # at most this much is lost when the process is killed
 
 
+class Parameters(Settings):
+    """Parameters of the node."""
+
+    directory: str = setting("", "new or empty folder for the bag", read_only=True)
+    topics: tuple[str, ...] = setting(
+        (), f"topics to record; none: every topic except {' and '.join(NEVER_BY_DEFAULT)}", read_only=True
+    )
+    custom_data: tuple[str, ...] = setting(
+        (), "texts to store in the bag, each as NAME=TEXT, as with ros2 bag record --custom-data", read_only=True
+    )
+
+
 class Recorder(Role, Node):
     """Subscribes to topics as soon as they have a publisher and writes their serialized messages to a bag.
 
     The bag is complete once the node is destroyed or its context shut down.
     """
 
+    parameters = Parameters
+    inputs: ClassVar[Topics] = {"<topics>": "whatever is published"}
     completes_file = True
 
     def __init__(self, directory: Path | None = None, **node_arguments: Any) -> None:
@@ -49,12 +62,13 @@ class Recorder(Role, Node):
         """
         super().__init__("recorder", **node_arguments)
         try:
-            self._topics = self._declare_topics()
-            custom_data = self._declare_custom_data()
-            self._bag = BagWriter(self._declare_directory(directory), custom_data)
-        except (ParameterException, UserError) as error:
+            parameters = LiveParameters(self, Parameters).current
+            self._topics = [self.resolve_topic_name(name) for name in parameters.topics]
+            custom_data = dict(_name_and_text(text) for text in parameters.custom_data)
+            self._bag = BagWriter(directory or _folder(parameters.directory), custom_data)
+        except UserError:
             super().destroy_node()
-            raise UserError(str(error)) from error
+            raise
         self._subscribed: dict[str, Subscription] = {}
         self._refused: set[str] = set()
         self._recorded: dict[str, int] = {}
@@ -98,34 +112,6 @@ class Recorder(Role, Node):
         """Complete the bag and destroy the node."""
         self.close_bag()
         super().destroy_node()
-
-    def _declare_directory(self, directory: Path | None) -> Path:
-        description = "Folder of the bag; it must not exist or be empty."
-        value = self.declare_parameter(
-            "directory", str(directory or ""), ParameterDescriptor(description=description, read_only=True)
-        ).value
-        if not value:
-            raise UserError("parameter 'directory' of the recorder is empty; it must name a new folder for the bag")
-        return Path(value)
-
-    def _declare_topics(self) -> list[str]:
-        description = f"Topics to record; none: every topic except {' and '.join(NEVER_BY_DEFAULT)}."
-        # Declared by type, for rclpy takes an empty list for one of bytes.
-        self.declare_parameter(
-            "topics", Parameter.Type.STRING_ARRAY, ParameterDescriptor(description=description, read_only=True)
-        )
-        names = self.get_parameter_or("topics", Parameter("topics", Parameter.Type.STRING_ARRAY, [])).value
-        return [self.resolve_topic_name(name) for name in names]
-
-    def _declare_custom_data(self) -> dict[str, str]:
-        description = "Texts to store in the bag, each as NAME=TEXT, as with ros2 bag record --custom-data."
-        self.declare_parameter(
-            "custom_data", Parameter.Type.STRING_ARRAY, ParameterDescriptor(description=description, read_only=True)
-        )
-        texts = self.get_parameter_or("custom_data", Parameter("custom_data", Parameter.Type.STRING_ARRAY, [])).value
-        if wrong := [text for text in texts if "=" not in text]:
-            raise UserError(f"parameter 'custom_data' of the recorder has {wrong[0]!r}; each text must be NAME=TEXT")
-        return dict(text.split("=", 1) for text in texts)
 
     def _discover(self) -> None:
         """Subscribe to the topics that have come to have a publisher."""
@@ -221,6 +207,19 @@ class Recorder(Role, Node):
                 f"bag '{self._bag.directory}' cannot be written any further, messages are lost from now on: {error}; "
                 f"'sal-height salvage {self._bag.directory} --out DIR' recovers what was written before"
             )
+
+
+def _folder(path: str) -> Path:
+    if not path:
+        raise UserError("Parameter directory is empty; it must name a new folder for the bag.")
+    return Path(path)
+
+
+def _name_and_text(text: str) -> tuple[str, str]:
+    name, separator, rest = text.partition("=")
+    if not separator:
+        raise UserError(f"Parameter custom_data has {text!r}; each of its texts must be NAME=TEXT.")
+    return name, rest
 
 
 def _matching(offered: list[QoSProfile]) -> QoSProfile:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.duration import Duration
@@ -17,6 +17,7 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.program import run_node
 from sal_height.nodes.relief_tracker import PREFIX as TRACKED
+from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import LATCHED_QOS, Stage, StageParameters, payload_bytes
 from sal_height.relief import check_geotiff, write_geotiff
 from sal_height.relief import map as relief_map
@@ -85,6 +86,12 @@ class ReliefMapper(Stage):
     """
 
     parameters = Parameters
+    inputs: ClassVar[Topics] = {"<estimator>/height": "heights of the estimator that the parameter names"}
+    outputs: ClassVar[Topics] = {
+        "map/relief": "map of heights and of their standard deviations, latched",
+        "map/image": "picture of the map, latched",
+        "map/points": "the map as points, latched, made while somebody listens",
+    }
     takes_heights = True
     settable = True
     completes_file = True
@@ -161,14 +168,13 @@ class ReliefMapper(Stage):
 
     def _publish(self) -> int:
         """Publish the map as it stands; the number of messages."""
-        relief = self._map.relief() if self._map else None
-        if relief is None or self._last is None:
+        relief, last = self._map.relief() if self._map else None, self._last
+        if relief is None or last is None:
             return 0
-        message = messages.relief_to_message(relief, self._images, self._last, self._provenance(self._last))
+        message = messages.relief_to_message(relief, self._images, last, self._provenance(last))
         with suppress(RCLError):  # the context may have ended: nobody is left to publish to
-            self._image.publish(messages.relief_picture(relief, self._last))
-            if self._points.subscribers:  # heights wait while they are made: a second for millions
-                self._points.publish(messages.relief_points(relief, self._last))
+            self._image.publish(messages.relief_picture(relief, last))
+            self._points.publish_if_heard(lambda: messages.relief_points(relief, last))  # a second for millions
             self._relief.publish(message)
         return 1
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
 from sal_height_msgs.msg import HeightImage
 from sensor_msgs.msg import Image, PointCloud2
@@ -11,7 +11,8 @@ from sensor_msgs.msg import Image, PointCloud2
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import Stage, StageParameters, payload_bytes
+from sal_height.nodes.role import Topics
+from sal_height.nodes.stage import Stage, StageParameters, height_topics, payload_bytes
 from sal_height.relief import GATE, track
 from sal_height.settings import setting
 
@@ -54,6 +55,8 @@ class ReliefTracker(Stage):
     """Tracks the heights of every image along range; its parameters are Parameters."""
 
     parameters = Parameters
+    inputs: ClassVar[Topics] = {"<estimator>/height": "heights of the estimator that the parameter names"}
+    outputs = height_topics(PREFIX)
     product = PREFIX
     takes_heights = True
     settable = True
@@ -84,8 +87,8 @@ class ReliefTracker(Stage):
         provenance = messages.derived(message.provenance, self.get_name(), used)
         looks = message.range_looks, message.azimuth_looks
         image = messages.height_to_message(tracked, aperture, looks, PREFIX, message, provenance)
-        self._image.publish(messages.height_picture(image))
-        self._points.publish(messages.height_points(tracked, image))
+        self._image.publish_if_heard(lambda: messages.height_picture(image))
+        self._points.publish_if_heard(lambda: messages.height_points(tracked, image))
         self._height.publish(image)
         return 1
 

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
+
+Topics = Mapping[str, str]
+"""What each topic of a node carries."""
 
 
 class Role:
     """Part of a node's class; the defaults are those of a node that nothing special is known of."""
+
+    inputs: ClassVar[Topics] = {}
+    """Topics that the node subscribes to, and what comes on them."""
+
+    outputs: ClassVar[Topics] = {}
+    """Topics that the node publishes, and what they are."""
 
     product: ClassVar[str] = ""
     """Prefix of the topics of the heights that the node publishes, `<product>/height`; empty: it publishes none."""

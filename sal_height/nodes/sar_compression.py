@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import Calibration as CalibrationMessage
@@ -19,7 +19,8 @@ from sal_height.imaging import ImageSettings
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.odometry import Arrival, OdometryHistory
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.role import Topics
+from sal_height.nodes.stage import IMAGES, LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS
 from sal_height.pipeline import Compressor
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
@@ -68,6 +69,14 @@ class SarCompression(DwellStage):
     """Focuses the frames of all detectors of a dwell with one and the same filter."""
 
     parameters = Parameters
+    inputs: ClassVar[Topics] = {
+        **SENSOR_TOPICS,
+        "calibration": "calibration to apply, only if the parameter calibration is topic",
+    }
+    outputs: ClassVar[Topics] = {
+        **IMAGES,
+        "calibration": "calibration of the file that the parameter calibration names",
+    }
     settable = True
 
     def __init__(self, **node_arguments: Any) -> None:

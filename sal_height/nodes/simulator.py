@@ -9,7 +9,7 @@ from sal_height_msgs.msg import DetectorFrame, SensorInfo
 
 from sal_height import messages
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, Stage, StageParameters
+from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS, Stage, StageParameters
 from sal_height.settings import setting
 from sal_height.simulation import flight_of, load_preset
 
@@ -36,6 +36,7 @@ class Simulator(Stage):
     """
 
     parameters = Parameters
+    outputs = SENSOR_TOPICS
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import copy
 import math
 import threading
 import time
@@ -43,7 +44,20 @@ LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durabi
 QOS_OVERRIDES = QoSOverridingOptions(
     [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY]
 )
-"""Policies that users can change by the qos_overrides parameters."""
+"""Policies that users can set by the qos_overrides parameters; rclpy writes them into the profile that it is given."""
+
+SENSOR_TOPICS = {
+    "sensor_info": "description of the sensor, latched",
+    "platform/odometry": "state of the platform, nav_msgs/Odometry",
+    "phase_history": "samples of one channel and dwell in each message",
+}
+"""What a sensor publishes."""
+
+IMAGES = {"slc": "complex image of one channel and dwell in each message"}
+"""What the compression publishes."""
+
+CALIBRATION = {"calibration": "calibration of receivers and beams, latched"}
+"""What a calibration is published on."""
 
 DIAGNOSTICS_PERIOD_S = 0.5
 
@@ -99,6 +113,11 @@ class Outlet:
         self.publisher.publish(message)
         self.published += 1
 
+    def publish_if_heard(self, make: Callable[[], Any]) -> None:
+        """Make a message and publish it, if there is a subscription."""
+        if self.subscribers:
+            self.publish(make())
+
 
 @dataclass
 class Inlet:
@@ -153,7 +172,7 @@ class Stage(Role, Node):
 
     def offer(self, message_type: type, topic: str, qos: QoSProfile = FRAMES_QOS) -> Outlet:
         """A publisher whose messages and subscribers are counted in the diagnostics."""
-        publisher = self.create_publisher(message_type, topic, qos, qos_overriding_options=QOS_OVERRIDES)
+        publisher = self.create_publisher(message_type, topic, copy.copy(qos), qos_overriding_options=QOS_OVERRIDES)
         self._offered.append(Outlet(publisher))
         return self._offered[-1]
 
@@ -183,7 +202,9 @@ class Stage(Role, Node):
             inlet.heard_at = time.monotonic()
             callback(message)
 
-        self.create_subscription(message_type, topic, self._guarded(receive), qos, qos_overriding_options=QOS_OVERRIDES)
+        self.create_subscription(
+            message_type, topic, self._guarded(receive), copy.copy(qos), qos_overriding_options=QOS_OVERRIDES
+        )
 
     def every(self, period_s: float, callback: Callable[[], Any], clock: Clock | None = None) -> None:
         """Call `callback` again and again, by a clock that never stands still unless another one is given."""
@@ -328,6 +349,15 @@ class Stage(Role, Node):
     def _work(self) -> None:
         while job := self._jobs.get():
             job.run()
+
+
+def height_topics(prefix: str) -> dict[str, str]:
+    """What a node that makes heights publishes."""
+    return {
+        f"{prefix}/height": "height, place, standard deviation and validity of every pixel",
+        f"{prefix}/image": "picture of the heights, made while somebody listens",
+        f"{prefix}/points": "the heights as points, made while somebody listens",
+    }
 
 
 def payload_bytes(message: Any) -> int:

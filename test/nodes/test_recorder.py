@@ -176,9 +176,9 @@ def test_the_directory_can_be_a_parameter(graph: Graph, bag: Path) -> None:
 @pytest.mark.parametrize(
     ("parameters", "sentence"),
     [
-        ({}, "parameter 'directory' of the recorder is empty"),
-        ({"directory": 5}, "parameter 'directory' .* expecting type 'STRING'"),
-        ({"directory": "out", "topics": "/note"}, "parameter 'topics' .* expecting type 'STRING_ARRAY'"),
+        ({}, "Parameter directory is empty"),
+        ({"directory": 5}, "Parameter directory is 5; it must be a text"),
+        ({"directory": "out", "topics": "/note"}, "Parameter topics is '/note'; it must be a list of texts"),
         ({"directory": "/"}, "is not empty"),
     ],
 )
@@ -339,7 +339,7 @@ def test_the_program_ends_with_status_2_and_one_sentence_without_a_directory(dom
     process = run_main(domain_id=domain_id)
     _, errors = process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == 2
-    assert errors == "parameter 'directory' of the recorder is empty; it must name a new folder for the bag\n"
+    assert errors == "Parameter directory is empty; it must name a new folder for the bag.\n"
 
 
 def run_main(*arguments: str, domain_id: int) -> subprocess.Popen[str]:

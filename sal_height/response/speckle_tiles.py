@@ -8,6 +8,8 @@ their Laguerre polynomials of degree n by |rho(l)|^2n.
     moment    <I^2> / <I>^2 is 2 (Rayleigh amplitude; contrast 0.5227). With degree 2, its variance over N pixels is
               4 sum |rho|^4 / N, its bias -2 sum |rho|^2 / N, and its skewness that of N_e = N / sum |rho|^4
               independent pixels, 10 / sqrt(N_e): Pearson's type III.
+    white     neighbouring pixels do not correlate: receiver noise, or a response that fills all frequencies evenly,
+              from which it cannot be told. Such tiles do not show the response.
     texture   the variance of the mean intensities of blocks: that of speckle is <I>^2 sum |rho|^2 / pixels, summed up
               within a block; more than that is intensity that correlates where the field does not. Chi-square, with
               the degrees of freedom that the kurtosis of gamma-distributed means leaves.
@@ -30,7 +32,7 @@ TILE = (64, 64)
 LEAST_TILE = 8
 """Fewer rows or columns than this make no tile."""
 
-REASONS = ("pure", "not finite", "zero", "real", "clipped", "moment", "texture", "beside a bright point")
+REASONS = ("pure", "not finite", "zero", "real", "clipped", "white", "moment", "texture", "beside a bright point")
 """What may become of a tile, in the order of the tests; the last is for those who know where bright points are."""
 
 CLIPPED_SHARE = 1e-3
@@ -41,6 +43,9 @@ ZERO_SHARE = 5e-3
 
 REACH = 16
 """Greatest lag, in pixels, at which the field's correlation is measured."""
+
+NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1))
+"""Lags in rows and columns at which speckle that is sampled more finely than its band correlates."""
 
 SAMPLED_TILES = 64
 """Most tiles from which the field's correlation is measured."""
@@ -102,8 +107,9 @@ def find_pure_speckle(image: C64, tile: tuple[int, int] = TILE, significance: fl
     block = (max(4, rows // 8), max(4, cols // 8))
     sums, means = _tile_sums(image, (rows, cols), block)
     verdict = _unusable(sums, rows * cols)
-    correlation = _field_correlation(image, (rows, cols), np.argwhere(verdict == 0))
     intensity = sums[..., 1] / (rows * cols)
+    verdict[(verdict == 0) & (_white_tail(image, (rows, cols), intensity) >= significance)] = REASONS.index("white")
+    correlation = _field_correlation(image, (rows, cols), np.argwhere(verdict == 0))
     with np.errstate(invalid="ignore", divide="ignore"):
         moment = sums[..., 2] / (rows * cols) / intensity**2
         texture, texture_tail = _texture(means / intensity[..., None], correlation, (rows, cols), block)
@@ -115,7 +121,8 @@ def find_pure_speckle(image: C64, tile: tuple[int, int] = TILE, significance: fl
         failed = ", ".join(f"{count} {reason}" for reason, count in found.counts().items() if count)
         raise NotDetermined(
             f"None of the {verdict.size} tiles of {rows} x {cols} pixels is pure speckle ({failed}); needed is one "
-            f"whose intensity has the moment 2, and no texture, at a significance of {significance:g}."
+            f"whose intensity has the moment 2, and no texture, at a significance of {significance:g}, and whose "
+            "neighbouring pixels correlate: those of receiver noise (white) do not."
         )
     return found
 
@@ -209,6 +216,24 @@ def _field_correlation(image: C64, tile: tuple[int, int], usable: Index) -> C128
     rho = np.median(covariance.real, axis=0) + 1j * np.median(covariance.imag, axis=0)
     error = np.sum(np.abs(rho) ** 2) / (len(chips) * pairs)
     return np.where(np.abs(rho) ** 2 > 9 * error, rho, 0)
+
+
+def _white_tail(image: C64, tile: tuple[int, int], intensity: F64) -> F64:
+    """Probability that neighbouring pixels of white noise correlate as much as those of each tile, or more.
+
+    The correlation of n pairs of pixels of a white circular Gaussian field is circular Gaussian of power 1 / n; the
+    sum of n |rho|^2 over the lags is a gamma variable. Shape (tiles down, tiles across); NaN where a tile has no power.
+    """
+    (down, across), (rows, cols) = intensity.shape, tile
+    tiles = image[: down * rows, : across * cols].reshape(down, rows, across, cols)
+    total = np.zeros(intensity.shape)
+    for step, aside in NEIGHBOURS:
+        here = tiles[:, : rows - step, :, max(0, -aside) : cols - max(0, aside)]
+        there = tiles[:, step:, :, max(0, aside) : cols - max(0, -aside)]
+        pairs = (rows - step) * (cols - abs(aside))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            total += np.abs(np.einsum("irjc,irjc->ij", here, there.conj())) ** 2 / (pairs * intensity**2)
+    return gammaincc(len(NEIGHBOURS), total)
 
 
 def sum_of_powers(correlation: C128, size: tuple[int, int], exponent: float, along: int | None = None) -> float:

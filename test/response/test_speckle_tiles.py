@@ -8,10 +8,9 @@ from helpers import assert_one_sentence, circular
 
 from sal_height.errors import NotDetermined, UserError
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
-from sal_height.response.speckle_tiles import find_pure_speckle, sum_of_powers
+from sal_height.response.speckle_tiles import REASONS, find_pure_speckle, sum_of_powers
 
 TAPES = {
-    "white": {},
     "wide response": {"range_fault": RangeFault(), "azimuth_fault": AzimuthFault()},
     "swing": {"range_fault": RangeFault(), "azimuth_fault": AzimuthFault(swing=0.1)},
     "noise": {"range_fault": RangeFault(), "azimuth_fault": AzimuthFault(), "noise": 0.6},
@@ -21,7 +20,7 @@ TAPES = {
 @pytest.mark.parametrize("name", TAPES)
 @pytest.mark.parametrize("tile", [(32, 32), (64, 12)])
 def test_each_test_loses_its_significance_of_pure_speckle(name: str, tile: tuple[int, int]) -> None:
-    """5 % of 2048 and more tiles: standard error 0.5 %. As many would be lost from white pixels as from correlated."""
+    """5 % of 2048 and more tiles: standard error 0.5 %."""
     rng, lost, tiles = np.random.default_rng(31), {"moment": 0, "texture": 0}, 0
     for _ in range(2):
         counts = find_pure_speckle(make_tape((1024, 1024), rng, **TAPES[name]), tile, 0.05).counts()
@@ -62,7 +61,7 @@ def test_what_is_not_pure_is_counted_by_its_reason() -> None:
     image[384:448, 128:192] *= 1 + 0.3 * np.sin(2 * np.pi * np.arange(64) / 64)
     found = find_pure_speckle(image)
     counts = found.counts()
-    assert found.verdict[0, 0] == 5
+    assert found.verdict[0, 0] == REASONS.index("moment")
     assert found.verdict[1, 0] == 5
     assert (counts["not finite"], counts["zero"], counts["real"], counts["clipped"]) == (2, 1, 1, 1)
     assert not found.pure[6, 1]
@@ -91,8 +90,32 @@ def test_brightness_from_tile_to_tile_does_not_matter() -> None:
     np.testing.assert_allclose(found.intensity, expected.intensity * gain[::64] ** 2, rtol=1e-5)
 
 
+def test_receiver_noise_is_no_speckle() -> None:
+    """The response of a flat spectrum would be 1 at all frequencies. One tile of 1000 of noise is taken for speckle."""
+    rng = np.random.default_rng(11)
+    noise = circular(rng, (2048, 2048)).astype(np.complex64)
+    water = find_pure_speckle(make_tape((256, 256), rng, **TAPES["wide response"]))
+    assert water.counts()["white"] == 0
+    with pytest.raises(NotDetermined) as error:
+        find_pure_speckle(noise[:256, :256])
+    assert_one_sentence(str(error.value), "16 white", "receiver noise")
+    counts = find_pure_speckle(noise, (32, 32), 0.05).counts()
+    assert counts["pure"] / (counts["pure"] + counts["white"]) == pytest.approx(0.05, abs=0.011)  # 3 standard errors
+
+
+def test_noise_beside_land_is_left_out() -> None:
+    """Half of the image is land, half is calm water, which returns nothing."""
+    rng = np.random.default_rng(12)
+    land = make_tape((256, 256), rng, **TAPES["wide response"])
+    image = np.hstack([land, circular(rng, (256, 256)).astype(np.complex64)])
+    found = find_pure_speckle(image)
+    assert found.pure[:, :4].sum() >= 15
+    assert found.counts()["white"] >= 15
+
+
 def test_small_images_have_small_tiles() -> None:
-    found = find_pure_speckle(circular(np.random.default_rng(9), (184, 12)).astype(np.complex64))
+    white = circular(np.random.default_rng(9), (185, 12))
+    found = find_pure_speckle((white[1:] + white[:-1]).astype(np.complex64))
     assert found.tile == (64, 12)
     assert found.pure.tolist() == [[True], [True]]
 

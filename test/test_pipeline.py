@@ -82,8 +82,7 @@ def test_a_strip_needs_of_each_block_its_own_odometry_only() -> None:
     """The images are those that odometry of the whole flight gives."""
     flight, whole, own = strip_flight(), Compressor(), Compressor()
     for block in range(5):
-        history, track = noise_of(flight, block), track_of(flight, block)
-        short = track.between(history.stamp_ns, history.stamp_of_last_pulse_ns)
+        history, track, short = noise_of(flight, block), track_of(flight, block), flight.track(block)
         assert len(short.states) < len(track.states) or block == 0
         seen = [c.add(history, t, flight.sensor, STRIP_IMAGE) for c, t in ((whole, track), (own, short))]
         assert (seen[0] is None) == (seen[1] is None)

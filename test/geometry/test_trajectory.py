@@ -121,3 +121,28 @@ def test_platform_that_stands_still_is_refused() -> None:
     with pytest.raises(UserError) as refusal:
         Trajectory(still).aperture(EPOCH_NS, np.array([0.0, 0.005]))
     assert_one_sentence(str(refusal.value), "velocity is 0")
+
+
+def milliseconds(track: Trajectory) -> list[int]:
+    """Times of the states after the epoch, ms."""
+    return [(one.stamp_ns - EPOCH_NS) // 10**6 for one in track.states]
+
+
+def every_millisecond(first: int, count: int) -> Trajectory:
+    return Trajectory([state((first + number) * 10**6) for number in range(count)])
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "expected"), [(2.5, 4.5, [2, 3, 4, 5]), (2, 4, [2, 3, 4]), (-1, 99, list(range(10)))]
+)
+def test_a_part_of_a_track_reaches_to_the_samples_around_it(start: float, end: float, expected: list[int]) -> None:
+    part = every_millisecond(0, 10).between(EPOCH_NS + round(start * 1e6), EPOCH_NS + round(end * 1e6))
+    assert milliseconds(part) == expected
+
+
+def test_a_later_track_takes_the_place_of_the_end_of_an_earlier_one() -> None:
+    earlier, later = every_millisecond(0, 6), every_millisecond(4, 5)
+    joined = earlier.followed_by(later)
+    assert milliseconds(joined) == list(range(9))
+    assert joined.states[4] is later.states[0]
+    assert later.followed_by(earlier).states == earlier.states

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sal_height.commands import main
-from sal_height.commands._options import bag_name
+from sal_height.commands._options import bag_name, output_folder
 from sal_height.runs.ensemble import check_parameters
 
 
@@ -86,15 +86,33 @@ def test_without_out_the_next_free_folder_is_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for number in ("", "_2"):
-        assert main(["run", "--preset", "small", "--dwells", "1"]) == 0
-        assert (tmp_path / "out" / f"small{number}" / "height.png").is_file()
-    for bag, name in {"out/small/bag/": "replay_small", "out/small_2/bag/bag_0.mcap": "replay_small_2"}.items():
-        assert main(["replay", bag]) == 0
-        assert (tmp_path / "out" / name / "report.json").is_file()
+    assert output_folder(None, "small") == Path("out/small")
+    Path("out/small").mkdir(parents=True)
+    Path("out/small/mine.txt").write_text("mine")
+    assert main(["run", "--preset", "small", "--dwells", "1"]) == 0
+    assert Path("out/small_2/height.png").is_file()
+    assert main(["replay", "out/small_2/bag/bag_0.mcap"]) == 0
+    assert Path("out/replay_small_2/report.json").is_file()
     assert "out/replay_small_2/report.json" in capsys.readouterr().out
     assert main(["run", "--preset", "small", "--out", "out/small"]) == 2
     assert "not empty" in capsys.readouterr().err
+
+
+def test_dropped_messages_end_a_run_with_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A range window of which no pixel is left after looks: monopulse is right, and ml has no image."""
+    words = ["--dwells", "1", "--param", "ml_height.range_looks=512"]
+    assert main(["run", "--preset", "small", *words, "--out", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr()
+    assert "sal-height: Node ml_height dropped 8 messages (cannot be processed).\n" in said.err
+    rows = {line.split()[0]: line.split()[1:3] for line in said.out.splitlines()}
+    assert rows["monopulse"] == ["1", "0"]
+    assert rows["ml"] == ["0", "8"]
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["losses"][0] in said.err
+
+
+def test_one_domain_is_chosen_in_one_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--domain", "7", "--join", "--out", str(tmp_path / "out")]) == 2
+    assert "--join and --domain exclude each other" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

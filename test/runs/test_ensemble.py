@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -9,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from mcap.reader import make_reader
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.runs.ensemble import Ensemble
+from sal_height.runs.replay import replay
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 60) -> None:
@@ -41,26 +44,71 @@ def runs(process: int) -> bool:
         return False
 
 
-@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGKILL])
-def test_no_process_survives_the_run(number: signal.Signals, tmp_path: Path) -> None:
-    out = tmp_path / "run"
+@dataclass(frozen=True)
+class Ended:
+    """A run with a process for each node that was ended by a signal."""
+
+    out: Path
+    status: int
+    log: str
+    nodes: list[int]
+    """Its processes."""
+
+
+def ended_run(out: Path, number: signal.Signals) -> Ended:
+    """Run more dwells than it has time for, and end it once some are recorded."""
     words = ["run", "--preset", "small", "--dwells", "90", "--out", str(out), "--processes"]
     bag = out / "bag" / "bag_0.mcap"
     with subprocess.Popen(  # noqa: S603
-        [sys.executable, "-m", "sal_height", *words], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+        [sys.executable, "-m", "sal_height", *words], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as program:
-        wait_for(lambda: bag.is_file() and bag.stat().st_size > 300_000)
+        wait_for(lambda: bag.is_file() and bag.stat().st_size > 600_000)
         nodes = children(program.pid)
         program.send_signal(number)
-        status = program.wait(60)
-    assert len(nodes) == 7
-    wait_for(lambda: not any(runs(node) for node in nodes))
-    assert status == {signal.SIGHUP: 130, signal.SIGKILL: -signal.SIGKILL}[number]
-    with bag.open("rb") as stream:  # whole, for the recorder had time to end it
+        _, log = program.communicate(timeout=60)
+    return Ended(out, program.returncode, log, nodes)
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Ended:
+    return ended_run(tmp_path_factory.mktemp("interrupted") / "run", signal.SIGINT)
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory) -> Ended:
+    return ended_run(tmp_path_factory.mktemp("killed") / "run", signal.SIGKILL)
+
+
+@pytest.mark.parametrize(("kind", "status"), [("interrupted", 130), ("killed", -signal.SIGKILL)])
+def test_no_process_survives_the_run_and_its_files_are_whole(
+    kind: str, status: int, request: pytest.FixtureRequest
+) -> None:
+    ended: Ended = request.getfixturevalue(kind)
+    assert len(ended.nodes) == 7
+    wait_for(lambda: not any(runs(node) for node in ended.nodes))
+    assert ended.status == status
+    assert "Traceback" not in ended.log
+    with (ended.out / "bag" / "bag_0.mcap").open("rb") as stream:  # the recorder had time to end it
         summary = make_reader(stream).get_summary()
     assert summary is not None
-    with rasterio.open(out / "relief_map.tif") as relief:  # so had the relief mapper
+    with rasterio.open(ended.out / "relief_map.tif") as relief:  # so had the relief mapper
         assert relief.read(4).sum() > 0
+
+
+def test_an_interrupted_run_says_so_in_its_report(interrupted: Ended) -> None:
+    report = json.loads((interrupted.out / "report.json").read_text())
+    assert report["interrupted"] is True
+    assert 1 <= report["dwells"] < 90
+
+
+def test_nodes_in_processes_give_the_same_heights_as_nodes_in_one(interrupted: Ended, tmp_path: Path) -> None:
+    """Of the dwell that was cut off, a node may have more or fewer heights than the replay."""
+    compared = replay(interrupted.out / "bag", tmp_path / "replay", {"sar_compression": {"timeout_s": 3.0}}).compared
+    assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
+    dwells = json.loads((interrupted.out / "report.json").read_text())["dwells"]
+    for result in compared.values():
+        assert result.matched >= dwells
+        assert (result.grids_different, result.pixels_different) == (0, 0)
 
 
 def test_a_node_whose_parent_has_ended_does_not_begin() -> None:

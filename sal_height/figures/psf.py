@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sal_height.figures.curve import Curve, Figure
+from sal_height.figures.psf_estimators import masked_transfer_function
 from sal_height.figures.psf_speckle import SPECKLE_FIGURES
 from sal_height.figures.psf_tapes import COUNT, FREQUENCY, generators, held, in_band, shown
 from sal_height.figures.psf_theory import (
@@ -32,7 +33,6 @@ from sal_height.response import (
     cut_through,
     estimate_transfer_function,
     find_targets,
-    masked_transfer_function,
 )
 
 TAPE = (2000, 256)

@@ -13,16 +13,15 @@ import numpy as np
 
 from sal_height.figures.curve import Curve, Figure
 from sal_height.figures.noise import circular
+from sal_height.figures.psf_estimators import depth_and_pedestal, mean_modulus
 from sal_height.figures.psf_tapes import COUNT, FREQUENCY, generators, held, in_band, shown
 from sal_height.figures.psf_theory import chip_transform, cosine_beam, swung_modulus, through_fejer
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
 from sal_height.numeric import C64, C128, F64, Bool, frequencies
 from sal_height.response import (
     SpeckleSpectra,
-    depth_and_pedestal,
     estimate_speckle_spectra,
     find_pure_speckle,
-    mean_modulus,
     periodogram_covariance,
     superposition,
 )

@@ -15,7 +15,7 @@ from sal_height.response.impulse import (
     measure_brightest,
     measure_windows,
 )
-from sal_height.response.linearity import depth_and_pedestal, superposition
+from sal_height.response.linearity import superposition
 from sal_height.response.point_spread import FINENESS, PointSpread, Sidelobe, cut_through, estimate_point_spread
 from sal_height.response.point_targets import CHIP, LEAST_OVER_CLUTTER_DB, PointTarget, chip_at, find_targets
 from sal_height.response.report import LONG_CHIPS, ImagePointing, PsfReport, pointing_of_images, report_on
@@ -23,17 +23,10 @@ from sal_height.response.speckle_spectra import (
     AxisSpectrum,
     SpeckleSpectra,
     estimate_speckle_spectra,
-    mean_modulus,
     periodogram_covariance,
 )
 from sal_height.response.speckle_tiles import find_pure_speckle
-from sal_height.response.transfer_function import (
-    FLOOR,
-    TransferFunction,
-    estimate_transfer_function,
-    masked_transfer_function,
-    without_clutter,
-)
+from sal_height.response.transfer_function import FLOOR, TransferFunction, estimate_transfer_function, without_clutter
 
 __all__ = [
     "CHIP",
@@ -57,14 +50,11 @@ __all__ = [
     "chip_around",
     "chip_at",
     "cut_through",
-    "depth_and_pedestal",
     "estimate_point_spread",
     "estimate_speckle_spectra",
     "estimate_transfer_function",
     "find_pure_speckle",
     "find_targets",
-    "masked_transfer_function",
-    "mean_modulus",
     "measure_brightest",
     "measure_windows",
     "periodogram_covariance",

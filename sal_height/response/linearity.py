@@ -100,26 +100,6 @@ def superposition(target: C128, target_error: F64, speckle: SpeckleSpectra) -> S
     return Superposition(float(chdtrc(freedom, chi_square)), chi_square, freedom, amplitude, noise, residual)
 
 
-def depth_and_pedestal(power: F64, teeth: float) -> tuple[float, float]:
-    """Depth of a sawtooth and height of the pedestal in |R|: what the paper reads off its figures 10 and 24.
-
-    The depth is pi / 2 times the sawtooth's fundamental in ln |R|, beside a parabola, where the power is above half of
-    its greatest; the pedestal is the mean |R| of the quietest quarter of the frequencies over the greatest.
-
-    Args:
-        power: |R|^2 at frequencies from -1/2 up; of speckle, its mean periodogram.
-        teeth: of the sawtooth in all frequencies.
-    """
-    modulus = np.sqrt(np.maximum(power, 0))
-    frequency = frequencies(len(power))
-    inside = power > power.max() / 2
-    phase = 2 * np.pi * teeth * frequency[inside]
-    terms = [np.ones(inside.sum()), frequency[inside], frequency[inside] ** 2, np.cos(phase), np.sin(phase)]
-    fit, *_ = np.linalg.lstsq(np.stack(terms, axis=1), np.log(modulus[inside]), rcond=None)
-    pedestal = np.sort(modulus)[: len(modulus) // 4].mean() / modulus.max()
-    return float(np.pi / 2 * np.hypot(fit[3], fit[4])), float(pedestal)
-
-
 def _check(target: C128, target_error: F64) -> None:
     if target.ndim != 1 or target.shape != target_error.shape:
         raise UserError(

@@ -59,11 +59,6 @@ class PsfReport:
         """Of all images."""
         return tuple(target for survey in self.surveys for target in survey.targets)
 
-    @property
-    def anything(self) -> bool:
-        """Whether targets or speckle tell something."""
-        return self.transfer is not None or self.spectra is not None
-
 
 @dataclass(frozen=True)
 class ImagePointing:

@@ -174,22 +174,6 @@ def estimate_speckle_spectra(image: C64, tiles: SpeckleTiles) -> SpeckleSpectra:
     )
 
 
-def mean_modulus(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64]:
-    """The paper's estimates of |R| and |A|: mean moduli of the two-dimensional transforms of the tiles.
-
-    Returns:
-        Averaged over azimuth frequency, shape (rows of a tile,), and over range frequency, (columns of a tile,); a
-        white image has sqrt(pi) / 2.
-    """
-    image, (rows, cols) = checked_image(image), tiles.tile
-    modulus = np.zeros(tiles.tile)
-    for row, col in np.argwhere(tiles.pure):
-        part = image[row * rows : (row + 1) * rows, col * cols : (col + 1) * cols]
-        modulus += np.abs(scipy.fft.fft2(part)) / np.sqrt(tiles.intensity[row, col] * rows * cols)
-    modulus = scipy.fft.fftshift(modulus) / tiles.pure.sum()
-    return modulus.mean(axis=1), modulus.mean(axis=0)
-
-
 def transform(covariance: C128, frequency: F64) -> F64:
     """Power spectrum at frequencies (cycles per pixel) of a covariance at lags from 0 up, c(-l) being c(l)*."""
     waves = np.exp(-2j * np.pi * np.outer(frequency, np.arange(len(covariance))))

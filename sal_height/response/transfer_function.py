@@ -17,12 +17,6 @@ from sal_height.numeric import C128, F64
 from sal_height.response.impulse import band_frequencies
 from sal_height.response.point_targets import PointTarget, peak_offset
 
-AZIMUTH_STRIPE = 3
-"""Rows of the cross that let the azimuth response through, those of the paper."""
-
-RANGE_STRIPE = 5
-"""Columns of the cross that let the range response through, those of the paper."""
-
 FLOOR = 0.05
 """Power of a response, over its greatest, up to which it is rather left out than divided by."""
 
@@ -111,38 +105,6 @@ def without_clutter(response: C128, sigma: F64) -> C128:
     variance = np.sum(sigma**2) / len(sigma) ** 2
     power = np.abs(pixels) ** 2
     return centred(np.asarray(scipy.fft.fft(pixels * np.maximum(0, power - variance) / np.where(power, power, 1))))
-
-
-def masked_transfer_function(
-    targets: Sequence[PointTarget], azimuth_stripe: int = AZIMUTH_STRIPE, range_stripe: int = RANGE_STRIPE
-) -> tuple[C128, C128]:
-    """R and A the paper's way: chips masked by a cross, plain means over k_a and over k_r (figures 10 and 15).
-
-    The cross has no effect on R: the mean over k_a is the transform of the row through the peak, which it lets through.
-
-    Args:
-        targets: chips of one shape.
-        azimuth_stripe: rows of the cross's stripe along azimuth.
-        range_stripe: columns of its stripe along range.
-
-    Raises:
-        NotDetermined: there is no target.
-    """
-    _stacked(targets)
-    spectra = np.stack([masked_spectrum(target, azimuth_stripe, range_stripe) for target in targets])
-    range_response = spectra.mean(axis=(0, 2))
-    turned = spectra * np.exp(-1j * np.angle(range_response))[:, None]
-    return centred(range_response), centred(turned.mean(axis=(0, 1)))
-
-
-def masked_spectrum(
-    target: PointTarget, azimuth_stripe: int = AZIMUTH_STRIPE, range_stripe: int = RANGE_STRIPE
-) -> C128:
-    """Transform of a chip of which only a cross through the peak is left (PSF paper, figures 4 and 5)."""
-    shape = target.spectrum.shape
-    down, across = (np.minimum(np.arange(size), size - np.arange(size)) for size in shape)
-    cross = (down <= azimuth_stripe // 2)[:, None] | (across <= range_stripe // 2)
-    return scipy.fft.fftshift(scipy.fft.fft2(target.chip * cross))
 
 
 def centred(response: C128) -> C128:

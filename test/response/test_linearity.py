@@ -9,9 +9,10 @@ import pytest
 from helpers import assert_one_sentence, circular
 
 from sal_height.errors import NotDetermined, UserError
+from sal_height.figures.psf_estimators import depth_and_pedestal
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
 from sal_height.numeric.fft import frequencies
-from sal_height.response.linearity import Superposition, _target_covariance, depth_and_pedestal, superposition
+from sal_height.response.linearity import Superposition, _target_covariance, superposition
 from sal_height.response.speckle_spectra import SpeckleSpectra, estimate_speckle_spectra, fejer_power, transform
 from sal_height.response.speckle_tiles import find_pure_speckle
 

@@ -10,13 +10,13 @@ import pytest
 from helpers import circular
 from scipy.constants import speed_of_light
 
+from sal_height.figures.psf_estimators import mean_modulus
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, make_tape
 from sal_height.response.speckle_spectra import (
     SpeckleSpectra,
     estimate_speckle_spectra,
     fejer_power,
     frequencies,
-    mean_modulus,
     periodogram_covariance,
 )
 from sal_height.response.speckle_tiles import find_pure_speckle

@@ -11,6 +11,7 @@ from helpers import assert_one_sentence
 from numpy.testing import assert_allclose
 
 from sal_height.errors import NotDetermined
+from sal_height.figures.psf_estimators import masked_spectrum, masked_transfer_function
 from sal_height.figures.synthetic_tape import (
     AzimuthFault,
     RangeFault,
@@ -19,13 +20,7 @@ from sal_height.figures.synthetic_tape import (
     make_tape,
 )
 from sal_height.response.point_targets import PointTarget, chip_at, find_targets
-from sal_height.response.transfer_function import (
-    centred,
-    estimate_transfer_function,
-    masked_spectrum,
-    masked_transfer_function,
-    without_clutter,
-)
+from sal_height.response.transfer_function import centred, estimate_transfer_function, without_clutter
 
 COUNT = 64
 RANGE, EVEN, COSINE = RangeFault(), AzimuthFault(taper=0.0), AzimuthFault(taper=1.0)

@@ -18,12 +18,12 @@ from sal_height_msgs.msg import DetectorFrame, Provenance
 from sal_height import messages
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
+from sal_height.figures.psf_estimators import depth_and_pedestal
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
 from sal_height.geometry.grid import Grid
 from sal_height.imaging.focus import Slc
 from sal_height.numeric.fft import frequencies
 from sal_height.response.impulse import measure_brightest
-from sal_height.response.linearity import depth_and_pedestal
 from sal_height.response.report import pointing_of_images, report_on
 from sal_height.response.transfer_function import centred
 from sal_height.runs import psf as psf_module

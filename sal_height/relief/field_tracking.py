@@ -1,14 +1,14 @@
-"""Relief tracked in both directions: every cell told by its neighbours along range and along the flight.
+"""Tracking of the relief in both directions: the height of every cell from its neighbours in range and along-track.
 
-The relief is the Gaussian field whose correlation falls exponentially along range and along the flight,
+The relief is a Gaussian field whose correlation falls exponentially in range and along-track,
 
-    cov(h, h') = s^2 exp(-|distance along range| / l) exp(-|distance along the flight| / l):
+    cov(h, h') = s^2 exp(-|distance along range| / l) exp(-|distance along-track| / l):
 
-along range a line of cells is a Gauss-Markov process whose state is the whole line. The Kalman filter and the smoother
-of Rauch, Tung and Striebel with that state are exact, but cost the cube of the line's length. Therefore long lines are
-cut into windows of WINDOW cells that overlap, and each cell takes its height from the window in whose middle it lies.
-Within a window all is exact: what comes out is the posterior from the measurements of the window's columns, and its
-standard deviation is right; what is lost is only what columns farther away would have added.
+from row to row, a line of cells is a Gauss-Markov process whose state is the whole line. The Kalman filter and the
+smoother of Rauch, Tung and Striebel with that state are exact, but their cost grows as the cube of the line's length.
+Long lines are therefore cut into overlapping windows of WINDOW cells, and each cell takes its height from the window
+that it is in the middle of. The result is the exact posterior given the measurements in the window's columns, with the
+right standard deviation; columns farther away do not contribute.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from sal_height.numeric import F64, Bool, Index, in_parallel
 from sal_height.relief.range_tracking import (
@@ -33,17 +34,19 @@ from sal_height.relief.range_tracking import (
 )
 
 WINDOW = 32
-"""Columns that are tracked together."""
+"""Number of columns that are tracked together."""
 
 MARGIN = 8
-"""Columns on both sides of those that take their heights from a window."""
+"""Number of columns at both sides of a window that take their heights from its neighbours."""
 
 WINDOWS_OF_PRIOR = 2
+"""Number of windows from which a prior is estimated."""
+
 ROWS_OF_PRIOR = 256
-"""Windows, and rows in the middle of the image, from which a prior is estimated."""
+"""Number of rows in the middle of the image from which a prior is estimated."""
 
 NUMBERS_HELD = 2**23
-"""Of the covariances that the smoother comes back to."""
+"""Numbers of filtered covariances that are held for the smoother: 64 MB."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +55,8 @@ class _Line:
 
     Attributes:
         phi: correlation from row to row.
-        covariance: of a line before it is measured, m^2, shape (size, size).
-        noise: of what a step adds to a line, m^2, shape (size, size).
+        covariance: prior covariance of a line, m^2, shape (size, size).
+        noise: covariance of the process noise that a step adds to a line, m^2, shape (size, size).
     """
 
     phi: float
@@ -62,7 +65,7 @@ class _Line:
 
     @classmethod
     def of(cls, prior: ReliefPrior, spacings: tuple[float, float], size: int) -> _Line:
-        """Line of `size` cells of a relief."""
+        """A line of `size` cells of the relief; `spacings` as in `smoothed_field`."""
         steps = np.arange(size) * spacings[1]
         beside = prior.correlation(steps[:, None] - steps)
         return cls(float(prior.correlation(spacings[0])), prior.sigma**2 * beside, prior.noise(spacings[0]) * beside)
@@ -75,21 +78,21 @@ def estimated_field_prior(
     length: float | None = None,
     relief_sigma: float | None = None,
 ) -> ReliefPrior:
-    """The prior under which the heights of up to WINDOWS_OF_PRIOR windows together are most likely.
+    """Estimate the prior under which the heights in up to WINDOWS_OF_PRIOR windows are most likely.
 
-    Its mean, and what is an outlier, come from `relief_tracking.estimated_prior` and the tracks along range with it.
-    The prior that suits single columns would promise too much here: what a product of two exponentials says of squares
-    of cells, no track along range has seen.
+    Its mean and the outliers are those of `range_tracking.estimated_prior`. Length and sigma are estimated anew: those
+    that fit single columns would state too small a sigma for a field, because the product of two exponentials also
+    fixes the correlation between columns, of which single columns contain no information.
 
     Args:
-        height: measured, m, shape (rows, cols), as of `relief_tracking.filtered`.
+        height: measured, m, shape (rows, cols), as in `range_tracking.filtered`.
         sigma: its standard deviation, m.
-        spacings: way on the ground from row to row, and from column to column, m.
+        spacings: ground spacing between rows and between columns, m.
         length: correlation length, m; None: estimated.
         relief_sigma: standard deviation of the relief, m; None: estimated.
 
     Raises:
-        UserError: as `relief_tracking.estimated_prior`.
+        UserError: as in `range_tracking.estimated_prior`.
     """
     alone = estimated_prior(height, sigma, spacings[0], length, relief_sigma)
     deviation, precision, _ = _inliers(height, sigma, spacings[0], alone, GATE)
@@ -115,17 +118,17 @@ def estimated_field_prior(
 def smoothed_field(
     height: Heights, sigma: Heights, spacings: tuple[float, float], prior: ReliefPrior, gate: float = GATE
 ) -> TrackedRelief:
-    """Heights from all cells along range of up to WINDOW columns around; exact where there are no more than those.
+    """Estimate heights from all rows of up to WINDOW columns around each cell; exact if there are no more columns.
 
     Args:
-        height: measured, m, shape (rows, cols), as of `relief_tracking.filtered`.
+        height: measured, m, shape (rows, cols), as in `range_tracking.filtered`.
         sigma: its standard deviation, m.
-        spacings: way on the ground from row to row, and from column to column, m.
-        prior: of the relief, the same along both.
-        gate: `relief_tracking.smoothed` along range says what is an outlier, standard deviations.
+        spacings: ground spacing between rows and between columns, m.
+        prior: of the relief, the same in both directions.
+        gate: of `range_tracking.smoothed`, which decides what is an outlier, standard deviations.
 
     Raises:
-        UserError: as `relief_tracking.filtered`.
+        UserError: as in `range_tracking.filtered`.
     """
     deviation, precision, outlier = _inliers(height, sigma, spacings[0], prior, gate)
     rows, cols = height.shape
@@ -151,7 +154,7 @@ def smoothed_field(
 
 
 def _inliers(height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float) -> tuple[F64, F64, Bool]:
-    """`measurements` without those that tracks along range leave out, and where these are."""
+    """`measurements` without the outliers of the tracks in range, and where these are."""
     outlier = smoothed(height, sigma, spacing, prior, gate).outlier
     deviation, precision = measurements(height, sigma, prior.mean)
     precision[outlier] = 0.0
@@ -159,19 +162,19 @@ def _inliers(height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior
 
 
 def _window_starts(cols: int) -> Index:
-    """First columns of the windows: all but their margins join, and the last ends with the image."""
+    """First columns of the windows, whose inner parts adjoin; the last window ends with the image."""
     if cols <= WINDOW:
         return np.zeros(1, np.intp)
     return np.minimum(np.arange(0, cols - 2 * MARGIN, WINDOW - 2 * MARGIN), cols - WINDOW)
 
 
 class _Step(NamedTuple):
-    """A row of windows after it was measured.
+    """A row of windows after its measurements.
 
     Attributes:
         state: m, shape (windows, size).
         covariance: m^2, shape (windows, size, size).
-        log_likelihood: of its measurements, but for what does not depend on the prior.
+        log_likelihood: of its measurements, without terms that do not depend on the prior.
     """
 
     state: F64
@@ -187,7 +190,8 @@ def _filtered_lines(deviation: F64, precision: F64, line: _Line) -> Iterator[_St
         root = np.sqrt(weight)
         scaled = root[:, :, None] * spread
         factor = np.linalg.cholesky(np.eye(size) + scaled * root[:, None, :])
-        whitened = np.linalg.solve(factor, np.concatenate([scaled, (root * (measured - state))[..., None]], axis=-1))
+        unknown = np.concatenate([scaled, (root * (measured - state))[..., None]], axis=-1)
+        whitened = solve_triangular(factor, unknown, lower=True, check_finite=False)
         gain, innovation = np.swapaxes(whitened[..., :-1], -1, -2), whitened[..., -1]
         log_volume = float(np.sum(np.log(np.diagonal(factor, axis1=-2, axis2=-1))))
         log_likelihood = -float(np.sum(innovation**2)) / 2 - log_volume
@@ -198,7 +202,7 @@ def _filtered_lines(deviation: F64, precision: F64, line: _Line) -> Iterator[_St
 
 
 def _smoothed_lines(deviation: F64, precision: F64, line: _Line) -> tuple[F64, F64]:
-    """Smoothed states (m) and variances (m^2); shapes as of `_filtered_lines`."""
+    """Smoothed states (m) and variances (m^2) of all rows; arguments and shapes as in `_filtered_lines`."""
     rows, windows, size = deviation.shape
     states, covariances = np.empty_like(deviation), np.empty((rows, windows, size, size))
     for i, step in enumerate(_filtered_lines(deviation, precision, line)):
@@ -216,5 +220,5 @@ def _smoothed_lines(deviation: F64, precision: F64, line: _Line) -> tuple[F64, F
 
 
 def _times(matrices: F64, vectors: F64) -> F64:
-    """Each matrix times its vector."""
+    """Product of each matrix with its vector."""
     return (matrices @ vectors[..., None])[..., 0]

@@ -1,4 +1,4 @@
-"""Elevation becomes height: where on the ground the scatterer of each pixel lies."""
+"""Heights from elevations: the position on the ground of the scatterer in each pixel."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from sal_height.geometry import (
 from sal_height.numeric import F64, U8, Bool
 
 RIGHT = 1
-"""Side from which elevations may be counted for both sides: those on the left are then negative."""
+"""Look side for which elevations on both sides are computed; those on the left are then negative."""
 
 SLOPE_STEP = 1e-6
-"""Half step in rad of the central difference that gives the slope of height over elevation."""
+"""Half step of the central difference for the derivative of height by elevation, rad."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """One scatterer of each pixel; arrays of shape (rows, cols) of the height image, NaN where there is none.
+    """One scatterer of each pixel; arrays of the shape (rows, cols) of the height image, NaN where there is none.
 
     Attributes:
         height: above the sphere, m.
-        sigma: standard deviation of height, m, with that of the platform's pose.
+        sigma: standard deviation of height, m, including that from the platform's pose.
         cnr_db: carrier-to-noise ratio of one look, dB.
         positions: in map, m, shape (rows, cols, 3).
     """
@@ -70,14 +70,14 @@ class HeightField:
 
 @dataclass(frozen=True)
 class _Circles:
-    """What range and Doppler of each pixel leave open: where on a circle its scatterer lies.
+    """The circle of each pixel's range and Doppler, on which its scatterer lies.
 
     Attributes:
         aperture: state of the platform, not sliding (`geometry.aperture_at`).
         look_side: +1 right, -1 left.
         slant_range: m, shape (rows, cols).
-        along: way along the flight to the scatterers, m, shape (rows, cols).
-        range_step: from one row of the SLC to the next, m.
+        along: along-track distance from the platform to the scatterers, m, shape (rows, cols).
+        range_step: slant-range spacing of the rows of the SLC, m.
         range_sigma: standard deviation of range, m.
     """
 
@@ -89,7 +89,7 @@ class _Circles:
     range_sigma: F64
 
     def surface(self, elevation: F64, sigma: F64, cnr: F64) -> Surface:
-        """Height and place of scatterers at `elevation` with `sigma` (rad); NaN where there is no such direction."""
+        """Height and position of scatterers at `elevation` with `sigma` (rad); NaN where there is no such direction."""
         below, positions, above = (self._at(elevation + shift) for shift in (-SLOPE_STEP, 0.0, SLOPE_STEP))
         height = height_of(positions)
         slope = (height_of(above) - height_of(below)) / (2 * SLOPE_STEP)
@@ -113,12 +113,12 @@ def height_field(
     look_side: int,
     radial_velocity: float = 0.0,
 ) -> HeightField:
-    """Height, its uncertainty and the ground position of every pixel.
+    """Compute height, its standard deviation and the ground position of every pixel.
 
-    Range and Doppler are those of the looks' power-weighted centre; the elevation picks the point on the circle they
-    leave. Sigma is that of elevation times |d height / d elevation|, and that of range times |d height / d range|:
-    within its cell the range of the speckle's centre is not known, which limits the height at high CNR. What the
-    platform's pose leaves open comes on top (`pose_variance`): an error that all pixels of the dwell share.
+    Range and Doppler are those of the looks' power-weighted centre; the elevation selects the point on their circle.
+    The variance of height is the sum of that from elevation, times (d height / d elevation)^2; that from range, times
+    (d height / d range)^2, because the centre of the speckle within its range cell is unknown, which limits the height
+    at high CNR; and that from the platform's pose (`pose_variance`), which all pixels of the dwell share.
 
     Args:
         estimate: elevations.
@@ -127,8 +127,8 @@ def height_field(
         grid: pixels of the height image (`look_grid`).
         aperture: state of the platform.
         look_side: +1 right, -1 left.
-        radial_velocity: of the targets, m/s, receding positive: v_r moves them back in the image by range v_r / speed
-            (SAL paper, section 4), which is made good.
+        radial_velocity: v_r of the targets, m/s, positive if they recede. It displaces them in the image by
+            -range v_r / speed along-track (SAL paper, section 4), which is corrected.
     """
     points = slc_grid.points(looks.row, looks.col)
     aperture = aperture_at(points, aperture)
@@ -168,7 +168,7 @@ def _checked_validity(validity: U8, first: Surface, second: Surface | None) -> U
 
 
 def _only(surface: Surface, there: Bool) -> Surface:
-    """The surface with heights and places only where they can be used."""
+    """The surface with heights and positions only where they can be used."""
     return Surface(
         height=np.where(there, surface.height, np.nan),
         sigma=np.where(there, surface.sigma, np.nan),
@@ -178,12 +178,12 @@ def _only(surface: Surface, there: Bool) -> Surface:
 
 
 def pose_variance(elevation: F64, slope: F64, positions: F64, aperture: ApertureState, look_side: int) -> F64:
-    """Variance of height (m^2) by the covariance of the platform's pose, shape (rows, cols).
+    """Variance of height (m^2) that results from the covariance of the platform's pose, shape (rows, cols).
 
-    Where the platform moves, the scatterer moves along. Where the body turns by a small angle about an axis, the plane
-    of its elevation turns, and the scatterer stays on the circle that range and Doppler leave: to first order, as if
-    the elevation changed by the turn about the body's x axis (but for the squint). Range and Doppler are measured, and
-    stay. A covariance that is 0 or not finite is not known and adds nothing.
+    An error of the platform's position displaces the scatterer by as much. A small error of the body's rotation turns
+    the plane of its elevation, and the scatterer moves on its circle of range and Doppler, which are measured: to first
+    order as if the elevation changed by the rotation about the body's x axis (but for the squint). A covariance that
+    is 0 or not finite counts as unknown and adds nothing.
 
     Args:
         elevation: rad, shape (rows, cols).
@@ -206,9 +206,10 @@ def pose_variance(elevation: F64, slope: F64, positions: F64, aperture: Aperture
 
 
 def shared_variance(positions: F64, aperture: ApertureState) -> F64:
-    """`pose_variance` of scatterers from where they lie in map, shape (..., 3): an error that all of a dwell share.
+    """Variance of height (m^2) from the pose, of scatterers at `positions` in map (m, shape (..., 3)).
 
-    On their circles of range and Doppler about the flight; NaN where a position is.
+    It is `pose_variance` on their circles of range and Doppler, an error that all pixels of a dwell share; NaN where a
+    position is NaN.
     """
     if not np.any(aperture.covariance):
         return np.zeros(positions.shape[:-1])

@@ -1,19 +1,19 @@
-"""Heights tracked along range: neighbours on the ground tell of each other what the noise of each hides.
+"""Tracking of the relief in range: heights from noisy measurements of neighbouring cells on the ground.
 
-The relief paper finds the angle of each range cell and leaves the tracking of the relief from cell to cell to Bayesian
-filtering of a virtual target. Here the relief is a stationary Gauss-Markov (Ornstein-Uhlenbeck) process along range,
+The relief paper estimates the angle of each range cell and leaves the tracking of the relief from cell to cell to
+Bayesian filtering of a virtual target. Here the relief is a stationary Gauss-Markov (Ornstein-Uhlenbeck) process,
 
     h_(i+1) - m = phi (h_i - m) + w_i,    phi = exp(-d / l),    var w = s^2 (1 - phi^2),
 
-with the mean m, the standard deviation s and the correlation length l of a `ReliefPrior` and the way d on the ground
-from cell to cell. Each cell is measured with its own standard deviation, or not at all. The Kalman filter then gives
-the heights' posterior from all cells up to each one, the smoother of Rauch, Tung and Striebel (AIAA Journal 3, 1965)
-that from all cells of the swath; every column is a track of its own.
+with the mean m, the standard deviation s and the correlation length l of a `ReliefPrior`, and the ground spacing d
+between cells. Each cell is measured with a standard deviation of its own, or not at all. The Kalman filter then gives
+the posterior of each height given all cells up to it, the smoother of Rauch, Tung and Striebel (AIAA Journal 3, 1965)
+the posterior given all cells of the swath. Every column is a track of its own.
 
 A measurement farther from its prediction than `gate` standard deviations of their difference (the validation gate of
 Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001) is an outlier and not
-used. The variance of the prediction then grows on, as far as s^2, and the gate with it: behind a cliff the track is
-found again after a fraction of l, unless the ground stays more than `gate` s from the mean.
+used. The variance of the prediction then keeps growing, up to s^2, and the gate with it: beyond a cliff the track is
+found again after a fraction of l, unless the ground stays more than `gate` s away from the mean.
 """
 
 from __future__ import annotations
@@ -32,39 +32,39 @@ from sal_height.numeric import F64, Bool, compiled, in_parallel
 Heights = npt.NDArray[np.floating[Any]]
 
 GATE = 4.0
-"""Standard deviations: of Gaussian errors, 1 in 16 000 lies beyond."""
+"""Default gate, standard deviations: 1 in 16 000 Gaussian errors lies beyond."""
 
 LEAST_SIGMA = 1e-100
-"""Anything greater has a precision that is a number, m."""
+"""Least sigma of a measured height, m: the precision 1 / sigma^2 of anything greater is finite."""
 
 WIDEST_GATE = 1e15
-"""Standard deviations that nothing is beyond: compiled loops take numbers to be finite."""
+"""Gate that stands for an infinite one, standard deviations: compiled loops take numbers to be finite."""
 
 OUTLIER_SHARE = 0.05
-"""Of the measurements from which a prior is estimated; what it is in truth matters little."""
+"""Assumed share of outliers among the measurements from which a prior is estimated; its value matters little."""
 
 COLUMNS_OF_PRIOR = 64
-"""Columns from which a prior is estimated: more tell little more of one relief."""
+"""Number of columns from which a prior is estimated; more would hardly improve the estimate."""
 
 LEAST_STEPS = 30
-"""Steps from one measured cell of a column to the next from which a prior can be estimated."""
+"""Least number of pairs of consecutive measured cells of a column from which a prior can be estimated."""
 
 FLATTEST = 2.0
 """Least standard deviation of an estimated relief over that of the mean of all measurements.
 
-Less cannot be told from level ground, and would promise heights that are surer than the level itself.
+A smaller one cannot be told from level ground, and would state heights with less error than the mean itself has.
 """
 
 TOLERANCE = 0.02
-"""Of the logarithms of length and sigma, and of the log-likelihood, to which a prior is searched."""
+"""Tolerance of the search for a prior: of the logarithms of length and sigma, and of the log-likelihood."""
 
 COLUMNS_AT_ONCE = 64
-"""Tracks that are followed side by side: what belongs to 1000 rows of them fits the cache."""
+"""Number of columns that are tracked at a time: 1000 rows of them fit into a processor's cache."""
 
 
 @dataclass(frozen=True)
 class ReliefPrior:
-    """What is known of the relief before it is measured.
+    """Prior distribution of the relief.
 
     Attributes:
         length: correlation length on the ground, m: the correlation of heights falls to 1 / e.
@@ -92,18 +92,18 @@ class ReliefPrior:
         return np.exp(-np.abs(distance) / self.length)
 
     def noise(self, spacing: float) -> float:
-        """Variance (m^2) of what a step of `spacing` (m) adds to the relief: s^2 (1 - phi^2)."""
+        """Variance (m^2) of the process noise of a step of `spacing` (m): s^2 (1 - phi^2)."""
         return float(-(self.sigma**2) * np.expm1(-2 * spacing / self.length))
 
 
 @dataclass(frozen=True)
 class TrackedRelief:
-    """Heights of all cells from the measurements of many; arrays of shape (rows, cols).
+    """Tracked heights of all cells; arrays of shape (rows, cols).
 
     Attributes:
         height: posterior mean, m.
         sigma: posterior standard deviation, m.
-        outlier: True where there was a measurement that the gate left out.
+        outlier: True where a measurement was rejected by the gate.
     """
 
     height: Heights
@@ -112,13 +112,13 @@ class TrackedRelief:
 
 
 def filtered(height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float = GATE) -> TrackedRelief:
-    """Heights from the cells up to each one, in the order of rows: the Kalman filter.
+    """Estimate each height from the cells up to it, in the order of rows, by the Kalman filter.
 
     Args:
         height: measured, m, float32 or float64, shape (rows, cols), rows in the order of range.
         sigma: its standard deviation, m, same shape. A cell is not measured where either is not finite or sigma is
             not greater than 0.
-        spacing: way on the ground from row to row, m.
+        spacing: ground spacing between rows, m.
         prior: of the relief.
         gate: measurements farther from their prediction are outliers, standard deviations; infinite: none is.
 
@@ -132,7 +132,7 @@ def filtered(height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior
 
 
 def smoothed(height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior, gate: float = GATE) -> TrackedRelief:
-    """Heights from all cells of each column: `filtered`, then the smoother of Rauch, Tung and Striebel back to row 0.
+    """Estimate each height from all cells of its column, by the filter and the smoother of Rauch, Tung and Striebel.
 
     Arguments, result and errors are those of `filtered`, which also decides what is an outlier.
     """
@@ -142,25 +142,26 @@ def smoothed(height: Heights, sigma: Heights, spacing: float, prior: ReliefPrior
 def estimated_prior(
     height: Heights, sigma: Heights, spacing: float, length: float | None = None, relief_sigma: float | None = None
 ) -> ReliefPrior:
-    """The prior under which the measured heights are most likely: all of it, or what of length and sigma is not given.
+    """Estimate the prior under which the measured heights are most likely; length and sigma unless they are given.
 
-    The likelihood of a Gauss-Markov process is the product of those of the filter's innovations (Schweppe, IEEE Trans.
-    Information Theory 11, 1965). Outliers would take it for a rough relief: a measurement is one with the probability
-    OUTLIER_SHARE, and then has any height between the least and the greatest; the filter weighs it by the probability
-    that it is none (the probabilistic data association of Bar-Shalom and Tse, Automatica 11, 1975).
+    The likelihood of a Gauss-Markov process is the product of the likelihoods of the filter's innovations (Schweppe,
+    IEEE Trans. Information Theory 11, 1965). Outliers would make the relief look rough. Therefore a measurement is
+    taken to be an outlier with the probability OUTLIER_SHARE, and then to have any height between the least and the
+    greatest; the filter weighs it by the probability that it is none (probabilistic data association, Bar-Shalom and
+    Tse, Automatica 11, 1975).
 
     Up to COLUMNS_OF_PRIOR columns are used, each as a track of its own. Lengths are searched from a third of `spacing`
-    to ten swaths, standard deviations from `flattest` on: level ground is a relief of that.
+    to ten swaths, standard deviations from `flattest` on, which is the result for level ground.
 
     Args:
-        height: measured, m, shape (rows, cols), as of `filtered`.
+        height: measured, m, shape (rows, cols), as in `filtered`.
         sigma: its standard deviation, m.
-        spacing: way on the ground from row to row, m.
+        spacing: ground spacing between rows, m.
         length: correlation length, m; None: estimated.
         relief_sigma: standard deviation of the relief, m; None: estimated.
 
     Raises:
-        UserError: fewer than LEAST_STEPS steps from one measured cell of a column to the next, or what `filtered` and
+        UserError: fewer than LEAST_STEPS pairs of consecutive measured cells of a column, or what `filtered` and
             `ReliefPrior` refuse.
     """
     check_measurements(height, sigma, spacing)
@@ -169,8 +170,8 @@ def estimated_prior(
     steps = int(np.sum(np.maximum(np.count_nonzero(measured, axis=0) - 1, 0)))
     if steps < LEAST_STEPS:
         raise UserError(
-            f"The heights have {steps} steps from one measured cell of a column to the next; a prior of the relief can "
-            f"be estimated from {LEAST_STEPS} or more."
+            f"The heights have {steps} pairs of consecutive measured cells of a column; a prior of the relief can be "
+            f"estimated from {LEAST_STEPS} or more."
         )
     known = deviation[measured]
     error = float(np.median(1 / np.sqrt(precision[measured])))
@@ -178,7 +179,7 @@ def estimated_prior(
     extent = float(np.ptp(known)) + error
 
     def misfit(values: F64) -> float:
-        """Of the logarithms of length and sigma, and the distance of the mean from the median in median errors."""
+        """Negative log-likelihood of log(length), log(sigma), and mean less median in units of the median error."""
         prior = ReliefPrior(*np.exp(values[:2]).tolist())
         centred = deviation - (middle + values[2] * error)
         phi, q = float(prior.correlation(spacing)), prior.noise(spacing)
@@ -197,17 +198,17 @@ def estimated_prior(
 
 
 def flattest(precision: F64) -> float:
-    """Least standard deviation (m) of a relief that can be told from level: FLATTEST times that of the mean.
+    """Least standard deviation (m) of a relief that can be told from level ground: FLATTEST times that of the mean.
 
     Args:
-        precision: of the measurements (`measurements`), of which there is one or more.
+        precision: of one or more measurements (`measurements`).
     """
     known = precision[precision > 0]
     return FLATTEST * float(np.median(1 / np.sqrt(known)) / np.sqrt(len(known)))
 
 
 def minimised(misfit: Callable[[F64], float], start: F64, free: Bool, lowest: F64, highest: F64) -> F64:
-    """Values near `start` for which a misfit is least, by the simplex of Nelder and Mead; only `free` ones differ."""
+    """Minimise a misfit over the `free` ones of some values from `start`, by the simplex of Nelder and Mead."""
     found = start.copy()
 
     def misfit_of_free(values: F64) -> float:
@@ -235,9 +236,9 @@ def _columns_of_prior(height: Heights, sigma: Heights) -> tuple[Heights, Heights
 
 
 def steady_sigmas(prior: ReliefPrior, spacing: float, measured_sigma: float) -> tuple[float, float]:
-    """Standard deviations (m) of `filtered` and `smoothed` heights far from the swath's edges.
+    """Standard deviations (m) of `filtered` and `smoothed` heights far from the edges of the swath.
 
-    All cells being measured with `measured_sigma` (m) and none being an outlier. The filter's predicted variance is
+    All cells are measured with `measured_sigma` (m) and none is an outlier. The filter's predicted variance is
     the positive root of P^2 + P (R (1 - phi^2) - q) - q R = 0, what follows the measurement P R / (P + R); the
     smoother's is the fixed point of its recursion.
     """
@@ -252,7 +253,7 @@ def steady_sigmas(prior: ReliefPrior, spacing: float, measured_sigma: float) -> 
 def measurements(height: Heights, sigma: Heights, mean: float) -> tuple[F64, F64]:
     """Deviations of measured heights from `mean` (m) and their precisions 1 / sigma^2 (1 / m^2); 0 where not measured.
 
-    Arguments as of `filtered`.
+    Arguments are those of `filtered`.
     """
     deviation, precision = np.empty(height.shape), np.empty(height.shape)
     _measure(height, sigma, mean, deviation, precision)
@@ -270,10 +271,10 @@ def _measure(height: Heights, sigma: Heights, mean: float, deviation: F64, preci
 
 
 def check_measurements(height: Heights, sigma: Heights, spacing: float, gate: float = GATE) -> None:
-    """Make sure that heights can be tracked; see `filtered`.
+    """Check the arguments of `filtered`.
 
     Raises:
-        UserError: they cannot.
+        UserError: the heights cannot be tracked with them.
     """
     if height.ndim != 2 or height.shape != sigma.shape:
         raise UserError(

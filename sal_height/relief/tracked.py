@@ -1,4 +1,4 @@
-"""Height images tracked: what each pixel measures by itself, and where its scatterer lies at the tracked height."""
+"""Tracking of height images: the error of each pixel's own measurement, and its position at the tracked height."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from sal_height.relief.heights import HeightField, Surface, shared_variance
 from sal_height.relief.range_tracking import ReliefPrior, TrackedRelief, estimated_prior, smoothed
 
 INTERPOLATED_SIGMA = np.sqrt(0.5)
-"""Greatest sigma of an interpolated height over that of the relief: neighbours have told half the variance or more."""
+"""Greatest sigma of an interpolated height over that of the relief: neighbours have halved the variance at least."""
 
 LEAST_OWN_VARIANCE = 0.01
-"""Of a height's variance, the least that is its own: what the pose leaves open is rounded as it is sent."""
+"""Least share of a height's variance that is not due to the pose; in messages sigma is rounded to float32."""
 
 
 def ground_spacings(grid: Grid) -> tuple[float, float]:
-    """Way on level ground from row to row and from column to column of a height image, m."""
+    """Spacing of the rows and of the columns of a height image on level ground, m."""
     return grid.row_spacing / float(np.hypot(*grid.row_direction[:2])), grid.col_spacing
 
 
 def look_side_of(grid: Grid, aperture: ApertureState) -> int:
-    """Side on which the middle of the image lies: +1 right of the flight, -1 left."""
+    """Look side of the middle of the image: +1 right of the track, -1 left."""
     sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
     return 1 if np.cross(aperture.direction, [0.0, 0.0, 1.0]) @ sight > 0 else -1
 
 
 def own_sigma(field: HeightField, aperture: ApertureState) -> F64:
-    """Standard deviation of height without what the platform's pose leaves open, m, shape (rows, cols).
+    """Standard deviation of height without the error of the platform's pose, m, shape (rows, cols).
 
-    All pixels of a dwell share the error of the pose: neighbours say nothing of it, so that it must not be averaged.
+    All pixels of a dwell share the error of the pose, so that averaging over neighbours does not reduce it.
     """
     shared = shared_variance(field.first.positions, aperture)
     return np.sqrt(np.maximum(field.first.sigma**2 - shared, LEAST_OWN_VARIANCE * field.first.sigma**2))
@@ -46,7 +46,7 @@ def track(
     gate: float,
     along_track: bool,
 ) -> tuple[HeightField, ReliefPrior]:
-    """The height image tracked (`tracked_field`), and the prior it was tracked with.
+    """Track a height image (`tracked_field`); returns the prior with which it was tracked, too.
 
     Args:
         field: measured heights.
@@ -54,10 +54,10 @@ def track(
         length: correlation length of the relief, m; None: estimated.
         relief_sigma: its standard deviation, m; None: estimated.
         gate: measurements farther from their prediction are outliers, standard deviations.
-        along_track: whether neighbours along the flight have a say, too (`relief_field`).
+        along_track: whether neighbours along-track are used, too (`field_tracking`).
 
     Raises:
-        UserError: no prior can be estimated (`relief_tracking.estimated_prior`).
+        UserError: no prior can be estimated (`range_tracking.estimated_prior`).
     """
     height, sigma, spacings = field.first.height, own_sigma(field, aperture), ground_spacings(field.grid)
     if along_track:
@@ -72,23 +72,22 @@ def track(
 def tracked_field(
     field: HeightField, relief: TrackedRelief, prior: ReliefPrior, aperture: ApertureState
 ) -> HeightField:
-    """The height image with tracked heights, each at its place on the circle that its pixel's range and Doppler leave.
+    """Replace heights by tracked ones, each at its position on the circle of its pixel's range and Doppler.
 
-    Pixels that were measured, be it with one scatterer or two, become OK. The others, outliers among them, become
-    INTERPOLATED where pixels of their column were measured on both sides in range, and the standard deviation is at
-    most INTERPOLATED_SIGMA of the relief's; elsewhere they have no height, and an outlier becomes LOW_CNR: a peak of
-    noise.
-    Beyond the last measured pixel the ground has most often left the array's span, and the relief's law says nothing of
-    that. Pixels that were not measured have the range and Doppler of their centres.
+    Pixels that were measured, with one scatterer or two, become OK. The others, outliers included, become INTERPOLATED
+    where pixels of their column were measured at nearer and at farther range, and the standard deviation is at most
+    INTERPOLATED_SIGMA times that of the relief. Elsewhere they have no height, and an outlier becomes LOW_CNR: a peak
+    of noise. Nothing is extrapolated: beyond the last measured pixel the ground has most often left the span of the
+    array. Pixels that were not measured have the range and Doppler of their centres.
 
     Args:
         field: measured heights.
         relief: heights tracked from them with `own_sigma`, shape of the image.
-        prior: they were tracked with.
+        prior: with which they were tracked.
         aperture: state of the platform.
     """
     measured = np.isfinite(field.first.height)
-    # A circle about the line of flight is the same from wherever on that line a sliding aperture has seen it.
+    # The circle about the track is the same from every position of a sliding aperture.
     sight = np.where(measured[..., None], field.first.positions, field.grid.pixels()) - aperture.position
     slant_range, along = np.linalg.norm(sight, axis=-1), sight @ aperture.direction
     positions = locate_at_height(relief.height, slant_range, along, aperture, look_side_of(field.grid, aperture))
@@ -111,6 +110,6 @@ def tracked_field(
 
 
 def _between(used: Bool) -> Bool:
-    """Where pixels of the same column are used in rows before and after."""
+    """Pixels with others of the same column that are used, in rows before and after."""
     before, after = np.logical_or.accumulate(used), np.logical_or.accumulate(used[::-1])[::-1]
     return before & after

@@ -348,4 +348,4 @@ def test_a_prior_needs_measurements(cells: int) -> None:
     measured[:cells, 1] = measured[:cells, 3] = 1.0
     with pytest.raises(UserError) as error:
         estimated_prior(measured, np.ones_like(measured), SPACING)
-    assert_one_sentence(str(error.value), f"{2 * max(0, cells - 1)} steps", f"{LEAST_STEPS} or more")
+    assert_one_sentence(str(error.value), f"{2 * max(0, cells - 1)} pairs", f"{LEAST_STEPS} or more")

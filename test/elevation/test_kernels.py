@@ -1,0 +1,263 @@
+"""Every compiled loop of the package against a twin in plain NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import BEAMWIDTH, circular, elevation_at, make_beams, target_slc
+
+from sal_height.beams.array import Beams
+from sal_height.elevation import _kernels as kernels
+from sal_height.elevation import _look_kernels as look_kernels
+from sal_height.elevation.likelihood import OBJECTIVES
+from sal_height.elevation.search import PeakSearch, PeakSearches
+
+Array = np.ndarray
+RNG_SEED = 80
+
+
+def search_of(beams: Beams, objective: str = "normalised") -> PeakSearch:
+    return PeakSearches.over(beams, np.zeros(1), OBJECTIVES[objective], 3 * BEAMWIDTH).at(0.0)
+
+
+def pixels_of(channels: int, pixels: int, looks: int) -> Array:
+    """Real covariances of targets at 10 dB, (pixels, channels, channels), float32."""
+    rng = np.random.default_rng([RNG_SEED, channels, looks])
+    offsets = rng.uniform(-0.25, 0.25, (pixels, 1)) * channels
+    slc = target_slc(make_beams("jinc", channels), offsets, pixels, looks, 10.0, rng)
+    return np.ascontiguousarray(np.einsum("mpk,npk->pmn", slc, slc.conj()).real, dtype=np.float32)
+
+
+def weights_at(search: PeakSearch, position: Array) -> Array:
+    """Weights (..., detectors) at positions in steps of the table, in double precision."""
+    node = np.minimum(position.astype(int), len(search.pieces) - 1)
+    powers = (position - node)[..., None] ** np.arange(4)
+    return np.einsum("...k,...km->...m", powers, search.pieces[node].astype(float))
+
+
+def forms(matrices: Array, weights: Array) -> Array:
+    """Quadratic forms of each pixel for all weights (nodes, detectors), (pixels, nodes)."""
+    return np.einsum("gm,pmn,gn->pg", weights, matrices.astype(float), weights, optimize=True)
+
+
+@pytest.mark.parametrize("channels", [2, 3, 5, 16])
+@pytest.mark.parametrize("pixels", [1, 4, 7])
+def test_grid_is_the_quadratic_form_at_its_nodes(channels: int, pixels: int) -> None:
+    search, matrices = search_of(make_beams("jinc", channels)), pixels_of(channels, pixels, 4)
+    nodes = np.arange(search.grid.shape[1]) * float(kernels.TABLE_STEPS)
+    expected = forms(matrices, weights_at(search, nodes))
+    found = kernels.evaluate_on_grid(matrices, search.entries, search.grid)
+    np.testing.assert_allclose(found, expected, atol=2e-6 * expected.max())
+
+
+def highest_peaks(search: PeakSearch, matrices: Array) -> tuple[Array, Array, Array]:
+    """The search in plain NumPy: place (in steps of the table), height, and second height of the peaks on a fine grid.
+
+    Peaks are vertices of parabolas through 64 points in each step of the table.
+    """
+    fine = np.linspace(0, len(search.pieces), 64 * len(search.pieces) + 1)
+    value = forms(matrices, weights_at(search, fine))
+    padded = np.pad(value, ((0, 0), (1, 1)), constant_values=-np.inf)
+    peak = (value >= padded[:, :-2]) & (value > padded[:, 2:])
+    heights = np.sort(np.where(peak, value, -np.inf), axis=1)
+    top = np.argmax(value, axis=1).clip(1, len(fine) - 2)
+    low, middle, high = (value[np.arange(len(value)), top + step] for step in (-1, 0, 1))
+    vertex = ((low - high) / (2 * (low - 2 * middle + high))).clip(-1, 1)
+    return fine[top] + vertex / 64, heights[:, -1], heights[:, -2]
+
+
+@pytest.mark.parametrize("objective", sorted(OBJECTIVES))
+@pytest.mark.parametrize(("channels", "looks"), [(3, 1), (5, 4), (16, 1), (16, 16)])
+def test_highest_and_second_peak_are_those_of_a_dense_search(channels: int, looks: int, objective: str) -> None:
+    """But for ties within the errors of float32: 1e-4 of the height."""
+    search, matrices = search_of(make_beams("jinc", channels), objective), pixels_of(channels, 300, looks)
+    place, height, second = highest_peaks(search, matrices)
+    values = kernels.evaluate_on_grid(matrices, search.entries, search.grid)
+    found = tuple(np.empty((3, len(matrices))))
+    kernels.climb_highest(matrices, values, np.float32(np.max(height)), search.pieces, found)
+    np.testing.assert_allclose(found[1], height, rtol=1e-4)
+    clear = height - second > 1e-3 * height
+    assert np.mean(clear) > 0.95
+    np.testing.assert_allclose(found[0][clear], place[clear], atol=0.02)
+    high = second > 0.7 * height  # lower ones may be missed
+    # A climb from behind a dip may end on the flank of a peak instead: the second peak is too high then.
+    close = np.isclose(found[2][high], second[high], rtol=1e-3)
+    assert np.count_nonzero(~close) <= 0.01 * len(matrices)
+    assert np.all(close | (found[2][high] > second[high]))
+
+
+@pytest.mark.parametrize("complex_beams", [False, True])
+def test_fit_is_that_of_the_weights_at_a_place(complex_beams: bool) -> None:
+    """Explained power and how fast the weights turn; complex ones, real parts first, but for a turn of phase."""
+    rng, search, matrices = np.random.default_rng(RNG_SEED), search_of(make_beams("jinc", 6)), pixels_of(6, 50, 4)
+    place, found = rng.uniform(0, len(search.pieces), 50), np.empty((3, 50))
+    kernels.fit_scatterer(matrices, place, search.pieces, search.power, complex_beams, found)
+    step = 1e-4
+    weight = weights_at(search, place)
+    slope = (weights_at(search, place + step) - weights_at(search, place - step)) / (2 * step)
+    both = [part[:, :3] + 1j * part[:, 3:] if complex_beams else part for part in (weight, slope)]
+    norm = np.sum(np.abs(both[0]) ** 2, axis=1)
+    overlap = np.abs(np.sum(both[0].conj() * both[1], axis=1)) ** 2
+    turning = (np.sum(np.abs(both[1]) ** 2, axis=1) - overlap / norm) / norm
+    explained = np.einsum("pm,pmn,pn->p", weight, matrices.astype(float), weight) / norm
+    np.testing.assert_allclose(found[0], explained, rtol=1e-5)
+    np.testing.assert_allclose(found[2], turning, rtol=2e-3, atol=1e-6)
+
+
+def test_uphill_ends_at_the_peak_beside_the_highest_node_reached() -> None:
+    search, matrices = search_of(make_beams("jinc")), pixels_of(16, 200, 4)
+    values = kernels.evaluate_on_grid(matrices, search.entries, search.grid)
+    start = np.random.default_rng(RNG_SEED).integers(0, values.shape[1], len(values))
+    found = np.empty(len(values))
+    kernels.climb_uphill(matrices, values, search.pieces, start, found)
+    for line, node, place in zip(values, start, found, strict=True):
+        top = node
+        while top + 1 < line.size and line[top + 1] >= line[top]:
+            top += 1
+        while top > 0 and line[top - 1] > line[top]:
+            top -= 1
+        assert abs(place / kernels.TABLE_STEPS - top) <= 1
+
+
+def test_weighted_sum_adds_what_is_there() -> None:
+    rng = np.random.default_rng(RNG_SEED)
+    weights, values = rng.standard_normal(7).astype(np.float32), rng.standard_normal((7, 11)).astype(np.float32)
+    total = np.ones(11, np.float32)
+    kernels.add_weighted(weights, values, total)
+    np.testing.assert_allclose(total, 1 + weights @ values, rtol=1e-5, atol=1e-5)
+
+
+def unit_nodes(kind: str) -> tuple[Array, Array]:
+    """Unit responses (channels, nodes) of a type, and their overlaps."""
+    beams = make_beams("jinc", 5)
+    response = beams.response(elevation_at(np.linspace(-2, 2, 21)), 0.0)
+    if kind == "complex64":
+        response = response * np.exp(1j * np.random.default_rng(1).random(response.shape))
+    unit = response / np.linalg.norm(response, axis=1, keepdims=True)
+    return np.ascontiguousarray(unit.T.astype(kind)), (unit.conj() @ unit.T).astype(kind)
+
+
+@pytest.mark.parametrize("kind", ["float32", "complex64"])
+def test_best_pair_is_the_one_with_the_greatest_projection(kind: str) -> None:
+    units, overlap = unit_nodes(kind)
+    residue = 1 - np.abs(overlap.astype(complex)) ** 2
+    tried = np.triu(residue > kernels.LEAST_RESIDUE, 1)
+    weight = np.where(tried, 1 / np.where(tried, residue, 1), 0).astype(np.float32)
+    samples = circular(np.random.default_rng(RNG_SEED), (30, 4, 5))
+    matrices = np.einsum("pkm,pkn->pmn", samples, samples.conj())
+    matrices = (matrices if kind == "complex64" else matrices.real).astype(kind)
+    place = np.empty((30, 2), np.intp)
+    kernels.best_pairs(matrices, units, overlap, weight, place)
+    explained = np.full((30, *weight.shape), -np.inf)
+    for i, j in np.argwhere(tried):
+        pair = units[:, [i, j]].astype(complex)
+        projector = pair @ np.linalg.pinv(pair)
+        explained[:, i, j] = np.einsum("mn,pnm->p", projector, matrices).real
+    best = explained.reshape(30, -1).max(axis=1)
+    np.testing.assert_allclose(explained[np.arange(30), place[:, 0], place[:, 1]], best, rtol=1e-4)
+
+
+@pytest.mark.parametrize("free", [kernels.FREE_NODES])
+def test_messages_are_those_of_the_recursion_of_viterbi(free: int) -> None:
+    rng, strength = np.random.default_rng(RNG_SEED), 0.8
+    own = rng.standard_normal((1, 9, 12)).astype(np.float32)
+    has_data, messages = np.ones((1, 9), np.bool_), np.zeros_like(own)
+    has_data[0, 4] = False
+    kernels.send_along(own, has_data, np.float32(strength), np.array([[0, 0]]), (0, 1), messages)
+    nodes = np.arange(12)
+    near = np.abs(nodes[:, None] - nodes) <= free
+    message, expected = np.zeros(12), np.zeros((9, 12))
+    for col in range(9):
+        if has_data[0, col]:
+            expected[col] = message
+            path = own[0, col] + message
+            message = np.maximum(np.where(near, path, -np.inf).max(axis=1), path.max() - strength) - path.max()
+        else:
+            message = np.zeros(12)
+    np.testing.assert_allclose(messages[0], expected, atol=1e-5)
+
+
+def test_log_likelihoods_are_concentrated_over_the_power() -> None:
+    values, looks = np.array([[0.5, 4.0, 40.0], [9.0, 2.0, 1.0]], np.float32), np.array([4.0, 2.0])
+    q = np.maximum(values / (looks[:, None] * 1.5), 1)
+    expected = looks[:, None] * (q - 1 - np.log(q))
+    kernels.concentrate(values, 1.5, looks)
+    np.testing.assert_allclose(values, expected, rtol=1e-5)
+
+
+def test_node_changes_only_where_neighbours_prefer_the_other() -> None:
+    rng = np.random.default_rng(RNG_SEED)
+    own, messages = (rng.standard_normal((6, 7, 5)).astype(np.float32) for _ in range(2))
+    alone, together = np.argmax(own, axis=2), np.empty((6, 7), np.intp)
+    kernels.most_likely(own, messages, alone, together)
+    best = np.argmax(own + messages, axis=2)
+    heard = [np.take_along_axis(messages, node[..., None], axis=2)[..., 0] for node in (best, alone)]
+    np.testing.assert_array_equal(together, np.where(heard[0] > heard[1], best, alone))
+
+
+def images(channels: int) -> tuple[Array, Array]:
+    """Images (channels, rows, cols), complex64, and the view of their real and imaginary parts."""
+    slc = circular(np.random.default_rng([RNG_SEED, channels]), (channels, 7, 9)).astype(np.complex64)
+    return slc, slc.view(np.float32)
+
+
+def test_power_of_samples_and_marks_of_bad_ones() -> None:
+    slc, numbers = images(3)
+    slc[1, 2, 3], slc[0, 4, 0] = np.nan, np.inf
+    weights, power = np.array([1.0, 0.5, 2.0], np.float32), np.empty((6, 9), np.float32)
+    look_kernels.sum_powers(numbers, weights, 1, power)
+    expected = np.einsum("c,crk->rk", weights, np.abs(slc[:, 1:]) ** 2)
+    np.testing.assert_allclose(power, np.where(np.isfinite(expected), expected, -1), rtol=1e-5)
+
+
+WINDOWS = ((-1, 2, np.array([1.0, 2.0, 0.5])), (0, 3, np.array([1.0, 0.7])))
+"""First sample, step and weights in range and azimuth."""
+
+
+def window_weights(window: tuple[int, int, Array], pixels: int, samples: int) -> Array:
+    """Weights of all samples in each pixel along one axis, (pixels, samples)."""
+    first, step, weights = window
+    result = np.zeros((pixels, samples))
+    for pixel in range(pixels):
+        for k, weight in enumerate(weights):
+            if 0 <= first + pixel * step + k < samples:
+                result[pixel, first + pixel * step + k] = weight
+    return result
+
+
+def test_centres_are_means_weighted_with_power() -> None:
+    power = np.random.default_rng(RNG_SEED).random((7, 9)).astype(np.float32)
+    power[3, 4] = -1
+    found = tuple(np.empty((3, 4, 3)))
+    look_kernels.find_centres(power, *WINDOWS, 0, found)
+    down, across = window_weights(WINDOWS[0], 4, 7), window_weights(WINDOWS[1], 3, 9)
+    bad = np.einsum("ir,jc,rc->ij", down > 0, across > 0, power < 0) > 0
+    total = np.einsum("ir,jc,rc->ij", down, across, power)
+    row = np.einsum("ir,jc,rc,r->ij", down, across, power, np.arange(7.0)) / total
+    empty_row = (down @ np.arange(7) / down.sum(axis=1))[:, None]
+    np.testing.assert_allclose(found[0], np.where(bad, -1, total), rtol=1e-5)
+    np.testing.assert_allclose(found[1], np.where(bad, empty_row, row), rtol=1e-5)
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+@pytest.mark.parametrize("channels", [1, 3, 8])
+def test_covariances_are_weighted_sums_of_outer_products(channels: int, parts: int) -> None:
+    slc, numbers = images(channels)
+    rng = np.random.default_rng(RNG_SEED)
+    gains, scale = circular(rng, (channels,)).astype(np.complex64), rng.random((4, 3)).astype(np.float32)
+    scale[1, 1] = 0
+    row, col = (axis.ravel() for axis in np.indices((4, 3)))
+    found = np.empty((12, parts, channels, channels), np.float32)
+    windows = [(first, step, weights.astype(np.float32)) for first, step, weights in WINDOWS]
+    look_kernels.sum_covariances(numbers, gains, (row, col), *windows, scale, found)
+    down, across = window_weights(WINDOWS[0], 4, 7), window_weights(WINDOWS[1], 3, 9)
+    seen = gains[:, None, None] * slc
+    expected = np.einsum("ir,jc,ij,mrc,nrc->ijmn", down, across, scale, seen, seen.conj()).reshape(12, channels, -1)
+    np.testing.assert_allclose(found[:, 0], expected.real, atol=1e-5)
+    if parts == 2:
+        np.testing.assert_allclose(found[:, 1], expected.imag, atol=1e-5)
+    samples = np.ascontiguousarray(circular(rng, (6, 5, channels)).astype(np.complex64))
+    sums = np.empty((6, parts, channels, channels), np.float32)
+    look_kernels.sum_samples(samples.view(np.float32), sums)
+    expected = np.einsum("pkm,pkn->pmn", samples, samples.conj())
+    np.testing.assert_allclose(sums[:, 0], expected.real, atol=1e-5)

@@ -1,4 +1,4 @@
-"""The receive beams of a detector array: what each detector makes of a scatterer in a given direction."""
+"""The receive beams of a detector array: the response of every channel to a target in a given direction."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sal_height.geometry import ApertureState, Grid, aperture_at, squint_on_cone
 from sal_height.numeric import C128, F64, Index
 
 NEGLIGIBLE = 1e-6
-"""Share of the greatest entry of a matrix, -120 dB, that is as good as none: samples have single precision."""
+"""Entries of a channel matrix below this share of the greatest one, -120 dB, count as 0: samples are complex64."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,20 +25,21 @@ class Beams:
     """The receive beams of a detector array.
 
     Detectors lie on an axis through the middle of the array that is turned by `rotation` (SAL paper, figure 8). A
-    target at elevation x above that middle and squint y has, on the axis, the place x cos psi + y sin psi, and beside
-    it -x sin psi + y cos psi.
+    target at elevation x above that middle and squint y has the coordinate x cos psi + y sin psi along the axis, and
+    -x sin psi + y cos psi beside it.
 
     Attributes:
         patterns: amplitude pattern of every detector, or the one common to all.
         boresights: angle of each beam along the detector axis in rad from nadir, shape (detectors,), increasing.
         beamwidth: wavelength / aperture diameter in rad.
-        rotation: psi of the detector axis from elevation towards the direction of flight, rad.
+        rotation: psi, angle of the detector axis from elevation towards the direction of flight, rad.
         aspects: angles along the flight, relative to the squint, under which a target was seen while its image was
-            synthesised, rad; one of 0 where the antenna was held on it.
-        weights: of the aspects in the image; their sum is 1, but for beams scaled to the peak of such a mean.
-        middle: where the axis is turned, rad from nadir; None: half way between the first and the last boresight.
-        matrix: of channels that are made of the detectors, shape (channels, detectors), as many; None: they are the
-            detectors (`combined`).
+            synthesised, rad; a single 0 where the antenna was held on the target.
+        weights: of the aspects in the image; their sum is 1, unless the beams are scaled to the peak of such a mean.
+        middle: point of the axis about which it is turned, rad from nadir; None: half way between the first and the
+            last boresight.
+        matrix: channels from detectors, shape (channels, detectors), square; None: the channels are the detectors
+            (`combined`).
     """
 
     patterns: tuple[Pattern, ...]
@@ -51,22 +52,26 @@ class Beams:
     matrix: F64 | C128 | None = None
 
     def response(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
-        """Amplitude of every channel for targets at `elevation` and `squint` (rad): shape (..., channels).
+        """Return the amplitude of every channel for targets at `elevation` and `squint` (rad): shape (..., channels).
 
         Float64, or complex128 if a pattern or the matrix is complex.
         """
         return self._in_channels(self._mean(self._amplitude, elevation, squint))
 
     def slope(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
-        """Derivative of `response` with respect to elevation, per rad: shape (..., channels)."""
+        """Return the derivative of `response` with respect to elevation, per rad: shape (..., channels)."""
         return self._in_channels(self._mean(self._slope, elevation, squint))
 
+    def power(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
+        """Return the sum of |response|^2 over the channels, for targets at `elevation` and `squint` (rad)."""
+        return np.sum(np.abs(self.response(elevation, squint)) ** 2, axis=-1)
+
     def averaged(self, aspects: F64, weights: F64) -> Self:
-        """The beams as an image has them whose targets were seen under `aspects` (rad) with `weights` of any sum."""
+        """Return the beams of an image whose targets were seen under `aspects` (rad), weighted by `weights`."""
         return replace(self, aspects=aspects, weights=weights / np.sum(weights))
 
     def scaled(self, gains: F64) -> Self:
-        """The beams of channels that are multiplied by `gains`, real or complex, shape (channels,)."""
+        """Return the beams of channels that are multiplied by `gains`, real or complex, shape (channels,)."""
         if self.matrix is not None:
             return replace(self, matrix=gains[:, None] * self.matrix)
         if np.all(gains == gains[0]):
@@ -76,20 +81,20 @@ class Beams:
         return replace(self, patterns=tuple(pattern.scaled(gain) for pattern, gain in pairs))
 
     def widened(self, factor: float) -> Self:
-        """The beams `factor` times as wide, around the same boresights."""
+        """Return beams `factor` times as wide, around the same boresights."""
         return replace(self, beamwidth=self.beamwidth * factor)
 
     def combined(self, matrix: F64 | C128) -> Self:
-        """The beams of channels that are `matrix` times these, shape (channels, channels).
+        """Return the beams of channels that are `matrix` times these, shape (channels, channels).
 
-        Where they are no mixtures, as under a diagonal matrix or one that undoes a hybrid, they are `scaled`.
+        If the result mixes no detectors, because the matrix is diagonal or undoes a hybrid, the beams are `scaled`.
         """
         matrix = _without_rounding(matrix if self.matrix is None else matrix @ self.matrix)
         mixed = np.any(matrix != np.diag(np.diag(matrix)))
         return replace(self, matrix=matrix) if mixed else replace(self, matrix=None).scaled(np.diag(matrix))
 
     def detectors(self, indices: Index) -> Self:
-        """The beams of some detectors, in increasing order and on the same axis.
+        """Return the beams of some detectors, in increasing order and on the same axis.
 
         Raises:
             UserError: the channels are mixtures of detectors.
@@ -109,7 +114,7 @@ class Beams:
 
     @property
     def is_complex(self) -> bool:
-        """Whether `response` is complex, so that the phases between channels matter (`looks.covariance`)."""
+        """Whether `response` is complex, so that estimators need the phases between channels (`looks.covariance`)."""
         return np.iscomplexobj(self.response(self.domain(0.0)[0], 0.0))
 
     @property
@@ -118,9 +123,9 @@ class Beams:
         return float(self.boresights[0]), float(self.boresights[-1])
 
     def domain(self, guard: float) -> tuple[float, float]:
-        """Elevations (rad) from half a pitch plus `guard` (rad) below the first boresight to as much above the last.
+        """Return the elevations (rad) of the search: the span of the boresights, half a pitch and `guard` (rad) more.
 
-        Less where the pattern of a detector is not known so far.
+        The interval ends earlier where the pattern of a detector is not known.
 
         Raises:
             UserError: no elevation lies within the patterns of all detectors.
@@ -135,7 +140,7 @@ class Beams:
         """Angles along the axis (rad) between which the patterns of all detectors are known.
 
         Raises:
-            UserError: there is none.
+            UserError: there is no such angle.
         """
         ends = np.array([pattern.domain for pattern in self.patterns]) * self.beamwidth
         low, high = float(np.max(self.boresights + ends[:, 0])), float(np.min(self.boresights + ends[:, 1]))
@@ -152,7 +157,7 @@ class Beams:
 
     @property
     def axis_middle(self) -> float:
-        """Where the axis is turned, rad from nadir."""
+        """Point of the axis about which it is turned, rad from nadir."""
         return float(np.mean(self.span)) if self.middle is None else self.middle
 
     def _check_unmixed(self) -> None:
@@ -160,11 +165,11 @@ class Beams:
             raise UserError("The channels are mixtures of detectors; single detectors cannot be picked from them.")
 
     def _in_channels(self, values: F64) -> F64:
-        """What the channels make of the detectors' `values`, shape (..., detectors)."""
+        """Return the channels' values from those of the detectors, shape (..., detectors)."""
         return values if self.matrix is None else np.asarray(values @ self.matrix.T)
 
     def _mean(self, function: Callable[[F64, F64], F64], elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
-        """Mean over the aspects of a function of the offsets from the boresights."""
+        """Return the mean over the aspects of a function of the offsets from the boresights."""
         seen = (function(*self._offsets(elevation, np.asarray(squint) + aspect)) for aspect in self.aspects.tolist())
         return reduce(np.add, (weight * value for weight, value in zip(self.weights.tolist(), seen, strict=True)))
 
@@ -185,7 +190,7 @@ class Beams:
         return np.stack([function(e[..., i], a[..., i]) for i, function in enumerate(functions)], axis=-1)
 
     def _offsets(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> tuple[F64, F64]:
-        """Offsets from each boresight in beamwidths, along the detector axis and beside it."""
+        """Return the offsets from each boresight in beamwidths, along the detector axis and beside it."""
         x, y = np.asarray(elevation)[..., None] - self.axis_middle, np.asarray(squint)[..., None]
         cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
         e = (x * cosine + y * sine - (self.boresights - self.axis_middle)) / self.beamwidth  # differences first: exact
@@ -194,14 +199,18 @@ class Beams:
 
 
 def _without_rounding(matrix: F64 | C128) -> F64 | C128:
-    """The matrix without entries, or imaginary parts, that are too small to matter; real if it can be."""
+    """Set entries and imaginary parts below NEGLIGIBLE to 0; return a real matrix if no imaginary part is left."""
     least = NEGLIGIBLE * np.abs(matrix).max()
     kept = np.where(np.abs(matrix) > least, matrix, 0)
     return kept if np.any(np.abs(kept.imag) > least) else kept.real
 
 
 def column_squint(grid: Grid, aperture: ApertureState, beams: Beams, look_side: int) -> F64:
-    """Squint (rad) under which each column of `grid` is seen at the middle row and the middle of the beams, (cols,)."""
+    """Return the squint (rad) under which each column of an image is seen, shape (cols,).
+
+    It is computed at the image's middle row, for a target in the middle of the beams. Other rows of a column have the
+    same Doppler but another elevation, hence a slightly different squint, which is neglected.
+    """
     points = grid.points((grid.rows - 1) / 2, np.arange(grid.cols))
     sight = points - aperture_at(points, aperture).position
     cone = sight @ aperture.direction / np.linalg.norm(sight, axis=-1)

@@ -1,4 +1,4 @@
-"""Measured beams: a table of complex amplitudes over angles, for one detector each."""
+"""Measured beams: tables of complex amplitudes over angles, their CSV files, and the patterns that they make."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sal_height.errors import UserError
 from sal_height.numeric import C128, F64
 
 COLUMNS = ("detector", "elevation_beamwidths", "azimuth_beamwidths", "real", "imaginary")
-"""Of a file of beam tables; the third may be absent."""
+"""Columns of a file of beam tables; the third may be absent."""
 
 DEGREE = 3
 """Degree of the spline through a table."""
@@ -35,17 +35,19 @@ UNKNOWN_MAIN_LOBE = 1.0
 
 @dataclass(frozen=True)
 class BeamTable:
-    """What a detector's beam was measured to be; the same content as sal_height_msgs/BeamTable.
+    """The measured beam of one detector; the same content as sal_height_msgs/BeamTable.
 
     Attributes:
         elevation: offsets from the detector's boresight along the detector axis, rad, increasing.
-        azimuth: offsets beside it, rad, increasing; a single one: the beam is taken to depend on elevation only.
-        real: of the amplitude at every elevation and, within it, every azimuth. The unit is that of all detectors of
-            the sensor, which are compared with each other; their greatest modulus near 1 keeps CNRs what they mean.
-        imaginary: as `real`.
+        azimuth: offsets beside it, rad, increasing; a single one: the beam depends on elevation only.
+        real: real part of the amplitude at every elevation and, within it, every azimuth. All detectors of a sensor
+            share one unit, because they are compared with each other; CNRs keep their meaning if the greatest modulus
+            is near 1.
+        imaginary: imaginary part, as `real`.
 
     Raises:
-        UserError: too few or no increasing angles, values that are not finite, of another number, or all zero.
+        UserError: the angles are too few or do not increase, or the values are not finite, not as many as directions,
+            or all zero.
     """
 
     elevation: tuple[float, ...]
@@ -80,25 +82,25 @@ class BeamTable:
 
 
 Grid = dict[tuple[float, float], tuple[complex, int]]
-"""Amplitude, and line in the file, by elevation and azimuth in beamwidths."""
+"""Amplitude and line number in the file, by elevation and azimuth in beamwidths."""
 
 
 def read_beam_tables(path: Path, beamwidth: float) -> tuple[BeamTable, ...]:
-    """The measured beams in a CSV file with the columns COLUMNS, one row for every detector and direction.
+    """Read measured beams from a CSV file with the columns COLUMNS, one row for every detector and direction.
 
-    Detectors are counted from 0, each has a grid of its own; rows come in any order. Offsets are from the boresight of
-    each detector, in beamwidths. Without azimuth_beamwidths all rows have azimuth 0.
+    Detectors are counted from 0, and each has a grid of its own; rows may come in any order. Offsets are from the
+    boresight of each detector, in beamwidths. Without azimuth_beamwidths all rows have azimuth 0.
 
     Args:
         path: of the file.
         beamwidth: wavelength / aperture diameter, rad.
 
     Returns:
-        tuple[BeamTable, ...]: of detectors 0, 1, ...
+        tuple[BeamTable, ...]: the beams of detectors 0, 1, ...
 
     Raises:
-        UserError: the file cannot be read, a column is missing, a value is no number, a direction is missing or given
-            twice, detectors are left out, or a beam makes no BeamTable.
+        UserError: the file cannot be read, a column is missing, a value is not a number, a direction is missing or
+            given twice, a detector is missing, or BeamTable refuses a beam.
     """
     grids = _grids(path)
     if sorted(grids) != list(range(len(grids))):
@@ -114,7 +116,7 @@ def _grids(path: Path) -> dict[int, Grid]:
         if direction in grids[detector]:
             raise UserError(
                 f"{path}, line {line}: elevation {direction[0]:g} and azimuth {direction[1]:g} of detector {detector} "
-                f"were given in line {grids[detector][direction][1]} already; every direction must be there once."
+                f"are already in line {grids[detector][direction][1]}; give every direction once."
             )
         grids[detector][direction] = amplitude, line
     if not grids:
@@ -123,7 +125,7 @@ def _grids(path: Path) -> dict[int, Grid]:
 
 
 def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
-    """Rows that are not empty by column, with their lines."""
+    """Return the rows that are not empty, by column, with their line numbers."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             reader = csv.reader(stream)
@@ -133,7 +135,7 @@ def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror}.") from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise UserError(f"{path} is no CSV text; columns {', '.join(COLUMNS)} are expected.") from error
+        raise UserError(f"{path} is no CSV text; it must be a table with the columns {', '.join(COLUMNS)}.") from error
     for line, row in lines:
         if len(row) != len(header):
             raise UserError(f"{path}, line {line}: there are {len(row)} values; the header has {len(header)} columns.")
@@ -148,7 +150,7 @@ def _check_header(path: Path, header: list[str]) -> None:
 
 
 def _numbers(path: Path, line: int, row: dict[str, str]) -> tuple[int, tuple[float, float], complex]:
-    """Detector, elevation and azimuth in beamwidths, and amplitude of a row."""
+    """Return detector, elevation and azimuth in beamwidths, and amplitude of a row."""
     values = {}
     for name in COLUMNS:
         text = row.get(name, "0").strip()

@@ -7,7 +7,7 @@ tomography, on the same search), `monopulse` (pairs; sum and difference), `spati
 their settings).
 """
 
-from sal_height.elevation.bounds import beam_power, conditional_crb, speckle_crb, stochastic_crb
+from sal_height.elevation.bounds import conditional_crb, speckle_crb, stochastic_crb
 from sal_height.elevation.capon import capon_elevation
 from sal_height.elevation.estimate import (
     MISFIT_SHARE,
@@ -78,7 +78,6 @@ __all__ = [
     "PeakSearches",
     "Validity",
     "Window",
-    "beam_power",
     "capon_elevation",
     "conditional_crb",
     "covariance",

@@ -23,7 +23,7 @@ from scipy.special import gammaincc, gammaln
 
 from sal_height.beams import Beams
 from sal_height.elevation._kernels import GRID_STEP, LEAST_RESIDUE, best_pairs, gains_beside
-from sal_height.elevation.bounds import Numbers, beam_power, information, unit_vectors
+from sal_height.elevation.bounds import Numbers, information, unit_vectors
 from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity, explained_power
 from sal_height.elevation.likelihood import GUARD
 from sal_height.elevation.looks import Covariance, Looks
@@ -183,7 +183,7 @@ def detection_threshold(beams: Beams, squint: float, looks: float, false_alarm: 
         false_alarm: wanted probability.
     """
     nodes = np.linspace(*beams.span, math.ceil(np.ptp(beams.span) / (GRID_STEP * beams.beamwidth)) + 1)
-    power = beam_power(beams.response(nodes, squint))
+    power = beams.power(nodes, squint)
     length = float(np.trapezoid(np.sqrt(information(beams, nodes, squint) / power), nodes))
 
     def excess(level: float) -> float:

@@ -1,4 +1,4 @@
-"""The spherical earth that touches the origin of the map: places and heights on it.
+"""Places and heights on the spherical earth that touches the origin of the map.
 
 Map axes are ENU (x east, y north, z up) with the origin on a sphere of radius EARTH_RADIUS; heights are
 above that sphere.
@@ -16,10 +16,10 @@ EARTH_RADIUS = 6_371_008.8
 
 
 def sphere_point(east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLike) -> F64:
-    """Map position (m) of a point at arc distances `east`, `north` (m) along the sphere and `height` (m) above it.
+    """Return the map position (m) of arc distances `east`, `north` (m) along the sphere and `height` (m) above it.
 
-    Azimuthal equidistant: the great circle from the map's origin leaves in the direction (east, north).
-    Shape (..., 3).
+    The projection is azimuthal equidistant: the great circle from the map's origin leaves it in the direction
+    (east, north). The result has the shape (..., 3).
     """
     east, north, height = np.broadcast_arrays(east, north, height)
     angle = np.hypot(east, north) / EARTH_RADIUS
@@ -29,7 +29,7 @@ def sphere_point(east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLik
 
 
 def sphere_coordinates(points: F64) -> tuple[F64, F64, F64]:
-    """Arc distances east and north (m) and height (m) of map positions of shape (..., 3): undoes `sphere_point`."""
+    """Return arc distances east and north (m) and height (m) of map positions, shape (..., 3): undo `sphere_point`."""
     x, y, z = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
     level = np.hypot(x, y)
     angle = np.arctan2(level, z + EARTH_RADIUS)
@@ -38,9 +38,9 @@ def sphere_coordinates(points: F64) -> tuple[F64, F64, F64]:
 
 
 def height_of(points: F64) -> F64:
-    """Height (m) above the sphere of map positions of shape (..., 3), without cancellation.
+    """Return the height (m) above the sphere of map positions of shape (..., 3), without cancellation.
 
-    sqrt(x^2 + y^2 + (z + R)^2) - R, with the difference of the two large numbers taken analytically.
+    It is sqrt(x^2 + y^2 + (z + R)^2) - R, with the difference of the two large numbers taken analytically.
     """
     x, y, z = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
     radius = np.sqrt(x**2 + y**2 + (z + EARTH_RADIUS) ** 2)
@@ -48,9 +48,10 @@ def height_of(points: F64) -> F64:
 
 
 def above_place(x: npt.ArrayLike, y: npt.ArrayLike, height: npt.ArrayLike) -> F64:
-    """Map position (m) of the point at the map coordinates `x`, `y` (m) that is `height` (m) above the sphere.
+    """Return the map position (m) of the point at map coordinates `x`, `y` (m) and `height` (m) above the sphere.
 
-    z = sqrt((R + h)^2 - x^2 - y^2) - R, without cancellation; shape (..., 3). NaN beyond the sphere's horizon.
+    z = sqrt((R + h)^2 - x^2 - y^2) - R, without cancellation; shape (..., 3). NaN where the sphere of that height does
+    not reach (x, y).
     """
     x, y, height = (np.asarray(value, dtype=np.float64) for value in np.broadcast_arrays(x, y, height))
     growth = height * (2 * EARTH_RADIUS + height) - x**2 - y**2

@@ -1,4 +1,4 @@
-"""Directions, positions and heights: body and map axes, and a spherical earth.
+"""Body and map axes, the state of the platform in mid-aperture, and the directions of elevation and squint.
 
 Map axes are ENU (x east, y north, z up) with the origin on a sphere of radius EARTH_RADIUS; heights are above that
 sphere. Body axes are FLU (REP-103). Elevation is the angle from nadir (-z) towards the look side, squint the angle
@@ -20,13 +20,13 @@ class ApertureState:
     """State of the platform in the middle of a synthetic aperture.
 
     Attributes:
-        position: of base_link in map, m, shape (3,); of many points' apertures (`aperture_at`), shape (..., 3).
+        position: of base_link in map, m, shape (3,); after `aperture_at`, one for each point, shape (..., 3).
         velocity: in map axes, m/s, shape (3,).
         rotation: matrix that turns body into map axes, shape (3, 3).
         length: of the synthetic aperture, m.
         covariance: of position (m^2) and of rotation about x, y, z of map (rad^2), shape (6, 6); zeros: unknown.
-        sliding: True in stripmap: the aperture slides along the flight with the columns of the image, and `position` is
-            that of its middle column.
+        sliding: True in stripmap, where the aperture slides along the flight with the columns of the image; `position`
+            then belongs to the middle column.
     """
 
     position: F64
@@ -43,12 +43,12 @@ class ApertureState:
 
     @property
     def forward(self) -> F64:
-        """Unit vector of the body's x axis in map axes: the beams lie in the plane square to it."""
+        """Unit vector of the body's x axis in map axes; the beams lie in the plane perpendicular to it."""
         return self.rotation[:, 0]
 
 
 def look_direction(elevation: npt.ArrayLike, squint: npt.ArrayLike, look_side: int) -> F64:
-    """Unit vector in body axes towards `elevation` and `squint` (rad), shape (..., 3)."""
+    """Return the unit vector in body axes towards `elevation` and `squint` (rad), shape (..., 3)."""
     elevation, squint = np.broadcast_arrays(elevation, squint)
     return np.stack(
         [
@@ -61,17 +61,17 @@ def look_direction(elevation: npt.ArrayLike, squint: npt.ArrayLike, look_side: i
 
 
 def angles_of(points: F64, aperture: ApertureState, look_side: int) -> tuple[F64, F64, F64]:
-    """Slant range (m), elevation and squint (rad) under which an aperture sees `points` of shape (..., 3)."""
+    """Return the slant range (m), elevation and squint (rad) at which an aperture sees `points` of shape (..., 3)."""
     body = (points - aperture.position) @ aperture.rotation
     slant_range = np.linalg.norm(body, axis=-1)
     return slant_range, np.arctan2(-look_side * body[..., 1], -body[..., 2]), np.arcsin(body[..., 0] / slant_range)
 
 
 def aperture_at(points: F64, aperture: ApertureState) -> ApertureState:
-    """The aperture from which an image shows `points` of shape (..., 3).
+    """Return the aperture from which an image shows `points` of shape (..., 3).
 
-    That is `aperture`; a sliding one has come, at its velocity, to where each point is abeam of the body (squint 0):
-    its position has the shape of the points, and it slides no more.
+    If `aperture` does not slide, that is `aperture` itself. A sliding one is moved along its velocity to where each
+    point is abeam of the body (squint 0); the result has one position per point and does not slide.
     """
     if not aperture.sliding:
         return aperture
@@ -80,10 +80,10 @@ def aperture_at(points: F64, aperture: ApertureState) -> ApertureState:
 
 
 def squint_on_cone(elevation: npt.ArrayLike, cone: npt.ArrayLike, aperture: ApertureState, look_side: int) -> F64:
-    """Squint (rad) of the direction at `elevation` (rad) whose component along the flight is `cone`.
+    """Return the squint (rad) of the direction at `elevation` (rad) whose component along the flight is `cone`.
 
-    A pixel fixes a target's range and Doppler, that is `cone`, the cosine of the angle to the velocity; elevation is
-    free. Solves A sin(squint) + B cos(squint) = cone, which with attitude equal to track is arcsin(cone).
+    A pixel fixes a target's range and Doppler, that is `cone`, the cosine of the angle to the velocity; its elevation
+    is free. The squint solves A sin(squint) + B cos(squint) = cone; with body x along the track it is arcsin(cone).
     """
     forward, left, up = aperture.direction @ aperture.rotation
     b = -look_side * left * np.sin(elevation) - up * np.cos(elevation)

@@ -39,25 +39,28 @@ class Grid:
         return self.rows, self.cols
 
     def points(self, row: npt.ArrayLike, col: npt.ArrayLike) -> F64:
-        """Positions (m) of fractional pixel indices, shape (..., 3)."""
+        """Return the positions (m) of fractional pixel indices, shape (..., 3)."""
         down = np.asarray(row, dtype=np.float64)[..., None] * (self.row_spacing * self.row_direction)
         along = np.asarray(col, dtype=np.float64)[..., None] * (self.col_spacing * self.col_direction)
         return self.origin + down + along
 
     def pixels(self) -> F64:
-        """Positions (m) of all pixel centres, shape (rows, cols, 3)."""
+        """Return the positions (m) of all pixel centres, shape (rows, cols, 3)."""
         return self.points(np.arange(self.rows)[:, None], np.arange(self.cols)[None, :])
 
 
 def pixels_at(across: F64, along: F64, aperture: ApertureState, grid: Grid) -> tuple[F64, F64]:
-    """Fractional rows and columns of a grid that have the distances `across` from and `along` the track (m).
+    """Return the fractional rows and columns of points at distances `across` from the track and `along` it (m).
 
-    The columns of a strip need not run along the track: `along` picks a line of pixels, which crosses the range once.
+    `across` is the distance from the track, `along` the coordinate along it from the aperture. The columns of a strip
+    need not run along the track: `along` selects a line of pixels, and `across` one point of that line.
     """
+    # Pixels with the coordinate `along` lie on a line: col = col_at_first_row - skew * row.
     start, down = grid.origin - aperture.position, grid.row_spacing * grid.row_direction
     side = grid.col_spacing * grid.col_direction
     skew = float(down @ aperture.direction) / float(side @ aperture.direction)
     col_at_first_row = (along - start @ aperture.direction) / (side @ aperture.direction)
+    # Along that line |pixel - position|^2 is a quadratic in row; its greater root is the point sought.
     line = down - skew * side
     square, slope = line @ line, start @ line + col_at_first_row * (side @ line)
     beyond = start @ start + col_at_first_row * (2 * start @ side + col_at_first_row * (side @ side))
@@ -66,20 +69,20 @@ def pixels_at(across: F64, along: F64, aperture: ApertureState, grid: Grid) -> t
 
 
 def without_range_phase(image: Complex, grid: Grid, aperture: ApertureState, wavelength: float) -> Complex:
-    """The image times exp(-j 4 pi R / wavelength), with R each pixel's distance from the middle of its aperture.
+    """Multiply an image by exp(-j 4 pi R / wavelength), R being each pixel's distance from the middle of its aperture.
 
-    A point's image has the phase 4 pi (R of the pixel - R of the point) / wavelength, which winds from pixel to pixel
-    and faster with distance from the middle of the image. Without it the response is what the bandwidth and the
-    aperture make of a point, centred on frequency 0, and can be interpolated.
+    A point's image has the phase 4 pi (R of the pixel - R of the point) / wavelength, which changes from pixel to
+    pixel, faster with distance from the middle of the image. Without it the point's response is centred on spatial
+    frequency 0 and can be interpolated.
 
     Args:
         image: complex pixels, shape (rows, cols).
-        grid: where they lie.
-        aperture: it was made with.
+        grid: positions of the pixels.
+        aperture: state of the platform with which the image was made.
         wavelength: m.
 
     Returns:
-        complex128, shape (rows, cols).
+        complex128 image, shape (rows, cols).
     """
     middle = aperture.position
     if aperture.sliding:

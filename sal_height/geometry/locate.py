@@ -1,4 +1,4 @@
-"""Where on the ground a target lies, from its range, its Doppler and either its elevation or its height."""
+"""Position of a target from its range, its Doppler and either its elevation or its height."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sal_height.numeric import F64
 def locate_at_elevation(
     elevation: npt.ArrayLike, slant_range: npt.ArrayLike, along: npt.ArrayLike, aperture: ApertureState, look_side: int
 ) -> F64:
-    """Map position (m) of the target at `elevation` (rad) on the circle that a pixel's range and Doppler leave.
+    """Return the map position (m) of the target at `elevation` (rad) with a pixel's range and Doppler.
 
     Args:
         elevation: in body axes, rad.
@@ -33,14 +33,14 @@ def locate_at_elevation(
 def locate_at_height(
     height: npt.ArrayLike, slant_range: npt.ArrayLike, along: npt.ArrayLike, aperture: ApertureState, look_side: int
 ) -> F64:
-    """Map position (m) of the target at `height` (m) above the sphere on the circle that range and Doppler leave.
+    """Return the map position (m) of the target at `height` (m) above the sphere with a pixel's range and Doppler.
 
-    The sight s has the length `slant_range`, `along` as its component along the flight and, with the platform at e
-    from the earth's centre, |e + s| = EARTH_RADIUS + height. That fixes its component along what of e is square to the
-    flight; of the two points left, one lies on the look side of the vertical plane through the flight.
+    The line of sight s has the length `slant_range` and the component `along` in the direction of flight. With the
+    platform at e from the earth's centre, |e + s| = EARTH_RADIUS + height fixes a second component, along the part of e
+    perpendicular to the flight. Of the two points that remain, one lies on the look side.
 
-    Arguments and result are those of `locate_at_elevation`, with the height in place of the elevation; NaN where the
-    circle has no such point.
+    Arguments and result are those of `locate_at_elevation`, with the height in place of the elevation; NaN where no
+    point has that range, Doppler and height.
     """
     height, slant_range, along = (np.asarray(value, dtype=np.float64) for value in (height, slant_range, along))
     platform = height_of(aperture.position)

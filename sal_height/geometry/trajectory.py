@@ -34,22 +34,22 @@ class PlatformState:
 
 
 ROUNDING_S = 1e-9
-"""Stamps are rounded to whole nanoseconds, pulse times are not."""
+"""Tolerance on times in s: stamps are rounded to whole nanoseconds, pulse times are not."""
 
 
 class Trajectory:
-    """Platform states in the order of time, interpolated with cubic Hermite splines (position) and slerp (attitude).
+    """Platform states over time: positions by cubic Hermite splines, attitudes by spherical linear interpolation.
 
-    Times are kept relative to `epoch_ns` in float64, so that optical phases survive: an absolute time in float64 is
-    only good to 0.2 us, which is many wavelengths of travel.
+    Times are float64 seconds after `epoch_ns`. An absolute time in float64 is only good to 0.2 us, in which the
+    platform travels many optical wavelengths.
     """
 
     def __init__(self, states: list[PlatformState]) -> None:
-        """Take two or more states of strictly increasing time.
+        """Interpolate two or more states of strictly increasing time.
 
         Raises:
-            UserError: fewer than two states, times that do not increase, or velocities that are not those of the
-                positions.
+            UserError: there are fewer than two states, their times do not increase, or their velocities contradict
+                their positions.
         """
         if len(states) < 2:
             raise UserError(f"The odometry has {len(states)} samples; 2 or more are needed to interpolate.")
@@ -80,7 +80,7 @@ class Trajectory:
         return Trajectory([*self.states[:before], *later.states])
 
     def _offsets(self, stamp_ns: int, seconds_after: F64) -> F64:
-        """Times relative to the epoch.
+        """Return times relative to the epoch, s.
 
         Raises:
             UserError: a time lies outside the track.
@@ -94,7 +94,7 @@ class Trajectory:
         return t
 
     def positions(self, stamp_ns: int, seconds_after: F64) -> F64:
-        """Positions (m) at `stamp_ns` + `seconds_after` (s, increasing), shape (times, 3).
+        """Return the positions (m) at `stamp_ns` + `seconds_after` (s, increasing), shape (times, 3).
 
         Raises:
             UserError: a time lies outside the track.
@@ -102,7 +102,9 @@ class Trajectory:
         return self._position(self._offsets(stamp_ns, seconds_after))
 
     def aperture(self, stamp_ns: int, pulse_times: F64) -> ApertureState:
-        """State in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
+        """Return the state in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
+
+        Its covariance is that of the nearest sample.
 
         Raises:
             UserError: a time lies outside the track, or the platform stands still.
@@ -124,14 +126,14 @@ class Trajectory:
 
 
 VELOCITY_TOLERANCE = 0.1
-"""Share of the speed by which the stated velocity may differ from that of the positions."""
+"""Allowed difference between the stated velocity and that of the positions, as a share of the speed."""
 
 
 def _check_velocity(states: list[PlatformState], seconds: F64) -> None:
-    """Refuse velocities that the positions contradict: zero, or in other axes than they should be.
+    """Check that velocities agree with positions: they do not if they are zero or given in other axes.
 
-    Between two samples, the mean of their velocities must be the way over the time, up to VELOCITY_TOLERANCE and three
-    standard deviations of the positions.
+    The mean velocity of two successive samples must be their distance over their time difference, within
+    VELOCITY_TOLERANCE and three standard deviations of the positions.
 
     Raises:
         UserError: they differ by more.

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation import beam_power
 from sal_height.geometry import ApertureState, Grid, pixels_at
 from sal_height.numeric import F64, Bool
 from sal_height.simulation.scene import VisibleSurface
@@ -55,7 +54,7 @@ def truth_image(
     inside = (row >= 0) & (row < grid.rows) & (col >= 0) & (col < grid.cols)
     pixel = row[inside] * grid.cols + col[inside]
     seen_at = surface.elevation[inside]
-    gain = beam_power(beams.response(seen_at, surface.squint[inside]))
+    gain = beams.power(seen_at, surface.squint[inside])
     received = surface.power[inside] * gain
 
     def total(values: F64) -> F64:

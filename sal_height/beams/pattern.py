@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from sal_height.beams.apertures import (
     JINC_NULL,
@@ -156,8 +157,17 @@ def first_null(amplitude: PatternFunction, widest: float) -> float:
     It ends on either side of boresight where the power, once it is below half its maximum, rises again; at `widest` if
     it does not. The greater of the two sides counts.
     """
+    return max(_first_null_towards(amplitude, widest, side) for side in (1, -1))
+
+
+def _first_null_towards(amplitude: PatternFunction, widest: float, side: int) -> float:
+    def power(offset: F64) -> F64:
+        return np.abs(amplitude(0.0, side * offset)) ** 2
+
     offsets = np.linspace(0.0, widest, LOBE_STEPS + 1)
-    power = np.abs(amplitude(0.0, offsets * np.array([[1.0], [-1.0]]))) ** 2
-    rises = (np.diff(power) > 0) & (power[:, :-1] < power.max() / 2)
-    ends = [offsets[np.argmax(side)] if side.any() else widest for side in rises]
-    return float(max(ends))
+    powers = power(offsets)
+    rises = np.flatnonzero((np.diff(powers) > 0) & (powers[:-1] < powers.max() / 2))
+    if not rises.size:
+        return widest
+    around = offsets[rises[0] - 1], offsets[rises[0] + 1]
+    return float(minimize_scalar(power, bounds=around, method="bounded", options={"xatol": 1e-9}).x)

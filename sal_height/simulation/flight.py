@@ -19,16 +19,24 @@ from sal_height.sensor import (
     echo_sensor,
     from_spectrum,
     lit_angle,
+    look_ahead_angle,
     spectrum_sensor,
 )
 from sal_height.simulation.gust import GustMotion, gust_motion
 from sal_height.simulation.impairments import pointing_rotation, through_receivers
-from sal_height.simulation.preset import Preset
+from sal_height.simulation.preset import Preset, check_pulses
 from sal_height.simulation.receivers import received
 from sal_height.simulation.scene import SAMPLES_PER_CELL, PointTarget, Scene, VisibleSurface, visible_surface
 from sal_height.simulation.scenes import load_scene
 from sal_height.simulation.spotlight import draw_amplitudes, scatterer_amplitudes, simulate_dwell
 from sal_height.simulation.stripmap import cell_power, simulate_block
+
+SCENE_BEAMWIDTHS = 1.0
+"""Simulated ground of a spotlight dwell along the flight, to each side of the beams, in beamwidths.
+
+The main lobe of a circular aperture reaches 1.22; its power beyond 1 is 15 dB or more below that of the middle. Phase
+linking models the scene with the same extent.
+"""
 
 TURN_BEAMWIDTHS = 0.5
 """Ground before and behind what the pulses of a stripmap block light up, should the body turn a little; beamwidths."""
@@ -147,11 +155,11 @@ class SimulatedFlight:
         )
 
     def surface(self, dwell: int) -> VisibleSurface:
-        """What the dwell illuminates, in the range window.
+        """Return what the dwell illuminates, in the range window; positions are those in the middle of the dwell.
 
-        In spotlight that is as far along the flight as main lobes reach to each side, however they swing. In stripmap
-        it is the ground abeam of the block and as much, and TURN_BEAMWIDTHS, before and behind it, each scatterer as
-        it is seen from abeam. Positions are those in the middle of the dwell.
+        In spotlight that is SCENE_BEAMWIDTHS along the flight to each side of the beams, however they swing. In
+        stripmap it is the ground abeam of the block, and `lit_angle` and TURN_BEAMWIDTHS before and behind it, each
+        scatterer as it is seen from abeam.
 
         Raises:
             UserError: there is no terrain.
@@ -159,17 +167,19 @@ class SimulatedFlight:
         if self.sensor.mode == "stripmap":
             return _joined([self._ground(tile)[0].after(self._seconds(tile, dwell)) for tile in self._tiles(dwell)])
         aperture = self.aperture(dwell)
-        half_width = self._lit_angle * self.preset.flight.slant_range_m
+        beams = self.built.beams
+        angle = SCENE_BEAMWIDTHS * beams.beamwidth + look_ahead_angle(beams) + self._swing
+        half_width = angle * self.preset.flight.slant_range_m
         return self._visible(aperture, (aperture.position[0] - half_width, aperture.position[0] + half_width))
 
     @property
-    def _lit_angle(self) -> float:
-        """Angle along the flight to each side within which main lobes lie, however the beams swing, rad."""
-        return lit_angle(self.built.beams) + self.preset.impairments.antenna_swing.amplitude_rad
+    def _swing(self) -> float:
+        """Greatest angle by which the beams swing to each side along the flight, rad."""
+        return self.preset.impairments.antenna_swing.amplitude_rad
 
     def _tiles(self, dwell: int) -> range:
         """The tiles of ground that a stripmap block lights up; tile n is what lies abeam of block n without gusts."""
-        angle = self._lit_angle + TURN_BEAMWIDTHS * self.sensor.beamwidth
+        angle = lit_angle(self.built.beams) + self._swing + TURN_BEAMWIDTHS * self.sensor.beamwidth
         reach = angle * self.preset.flight.slant_range_m
         neighbours = math.ceil(reach / self.preset.dwell_spacing_m)
         abeam = math.floor(self.aperture(dwell).position[0] / self.preset.dwell_spacing_m + self.dwells / 2)
@@ -256,11 +266,13 @@ class SimulatedFlight:
 
 
 def flight_of(preset: Preset, seed: int) -> SimulatedFlight:
-    """The flight that a preset describes, over its scene and targets.
+    """Return the flight that a preset describes, over its scene and targets.
 
     Raises:
-        UserError: a scene or file of beams that cannot be used.
+        UserError: the scene or a file of beams cannot be used, or the pulses do not sample the Doppler of the beams.
     """
+    sensor = preset.make_sensor()
+    check_pulses(sensor, preset.flight.speed_mps)
     scene = load_scene(preset.scene, preset.scene_extent_m)
     targets = tuple(
         PointTarget(
@@ -269,7 +281,7 @@ def flight_of(preset: Preset, seed: int) -> SimulatedFlight:
         for t in preset.targets
     )
     scene = replace(scene, points=scene.points + targets)
-    return SimulatedFlight(preset, preset.make_sensor(), scene, preset.dwells, seed)
+    return SimulatedFlight(preset, sensor, scene, preset.dwells, seed)
 
 
 def _joined(surfaces: list[VisibleSurface]) -> VisibleSurface:

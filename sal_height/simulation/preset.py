@@ -18,7 +18,7 @@ from pydantic_core import PydanticCustomError
 from sal_height.beams import PATTERNS, BeamTable, read_beam_tables
 from sal_height.errors import UserError
 from sal_height.numeric import C128
-from sal_height.sensor import MAX_DETECTORS, Sensor
+from sal_height.sensor import MAX_DETECTORS, Sensor, lit_angle
 from sal_height.simulation.impairments import MOST_SWING_BEAMWIDTHS, UNIMPAIRED, Impairments
 from sal_height.simulation.settings import STRICT_KEYS, Decibels, Float, Int
 
@@ -107,15 +107,6 @@ class SensorSettings:
     def beamwidth_rad(self) -> float:
         """Wavelength / aperture."""
         return self.wavelength_m / self.aperture_m
-
-    @property
-    def lit_beamwidths(self) -> float:
-        """Angle along the flight to each side of the middle of all beams within which main lobes lie, beamwidths.
-
-        One; with the detector axis turned, the beams at its ends look ahead and back (`stripmap.lit_angle`).
-        """
-        ahead = (self.detectors - 1) / 2 * self.pitch_beamwidths * abs(np.sin(self.detector_rotation_rad))
-        return float(1 + ahead)
 
     @property
     def is_bare(self) -> bool:
@@ -337,14 +328,27 @@ def parse_preset(content: Any, source: str) -> Preset:
     _check_channels(preset.sensor, source)
     _check_impairments(preset, source)
     _check_dwell_spacing(preset, source)
-    doppler_band = 4 * preset.flight.speed_mps / preset.sensor.aperture_m * preset.sensor.lit_beamwidths
-    if preset.sensor.pulse_repetition_frequency_hz < doppler_band:
-        raise UserError(
-            f"Preset {source}: sensor.pulse_repetition_frequency_hz is "
-            f"{preset.sensor.pulse_repetition_frequency_hz:g}; the main lobe spans {doppler_band:g} Hz of Doppler "
-            f"({4 * preset.sensor.lit_beamwidths:g} speed / aperture), so it must be that or more."
-        )
     return preset
+
+
+def check_pulses(sensor: Sensor, speed: float) -> None:
+    """Check that the pulses sample the Doppler of all that the sensor's main lobes light up.
+
+    Args:
+        sensor: of a preset.
+        speed: of the platform, m/s.
+
+    Raises:
+        UserError: the pulse repetition frequency is too low.
+    """
+    beamwidths = lit_angle(sensor.beams) / sensor.beamwidth
+    doppler_band = 4 * speed / sensor.aperture * beamwidths
+    if sensor.pulse_repetition_frequency < doppler_band * (1 - 1e-6):
+        raise UserError(
+            f"Preset {sensor.name}: sensor.pulse_repetition_frequency_hz is {sensor.pulse_repetition_frequency:g}; the "
+            f"main lobe spans {doppler_band:g} Hz of Doppler ({4 * beamwidths:g} speed / aperture), so it must be that "
+            "or more."
+        )
 
 
 def _check_channels(sensor: SensorSettings, source: str) -> None:

@@ -339,3 +339,29 @@ def test_power_on_a_detector_has_nearly_twice_the_slope_that_amplitude_has() -> 
     pattern = detector_pattern("jinc", (0.6, 1.2))
     by_amplitude = -float(pattern.slope(0.3, 0.0) / pattern.amplitude(0.3, 0.0))
     assert by_amplitude == pytest.approx(0.77833, abs=5e-6)
+
+
+@pytest.mark.parametrize(("name", "null"), [("sinc", 1.0), ("jinc", JINC_NULL)])
+def test_main_lobe_is_the_first_null_in_azimuth(name: str, null: float) -> None:
+    """As the registry states it, and as it is found in a table that reaches into the sidelobes."""
+    assert PATTERNS[name].main_lobe == pytest.approx(null, abs=1e-12)
+    assert tabulated_pattern(table_of(PATTERNS[name]), BEAMWIDTH).main_lobe == pytest.approx(null, abs=1e-5)
+    aside = aperture_pattern("aside", lambda e, a: PATTERNS[name].amplitude(e, np.asarray(a) - 0.1), null)
+    assert tabulated_pattern(table_of(aside), BEAMWIDTH).main_lobe == pytest.approx(null + 0.1, abs=1e-5)
+
+
+def test_main_lobe_of_a_table_without_a_null_is_its_extent() -> None:
+    gaussian = PATTERNS["gaussian"]
+    assert tabulated_pattern(table_of(gaussian, STEPS[30:81]), BEAMWIDTH).main_lobe == pytest.approx(1.5, abs=1e-12)
+    assert tabulated_pattern(table_of(gaussian, np.zeros(1)), BEAMWIDTH).main_lobe == 1.0
+
+
+@pytest.mark.parametrize("width", [0.6, 1.2, 2.0])
+def test_main_lobe_of_a_finite_detector_ends_where_its_mean_is_zero(width: float) -> None:
+    """Si(pi (a + w/2)) = Si(pi (a - w/2)), beyond the null of a point and before that of the detector's edge."""
+
+    def mean(a: float) -> float:
+        return float(np.diff(sici(np.pi * (a + np.array([-0.5, 0.5]) * width))[0])[0])
+
+    null = brentq(mean, 1.0, 1.0 + width / 2)
+    assert detector_pattern("sinc", (0.3, width)).main_lobe == pytest.approx(null, abs=1e-6)

@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from beam_tables import sample_pattern, write_beam_tables
 from helpers import RAW_SETTINGS, RAW_WAVEFORMS, assert_one_sentence, with_waveform
 
+from sal_height.beams import pattern_named
 from sal_height.errors import UserError
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.numeric.windows import broadening, window
-from sal_height.sensor import stripmap
+from sal_height.sensor import lit_angle
 from sal_height.sensor.channels import whitening
 from sal_height.sensor.sensor import Sensor
 from sal_height.sensor.waveform import spectrum_sensor
@@ -157,22 +159,52 @@ def test_stripmap_dwells_follow_without_a_gap_and_have_no_spacing_of_their_own()
     assert load_preset("small").make_sensor().mode == "spotlight"
 
 
-def test_prf_below_the_doppler_band_of_the_main_lobe_is_refused() -> None:
-    """4 * 50 m/s / 1 cm = 20 kHz."""
-    parse_preset(content_with("sensor.pulse_repetition_frequency_hz", 20.1e3), "mine.yaml")
+@pytest.mark.parametrize(
+    ("pattern", "size", "beamwidths"),
+    [
+        ("sinc", [0.0, 0.0], 1.0),
+        ("jinc", [0.0, 0.0], 1.219670),
+        ("sinc", [0.6, 0.6], 1.031678),
+    ],
+)
+def test_prf_must_sample_the_doppler_of_the_main_lobe(pattern: str, size: list[float], beamwidths: float) -> None:
+    """4 * 50 m/s / 1 cm = 20 kHz for a main lobe of one beamwidth to each side, and more for a wider one."""
+    content = content_with("sensor.pattern", pattern)
+    content["sensor"]["detector_size_beamwidths"] = size
+    content["sensor"]["pulse_repetition_frequency_hz"] = 20e3 * beamwidths * 1.001
+    flight_of(parse_preset(content, "mine.yaml"), seed=0)
+    content["sensor"]["pulse_repetition_frequency_hz"] = prf = 20e3 * beamwidths * 0.999
     with pytest.raises(UserError) as refusal:
-        parse_preset(content_with("sensor.pulse_repetition_frequency_hz", 19.9e3), "mine.yaml")
-    assert_one_sentence(str(refusal.value), "sensor.pulse_repetition_frequency_hz is 19900", "spans 20000 Hz")
+        flight_of(parse_preset(content, "mine.yaml"), seed=0)
+    assert_one_sentence(
+        str(refusal.value),
+        f"sensor.pulse_repetition_frequency_hz is {prf:g}",
+        f"spans {20e3 * beamwidths:g} Hz of Doppler ({4 * beamwidths:g} speed / aperture)",
+    )
+
+
+def test_prf_must_sample_the_main_lobe_of_a_measured_beam(tmp_path: Path) -> None:
+    """A circular beam as a table that reaches well into its sidelobes."""
+    beamwidth, offsets = load_preset("small").sensor.beamwidth_rad, np.arange(-60, 61) * 0.05
+    table = sample_pattern(pattern_named("jinc"), offsets * beamwidth, offsets * beamwidth, beamwidth)
+    write_beam_tables(tmp_path / "beams.csv", [table], beamwidth)
+    content = content_with("sensor.pattern", str(tmp_path / "beams.csv"))
+    content["sensor"]["pulse_repetition_frequency_hz"] = 20e3 * 1.22
+    assert flight_of(parse_preset(content, "mine.yaml"), seed=0).sensor.pattern == "table"
+    content["sensor"]["pulse_repetition_frequency_hz"] = 20e3 * 1.2
+    with pytest.raises(UserError, match="the main lobe spans 243"):
+        flight_of(parse_preset(content, "mine.yaml"), seed=0)
 
 
 def test_prf_must_sample_the_beams_that_a_turned_detector_axis_points_ahead() -> None:
     """Eight detectors half a beamwidth apart, turned by 30 degrees: 1.75 sin(30) = 0.875 beamwidths more."""
     content = content_with("sensor.detector_rotation_rad", -np.pi / 6)
+    content["sensor"]["pattern"] = "sinc"
     content["sensor"]["pulse_repetition_frequency_hz"] = 20e3 * 1.876
-    parse_preset(content, "mine.yaml")
+    flight_of(parse_preset(content, "mine.yaml"), seed=0)
     content["sensor"]["pulse_repetition_frequency_hz"] = 20e3 * 1.874
     with pytest.raises(UserError) as refusal:
-        parse_preset(content, "mine.yaml")
+        flight_of(parse_preset(content, "mine.yaml"), seed=0)
     assert_one_sentence(str(refusal.value), "spans 37500 Hz of Doppler (7.5 speed / aperture)")
 
 
@@ -432,7 +464,7 @@ def flight(request: pytest.FixtureRequest) -> SimulatedFlight:
 def test_pulses_sample_the_doppler_of_all_ground_that_is_lit(flight: SimulatedFlight) -> None:
     sensor = flight.sensor
     if sensor.mode == "stripmap":  # each pulse lights its own ground
-        doppler = 4 * flight.preset.flight.speed_mps * np.sin(stripmap.LIT_BEAMWIDTHS * sensor.beamwidth)
+        doppler = 4 * flight.preset.flight.speed_mps * np.sin(lit_angle(sensor.beams))
         assert doppler / sensor.wavelength <= sensor.pulse_repetition_frequency * (1 + 1e-9)
         return
     for dwell in (0, flight.dwells - 1):

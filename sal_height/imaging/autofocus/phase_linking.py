@@ -23,7 +23,11 @@ from sal_height.numeric import C128, F64
 from sal_height.sensor import Sensor
 
 LIT_BEAMWIDTHS = 1.0
-"""Extent of the lit scene to each side of the beam's middle, in beamwidths: about the first null."""
+"""Extent of the lit scene to each side of the beam's middle, in beamwidths.
+
+The simulated spotlight scene has it, too (`simulation.flight.SCENE_BEAMWIDTHS`). The main lobe of a circular aperture
+reaches 1.22; on a scene that wide, this model leaves 0.11 rad rms at 20 dB, and one of the same width 0.10 rad.
+"""
 
 WEAKEST_MODE = 0.1
 """Least share of the strongest mode's signal-to-noise ratio in a range cell: weaker ones, what the others leave of a

@@ -22,6 +22,8 @@ from sal_height.figures.curve import Curve, check_of, exact_curve, holds, rows_o
 
 TRIALS, SEED = 2000, 1
 
+Superposed = dict[str, dict[str, np.ndarray]]
+
 FIELDS = {"figure", "curve", "x", "closed_form", "value", "standard_error", "z"}
 
 
@@ -83,6 +85,38 @@ def test_theory_holds_at_every_point(name: str, checks: list[dict[str, Any]]) ->
     mine = [check for check in checks if check["figure"] == name]
     assert mine
     assert [check for check in mine if not holds(check)] == []
+
+
+@pytest.fixture(scope="module")
+def superposed(folder: Path) -> Superposed:
+    """Columns of the table of psf_superposition, on four tapes of each kind, by curve."""
+    with (folder / "psf_superposition.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    return {
+        curve: {
+            column: np.array([float(row[column] or "nan") for row in rows if row["curve"] == curve])
+            for column in ("value", "closed_form")
+        }
+        for curve in {row["curve"] for row in rows}
+    }
+
+
+def test_a_linear_system_shows_what_the_paper_takes_for_a_sign_of_another(superposed: Superposed) -> None:
+    """A sawtooth shallower by a quarter or more and a pedestal in speckle, without any noise; the more so with it."""
+    depth, pedestal = (
+        [superposed[f"depth and pedestal, {name}, {whose}"]["closed_form"] for whose in ("targets", "speckle")]
+        for name in ("depth", "pedestal")
+    )
+    assert np.all(depth[1] < 0.8 * depth[0])
+    assert depth[1][-1] < 0.95 * depth[1][0]
+    assert pedestal[1][0] == pytest.approx(0.041, abs=0.003)
+    assert pedestal[1][-1] > 0.2
+
+
+def test_a_limiter_is_noticed_where_it_is_low(superposed: Superposed) -> None:
+    share = superposed["share of limited tapes, p-value below 0.05"]["value"]
+    assert share[0] == 1.0
+    assert share[-1] <= 0.5
 
 
 def test_the_same_seed_makes_the_same_figures() -> None:

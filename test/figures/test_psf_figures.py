@@ -51,12 +51,6 @@ def is_noticed(name: str) -> bool:
     return any(failed(iter([curve])) for curve in PSF_FIGURES[name].curves(TRIALS, SEED))
 
 
-@pytest.fixture(scope="module")
-def compared() -> dict[str, Curve]:
-    """Targets and speckle on four tapes of each kind."""
-    return {curve.name: curve for curve in PSF_FIGURES["psf_superposition"].curves(TRIALS, SEED)}
-
-
 @pytest.mark.parametrize(
     ("name", "module", "theory", "wrong"),
     [
@@ -131,24 +125,6 @@ def test_the_errors_of_a_tied_response_are_those_of_a_draw() -> None:
     error = made[:, band] / response[band]
     assert_allclose(np.var(np.abs(error), axis=0) / 0.003**2, modulus[band], rtol=0.08)
     assert_allclose(np.var(np.angle(error), axis=0) / 0.003**2, phase[band], rtol=0.08)
-
-
-def test_a_linear_system_shows_what_the_paper_takes_for_a_sign_of_another(compared: dict[str, Curve]) -> None:
-    """A sawtooth shallower by a quarter or more and a pedestal in speckle, without any noise; the more so with it."""
-    depth, pedestal = (
-        [compared[f"depth and pedestal, {name}, {whose}"].closed_form for whose in ("targets", "speckle")]
-        for name in ("depth", "pedestal")
-    )
-    assert np.all(depth[1] < 0.8 * depth[0])
-    assert depth[1][-1] < 0.95 * depth[1][0]
-    assert pedestal[1][0] == pytest.approx(0.041, abs=0.003)
-    assert pedestal[1][-1] > 0.2
-
-
-def test_a_limiter_is_noticed_where_it_is_low(compared: dict[str, Curve]) -> None:
-    share = compared["share of limited tapes, p-value below 0.05"].value
-    assert share[0] == 1.0
-    assert share[-1] <= 0.5
 
 
 def test_tapes_are_as_many_as_trials_ask_for_within_limits() -> None:

@@ -411,6 +411,25 @@ def test_a_loud_and_a_dead_detector_leave_heights_of_the_others(chain: Chain) ->
         assert np.count_nonzero(np.isfinite(heights)) > 20
 
 
+def test_a_detector_that_sends_nothing_leaves_heights_of_the_others(graph: Graph, flight: Any) -> None:
+    """As if it had sent zeros, which tells that no other channel takes its place."""
+    chain = Chain(graph, flight, 0.5, {"rows": 46, "cols": 12, "missing_channels": "proceed"})
+    frames = chain.frames(0)
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *frames[:4], *frames[5:])
+    chain.await_heights(0)
+    without = dict(chain.heights)
+    chain.heights.clear()
+    for frame in frames:
+        frame.dwell = 7
+    silent(frames[4])
+    chain.publish(*frames)
+    chain.await_heights(7)
+    for estimator in ("monopulse", "ml"):
+        assert same_heights(chain.heights[estimator, 7], without[estimator, 0])
+        assert np.count_nonzero(np.isfinite(without[estimator, 0].height)) > 20
+    assert chain.accounts()["sar_compression"]["ignored.missing channels"] == 1
+
+
 def test_one_live_detector_is_not_enough(chain: Chain, reference: Any) -> None:
     frames = chain.frames(0)
     for frame in frames[1:]:

@@ -209,6 +209,16 @@ def test_simulated_time_stamps_the_log(graph: Graph, source: Node, bag: Path) ->
     assert (message.log_time, message.publish_time) == (42 * 10**9, 42 * 10**9)
 
 
+def test_messages_that_wait_for_the_disk_are_bounded(graph: Graph, source: Node, bag: Path) -> None:
+    publisher = source.create_publisher(String, "/note", 5000)
+    start(graph, bag, topics=["/note"])
+    wait_until_matched(graph, publisher)
+    for number in range(1100):
+        publisher.publish(String(data=str(number)))
+    graph.close()
+    assert 0 < BagReader(bag).message_count <= 1000
+
+
 def test_messages_that_wait_in_the_queue_are_written_before_the_bag_is_closed(
     graph: Graph, source: Node, bag: Path
 ) -> None:

@@ -1,0 +1,166 @@
+"""What every processing node does: no callback ends it, it says how it is, and its queues are bounded."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from helpers import make_sensor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from sal_height import messages
+from sal_height.errors import UserError
+from sal_height.nodes import stage
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.height import HEIGHT_NODES, HELD_CALIBRATIONS
+from sal_height.nodes.stage import FRAMES_QOS, Stage
+
+TIMEOUT_S = 20.0
+
+
+class Listening(Stage):
+    """A stage that keeps the words it hears, in order, on its worker."""
+
+    def __init__(self, graph: Graph) -> None:
+        super().__init__("listening", context=graph.context)
+        self.words: list[str] = []
+        self.failing = True
+        self.listen(String, "words", self._on_word)
+        graph.add(self)
+
+    def _on_word(self, message: String) -> None:
+        self.tally.receive()
+        self.submit(1, lambda: self._keep(message.data))
+
+    def _keep(self, word: str) -> int:
+        self.words.append(word)
+        return 1
+
+    def fail(self) -> tuple[bool, str]:
+        if self.failing:
+            raise ZeroDivisionError
+        return True, "done"
+
+
+@pytest.fixture
+def listening(graph: Graph) -> Listening:
+    return Listening(graph)
+
+
+def ignored(node: Stage) -> int:
+    return int(node.tally.summary().get("ignored.internal error", 0))
+
+
+def test_an_error_in_a_timer_does_not_end_the_node_nor_the_timer(graph: Graph, listening: Listening) -> None:
+    listening.every(0.001, listening.fail)
+    assert graph.spin_until(lambda: ignored(listening) >= 2, TIMEOUT_S)
+    assert "ZeroDivisionError" in listening.last_rejection
+
+
+def test_an_error_in_a_subscription_does_not_end_the_node(graph: Graph, listening: Listening) -> None:
+    def refuse(_: String) -> None:
+        raise ZeroDivisionError
+
+    listening.listen(String, "numbers", refuse)
+    publisher = graph.add(Node("source", context=graph.context)).create_publisher(String, "numbers", FRAMES_QOS)
+    assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, TIMEOUT_S)
+    for number in range(1, 3):
+        publisher.publish(String())
+        assert graph.spin_until(lambda n=number: ignored(listening) == n, TIMEOUT_S)
+
+
+def test_an_error_in_a_service_is_answered_and_does_not_end_the_node(graph: Graph, listening: Listening) -> None:
+    listening.serve("~/do", listening.fail)
+    client = graph.add(Node("asking", context=graph.context)).create_client(Trigger, "/listening/do")
+    assert graph.spin_until(client.service_is_ready, TIMEOUT_S)
+    answers = []
+    for listening.failing in (True, False):
+        answer = client.call_async(Trigger.Request())
+        assert graph.spin_until(answer.done, TIMEOUT_S)
+        answers.append((answer.result().success, answer.result().message))
+    assert answers == [(False, "internal error; the log of the node says more"), (True, "done")]
+    assert ignored(listening) == 1
+
+
+def test_an_error_in_a_job_costs_its_messages_only(graph: Graph, listening: Listening) -> None:
+    def fail() -> int:
+        raise ZeroDivisionError
+
+    for _ in range(3):
+        listening.tally.receive()
+    listening.submit(2, fail)
+    listening.submit(1, lambda: listening._keep("after"))
+    assert graph.spin_until(lambda: listening.words == ["after"] and not listening.jobs, TIMEOUT_S)
+    summary = listening.tally.summary()
+    assert (summary["dropped.internal error"], summary["processed"], summary["waiting"]) == (2, 1, 0)
+
+
+def test_what_comes_while_the_node_ends_is_counted(listening: Listening) -> None:
+    listening.finish()
+    listening.finish()
+    listening.tally.receive()
+    listening.submit(1, lambda: listening._keep("late"))
+    assert listening.tally.summary()["dropped.ended"] == 1
+    assert listening.words == []
+
+
+def test_messages_that_wait_in_the_middleware_are_bounded(graph: Graph, listening: Listening) -> None:
+    """What the node has not taken yet when more come than the depth of the queue is lost, the oldest first."""
+    source = graph.add(Node("source", context=graph.context))
+    publisher = source.create_publisher(String, "words", FRAMES_QOS)
+    assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, TIMEOUT_S)
+    assert graph.spin_until(lambda: listening.count_publishers("words") == 1, TIMEOUT_S)
+    listening.set_parameters([Parameter("max_queued_dwells", value=1000)])
+    for number in range(400):
+        publisher.publish(String(data=str(number)))
+    assert graph.spin_until(lambda: listening.words[-1:] == ["399"], TIMEOUT_S)
+    assert len(listening.words) <= 256 + 1
+
+
+def state(graph: Graph, node: Stage) -> Any:
+    """The level, message and hardware that the node publishes next."""
+    seen: list[DiagnosticStatus] = []
+    watcher = graph.add(Node("watcher", context=graph.context))
+    watcher.create_subscription(DiagnosticArray, "/diagnostics", lambda message: seen.extend(message.status), 10)
+    assert graph.spin_until(lambda: bool(seen), TIMEOUT_S)
+    return seen[-1].level, seen[-1].message, seen[-1].hardware_id, node.get_name() == seen[-1].name
+
+
+def test_a_node_that_gets_nothing_is_stale_and_says_what_it_waits_for(graph: Graph) -> None:
+    node = graph.add(HEIGHT_NODES["ml_height"](context=graph.context))
+    assert state(graph, node) == (DiagnosticStatus.STALE, "waiting for /sensor_info, /slc", "", True)
+    node._inlets[0].heard_at = node._inlets[1].heard_at = time.monotonic()
+    node._on_sensor_info(messages.sensor_to_message(make_sensor(), messages.to_stamp(0)))
+    assert state(graph, node) == (DiagnosticStatus.OK, "processing", "test", True)
+
+
+def test_the_level_tells_of_the_last_seconds_and_the_counts_of_all_time(
+    graph: Graph, listening: Listening, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listening._inlets[0].heard_at = time.monotonic()
+    listening.ignore("word", UserError("A word is wrong."))
+    assert state(graph, listening)[:2] == (
+        DiagnosticStatus.WARN,
+        "1 dropped or ignored in all, last word: A word is wrong.",
+    )
+    monkeypatch.setattr(stage, "RECENT_S", 0.0)
+    monkeypatch.setattr(listening._inlets[0], "latched", True)
+    assert state(graph, listening)[:2] == (DiagnosticStatus.OK, "processing")
+    assert listening.tally.summary()["ignored.word"] == 1
+
+
+def test_calibrations_are_bounded(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Known:
+        def __init__(self, number: int) -> None:
+            self.id = str(number)
+
+    node = graph.add(HEIGHT_NODES["ml_height"](context=graph.context))
+    monkeypatch.setattr(messages, "calibration_from_message", Known)
+    for number in range(HELD_CALIBRATIONS + 1):
+        node._on_calibration(number)
+    assert list(node._calibrations) == [str(number) for number in range(1, HELD_CALIBRATIONS + 1)]

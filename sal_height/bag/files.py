@@ -34,23 +34,23 @@ def bag_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        raise UserError(f"bag '{path}' does not exist; name a bag folder or an .mcap file")
+        raise UserError(f"Bag {path} does not exist; name a bag folder or an .mcap file.")
     metadata = path / "metadata.yaml"
     if metadata.is_file():
         files = [path / name for name in _listed_files(metadata)]
     else:  # the recording process was killed; "bag_2.mcap" comes before "bag_10.mcap"
         files = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
     if not files:
-        raise UserError(f"folder '{path}' is not a bag; it must hold an .mcap file")
+        raise UserError(f"Folder {path} is not a bag; it must hold an .mcap file.")
     return files
 
 
 def check_start(file: Path, start: bytes) -> None:
     """UserError unless `start` is how an MCAP file begins; part of it will do, for the file may be cut."""
     if not start:
-        raise UserError(f"file '{file}' is empty; name a bag folder or an .mcap file")
+        raise UserError(f"File {file} is empty; name a bag folder or an .mcap file.")
     if start != MCAP0_MAGIC[: len(start)]:
-        raise UserError(f"file '{file}' is not an MCAP file; name a bag folder or an .mcap file")
+        raise UserError(f"File {file} is not an MCAP file; name a bag folder or an .mcap file.")
 
 
 def check_summary_crc(stream: BinaryIO) -> None:
@@ -65,15 +65,15 @@ def check_summary_crc(stream: BinaryIO) -> None:
 def check_profile(file: Path, profile: str) -> None:
     """UserError unless the `profile` in the header says that the file comes from ROS 2."""
     if profile != "ros2":
-        raise UserError(f"file '{file}' has the profile '{profile}'; only MCAP files of profile 'ros2' can be read")
+        raise UserError(f"File {file} has the profile {profile!r}; only MCAP files of profile 'ros2' can be read.")
 
 
 def check_encoding(file: Path, channel: Channel) -> None:
     """UserError unless the channel holds CDR messages of a type that is described."""
     if channel.message_encoding != "cdr" or channel.schema_id == 0:
         raise UserError(
-            f"topic '{channel.topic}' of file '{file}' has the encoding '{channel.message_encoding}' and schema "
-            f"{channel.schema_id}; only the encoding 'cdr' with a schema (not 0) can be read"
+            f"Topic {channel.topic} of file {file} has the encoding {channel.message_encoding!r} and schema "
+            f"{channel.schema_id}; only the encoding 'cdr' with a schema (not 0) can be read."
         )
 
 
@@ -113,10 +113,10 @@ def _listed_files(metadata: Path) -> list[str]:
         compression = str(information.get("compression_mode") or "none").lower()
         names = [Path(name).name for name in information["relative_file_paths"]]
     except (OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"file '{metadata}' cannot be read as the metadata of a bag: {error!r}") from error
+        raise UserError(f"File {metadata} cannot be read as the metadata of a bag: {error!r}.") from error
     if storage != "mcap" or compression != "none":
         raise UserError(
-            f"bag '{metadata.parent}' has storage '{storage}' and compression mode '{compression}'; only storage "
-            f"'mcap' and mode 'none' (compression inside the MCAP file) can be read"
+            f"Bag {metadata.parent} has storage {storage!r} and compression mode {compression!r}; only storage "
+            "'mcap' and mode 'none' (compression inside the MCAP file) can be read."
         )
     return names

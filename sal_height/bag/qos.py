@@ -40,7 +40,7 @@ def from_yaml(text: str) -> list[QoSProfile]:
     try:
         return [_profile(entry) for entry in yaml.safe_load(text) or []]
     except (yaml.YAMLError, KeyError, TypeError, ValueError, OverflowError) as error:
-        raise UserError(f"offered_qos_profiles holds no list of QoS profiles in rosbag2's form: {error!r}") from error
+        raise UserError(f"Key offered_qos_profiles holds no list of QoS profiles as rosbag2 has: {error!r}.") from error
 
 
 def _profile(entry: dict[str, Any]) -> QoSProfile:

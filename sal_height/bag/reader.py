@@ -109,8 +109,8 @@ class BagReader:
             return
         if known.type_name != topic.type_name:
             raise UserError(
-                f"topic '{topic.name}' of bag '{self.path}' has two types, '{known.type_name}' and "
-                f"'{topic.type_name}'; a topic must have one"
+                f"Topic {topic.name} of bag {self.path} has two types, {known.type_name!r} and {topic.type_name!r}; "
+                "a topic must have one."
             )
         count = known.count + topic.count
         self.topics[topic.name] = Topic(known.name, known.type_name, count, known.offered_qos, known.definition)
@@ -134,7 +134,7 @@ def _read_index(file: Path) -> tuple[list[Topic], dict[str, str]]:
             summary, statistics = _read_summary(file, stream)
             custom_data = _read_custom_data(file, stream)
     except OSError as error:
-        raise UserError(f"file '{file}' cannot be read: {error.strerror}") from error
+        raise UserError(f"File {file} cannot be read: {error.strerror}.") from error
     counts = statistics.channel_message_counts
     topics = []
     for channel in summary.channels.values():
@@ -151,8 +151,8 @@ def _check_complete(file: Path, stream: BinaryIO) -> None:
     stream.seek(max(magic_size, file.stat().st_size - magic_size))
     if stream.read() != MCAP0_MAGIC:
         raise UserError(
-            f"file '{file}' is cut off (the recording process was killed or the disk was full); "
-            f"{_salvage(file)} recovers what precedes the cut"
+            f"File {file} is cut off (the recording process was killed or the disk was full); "
+            f"{_salvage(file)} recovers what precedes the cut."
         )
 
 
@@ -169,7 +169,7 @@ def _read_summary(file: Path, stream: BinaryIO) -> tuple[Summary, Statistics]:
     check_profile(file, header.profile if isinstance(header, Header) else "")
     statistics = summary.statistics if summary else None
     if summary is None or statistics is None or (statistics.message_count and not summary.chunk_indexes):
-        raise UserError(f"file '{file}' has no index of its messages; {_salvage(file)} writes a copy that has one")
+        raise UserError(f"File {file} has no index of its messages; {_salvage(file)} writes a copy that has one.")
     missing = {channel.schema_id for channel in summary.channels.values()} - {0, *summary.schemas}
     if missing or not set(statistics.channel_message_counts) <= set(summary.channels):
         raise _damaged(file, McapError("the index names topics that it does not describe"))
@@ -198,7 +198,7 @@ def _read_messages(file: Path, topics: Collection[str] | None) -> Iterator[BagMe
 
 
 def _damaged(file: Path, error: Exception) -> UserError:
-    return UserError(f"file '{file}' is damaged ({error or type(error).__name__}); {_salvage(file)} recovers the rest")
+    return UserError(f"File {file} is damaged ({error or type(error).__name__}); {_salvage(file)} recovers the rest.")
 
 
 def _salvage(file: Path) -> str:

@@ -59,7 +59,7 @@ def salvage(path: Path, out_directory: Path) -> int:
             try:
                 count += _copy(file, bag)
             except OSError as error:
-                raise UserError(f"file '{file}' cannot be salvaged to '{out_directory}': {error}") from error
+                raise UserError(f"File {file} cannot be salvaged to {out_directory}: {error}.") from error
     return count
 
 
@@ -69,7 +69,7 @@ def _check_header(file: Path) -> None:
             check_start(file, stream.read(len(MCAP0_MAGIC)))
             opcode, body, whole = next(_records(stream), (Opcode.HEADER, b"", False))
     except OSError as error:
-        raise UserError(f"file '{file}' cannot be read: {error.strerror}") from error
+        raise UserError(f"File {file} cannot be read: {error.strerror}.") from error
     if whole:
         check_profile(file, _profile(body) if opcode == Opcode.HEADER else "")
 
@@ -138,7 +138,7 @@ def _describe(file: Path, opcode: int, body: bytes, contents: _Contents) -> None
             record = Metadata.read(_fields(body))
             contents.custom_data.update(custom_data_of(record.name, record.metadata) or {})
     except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
-        _LOG.warning("left out a damaged record of '%s': %s", file, error)
+        _LOG.warning("A damaged record of %s was left out: %s.", file, error)
 
 
 def _copy_message(file: Path, body: bytes, contents: _Contents, bag: BagWriter) -> bool:
@@ -146,7 +146,7 @@ def _copy_message(file: Path, body: bytes, contents: _Contents, bag: BagWriter) 
     try:
         message = Message.read(_fields(body), len(body))
     except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
-        _LOG.warning("left out a damaged message of '%s': %s", file, error)
+        _LOG.warning("A damaged message of %s was left out: %s.", file, error)
         return False
     channel = contents.channels.get(message.channel_id)
     if channel is None or not _add_topic(file, bag, channel, contents):
@@ -198,7 +198,7 @@ def _chunk_data(file: Path, body: bytes, whole: bool) -> bytes:
         return data.read(size)
     except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
         if whole:
-            _LOG.warning("left out a damaged chunk of '%s': %s", file, error)
+            _LOG.warning("A damaged chunk of %s was left out: %s.", file, error)
         return b""
 
 

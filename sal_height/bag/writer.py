@@ -53,10 +53,10 @@ class BagWriter:
         try:
             directory.mkdir(parents=True, exist_ok=True)
             if any(directory.iterdir()):
-                raise UserError(f"bag folder '{directory}' is not empty; name a new or an empty folder")
+                raise UserError(f"Bag folder {directory} is not empty; name a new or an empty folder.")
             self._stream = self.file.open("xb")
         except OSError as error:
-            raise UserError(f"bag folder '{directory}' cannot be written: {error.strerror}") from error
+            raise UserError(f"Bag folder {directory} cannot be written: {error.strerror}.") from error
         self._custom_data = dict(custom_data)
         self._topics: dict[str, _Topic] = {}
         self._schema_ids: dict[tuple[str, Definition], int] = {}
@@ -82,8 +82,8 @@ class BagWriter:
         if name in self._topics:
             if self._topics[name].type_name != type_name:
                 raise UserError(
-                    f"topic '{name}' of bag '{self.directory}' carries '{self._topics[name].type_name}' and cannot "
-                    f"carry '{type_name}' as well; a topic of a bag has one type"
+                    f"Topic {name} of bag {self.directory} carries {self._topics[name].type_name!r} and cannot carry "
+                    f"{type_name!r} as well; a topic of a bag has one type."
                 )
             return
         definition = definition or installed_definition(type_name)

@@ -1,4 +1,4 @@
-"""`sal-height calibrate`: a recorded bag through compression and calibration."""
+"""`sal-height calibrate`: estimate a sensor's calibration from a recorded bag."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ CALIBRATION = "calibration.npz"
 def calibrate(
     bag: Path, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT
 ) -> tuple[Outcome, Calibration | None]:
-    """Calibrate a sensor on what it has flown over, leaving calibration.npz, its picture and report.json in `out`.
+    """Calibrate a sensor on the scene of a bag; leaves calibration.npz, its picture and report.json in `out`.
 
-    Images are made as the recording made them, but of the whole range window, without weights in range and without a
-    calibration.
+    The images are formed with the recorded parameters, except that they cover the whole range window, are not weighted
+    in range and have no calibration applied.
 
     Args:
         bag: folder of the recorded bag, or its .mcap file.
         out: folder; must be new or empty.
-        parameters: of nodes, on top of the recorded ones.
-        execution: how it is carried out.
+        parameters: values that replace recorded parameters of nodes.
+        execution: how the run is carried out.
 
     Returns:
-        What the run did, and the calibration; None: it was interrupted before.
+        What the run did, and the calibration; None if the run was interrupted.
 
     Raises:
         UserError: the bag cannot be used, or too much of it was dropped for a calibration.
@@ -64,7 +64,7 @@ def calibrate(
             return outcome, None
         if not path.is_file():
             raise UserError(
-                f"No calibration came of the {dwells} dwells of {bag}; {folder}/report.json says what was dropped."
+                f"The {dwells} dwells of {bag} gave no calibration; {folder}/report.json says what was dropped and why."
             )
         calibration = load_calibration(path)
         report["calibration"] = _summary(calibration)
@@ -74,7 +74,7 @@ def calibrate(
 
 
 def calibration_table(calibration: Calibration) -> str:
-    """The calibration as lines for people; +- 0 stands for what was not measured."""
+    """The calibration as a table; a standard error of 0 means that the value was not measured."""
     summary = _summary(calibration)
     keys = ("gain_db", "gain_sigma_db", "phase_rad", "phase_sigma_rad", "ripple_db", "ripple_sigma_db")
     heading = f"{'channel':>8}{'gain dB':>10}{'+-':>7}{'phase deg':>11}{'+-':>7}{'ripple dB rms':>15}{'+-':>7}"

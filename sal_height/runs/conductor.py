@@ -57,14 +57,14 @@ class Plan:
 
 @dataclass(frozen=True)
 class Execution:
-    """How a run is carried out; its results do not depend on it.
+    """How a run is carried out; the heights do not depend on it.
 
     Attributes:
         processes: whether each node gets a process of its own.
         domain: the ROS domain of the nodes.
         record: topics to record besides those that the run needs, with or without leading slash.
-        timeout_s: how long to wait for a graph in which no node works and nothing moves, s. A dwell may take longer, as
-            long as a node works on it.
+        timeout_s: how long to wait while no node works and no message moves, s, before the run is given up. A dwell may
+            take longer, as long as a node works on it.
     """
 
     processes: bool = False

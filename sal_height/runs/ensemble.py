@@ -1,4 +1,4 @@
-"""The nodes of a run, in this process or each in its own."""
+"""The nodes of a run: which there are, what connects them, and how they are started and ended."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ PR_SET_PDEATHSIG = 1
 
 
 def check_parameters(parameters: NodeParameters, settable: Sequence[str] = SETTABLE) -> dict[str, dict[str, Any]]:
-    """The parameters of `settable` nodes in the types that these declare: a whole number is taken for a float, too.
+    """Check parameters of `settable` nodes and convert them to the declared types (a whole number to a float).
 
     Raises:
         UserError: a node or parameter does not exist, or a value is not allowed.
@@ -113,9 +113,10 @@ def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:
 
 
 def recorded_topics(stages: list[str], parameters: NodeParameters) -> list[str]:
-    """Topics that a run through `stages` records: what is needed to do it again, and the heights, or else the images.
+    """The topics that a run through `stages` records: its inputs, and its heights, or else its images.
 
-    Images can be made again from the phase history, and the relief map from the heights.
+    Images are left out beside heights, for they can be formed again from the phase history; so is the relief map, which
+    follows from the heights.
     """
     heights = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
     applied = parameters.get("sar_compression", {}).get("calibration", "") not in {"", HEARD}
@@ -124,7 +125,11 @@ def recorded_topics(stages: list[str], parameters: NodeParameters) -> list[str]:
 
 
 def height_sources(stages: list[str], parameters: NodeParameters) -> dict[str, str]:
-    """The node whose heights each of the `stages` that take some takes, with these parameters of all nodes.
+    """Find, for each of the `stages` that uses heights, the node that produces them.
+
+    Args:
+        stages: names of the processing nodes.
+        parameters: values of the nodes' parameters; `estimator` says whose heights a node uses.
 
     Raises:
         UserError: none of the stages makes those heights.
@@ -143,7 +148,11 @@ def height_sources(stages: list[str], parameters: NodeParameters) -> dict[str, s
 
 
 def stage_inputs(stages: list[str], parameters: NodeParameters) -> dict[str, str]:
-    """The topic whose messages each stage counts as received, with these parameters of all nodes.
+    """Find the topic whose messages each stage counts as received.
+
+    Args:
+        stages: names of the processing nodes.
+        parameters: values of the nodes' parameters.
 
     Raises:
         UserError: a stage takes heights that no other stage makes.
@@ -154,7 +163,10 @@ def stage_inputs(stages: list[str], parameters: NodeParameters) -> dict[str, str
 
 
 class Ensemble:
-    """The nodes of a run, either in this process or each in its own; ends them in the order of the data flow."""
+    """The nodes of a run, all in this process or each in its own; a context manager.
+
+    At the end the recorder is ended first and the source last.
+    """
 
     def __init__(self, graph: Graph, names: list[str], parameters: NodeParameters, processes: bool) -> None:
         """Choose the nodes `names` and their parameters; they are started on entering."""
@@ -220,7 +232,7 @@ def _command(name: str, values: Mapping[str, Any]) -> list[str]:
 
 
 def main() -> int:
-    """Be the node argv[1] for as long as process argv[2], which started this one, lives, however that one ends.
+    """Run the node argv[1] until process argv[2], which started this one, ends, even if it is killed.
 
     Those that complete a file are then asked to end; the others hold nothing that anybody waits for.
     """

@@ -1,4 +1,4 @@
-"""The relief along range: what was measured, what the tracker makes of it with its band, and the terrain."""
+"""Picture of a height profile along range: estimated and tracked heights with their error bands, and the terrain."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sal_height.simulation import Scene
 
 
 def draw_profile(bag: Path, source: str, scene: Scene, path: Path) -> bool:
-    """Write a PNG of one column: that of the tracked heights which has most of them, in the middle dwell of a run.
+    """Draw the heights of one column as a PNG: in the middle dwell, the column with the most tracked heights.
 
     Args:
         bag: of the run.

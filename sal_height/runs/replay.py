@@ -1,4 +1,4 @@
-"""`sal-height replay`: a recorded bag through the same nodes, compared with what was recorded."""
+"""`sal-height replay`: process a recorded bag with the same nodes, and compare the heights with the recorded ones."""
 
 from __future__ import annotations
 
@@ -89,15 +89,15 @@ def replay(
 
     Args:
         bag: folder of the recorded bag, or its .mcap file; it holds the parameters it was made with.
-        out: folder; must be new or empty.
-        parameters: of nodes, on top of the recorded ones.
-        execution: how it is carried out.
+        out: output folder; must be new or empty.
+        parameters: values that replace recorded parameters of nodes.
+        execution: how the replay is carried out.
         tolerance_m: how far heights may be from the recorded ones, m (`compare_heights`).
         estimators: names of those whose heights are made; none: those whose heights the bag holds, or else all that
             suit the sensor and need not be asked for.
 
     Raises:
-        UserError: the bag cannot be used.
+        UserError: the bag cannot be used, a parameter is not allowed, or the replay failed.
     """
     reader = BagReader(bag)
     sensor, dwells = contents(reader)

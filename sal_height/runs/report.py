@@ -1,4 +1,4 @@
-"""What a run achieved: errors of every estimator against the truth, in ground coordinates."""
+"""Accuracy of a run: errors of every estimator against the true heights, in ground coordinates."""
 
 from __future__ import annotations
 
@@ -77,7 +77,13 @@ class _Pixels:
 
 
 def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Mosaic:
-    """Mosaic of the height images of one estimator of a simulated flight, which saw `surfaces` in its dwells."""
+    """Combine the height images of one estimator into ground cells, and compare them with the true heights.
+
+    Args:
+        images: height images of a simulated flight.
+        flight: the flight.
+        surfaces: what was visible in each dwell.
+    """
     parts = [_pixels(image, flight, surfaces[image.dwell]) for image in images]
     pixels = _Pixels(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Pixels)))
     grid = images[0].grid
@@ -113,7 +119,7 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
 
 
 def _share(images: Sequence[HeightImage], validity: int) -> float:
-    """Of the pixels with that validity, over all images."""
+    """Share of the pixels that have this validity, averaged over the images."""
     return float(np.mean([np.mean(np.asarray(image.validity) == validity) for image in images]))
 
 

@@ -1,4 +1,4 @@
-"""`sal-height run`: a simulated flight through the graph, recorded, with report and picture."""
+"""`sal-height run`: simulate a flight, process it with the graph, and compare the heights with the truth."""
 
 from __future__ import annotations
 
@@ -49,19 +49,19 @@ class Run:
 
 
 def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT) -> Run:
-    """Simulate all dwells of `preset`, leaving its bag, report, pictures, relief_map.tif and preset.yaml in `out`.
+    """Simulate and process all dwells of `preset`; leaves a bag, report, pictures, map and preset.yaml in `out`.
 
-    Without one valid height there is no picture and no relief_map.tif, nor is there the latter without rasterio.
+    Without any valid height there are no pictures and no map. The map (relief_map.tif) needs the package rasterio.
 
     Args:
         preset: sensor, flight, scene and processing.
-        seed: of all random numbers.
-        out: folder; must be new or empty.
-        parameters: of nodes, on top of those that follow from the preset.
-        execution: how it is carried out.
+        seed: seed of all random numbers.
+        out: output folder; must be new or empty.
+        parameters: values that replace parameters of nodes that follow from the preset.
+        execution: how the run is carried out.
 
     Raises:
-        UserError: what was asked for cannot be done.
+        UserError: a parameter is not allowed, the flight leaves its scene, or the run failed.
     """
     parameters = check_parameters(merged(preset.processing, parameters))
     flight = flight_of(preset, seed)
@@ -108,7 +108,7 @@ def accuracies(mosaics: Mapping[str, Mosaic], stages: Sequence[str]) -> dict[str
 
 
 def read_mosaics(bag: Path, flight: SimulatedFlight) -> dict[str, Mosaic]:
-    """Mosaic of each estimator's height images in a bag; those without any valid pixel are left out."""
+    """Combine the height images of each estimator in a bag; estimators without any valid pixel are left out."""
     reader = BagReader(bag)
     images: dict[str, list[Any]] = {prefix: [] for prefix in HEIGHTS.values()}
     for message in reader.messages([f"/{prefix}/height" for prefix in images]):

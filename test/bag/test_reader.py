@@ -233,7 +233,7 @@ def test_unreadable_metadata_is_refused(bag: Path, text: str, sentence: str) -> 
 def test_another_profile_or_encoding_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="has the profile 'ros1'; only"):
         BagReader(write_mcap(tmp_path / "ros1.mcap", profile="ros1"))
-    with pytest.raises(UserError, match=r"topic '/greeting' .* has the encoding 'json'"):
+    with pytest.raises(UserError, match=r"Topic /greeting .* has the encoding 'json'"):
         BagReader(write_mcap(tmp_path / "json.mcap", encoding="json"))
 
 

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from scipy import fft
@@ -183,6 +184,7 @@ def _matched_filter(sensor: Sensor) -> Callable[[Complex], Complex]:
     return compress
 
 
+@lru_cache(maxsize=8)
 def _matched_filter_gains(sensor: Sensor) -> tuple[float, float]:
     """Gains of the matched filter, in the mean over the frequencies of the band.
 

@@ -1,15 +1,14 @@
-"""Simulator: scene, sensor and trajectory become the phase history of every detector."""
+"""Echoes of a spotlight dwell: scene, sensor and trajectory become the phase history of every detector."""
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 
 import finufft
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric import F64, Complex
+from sal_height.numeric import F64, WORKERS, Complex, Index
 from sal_height.sensor import NUFFT_TOLERANCE, Sensor
 from sal_height.simulation.scene import VisibleSurface
 
@@ -59,19 +58,27 @@ def simulate_dwell(
     """
     seconds, pointing = (np.broadcast_to(values, len(antenna)) for values in (seconds, pointing))
 
-    def pulse_samples(weighted: Complex, position: F64, reference: float, second: float) -> Complex:
-        delay = np.linalg.norm(surface.positions_after(second) - position, axis=-1) - reference
-        strengths = weighted * np.exp(-1j * sensor.centre_wavenumber * delay)
-        phase = sensor.wavenumber_step * delay
-        return finufft.nufft1d1(phase, strengths, sensor.sample_count, isign=-1, eps=NUFFT_TOLERANCE, nthreads=1)
-
     samples = np.empty((sensor.detector_count, len(antenna), sensor.sample_count), dtype=np.complex128)
-    with ThreadPoolExecutor() as pool:
-        for angle in np.unique(pointing):
-            weighted = np.ascontiguousarray(sensor.beams.response(surface.elevation, surface.squint - angle).T)
-            pulses = np.flatnonzero(pointing == angle)
-            made = pool.map(
-                partial(pulse_samples, weighted * amplitudes), antenna[pulses], reference_range[pulses], seconds[pulses]
+
+    def fill(part: tuple[float, Index]) -> None:
+        """Simulate some pulses in which the beams point alike."""
+        angle, pulses = part
+        weighted = np.ascontiguousarray(sensor.beams.response(surface.elevation, surface.squint - angle).T) * amplitudes
+        for pulse in pulses:
+            distance = np.linalg.norm(surface.positions_after(seconds[pulse]) - antenna[pulse], axis=-1)
+            delay = distance - reference_range[pulse]
+            strengths = weighted * np.exp(-1j * sensor.centre_wavenumber * delay)
+            phase = sensor.wavenumber_step * delay
+            samples[:, pulse] = finufft.nufft1d1(
+                phase, strengths, sensor.sample_count, isign=-1, eps=NUFFT_TOLERANCE, nthreads=1
             )
-            samples[:, pulses] = np.stack(list(made), axis=1)
+
+    parts = [
+        (float(angle), pulses)
+        for angle in np.unique(pointing)
+        for pulses in np.array_split(np.flatnonzero(pointing == angle), WORKERS)
+        if pulses.size
+    ]
+    with ThreadPoolExecutor(WORKERS) as pool:
+        list(pool.map(fill, parts))
     return samples

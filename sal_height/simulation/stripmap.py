@@ -15,17 +15,16 @@ from sal_height.numeric import (
     C64,
     F32,
     F64,
-    I32,
     OVERSAMPLING,
     TAPS,
     Complex,
-    compiled,
     spectra_of_profiles,
     tap_polynomials,
     tap_weights,
     unit_phasors,
 )
 from sal_height.sensor import Sensor, aperture_length, lit_angle
+from sal_height.simulation._kernels import spread_echoes
 from sal_height.simulation.scene import VisibleSurface
 
 
@@ -122,9 +121,9 @@ def simulate_block(
         before = np.floor(place).astype(np.int32)
         profile = np.zeros((dense + TAPS, 2 * sensor.detector_count), dtype=np.float32)
         weights = tap_weights((place - before).astype(np.float32), taps)
-        _spread(before + 1, weights, echoes, response.real.astype(np.float32), profile)
+        spread_echoes(before + 1, weights, echoes, response.real.astype(np.float32), profile)
         if np.iscomplexobj(response):
-            _spread(before + 1, weights, 1j * echoes, response.imag.astype(np.float32), profile)
+            spread_echoes(before + 1, weights, 1j * echoes, response.imag.astype(np.float32), profile)
         return profile
 
     with ThreadPoolExecutor() as pool:
@@ -132,26 +131,3 @@ def simulate_block(
         profiles = np.stack(list(pool.map(pulse_profile, *pulses)))
     real, imaginary = np.split(profiles, 2, axis=-1)
     return spectra_of_profiles(real + 1j * imaginary)
-
-
-@compiled
-def _spread(first: I32, weights: F32, echoes: C64, response: F32, profile: F32) -> None:
-    """Add scatterers to the dense range profiles of all detectors.
-
-    Args:
-        first: row of each scatterer's first tap, shape (scatterers,).
-        weights: of its taps, shape (taps, scatterers).
-        echoes: amplitude and phase of its echo.
-        response: of each detector to it, shape (scatterers, detectors).
-        profile: to add to; real parts of all detectors, then imaginary parts, shape (rows, 2 * detectors).
-    """
-    detectors = response.shape[1]
-    value = np.empty(2 * detectors, np.float32)
-    for i in range(first.size):
-        for k in range(detectors):
-            value[k] = response[i, k] * echoes[i].real
-            value[detectors + k] = response[i, k] * echoes[i].imag
-        for j in range(weights.shape[0]):
-            row, weight = profile[first[i] + j], weights[j, i]
-            for k in range(2 * detectors):
-                row[k] += weight * value[k]

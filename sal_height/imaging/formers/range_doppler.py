@@ -18,6 +18,7 @@ from scipy.constants import speed_of_light
 
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
+from sal_height.imaging.formers._kernels import multiply_transposed
 from sal_height.imaging.formers.accuracy import check_expected_error
 from sal_height.imaging.formers.backprojection import valid_pixels
 from sal_height.imaging.formers.straight_track import Resampling, resampling, straight_track
@@ -30,7 +31,6 @@ from sal_height.numeric import (
     Rows,
     apply_chirp_z,
     blocks,
-    compiled,
     fast_length,
     outer_phasors,
     rows_at_once,
@@ -117,7 +117,7 @@ def _focus(samples: C64, filters: _Filters, image: C64, detectors: Iterator[int]
                 pulses = samples[detector, :, block] * filters.compensation[:, block]
                 lines[:, : filters.places] = filters.resampling.apply(pulses).T
             else:
-                _multiply_transposed(samples[detector, :, block], filters.compensation[:, block], lines)
+                multiply_transposed(samples[detector, :, block], filters.compensation[:, block], lines)
             lines[:, filters.places :] = 0
             along.forward()
             doppler[:, block] = along.spectrum[: len(lines)].T
@@ -140,16 +140,6 @@ def _focus(samples: C64, filters: _Filters, image: C64, detectors: Iterator[int]
 def _lines(factor: C64, block: slice) -> C64:
     """The factor's rows of a block; its only row, if it is the same for all."""
     return factor[block] if len(factor) > 1 else factor
-
-
-@compiled
-def _multiply_transposed(data: C64, factor: C64, result: C64) -> None:
-    """The transpose of data * factor to the beginning of the rows of `result`."""
-    for first in range(0, data.shape[0], 8):
-        for j in range(data.shape[1]):
-            line = result[j]
-            for i in range(first, min(first + 8, data.shape[0])):
-                line[i] = data[i, j] * factor[i, j]
 
 
 def _filters(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> _Filters:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sal_height.numeric import C64, F32, F64, I64, compiled
+from sal_height.imaging.formers._kernels import interpolate_pulses
+from sal_height.numeric import C64, F32, F64, I64
 
 TAPS = 8
 """Pulses from which one at an even step is interpolated."""
@@ -60,7 +61,7 @@ class Resampling:
     def apply(self, samples: C64) -> C64:
         """Samples of one detector at the pulses, (pulses, frequencies), at the places: (places, frequencies)."""
         result = np.empty((len(self.first), samples.shape[1]), dtype=np.complex64)
-        _interpolate(samples.view(np.float32), self.first, self.weights, result.view(np.float32))
+        interpolate_pulses(samples.view(np.float32), self.first, self.weights, result.view(np.float32))
         return result
 
 
@@ -78,20 +79,3 @@ def resampling(places: F64, wanted: F64) -> Resampling:
     weights = np.sinc(offset) * np.i0(SHAPE * np.sqrt(under)) / np.i0(SHAPE) * (under > 0)
     weights[beyond] = 0.0
     return Resampling(first, weights.astype(np.float32))
-
-
-@compiled
-def _interpolate(
-    samples: F32,
-    first: I64,
-    weights: F32,
-    result: F32,
-) -> None:
-    for place in range(first.size):
-        a, b, c, d, e, f, g, h = weights[place]
-        start = first[place]
-        p, q, r, s = samples[start], samples[start + 1], samples[start + 2], samples[start + 3]
-        t, u, v, w = samples[start + 4], samples[start + 5], samples[start + 6], samples[start + 7]
-        out = result[place]
-        for i in range(out.size):
-            out[i] = a * p[i] + b * q[i] + c * r[i] + d * s[i] + e * t[i] + f * u[i] + g * v[i] + h * w[i]

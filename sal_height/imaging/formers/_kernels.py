@@ -1,0 +1,189 @@
+"""Loops of the image formers, compiled; a test compares each with its formula in NumPy.
+
+Each does one thing over all pixels of a piece, so that the compiler can vectorise it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sal_height.numeric import C64, F32, F64, I32, I64, TAPS, Bool, compiled, cosine_and_sine, tap_weights
+
+
+@compiled
+def add_pulses(
+    points: F64,
+    along: F64,
+    track: F64,
+    profiles: F32,
+    taps: F32,
+    taper: F32,
+    scales: F64,
+    image: F32,
+    weight: F64,
+    valid: Bool,
+) -> None:
+    """Add pulses to the image at some pixels.
+
+    Args:
+        points: x, y, z of the pixels, m, shape (3, pixels).
+        along: place of the pixels along the flight, m, shape (pixels,).
+        track: x, y, z of the antenna, reference range, place along the flight (m) and weight, shape (pulses, 6).
+        profiles: of `dense_profiles`.
+        taps: of `tap_polynomials`.
+        taper: azimuth window over the processed angle in stripmap.
+        scales: dense samples per m; dense sample of delay 0; turns per m; half the range window, m; processed angle,
+            0 in spotlight; way from pulse to pulse, m.
+        image: to add to, shape (pixels, 2, detectors).
+        weight: sum of the azimuth weights, to add to, shape (pixels,).
+        valid: set False where a profile does not reach.
+    """
+    count = points.shape[1]
+    delay, gain = np.empty(count), np.empty(count, np.float32)
+    sample, fraction = np.empty(count, np.int32), np.empty(count, np.float32)
+    cosine, sine = np.empty(count, np.float32), np.empty(count, np.float32)
+    for pulse in range(track.shape[0]):
+        x, y, z, reference, place, pulse_weight = track[pulse]
+        _delays(points[0], points[1], points[2], x, y, z, reference, delay)
+        if scales[4] > 0:
+            _angle_weights(delay, along, place, reference, scales[4], scales[5], taper, gain)
+        else:
+            gain[:] = pulse_weight
+        _within(delay, gain, scales[3], weight, valid)
+        _samples(delay, scales[0], scales[1], scales[3], sample, fraction)
+        _phasors(delay, scales[2], gain, cosine, sine)
+        tap = tap_weights(fraction, taps)
+        if image.shape[2] == 1:
+            _add_one(sample, tap, cosine, sine, profiles[pulse], image)
+        else:
+            _add_all(sample, tap, cosine, sine, profiles[pulse], image)
+
+
+@compiled
+def _delays(px: F64, py: F64, pz: F64, x: float, y: float, z: float, reference: float, delay: F64) -> None:
+    for i in range(delay.size):
+        dx, dy, dz = px[i] - x, py[i] - y, pz[i] - z
+        delay[i] = math.sqrt(dx * dx + dy * dy + dz * dz) - reference
+
+
+@compiled
+def _angle_weights(
+    delay: F64,
+    along: F64,
+    place: float,
+    reference: float,
+    angle: float,
+    spacing: float,
+    taper: F32,
+    gain: F32,
+) -> None:
+    """As `Processing.angle_weights`, for the pulse at `place` along the flight."""
+    last = taper.size - 1
+    for i in range(delay.size):
+        distance = delay[i] + reference
+        sine = (place - along[i]) / distance
+        position = min(max((sine / angle + 0.5) * last, 0.0), float(last))
+        node = min(int(position), last - 1)
+        part = np.float32(position - node)
+        share = min(max((angle / 2 - abs(sine)) * distance / spacing + 0.5, 0.0), 1.0)
+        gain[i] = np.float32(share) * (taper[node] + part * (taper[node + 1] - taper[node]))
+
+
+@compiled
+def _within(delay: F64, gain: F32, half_window: float, weight: F64, valid: Bool) -> None:
+    for i in range(delay.size):
+        weight[i] += gain[i]
+        valid[i] &= (abs(delay[i]) <= half_window) or (gain[i] == 0)
+
+
+@compiled
+def keep_reached(
+    points: F64, along: F64, track: F64, half_window: float, angle: float, spacing: float, reached: Bool
+) -> None:
+    """Set `reached` False where, in a pulse of its aperture, a point is beyond the range window; as `_within`."""
+    delay = np.empty(along.size)
+    for pulse in range(track.shape[0]):
+        x, y, z, reference, place = track[pulse]
+        _delays(points[0], points[1], points[2], x, y, z, reference, delay)
+        for i in range(delay.size):
+            distance = delay[i] + reference
+            share = (angle / 2 - abs((place - along[i]) / distance)) * distance / spacing + 0.5
+            reached[i] &= (abs(delay[i]) <= half_window) or (angle > 0 and share <= 0)
+
+
+@compiled
+def _samples(delay: F64, per_metre: float, middle: float, half_window: float, sample: I32, fraction: F32) -> None:
+    """Index of the first tap, and the fraction of a sample by which the delay lies past its sample."""
+    for i in range(delay.size):
+        position = min(max(delay[i], -half_window), half_window) * per_metre + middle
+        before = min(np.floor(position), 2 * middle - 1)  # the end of the window is the last sample's, not one beyond
+        sample[i] = np.int32(before) + 1
+        fraction[i] = np.float32(position - before)
+
+
+@compiled
+def _phasors(delay: F64, turns_per_metre: float, gain: F32, cosine: F32, sine: F32) -> None:
+    for i in range(delay.size):
+        c, s = cosine_and_sine(delay[i] * turns_per_metre)
+        cosine[i], sine[i] = gain[i] * c, gain[i] * s
+
+
+@compiled
+def _add_one(sample: I32, tap: F32, cosine: F32, sine: F32, profile: F32, image: F32) -> None:
+    """Add a pulse of a single detector."""
+    for i in range(sample.size):
+        first = sample[i]
+        real, imaginary = np.float32(0), np.float32(0)
+        for j in range(TAPS):
+            real += tap[j, i] * profile[first + j, 0, 0]
+            imaginary += tap[j, i] * profile[first + j, 1, 0]
+        image[i, 0, 0] += real * cosine[i] - imaginary * sine[i]
+        image[i, 1, 0] += real * sine[i] + imaginary * cosine[i]
+
+
+@compiled
+def _add_all(sample: I32, tap: F32, cosine: F32, sine: F32, profile: F32, image: F32) -> None:
+    """Add a pulse of many detectors: first interpolate all real and imaginary parts, then turn them."""
+    detectors = image.shape[2]
+    flat_profile, flat_image = profile.reshape(-1, 2 * detectors), image.reshape(-1, 2 * detectors)
+    value = np.empty(2 * detectors, np.float32)
+    for i in range(sample.size):
+        first = sample[i]
+        a, b, c = flat_profile[first], flat_profile[first + 1], flat_profile[first + 2]
+        d, e, f = flat_profile[first + 3], flat_profile[first + 4], flat_profile[first + 5]
+        ta, tb, tc, td, te, tf = tap[0, i], tap[1, i], tap[2, i], tap[3, i], tap[4, i], tap[5, i]
+        for k in range(2 * detectors):
+            value[k] = ta * a[k] + tb * b[k] + tc * c[k] + td * d[k] + te * e[k] + tf * f[k]
+        total, turn, lift = flat_image[i], cosine[i], sine[i]
+        for k in range(detectors):
+            total[k] += value[k] * turn - value[detectors + k] * lift
+            total[detectors + k] += value[k] * lift + value[detectors + k] * turn
+
+
+@compiled
+def multiply_transposed(data: C64, factor: C64, result: C64) -> None:
+    """The transpose of data * factor to the beginning of the rows of `result`."""
+    for first in range(0, data.shape[0], 8):
+        for j in range(data.shape[1]):
+            line = result[j]
+            for i in range(first, min(first + 8, data.shape[0])):
+                line[i] = data[i, j] * factor[i, j]
+
+
+@compiled
+def interpolate_pulses(
+    samples: F32,
+    first: I64,
+    weights: F32,
+    result: F32,
+) -> None:
+    for place in range(first.size):
+        a, b, c, d, e, f, g, h = weights[place]
+        start = first[place]
+        p, q, r, s = samples[start], samples[start + 1], samples[start + 2], samples[start + 3]
+        t, u, v, w = samples[start + 4], samples[start + 5], samples[start + 6], samples[start + 7]
+        out = result[place]
+        for i in range(out.size):
+            out[i] = a * p[i] + b * q[i] + c * r[i] + d * s[i] + e * t[i] + f * u[i] + g * v[i] + h * w[i]

@@ -1,0 +1,87 @@
+"""The compiled loops of the image formers against their formulas in NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import circular
+
+from sal_height.imaging.formers._kernels import add_pulses, interpolate_pulses, keep_reached, multiply_transposed
+from sal_height.imaging.weighting import Processing
+from sal_height.numeric import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
+
+COUNT, WINDOW, WAVENUMBER, SPACING = 32, 4.0, 80.0, 0.02
+ANGLE = 0.02
+"""Of 1 m of track 20 m away, the middle 0.4 m."""
+
+
+def scene(pulses: int, points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Track (x, y, z, reference, place along x, weight) past points, some of them beyond the range window."""
+    rng = np.random.default_rng(111)
+    places = SPACING * (np.arange(pulses) - (pulses - 1) / 2)
+    track = np.zeros((pulses, 6))
+    track[:, 0] = track[:, 4] = places
+    track[:, 3], track[:, 5] = 20.0, rng.uniform(0.5, 1.5, pulses)
+    spots = np.stack([rng.uniform(-0.2, 0.2, points), rng.uniform(17.5, 22.5, points), rng.uniform(-1, 1, points)])
+    return track, spots
+
+
+def geometry(track: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Delay (m) and sine of the angle to abeam of each point in each pulse, (pulses, points)."""
+    distance = np.linalg.norm(points[None] - track[:, :3, None], axis=1)
+    return distance - track[:, 3, None], (track[:, 4, None] - points[0]) / distance
+
+
+@pytest.mark.parametrize("detectors", [1, 3])
+@pytest.mark.parametrize("angle", [0.0, ANGLE], ids=["spotlight", "stripmap"])
+def test_pulses_are_added_as_the_formula_of_backprojection_says(detectors: int, angle: float) -> None:
+    """sum of a(p) profile(delay) exp(j k delay), with the profile read by the kernel's taps."""
+    pulses, points = 50, 300
+    track, spots = scene(pulses, points)
+    rng = np.random.default_rng(112)
+    spectra = circular(rng, (detectors, pulses, COUNT)).astype(np.complex64)
+    profiles, polynomials = dense_profiles(spectra, np.ones(COUNT)), tap_polynomials()
+    processing = Processing(azimuth_window="hamming", angle=angle)
+    per_metre, middle = OVERSAMPLING * COUNT / WINDOW, OVERSAMPLING * COUNT // 2
+    scales = np.array([per_metre, middle, WAVENUMBER / (2 * np.pi), WINDOW / 2, angle, SPACING])
+    image = np.zeros((points, 2, detectors), np.float32)
+    weight, valid = np.zeros(points), np.ones(points, bool)
+    add_pulses(spots, spots[0].copy(), track, profiles, polynomials, processing.taper(), scales, image, weight, valid)
+
+    delay, sine = geometry(track, spots)
+    distance = delay + track[:, 3, None]
+    gain = processing.angle_weights(sine, SPACING / distance) if angle else np.broadcast_to(track[:, 5:], delay.shape)
+    inside = np.abs(delay) <= WINDOW / 2
+    position = np.clip(delay, -WINDOW / 2, WINDOW / 2) * per_metre + middle
+    before = np.minimum(np.floor(position), 2 * middle - 1).astype(int)
+    taps = tap_weights((position - before).astype(np.float32).ravel(), polynomials).reshape(TAPS, pulses, points)
+    read = (before + 1)[..., None] + np.arange(TAPS)
+    samples = (profiles[:, :, 0] + 1j * profiles[:, :, 1])[np.arange(pulses)[:, None, None], read]
+    expected = np.einsum("px,jpx,pxjd->xd", gain * np.exp(1j * WAVENUMBER * delay), taps, samples)
+    np.testing.assert_allclose(image[:, 0] + 1j * image[:, 1], expected, atol=2e-6 * np.abs(expected).max() * pulses)
+    np.testing.assert_allclose(weight, gain.sum(axis=0), rtol=1e-5)
+    np.testing.assert_array_equal(valid, np.all(inside | (gain == 0), axis=0))
+    assert 0.1 < np.mean(valid) < 0.95
+
+    reached = np.ones(points, bool)
+    keep_reached(spots, spots[0].copy(), track[:, :5].copy(), WINDOW / 2, angle, SPACING, reached)
+    np.testing.assert_array_equal(reached, valid)
+
+
+def test_pulses_are_interpolated_by_their_weights() -> None:
+    rng = np.random.default_rng(113)
+    samples, first = rng.standard_normal((30, 8)).astype(np.float32), np.array([0, 5, 22])
+    weights, result = rng.standard_normal((3, 8)).astype(np.float32), np.empty((3, 8), np.float32)
+    interpolate_pulses(samples, first, weights, result)
+    expected = np.einsum("pt,pti->pi", weights, samples[first[:, None] + np.arange(8)])
+    np.testing.assert_allclose(result, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("rows", [7, 8, 19])
+def test_products_are_transposed(rows: int) -> None:
+    rng = np.random.default_rng(114)
+    data, factor = circular(rng, (2, rows, 5)).astype(np.complex64)
+    result = np.zeros((5, 24), np.complex64)
+    multiply_transposed(data, factor, result)
+    np.testing.assert_allclose(result[:, :rows], (data * factor).T, atol=1e-6)
+    assert not result[:, rows:].any()

@@ -21,7 +21,7 @@ from sal_height.geometry import Grid
 from sal_height.imaging.formers._kernels import multiply_transposed
 from sal_height.imaging.formers.accuracy import check_expected_error
 from sal_height.imaging.formers.backprojection import valid_pixels
-from sal_height.imaging.formers.straight_track import Resampling, resampling, straight_track
+from sal_height.imaging.formers.straight_track import Resampling, StraightTrack, resampling, straight_track
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import (
     C64,
@@ -142,63 +142,126 @@ def _lines(factor: C64, block: slice) -> C64:
     return factor[block] if len(factor) > 1 else factor
 
 
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Rows of the image, even steps along the track, and their Dopplers.
+
+    Attributes:
+        track: straight track nearest to the antenna's.
+        step: distance between even steps, on which columns fall, m.
+        fold: number of steps from column to column.
+        abeam: vector from the track to the first row, square to the track, m, shape (3,).
+        distance: of each row from the track, m, shape (rows,).
+        first_column: place of the first column along the track, m.
+        steps: number of even steps that the track takes.
+        doppler: of a transform without wrap-around, in the order of an FFT, rad/m, shape (length,).
+    """
+
+    track: StraightTrack
+    step: float
+    fold: int
+    abeam: F64
+    distance: F64
+    first_column: float
+    steps: int
+    doppler: F64
+
+    @property
+    def middle(self) -> float:
+        """Distance (m) in the middle of the rows."""
+        return float(self.distance[0] + self.distance[-1]) / 2
+
+    @property
+    def places(self) -> F64:
+        """Places of the even steps along the track, m."""
+        return self.track.places.min() + self.step * np.arange(self.steps)
+
+
 def _filters(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> _Filters:
-    pulses, frequencies = history.samples.shape[1:]
+    """Filters of all stages.
+
+    Raises:
+        UserError: pulses so far apart that they do not sample the processed aperture.
+    """
+    layout = _lay_out(antenna, sensor, processing, grid)
+    frequencies = history.samples.shape[2]
+    wavenumber = sensor.centre_wavenumber + sensor.wavenumber_step * (np.arange(frequencies) - frequencies // 2)
+    widest = WIDEST_SINE * wavenumber[0]
+    doppler = np.clip(layout.doppler, -widest, widest)
+    to_rows = _range_transform(sensor, wavenumber, layout, doppler)
+    azimuth = _azimuth_filters(sensor, processing, layout)
+    azimuth *= to_rows.after.T
+    azimuth[:, doppler != layout.doppler] = 0
+    return _Filters(
+        compensation=_motion_compensation(history, antenna, processing, wavenumber, layout),
+        resampling=None if _is_even(sensor, processing, layout) else resampling(layout.track.places, layout.places),
+        places=layout.steps,
+        range=to_rows,
+        azimuth=azimuth,
+        fold=layout.fold,
+    )
+
+
+def _lay_out(antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> _Layout:
     track = straight_track(antenna, grid.col_direction)
     fold = max(1, int(np.ceil(grid.col_spacing / (COARSER * track.spacing))))
     step = grid.col_spacing / fold
+    widest_step = np.pi / (sensor.centre_wavenumber * processing.angle / 2)
+    if step > widest_step * (1 + 1e-9):
+        raise UserError(
+            f"Pulses are {step:.3g} m apart; an aperture of {processing.angle:.3g} rad needs one every "
+            f"{widest_step:.3g} m: raise the pulse repetition frequency."
+        )
     across = grid.points(np.arange(grid.rows), np.zeros(grid.rows)) - track.middle
     first_column = float(across[0] @ track.direction)
     across -= (across @ track.direction)[:, None] * track.direction
     distance = np.linalg.norm(across, axis=-1)
-    middle = float(distance[0] + distance[-1]) / 2
+    steps = int(np.ceil((track.places.max() - track.places.min()) / step - 1e-6)) + 1
     half_aperture = processing.angle * float(distance.max()) / 2
-    if step > np.pi / (sensor.centre_wavenumber * processing.angle / 2) * (1 + 1e-9):
-        raise UserError(
-            f"Pulses are {step:.3g} m apart; an aperture of {processing.angle:.3g} rad needs one every "
-            f"{np.pi / (sensor.centre_wavenumber * processing.angle / 2):.3g} m: raise the pulse repetition frequency."
-        )
-    # Motion compensation: every pulse as if sent from the straight track, for the middle range abeam of it.
-    aim = track.middle + track.places[:, None] * track.direction + across[0] / distance[0] * middle
+    length = fold * fast_length(max(grid.cols, int(np.ceil((steps + half_aperture / step) / fold))))
+    doppler = 2 * np.pi * scipy.fft.fftfreq(length, step)
+    return _Layout(track, step, fold, across[0], distance, first_column, steps, doppler)
+
+
+def _motion_compensation(
+    history: PhaseHistory, antenna: F64, processing: Processing, wavenumber: F64, layout: _Layout
+) -> C64:
+    """Turn every pulse as if sent from the straight track, for the middle range abeam of it; with the range window."""
+    track = layout.track
+    abeam = layout.abeam / layout.distance[0] * layout.middle
+    aim = track.middle + track.places[:, None] * track.direction + abeam
     delay = np.linalg.norm(aim - antenna, axis=-1) - history.reference_range
-    wavenumber = sensor.centre_wavenumber + sensor.wavenumber_step * (np.arange(frequencies) - frequencies // 2)
     compensation = outer_phasors(delay, wavenumber)
-    compensation *= (processing.range_weights(frequencies) / frequencies).astype(np.float32)
-    # Even steps, on which columns fall, and as many as a transform without wrap-around takes.
-    begin = track.places.min()
-    places = int(np.ceil((track.places.max() - begin) / step - 1e-6)) + 1
-    wanted = begin + step * np.arange(places)
-    off = np.abs(wanted[:pulses] - track.places[: len(wanted)]).max() if places == pulses else np.inf
-    even = off * sensor.centre_wavenumber * processing.angle / 2 < EVEN_PHASE
-    length = fold * fast_length(max(grid.cols, int(np.ceil((places + half_aperture / step) / fold))))
-    every_doppler = 2 * np.pi * scipy.fft.fftfreq(length, step)
-    widest = WIDEST_SINE * wavenumber[0]
-    doppler = np.clip(every_doppler, -widest, widest)
-    # Two-dimensional spectrum of the middle range, less its phase without migration (stationary phase).
-    row_step = (distance[-1] - distance[0]) / max(1, grid.rows - 1)
-    stretch = sensor.centre_wavenumber / np.sqrt(sensor.centre_wavenumber**2 - doppler**2)
+    compensation *= (processing.range_weights(len(wavenumber)) / len(wavenumber)).astype(np.float32)
+    return compensation
+
+
+def _is_even(sensor: Sensor, processing: Processing, layout: _Layout) -> bool:
+    """Whether pulses lie so near to even steps that they need not be resampled."""
+    if layout.steps != len(layout.track.places):
+        return False
+    off = np.abs(layout.places - layout.track.places).max()
+    return bool(off * sensor.centre_wavenumber * processing.angle / 2 < EVEN_PHASE)
+
+
+def _range_transform(sensor: Sensor, wavenumber: F64, layout: _Layout, doppler: F64) -> ChirpZ:
+    """Transform from frequencies to rows for each Doppler, or one for all if they hardly differ.
+
+    It takes off the migration and secondary compression of the middle range (stationary phase), and stretches range
+    with Doppler, which corrects the migration of the other ranges.
+    """
+    rows, frequencies, central = len(layout.distance), len(wavenumber), sensor.centre_wavenumber
+    row_step = (layout.distance[-1] - layout.distance[0]) / max(1, rows - 1)
+    stretch = central / np.sqrt(central**2 - doppler**2)
     scale = sensor.wavenumber_step * row_step * stretch
-    if np.ptp(scale) * frequencies / 2 * grid.rows / 2 < SMALL_PHASE:
+    if np.ptp(scale) * frequencies / 2 * rows / 2 < SMALL_PHASE:
         scale = scale[:1]
-    scaled = apply_chirp_z(scale, frequencies, frequencies // 2, grid.rows, (grid.rows - 1) / 2)
-    edges = _migration(middle, doppler, wavenumber[[0, -1]], sensor.centre_wavenumber)
-    before = scaled.before
-    if np.abs(edges).max() >= SMALL_PHASE:
-        before = before * unit_phasors(_migration(middle, doppler, wavenumber, sensor.centre_wavenumber))
-    # By whole steps the replica is shifted in its spectrum, by the rest where it is made: its ends are sharp.
-    whole = step * round((first_column - begin) / step)
-    azimuth = _azimuth_filters(sensor, processing, distance, middle, step, length, begin + whole - first_column)
-    azimuth *= unit_phasors(every_doppler * whole)
-    azimuth *= scaled.after.T
-    azimuth[:, doppler != every_doppler] = 0
-    return _Filters(
-        compensation,
-        None if even else resampling(track.places, wanted),
-        places,
-        ChirpZ(before, scaled.spectrum, scaled.after),
-        azimuth,
-        fold,
-    )
+    scaled = apply_chirp_z(scale, frequencies, frequencies // 2, rows, (rows - 1) / 2)
+    edges = _migration(layout.middle, doppler, wavenumber[[0, -1]], central)
+    if np.abs(edges).max() < SMALL_PHASE:
+        return scaled
+    before = scaled.before * unit_phasors(_migration(layout.middle, doppler, wavenumber, central))
+    return ChirpZ(before, scaled.spectrum, scaled.after)
 
 
 def _migration(distance: float, doppler: F64, wavenumber: F64, central: float) -> F64:
@@ -211,16 +274,17 @@ def _migration(distance: float, doppler: F64, wavenumber: F64, central: float) -
     return -distance * phase
 
 
-def _azimuth_filters(
-    sensor: Sensor, processing: Processing, distance: F64, middle: float, step: float, length: int, shift: float
-) -> C64:
-    """Spectra of the matched filters in azimuth for rows at `distance` (m), over the sum of their weights.
+def _azimuth_filters(sensor: Sensor, processing: Processing, layout: _Layout) -> C64:
+    """Spectra of the matched filters in azimuth of all rows, over the sum of their weights, shape (rows, length).
 
-    Their samples are `shift` (m) off whole steps from the target.
-
-    Made in time, with the weight that backprojection gives to each angle, so that both filters are the same.
+    Made in time, with the weight that backprojection gives to each angle, so that both filters are the same. They lead
+    from the first step to the first column: by whole steps the replica is shifted in its spectrum, by the rest where it
+    is made, because its ends are sharp.
     """
-    place = step * length * scipy.fft.fftfreq(length) + shift
+    step, distance, length = layout.step, layout.distance, len(layout.doppler)
+    begin = layout.track.places.min()
+    whole = step * round((layout.first_column - begin) / step)
+    place = step * length * scipy.fft.fftfreq(length) + (begin + whole - layout.first_column)
     near = np.flatnonzero(np.abs(place) <= processing.angle / 2 * distance.max() * 1.01 + step)
     replica = np.zeros((len(distance), length), dtype=np.complex64)
 
@@ -228,11 +292,14 @@ def _azimuth_filters(
         slant = np.sqrt(distance[block, None] ** 2 + place[near] ** 2)
         weight = processing.angle_weights(place[near] / slant, step / slant)
         weight /= weight.sum(axis=-1, keepdims=True) * length
-        replica[block, near] = weight.astype(np.float32) * unit_phasors(-sensor.centre_wavenumber * (slant - middle))
+        phase = -sensor.centre_wavenumber * (slant - layout.middle)
+        replica[block, near] = weight.astype(np.float32) * unit_phasors(phase)
 
     with ThreadPoolExecutor(WORKERS) as pool:
         list(pool.map(fill, blocks(len(distance), rows_at_once(length))))
-    return np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()
+    spectra = np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()
+    spectra *= unit_phasors(layout.doppler * whole)
+    return spectra
 
 
 def keeps_sidelobes(antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> bool:

@@ -9,7 +9,7 @@ from scipy.constants import speed_of_light
 
 from sal_height.geometry.frames import look_direction
 from sal_height.geometry.grid import Grid
-from sal_height.imaging.formers import backprojection
+from sal_height.imaging.formers import _kernels, backprojection
 from sal_height.imaging.formers.backprojection import backproject, backproject_points, valid_pixels
 from sal_height.imaging.pixels import slant_plane_grid, slc_noise_power
 from sal_height.imaging.weighting import Processing
@@ -293,7 +293,7 @@ def test_point_at_the_very_end_of_the_window_reads_no_sample_beyond_it() -> None
     """A pulse that does not reach a point is read at the end of its profile, which must not be past the array."""
     delay = np.array([-9.0, -2.0, 0.1, 2.0, 9.0])
     sample, fraction = np.empty(5, np.int32), np.empty(5, np.float32)
-    backprojection._samples(delay, 16.0, 32.0, 2.0, sample, fraction)
+    _kernels._samples(delay, 16.0, 32.0, 2.0, sample, fraction)
     np.testing.assert_array_equal(sample, [1, 1, 34, 64, 64])
     np.testing.assert_allclose(fraction, [0, 0, 0.6, 1, 1], atol=1e-6)
     profile = dense_profiles(np.ones((1, 1, 32), np.complex64), np.ones(32))

@@ -33,6 +33,7 @@ from sal_height.elevation import (
     Looks,
     PeakSearch,
     PeakSearches,
+    ValidityRules,
     is_one_scatterer,
     search_guard,
 )
@@ -305,7 +306,9 @@ def _usable(pixels: Covariance, explained: F64, count: F64, elevation: F64, beam
     """Pixels of one scatterer (`is_one_scatterer`), bright enough and between the boresights."""
     first, last = beams.span
     left = np.trace(pixels, axis1=1, axis2=2).real - explained
-    one = is_one_scatterer(Fit(explained, left, (beams.count - 1) * count - 0.5, beams.count), share)
+    one = is_one_scatterer(
+        Fit(explained, left, (beams.count - 1) * count - 0.5, beams.count), ValidityRules(misfit_share=share)
+    )
     return one & (explained - count >= LEAST_ENERGY) & (elevation >= first) & (elevation <= last)
 
 

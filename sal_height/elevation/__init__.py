@@ -14,6 +14,7 @@ from sal_height.elevation.estimate import (
     ElevationEstimate,
     Fit,
     Validity,
+    ValidityRules,
     is_one_scatterer,
     without_saturated,
 )
@@ -77,6 +78,7 @@ __all__ = [
     "PeakSearch",
     "PeakSearches",
     "Validity",
+    "ValidityRules",
     "Window",
     "capon_elevation",
     "conditional_crb",

@@ -18,7 +18,7 @@ import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.likelihood import estimate_at_peak
+from sal_height.elevation.likelihood import DEFAULT_ARRAY_RULES, ArrayRules, estimate_at_peak
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.errors import UserError
 from sal_height.numeric import F64
@@ -30,7 +30,13 @@ median estimate by 0.04 beamwidths instead of 0.14."""
 
 
 def capon_elevation(
-    looks: Looks, beams: Beams, squint: F64, noise_power: float, min_cnr: float, loading: float = LOADING
+    looks: Looks,
+    beams: Beams,
+    squint: F64,
+    noise_power: float,
+    min_cnr: float,
+    loading: float = LOADING,
+    rules: ArrayRules = DEFAULT_ARRAY_RULES,
 ) -> ElevationEstimate:
     """Elevation of the highest peak of Capon's spectrum in every pixel.
 
@@ -43,6 +49,7 @@ def capon_elevation(
         noise_power: E|n|^2 of one SLC pixel in every channel.
         min_cnr: pixels below this power ratio are LOW_CNR.
         loading: power added to the diagonal of the mean covariance, in noise powers.
+        rules: of validity.
 
     Raises:
         UserError: the loading is not positive; or as in `ml_elevation`.
@@ -54,7 +61,7 @@ def capon_elevation(
         mean = covariance / (count * noise_power)[:, None, None]
         return -np.linalg.inv(mean + (loading * np.eye(beams.count)).astype(covariance.dtype))
 
-    estimate = estimate_at_peak(spectrum, looks, beams, squint, noise_power, min_cnr)
+    estimate = estimate_at_peak(spectrum, looks, beams, squint, noise_power, min_cnr, rules)
     return replace(estimate, sigma=estimate.sigma * deviation_factor(looks.count, beams, loading))
 
 

@@ -11,6 +11,7 @@ from scipy.special import gammainccinv
 from sal_height.elevation.bounds import beam_power
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.numeric import F64, U8, Bool
+from sal_height.settings import Settings, setting
 
 
 class Validity(IntEnum):
@@ -76,6 +77,26 @@ outside the array: of pixels of noise alone 0.1 to 1.7 times this share are vali
 """
 
 
+class ValidityRules(Settings):
+    """When a pixel counts as a single scatterer that was detected; the same for every estimator."""
+
+    false_alarm_rate: float = setting(
+        FALSE_ALARM_RATE,
+        "share of single scatterers that are rejected because of noise, and of pixels of noise that pass for one",
+        minimum=1e-12,
+        maximum=0.1,
+    )
+    misfit_share: float = setting(
+        MISFIT_SHARE,
+        "share of a pixel's power that may be left beyond the noise before the pixel is marked NOT_ONE_SCATTERER",
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+
+DEFAULT_RULES = ValidityRules()
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """How well one scatterer explains each pixel; arrays (rows, cols), powers in units of the noise power.
@@ -117,7 +138,7 @@ def noise_limit(degrees: F64, rate: float) -> F64:
     return np.where(orders > 0, gammainccinv(np.maximum(orders, 0.5), rate), 0.0)[which]
 
 
-def is_one_scatterer(fit: Fit, misfit_share: float = MISFIT_SHARE) -> Bool:
+def is_one_scatterer(fit: Fit, rules: ValidityRules = DEFAULT_RULES) -> Bool:
     """Whether what a scatterer leaves of a pixel is noise, or a small share of what it explains.
 
     Two scatterers closer than about half a beamwidth cannot be told from one. Looks in range on sloping ground differ
@@ -125,13 +146,15 @@ def is_one_scatterer(fit: Fit, misfit_share: float = MISFIT_SHARE) -> Bool:
 
     Args:
         fit: of one scatterer to every pixel.
-        misfit_share: greatest share of the explained power that may be left beyond the mean of the noise.
+        rules: rate of false alarms, and share of the explained power that may be left beyond the mean of the noise.
     """
-    noise = fit.left <= noise_limit(fit.degrees, FALSE_ALARM_RATE)
-    return noise | (fit.left - fit.degrees <= misfit_share * fit.explained)
+    noise = fit.left <= noise_limit(fit.degrees, rules.false_alarm_rate)
+    return noise | (fit.left - fit.degrees <= rules.misfit_share * fit.explained)
 
 
-def decide_validity(looks: Looks, fit: Fit, strong: Bool, inside: Bool, outside: Validity) -> U8:
+def decide_validity(
+    looks: Looks, fit: Fit, strong: Bool, inside: Bool, outside: Validity, rules: ValidityRules = DEFAULT_RULES
+) -> U8:
     """Reason for which each pixel's estimate cannot be used, the first that applies, or OK; for every estimator.
 
     Args:
@@ -140,10 +163,11 @@ def decide_validity(looks: Looks, fit: Fit, strong: Bool, inside: Bool, outside:
         strong: where its CNR is sufficient.
         inside: where its elevation is one that the estimator can tell.
         outside: reason to give elsewhere.
+        rules: when a scatterer is detected, and is the only one.
     """
-    detected = fit.explained >= noise_limit(looks.count, FALSE_ALARM_RATE / fit.directions)
+    detected = fit.explained >= noise_limit(looks.count, rules.false_alarm_rate / fit.directions)
     return np.select(
-        [~looks.finite, ~(detected & strong), ~inside, ~is_one_scatterer(fit)],
+        [~looks.finite, ~(detected & strong), ~inside, ~is_one_scatterer(fit, rules)],
         [Validity.MISSING_DATA, Validity.LOW_CNR, outside, Validity.NOT_ONE_SCATTERER],
         Validity.OK,
     ).astype(np.uint8)

@@ -121,7 +121,13 @@ def two_scatterers(
 
 
 def resolve_layover(
-    estimate: ElevationEstimate, looks: Looks, beams: Beams, squint: F64, noise_power: float, min_cnr: float
+    estimate: ElevationEstimate,
+    looks: Looks,
+    beams: Beams,
+    squint: F64,
+    noise_power: float,
+    min_cnr: float,
+    false_alarm: float = FALSE_ALARM,
 ) -> ElevationEstimate:
     """Resolve the pixels that do not fit one scatterer into two, where two are detected.
 
@@ -135,12 +141,13 @@ def resolve_layover(
         squint: of each column, rad, shape (cols,).
         noise_power: E|n|^2 of one SLC pixel in every channel.
         min_cnr: least usable power ratio.
+        false_alarm: share of single scatterers that may be taken for two, of those that do not pass for one.
     """
     if beams.count < 3:
         return estimate
     row, col = np.nonzero(estimate.validity == Validity.NOT_ONE_SCATTERER)
     pixels, single = looks.covariance[row, col][None], estimate.elevation[row, col][None]
-    two = two_scatterers(pixels, beams, squint[col], noise_power, looks.count[row, col][None], single, FALSE_ALARM)
+    two = two_scatterers(pixels, beams, squint[col], noise_power, looks.count[row, col][None], single, false_alarm)
     found = two.detected[0] & (two.power[0] >= min_cnr).all(axis=-1)
     row, col, order = row[found], col[found], np.argsort(-two.power[0][found], axis=-1)
     values = (np.take_along_axis(part[0][found], order, axis=-1).T for part in (two.elevation, two.sigma, two.power))

@@ -17,34 +17,36 @@ import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation.bounds import stochastic_deviation, unit_vectors
-from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
+from sal_height.elevation.estimate import ElevationEstimate, Validity, ValidityRules, array_fit, decide_validity
 from sal_height.elevation.looks import Covariance, Covariances, Looks
 from sal_height.elevation.search import Columns, Objective, PeakSearch, PeakSearches
 from sal_height.errors import UserError
 from sal_height.numeric import F64
+from sal_height.settings import setting
 
 GUARD = 3.0
-"""Beamwidths beyond the array that are searched too, so that a target out there is recognised by its sidelobes.
+"""Beamwidths beyond both ends of the array that are searched, so that a target there is recognised by its sidelobes.
 
-Two detectors cannot tell: their one ratio is that of some direction inside as well, so they are searched inside only.
+With two detectors the search stays inside: their one ratio is also that of some direction between them.
 """
 
 
 SPARE_LOOKS = 2
-"""Looks whose noise sigma takes off a pixel's power beyond that of its own looks.
+"""Number of looks whose noise power is subtracted from a pixel's power, in addition to its own, to compute sigma.
 
-The highest peak is where noise adds power, and of the pixels that pass for usable more are weak ones that noise has
-raised than strong ones that it has lowered. Without these, 60 % and 89 % of the valid pixels at 0 dB in 2 or 4 looks
-lie within one and two sigma; with them 65 % and 93 %, while at 10 dB and above it is 68 to 72 % and 95 to 96 %.
+The highest peak is where noise adds power, and among the valid pixels weak ones that noise has raised are more frequent
+than strong ones that it has lowered. From Monte Carlo trials: without this, 60 % and 89 % of the valid pixels at 0 dB
+with 2 or 4 looks lie within one and two sigma; with it 65 % and 93 %, and at 10 dB and above 68 to 72 % and 95 to 96 %.
 """
 
 
 AMBIGUOUS_RATIO = 100.0
-"""Likelihood of the highest peak over that of the second, below which a pixel is AMBIGUOUS.
+"""Ratio of the likelihoods of the highest and the second peak below which a pixel is AMBIGUOUS.
 
-With detectors half a beamwidth apart, at 5 dB or more in every look, this is less than 1 % of the pixels that are valid
-otherwise, and about half of those that are beside another peak. Detectors farther apart than a beamwidth see targets in
-several directions alike: there it is what tells. Two detectors always do, and are taken at their word.
+With detectors half a beamwidth apart and 5 dB or more in every look, less than 1 % of the otherwise valid pixels are
+ambiguous, and they include about half of those whose highest peak is a wrong one. Detectors farther apart than a
+beamwidth receive the same from several directions, which this ratio reveals. Two detectors always do; their pixels are
+never marked.
 """
 
 
@@ -54,6 +56,25 @@ SAME_PEAK = 0.5
 Spectrum = Callable[[Covariance, F64], Covariance]
 """Gives from covariances R (pixels, M, M) and numbers of looks (pixels,) matrices S (pixels, M, M): what is searched
 for its highest peak is u^H S u with the unit response u = a / |a|."""
+
+
+class ArrayRules(ValidityRules):
+    """When an estimate by the whole array is valid."""
+
+    ambiguous_ratio: float = setting(
+        AMBIGUOUS_RATIO,
+        "likelihood of the highest peak over that of the second below which a pixel is marked AMBIGUOUS; 1: never",
+        minimum=1.0,
+        maximum=1e12,
+    )
+
+    @property
+    def margin(self) -> float:
+        """Least distance in log-likelihood between the highest peak and the second: ln(ambiguous_ratio)."""
+        return float(np.log(self.ambiguous_ratio))
+
+
+DEFAULT_ARRAY_RULES = ArrayRules()
 
 
 def _normalised(response: F64, slope: F64) -> tuple[F64, F64]:
@@ -69,7 +90,7 @@ def _numerator(response: F64, slope: F64) -> tuple[F64, F64]:
 
 
 OBJECTIVES: dict[str, Objective] = {"normalised": _normalised, "numerator": _numerator}
-"""Weights w and their slope from response a and slope a' (real, (..., detectors)); "numerator" is the paper's."""
+"""Weights w and their slope from response a and slope a' (real, (..., detectors)); the paper's is "numerator"."""
 
 
 def peak_elevation(covariance: Covariances, beams: Beams, squint: F64, objective: Objective, guard: float) -> F64:
@@ -80,7 +101,7 @@ def peak_elevation(covariance: Covariances, beams: Beams, squint: F64, objective
         beams: of the channels.
         squint: of each column, rad, shape (cols,).
         objective: one of OBJECTIVES.
-        guard: how far beyond the array is searched, rad (`Beams.domain`): `search_guard` reveals targets outside.
+        guard: how far beyond the array is searched, rad (`Beams.domain`); with `search_guard` targets outside show.
 
     Raises:
         UserError: the beams have no elevation in common, or are complex where the covariance is not.
@@ -96,7 +117,13 @@ def search_guard(beams: Beams) -> float:
 
 
 def ml_elevation(
-    looks: Looks, beams: Beams, squint: F64, noise_power: float, objective: Objective, min_cnr: float
+    looks: Looks,
+    beams: Beams,
+    squint: F64,
+    noise_power: float,
+    objective: Objective,
+    min_cnr: float,
+    rules: ArrayRules = DEFAULT_ARRAY_RULES,
 ) -> ElevationEstimate:
     """Elevation of the dominant scatterer in every pixel: the highest peak over the array and the guard beyond.
 
@@ -107,12 +134,13 @@ def ml_elevation(
         noise_power: E|n|^2 of one SLC pixel in every channel (`channels.whitening`).
         objective: one of OBJECTIVES.
         min_cnr: pixels below this power ratio are LOW_CNR.
+        rules: of validity.
 
     Raises:
         UserError: fewer than two detectors, or a real covariance of complex beams.
     """
     _require_two(beams)
-    margin = float(np.log(AMBIGUOUS_RATIO))
+    margin = rules.margin
 
     def find(search: PeakSearch, pixels: Covariance, *_: object) -> F64:
         peaks = search.peaks(pixels, margin * noise_power)
@@ -121,7 +149,7 @@ def ml_elevation(
 
     searches = PeakSearches.over(beams, np.unique(squint), objective, search_guard(beams))
     elevation, share, explained, gain, turning = searches.of_pixels(looks.covariance, squint, 5, find)
-    estimate = _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr)
+    estimate = _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr, rules)
     if beams.count > 2:
         ambiguous = (estimate.validity == Validity.OK) & ((1 - share) * explained < margin * noise_power)
         estimate.validity[ambiguous] = Validity.AMBIGUOUS
@@ -134,11 +162,17 @@ def _require_two(beams: Beams) -> None:
 
 
 def estimate_at(
-    elevation: F64, looks: Looks, beams: Beams, squint: F64, noise_power: float, min_cnr: float
+    elevation: F64,
+    looks: Looks,
+    beams: Beams,
+    squint: F64,
+    noise_power: float,
+    min_cnr: float,
+    rules: ArrayRules = DEFAULT_ARRAY_RULES,
 ) -> ElevationEstimate:
-    """What is known of a scatterer whose likelihood peaks at `elevation` (rad, shape (rows, cols)), in every pixel.
+    """The estimate of scatterers whose likelihood peaks at given elevations (rad, shape (rows, cols)).
 
-    The other arguments are those of `ml_elevation`.
+    The other arguments are those of `ml_elevation`. No pixel is AMBIGUOUS, as other peaks are not looked at.
     """
 
     def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> F64:
@@ -146,19 +180,25 @@ def estimate_at(
 
     searches = PeakSearches.over(beams, np.unique(squint), _normalised, search_guard(beams))
     explained, gain, turning = searches.of_pixels(looks.covariance, squint, 3, find)
-    return _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr)
+    return _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr, rules)
 
 
 def estimate_at_peak(
-    spectrum: Spectrum, looks: Looks, beams: Beams, squint: F64, noise_power: float, min_cnr: float
+    spectrum: Spectrum,
+    looks: Looks,
+    beams: Beams,
+    squint: F64,
+    noise_power: float,
+    min_cnr: float,
+    rules: ArrayRules = DEFAULT_ARRAY_RULES,
 ) -> ElevationEstimate:
     """Elevation where the quadratic form of another spectrum is greatest; sigma and validity by the likelihood there.
 
-    A pixel is AMBIGUOUS where its likelihood is less than AMBIGUOUS_RATIO times that of another peak. Arguments and
+    A pixel is AMBIGUOUS where its likelihood is less than `ambiguous_ratio` times that of another peak. Arguments and
     errors are those of `ml_elevation`.
     """
     _require_two(beams)
-    margin = float(np.log(AMBIGUOUS_RATIO)) * noise_power
+    margin = rules.margin * noise_power
 
     def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> F64:
         found = search.peaks(spectrum(pixels, looks.count[rows, cols].reshape(-1))).elevation
@@ -169,7 +209,7 @@ def estimate_at_peak(
 
     searches = PeakSearches.over(beams, np.unique(squint), _normalised, search_guard(beams))
     elevation, lead, explained, gain, turning = searches.of_pixels(looks.covariance, squint, 5, find)
-    estimate = _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr)
+    estimate = _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr, rules)
     if beams.count > 2:
         estimate.validity[(estimate.validity == Validity.OK) & (lead < margin)] = Validity.AMBIGUOUS
     return estimate
@@ -184,12 +224,13 @@ def _estimate(
     beams: Beams,
     noise_power: float,
     min_cnr: float,
+    rules: ArrayRules,
 ) -> ElevationEstimate:
     """Sigma, CNR and validity from elevations and `PeakSearch.fit` there, all of the shape (rows, cols).
 
     Sigma is `bounds.stochastic_crb` for the energy of these very looks, less the noise of SPARE_LOOKS more. It is that
-    of an error about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB in 2 looks, and fewer elsewhere,
-    another peak has won.
+    of errors about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB with 2 looks, and in fewer
+    elsewhere, another peak is higher.
     """
     explained = explained / noise_power
     cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
@@ -200,5 +241,5 @@ def _estimate(
         elevation=elevation,
         sigma=stochastic_deviation((explained - noise) / gain, noise, gain, turning * gain),
         cnr=cnr,
-        validity=decide_validity(looks, fit, cnr >= min_cnr, inside, Validity.OUTSIDE_ARRAY),
+        validity=decide_validity(looks, fit, cnr >= min_cnr, inside, Validity.OUTSIDE_ARRAY, rules),
     )

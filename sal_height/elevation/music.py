@@ -14,14 +14,20 @@ import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.likelihood import estimate_at_peak
+from sal_height.elevation.likelihood import DEFAULT_ARRAY_RULES, ArrayRules, estimate_at_peak
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.errors import UserError
 from sal_height.numeric import F64
 
 
 def music_elevation(
-    looks: Looks, beams: Beams, squint: F64, noise_power: float, min_cnr: float, order: int = 1
+    looks: Looks,
+    beams: Beams,
+    squint: F64,
+    noise_power: float,
+    min_cnr: float,
+    order: int = 1,
+    rules: ArrayRules = DEFAULT_ARRAY_RULES,
 ) -> ElevationEstimate:
     """Elevation of the highest peak of MUSIC's spectrum in every pixel.
 
@@ -36,6 +42,7 @@ def music_elevation(
         noise_power: E|n|^2 of one SLC pixel in every channel.
         min_cnr: pixels below this power ratio are LOW_CNR.
         order: dimensions of the signal subspace, from 1 to M - 1.
+        rules: of validity.
 
     Raises:
         UserError: the order is out of range; or as in `ml_elevation`.
@@ -49,5 +56,5 @@ def music_elevation(
         signal = np.linalg.eigh(covariance)[1][:, :, -order:]
         return signal @ np.swapaxes(signal.conj(), 1, 2)
 
-    estimate = estimate_at_peak(spectrum, looks, beams, squint, noise_power, min_cnr)
+    estimate = estimate_at_peak(spectrum, looks, beams, squint, noise_power, min_cnr, rules)
     return replace(estimate, sigma=estimate.sigma / np.sqrt(1 - (order - 1) / (beams.count - 1)))

@@ -17,8 +17,8 @@ from pydantic import field_validator
 from sal_height.beams import Beams
 from sal_height.elevation.capon import LOADING, capon_elevation
 from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.layover import resolve_layover
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
+from sal_height.elevation.layover import FALSE_ALARM, resolve_layover
+from sal_height.elevation.likelihood import OBJECTIVES, ArrayRules, ml_elevation
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.monopulse.estimators import DISCRIMINANTS
 from sal_height.elevation.monopulse.inversion import INVERSES
@@ -109,10 +109,10 @@ def _estimate_by_pairs(
             "form no pairs; use ml_height, or sum_difference_height for a sum and a difference.",
         )
     discriminant = DISCRIMINANTS[settings.discriminant]
-    return monopulse_elevation(looks, beams, squint, float(noise_powers[0]), discriminant, settings.min_cnr)
+    return monopulse_elevation(looks, beams, squint, float(noise_powers[0]), discriminant, settings.min_cnr, settings)
 
 
-class MlSettings(HeightSettings):
+class MlSettings(HeightSettings, ArrayRules):
     """Settings of maximum likelihood over the whole array."""
 
     objective: str = setting(
@@ -130,6 +130,12 @@ class MlSettings(HeightSettings):
     layover: bool = setting(
         default=True, description="whether to search for two scatterers in pixels that a single one does not explain"
     )
+    layover_false_alarm: float = setting(
+        FALSE_ALARM,
+        "share of single scatterers that may be taken for two, of those that do not pass for one",
+        minimum=1e-9,
+        maximum=0.1,
+    )
 
 
 def _estimate_by_likelihood(
@@ -137,10 +143,12 @@ def _estimate_by_likelihood(
 ) -> ElevationEstimate:
     noise_power, strength, min_cnr = float(noise_powers[0]), settings.prior_strength, settings.min_cnr
     if strength:
-        estimate = prior_elevation(looks, beams, squint, noise_power, strength, min_cnr)
+        estimate = prior_elevation(looks, beams, squint, noise_power, strength, min_cnr, settings)
     else:
-        estimate = ml_elevation(looks, beams, squint, noise_power, OBJECTIVES[settings.objective], min_cnr)
-    return resolve_layover(estimate, looks, beams, squint, noise_power, min_cnr) if settings.layover else estimate
+        estimate = ml_elevation(looks, beams, squint, noise_power, OBJECTIVES[settings.objective], min_cnr, settings)
+    if not settings.layover:
+        return estimate
+    return resolve_layover(estimate, looks, beams, squint, noise_power, min_cnr, settings.layover_false_alarm)
 
 
 class SumDifferenceSettings(HeightSettings):
@@ -192,10 +200,10 @@ def _estimate_by_sum_and_difference(
     inverse = _slope_table(settings.slope_table).invert if settings.slope_table else INVERSES[settings.inverse]
     discriminator = Discriminator(DISCRIMINANTS[settings.discriminant], inverse)
     powers = float(noise_powers[0]), float(noise_powers[1])
-    return sum_difference_elevation(looks, beams, squint, powers, discriminator, settings.min_cnr)
+    return sum_difference_elevation(looks, beams, squint, powers, discriminator, settings.min_cnr, settings)
 
 
-class CaponSettings(HeightSettings):
+class CaponSettings(HeightSettings, ArrayRules):
     """Settings of Capon's method."""
 
     loading: float = setting(
@@ -211,10 +219,10 @@ class CaponSettings(HeightSettings):
 def _estimate_by_capon(
     looks: Looks, beams: Beams, squint: F64, noise_powers: F64, settings: CaponSettings
 ) -> ElevationEstimate:
-    return capon_elevation(looks, beams, squint, float(noise_powers[0]), settings.min_cnr, settings.loading)
+    return capon_elevation(looks, beams, squint, float(noise_powers[0]), settings.min_cnr, settings.loading, settings)
 
 
-class MusicSettings(HeightSettings):
+class MusicSettings(HeightSettings, ArrayRules):
     """Settings of MUSIC."""
 
     order: int = setting(
@@ -225,7 +233,7 @@ class MusicSettings(HeightSettings):
 def _estimate_by_music(
     looks: Looks, beams: Beams, squint: F64, noise_powers: F64, settings: MusicSettings
 ) -> ElevationEstimate:
-    return music_elevation(looks, beams, squint, float(noise_powers[0]), settings.min_cnr, settings.order)
+    return music_elevation(looks, beams, squint, float(noise_powers[0]), settings.min_cnr, settings.order, settings)
 
 
 _ENTRIES = (

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from sal_height.elevation.estimate import ValidityRules
 from sal_height.elevation.looks import LOOK_WINDOWS, Window
 from sal_height.sensor import MAX_SHARE
-from sal_height.settings import Settings, setting
+from sal_height.settings import setting
 
 
-class HeightSettings(Settings):
+class HeightSettings(ValidityRules):
     """What a height image is made with, whichever estimator makes it."""
 
     range_looks: int = setting(2, "pixels averaged in range", minimum=1, maximum=4096)

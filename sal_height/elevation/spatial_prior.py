@@ -1,14 +1,14 @@
-"""Elevations that neighbours agree on: semi-global matching chooses among the peaks of each pixel's likelihood.
+"""A spatial smoothness prior: semi-global matching chooses among the peaks of each pixel's likelihood.
 
-At low CNR a pixel's highest peak may be one of noise, anywhere in the search domain, while the second or third is the
-target's. Which one it is, neighbours tell: along a line of pixels the elevation changes little from one to the next,
-or jumps, at the cost of `strength`. On a line that is a hidden Markov chain, and its best elevations follow by dynamic
-programming. Eight lines end in every pixel; what their neighbours say is added to the pixel's own log-likelihood.
+At low CNR the highest peak of a pixel may be one of noise, anywhere in the search domain, while the second or third is
+the target's. The neighbours decide which: along a line of pixels the elevation changes little from one to the next, or
+it jumps, at the cost of `strength`. A line is a hidden Markov chain, whose best elevations follow by dynamic
+programming. Eight lines end in every pixel; the messages along them are added to the pixel's own log-likelihood.
 
 Hirschmueller, IEEE Trans. Pattern Analysis and Machine Intelligence 30, 2008 (matching along eight lines); Drory,
 Haubold, Avidan and Hamprecht, German Conference on Pattern Recognition, 2014 (why the pixel's own term counts once).
 
-Nothing is averaged: the elevation is always a peak of the pixel's own likelihood.
+Nothing is averaged: the elevation always is a peak of the pixel's own likelihood.
 """
 
 from __future__ import annotations
@@ -23,29 +23,36 @@ import numpy.typing as npt
 from sal_height.beams import Beams
 from sal_height.elevation._kernels import concentrate, most_likely, send_along
 from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.likelihood import OBJECTIVES, estimate_at, peak_elevation, search_guard
+from sal_height.elevation.likelihood import (
+    DEFAULT_ARRAY_RULES,
+    OBJECTIVES,
+    ArrayRules,
+    estimate_at,
+    peak_elevation,
+    search_guard,
+)
 from sal_height.elevation.looks import Covariances, Looks
 from sal_height.elevation.search import Columns, PeakSearch, PeakSearches
 from sal_height.errors import UserError
 from sal_height.numeric import F32, F64, Bool, Index, in_parallel
 
 RECOMMENDED_STRENGTH = 0.75
-"""What cuts the outliers of four looks at 5 dB more than tenfold, and keeps steps of 3 beamwidths where they are.
+"""Strength that reduces the outliers of four looks at 5 dB more than tenfold and keeps steps of 3 beamwidths in place.
 
-At 5 dB a lone pixel 3 beamwidths off its surroundings is then lost in a fifth of the cases with four looks and in two
-thirds with one (without the prior: 6 and 40 %); at 10 dB, in 2 and 40 % (0 and 14 %). Bars two pixels wide are found
-more often than without, squares of 2 x 2 pixels as often with four looks, less often with one. From 1 on more strength
-cuts little more.
+At 5 dB a single pixel 3 beamwidths off its surroundings is then lost in a fifth of the cases with four looks and in two
+thirds with one (without the prior: 6 and 40 %); at 10 dB in 2 and 40 % (0 and 14 %). Bars two pixels wide are found
+more often than without the prior, squares of 2 x 2 pixels as often with four looks and less often with one. Above 1,
+the outliers hardly become fewer.
 """
 
 DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
 """Steps in rows and columns along the lines."""
 
 TILE = 512
-"""Rows and columns whose likelihoods are held at a time: 41 to 71 nodes, twice, are 110 to 190 MB."""
+"""Number of rows and columns whose likelihoods are held at a time: 41 to 71 nodes, twice, are 110 to 190 MB."""
 
 MARGIN = 32
-"""Pixels around a tile where lines start already; what lies farther away has faded."""
+"""Number of pixels around a tile in which its lines start; the influence of those farther away has faded."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +70,21 @@ class _Tile:
 
 
 def prior_elevation(
-    looks: Looks, beams: Beams, squint: F64, noise_power: float, strength: float, min_cnr: float
+    looks: Looks,
+    beams: Beams,
+    squint: F64,
+    noise_power: float,
+    strength: float,
+    min_cnr: float,
+    rules: ArrayRules = DEFAULT_ARRAY_RULES,
 ) -> ElevationEstimate:
-    """`array_ml.ml_elevation` with the exact objective at the peaks that `smoothed_peaks` takes; arguments alike."""
+    """Elevation at the peaks of the exact likelihood that `smoothed_peaks` chooses.
+
+    The arguments are those of `likelihood.ml_elevation` and of `smoothed_peaks`; no pixel is AMBIGUOUS.
+    """
     guard = search_guard(beams)
     elevation = smoothed_peaks(looks.covariance, beams, squint, noise_power, looks.count, strength, guard)
-    return estimate_at(elevation, looks, beams, squint, noise_power, min_cnr)
+    return estimate_at(elevation, looks, beams, squint, noise_power, min_cnr, rules)
 
 
 def smoothed_peaks(
@@ -80,9 +96,9 @@ def smoothed_peaks(
     strength: float,
     guard: float,
 ) -> F64:
-    """Elevation (rad) of the likelihood's peak that neighbours agree on, in every pixel, shape (rows, cols).
+    """Elevation (rad) of the peak of the likelihood that suits the neighbours best, in every pixel, shape (rows, cols).
 
-    Pixels of zero covariance, which stand for missing data, say nothing and pass nothing on.
+    Pixels of zero covariance, which stand for missing data, end the lines: neither they nor those beyond contribute.
 
     Args:
         covariance: sum over looks, shape (rows, cols, channels, channels); complex if the beams are.
@@ -91,7 +107,7 @@ def smoothed_peaks(
         noise_power: E|n|^2 of one look in one channel.
         looks_count: number of looks K, of all pixels or each.
         strength: loss of log-likelihood at a jump of elevation between neighbours, along each line; 0 gives
-            `array_ml.peak_elevation` with the normalised objective, RECOMMENDED_STRENGTH is a good one.
+            `likelihood.peak_elevation` with the normalised objective; RECOMMENDED_STRENGTH suits most scenes.
         guard: how far beyond the array is searched, rad (`Beams.domain`).
 
     Raises:
@@ -126,9 +142,9 @@ def _tiles(rows: int, cols: int) -> Iterator[_Tile]:
 def _log_likelihood(
     covariance: Covariances, tile: _Tile, searches: PeakSearches, squint: F64, noise_power: float, looks: F64
 ) -> tuple[F32, Bool]:
-    """Log-likelihood at every node of the grid over that of noise alone, and which pixels of the tile have data.
+    """Log-likelihood ratio to noise alone at every node of the grid, and which pixels of the tile have data.
 
-    K (q - ln q - 1) with q = a^H R a / (K sigma^2 |a|^2), or 0 for q < 1: the greatest over the power of Gaussian
+    It is K (q - ln q - 1) with q = a^H R a / (K sigma^2 |a|^2), or 0 for q < 1: maximised over the power of Gaussian
     amplitudes. Shapes (rows, cols, grid nodes) and (rows, cols).
     """
     shape, angles = (tile.rows.size, tile.cols.size), squint[tile.cols]
@@ -148,7 +164,7 @@ def _log_likelihood(
 
 
 def _messages(own: F32, has_data: Bool, strength: float) -> F32:
-    """Sum over the eight lines of what they say of a pixel's elevation: each from -strength to 0; shape of `own`."""
+    """Sum of the messages along the eight lines that end in each pixel, each from -strength to 0; shape of `own`."""
     messages = np.zeros_like(own)
     for step in DIRECTIONS:
         starts = _starts(own.shape[0], own.shape[1], step)
@@ -177,7 +193,7 @@ def _move(
     searches: PeakSearches,
     squint: F64,
 ) -> None:
-    """Put pixels of the tile's core whose neighbours prefer another peak there: change `elevation` (rad) of the image.
+    """Move pixels of the tile's core to another peak if their neighbours prefer it: changes `elevation` (rad) in place.
 
     `own` and `messages` are of the core.
     """

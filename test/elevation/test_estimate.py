@@ -19,6 +19,7 @@ from sal_height.elevation.estimate import (
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
 from sal_height.elevation.looks import Looks, Window, windowed_looks
 from sal_height.elevation.monopulse.sum_difference import Discriminator, sum_difference_elevation
+from sal_height.elevation.registry import ESTIMATORS
 
 CASES = pytest.mark.parametrize(("channels", "looks", "trials"), [(2, 1, 400_000), (3, 2, 300_000), (16, 4, 60_000)])
 
@@ -75,6 +76,22 @@ def test_pixels_of_noise_pass_for_a_scatterer_no_more_often_than_stated(looks: i
 def test_limit_is_the_quantile_of_the_noise_power(degrees: float, rate: float) -> None:
     limit = float(noise_limit(np.array([degrees]), rate)[0])
     assert stats.gamma(degrees).sf(limit) == pytest.approx(rate, rel=1e-9)
+
+
+def test_rules_of_validity_can_be_set() -> None:
+    """1 % are rejected instead of 0.01 %; a share of 1 rejects none, and a ratio of 1 marks none."""
+    beams, rng = make_beams("jinc", 3), np.random.default_rng(74)
+    seen = looks_of_pixels(target_slc(beams, rng.uniform(-0.4, 0.4, (20_000, 1)), 20_000, 2, 50.0, rng))
+
+    def share(reason: Validity, **rules: float) -> np.ndarray:
+        settings = ESTIMATORS["ml"].settings(min_cnr_db=5.0, layover=False, **rules)
+        result = ESTIMATORS["ml"].estimate(seen, beams, np.zeros(1), np.ones(3), settings)
+        return (result.validity == reason)[result.cnr > 10]
+
+    assert_rate(share(Validity.NOT_ONE_SCATTERER, false_alarm_rate=1e-2, misfit_share=0.0), 1e-2)
+    assert not share(Validity.NOT_ONE_SCATTERER, false_alarm_rate=1e-2, misfit_share=1.0).any()
+    assert share(Validity.AMBIGUOUS, ambiguous_ratio=1e9).mean() > 2 * share(Validity.AMBIGUOUS).mean()
+    assert not share(Validity.AMBIGUOUS, ambiguous_ratio=1.0).any()
 
 
 def test_limit_of_no_dimensions_is_zero() -> None:

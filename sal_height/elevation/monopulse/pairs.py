@@ -10,7 +10,14 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
+from sal_height.elevation.estimate import (
+    DEFAULT_RULES,
+    ElevationEstimate,
+    Validity,
+    ValidityRules,
+    array_fit,
+    decide_validity,
+)
 from sal_height.elevation.likelihood import OBJECTIVES, search_guard
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.elevation.monopulse.estimators import Estimator, accuracy, discriminate, sum_and_difference
@@ -24,7 +31,13 @@ OUTSIDE_MARGIN = 3.0
 
 
 def monopulse_elevation(
-    looks: Looks, beams: Beams, squint: F64, noise_power: float, discriminant: Estimator, min_cnr: float
+    looks: Looks,
+    beams: Beams,
+    squint: F64,
+    noise_power: float,
+    discriminant: Estimator,
+    min_cnr: float,
+    rules: ValidityRules = DEFAULT_RULES,
 ) -> ElevationEstimate:
     """Elevation of the dominant scatterer in every pixel from its strongest pair.
 
@@ -38,6 +51,7 @@ def monopulse_elevation(
         noise_power: E|n|^2 of one SLC pixel in every channel (`channels.whitening`).
         discriminant: one of DISCRIMINANTS.
         min_cnr: pixels below this power ratio are LOW_CNR.
+        rules: of validity.
 
     Raises:
         UserError: fewer than two detectors.
@@ -66,7 +80,7 @@ def monopulse_elevation(
     first, last = beams.span
     inside = (found.elevation >= first) & (found.elevation <= last)
     fit = array_fit(looks, noise_power, explained)
-    validity = decide_validity(looks, fit, cnr >= min_cnr, inside, Validity.OUTSIDE_ARRAY)
+    validity = decide_validity(looks, fit, cnr >= min_cnr, inside, Validity.OUTSIDE_ARRAY, rules)
     outside = ((best < first) | (best > last)) & (best_explained / noise_power - explained > OUTSIDE_MARGIN)
     validity = np.where((validity == Validity.OK) & outside, Validity.OUTSIDE_ARRAY, validity)
     unpaired = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN]) & looks.finite

@@ -18,7 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation.estimate import ElevationEstimate, Fit, Validity, decide_validity
+from sal_height.elevation.estimate import (
+    DEFAULT_RULES,
+    ElevationEstimate,
+    Fit,
+    Validity,
+    ValidityRules,
+    decide_validity,
+)
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.monopulse.estimators import (
     Estimator,
@@ -54,7 +61,13 @@ class Discriminator:
 
 
 def sum_difference_elevation(
-    looks: Looks, pair: Beams, squint: F64, noise_powers: NoisePowers, discriminator: Discriminator, min_cnr: float
+    looks: Looks,
+    pair: Beams,
+    squint: F64,
+    noise_powers: NoisePowers,
+    discriminator: Discriminator,
+    min_cnr: float,
+    rules: ValidityRules = DEFAULT_RULES,
 ) -> ElevationEstimate:
     """Elevation of the scatterer in every pixel of images whose channels are Sigma and Delta.
 
@@ -71,6 +84,7 @@ def sum_difference_elevation(
         noise_powers: of one SLC pixel of Sigma and of Delta.
         discriminator: gamma's estimate and its inversion.
         min_cnr: pixels below this power ratio are LOW_CNR.
+        rules: of validity.
 
     Raises:
         UserError: not two channels and two beams; or noise powers as in `discriminate`.
@@ -84,15 +98,19 @@ def sum_difference_elevation(
     gamma = discriminate(sums, discriminator.estimator, noise_powers)
     found = discriminator.inverse(pair, gamma, np.broadcast_to(squint, gamma.shape))
     sigma, cnr = accuracy(sums, pair.response(found.elevation, squint), found.slope, noise_powers)
-    return ElevationEstimate(found.elevation, sigma, cnr, _validity(looks, sums, noise_powers, found, cnr >= min_cnr))
+    return ElevationEstimate(
+        found.elevation, sigma, cnr, _validity(looks, sums, noise_powers, found, cnr >= min_cnr, rules)
+    )
 
 
-def _validity(looks: Looks, sums: Products, noise_powers: NoisePowers, found: Inversion, strong: Bool) -> U8:
+def _validity(
+    looks: Looks, sums: Products, noise_powers: NoisePowers, found: Inversion, strong: Bool, rules: ValidityRules
+) -> U8:
     """Reason for which each pixel's estimate cannot be used, the first that applies, or OK."""
     explained, left = _eigenvalues(whitened_products(sums, noise_powers)[0]) / noise_powers[0]
     fit = Fit(explained, left, looks.count - 1, directions=2)  # K amplitudes and one complex gamma are estimated
     outside = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN])
-    return decide_validity(looks, fit, strong | outside, ~outside, Validity.OUTSIDE_PAIR)
+    return decide_validity(looks, fit, strong | outside, ~outside, Validity.OUTSIDE_PAIR, rules)
 
 
 def _eigenvalues(sums: Products) -> F64:

@@ -1,4 +1,4 @@
-"""Node player: a bag → the sensor_info, platform/odometry and phase_history recorded in it, dwell by dwell."""
+"""Node player: publishes the sensor_info, platform/odometry and phase_history of a bag, dwell by dwell."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ INPUTS = {"sensor_info": LATCHED_QOS, "platform/odometry": ODOMETRY_QOS, "phase_
 """Topics that are played."""
 
 LONGEST_GROUP = 4
-"""Dwells after whose number of frames a group ends, even if some of its dwells miss a frame."""
+"""A group of dwells ends after the frames of this many dwells, even if some dwells lack a frame."""
 
 
 class Parameters(StageParameters):

@@ -1,4 +1,4 @@
-"""Node psf_calibration: slc of many dwells → calibration."""
+"""Node psf_calibration: calibrates the sensor on the images (slc) of many dwells."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sal_height.sensor import Sensor
 from sal_height.settings import setting
 
 MOST_DWELLS = 1024
-"""That a calibration may be made of: 130 MB of pixels from 16 detectors."""
+"""Greatest number of dwells for one calibration: 130 MB of pixels from 16 channels."""
 
 
 class Parameters(DwellParameters):
@@ -51,7 +51,7 @@ class Parameters(DwellParameters):
 
 
 class PsfCalibration(DwellStage):
-    """Measures receivers and beams on the images of whatever is flown over, and publishes what it found."""
+    """Estimates receivers and beams from the images of whatever is flown over, and publishes a calibration."""
 
     parameters = Parameters
     inputs: ClassVar[Topics] = {"sensor_info": SENSOR_TOPICS["sensor_info"], **IMAGES}
@@ -80,7 +80,7 @@ class PsfCalibration(DwellStage):
         return str(message.provenance.config_hash)
 
     def check(self, message: ComplexImage, sensor: Sensor) -> None:
-        """Size of an image, and that no calibration has been applied to it."""
+        """Check the size of an image, and that no calibration has been applied to it."""
         messages.check_slc(message, sensor)
         applied = message.provenance.calibration_id
         if applied not in {"", sensor.calibration_id}:
@@ -92,7 +92,7 @@ class PsfCalibration(DwellStage):
             )
 
     def process(self, images: list[ComplexImage], sensor: Sensor, _: None) -> int:
-        """Take in the images of a dwell, or pass it by; publish a calibration if it is the last one needed."""
+        """Use the images of every n-th dwell; publish a calibration when there are enough of them."""
         parameters = self.current_parameters()
         self._dwells += 1
         if (self._dwells - 1) % parameters.dwell_step:
@@ -107,19 +107,19 @@ class PsfCalibration(DwellStage):
         return self._complete() if self._calibrator.dwells >= parameters.dwells else 0
 
     def conclude(self) -> None:
-        """Make a calibration of the dwells that there are if there has been none; may be called twice."""
+        """If no calibration was made yet, make one from the dwells so far. May be called twice."""
         with self._ending:
             self.finish()
             if self._calibrator and self._calibrator.dwells and not self._made:
                 self._complete()
 
     def destroy_node(self) -> None:
-        """Conclude, then end the node."""
+        """Complete a pending calibration, then end the node."""
         self.conclude()
         super().destroy_node()
 
     def _complete(self) -> int:
-        """Publish the calibration that the dwells taken in make, and write it; the number of messages."""
+        """Publish the calibration of the dwells so far and write its file; returns the number of messages."""
         calibrator, self._calibrator = self._calibrator, None
         if calibrator is None:
             return 0

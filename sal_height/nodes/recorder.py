@@ -1,4 +1,4 @@
-"""Node that writes what is published to a bag, byte for byte."""
+"""Node recorder: writes the messages of topics to a bag, byte for byte."""
 
 from __future__ import annotations
 
@@ -87,12 +87,12 @@ class Recorder(Role, Node):
 
     @property
     def recorded(self) -> dict[str, int]:
-        """Messages in the bag by topic; a topic appears, with 0, when it is subscribed to."""
+        """Number of messages in the bag, by topic; 0 for a topic that has just been subscribed to."""
         return dict(self._recorded)
 
     @property
     def unwritten(self) -> int:
-        """Messages received that could not be written."""
+        """Number of messages that were received and could not be written."""
         return self._unwritten
 
     def close_bag(self) -> None:
@@ -114,7 +114,7 @@ class Recorder(Role, Node):
         super().destroy_node()
 
     def _discover(self) -> None:
-        """Subscribe to the topics that have come to have a publisher."""
+        """Subscribe to the wanted topics that have a publisher by now."""
         for name, types in self.get_topic_names_and_types():
             wanted = name in self._topics if self._topics else name not in NEVER_BY_DEFAULT
             if wanted and name not in self._subscribed and name not in self._refused:

@@ -1,4 +1,4 @@
-"""Node relief_mapper: <estimator>/height of all dwells → map/relief, image and points; a GeoTIFF at the end."""
+"""Node relief_mapper: enters the heights of all dwells into one map, published and written as GeoTIFF at the end."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sal_height.relief import map as relief_map
 from sal_height.settings import setting
 
 LAST_WORDS_S = 2.0
-"""How long the end waits for subscribers to have the last map."""
+"""Longest wait at the end of the node for subscribers to receive the last map."""
 
 
 class Parameters(StageParameters):
@@ -107,7 +107,7 @@ class ReliefMapper(Stage):
         if self._settings.file:
             check_geotiff(Path(self._settings.file))
         self.failure = ""
-        """Why the file could not be written, one sentence; empty if it was, or none was wanted."""
+        """Why the file could not be written, as a sentence; empty if there was no failure."""
         self._map: relief_map.ReliefMap | None = None
         self._images = 0
         self._last: HeightImage | None = None
@@ -122,7 +122,7 @@ class ReliefMapper(Stage):
         self.context.on_shutdown(self.conclude)
 
     def conclude(self) -> None:
-        """Enter the heights that wait, publish the map and write the file; may be called twice."""
+        """Enter the height images that wait, publish the map and write the file. May be called twice."""
         with self._ending:
             if self._ended:
                 return
@@ -135,7 +135,7 @@ class ReliefMapper(Stage):
                 self._write(Path(self._settings.file))
 
     def destroy_node(self) -> None:
-        """Conclude, then end the node."""
+        """Publish and write the map, then end the node."""
         self.conclude()
         super().destroy_node()
 
@@ -147,7 +147,7 @@ class ReliefMapper(Stage):
             self.submit(1, lambda: self._enter(image), payload_bytes(image))
 
     def _enter(self, image: HeightImage) -> int:
-        """Enter a height image into the map, which stays as it is if that is refused."""
+        """Enter a height image into the map; a rejected image leaves the map unchanged."""
         field = messages.field_from_message(image)
         aperture = messages.aperture_from_message(image.aperture)
         if self._map is None:
@@ -167,7 +167,7 @@ class ReliefMapper(Stage):
             self.submit(0, self._publish)
 
     def _publish(self) -> int:
-        """Publish the map as it stands; the number of messages."""
+        """Publish the current map; returns the number of maps published."""
         relief, last = self._map.relief() if self._map else None, self._last
         if relief is None or last is None:
             return 0
@@ -179,7 +179,7 @@ class ReliefMapper(Stage):
         return 1
 
     def _provenance(self, last: HeightImage) -> Provenance:
-        """That of the last height image, with the parameters of this node."""
+        """Provenance of the last height image, with the parameters of this node added."""
         return messages.derived(last.provenance, self.get_name(), self._settings)
 
     def _write(self, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Node relief_tracker: <estimator>/height → tracked/height, image and points, neighbours telling of each other."""
+"""Node relief_tracker: smooths the heights of an estimator (<estimator>/height) into tracked/height."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sal_height.relief import GATE, track
 from sal_height.settings import setting
 
 PREFIX = "tracked"
-"""Of the topics, and HeightImage.estimator."""
+"""Prefix of the topics, and value of HeightImage.estimator."""
 
 
 class Parameters(StageParameters):
@@ -52,7 +52,7 @@ class Parameters(StageParameters):
 
 
 class ReliefTracker(Stage):
-    """Tracks the heights of every image along range; its parameters are Parameters."""
+    """Smooths the heights of each image with a Gauss-Markov prior, along range and along track."""
 
     parameters = Parameters
     inputs: ClassVar[Topics] = {"<estimator>/height": "heights of the estimator that the parameter names"}
@@ -78,7 +78,7 @@ class ReliefTracker(Stage):
         self.submit(1, lambda: self.process(message), payload_bytes(message))
 
     def process(self, message: HeightImage) -> int:
-        """Track the heights of a dwell (on the worker) and publish them; returns the number of height images."""
+        """Smooth and publish the heights of a dwell (on the worker thread); returns the number of height images."""
         parameters = self.current_parameters()
         field, aperture = messages.field_from_message(message), messages.aperture_from_message(message.aperture)
         known = parameters.correlation_length_m or None, parameters.relief_sigma_m or None

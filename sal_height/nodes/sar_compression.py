@@ -1,4 +1,4 @@
-"""Node sar_compression: phase_history + platform/odometry → slc."""
+"""Node sar_compression: forms the images (slc) of all channels from phase_history and platform/odometry."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from sal_height.sensor import Sensor
 from sal_height.settings import setting
 
 HEARD = "topic"
-"""Value of the parameter calibration for that which comes on the topic."""
+"""Value of the parameter calibration: apply the calibration that comes on the topic calibration."""
 
-NOT_TRUSTED = "autofocus found nothing that it could trust, the image is as navigation focuses it."
+NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
 
 
 class Parameters(ImageSettings, DwellParameters):
@@ -66,7 +66,7 @@ class Supplies(NamedTuple):
 
 
 class SarCompression(DwellStage):
-    """Focuses the frames of all detectors of a dwell with one and the same filter."""
+    """Forms the images of all channels of a dwell, each with the same filter."""
 
     parameters = Parameters
     inputs: ClassVar[Topics] = {
@@ -95,7 +95,7 @@ class SarCompression(DwellStage):
         self._slc = self.offer(ComplexImage, "slc")
 
     def check(self, message: DetectorFrame, sensor: Sensor) -> None:
-        """Size, numbers and pulse times of a frame."""
+        """Check size, samples and pulse times of a frame."""
         messages.check_frame(message, sensor)
         end_ns = messages.to_ns(message.header.stamp) + round(message.pulse_time[-1] * 1e9)
         self._last_pulse_ns = max(self._last_pulse_ns, end_ns)
@@ -128,7 +128,7 @@ class SarCompression(DwellStage):
         return f"samples are held from {first:.6g} s to {last:.6g} s after its first pulse"
 
     def process(self, frames: list[DetectorFrame], sensor: Sensor, supplies: Supplies) -> int:
-        """Compress a dwell, or what a block completes of a strip, and publish the image of each detector."""
+        """Compress a dwell, or the columns that a block completes of a strip, and publish the image of each channel."""
         parameters = self.current_parameters()
         history, calibration = messages.history_from_messages(frames), supplies.calibration
         track = Trajectory(supplies.states)

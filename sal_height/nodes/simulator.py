@@ -1,4 +1,4 @@
-"""Node simulator: a simulated flight → sensor_info, platform/odometry, phase_history."""
+"""Node simulator: publishes what the sensor of a simulated flight would."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Simulator(Stage):
         return (False, "the flight has ended") if dwell is None else (True, f"dwell {dwell} of {self.flight.dwells}")
 
     def _begin_dwell(self) -> int | None:
-        """Have the next dwell simulated; its number, or None when the flight has ended."""
+        """Start to simulate the next dwell; returns its number, or None when the flight has ended."""
         dwell = self._next_dwell
         if dwell >= self.flight.dwells:
             return None

@@ -33,13 +33,13 @@ from sal_height.nodes.tally import Tally
 from sal_height.settings import Settings, setting
 
 FRAMES_QOS = QoSProfile(depth=256, reliability=ReliabilityPolicy.RELIABLE)
-"""Phase histories and images: nothing may be lost in the burst of frames that a dwell is."""
+"""Phase histories and images: deep enough for the burst of messages that a dwell is."""
 
 ODOMETRY_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE)
-"""Platform state: small, but a dwell may come with thousands."""
+"""Platform states: small messages, but thousands of them may come with a dwell."""
 
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Sensor info: the last one reaches those who come late."""
+"""Sensor info and the like: a late subscriber receives the last message."""
 
 QOS_OVERRIDES = QoSOverridingOptions(
     [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY]
@@ -100,7 +100,7 @@ class Outlet:
 
     @property
     def subscribers(self) -> int:
-        """How many subscriptions it is matched with."""
+        """Number of subscriptions that receive its messages."""
         return int(self.publisher.get_subscription_count())
 
     @property
@@ -139,7 +139,7 @@ class Inlet:
 
 
 class Stage(Role, Node):
-    """A node whose callbacks only take messages in; the work is done in order on a thread of its own."""
+    """A node whose callbacks only accept messages; a worker thread processes them in order."""
 
     parameters: type[StageParameters] = StageParameters
     """The node's ROS parameters."""
@@ -282,7 +282,7 @@ class Stage(Role, Node):
         return guarded
 
     def reject(self, messages: int, error: Rejected) -> None:
-        """Count messages left out, and say why."""
+        """Count messages that are dropped, and log why."""
         self.last_rejection = f"{error.reason}: {error}"
         self.last_drop = str(error)  # before it is counted, so that no account has a drop without a reason
         self._lost_at = time.monotonic()
@@ -290,7 +290,7 @@ class Stage(Role, Node):
         self.get_logger().warning(f"Dropped {messages} ({error.reason}): {error}", throttle_duration_sec=1.0)
 
     def ignore(self, what: str, error: UserError) -> None:
-        """Count a message beside the stream of frames that cannot be used, and say why."""
+        """Count a message beside the dwells (sensor info, odometry, ...) that cannot be used, and log why."""
         self._lost_at = time.monotonic()
         self.tally.ignore(what)
         self.last_rejection = f"{what}: {error}"

@@ -1,4 +1,4 @@
-"""SAR images: their pixels and their noise."""
+"""Pixel grids of SAR images and the noise power that they contain."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sal_height.numeric import F64, noise_gain
 from sal_height.sensor import Sensor
 
 MAX_PIXELS = 2**24
-"""Largest image: what a message can hold and a machine can process."""
+"""Greatest number of pixels of an image: 128 MB per channel as complex64."""
 
 
 def azimuth_resolution(sensor: Sensor, aperture: ApertureState, slant_range: float) -> float:

@@ -21,13 +21,13 @@ WIDEST_GAP = 1.5
 """Pulse intervals from one block to the next, beyond which pulses are missing."""
 
 GREATEST_DRIFT = 0.1
-"""Share of the range window by which the middle row may leave the reference range before the lattice is laid anew."""
+"""Greatest distance of the middle row from the reference range, over the range window, on one lattice."""
 
 GREATEST_TURN = 0.1
 """Beamwidths by which the beams may point ahead of or behind abeam of the lattice before that is laid anew."""
 
 CLOCK_STEP = 1.0
-"""Seconds by which a block may be late; one that is older comes of a clock that has begun anew."""
+"""Greatest delay of a block, s; an older one belongs to a clock that has started again, as when a bag is replayed."""
 
 SPARE_PULSES = 16
 """Pulses held beyond the aperture of the next column, from which others are interpolated."""
@@ -40,7 +40,7 @@ GREATEST_CRAB = np.pi / 3
 
 
 ROUNDING = 1e-6
-"""Columns by which an aperture is longer than it is, so that its ends are filled in spite of rounding."""
+"""Columns added to the length of an aperture so that rounding does not leave its ends unfilled."""
 
 
 @dataclass(frozen=True)

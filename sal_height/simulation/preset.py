@@ -134,7 +134,7 @@ class SensorSettings:
         return 0.0 if level is None else float(10 ** (level / 20) / np.sqrt(2))
 
     def noise_power(self) -> tuple[float, ...]:
-        """Of every receiver: 1, but as its gain makes it for that of Delta."""
+        """Noise power per receiver: 1, except Delta, whose gain scales it."""
         if self.hybrid and self.in_antenna:
             return 1.0, float(abs(self.hybrid.delta_gain) ** 2)
         return (1.0,) * self.detectors

@@ -1,4 +1,4 @@
-"""What settings read from YAML have in common."""
+"""Types of the values that settings read from YAML may have."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, ConfigDict
 from pydantic_core import PydanticCustomError
 
 STRICT_KEYS = ConfigDict(extra="forbid", allow_inf_nan=False)
-"""Of a settings class: unknown keys, infinities and NaN are refused."""
+"""Configuration of a settings class: unknown keys, infinities and NaN are refused."""
 
 
 def _not_boolean(value: Any) -> Any:

@@ -33,10 +33,10 @@ from sal_height.numeric import C128, F64
 from sal_height.sensor import NUFFT_TOLERANCE, PhaseHistory, Sensor
 
 TRUSTED_ERROR = 0.5
-"""Greatest standard error, rad, at which a phase is worth applying: it leaves 0.8 of a point's peak power."""
+"""Greatest standard error of a phase that is applied, rad: it leaves exp(-0.5^2) = 0.8 of a point's peak power."""
 
 SHARPNESS_LOSS = 0.1
-"""Share of the sharpness that a correction may cost: 0.2 rad off cost 0.04, and speckle has its own."""
+"""Greatest relative loss of sharpness by a correction: errors of 0.2 rad lose 0.04, the rest allows for speckle."""
 
 BRIGHT_TARGET = 10**1.5
 """Power of a target over the median of the picture: 15 dB, which the brightest of 10^5 speckles does not reach."""
@@ -45,15 +45,16 @@ WINDOW_SHRINKS = 0.85
 """Ratio of the azimuth windows of successive iterations."""
 
 NARROWEST_WINDOW = 5
-"""Azimuth cells: a focused target and its first sidelobes."""
+"""Width of the last azimuth window, cells: a focused target and its first sidelobes."""
 
 TARGET_ITERATIONS = 30
-"""Most iterations in a round on targets."""
+"""Maximum number of iterations of a round on targets."""
 
 TARGET_ROUNDS = 5
+"""Maximum number of rounds on targets, each from the widest window to the narrowest."""
 
 TARGET_CHANGE = 0.05
-"""Rms change, rad, below which iteration on targets ends, and so do the rounds."""
+"""Rms change of the phase (rad) below which the iterations of a round end, and the rounds."""
 
 
 MOST_RESPONSES = 2**25
@@ -66,7 +67,7 @@ MOST_LINKED_PULSES = 1024
 
 @dataclass(frozen=True)
 class Focus:
-    """A phase error as autofocus sees it.
+    """A phase error that autofocus has estimated.
 
     Attributes:
         phase: estimated error, rad, shape (pulses,); 0 where there is nothing to focus on.

@@ -44,9 +44,10 @@ CLASS_RATIO = 2.0
 """Ratio of the greatest to the least signal-to-noise ratio of responses that share one covariance."""
 
 ITERATIONS = 50
+"""Maximum number of steps of Fisher scoring."""
 
 CONVERGED = 1e-4
-"""Rms change, rad, below which iteration ends."""
+"""Rms change of the phases (rad) below which Fisher scoring has converged."""
 
 LONGEST_STEP = 1.0
 """Greatest change of a phase in one iteration, rad: far from the maximum the likelihood is not a parabola."""

@@ -240,6 +240,7 @@ def main() -> int:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM if NODES[name].completes_file else signal.SIGKILL)
     if os.getppid() != parent:  # it has ended already
         return 1
+    del sys.argv[1:3]  # what is left is for ROS
     return run_node(NODES[name])
 
 

@@ -3,7 +3,7 @@
 "The beam pattern must be well characterized" (SAL paper, section 3). A scatterer makes of look k the samples
 A_k b + n of noise I, with b_m = g_m h((theta - theta_m) / w): h the described pattern, w its width factor and g_m what
 the description of detector m has to be multiplied by. With the covariance R of the K looks and the unit vector
-e = b / |b|, profiling out the amplitudes leaves the log-likelihood e^H R e of each pixel (`array_ml`). The parameters
+e = b / |b|, profiling out the amplitudes leaves the log-likelihood e^H R e of each pixel. The parameters
 are ln w, ln |g_m| and arg g_m; every pixel has, besides, its own theta.
 
 What is determined. One complex factor of all gains is not; here the means of ln |g_m| and of arg g_m are 0. Boresights
@@ -111,7 +111,7 @@ def calibrate_beams(looks: Looks, beams: Beams, squint: F64, noise_power: float)
     azimuth. Pixels must not share looks, or the standard deviations are too small.
 
     Args:
-        looks: complex covariance of three or more channels (`looks.multilook` with `hermitian`).
+        looks: complex covariance of three or more channels (`looks.windowed_looks` with `hermitian`).
         beams: of the channels, as described.
         squint: of each column, rad, shape (cols,).
         noise_power: E|n|^2 of one SLC pixel in every channel (`channels.whitening`).
@@ -321,4 +321,4 @@ def _check_channels(beams: Beams, channels: int) -> None:
 
 def _check_complex(covariance: Covariance) -> None:
     if not np.iscomplexobj(covariance):
-        raise UserError("The covariance is real; gains need a complex one (multilook with hermitian).")
+        raise UserError("The covariance is real; gains need a complex one (looks with hermitian=True).")

@@ -49,7 +49,7 @@ def whitening(noise_covariance: C128, channel_matrix: C128) -> tuple[float, C128
         channel_matrix: M, invertible, shape (channels, detectors), as many.
 
     Returns:
-        The noise power of the new channels, and T, shape (channels, channels): for `looks.multilook`, and T M for
+        The noise power of the new channels, and T, shape (channels, channels): for `looks.windowed_looks`, and T M for
         `Beams.combined`.
 
     Raises:

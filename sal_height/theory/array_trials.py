@@ -88,7 +88,7 @@ def run_array_trials(
         cnr: mean power ratio in a detector with h = 1 at the target.
         looks: independent samples of a pixel.
         trials: number of pixels.
-        objective: one of `array_ml.OBJECTIVES`.
+        objective: one of `elevation.OBJECTIVES`.
         guard: how far beyond the array is searched, rad.
         target: one of TARGETS.
     """

@@ -1,16 +1,15 @@
-"""Relief map: heights of successive dwells, averaged in the cells of one grid on the ground.
+"""Relief map: the heights of successive dwells, averaged in the cells of one grid on the ground.
 
 The grid lies along the arc distances east and north of `geometry.sphere_coordinates`; the edges of its cells are at
 multiples of the cell size, so that maps of different flights fit.
 
-Entered is the only or the stronger scatterer of each pixel. The weaker one has a place of its own, too, but where the
-detection of a second one was a false alarm it is a ghost, and a map that is steered by must not hold obstacles or
-ground that nobody has seen; it remains in the points of the single dwells.
+The map takes the only or the stronger scatterer of each pixel. The weaker one has a position, too, but it may be a
+false alarm, and a map used for navigation must not hold obstacles that do not exist; it stays in the points of dwells.
 
-Sigma is that of the mean height of what was seen of a cell, not the spread of the ground within it. Within a dwell the
-errors of the pixels are independent but for what the platform's pose leaves open, which all of them share, and which no
-number of pixels averages away. Errors of different dwells are taken as independent: where a pose that drifts slowly is
-wrong in the same way for several dwells, or a spatial prior ties pixels to their neighbours, sigma is too small.
+Sigma is the standard deviation of the mean height of what was seen of a cell, not the spread of the ground within it.
+Within a dwell the errors of the pixels are independent, except for the part caused by the platform's pose: all pixels
+share it, and averaging does not reduce it. Errors of different dwells are assumed independent; sigma is too small if a
+slowly drifting pose errs in the same way for several dwells, or if a spatial prior couples neighbouring pixels.
 """
 
 from __future__ import annotations
@@ -26,13 +25,13 @@ from sal_height.numeric import F32, F64, I64
 from sal_height.relief.heights import Surface, shared_variance
 
 TILE = 256
-"""Side of the squares, in cells, by which the memory of a map grows."""
+"""Side in cells of the square tiles by which the memory of a map grows."""
 
 SMOOTH = 1e-3
-"""Part of the flight height over which the variance of height by the platform's pose hardly changes."""
+"""Ground distance, as a share of the flight height, over which the variance caused by the pose hardly changes."""
 
 HEIGHT, WEIGHT, CHI_SQUARE, COUNT = range(4)
-"""What a tile holds of each cell: mean height (m), its 1 / variance (1/m^2), chi-square, number of dwells."""
+"""Layers of a tile: mean height (m), 1 / its variance (1/m^2), chi-square, number of dwells."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class CellHeights:
-    """What one dwell says about the cells of a box; arrays of its shape, row 0 the southernmost.
+    """Heights of one dwell in the cells of a box; arrays of its shape, row 0 the southernmost.
 
     Attributes:
         box: the cells.
@@ -91,9 +90,9 @@ class Relief:
         cell_size: m.
         height: mean height above the sphere, m; NaN where nothing was seen.
         sigma: standard deviation of that mean, m; NaN where nothing was seen.
-        disagreement: of the dwells, over what sigma lets expect: square root of chi-square per degree of freedom
-            (Birge ratio, Phys. Rev. 40, 1932, p. 207). Near 1 if sigma tells it all; greater where something moved, or
-            the ground within the cell is steep or a step. NaN where fewer than two dwells saw the cell.
+        disagreement: spread of the dwells' heights over that expected from sigma: the square root of chi-square per
+            degree of freedom (Birge ratio, Phys. Rev. 40, 1932, p. 207). Near 1 if sigma is right; greater where
+            something moved, or the ground within the cell is steep. NaN where fewer than two dwells saw the cell.
         count: number of dwells that saw the cell.
     """
 
@@ -107,9 +106,9 @@ class Relief:
 
 
 class ReliefMap:
-    """A map that grows with what is seen, in squares of TILE × TILE cells.
+    """A map that grows with the ground that is seen, in tiles of TILE × TILE cells.
 
-    Its memory is proportional to the ground that was seen, however often.
+    Its memory is proportional to the area seen, not to the number of dwells.
     """
 
     def __init__(self, cell_size: float, max_cells: int) -> None:
@@ -125,7 +124,7 @@ class ReliefMap:
         self._tiles: dict[tuple[int, int], F64] = {}
 
     def add(self, surface: Surface, aperture: ApertureState) -> None:
-        """Enter the heights that a dwell saw from `aperture`; the map stays as it is if they are refused.
+        """Enter the heights that a dwell saw from `aperture`; if they are refused, the map does not change.
 
         Raises:
             Rejected: the map would have more than `max_cells` cells.
@@ -148,7 +147,7 @@ class ReliefMap:
         self._box = whole
 
     def relief(self) -> Relief | None:
-        """The map as it stands; None if nothing was seen yet."""
+        """Return the map as it stands; None if nothing was seen yet."""
         if self._box is None:
             return None
         box = self._box
@@ -176,7 +175,7 @@ class ReliefMap:
         )
 
     def _combine(self, dwell: CellHeights) -> None:
-        """Enter what a dwell says about its cells."""
+        """Enter the heights of a dwell."""
         box = dwell.box
         for i in range(box.south // TILE, (box.north - 1) // TILE + 1):
             for j in range(box.west // TILE, (box.east - 1) // TILE + 1):
@@ -188,7 +187,7 @@ class ReliefMap:
 
 
 def fitting_cell_size(grid: Grid, aperture: ApertureState) -> float:
-    """The least 1, 2 or 5 times a power of ten (m) into which a pixel of `grid` fits on level ground.
+    """Return the smallest 1, 2 or 5 times a power of ten (m) that holds a pixel of `grid` on level ground.
 
     Raises:
         Rejected: the grid is seen from straight above, where a pixel has no length across.
@@ -204,9 +203,9 @@ def fitting_cell_size(grid: Grid, aperture: ApertureState) -> float:
 
 
 def _averaged(cell: I64, height: F64, sigma: F64, box: Box, cell_size: float, aperture: ApertureState) -> CellHeights:
-    """Mean of the pixels in each cell of `box`, weighted by w = 1 / sigma^2, and its weight.
+    """Average the pixels in each cell of `box` with the weights w = 1 / sigma^2.
 
-    With a part c of the variances that is common to all pixels, that of the mean is
+    If a part c of the variances is common to all pixels, the variance of the mean is
     sum w^2 (sigma^2 - c) / (sum w)^2 + c = 1 / sum w + c (1 - sum w^2 / (sum w)^2).
 
     Args:
@@ -246,10 +245,10 @@ def _common_in_cells(cell: I64, height: F64, box: Box, cell_size: float, apertur
 
 
 def _update(cells: F64, height: F64, weight: F64) -> None:
-    """Take another measurement with `weight` (1 / variance, 0: none) into the weighted means of `cells`.
+    """Update the weighted means of `cells` with a measurement of `weight` 1 / variance (0: no measurement).
 
-    Chi-square grows by the square of how far it is from the mean so far, over the variance of that difference: the sum
-    of w (h - mean)^2 over all measurements, without the cancellation of large squares.
+    Chi-square grows by the squared difference from the mean so far, over the variance of that difference. That gives
+    the sum of w (h - mean)^2 over all measurements without the cancellation of large squares.
     """
     total = cells[WEIGHT] + weight
     gain = np.divide(weight, total, out=np.zeros_like(weight), where=weight > 0)

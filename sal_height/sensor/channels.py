@@ -1,4 +1,4 @@
-"""Channels as estimators take them, made of those that a sensor delivers: of independent noise, next to the beams."""
+"""Whitening of a sensor's channels: channels of independent noise, as close to the single beams as can be."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from sal_height.numeric import C128, F64
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """The channels that an estimator takes, made of those of the sensor.
+    """Linear combinations of a sensor's channels with independent noise, for an estimator.
 
     Attributes:
-        transform: matrix that the sensor's channels are multiplied by (`looks.windowed_looks`).
-        matrix: the new channels from the detectors (`Beams.combined`).
-        noise_powers: E|n|^2 of a sample of each; their noise is independent.
+        transform: matrix by which the sensor's channels are multiplied (`looks.windowed_looks`).
+        matrix: matrix from the detectors to the new channels (`Beams.combined`).
+        noise_powers: E|n|^2 of a sample of each new channel.
     """
 
     transform: C128
@@ -27,22 +27,22 @@ class Channels:
 
 
 def whitened_channels(noise_covariance: C128, channel_matrix: C128) -> Channels:
-    """Channels of equal noise; arguments and errors as of `whitening`."""
+    """Return channels of equal and independent noise; arguments and errors as of `whitening`."""
     power, transform = whitening(noise_covariance, channel_matrix)
     return Channels(transform, transform @ channel_matrix, np.full(len(channel_matrix), power))
 
 
 def whitening(noise_covariance: C128, channel_matrix: C128) -> tuple[float, C128]:
-    """Channels of equal and independent noise, as the estimators take it, that are the beams as far as can be.
+    """Find the transform to channels of equal and independent noise that are closest to the single beams.
 
-    The channels are M times the beams with noise of covariance N. With the polar decomposition N^(-1/2) M = U P (U
-    unitary, P Hermitian and positive), T = sqrt(power) U^H N^(-1/2) makes channels of independent noise of that power
-    that are sqrt(power) P times the beams: of all that whiten, those next to the beams. So a lossless hybrid is undone,
-    and complex calibration constants lose their phases, so that real beams stay real.
+    The channels are M times the beams, with noise of covariance N. With the polar decomposition N^(-1/2) M = U P (U
+    unitary, P Hermitian and positive), T = sqrt(power) U^H N^(-1/2) gives channels of independent noise of that power
+    that are sqrt(power) P times the beams: of all whitening transforms, T is the one closest to the beams. It undoes a
+    lossless hybrid, and it removes the phases of complex calibration constants, so that real beams stay real.
 
-    The power is detectors / trace(M^H N^-1 M), so that the squares of the beams' gains have the mean 1, and a detector
-    of much noise weighs little in CNRs, too. Without a channel matrix and with independent noise that is the harmonic
-    mean of the noise powers, and T multiplies each channel by sqrt(power / its noise power).
+    The power is detectors / trace(M^H N^-1 M): the squares of the beams' gains have the mean 1, and a noisy detector
+    has little weight in CNRs, too. Without a channel matrix and with independent noise, the power is the harmonic mean
+    of the noise powers, and T multiplies each channel by sqrt(power / its noise power).
 
     Args:
         noise_covariance: N, E n n^H of the channels, shape (channels, channels).
@@ -53,7 +53,7 @@ def whitening(noise_covariance: C128, channel_matrix: C128) -> tuple[float, C128
         `Beams.combined`.
 
     Raises:
-        UserError: a noise power is not known (0), negative or not finite, or no noise has such a covariance.
+        UserError: a noise power is not known (0), negative or not finite, or the covariance is not positive definite.
     """
     powers = np.diag(noise_covariance).real
     if not np.all(np.isfinite(powers) & (powers > 0)):
@@ -70,10 +70,10 @@ def whitening(noise_covariance: C128, channel_matrix: C128) -> tuple[float, C128
 
 
 def with_powers(noise_covariance: C128, powers: F64) -> C128:
-    """The covariance of noise that has these powers, and the correlations of `noise_covariance`.
+    """Return the covariance of noise that has these powers and the correlations of `noise_covariance`.
 
-    Processing that is linear and the same for all channels leaves correlations as they are: so the noise of images
-    follows from that of the phase history. Correlations with a power that is not known (0) are 0.
+    Linear processing that is the same for all channels does not change correlations, so that the noise of images
+    follows from that of the phase history. Correlations with a channel of unknown power (0) are 0.
 
     Args:
         noise_covariance: shape (channels, channels).
@@ -87,21 +87,21 @@ def with_powers(noise_covariance: C128, powers: F64) -> C128:
 
 
 MATRIX_ROUNDING = 1e-6
-"""Share of a channel matrix by which it may differ from one that forms sum and difference."""
+"""Relative difference allowed between a channel matrix and one that forms sum and difference: float32 rounding."""
 
 
 def sum_difference_channels(noise_covariance: C128, channel_matrix: C128) -> Channels:
-    """Sigma = upper + lower and Delta = upper - lower from a sensor's channels, for `sum_difference_elevation`.
+    """Return Sigma = upper + lower and Delta = upper - lower from a sensor's channels, for `sum_difference_elevation`.
 
-    The matrix of these `Channels` is that of the gains of the beams, lower and upper.
+    The matrix of these `Channels` is diagonal and holds the gains of the lower and the upper beam.
 
     Args:
         noise_covariance: E n n^H of the channels, shape (2, 2).
         channel_matrix: the channels from the beams (lower, upper), shape (2, 2): see `separated_gains`.
 
     Raises:
-        UserError: the matrix forms no sum and difference, or the channels' noise is correlated: that of receivers
-            before the hybrid that are not alike. The estimators for the whole array take any noise.
+        UserError: the matrix forms no sum and difference, or the noise of Sigma and Delta is correlated, because
+            unlike receivers precede the hybrid. The estimators for the whole array accept any noise.
     """
     channels, beams = separated_gains(channel_matrix)
     transform = np.diag(1 / channels)
@@ -110,17 +110,17 @@ def sum_difference_channels(noise_covariance: C128, channel_matrix: C128) -> Cha
     correlation = abs(noise[0, 1]) / max(np.sqrt(abs(sum_noise * difference_noise)), np.finfo(np.float64).tiny)
     if not correlation <= MATRIX_ROUNDING:
         raise UserError(
-            f"The noise of Sigma and Delta has a correlation of {correlation:.3g}; their discriminator needs it "
-            "independent."
+            f"The noise of Sigma and Delta has a correlation of {correlation:.3g}; their discriminator needs "
+            "independent noise, so use an estimator for the whole array."
         )
     return Channels(transform, np.eye(2) * beams, np.array([sum_noise, difference_noise]))
 
 
 def separated_gains(matrix: C128) -> tuple[C128, F64 | C128]:
-    """Gains of the two channels and of the two beams of a sensor that forms sum and difference.
+    """Split the matrix of a sensor that forms sum and difference into gains of its channels and of its beams.
 
-    Its channels are matrix @ (lower, upper) with matrix = diag(channels) [[1, 1], [-1, 1]] diag(beams): gains of the
-    receivers or couplings of the hybrid, and of what is before the hybrid.
+    Its channels are matrix @ (lower, upper) with matrix = diag(channels) [[1, 1], [-1, 1]] diag(beams). Channel gains
+    are those of receivers or couplings of the hybrid; beam gains are those of everything before the hybrid.
 
     Args:
         matrix: channels from beams, shape (2, 2).
@@ -130,7 +130,7 @@ def separated_gains(matrix: C128) -> tuple[C128, F64 | C128]:
         where they can be.
 
     Raises:
-        UserError: the matrix is no such product, or channel 0 is not the sum.
+        UserError: the matrix is not such a product, or channel 0 is not the sum.
     """
     matrix = np.asarray(matrix, dtype=np.complex128)
     error = np.inf

@@ -1,4 +1,4 @@
-"""Phase history: what the receiver delivers, one array for all detectors of a dwell."""
+"""Phase history: the samples of all detectors in one dwell."""
 
 from __future__ import annotations
 

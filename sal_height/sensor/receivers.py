@@ -1,4 +1,4 @@
-"""Receivers that saturate: how many samples are clipped, and what that does to the rest."""
+"""Receivers that saturate: clipping, and the share of clipped samples."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ MAX_SHARE = 8e-4
 By Bussgang's theorem, which the tests evaluate."""
 
 ROUNDING = 1e-5
-"""Share by which a clipped number may miss the full scale once a channel matrix in single precision is undone."""
+"""Relative error of a clipped number after a channel matrix was undone in single precision."""
 
 
 def clipped(samples: C64, full_scale: float) -> C64:
-    """Samples whose real and imaginary parts go no further than `full_scale`; 0: not known, they stay as they are."""
+    """Clip the real and imaginary parts of samples at `full_scale`; return them unchanged if it is not known (0)."""
     if not full_scale:
         return samples
     limit = np.float32(full_scale)

@@ -15,31 +15,31 @@ from sal_height.errors import UserError
 from sal_height.numeric import C128
 
 MAX_DETECTORS = 128
-"""The estimators hold M x M numbers per pixel and direction."""
+"""Greatest number of detectors: estimators hold M x M numbers per pixel and direction."""
 
 
 MODES = ("spotlight", "stripmap")
-"""Ways of steering the antenna: held on the scene during a dwell, or fixed to the body."""
+"""Steering of the antenna: held on the scene during a dwell, or fixed to the body."""
 
 WAVEFORMS = ("spectrum", "chirp", "deramped")
-"""What fast-time samples can be: frequencies, the echo of a linear FM pulse in time, or that mixed with a replica."""
+"""Kinds of fast-time samples: frequencies, the echo of a linear FM pulse, or that echo mixed with a replica."""
 
 LARGEST_CONDITION = 1e6
-"""Greatest condition number of a channel matrix: beyond, single-precision channels no longer hold all beams."""
+"""Greatest condition number of a channel matrix: beyond it, single-precision channels lose some beams to rounding."""
 
 BANDWIDTH_TOLERANCE = 0.01
-"""Relative difference between the bandwidth of a linear FM pulse and |chirp_rate| * pulse_duration that is allowed."""
+"""Allowed relative difference between the bandwidth of a linear FM pulse and |chirp_rate| * pulse_duration."""
 
 
 @dataclass(frozen=True)
 class Sensor:
     """Description of a multi-detector sensor; the same content as sal_height_msgs/SensorInfo.
 
-    What follows from the fast-time frequencies (`frequency_step` to `range_window`) only a sensor with waveform
-    "spectrum" has: `waveform.spectrum_sensor` gives it for the others.
+    Quantities derived from the fast-time frequencies (`frequency_step` to `range_window`) exist for waveform "spectrum"
+    only; `waveform.spectrum_sensor` gives the corresponding sensor for the others.
 
     Attributes:
-        name: for people.
+        name: shown to users.
         look_side: +1 looking right of the flight direction, -1 left.
         wavelength: of the carrier, m.
         bandwidth: of the pulse; with waveform "spectrum", that spanned by the fast-time frequency samples, Hz.
@@ -59,9 +59,9 @@ class Sensor:
         beam_tables: with pattern "table", the measured beam of every detector, or the one common to all.
         detector_rotation: by which the axis of the detectors is turned in the plane across the line of sight, rad:
             from elevation (growing) towards the direction of flight. Boresights are angles along that axis.
-        channel_matrix: what the channels are made of: complex, a row per channel, a column per detector; empty:
-            identity. On the diagonal alone it holds the detectors' complex calibration constants;
-            [[1, 1], [-1, 1]] / sqrt(2) is a lossless sum-difference hybrid (relief paper, eqs. 2 and 3).
+        channel_matrix: channels from detectors: complex, a row per channel, a column per detector; empty: identity. A
+            diagonal matrix holds the detectors' complex calibration constants; [[1, 1], [-1, 1]] / sqrt(2) is a
+            lossless sum-difference hybrid (relief paper, eqs. 2 and 3).
         matrix_in_antenna: whether the channels are formed before the receivers, so that noise_power is of the channels;
             else it is of the detectors, and the channels' noise is correlated (`noise_covariance`).
         full_scale: magnitude at which the receivers clip the real and the imaginary part of a sample, in the unit of
@@ -224,7 +224,7 @@ class Sensor:
             ValueError: the samples are not frequencies.
         """
         if self.waveform != "spectrum":
-            raise ValueError(f"Samples of waveform {self.waveform!r} are no frequencies: ask its spectrum_sensor.")
+            raise ValueError(f"Samples of waveform {self.waveform!r} are not frequencies; use its spectrum_sensor.")
         return self.bandwidth / self.sample_count
 
     @property
@@ -234,7 +234,7 @@ class Sensor:
 
     @property
     def centre_wavenumber(self) -> float:
-        """Two-way wavenumber of sample sample_count // 2, the one an FFT counts as zero, rad/m."""
+        """Two-way wavenumber of sample sample_count // 2, which an FFT takes for frequency 0, rad/m."""
         offset = self.sample_count // 2 - (self.sample_count - 1) / 2
         return float(4 * np.pi / self.wavelength + offset * self.wavenumber_step)
 
@@ -251,7 +251,7 @@ class Sensor:
             ValueError: the samples are not frequencies.
         """
         if self.waveform != "spectrum":
-            raise ValueError(f"Samples of waveform {self.waveform!r} are no frequencies: ask its spectrum_sensor.")
+            raise ValueError(f"Samples of waveform {self.waveform!r} are not frequencies; use its spectrum_sensor.")
         return self.range_resolution * self.sample_count
 
     @property
@@ -265,9 +265,9 @@ class Sensor:
         return Beams(self._patterns, np.array(self.elevation_boresights), self.beamwidth, self.detector_rotation)
 
     def widened(self, factor: float) -> Sensor:
-        """The sensor with beams `factor` times as wide, around the same boresights: that of a smaller antenna.
+        """Return the sensor with beams `factor` times as wide around the same boresights, as of a smaller antenna.
 
-        The config_hash stays: it is another antenna behind the same description.
+        The config_hash is that of the original: the description given by the user has not changed.
         """
         tables = tuple(
             replace(
@@ -286,7 +286,7 @@ class Sensor:
 
     @property
     def is_mixed(self) -> bool:
-        """Whether a channel is made of more than its own detector."""
+        """Whether a channel mixes several detectors."""
         matrix = self.mixing
         return bool(np.any(matrix != np.diag(np.diag(matrix))))
 

@@ -39,11 +39,11 @@ BLOCK_SAMPLES = 2**18
 
 
 def spectrum_sensor(sensor: Sensor) -> Sensor:
-    """The sensor whose samples are those that `to_spectrum` makes: with waveform "spectrum", else the same.
+    """Return the sensor that describes the samples made by `to_spectrum`: the same with waveform "spectrum".
 
-    Its bandwidth is that of the frequencies kept, up to two of them less than that of the pulse. Its noise power is
-    that of one sample, in the mean over the band: exact for "deramped" (white), and for an unweighted image of
-    "chirp". Its config_hash is that of `sensor`: it is the same description.
+    Its bandwidth is that of the frequencies kept, up to two steps less than that of the pulse. Its noise power is the
+    mean over the band: exact for "deramped" (white noise), and for an unweighted image of "chirp". Its config_hash is
+    that of `sensor`.
     """
     if sensor.waveform == "spectrum":
         return sensor
@@ -56,7 +56,7 @@ def spectrum_sensor(sensor: Sensor) -> Sensor:
 
 
 def echo_sensor(sensor: Sensor) -> Sensor:
-    """The sensor with waveform "spectrum" whose noise-free samples `from_spectrum` takes: as many as the record's."""
+    """Return the sensor with waveform "spectrum" that describes the noise-free samples which `from_spectrum` takes."""
     if sensor.waveform == "spectrum":
         return sensor
     rate = sensor.sampling_rate
@@ -65,7 +65,7 @@ def echo_sensor(sensor: Sensor) -> Sensor:
 
 
 def to_spectrum(samples: C64, sensor: Sensor) -> C64:
-    """Range compression: raw samples become those of `spectrum_sensor(sensor)`.
+    """Compress raw samples in range to those of `spectrum_sensor(sensor)`.
 
     Args:
         samples: of any waveform, shape (detectors, pulses, samples); not changed.
@@ -85,15 +85,15 @@ def to_spectrum(samples: C64, sensor: Sensor) -> C64:
 
 
 def range_compressed(history: PhaseHistory, sensor: Sensor) -> tuple[PhaseHistory, Sensor]:
-    """Phase history with waveform "spectrum", and the sensor that would have taken it so."""
+    """Return the phase history with waveform "spectrum", and the sensor that describes it."""
     return replace(history, samples=to_spectrum(history.samples, sensor)), spectrum_sensor(sensor)
 
 
 def from_spectrum(samples: Complex, sensor: Sensor) -> C64:
-    """Raw echoes of noise-free samples of `echo_sensor(sensor)`: what a receiver of its bandwidth would deliver.
+    """Simulate the raw echoes that a receiver delivers, from noise-free samples of `echo_sensor(sensor)`.
 
-    "chirp": they times the spectrum of the pulse; for points in the range window of `spectrum_sensor(sensor)`.
-    "deramped": the inverse of `to_spectrum`, exact but for ripples at the two ends of each echo.
+    "chirp": the samples are multiplied by the spectrum of the pulse; points must lie in the range window of
+    `spectrum_sensor(sensor)`. "deramped": the inverse of `to_spectrum`, exact except for ripples at the ends of echoes.
 
     Args:
         samples: over frequency, shape (detectors, pulses, sensor.sample_count); not changed.

@@ -1,8 +1,8 @@
 """Noise of the monopulse discriminant in closed form (SAL paper, section 3; Kanter 1977).
 
-Of a pair, Sigma = S + n and Delta = kappa S + n' in each look, with independent circular Gaussian noise n and n' of the
-same variance; the estimate is the power-weighted ratio mu = Re sum_k Delta_k Sigma_k* / sum_k |Sigma_k|^2. Equal
-independent noise in both detectors makes it so.
+In each look a pair receives Sigma = S + n and Delta = kappa S + n'. Equal independent noise in both detectors makes n
+and n' independent circular Gaussian noise of the same variance. The estimate is the power-weighted ratio
+mu = Re sum_k Delta_k Sigma_k* / sum_k |Sigma_k|^2.
 
 The carrier-to-noise ratio (CNR) is a power ratio and has two definitions, which differ by a factor of about two:
 
@@ -25,16 +25,16 @@ from sal_height.errors import UserError
 from sal_height.numeric import F64
 
 NORMAL_SHARES = (0.15865525393145707, 0.8413447460685429)
-"""Shares of a normal distribution below minus and plus one standard deviation: the "16 and 84 %" of s68."""
+"""Probabilities of a normal variable below minus and plus one standard deviation: the "16 and 84 %" of s68."""
 
 
 def straight_power(beams: Beams) -> float:
-    """Power |h(0, 0)|^2 with which a detector sees a target straight ahead, the mean over the detectors' patterns.
+    """Return the power |h(0, 0)|^2 of a target straight ahead, the mean over the detectors' patterns.
 
-    1 for point detectors, less for others: a detector of some size averages over the focal spot.
+    It is 1 for point detectors and less for finite ones, which average over the focal spot.
 
     Raises:
-        UserError: they see nothing there.
+        UserError: the patterns are 0 straight ahead.
     """
     power = float(np.mean([np.abs(pattern.amplitude(0.0, 0.0)) ** 2 for pattern in beams.patterns]))
     if not power > 0:
@@ -65,23 +65,23 @@ def cnr_detector_of(cnr_sum: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLik
 
 
 def steady_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> F64:
-    """Mean of one look at a target of constant brightness: kappa (1 - exp(-x)) (Kanter 1977). Broadcasts."""
+    """Return the mean of mu for one look at a target of constant brightness: kappa (1 - exp(-x)) (Kanter 1977)."""
     return -np.asarray(kappa) * np.expm1(-np.asarray(cnr_sum))
 
 
 def steady_looks_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike, looks: npt.ArrayLike) -> F64:
-    """Mean of K looks at a target of constant brightness: kappa K C E[1 / (K + J)] with J of Poisson's law, mean K C.
+    """Return the mean of mu for K looks at a target of constant brightness: kappa K C E[1 / (K + J)].
 
-    sum_k |Sigma_k|^2 is a mixture of Gamma laws of order K + J, and Sigma's share of signal in it is what the mean is
-    left with. The series sums to kappa C M(1, K + 1, -K C), M being Kummer's function. One look: `steady_mean`; very
-    many: kappa C / (C + 1), so that looks make the bias worse. Broadcasts.
+    J has Poisson's law with the mean K C, because sum_k |Sigma_k|^2 is a mixture of Gamma laws of order K + J. The
+    series sums to kappa C M(1, K + 1, -K C), M being Kummer's function. For one look that is `steady_mean`; for very
+    many kappa C / (C + 1), so that more looks increase the bias. Broadcasts.
     """
     kappa, cnr_sum, looks = np.asarray(kappa), np.asarray(cnr_sum), np.asarray(looks)
     return kappa * cnr_sum * hyp1f1(1, looks + 1, -looks * cnr_sum)
 
 
 def gaussian_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> F64:
-    """Mean for a fluctuating (complex Gaussian) target: kappa C / (C + 1), for any number of looks. Broadcasts."""
+    """Return the mean of mu for a fluctuating (complex Gaussian) target: kappa C / (C + 1), for any number of looks."""
     kappa, cnr_sum = np.asarray(kappa), np.asarray(cnr_sum)
     return kappa * cnr_sum / (cnr_sum + 1)
 
@@ -109,7 +109,7 @@ class StudentLaw:
         return t.cdf(mu, 2 * self.looks, self.centre, self.scale)
 
     def quantile(self, share: npt.ArrayLike) -> F64:
-        """The value that the `share` (0 to 1) lies below; broadcasts."""
+        """Return the value below which mu lies with the probability `share`; broadcasts."""
         return t.ppf(share, 2 * self.looks, self.centre, self.scale)
 
     @property
@@ -124,7 +124,7 @@ class StudentLaw:
 
 
 def gaussian_law(kappa: float, cnr_sum: float, looks: int) -> StudentLaw:
-    """Law of the discriminant of a fluctuating (complex Gaussian) target, exact for any number of looks K.
+    """Return the law of mu for a fluctuating (complex Gaussian) target, exact for any number of looks K.
 
     Delta given Sigma is a linear regression with the coefficient kappa C / (C + 1) and the residual variance
     1 + kappa^2 C / (C + 1); its coefficient estimated from K complex samples has Student's law:
@@ -137,7 +137,7 @@ def gaussian_law(kappa: float, cnr_sum: float, looks: int) -> StudentLaw:
 
 @dataclass(frozen=True)
 class SteadyLaw:
-    """Law of the discriminant of one look at a target of constant brightness. It has a mean, but no variance.
+    """Law of mu for one look at a target of constant brightness. It has a mean, but no variance.
 
     Attributes:
         kappa: discriminant without noise.
@@ -164,7 +164,7 @@ class SteadyLaw:
         return below - (radius - mu) / (2 * radius) * np.exp(-((a - b) ** 2) / 2) * i0e(a * b)
 
     def quantile(self, share: float) -> float:
-        """The value that the `share` (0 to 1) lies below, to 1e-12."""
+        """Return the value below which mu lies with the probability `share`, to 1e-12."""
         reach = abs(self.kappa) + 1
         while not self.cdf(-reach) < share < self.cdf(reach):
             reach *= 2

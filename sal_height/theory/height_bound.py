@@ -11,14 +11,13 @@ from sal_height.simulation import Truth
 
 
 def height_crb(truth: Truth, cnr: float, looks: int, beams: Beams, squint: F64, height_slope: F64) -> F64:
-    """Speckle-averaged Cramer-Rao bound of height (m) in each pixel: `speckle_crb` times |dh/dtheta|.
+    """Return the speckle-averaged Cramer-Rao bound of height (m) in each pixel: `speckle_crb` times |dh/dtheta|.
 
-    With C the CNR of the pixel in a detector looking straight at it. Infinite for one look, where a fluctuating
-    target has no efficient estimator.
+    Infinite for one look, for which a fluctuating target has no efficient estimator.
 
     Args:
-        truth: of the pixels.
-        cnr: power ratio of a pixel of power 1.
+        truth: elevation and power of the pixels.
+        cnr: power ratio of a pixel of power 1 in a detector that looks straight at it.
         looks: number of looks K.
         beams: of the detectors.
         squint: of each column, rad.

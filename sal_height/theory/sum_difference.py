@@ -1,9 +1,9 @@
-"""Noise of the sum-difference discriminator in closed form, and what a hybrid before the receivers gains.
+"""Gain of a hybrid before the receivers, coherent sums of pulses, and the slope of gamma (relief paper).
 
-Of one accumulated pulse train, Sigma = S + n and Delta = gamma S + n' (relief paper, eq. 8 and 9); x is the
-signal-to-noise power ratio in Sigma. Means and laws are those of `noise_theory`: of coherent sums of N pulses
-`steady_mean` and `SteadyLaw` at N x, or `SteadyMlLaw` for the maximum likelihood; of sums of N pulses' products
-`steady_looks_mean`; of a mean of N pulses' ratios `steady_mean` at x.
+After accumulation of a pulse train, Sigma = S + n and Delta = gamma S + n' (relief paper, eq. 8 and 9); x is the
+signal-to-noise power ratio in Sigma. `discriminator_noise` has the means and laws of the estimates: for coherent sums
+of N pulses `steady_mean` and `SteadyLaw` at N x, or `SteadyMlLaw` for the maximum likelihood; for sums of N pulses'
+products `steady_looks_mean`; for a mean of N pulses' ratios `steady_mean` at x.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from sal_height.numeric import C128, F64
 
 
 def hybrid_gain(coupling: npt.ArrayLike, loss: npt.ArrayLike) -> F64:
-    """Gain in signal-to-noise power ratio of a hybrid before the receivers against sums after them: 2 c^2 / L.
+    """Return the gain in signal-to-noise power ratio of a hybrid before the receivers over sums after them: 2 c^2 / L.
 
-    The hybrid makes c (upper + lower) / sqrt(L) and c (upper - lower) / sqrt(L), and the same receivers follow. With
-    c = 1 / sqrt(2) and no loss it is unitary and gains nothing: it only turns the two channels, and equal independent
-    noise stays what it is. The gain of 2 that the relief paper's eq. 3 implies (c = 1) asks for twice the power that
-    the two beams deliver.
+    The hybrid forms c (upper + lower) / sqrt(L) and c (upper - lower) / sqrt(L), and the same receivers follow. With
+    c = 1 / sqrt(2) and no loss it is unitary and gains nothing: it rotates the two channels, which leaves equal
+    independent noise unchanged. The gain of 2 that the relief paper's eq. 3 implies (c = 1) would need twice the power
+    that the two beams deliver.
 
     Args:
         coupling: c, amplitude ratio.
@@ -32,16 +32,16 @@ def hybrid_gain(coupling: npt.ArrayLike, loss: npt.ArrayLike) -> F64:
 
 
 def synthesise(pulses: C128, phase: F64) -> C128:
-    """Coherent sum over pulses, the last axis, after taking off the `phase` (rad) that the flight gave to each.
+    """Sum pulses (the last axis) coherently, after removing the `phase` (rad) that the flight gave to each.
 
-    Linear and the same for every channel, hence it may come before or after the forming of sum and difference. The
+    The sum is linear and the same for every channel, so that sum and difference may be formed before or after it. The
     estimate of gamma is not linear and must come last.
     """
     return np.sum(pulses * np.exp(-1j * phase), axis=-1)
 
 
 def crossover_slope(pattern: Pattern, separation: float, beamwidth: float) -> float:
-    """Slope g = -G'(delta/2) / G(delta/2) of gamma in the equisignal direction, 1/rad (relief paper, eq. 4).
+    """Return the slope g = -G'(delta/2) / G(delta/2) of gamma in the equisignal direction, 1/rad (relief paper, eq. 4).
 
     Args:
         pattern: G of both beams, even in elevation.
@@ -49,7 +49,7 @@ def crossover_slope(pattern: Pattern, separation: float, beamwidth: float) -> fl
         beamwidth: wavelength / aperture diameter, rad.
 
     Raises:
-        UserError: the beams do not overlap there, or gamma does not rise.
+        UserError: the beams do not overlap in that direction, or gamma does not rise.
     """
     half = separation / 2 / beamwidth
     amplitude, slope = np.asarray(pattern.amplitude(half, 0.0)).item(), np.asarray(pattern.slope(half, 0.0)).item()

@@ -1,6 +1,7 @@
-"""Sums over looks or pulses of the products of Sigma and Delta, and what they say of gamma = Delta / Sigma.
+"""Estimates of gamma = Delta / Sigma from sums over looks or pulses of the products of Sigma and Delta.
 
-Of two beams, Sigma is the sum and Delta the upper minus the lower; the SAL paper calls their ratio the discriminant mu.
+Sigma is the sum of two beams and Delta the upper minus the lower one; the SAL paper calls their ratio the discriminant
+mu.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ NoisePowers = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """Sums over looks or pulses, as the estimates in DISCRIMINANTS take them; arrays of one shape.
+    """Sums over looks or pulses, from which DISCRIMINANTS estimate gamma; arrays of one shape.
 
     Attributes:
         sum_power: of |Sigma|^2.
         difference_power: of |Delta|^2.
-        cross_power: of Delta Sigma*; its real part alone where gamma is real, as noise alone is left in the other.
-        count: number of looks or pulses K of each, or of all.
+        cross_power: of Delta Sigma*; only its real part where gamma is real, because the other holds noise alone.
+        count: number of looks or pulses K, one for all or one for each pixel.
     """
 
     sum_power: F64
@@ -39,11 +40,11 @@ class Products:
 
 
 def products(total: C128, difference: C128) -> Products:
-    """Products of Sigma and Delta, shape (..., K), for a real gamma, summed over the last axis.
+    """Sum the products of Sigma and Delta, shape (..., K), over the last axis, for a real gamma.
 
-    Phases common to both channels drop out, so that pulses may be summed with or without phase compensation. That is
-    also why it is no coherent accumulation: noise adds to the powers with each pulse (`products_variance`). Use it for
-    looks, and `synthesise` for pulses.
+    Phases common to both channels drop out, so that pulses may be summed with or without phase compensation. For the
+    same reason this is no coherent accumulation: noise adds to the powers with each pulse (`products_variance`). Use
+    it for looks, and `synthesise` for pulses.
     """
     return Products(
         np.sum(np.abs(total) ** 2, axis=-1, dtype=np.float64),
@@ -54,7 +55,7 @@ def products(total: C128, difference: C128) -> Products:
 
 
 def products_of_looks(looks: Looks) -> Products:
-    """Products of multi-looked images whose channels are Sigma and Delta, in this order; shape (rows, cols)."""
+    """Return the products of multi-looked images with the channels (Sigma, Delta), shape (rows, cols)."""
     covariance = looks.covariance[:, :]
     return Products(
         covariance[..., 0, 0].real.astype(np.float64),
@@ -65,12 +66,12 @@ def products_of_looks(looks: Looks) -> Products:
 
 
 def sum_and_difference(lower: F64, upper: F64, product: npt.NDArray[np.inexact[Any]], count: int | F64) -> Products:
-    """Products of Sigma and Delta from those of the two detectors.
+    """Return the products of Sigma and Delta from those of the two detectors.
 
     Args:
-        lower: sum of |l|^2 over looks, l the amplitude of the lower detector.
-        upper: of |u|^2.
-        product: of l u*; real where only its real part is known.
+        lower: sum over looks of |l|^2, l being the amplitude of the lower detector.
+        upper: sum of |u|^2, of the upper detector.
+        product: sum of l u*; real where only its real part is known.
         count: number of looks.
     """
     both, coherent = lower + upper, 2 * product
@@ -78,7 +79,9 @@ def sum_and_difference(lower: F64, upper: F64, product: npt.NDArray[np.inexact[A
 
 
 def ratio(sum_power: F64, _difference_power: F64, cross_power: C128, _noise_energy: float | F64) -> F64:
-    """Power-weighted mean of Re(Delta / Sigma): Re sum Delta Sigma* / sum |Sigma|^2 (SAL paper, section 3).
+    """Estimate gamma by the power-weighted mean of Re(Delta / Sigma): Re sum Delta Sigma* / sum |Sigma|^2.
+
+    SAL paper, section 3; the real part of the relief paper's eq. 17.
 
     Biased towards the middle of the pair by the factor CNR / (CNR + 1) for a fluctuating target, however many looks
     (Kanter 1977).
@@ -87,19 +90,20 @@ def ratio(sum_power: F64, _difference_power: F64, cross_power: C128, _noise_ener
 
 
 def noise_subtraction(sum_power: F64, _difference_power: F64, cross_power: C128, noise_energy: float | F64) -> F64:
-    """`ratio` without the noise in its denominator: Re sum Delta Sigma* / (sum |Sigma|^2 - noise energy).
+    """Estimate gamma without the noise in the denominator: Re sum Delta Sigma* / (sum |Sigma|^2 - noise energy).
 
-    Free of the bias as the looks grow in number. NaN where there is no more power in Sigma than noise.
+    The bias of `ratio` vanishes as the number of looks grows. NaN where Sigma has no more power than noise.
     """
     signal = sum_power - noise_energy
     return np.where(signal > 0, np.real(cross_power) / np.where(signal > 0, signal, 1.0), np.nan)
 
 
 def total_least_squares(sum_power: F64, difference_power: F64, cross_power: C128, _noise_energy: float | F64) -> F64:
-    """Exact two-channel maximum likelihood: noise in Sigma is accounted for, so the bias of `ratio` is gone.
+    """Estimate gamma by exact two-channel maximum likelihood, which accounts for the noise in Sigma.
 
-    The ratio of the principal eigenvector of the covariance of Sigma and Delta: its modulus is
-    tan(1/2 atan2(2 |R_DS|, R_SS - R_DD)), its phase that of R_DS. Needs equal noise in Sigma and Delta, not its value.
+    It is the ratio of the components of the principal eigenvector of the covariance of Sigma and Delta: its modulus is
+    tan(1/2 atan2(2 |R_DS|, R_SS - R_DD)), its phase that of R_DS. The noise of Sigma and Delta must be equal; its value
+    is not needed.
     """
     modulus = np.tan(np.arctan2(2 * np.abs(cross_power), sum_power - difference_power) / 2)
     return modulus * np.cos(np.angle(cross_power))
@@ -110,16 +114,18 @@ DISCRIMINANTS: dict[str, Estimator] = {
     "ratio": ratio,
     "noise_subtraction": noise_subtraction,
 }
-"""Estimates of the discriminant by name, each from sums over looks: |Sigma|^2, |Delta|^2, Delta Sigma*, and the mean
-energy K sigma^2 of the noise in Sigma. Real beams make the mean of Delta Sigma* real: then only its real part is given,
-as noise alone is left in the other."""
+"""Estimators of gamma by name.
+
+Each takes the sums over looks of |Sigma|^2, |Delta|^2 and Delta Sigma*, and the mean energy K sigma^2 of the noise in
+Sigma.
+"""
 
 
 def discriminate(sums: Products, estimator: Estimator, noise_powers: NoisePowers) -> F64:
-    """Estimate of gamma from products, in their shape.
+    """Estimate gamma from products, in their shape.
 
-    Delta is scaled until its noise equals that of Sigma, as total least squares needs it, and gamma is scaled back:
-    that makes `total_least_squares` the exact maximum likelihood for unequal noise, too. The others are not changed.
+    Delta is scaled until its noise equals that of Sigma, and gamma is scaled back. `total_least_squares` is then the
+    exact maximum likelihood for unequal noise, too; the other estimators do not change.
 
     Args:
         sums: of Sigma and Delta.
@@ -138,7 +144,7 @@ def discriminate(sums: Products, estimator: Estimator, noise_powers: NoisePowers
 
 
 def whitened_products(sums: Products, noise_powers: NoisePowers) -> tuple[Products, float]:
-    """Products with the noise of Sigma in both channels, and the factor by which Delta was scaled."""
+    """Return products with the noise power of Sigma in both channels, and the factor by which Delta was scaled."""
     if not all(np.isfinite(power) and power > 0 for power in noise_powers):
         raise UserError(
             f"The noise powers of Sigma and Delta are {tuple(float(power) for power in noise_powers)}; both must be "
@@ -150,11 +156,11 @@ def whitened_products(sums: Products, noise_powers: NoisePowers) -> tuple[Produc
 
 
 def accuracy(sums: Products, response: F64, slope: F64, noise_powers: NoisePowers) -> tuple[F64, F64]:
-    """Standard deviation of elevation (rad), and the CNR of one look, from the energy that these looks have.
+    """Return the standard deviation of elevation (rad) and the CNR of one look, from the energy of these looks.
 
-    The deviation is that of gamma (`sum_difference_theory.products_variance`) over the discriminant's slope. The CNR is
-    in a detector looking straight at the scatterer with the noise 1 / (1/N_Sigma + 1/N_Delta): that of each of two
-    detectors whose sum and difference have equal noise.
+    The deviation is that of gamma (`products_variance`) over the discriminant's slope. The CNR is that of a detector
+    which looks straight at the scatterer and has the noise 1 / (1/N_Sigma + 1/N_Delta): that of each of two detectors
+    whose sum and difference have equal noise.
 
     Args:
         sums: of Sigma and Delta.
@@ -174,12 +180,12 @@ def accuracy(sums: Products, response: F64, slope: F64, noise_powers: NoisePower
 
 
 def discriminator_variance(gamma: npt.ArrayLike, energy: npt.ArrayLike, noise_powers: tuple[float, float]) -> F64:
-    """Variance of gamma to first order in the noise: (N_Delta + gamma^2 N_Sigma) / (2 E); broadcasts.
+    """Return the variance of gamma to first order in the noise: (N_Delta + gamma^2 N_Sigma) / (2 E); broadcasts.
 
-    (1 + gamma^2) / (2 x) for equal noise and the signal-to-noise ratio x in Sigma. That of `ratio` and of the exact
-    maximum likelihood alike. Of one look at a steady target, second order adds the share (1 + 2 gamma^2) /
-    (x + x gamma^2) to that of `ratio`, and twice as much to that of the maximum likelihood; neither has a variance in
-    the strict sense, as the tails beyond that order say.
+    For equal noise and the signal-to-noise ratio x in Sigma that is (1 + gamma^2) / (2 x). It holds for `ratio` and for
+    the exact maximum likelihood. For one look at a steady target, the second order adds the share (1 + 2 gamma^2) /
+    (x + x gamma^2) for `ratio`, and twice as much for the maximum likelihood; in the strict sense neither has a
+    variance, because of its tails.
 
     Args:
         gamma: modulus of Delta / Sigma without noise.
@@ -193,11 +199,12 @@ def discriminator_variance(gamma: npt.ArrayLike, energy: npt.ArrayLike, noise_po
 def products_variance(
     gamma: npt.ArrayLike, energy: npt.ArrayLike, count: npt.ArrayLike, noise_powers: tuple[float, float]
 ) -> F64:
-    """Variance of the maximum likelihood estimate of gamma from products summed over many looks or pulses; broadcasts.
+    """Return the variance of the maximum-likelihood gamma from products summed over many looks or pulses; broadcasts.
 
-    `discriminator_variance` times 1 + K / (E/N_Sigma + gamma^2 E/N_Delta). The second term is what it costs that the
-    amplitudes of the K looks, or the phases of the K pulses, are not known: 1 / (x + x gamma^2) for equal noise and the
-    signal-to-noise ratio x of each. It is the Cramer-Rao bound for Gaussian amplitudes (`bounds.stochastic_crb`).
+    It is `discriminator_variance` times 1 + K / (E/N_Sigma + gamma^2 E/N_Delta). The second term is the cost of not
+    knowing the amplitudes of the K looks, or the phases of the K pulses: 1 / (x + x gamma^2) for equal noise and the
+    signal-to-noise ratio x of each. The result is the Cramer-Rao bound for Gaussian amplitudes
+    (`bounds.stochastic_crb`).
 
     Args:
         gamma: modulus of Delta / Sigma without noise.

@@ -1,8 +1,8 @@
 """Pairwise amplitude-comparison monopulse (SAL paper, sections 2 and 3).
 
-Of each two neighbouring detectors, Sigma is the sum and Delta the upper minus the lower, both of channels with the same
-noise (`channels.whitening`): then that of Sigma and Delta is equal and independent, too. The pair with the most power
-in Sigma is taken in each pixel; its discriminant mu = Re(Delta / Sigma) is estimated and inverted (`discriminant`).
+For every two neighbouring detectors Sigma is the sum and Delta the upper minus the lower one. The channels have equal
+noise (`channels.whitening`), so that the noise of Sigma and Delta is equal and independent, too. In each pixel the pair
+with the most power in Sigma is selected; its discriminant mu = Re(Delta / Sigma) is estimated and inverted.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from sal_height.errors import UserError
 from sal_height.numeric import F64, Index
 
 OUTSIDE_MARGIN = 3.0
-"""Noise powers by which a direction outside the array must explain a pixel better to be believed."""
+"""Noise powers by which a direction outside the array must explain a pixel better than the pair's elevation does."""
 
 
 def monopulse_elevation(
@@ -39,10 +39,10 @@ def monopulse_elevation(
     min_cnr: float,
     rules: ValidityRules = DEFAULT_RULES,
 ) -> ElevationEstimate:
-    """Elevation of the dominant scatterer in every pixel from its strongest pair.
+    """Estimate the elevation of the dominant scatterer in every pixel from its strongest pair.
 
-    Sigma and CNR are those of `products.accuracy`: the bound for the pair by itself. Pixels are OUTSIDE_PAIR where
-    their discriminant is outside the domain of their pair.
+    Sigma and CNR are those of `estimators.accuracy`: the bound for the pair by itself. Pixels are OUTSIDE_PAIR where
+    their discriminant lies outside the domain of their pair.
 
     Args:
         looks: covariance of M channels in each pixel.
@@ -89,10 +89,13 @@ def monopulse_elevation(
 
 
 def _strongest_pair(covariance: Covariance) -> tuple[F64, F64, F64, F64, F64]:
-    """Lower detector of the pair with the most power in Sigma, and sums over looks of its products.
+    """Select the pair with the most power in Sigma.
 
-    Of pixels (..., M, M): the number of the lower detector, |l|^2, |u|^2, and real and imaginary part of l u*, which
-    may have been left out where the beams are real.
+    Args:
+        covariance: of pixels, shape (..., M, M); real where the beams are.
+
+    Returns:
+        Index of the lower detector, and the sums over looks of |l|^2, |u|^2 and the real and imaginary part of l u*.
     """
     diagonal = np.diagonal(covariance, axis1=-2, axis2=-1).real.astype(np.float64)
     beside = np.diagonal(covariance, offset=1, axis1=-2, axis2=-1).astype(np.complex128)

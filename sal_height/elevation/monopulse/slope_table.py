@@ -1,4 +1,4 @@
-"""Measured discrimination characteristics: gamma over the angle off the equisignal direction."""
+"""Measured discrimination characteristics: gamma as a function of the angle off the equisignal direction."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sal_height.elevation.monopulse.inversion import (
 from sal_height.errors import UserError
 
 SLOPE_COLUMNS = ["angle_rad", "gamma"]
-"""First line of the file of a slope table."""
+"""Columns in the first line of a slope table's file."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class SlopeTable:
         gamma: Delta / Sigma there, rising or falling all along.
 
     Raises:
-        UserError: fewer than two nodes, unequal numbers of them, values that are not finite, angles that do not
-            increase, or a slope that is 0 or changes sign.
+        UserError: there are fewer than two nodes or unequal numbers of angles and values, values are not finite, angles
+            do not increase, or the slope is 0 or changes sign.
     """
 
     angle: tuple[float, ...]
@@ -45,7 +45,7 @@ class SlopeTable:
                 "2 or more."
             )
         if not (np.all(np.isfinite([self.angle, self.gamma])) and np.all(np.diff(self.angle) > 0)):
-            raise UserError("A slope table has angles that do not increase, or is not finite; both are needed.")
+            raise UserError("A slope table has angles or values that are not finite, or angles that do not increase.")
         steps = np.diff(self.gamma)
         turns = np.flatnonzero(np.sign(steps) != np.sign(self.gamma[-1] - self.gamma[0]))
         if turns.size or not steps.any():
@@ -56,10 +56,10 @@ class SlopeTable:
             )
 
     def invert(self, pair: Beams, gamma: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
-        """Elevation around the equisignal direction of `pair`, by a monotonic cubic through the nodes; broadcasts.
+        """Find elevations around the equisignal direction of `pair` by a monotonic cubic (PCHIP) through the nodes.
 
-        The slope is that of the chord between the nodes. Outside the table gamma is BELOW or ABOVE. Arguments as
-        of `invert_linear`.
+        The slope is that of the chord between two nodes. Outside the table gamma is BELOW or ABOVE. Arguments as of
+        `invert_linear`, which broadcast.
         """
         gamma, squint = np.broadcast_arrays(np.asarray(gamma, dtype=np.float64), np.asarray(squint, dtype=np.float64))
         order = slice(None, None, 1 if self.gamma[-1] > self.gamma[0] else -1)
@@ -73,11 +73,10 @@ class SlopeTable:
 
 
 def read_slope_table(path: Path) -> SlopeTable:
-    """The slope table in a CSV file: a line `angle_rad,gamma`, then one for each node.
+    """Read a slope table from a CSV file: a line `angle_rad,gamma`, then one line for each node.
 
     Raises:
-        UserError: the file cannot be read, has another first line, or a line that is not two numbers; or what
-            `SlopeTable` refuses.
+        UserError: the file cannot be read, its first line or another line is wrong, or `SlopeTable` refuses its nodes.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:

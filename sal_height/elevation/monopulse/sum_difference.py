@@ -1,14 +1,14 @@
 """The discriminator of a relief radar that receives Sigma and Delta of two beams (relief paper: Volosyuk et al.).
 
-The two beams G are offset by half of delta above and below the equisignal direction theta_0. Of a surface element at
+The two beams G are offset by delta / 2 above and below the equisignal direction theta_0. From a surface element at
 theta_0 + theta_h with the complex amplitude beta, the channels receive
 
     Sigma = upper + lower = 2 G(delta/2) beta,   Delta = upper - lower = gamma Sigma,   gamma = g theta_h to first order
 
 (relief paper, eq. 3 to 9), each with noise of its own. gamma is estimated from sums of products (`Products`) by one of
-`products.DISCRIMINANTS`: `ratio` is the real part of the relief paper's eq. 17; `total_least_squares` is the exact
-maximum likelihood for a real gamma, tan(1/2 atan2(2 Re Sigma* Delta, |Sigma|^2 - |Delta|^2)), which eq. 17 is for a
-complex one only. `discriminant.invert`, `invert_linear` or a `SlopeTable` then say which elevation has that gamma.
+`estimators.DISCRIMINANTS`. `ratio` is the real part of the relief paper's eq. 17, which is the maximum likelihood for a
+complex gamma; `total_least_squares` is that for a real one, tan(1/2 atan2(2 Re Sigma* Delta, |Sigma|^2 - |Delta|^2)).
+`inversion.invert`, `invert_linear` or a `SlopeTable` then give the elevation.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ from sal_height.numeric import F64, U8, Bool
 
 @dataclass(frozen=True)
 class Discriminator:
-    """How an elevation comes from Sigma and Delta.
+    """How elevations are estimated from Sigma and Delta.
 
     Attributes:
-        estimator: of gamma, one of `products.DISCRIMINANTS`.
-        inverse: elevation of gamma: one of INVERSES, or the `invert` of a `SlopeTable`.
+        estimator: estimator of gamma, one of `estimators.DISCRIMINANTS`.
+        inverse: elevation from gamma, one of INVERSES or the `invert` of a `SlopeTable`.
     """
 
     estimator: Estimator = total_least_squares
@@ -69,25 +69,26 @@ def sum_difference_elevation(
     min_cnr: float,
     rules: ValidityRules = DEFAULT_RULES,
 ) -> ElevationEstimate:
-    """Elevation of the scatterer in every pixel of images whose channels are Sigma and Delta.
+    """Estimate the elevation of the scatterer in every pixel of images whose channels are Sigma and Delta.
 
-    Sigma and CNR are those of `products.accuracy`.
+    The standard deviation and the CNR are those of `estimators.accuracy`.
 
-    LOW_CNR: what both channels have in common is not clear of noise, or below `min_cnr`. OUTSIDE_PAIR: gamma has no
-    elevation, as where there is a signal in Delta and none in Sigma. NOT_ONE_SCATTERER: of two whitened channels one
-    scatterer leaves K - 1 noise powers in the mean and not more (`estimate.is_one_scatterer`).
+    LOW_CNR: the part that both channels have in common is not detected above noise, or is below `min_cnr`.
+    OUTSIDE_PAIR: gamma has no elevation, for example because there is a signal in Delta and none in Sigma.
+    NOT_ONE_SCATTERER: one scatterer in two whitened channels leaves K - 1 noise powers on average, and more is left
+    (`estimate.is_one_scatterer`).
 
     Args:
         looks: covariance of Sigma = upper + lower and Delta = upper - lower in each pixel (`sum_difference_channels`).
         pair: the two beams, lower and upper.
         squint: of each column, rad, shape (cols,).
         noise_powers: of one SLC pixel of Sigma and of Delta.
-        discriminator: gamma's estimate and its inversion.
+        discriminator: estimator of gamma, and its inversion.
         min_cnr: pixels below this power ratio are LOW_CNR.
         rules: of validity.
 
     Raises:
-        UserError: not two channels and two beams; or noise powers as in `discriminate`.
+        UserError: there are not two channels and two beams, or `discriminate` refuses the noise powers.
     """
     if not looks.covariance.shape[-1] == pair.count == 2:
         raise UserError(
@@ -114,7 +115,7 @@ def _validity(
 
 
 def _eigenvalues(sums: Products) -> F64:
-    """The greater and the lesser eigenvalue of the covariance of Sigma and Delta, shape (2, ...)."""
+    """Return the greater and the lesser eigenvalue of the covariance of Sigma and Delta, shape (2, ...)."""
     mean = (sums.sum_power + sums.difference_power) / 2
     apart = np.hypot((sums.sum_power - sums.difference_power) / 2, np.abs(sums.cross_power))
     return np.stack([mean + apart, mean - apart])

@@ -5,9 +5,8 @@ the output power 1 / (u^H R^-1 u) (Capon, Proceedings of the IEEE 57, 1969; Lomb
 Aerospace and Electronic Systems 38, 2002, for several scatterers in a SAR pixel). The unit response is needed because
 detectors near the ends of the array see a scatterer with less power: with a itself, Capon's maximum would lie there.
 
-With few looks K the inverse needs help: LOADING noise powers are added to the mean covariance R / K before it is
-inverted (Carlson, IEEE Trans. Aerospace and Electronic Systems 24, 1988). Much loading makes the estimate that of
-maximum likelihood, little loading makes it noisier than that, and separates scatterers better.
+To be invertible with few looks K, the mean covariance R / K is loaded with LOADING noise powers (Carlson, IEEE
+Trans. AES 24, 1988). Much loading gives maximum likelihood, little a noisier estimate that separates scatterers better.
 """
 
 from __future__ import annotations
@@ -38,9 +37,7 @@ def capon_elevation(
     loading: float = LOADING,
     rules: ArrayRules = DEFAULT_ARRAY_RULES,
 ) -> ElevationEstimate:
-    """Elevation of the highest peak of Capon's spectrum in every pixel.
-
-    Sigma is that of maximum likelihood times `deviation_factor`.
+    """Elevation of the peak of Capon's spectrum; sigma is that of maximum likelihood times `deviation_factor`.
 
     Args:
         looks: covariance of M channels in each pixel.

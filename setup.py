@@ -33,6 +33,7 @@ setup(
         "numpy",
         "pydantic",
         "pyyaml",
+        "rosbags",
         "ros-jazzy-common-interfaces",
         "ros-jazzy-rclpy[fastrtps]",
         "scipy",
@@ -40,7 +41,7 @@ setup(
     ],
     extras_require={
         "dem": ["rasterio"],
-        "test": ["h5py", "pytest", "pytest-xdist", "rosbags"],
+        "test": ["h5py", "pytest", "pytest-xdist"],
         "fast": ["pyfftw"],
         "dev": ["colcon-common-extensions", "mypy", "pre-commit", "ruff", "types-PyYAML"],
     },

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.fft
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import DetectorFrame, Provenance
+from sal_height_msgs.msg import ChannelFrame, Provenance
 from std_msgs.msg import Header
 
 from benchmarks.cases import SLANT_RANGE, spotlight
@@ -52,7 +52,7 @@ def node_over_core() -> Iterator[Row]:
     samples = _slc("jinc")
     grid, aperture, sensor = _scene()
     slc = Slc(samples, grid, aperture, np.ones(DETECTORS), np.zeros(DETECTORS))
-    frame = DetectorFrame(header=Header(stamp=messages.to_stamp(0)), dwell=0)
+    frame = ChannelFrame(header=Header(stamp=messages.to_stamp(0)), dwell=0)
     images = messages.slc_to_messages(slc, frame, Provenance(config_hash=sensor.config_hash))
     settings = ESTIMATORS["ml"].settings(range_looks=1, azimuth_looks=LOOKS)
     with Graph() as graph:
@@ -79,7 +79,8 @@ def _scene() -> tuple[Grid, ApertureState, Sensor]:
     steps = np.arange(DETECTORS) - (DETECTORS - 1) / 2
     sensor = replace(
         case.sensor,
-        aperture=case.sensor.wavelength / BEAMWIDTH,
+        elevation_diameter=case.sensor.wavelength / BEAMWIDTH,
+        azimuth_diameter=case.sensor.wavelength / BEAMWIDTH,
         elevation_boresights=tuple(elevation_at(0) + PITCH * BEAMWIDTH * steps),
         config_hash="",
     )

@@ -66,4 +66,4 @@ def _images(graph: Graph, compression: SarCompression, frames: list[object], sen
     compression.process(frames, sensor, compression.supplies(frames, sensor))
     if not graph.spin_until(lambda: len(images) == sensor.detector_count, TIMEOUT_S):
         raise TimeoutError("The images did not arrive.")
-    return sorted(images, key=lambda image: int(image.detector))
+    return sorted(images, key=lambda image: int(image.channel))

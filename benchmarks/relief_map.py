@@ -27,7 +27,8 @@ def throughput() -> Iterator[Row]:
     """A dwell from its message to the map, cells as large as pixels; and the map's memory over many such dwells."""
     image = _height_image()
     relief_map = ReliefMap(_cell_size(image), 10**7)
-    inputs = [np.asarray(values) for values in (image.height, image.sigma, image.east, image.north)]
+    first = image.surfaces[0]
+    inputs = [np.asarray(values) for values in (first.height, first.sigma, first.east, first.north)]
     copies = [np.empty_like(values) for values in inputs]
 
     def copy() -> None:

@@ -53,11 +53,14 @@ def make_sensor(**changes: object) -> Sensor:
         "sample_count": 64,
         "pulse_count": 48,
         "pulse_repetition_frequency": 30e3,
-        "aperture": 0.01,
+        "elevation_diameter": 0.01,
+        "azimuth_diameter": 0.01,
         "pattern": "jinc",
         "elevation_boresights": tuple(np.pi / 4 + np.array([-0.5, 0.0, 0.5]) * BEAMWIDTH),
         "noise_power": (1.0, 1.0, 1.0),
     }
+    if "aperture" in changes:  # of an antenna that is as long as it is high
+        changes["elevation_diameter"] = changes["azimuth_diameter"] = changes.pop("aperture")
     return Sensor(**{**values, **changes})
 
 

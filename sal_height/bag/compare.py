@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -18,6 +17,9 @@ from sal_height.bag.reader import BagReader
 
 HEIGHT_IMAGE = "sal_height_msgs/msg/HeightImage"
 
+ORDERS = 4
+"""Numbers per pixel in HeightImage.order_probability: for 0 to 3 scatterers."""
+
 # Height images by topic: a bag, or messages at hand.
 Heights: TypeAlias = Path | Mapping[str, Iterable[HeightImage]]
 
@@ -30,10 +32,10 @@ class HeightComparison:
     """What one topic of a replay has in common with the recorded one.
 
     matched: dwells with an image on both sides; missing: recorded only; extra: replayed only.
-    grids_different: matched images whose grid, looks or earth radius differ in any way.
+    grids_different: matched images whose grid or looks differ in any way.
     pixels: pixels of the matched images; pixels_different: those where any array differs (NaN equals NaN), all pixels
     of an image whose arrays differ in length.
-    greatest_height_difference: over the pixels that have a height on both sides [m].
+    greatest_height_difference: of the first surface, over the pixels that have a height on both sides [m].
     """
 
     matched: int = 0
@@ -97,19 +99,19 @@ def _unfold(images: Mapping[str, Iterable[HeightImage]]) -> Iterator[tuple[str, 
 
 def _compare(recorded: HeightImage, replayed: HeightImage, tolerance_m: float) -> HeightComparison:
     ours, theirs = _arrays(recorded), _arrays(replayed)
-    given = [name for name in ours if ours[name].size or theirs[name].size]  # a second surface need not be
-    # A well-formed image has rows * cols entries in every array given; of others the longest array counts.
-    sizes = {side[name].size for side in (ours, theirs) for name in given}
+    # A well-formed image has rows * cols entries in every array that it has; of others the longest array counts.
+    sizes = {values.size for side in (ours, theirs) for values in side.values()}
     pixels = max(sizes, default=0)
-    if len(sizes) != 1:
+    if len(sizes) != 1 or ours.keys() != theirs.keys():
         different, greatest = pixels, 0.0
     else:
-        heights = {name for name in given if name.endswith("height")}
-        compared = {name for name in given if not tolerance_m or name == "validity"} | heights
+        heights = {name for name in ours if name.endswith(".height")}
+        compared = {name for name in ours if not tolerance_m or name == "validity"} | heights
         allowed = {name: tolerance_m if name in heights else 0.0 for name in compared}
         differences = [_differs(ours[name], theirs[name], allowed[name]) for name in compared]
         different = int(np.count_nonzero(np.any(differences, axis=0)))
-        greatest = _greatest_difference(ours["height"], theirs["height"])
+        first = "surfaces[0].height"
+        greatest = _greatest_difference(ours[first], theirs[first]) if first in heights else 0.0
     return HeightComparison(
         matched=1,
         grids_different=int(np.any(np.abs(_geometry(recorded) - _geometry(replayed)) > tolerance_m)),
@@ -120,14 +122,19 @@ def _compare(recorded: HeightImage, replayed: HeightImage, tolerance_m: float) -
 
 
 def _arrays(image: HeightImage) -> dict[str, NDArray[np.generic]]:
-    """Every array field of the message, by name."""
-    values = {name: getattr(image, name) for name in image.get_fields_and_field_types()}
-    return {name: np.asarray(value) for name, value in values.items() if isinstance(value, array)}
+    """Every array of the message that has a number per pixel, by name; only those that are not empty."""
+    arrays = {"validity": np.asarray(image.validity)}
+    for order in range(ORDERS):
+        arrays[f"order_probability[{order}]"] = np.asarray(image.order_probability)[order::ORDERS]
+    for number, surface in enumerate(image.surfaces):
+        for name in surface.get_fields_and_field_types():
+            arrays[f"surfaces[{number}].{name}"] = np.asarray(getattr(surface, name))
+    return {name: values for name, values in arrays.items() if values.size}
 
 
 def _geometry(image: HeightImage) -> NDArray[np.float64]:
     """All numbers that say where the pixels lie, and of how many looks they are."""
-    return _numbers((image.grid, image.range_looks, image.azimuth_looks, image.earth_radius))
+    return _numbers((image.grid, image.range_looks, image.azimuth_looks))
 
 
 def _numbers(value: Any) -> NDArray[np.float64]:

@@ -31,7 +31,7 @@ class Beams:
     Attributes:
         patterns: amplitude pattern of every detector, or the one common to all.
         boresights: angle of each beam along the detector axis in rad from nadir, shape (detectors,), increasing.
-        beamwidth: wavelength / aperture diameter in rad.
+        beamwidth: wavelength / antenna diameter along the detector axis, rad.
         rotation: psi, angle of the detector axis from elevation towards the direction of flight, rad.
         aspects: angles along the flight, relative to the squint, under which a target was seen while its image was
             synthesised, rad; a single 0 where the antenna was held on the target.
@@ -40,6 +40,7 @@ class Beams:
             last boresight.
         matrix: channels from detectors, shape (channels, detectors), square; None: the channels are the detectors
             (`combined`).
+        azimuth_beamwidth: wavelength / antenna diameter beside the detector axis, rad; None: as `beamwidth`.
     """
 
     patterns: tuple[Pattern, ...]
@@ -50,6 +51,7 @@ class Beams:
     weights: F64 = field(default_factory=lambda: np.ones(1))
     middle: float | None = None
     matrix: F64 | C128 | None = None
+    azimuth_beamwidth: float | None = None
 
     def response(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
         """Return the amplitude of every channel for targets at `elevation` and `squint` (rad): shape (..., channels).
@@ -82,7 +84,7 @@ class Beams:
 
     def widened(self, factor: float) -> Self:
         """Return beams `factor` times as wide, around the same boresights."""
-        return replace(self, beamwidth=self.beamwidth * factor)
+        return replace(self, beamwidth=self.beamwidth * factor, azimuth_beamwidth=self.beamwidth_beside * factor)
 
     def combined(self, matrix: F64 | C128) -> Self:
         """Return the beams of channels that are `matrix` times these, shape (channels, channels).
@@ -106,6 +108,21 @@ class Beams:
     def pair(self, lower: int) -> Self:
         """Return the beams of detectors `lower` and `lower` + 1, on the same axis; errors as of `detectors`."""
         return self.detectors(np.array([lower, lower + 1]))
+
+    @property
+    def beamwidth_beside(self) -> float:
+        """Beamwidth beside the detector axis, rad."""
+        return self.beamwidth if self.azimuth_beamwidth is None else self.azimuth_beamwidth
+
+    @property
+    def track_beamwidth(self) -> float:
+        """Beamwidth along the flight, rad.
+
+        With the detector axis turned by psi it is the half width of the ellipse with the axes beamwidth and
+        beamwidth_beside: sqrt((beamwidth sin psi)^2 + (beamwidth_beside cos psi)^2).
+        """
+        along, beside = (width * width for width in (self.beamwidth, self.beamwidth_beside))
+        return math.sqrt(beside + (along - beside) * math.sin(self.rotation) ** 2)  # exact where both are equal
 
     @property
     def count(self) -> int:
@@ -180,6 +197,7 @@ class Beams:
         along = self._by_detector([pattern.slope for pattern in self.patterns], e, a)
         if self.rotation:
             beside = self._by_detector([pattern.azimuth_slope for pattern in self.patterns], e, a)
+            beside = beside * (self.beamwidth / self.beamwidth_beside)
             along = along * math.cos(self.rotation) - beside * math.sin(self.rotation)
         return along / self.beamwidth
 
@@ -194,7 +212,7 @@ class Beams:
         x, y = np.asarray(elevation)[..., None] - self.axis_middle, np.asarray(squint)[..., None]
         cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
         e = (x * cosine + y * sine - (self.boresights - self.axis_middle)) / self.beamwidth  # differences first: exact
-        a = (y * cosine - x * sine) / self.beamwidth
+        a = (y * cosine - x * sine) / self.beamwidth_beside
         return e, a
 
 

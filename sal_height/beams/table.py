@@ -85,7 +85,7 @@ Grid = dict[tuple[float, float], tuple[complex, int]]
 """Amplitude and line number in the file, by elevation and azimuth in beamwidths."""
 
 
-def read_beam_tables(path: Path, beamwidth: float) -> tuple[BeamTable, ...]:
+def read_beam_tables(path: Path, beamwidth: float, azimuth_beamwidth: float | None = None) -> tuple[BeamTable, ...]:
     """Read measured beams from a CSV file with the columns COLUMNS, one row for every detector and direction.
 
     Detectors are counted from 0, and each has a grid of its own; rows may come in any order. Offsets are from the
@@ -93,7 +93,8 @@ def read_beam_tables(path: Path, beamwidth: float) -> tuple[BeamTable, ...]:
 
     Args:
         path: of the file.
-        beamwidth: wavelength / aperture diameter, rad.
+        beamwidth: wavelength / antenna diameter along the detector axis, rad.
+        azimuth_beamwidth: the same beside the detector axis; None: as `beamwidth`.
 
     Returns:
         tuple[BeamTable, ...]: the beams of detectors 0, 1, ...
@@ -106,7 +107,8 @@ def read_beam_tables(path: Path, beamwidth: float) -> tuple[BeamTable, ...]:
     if sorted(grids) != list(range(len(grids))):
         missing = min(set(range(len(grids))) - set(grids))
         raise UserError(f"{path} has beams of {len(grids)} detectors but none of detector {missing}; count from 0.")
-    return tuple(_table(path, detector, grids[detector], beamwidth) for detector in range(len(grids)))
+    widths = beamwidth, azimuth_beamwidth or beamwidth
+    return tuple(_table(path, detector, grids[detector], widths) for detector in range(len(grids)))
 
 
 def _grids(path: Path) -> dict[int, Grid]:
@@ -166,7 +168,7 @@ def _numbers(path: Path, line: int, row: dict[str, str]) -> tuple[int, tuple[flo
     return int(detector), (elevation, azimuth), complex(real, imaginary)
 
 
-def _table(path: Path, detector: int, grid: Grid, beamwidth: float) -> BeamTable:
+def _table(path: Path, detector: int, grid: Grid, beamwidths: tuple[float, float]) -> BeamTable:
     elevation, azimuth = (sorted(set(angles)) for angles in zip(*grid, strict=True))
     for direction in ((e, a) for e in elevation for a in azimuth):
         if direction not in grid:
@@ -177,8 +179,8 @@ def _table(path: Path, detector: int, grid: Grid, beamwidth: float) -> BeamTable
     values = [grid[e, a][0] for e in elevation for a in azimuth]
     try:
         return BeamTable(
-            tuple(e * beamwidth for e in elevation),
-            tuple(a * beamwidth for a in azimuth),
+            tuple(e * beamwidths[0] for e in elevation),
+            tuple(a * beamwidths[1] for a in azimuth),
             tuple(value.real for value in values),
             tuple(value.imag for value in values),
         )
@@ -186,19 +188,23 @@ def _table(path: Path, detector: int, grid: Grid, beamwidth: float) -> BeamTable
         raise UserError(f"{path}, detector {detector}: {str(error)[0].lower()}{str(error)[1:]}") from error
 
 
-def tabulated_pattern(table: BeamTable, beamwidth: float) -> Pattern:
+def tabulated_pattern(table: BeamTable, beamwidth: float, azimuth_beamwidth: float | None = None) -> Pattern:
     """Return the pattern that a table holds: the cubic spline through its amplitudes, and the spline's derivatives.
 
     With a single azimuth the pattern is the same at all azimuths. Beyond the table nothing is received: 0.
 
     Args:
         table: of one detector's beam.
-        beamwidth: wavelength / aperture diameter, rad.
+        beamwidth: wavelength / antenna diameter along the detector axis, rad.
+        azimuth_beamwidth: the same beside the detector axis; None: as `beamwidth`.
 
     Returns:
         Pattern: named "table", known where the table is; float64 where all amplitudes are real, otherwise complex128.
     """
-    elevation, azimuth = (np.array(angles) / beamwidth for angles in (table.elevation, table.azimuth))
+    elevation, azimuth = (
+        np.array(table.elevation) / beamwidth,
+        np.array(table.azimuth) / (azimuth_beamwidth or beamwidth),
+    )
     values = table.values if any(table.imaginary) else table.values.real
     domain = (float(elevation[0]), float(elevation[-1]))
     if azimuth.size == 1:

@@ -103,7 +103,7 @@ class Calibrator:
     def calibration(self) -> tuple[Calibration, list[str]]:
         """The calibration, and a sentence for each part that could not be determined and stays as described."""
         channels, frequencies = self.sensor.detector_count, self.sensor.sample_count
-        response, sigma = np.ones((channels, frequencies), dtype=np.complex128), np.zeros(channels)
+        response, sigma = np.ones((channels, frequencies), dtype=np.complex128), np.full(channels, np.nan)
         undetermined: list[str] = []
         try:
             differential = differential_response(self._spectra)
@@ -119,10 +119,10 @@ class Calibrator:
             self.sensor.config_hash,
             response=response * beams.gains[:, None],
             response_sigma=sigma,
-            gain_sigma=np.nan_to_num(beams.gain_sigmas),
-            phase_sigma=np.nan_to_num(beams.phase_sigmas),
+            gain_sigma=beams.gain_sigmas,
+            phase_sigma=beams.phase_sigmas,
             width_factor=beams.width_factor,
-            width_sigma=float(np.nan_to_num(beams.width_sigma)),
+            width_sigma=beams.width_sigma,
             dwells=self.dwells,
         )
         return calibration, undetermined
@@ -188,7 +188,7 @@ class Calibrator:
         images = scipy.fft.ifft(spectra, axis=1, workers=WORKERS, overwrite_x=True)
         one, across = Window.named("boxcar", 1, 0), Window.named("boxcar", LOOKS, 0)
         looks = windowed_looks(images, one, across, True, channels.transform)
-        step = SQUINT_STEP * self.sensor.beamwidth
+        step = SQUINT_STEP * self.sensor.beams.track_beamwidth
         squint = np.round(np.array(self._squints) / step) * step
         calibrate = calibrate_beams if self.sensor.detector_count > 2 else calibrate_phases
         beams = self._beams.combined(channels.matrix)

@@ -31,13 +31,14 @@ class Calibration:
         config_hash: of the sensor.
         response: of each channel at the fast-time frequencies, gain included: complex128, shape (channels,
             frequencies), those of waveform "spectrum" (`waveform.spectrum_sensor`); 1: as described.
-        response_sigma: standard error of the shape of a channel's response, at a frequency, shape (channels,); 0: not
+        response_sigma: standard error of the shape of a channel's response, at a frequency, shape (channels,); NaN: not
             measured.
-        gain_sigma: standard error of ln |gain| of each channel, shape (channels,); 0: not measured.
+        gain_sigma: standard error of ln |gain| of each channel, shape (channels,); NaN: not measured.
         phase_sigma: of the gain's phase, rad.
         width_factor: width of the beams over that described.
-        width_sigma: standard error of it; 0: the width was not measured.
+        width_sigma: standard error of it; NaN: the width was not measured.
         dwells: that it was made of.
+        id: identity, any text; empty: the first 16 hexadecimal digits of the SHA-256 of all values.
     """
 
     config_hash: str
@@ -46,8 +47,9 @@ class Calibration:
     gain_sigma: F64
     phase_sigma: F64
     width_factor: float = 1.0
-    width_sigma: float = 0.0
+    width_sigma: float = np.nan
     dwells: int = 0
+    id: str = ""
 
     def __post_init__(self) -> None:
         if not self.config_hash:
@@ -70,14 +72,16 @@ class Calibration:
             raise UserError(
                 f"The calibration's width factor of the beams is {self.width_factor}; allowed are {low} to {high}."
             )
-        if not (np.all(np.isfinite(sigmas)) and np.isfinite(self.width_sigma)):
-            raise UserError("The calibration has standard errors that are not finite; all must be.")
-
-    @cached_property
-    def id(self) -> str:
-        """Identity: changes with any value."""
-        values = (np.asarray(getattr(self, field.name)) for field in fields(self))
-        return hashlib.sha256(b"".join(value.tobytes() for value in values)).hexdigest()[:16]
+        errors = np.concatenate([*sigmas, [self.width_sigma]])
+        if np.any(np.isinf(errors) | (errors < 0)):
+            raise UserError(
+                "The calibration has standard errors that are negative or infinite; all must be 0 or more, or NaN "
+                "where nothing was measured."
+            )
+        if not self.id:
+            values = (np.asarray(getattr(self, field.name)) for field in fields(self))
+            digest = hashlib.sha256(b"".join(value.tobytes() for value in values)).hexdigest()
+            object.__setattr__(self, "id", digest[:16])
 
     @cached_property
     def equaliser(self) -> C64:
@@ -148,12 +152,13 @@ def load_calibration(path: Path) -> Calibration:
             return Calibration(
                 config_hash=str(stored["config_hash"]),
                 response=np.asarray(stored["response"], dtype=np.complex128),
-                response_sigma=np.asarray(stored["response_sigma"], dtype=np.float64),
-                gain_sigma=np.asarray(stored["gain_sigma"], dtype=np.float64),
-                phase_sigma=np.asarray(stored["phase_sigma"], dtype=np.float64),
+                response_sigma=_measured(stored["response_sigma"]),
+                gain_sigma=_measured(stored["gain_sigma"]),
+                phase_sigma=_measured(stored["phase_sigma"]),
                 width_factor=float(stored["width_factor"]),
-                width_sigma=float(stored["width_sigma"]),
+                width_sigma=float(_measured(stored["width_sigma"])),
                 dwells=int(stored["dwells"]),
+                id=str(stored["id"]) if "id" in stored else "",
             )
     except OSError as error:
         raise UserError(f"Calibration {path} cannot be read: {error.strerror or error}.") from error
@@ -162,3 +167,8 @@ def load_calibration(path: Path) -> Calibration:
     except (ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
         reason = " ".join(str(error).split())
         raise UserError(f"File {path} is no calibration that psf_calibration wrote: {reason}.") from error
+
+
+def _measured(sigma: F64) -> F64:
+    """Standard errors with NaN for 0, which in files written before version 1 of the messages meant "not measured"."""
+    return np.where(sigma > 0, sigma, np.nan).astype(np.float64)

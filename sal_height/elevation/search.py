@@ -212,7 +212,7 @@ class PeakSearches:
         def exact(squint: float) -> PeakSearch:
             return PeakSearch.of(nodes, beams.response(nodes, squint), beams.slope(nodes, squint), objective)
 
-        count = SPARE_SQUINTS + int(np.ceil(np.pi * np.ptp(squints) / beams.beamwidth))
+        count = SPARE_SQUINTS + int(np.ceil(np.pi * np.ptp(squints) / beams.track_beamwidth))
         if len(squints) <= count:
             return cls(nodes, exact)
         chebyshev = np.cos(np.pi * (np.arange(count) + 0.5) / count)

@@ -1,20 +1,24 @@
 """Where things are: axes, the earth, pixel grids, and the platform's track.
 
-Read `frames` first (body and map axes, the state of the platform in mid-aperture, elevation and squint), then `earth`
-(heights above the sphere), `grid` (pixels of an image), `locate` (range and Doppler to a place on the ground) and
-`trajectory` (odometry to positions at each pulse). Angles are in rad, lengths in m, times in s.
+Read `frames` first (body and map axes, the state of the sensor in mid-aperture, elevation and squint), then `earth`
+(heights above the sphere), `grid` (pixels of an image), `locate` (range and Doppler to a place on the ground),
+`mounting` (where the sensor is on the platform) and `trajectory` (odometry to positions of the antenna at each pulse).
+Angles are in rad, lengths in m, times in s.
 """
 
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
 from sal_height.geometry.frames import ApertureState, angles_of, aperture_at, look_direction, squint_on_cone
 from sal_height.geometry.grid import Grid, pixels_at, without_range_phase
 from sal_height.geometry.locate import locate_at_elevation, locate_at_height
+from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
 from sal_height.geometry.trajectory import PlatformState, Trajectory
 
 __all__ = [
+    "AT_BASE_LINK",
     "EARTH_RADIUS",
     "ApertureState",
     "Grid",
+    "Mounting",
     "PlatformState",
     "Trajectory",
     "above_place",

@@ -17,11 +17,11 @@ from sal_height.numeric import F64
 
 @dataclass(frozen=True, eq=False)
 class ApertureState:
-    """State of the platform in the middle of a synthetic aperture.
+    """State of the sensor in the middle of a synthetic aperture; "body" axes are those of the sensor frame.
 
     Attributes:
-        position: of base_link in map, m, shape (3,); after `aperture_at`, one for each point, shape (..., 3).
-        velocity: in map axes, m/s, shape (3,).
+        position: of the antenna in map, m, shape (3,); after `aperture_at`, one for each point, shape (..., 3).
+        velocity: of the antenna in map axes, m/s, shape (3,).
         rotation: matrix that turns body into map axes, shape (3, 3).
         length: of the synthetic aperture, m.
         covariance: of position (m^2) and of rotation about x, y, z of map (rad^2), shape (6, 6); zeros: unknown.

@@ -6,11 +6,12 @@ import bisect
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
 from scipy.spatial.transform import Rotation, Slerp
 
 from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
+from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
 from sal_height.numeric import F64
 
 
@@ -42,10 +43,13 @@ class Trajectory:
 
     Times are float64 seconds after `epoch_ns`. An absolute time in float64 is only good to 0.2 us, in which the
     platform travels many optical wavelengths.
+
+    The track is that of a sensor with a given mounting on the platform. The lever arm, turned by the attitude of each
+    state, is interpolated with a cubic spline, whose derivative is the velocity that rotation adds to the antenna.
     """
 
-    def __init__(self, states: list[PlatformState]) -> None:
-        """Interpolate two or more states of strictly increasing time.
+    def __init__(self, states: list[PlatformState], mounting: Mounting = AT_BASE_LINK) -> None:
+        """Interpolate two or more states of strictly increasing time, for a sensor with this mounting.
 
         Raises:
             UserError: there are fewer than two states, their times do not increase, or their velocities contradict
@@ -62,22 +66,33 @@ class Trajectory:
             )
         _check_velocity(states, seconds)
         self._seconds = seconds
-        self._position = CubicHermiteSpline(
+        self._position: PPoly = CubicHermiteSpline(
             seconds, np.array([s.position for s in states]), np.array([s.velocity for s in states])
         )
-        self._attitude = Slerp(seconds, Rotation.from_quat(np.array([s.orientation for s in states])))
+        attitude = Rotation.from_quat(np.array([s.orientation for s in states]))
         self._covariance = [s.covariance for s in states]
+        self.mounting = mounting
+        if not mounting.is_identity:
+            arms = attitude.apply(mounting.lever_arm)
+            self._position = PPoly(self._position.c + CubicSpline(seconds, arms).c, seconds)
+            self._covariance = [_moved_covariance(*pair) for pair in zip(self._covariance, arms, strict=True)]
+            attitude *= mounting.axes
+        self._attitude = Slerp(seconds, attitude)
 
     def between(self, start_ns: int, end_ns: int) -> Trajectory:
         """The track from the last state at or before `start_ns` to the first at or after `end_ns`, if it has them."""
         stamps = [state.stamp_ns for state in self.states]
         first = max(0, bisect.bisect_right(stamps, start_ns) - 1)
-        return Trajectory(self.states[first : bisect.bisect_left(stamps, end_ns) + 1])
+        return Trajectory(self.states[first : bisect.bisect_left(stamps, end_ns) + 1], self.mounting)
 
     def followed_by(self, later: Trajectory) -> Trajectory:
         """This track up to the first state of `later`, and `later` from there on."""
         before = bisect.bisect_left(self.states, later.epoch_ns, key=lambda state: state.stamp_ns)
-        return Trajectory([*self.states[:before], *later.states])
+        return Trajectory([*self.states[:before], *later.states], self.mounting)
+
+    def mounted(self, mounting: Mounting) -> Trajectory:
+        """The track of a sensor on this platform."""
+        return self if mounting == self.mounting else Trajectory(self.states, mounting)
 
     def _offsets(self, stamp_ns: int, seconds_after: F64) -> F64:
         """Return times relative to the epoch, s.
@@ -123,6 +138,21 @@ class Trajectory:
             length=speed * float(t[-1] - t[0]) * len(t) / (len(t) - 1),
             covariance=self._covariance[nearest],
         )
+
+
+def _moved_covariance(covariance: F64, arm: F64) -> F64:
+    """Covariance of the pose of the antenna from that of base_link, shape (6, 6).
+
+    An error of the attitude by the small rotation e moves the antenna by e x arm, so that the covariance C becomes
+    J C J^T with J = [[I, -[arm]x], [0, I]].
+
+    Args:
+        covariance: of position (m^2) and rotation (rad^2) of base_link, shape (6, 6).
+        arm: from base_link to the antenna in map axes, m.
+    """
+    jacobian = np.eye(6)
+    jacobian[:3, 3:] = np.cross(np.eye(3), arm).T  # columns are e_k x arm
+    return jacobian @ covariance @ jacobian.T
 
 
 VELOCITY_TOLERANCE = 0.1

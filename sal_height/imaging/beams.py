@@ -45,5 +45,5 @@ def image_beams(sensor: Sensor, azimuth_window: str) -> Beams:
     edge = np.full(ASPECTS, (1 - nodes[-1]) * processing.angle / 2)
     beams = sensor.beams.averaged(aspects, weights * processing.angle_weights(aspects, edge))
     along, beside = aspects * math.sin(beams.rotation), aspects * math.cos(beams.rotation)
-    passage = beams.patterns[0].amplitude(along / beams.beamwidth, beside / beams.beamwidth)
+    passage = beams.patterns[0].amplitude(along / beams.beamwidth, beside / beams.beamwidth_beside)
     return replace(beams, weights=beams.weights / float(np.abs(beams.weights @ passage)))

@@ -129,18 +129,19 @@ def check_pulses(sensor: Sensor, antenna: F64, aperture: ApertureState) -> None:
     """
     way = float(np.linalg.norm(antenna[-1] - antenna[0]))
     step = way / (len(antenna) - 1)
+    size = sensor.wavelength / sensor.beams.track_beamwidth
     speed = float(np.linalg.norm(aperture.velocity))
-    if step > sensor.aperture / 2 * (1 + ROUNDING):
+    if step > size / 2 * (1 + ROUNDING):
         raise Rejected(
             "aliased in azimuth",
-            f"Pulses are {step:.3g} m apart at {speed:.4g} m/s; an antenna of {sensor.aperture:.3g} m needs one every "
-            f"{sensor.aperture / 2:.3g} m, a pulse repetition frequency of {2 * speed / sensor.aperture:.4g} Hz.",
+            f"Pulses are {step:.3g} m apart at {speed:.4g} m/s; an antenna of {size:.3g} m needs one every "
+            f"{size / 2:.3g} m, a pulse repetition frequency of {2 * speed / size:.4g} Hz.",
         )
-    if way < sensor.aperture / 2 * (1 - ROUNDING):
+    if way < size / 2 * (1 - ROUNDING):
         raise Rejected(
             "too few pulses",
             f"The {len(antenna)} pulses reach over {way:.3g} m; a synthetic aperture must be longer than half the "
-            f"antenna ({sensor.aperture / 2:.3g} m), or it resolves no more than the beam.",
+            f"antenna ({size / 2:.3g} m), or it resolves no more than the beam.",
         )
 
 
@@ -179,7 +180,7 @@ def check_doppler_centroid(
     aim = aim_point(sensor, aperture, float(np.mean(history.reference_range)))
     delay = np.linalg.norm(aim - antenna, axis=-1) - history.reference_range
     slant_range = float(np.linalg.norm(aim - aperture.position))
-    width = max(grid.cols * grid.col_spacing / slant_range, sensor.beamwidth)
+    width = max(grid.cols * grid.col_spacing / slant_range, sensor.beams.track_beamwidth)
     _check_centroid(history, np.diff(delay), sensor, antenna, aperture, width)
 
 
@@ -193,7 +194,7 @@ def check_strip_centroid(history: PhaseHistory, antenna: F64, sensor: Sensor, ap
     """
     sight = aperture.rotation @ look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
     steps = -np.diff(antenna, axis=0) @ sight - np.diff(history.reference_range)
-    width = 2 * lit_angle(sensor.beams) - sensor.beamwidth
+    width = 2 * lit_angle(sensor.beams) - sensor.beams.track_beamwidth
     _check_centroid(history, steps, sensor, antenna, aperture, width)
 
 

@@ -119,6 +119,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
         UserError: an image that cannot be made.
     """
     processing = Processing(settings.range_window, settings.azimuth_window)
+    track = track.mounted(sensor.mounting)
     antenna = track.positions(history.stamp_ns, history.pulse_times)
     aperture = track.aperture(history.stamp_ns, history.pulse_times)
     reference = float(history.reference_range[len(antenna) // 2])
@@ -189,8 +190,9 @@ class StripFocuser:
             )
         processing = Processing(settings.range_window, settings.azimuth_window, processed_angle(sensor))
         track = self._track_with_held_pulses(history, track, sensor)
-        antenna = track.positions(history.stamp_ns, history.pulse_times)
-        aperture = track.aperture(history.stamp_ns, history.pulse_times)
+        antenna_track = track.mounted(sensor.mounting)
+        antenna = antenna_track.positions(history.stamp_ns, history.pulse_times)
+        aperture = antenna_track.aperture(history.stamp_ns, history.pulse_times)
         reference = float(history.reference_range[len(antenna) // 2])
         check_dwell(history, antenna, sensor, aperture)
         check_strip_centroid(history, antenna, sensor, aperture)
@@ -208,7 +210,7 @@ class StripFocuser:
         else:
             strip = begin_strip(history, antenna, lattice, processing)
         drifted = abs(drift(strip)) > GREATEST_DRIFT * sensor.range_window
-        if drifted or abs(turn(strip, sensor, aperture)) > GREATEST_TURN * sensor.beamwidth:
+        if drifted or abs(turn(strip, sensor, aperture)) > GREATEST_TURN * sensor.beams.track_beamwidth:
             strip = lay_anew(strip, lattice, processing)
         self._strip, self._track, self._settings = strip, track, settings
         complete = complete_columns(strip, processing)
@@ -221,7 +223,7 @@ class StripFocuser:
         former = choose_former(settings.former, strip.antenna, sensor, processing, grid)
         images = former(strip.history, strip.antenna, sensor, processing, grid)
         around = abeam_time(strip, grid) + np.array([-0.5, 0.5]) / sensor.pulse_repetition_frequency
-        abeam = track.aperture(strip.history.stamp_ns, around)
+        abeam = antenna_track.aperture(strip.history.stamp_ns, around)
         length = aperture_length(sensor, reference)
         pulses = round(length * len(antenna) / aperture.length)
         noise_power = slc_noise_power(sensor, processing, pulses)

@@ -35,7 +35,7 @@ def slant_plane_size(
     sensor: Sensor, aperture: ApertureState, reference_range: float, range_broadening: float
 ) -> tuple[int, int]:
     """Rows and columns of a slant-plane image that covers the range window and one beamwidth along the flight."""
-    cells = sensor.beamwidth * reference_range / azimuth_resolution(sensor, aperture, reference_range)
+    cells = sensor.beams.track_beamwidth * reference_range / azimuth_resolution(sensor, aperture, reference_range)
     return max(1, int(sensor.sample_count / range_broadening)), max(1, int(cells + 1e-6))
 
 

@@ -20,12 +20,20 @@ from sal_height.messages.frames import (
     check_frame,
     history_from_messages,
     history_to_messages,
+    samples_of,
     state_from_message,
     state_to_message,
 )
-from sal_height.messages.heights import field_from_message, height_picture, height_points, height_to_message
+from sal_height.messages.heights import (
+    bad_pixel_warning,
+    bad_pixels,
+    field_from_message,
+    height_picture,
+    height_points,
+    height_to_message,
+)
 from sal_height.messages.images import check_slc, recorded_azimuth_window, slc_from_messages, slc_to_messages
-from sal_height.messages.provenance import as_json, derived
+from sal_height.messages.provenance import derived, stages_of, with_stage
 from sal_height.messages.relief import relief_picture, relief_points, relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 
@@ -33,7 +41,8 @@ __all__ = [
     "LONGEST_DWELL",
     "MAP_FRAME",
     "aperture_from_message",
-    "as_json",
+    "bad_pixel_warning",
+    "bad_pixels",
     "calibration_from_message",
     "calibration_to_message",
     "check_frame",
@@ -52,14 +61,17 @@ __all__ = [
     "relief_picture",
     "relief_points",
     "relief_to_message",
+    "samples_of",
     "sensor_from_message",
     "sensor_to_message",
     "slc_from_messages",
     "slc_to_messages",
+    "stages_of",
     "state_from_message",
     "state_to_message",
     "to_bytes",
     "to_floats",
     "to_ns",
     "to_stamp",
+    "with_stage",
 ]

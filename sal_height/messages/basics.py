@@ -12,9 +12,9 @@ from geometry_msgs.msg import Point, Quaternion, Vector3
 from sal_height_msgs import msg as messages
 from scipy.spatial.transform import Rotation
 
-from sal_height.errors import Rejected
+from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid
-from sal_height.numeric import C64, F32, F64, U8
+from sal_height.numeric import C64, C128, F32, F64, U8
 from sal_height.sensor import Sensor
 
 MAP_FRAME = "map"
@@ -41,6 +41,24 @@ def to_floats(samples: npt.NDArray[np.generic]) -> array.array[float]:
     floats = array.array("f")
     floats.frombytes(single.reshape(-1).view(np.uint8).data)
     return floats
+
+
+def complex_pairs(values: npt.NDArray[np.complexfloating]) -> array.array[float]:
+    """A float64[] field's value holding complex `values` of any shape: real and imaginary part in turn."""
+    pairs = array.array("d")
+    pairs.frombytes(np.ascontiguousarray(values, dtype=np.complex128).tobytes())
+    return pairs
+
+
+def from_complex_pairs(pairs: Sequence[float], where: str) -> C128:
+    """The complex numbers of a float64[] field, shape (numbers,).
+
+    Raises:
+        UserError: an odd number of entries; the sentence begins with `where`.
+    """
+    if len(pairs) % 2:
+        raise UserError(f"{where} has {len(pairs)} entries; real and imaginary parts must come in pairs.")
+    return np.array(pairs, dtype=np.float64).view(np.complex128)
 
 
 def to_bytes(values: U8) -> array.array[int]:
@@ -140,7 +158,7 @@ def check_geometry(image_grid: messages.ImageGrid, aperture: messages.Aperture, 
         raise Rejected("wrong geometry", f"{where}: aperture.velocity is 0; a synthetic aperture needs motion.")
 
 
-def check_detector(detector: int, sensor: Sensor, where: str) -> None:
-    """Make sure that the sensor has a detector of that number; the sentence of the Rejected begins with `where`."""
-    if detector >= sensor.detector_count:
-        raise Rejected("unknown detector", f"{where}: SensorInfo has detectors 0 to {sensor.detector_count - 1}.")
+def check_channel(channel: int, sensor: Sensor, where: str) -> None:
+    """Make sure that the sensor has a channel of that number; the sentence of the Rejected begins with `where`."""
+    if channel >= sensor.detector_count:
+        raise Rejected("unknown channel", f"{where}: SensorInfo has channels 0 to {sensor.detector_count - 1}.")

@@ -11,7 +11,7 @@ from std_msgs.msg import Header
 
 from sal_height.calibration import Calibration
 from sal_height.errors import UserError
-from sal_height.messages.basics import BODY_FRAME
+from sal_height.messages.basics import BODY_FRAME, complex_pairs, from_complex_pairs
 
 
 def calibration_to_message(
@@ -26,8 +26,7 @@ def calibration_to_message(
         dwells=calibration.dwells,
         channels=channels,
         frequencies=frequencies,
-        response_real=calibration.response.real.ravel(),
-        response_imaginary=calibration.response.imag.ravel(),
+        response=complex_pairs(calibration.response),
         response_sigma=calibration.response_sigma,
         gain_sigma=calibration.gain_sigma,
         phase_sigma=calibration.phase_sigma,
@@ -41,25 +40,25 @@ def calibration_from_message(message: messages.Calibration) -> Calibration:
     """The calibration a message holds.
 
     Raises:
-        UserError: values out of their range, or an id that is not theirs.
+        UserError: no id, or values out of their range.
     """
-    parts = [np.array(values) for values in (message.response_real, message.response_imaginary)]
+    if not message.id:
+        raise UserError("A Calibration has no id; products need one to refer to.")
+    response = from_complex_pairs(message.response, f"Calibration {message.id!r}: response")
     shape = message.channels, message.frequencies
-    if {part.size for part in parts} != {shape[0] * shape[1]}:
+    if response.size != shape[0] * shape[1]:
         raise UserError(
-            f"Calibration {message.id!r} has {parts[0].size} and {parts[1].size} entries of response_real and "
-            f"response_imaginary; {shape[0]} channels of {shape[1]} frequencies need {shape[0] * shape[1]}."
+            f"Calibration {message.id!r} has {response.size} complex entries of response; {shape[0]} channels of "
+            f"{shape[1]} frequencies need {shape[0] * shape[1]}."
         )
-    calibration = Calibration(
+    return Calibration(
         config_hash=message.config_hash,
-        response=(parts[0] + 1j * parts[1]).reshape(shape),
+        response=response.reshape(shape),
         response_sigma=np.array(message.response_sigma),
         gain_sigma=np.array(message.gain_sigma),
         phase_sigma=np.array(message.phase_sigma),
         width_factor=message.width_factor,
         width_sigma=message.width_sigma,
         dwells=message.dwells,
+        id=message.id,
     )
-    if message.id != calibration.id:
-        raise UserError(f"The values of calibration {message.id!r} make the id {calibration.id!r}; it must be theirs.")
-    return calibration

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import array
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,13 +18,12 @@ from sal_height.geometry import PlatformState
 from sal_height.messages.basics import (
     BODY_FRAME,
     MAP_FRAME,
-    check_detector,
-    complex_view,
-    to_floats,
+    check_channel,
     to_ns,
     vector_of,
     xyz,
 )
+from sal_height.numeric import C64
 from sal_height.sensor import PhaseHistory, Sensor
 
 LONGEST_DWELL = 3600.0
@@ -31,6 +31,9 @@ LONGEST_DWELL = 3600.0
 
 GREATEST_RANGE = 1e8
 """Greatest reference range of a frame, m."""
+
+SAMPLE_BYTES = {messages.ChannelFrame.COMPLEX_FLOAT32: 8, messages.ChannelFrame.COMPLEX_INT16: 4}
+"""Bytes of a complex sample by ChannelFrame.encoding."""
 
 
 def state_to_message(state: PlatformState, stamp: Time) -> Odometry:
@@ -73,32 +76,33 @@ def state_from_message(message: Odometry) -> PlatformState:
     )
 
 
-def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp: Time) -> list[messages.DetectorFrame]:
-    """One DetectorFrame per detector."""
+def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp: Time) -> list[messages.ChannelFrame]:
+    """One ChannelFrame per channel, with samples as "complex_float32"."""
     return [
-        messages.DetectorFrame(
-            header=Header(stamp=stamp, frame_id=BODY_FRAME),
+        messages.ChannelFrame(
+            header=Header(stamp=stamp, frame_id=sensor.mounting.frame_id),
             dwell=dwell,
-            detector=detector,
+            channel=channel,
             config_hash=sensor.config_hash,
             pulse_count=samples.shape[0],
             sample_count=samples.shape[1],
             pulse_time=history.pulse_times.tolist(),
             reference_range=history.reference_range.tolist(),
-            samples=to_floats(samples),
+            encoding=messages.ChannelFrame.COMPLEX_FLOAT32,
+            samples=_bytes_of(samples),
         )
-        for detector, samples in enumerate(history.samples)
+        for channel, samples in enumerate(history.samples)
     ]
 
 
-def check_frame(frame: messages.DetectorFrame, sensor: Sensor) -> None:
+def check_frame(frame: messages.ChannelFrame, sensor: Sensor) -> None:
     """Make sure a frame can be processed with `sensor`.
 
     Raises:
         Rejected: it cannot; the sentence names the field, the value and what is allowed.
     """
-    where = f"DetectorFrame of dwell {frame.dwell}, detector {frame.detector}"
-    check_detector(frame.detector, sensor, where)
+    where = f"ChannelFrame of dwell {frame.dwell}, channel {frame.channel}"
+    check_channel(frame.channel, sensor, where)
     expected = (sensor.pulse_count, sensor.sample_count)
     if (frame.pulse_count, frame.sample_count) != expected:
         raise Rejected(
@@ -106,14 +110,22 @@ def check_frame(frame: messages.DetectorFrame, sensor: Sensor) -> None:
             f"{where}: {frame.pulse_count} pulses x {frame.sample_count} samples, SensorInfo says "
             f"{expected[0]} x {expected[1]}.",
         )
-    wanted = {"samples": 2 * expected[0] * expected[1], "pulse_time": expected[0], "reference_range": expected[0]}
+    if frame.encoding not in SAMPLE_BYTES:
+        raise Rejected(
+            "unknown encoding", f"{where}: encoding is {frame.encoding!r}; allowed are {', '.join(SAMPLE_BYTES)}."
+        )
+    size = SAMPLE_BYTES[frame.encoding] * expected[0] * expected[1]
+    wanted = {"samples": size, "pulse_time": expected[0], "reference_range": expected[0]}
     for field, count in wanted.items():
         if len(getattr(frame, field)) != count:
             raise Rejected(
                 "wrong size", f"{where}: {field} has {len(getattr(frame, field))} entries instead of {count}."
             )
-    for field in wanted:
-        if not np.all(np.isfinite(np.frombuffer(getattr(frame, field), "f4" if field == "samples" else "f8"))):
+    if frame.encoding == messages.ChannelFrame.COMPLEX_INT16 and not 0 < frame.scale < np.inf:
+        raise Rejected("wrong scale", f"{where}: scale is {frame.scale}; it must be finite and greater than 0.")
+    values = {"samples": samples_of(frame), "pulse_time": frame.pulse_time, "reference_range": frame.reference_range}
+    for field, numbers in values.items():
+        if not np.all(np.isfinite(numbers)):
             raise Rejected("not finite", f"{where}: {field} has NaN or infinite entries; all must be finite.")
     times = np.asarray(frame.pulse_time)
     if np.any(np.diff(times) < 0) or times[0] < 0 or not times[0] < times[-1] <= LONGEST_DWELL:
@@ -131,24 +143,39 @@ def check_frame(frame: messages.DetectorFrame, sensor: Sensor) -> None:
         )
 
 
-def history_from_messages(frames: Sequence[messages.DetectorFrame]) -> PhaseHistory:
-    """Phase history of the checked frames of all detectors of a dwell, in the order of detectors.
+def samples_of(frame: messages.ChannelFrame) -> C64:
+    """The samples of a frame, shape (pulses, samples): of "complex_float32" a view, of "complex_int16" a copy."""
+    shape = frame.pulse_count, frame.sample_count
+    if frame.encoding == messages.ChannelFrame.COMPLEX_FLOAT32:
+        return np.frombuffer(frame.samples, "<c8").reshape(shape)
+    scaled = np.frombuffer(frame.samples, "<i2") * np.float32(frame.scale)
+    return scaled.view(np.complex64).reshape(shape)
+
+
+def _bytes_of(samples: C64) -> array.array[int]:
+    """The value of ChannelFrame.samples in the encoding "complex_float32": one block copy."""
+    data = array.array("B")
+    data.frombytes(np.ascontiguousarray(samples, dtype="<c8").reshape(-1).view(np.uint8).data)
+    return data
+
+
+def history_from_messages(frames: Sequence[messages.ChannelFrame]) -> PhaseHistory:
+    """Phase history of the checked frames of all channels of a dwell, in the order of channels.
 
     Raises:
-        Rejected: the detectors disagree on pulse times or reference ranges.
+        Rejected: the channels disagree on pulse times or reference ranges.
     """
     first = frames[0]
     for frame in frames[1:]:
         if frame.pulse_time != first.pulse_time or frame.reference_range != first.reference_range:
             raise Rejected(
-                "detectors disagree",
-                f"Dwell {first.dwell}: detector {frame.detector} has other pulse times or reference ranges than "
-                f"detector {first.detector}; all must share them.",
+                "channels disagree",
+                f"Dwell {first.dwell}: channel {frame.channel} has other pulse times or reference ranges than "
+                f"channel {first.channel}; all must share them.",
             )
-    shape = (first.pulse_count, first.sample_count)
     return PhaseHistory(
         stamp_ns=to_ns(first.header.stamp),
         pulse_times=np.array(first.pulse_time),
         reference_range=np.array(first.reference_range),
-        samples=np.stack([complex_view(frame.samples, shape) for frame in frames]),
+        samples=np.stack([samples_of(frame) for frame in frames]),
     )

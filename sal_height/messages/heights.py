@@ -11,8 +11,8 @@ from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from sal_height.elevation import Validity
-from sal_height.errors import Rejected
-from sal_height.geometry import EARTH_RADIUS, ApertureState, above_place
+from sal_height.errors import Rejected, UserError
+from sal_height.geometry import ApertureState, Grid, above_place
 from sal_height.messages.basics import (
     MAP_FRAME,
     aperture_to_message,
@@ -25,6 +25,12 @@ from sal_height.messages.basics import (
 )
 from sal_height.numeric import F32
 from sal_height.relief import HeightField, Surface
+
+LAYERS = ("height", "sigma", "cnr_db", "east", "north")
+"""Fields of a Surface message."""
+
+USABLE = (Validity.OK, Validity.TWO_SCATTERERS, Validity.INTERPOLATED)
+"""Values of validity of the pixels that have a height."""
 
 
 def height_to_message(
@@ -44,21 +50,24 @@ def height_to_message(
         aperture=aperture_to_message(aperture),
         range_looks=looks[0],
         azimuth_looks=looks[1],
-        earth_radius=EARTH_RADIUS,
         validity=to_bytes(field.validity),
         provenance=provenance,
     )
-    for prefix, surface in (("", field.first), ("second_", field.second)):
-        if surface:
-            offset = surface.positions - field.grid.origin
-            values = (surface.height, surface.sigma, surface.cnr_db, offset[..., 0], offset[..., 1])
-            for name, numbers in zip(("height", "sigma", "cnr_db", "east", "north"), values, strict=True):
-                setattr(image, prefix + name, to_floats(numbers))
+    image.surfaces = [_surface_to_message(surface, field.grid) for surface in (field.first, field.second) if surface]
     return image
 
 
+def _surface_to_message(surface: Surface, grid: Grid) -> messages.Surface:
+    offset = surface.positions - grid.origin
+    values = (surface.height, surface.sigma, surface.cnr_db, offset[..., 0], offset[..., 1])
+    return messages.Surface(**{name: to_floats(numbers) for name, numbers in zip(LAYERS, values, strict=True)})
+
+
 def field_from_message(image: messages.HeightImage) -> HeightField:
-    """The heights that a HeightImage holds, without second scatterers.
+    """The heights of the first surface of a HeightImage.
+
+    A pixel that is usable by its validity but whose height, sigma, east or north is not finite, or whose sigma is not
+    greater than 0, gets the validity MISSING_DATA; `bad_pixels` counts them.
 
     Raises:
         Rejected: they cannot be used; the sentence names the field, the value and what is allowed.
@@ -66,40 +75,49 @@ def field_from_message(image: messages.HeightImage) -> HeightField:
     where = f"HeightImage of dwell {image.dwell}"
     if image.header.frame_id != MAP_FRAME:
         raise Rejected("wrong frames", f"{where} is in {image.header.frame_id!r}; it must be in {MAP_FRAME!r} (ENU).")
-    grid, names = grid_from_message(image.grid), ("height", "sigma", "cnr_db", "east", "north", "validity")
+    if not image.surfaces:
+        raise Rejected("wrong size", f"{where} has no surface; it must have at least one.")
+    grid, first = grid_from_message(image.grid), image.surfaces[0]
     count = grid.rows * grid.cols
-    for name in names:
-        if len(getattr(image, name)) != count or count == 0:
+    sizes = {"validity": len(image.validity)} | {f"surfaces[0].{name}": len(getattr(first, name)) for name in LAYERS}
+    for name, size in sizes.items():
+        if size != count or count == 0:
             raise Rejected(
                 "wrong size",
-                f"{where}: {name} has {len(getattr(image, name))} entries, {grid.rows} x {grid.cols} pixels need "
-                f"{count} (at least 1).",
+                f"{where}: {name} has {size} entries, {grid.rows} x {grid.cols} pixels need {count} (at least 1).",
             )
     check_geometry(image.grid, image.aperture, where)
-    if image.earth_radius != EARTH_RADIUS:
-        raise Rejected(
-            "wrong earth radius", f"{where}: earth_radius is {image.earth_radius:.10g} m; it must be {EARTH_RADIUS} m."
-        )
-    validity = np.array(image.validity, dtype=np.uint8).reshape(grid.shape)
-    usable = np.isin(validity, (Validity.OK, Validity.TWO_SCATTERERS, Validity.INTERPOLATED))
     height, sigma, cnr_db, east, north = (
-        float_view(getattr(image, name), grid.shape).astype(np.float64) for name in names[:-1]
+        float_view(getattr(first, name), grid.shape).astype(np.float64) for name in LAYERS
     )
-    if not np.all(np.isfinite(np.stack([height, sigma, east, north])[:, usable])):
-        raise Rejected("not finite", f"{where}: a usable pixel's height, sigma, east or north is NaN or infinite.")
-    if not np.all(sigma[usable] > 0):
-        raise Rejected(
-            "wrong sigma", f"{where}: a usable pixel's sigma is {sigma[usable].min():g} m; it must be greater than 0."
-        )
+    validity = np.array(image.validity, dtype=np.uint8).reshape(grid.shape)
+    usable = np.isin(validity, USABLE)
+    sound = np.isfinite(height) & (sigma > 0) & np.isfinite(sigma + east + north)
+    validity[usable & ~sound] = Validity.MISSING_DATA
+    usable &= sound
     positions = above_place(grid.origin[0] + east, grid.origin[1] + north, height)
     positions[~usable] = np.nan
     height, sigma = (np.where(usable, values, np.nan) for values in (height, sigma))
     return HeightField(grid, validity, Surface(height, sigma, cnr_db, positions), None)
 
 
+def bad_pixels(image: messages.HeightImage, field: HeightField) -> int:
+    """Number of the pixels of `image` that are usable by their validity but were masked in `field` made of it."""
+    said = np.isin(np.array(image.validity, dtype=np.uint8), USABLE)
+    return int(np.count_nonzero(said & ~np.isin(field.validity.ravel(), USABLE)))
+
+
+def bad_pixel_warning(image: messages.HeightImage, count: int) -> UserError:
+    """The sentence that says how many pixels of a height image were masked."""
+    return UserError(
+        f"HeightImage of dwell {image.dwell}: {count} of {len(image.validity)} pixels are usable by their validity, "
+        "but their height, sigma, east or north is not finite, or sigma is not greater than 0; they are left out."
+    )
+
+
 def height_picture(image: messages.HeightImage) -> Image:
     """The heights as a 32FC1 image, NaN where not valid: for any image viewer."""
-    return float_picture(float_view(image.height, (image.grid.rows, image.grid.cols)), image.header)
+    return float_picture(float_view(image.surfaces[0].height, (image.grid.rows, image.grid.cols)), image.header)
 
 
 def float_picture(values: F32, header: Header) -> Image:

@@ -14,7 +14,7 @@ from sal_height.messages.basics import (
     MAP_FRAME,
     aperture_from_message,
     aperture_to_message,
-    check_detector,
+    check_channel,
     check_geometry,
     complex_view,
     grid_from_message,
@@ -27,22 +27,22 @@ from sal_height.sensor import Sensor
 
 
 def slc_to_messages(
-    slc: Slc, frame: messages.DetectorFrame, provenance: messages.Provenance
+    slc: Slc, frame: messages.ChannelFrame, provenance: messages.Provenance
 ) -> list[messages.ComplexImage]:
     """One ComplexImage per channel, with the stamp and dwell of `frame`."""
     return [
         messages.ComplexImage(
             header=Header(stamp=frame.header.stamp, frame_id=MAP_FRAME),
             dwell=frame.dwell,
-            detector=detector,
+            channel=channel,
             grid=grid_to_message(slc.grid),
             aperture=aperture_to_message(slc.aperture),
-            noise_power=float(slc.noise_power[detector]),
-            saturated_share=float(slc.saturated_share[detector]),
+            noise_power=float(slc.noise_power[channel]),
+            saturated_share=float(slc.saturated_share[channel]),
             samples=to_floats(image),
             provenance=provenance,
         )
-        for detector, image in enumerate(slc.images)
+        for channel, image in enumerate(slc.images)
     ]
 
 
@@ -52,8 +52,8 @@ def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
     Raises:
         Rejected: it cannot; the sentence names the field, the value and what is allowed.
     """
-    where = f"ComplexImage of dwell {image.dwell}, detector {image.detector}"
-    check_detector(image.detector, sensor, where)
+    where = f"ComplexImage of dwell {image.dwell}, channel {image.channel}"
+    check_channel(image.channel, sensor, where)
     count = 2 * image.grid.rows * image.grid.cols
     if len(image.samples) != count or count == 0:
         raise Rejected(
@@ -61,9 +61,11 @@ def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
             f"{where}: samples has {len(image.samples)} entries, {image.grid.rows} x {image.grid.cols} complex "
             f"pixels need {count}.",
         )
-    if not np.all(np.isfinite([image.noise_power, image.saturated_share])):
+    if not np.isfinite(image.noise_power) or np.isinf(image.saturated_share):
         raise Rejected(
-            "not finite", f"{where}: noise_power or saturated_share is NaN or infinite; both must be finite."
+            "not finite",
+            f"{where}: noise_power is {image.noise_power}, saturated_share {image.saturated_share}; both must be "
+            "finite (saturated_share may be NaN: not known).",
         )
     check_geometry(image.grid, image.aperture, where)
 
@@ -72,18 +74,18 @@ def slc_from_messages(images: Sequence[messages.ComplexImage]) -> Slc:
     """The images of all channels of a dwell, which `check_slc` has passed.
 
     The azimuth window is that which the provenance records of sar_compression; rectangular if it names none that is
-    known. What autofocus found is not in the messages.
+    known.
 
     Raises:
-        Rejected: the detectors disagree on grid or aperture.
+        Rejected: the channels disagree on grid or aperture.
     """
     first = images[0]
     for image in images[1:]:
         if image.grid != first.grid or image.aperture != first.aperture:
             raise Rejected(
-                "detectors disagree",
-                f"Dwell {first.dwell}: detector {image.detector} has another grid or aperture than detector "
-                f"{first.detector}; all must share them.",
+                "channels disagree",
+                f"Dwell {first.dwell}: channel {image.channel} has another grid or aperture than channel "
+                f"{first.channel}; all must share them.",
             )
     grid = grid_from_message(first.grid)
     return Slc(

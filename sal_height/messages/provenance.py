@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rclpy.parameter import Parameter, parameter_value_to_python
 from sal_height_msgs.msg import Provenance
 
 from sal_height import __version__
@@ -21,30 +23,46 @@ def derived(before: Provenance, stage: str, values: Settings | Mapping[str, Any]
         code_version=__version__,
         config_hash=before.config_hash,
         calibration_id=before.calibration_id,
-        parameters=as_json(stage, values, before.parameters),
+        parameters=with_stage(before.parameters, stage, values),
         autofocus_phase=before.autofocus_phase,
     )
 
 
-def as_json(stage: str, values: Settings | Mapping[str, Any], before: str = "{}") -> str:
-    """Provenance.parameters: the JSON object `before` with the parameters of `stage` added.
+def with_stage(
+    before: Sequence[ParameterMessage], stage: str, values: Settings | Mapping[str, Any]
+) -> list[ParameterMessage]:
+    """Provenance.parameters: `before` with those of `stage` added, in place of what it had.
 
-    If `before` is no JSON object (another program wrote it), it is kept under the key "before".
+    Args:
+        before: parameters of earlier stages.
+        stage: name of the node; part of the parameters' names up to the first dot.
+        values: by name. A mapping within becomes names with further dots; None is left out.
     """
-    try:
-        stages = json.loads(before or "{}")
-    except ValueError:
-        stages = before
-    if not isinstance(stages, dict):
-        stages = {"before": stages}
-    return json.dumps(stages | {stage: dict(values)}, sort_keys=True)
+    flat = _flat(values, f"{stage}.")
+    kept = [parameter for parameter in before if not parameter.name.startswith(f"{stage}.")]
+    return kept + [Parameter(name, value=value).to_parameter_msg() for name, value in flat.items()]
 
 
-def recorded(parameters: str, stage: str, name: str) -> Any:
+def stages_of(parameters: Sequence[ParameterMessage]) -> dict[str, dict[str, Any]]:
+    """The values in a Provenance.parameters by stage and name of the parameter."""
+    stages: dict[str, dict[str, Any]] = {}
+    for parameter in parameters:
+        stage, _, name = parameter.name.partition(".")
+        stages.setdefault(stage, {})[name] = parameter_value_to_python(parameter.value)
+    return stages
+
+
+def recorded(parameters: Sequence[ParameterMessage], stage: str, name: str) -> Any:
     """Value of the parameter `name` of `stage` in a Provenance.parameters; None if it is not there."""
-    try:
-        stages = json.loads(parameters)
-    except ValueError:
-        return None
-    values = stages.get(stage) if isinstance(stages, dict) else None
-    return values.get(name) if isinstance(values, dict) else None
+    return stages_of(parameters).get(stage, {}).get(name)
+
+
+def _flat(values: Settings | Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    """Values that a ROS parameter can have, by name behind the prefix."""
+    flat: dict[str, Any] = {}
+    for name, value in dict(values).items():
+        if isinstance(value, Settings | Mapping):
+            flat |= _flat(value, f"{prefix}{name}.")
+        elif value is not None:
+            flat[prefix + name] = value.item() if isinstance(value, np.generic) else value
+    return flat

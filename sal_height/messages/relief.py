@@ -8,7 +8,7 @@ import numpy as np
 from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
 from sensor_msgs.msg import Image, PointCloud2
 
-from sal_height.geometry import EARTH_RADIUS, sphere_point
+from sal_height.geometry import sphere_point
 from sal_height.messages.basics import to_floats
 from sal_height.messages.heights import float_picture, point_cloud
 from sal_height.relief import Relief
@@ -22,7 +22,6 @@ def relief_to_message(relief: Relief, images: int, last: HeightImage, provenance
         dwell=last.dwell,
         images=images,
         estimator=last.estimator,
-        earth_radius=EARTH_RADIUS,
         origin_east=relief.east,
         origin_north=relief.north,
         cell_size=relief.cell_size,

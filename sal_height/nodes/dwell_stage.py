@@ -228,10 +228,10 @@ class DwellStage(Stage):
                 self._early.append((message, payload_bytes(message)))
                 return
             self.check(message, sensor)
-            self._absences.setdefault(sensor.config_hash, Counter()).pop(message.detector, None)
+            self._absences.setdefault(sensor.config_hash, Counter()).pop(message.channel, None)
             key = Key(sensor.config_hash, message.dwell, messages.to_ns(message.header.stamp))
             size = payload_bytes(message)
-            self._assembler.add(key, sensor, message.detector, message, time.monotonic(), size)
+            self._assembler.add(key, sensor, message.channel, message, time.monotonic(), size)
         except Exception as error:  # noqa: BLE001 (no message may end the node)
             self.reject(1, self.unexpected(error))
 
@@ -252,7 +252,7 @@ class DwellStage(Stage):
         known = ", ".join(self._sensors)
         return Rejected(
             "contradicts sensor info",
-            f"Dwell {message.dwell}, channel {message.detector}: config_hash {self.identity(message)!r} is none of "
+            f"Dwell {message.dwell}, channel {message.channel}: config_hash {self.identity(message)!r} is none of "
             f"those on sensor_info ({known}).",
         )
 
@@ -260,6 +260,6 @@ class DwellStage(Stage):
 def _blank(message: Any, channel: int) -> Any:
     """A message of zeros in the place of one that has not come: estimators leave such a channel out as dead."""
     blank = copy.copy(message)
-    blank.detector = channel
-    blank.samples = array.array("f", bytes(4 * len(message.samples)))
+    blank.channel = channel
+    blank.samples = array.array(message.samples.typecode, bytes(message.samples.itemsize * len(message.samples)))
     return blank

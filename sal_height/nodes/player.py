@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nav_msgs.msg import Odometry
-from sal_height_msgs.msg import DetectorFrame, SensorInfo
+from sal_height_msgs.msg import ChannelFrame, SensorInfo
 
 from sal_height import messages
 from sal_height.bag.definitions import message_class
@@ -83,8 +83,8 @@ class Player(Stage):
                 self._advance()
                 continue
             if isinstance(message, SensorInfo):
-                self._detectors = max(1, len(message.elevation_boresights))
-            if isinstance(message, DetectorFrame) and group.closed(self._detectors):
+                self._detectors = max(1, len(message.beams.elevation_boresights))
+            if isinstance(message, ChannelFrame) and group.closed(self._detectors):
                 break
             group.add(message)
             self._outlets[recorded.topic].publish(recorded.cdr)
@@ -116,7 +116,7 @@ class _Group:
         """Take note of a message that is played."""
         if isinstance(message, Odometry):
             self._last_odometry_ns = messages.to_ns(message.header.stamp)
-        elif isinstance(message, DetectorFrame):
+        elif isinstance(message, ChannelFrame):
             start_ns = messages.to_ns(message.header.stamp)
             self.frames[message.dwell, start_ns] += 1
             duration = max((t for t in message.pulse_time if 0 < t <= messages.LONGEST_DWELL), default=0.0)

@@ -86,7 +86,7 @@ class PsfCalibration(DwellStage):
         if applied not in {"", sensor.calibration_id}:
             raise Rejected(
                 "calibrated already",
-                f"Dwell {message.dwell}, detector {message.detector}: calibration {applied!r} was applied to the "
+                f"Dwell {message.dwell}, channel {message.channel}: calibration {applied!r} was applied to the "
                 "image; calibration needs images as the sensor delivers them (parameter calibration of "
                 "sar_compression).",
             )

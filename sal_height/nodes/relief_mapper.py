@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from contextlib import suppress
 from pathlib import Path
@@ -149,6 +150,8 @@ class ReliefMapper(Stage):
     def _enter(self, image: HeightImage) -> int:
         """Enter a height image into the map; a rejected image leaves the map unchanged."""
         field = messages.field_from_message(image)
+        if bad := messages.bad_pixels(image, field):
+            self.ignore("bad pixels", messages.bad_pixel_warning(image, bad))
         aperture = messages.aperture_from_message(image.aperture)
         if self._map is None:
             cell_size = self._settings.cell_size_m or relief_map.fitting_cell_size(field.grid, aperture)
@@ -191,9 +194,8 @@ class ReliefMapper(Stage):
         tags = {
             "estimator": self._last.estimator,
             "images": str(self._images),
-            **{
-                key: getattr(provenance, key) for key in ("code_version", "config_hash", "calibration_id", "parameters")
-            },
+            **{key: getattr(provenance, key) for key in ("code_version", "config_hash", "calibration_id")},
+            "parameters": json.dumps(messages.stages_of(provenance.parameters), sort_keys=True),
         }
         origin = self._settings.origin_latitude_deg, self._settings.origin_longitude_deg
         try:

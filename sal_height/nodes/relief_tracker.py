@@ -81,6 +81,8 @@ class ReliefTracker(Stage):
         """Smooth and publish the heights of a dwell (on the worker thread); returns the number of height images."""
         parameters = self.current_parameters()
         field, aperture = messages.field_from_message(message), messages.aperture_from_message(message.aperture)
+        if bad := messages.bad_pixels(message, field):
+            self.ignore("bad pixels", messages.bad_pixel_warning(message, bad))
         known = parameters.correlation_length_m or None, parameters.relief_sigma_m or None
         tracked, prior = track(field, aperture, *known, parameters.gate, parameters.along_track)
         used = {**dict(parameters), "prior": dataclasses.asdict(prior)}

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import Calibration as CalibrationMessage
-from sal_height_msgs.msg import ComplexImage, DetectorFrame, Provenance
+from sal_height_msgs.msg import ChannelFrame, ComplexImage, Provenance
 
 from sal_height import __version__, messages
 from sal_height.calibration import Calibration, load_calibration
@@ -85,7 +85,7 @@ class SarCompression(DwellStage):
         Raises:
             UserError: a parameter has a value that is not allowed, or the calibration cannot be used.
         """
-        super().__init__("sar_compression", DetectorFrame, "phase_history", **node_arguments)
+        super().__init__("sar_compression", ChannelFrame, "phase_history", **node_arguments)
         self._odometry = OdometryHistory(self.current_parameters().odometry_held_s)
         self._last_pulse_ns = 0
         self._compressor = Compressor()
@@ -94,13 +94,13 @@ class SarCompression(DwellStage):
         self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS)
         self._slc = self.offer(ComplexImage, "slc")
 
-    def check(self, message: DetectorFrame, sensor: Sensor) -> None:
+    def check(self, message: ChannelFrame, sensor: Sensor) -> None:
         """Check size, samples and pulse times of a frame."""
         messages.check_frame(message, sensor)
         end_ns = messages.to_ns(message.header.stamp) + round(message.pulse_time[-1] * 1e9)
         self._last_pulse_ns = max(self._last_pulse_ns, end_ns)
 
-    def supplies(self, dwell: list[DetectorFrame], sensor: Sensor) -> Supplies:
+    def supplies(self, dwell: list[ChannelFrame], sensor: Sensor) -> Supplies:
         """Odometry from before the first pulse to after the last without gaps, and the calibration in force.
 
         Raises:
@@ -127,7 +127,7 @@ class SarCompression(DwellStage):
         first, last = ((stamp_ns - start_ns) * 1e-9 for stamp_ns in self._odometry.span_ns)
         return f"samples are held from {first:.6g} s to {last:.6g} s after its first pulse"
 
-    def process(self, frames: list[DetectorFrame], sensor: Sensor, supplies: Supplies) -> int:
+    def process(self, frames: list[ChannelFrame], sensor: Sensor, supplies: Supplies) -> int:
         """Compress a dwell, or the columns that a block completes of a strip, and publish the image of each channel."""
         parameters = self.current_parameters()
         history, calibration = messages.history_from_messages(frames), supplies.calibration
@@ -145,7 +145,7 @@ class SarCompression(DwellStage):
             code_version=__version__,
             config_hash=sensor.config_hash,
             calibration_id=calibration.id if calibration else sensor.calibration_id,
-            parameters=messages.as_json(self.get_name(), parameters),
+            parameters=messages.with_stage([], self.get_name(), parameters),
             autofocus_phase=slc.autofocus_phase.tolist(),
         )
         images = messages.slc_to_messages(slc, frames[0], provenance)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from nav_msgs.msg import Odometry
-from sal_height_msgs.msg import DetectorFrame, SensorInfo
+from sal_height_msgs.msg import ChannelFrame, SensorInfo
 
 from sal_height import messages
 from sal_height.nodes.program import run_node
@@ -51,7 +51,7 @@ class Simulator(Stage):
         self._start_ns = self.get_clock().now().nanoseconds
         self._info = self.offer(SensorInfo, "sensor_info", LATCHED_QOS)
         self._odometry = self.offer(Odometry, "platform/odometry", ODOMETRY_QOS)
-        self._frames = self.offer(DetectorFrame, "phase_history")
+        self._frames = self.offer(ChannelFrame, "phase_history")
         self._info.publish(messages.sensor_to_message(self.flight.sensor, self._stamp(0)))
         self.serve("~/step", self._step)
         if parameters.period_s > 0:

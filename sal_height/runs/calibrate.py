@@ -11,7 +11,7 @@ import numpy as np
 from sal_height.bag.reader import BagReader
 from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import UserError
-from sal_height.io import new_folder, writing
+from sal_height.io import new_folder, or_null, writing
 from sal_height.nodes.psf_calibration import MOST_DWELLS
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import CALIBRATOR, NodeParameters, check_parameters
@@ -74,22 +74,27 @@ def calibrate(
 
 
 def calibration_table(calibration: Calibration) -> str:
-    """The calibration as a table; a standard error of 0 means that the value was not measured."""
+    """The calibration as a table; a dash stands for what was not measured."""
     summary = _summary(calibration)
     keys = ("gain_db", "gain_sigma_db", "phase_rad", "phase_sigma_rad", "ripple_db", "ripple_sigma_db")
     heading = f"{'channel':>8}{'gain dB':>10}{'+-':>7}{'phase deg':>11}{'+-':>7}{'ripple dB rms':>15}{'+-':>7}"
     lines = [
-        f"{channel:8d}{gain:10.3f}{of_gain:7.3f}{np.degrees(phase):11.2f}{np.degrees(of_phase):7.2f}{ripple:15.3f}"
-        f"{of_ripple:7.3f}"
+        f"{channel:8d}{gain:10.3f}{_sigma(of_gain, 3)}{np.degrees(phase):11.2f}"
+        f"{_sigma(of_phase and np.degrees(of_phase), 2)}{ripple:15.3f}{_sigma(of_ripple, 3)}"
         for channel, (gain, of_gain, phase, of_phase, ripple, of_ripple) in enumerate(
             zip(*(summary[key] for key in keys), strict=True)
         )
     ]
     width = f"{calibration.width_factor:.4f} +- {calibration.width_sigma:.4f}"
-    width = width if calibration.width_sigma else "not determined"
+    width = width if np.isfinite(calibration.width_sigma) else "not determined"
     return "\n".join(
         [heading, *lines, f"width of the beams over that described: {width}", f"calibration {calibration.id}"]
     )
+
+
+def _sigma(value: float | None, digits: int) -> str:
+    """A standard error in seven columns."""
+    return f"{'-':>7}" if value is None else f"{value:7.{digits}f}"
 
 
 def _summary(calibration: Calibration) -> dict[str, Any]:
@@ -103,9 +108,9 @@ def _summary(calibration: Calibration) -> dict[str, Any]:
         "gain_db": (decibels * np.log(np.abs(gain))).tolist(),
         "phase_rad": np.angle(gain).tolist(),
         "ripple_db": (decibels * np.sqrt(np.mean(ripple**2, axis=1))).tolist(),
-        "ripple_sigma_db": (decibels * calibration.response_sigma).tolist(),
-        "gain_sigma_db": (decibels * calibration.gain_sigma).tolist(),
-        "phase_sigma_rad": calibration.phase_sigma.tolist(),
+        "ripple_sigma_db": [or_null(sigma) for sigma in decibels * calibration.response_sigma],
+        "gain_sigma_db": [or_null(sigma) for sigma in decibels * calibration.gain_sigma],
+        "phase_sigma_rad": [or_null(sigma) for sigma in calibration.phase_sigma],
         "width_factor": calibration.width_factor,
-        "width_sigma": calibration.width_sigma,
+        "width_sigma": or_null(calibration.width_sigma),
     }

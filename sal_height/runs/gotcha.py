@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 from rclpy.qos import QoSProfile
-from rclpy.serialization import serialize_message
 from scipy.constants import speed_of_light
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
 from sal_height import messages
+from sal_height.bag.codec import serialized
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.geometry import PlatformState
@@ -225,7 +225,8 @@ def _sensor(frequency: F64, antenna: F64, velocity: F64, times: F64, polarisatio
         sample_count=len(frequency),
         pulse_count=len(antenna),
         pulse_repetition_frequency=(len(times) - 1) / float(times[-1]),
-        aperture=wavelength / BEAM,
+        elevation_diameter=wavelength / BEAM,
+        azimuth_diameter=wavelength / BEAM,
         pattern="sinc",
         elevation_boresights=(float(np.arctan2(level, antenna[middle, 2])),),
         noise_power=(0.0,),
@@ -253,7 +254,7 @@ def _write(
     topics: dict[str, tuple[str, QoSProfile]] = {
         "/sensor_info": ("sal_height_msgs/msg/SensorInfo", LATCHED_QOS),
         "/platform/odometry": ("nav_msgs/msg/Odometry", ODOMETRY_QOS),
-        "/phase_history": ("sal_height_msgs/msg/DetectorFrame", FRAMES_QOS),
+        "/phase_history": ("sal_height_msgs/msg/ChannelFrame", FRAMES_QOS),
     }
     end_ns = states[-1].stamp_ns
     recorded: list[tuple[str, Any, int]] = [
@@ -268,4 +269,4 @@ def _write(
         for topic, (type_name, qos) in topics.items():
             bag.add_topic(topic, type_name, [qos])
         for topic, message, time_ns in recorded:
-            bag.write(topic, serialize_message(message), time_ns, time_ns)
+            bag.write(topic, serialized(message), time_ns, time_ns)

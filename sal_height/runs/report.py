@@ -178,9 +178,10 @@ def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface
     slope = np.full(grid.shape, track.slant_range_m * np.sin(track.look_angle_rad))
     bound = height_crb(truth, 10 ** (flight.preset.cnr_db / 10), 2, beams, squint, slope)
 
+    first = image.surfaces[0]
     height, sigma, east, north = (
         messages.float_view(values, grid.shape).astype(np.float64)
-        for values in (image.height, image.sigma, image.east, image.north)
+        for values in (first.height, first.sigma, first.east, first.north)
     )
     valid = np.asarray(image.validity).reshape(grid.shape) == HeightImage.OK
     # How high a point lies above the plane z = 0 does not change, to first order, where on the sphere it stands.

@@ -17,7 +17,7 @@ class PhaseHistory:
     """Phase history of one dwell.
 
     With waveform "spectrum", a point of amplitude A at distance R from the antenna contributes
-    A exp(-j 4 pi f (R - reference_range) / c); for the others see sal_height_msgs/DetectorFrame.
+    A exp(-j 4 pi f (R - reference_range) / c); for the others see sal_height_msgs/ChannelFrame.
 
     Attributes:
         stamp_ns: time of the first pulse, ns since the epoch.
@@ -41,5 +41,5 @@ class PhaseHistory:
 
     @property
     def shares(self) -> F64:
-        """The saturated shares, shape (channels, pulses); 0 where they were not counted."""
-        return np.zeros(self.samples.shape[:2]) if self.saturated_share is None else self.saturated_share
+        """The saturated shares, shape (channels, pulses); NaN where they were not counted."""
+        return np.full(self.samples.shape[:2], np.nan) if self.saturated_share is None else self.saturated_share

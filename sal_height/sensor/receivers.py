@@ -31,14 +31,14 @@ def saturated_shares(samples: C64, sensor: Sensor) -> F64:
     """Share of the real and imaginary parts at or beyond full scale in what each channel is made of, shape (channels,).
 
     With receivers before the channel matrix that is undone first; a channel has the share of the worst of its
-    receivers. 0 where the full scale is not known.
+    receivers. NaN where the full scale is not known.
 
     Args:
         samples: of all channels as the sensor delivers them, shape (channels, pulses, samples).
         sensor: that took them.
     """
     if not sensor.full_scale:
-        return np.zeros(len(samples))
+        return np.full(len(samples), np.nan)
     limit = np.float32(sensor.full_scale * (1 - ROUNDING))
     if sensor.matrix_in_antenna or not sensor.channel_matrix:
         return _shares(samples, limit)

@@ -12,6 +12,7 @@ from scipy.constants import speed_of_light
 
 from sal_height.beams import Beams, BeamTable, Pattern, detector_pattern, tabulated_pattern
 from sal_height.errors import UserError
+from sal_height.geometry import AT_BASE_LINK, Mounting
 from sal_height.numeric import C128
 
 MAX_DETECTORS = 128
@@ -46,9 +47,10 @@ class Sensor:
         sample_count: fast-time samples in a pulse.
         pulse_count: pulses in a dwell.
         pulse_repetition_frequency: Hz.
-        aperture: receive aperture diameter, m.
-        pattern: name of the beam pattern that the aperture gives, or "table".
-        elevation_boresights: rad from nadir, increasing, one per detector.
+        elevation_diameter: of the receive antenna along the detector axis, m.
+        azimuth_diameter: of the receive antenna beside the detector axis, m.
+        pattern: name of the beam pattern that the antenna gives, or "table".
+        elevation_boresights: rad from nadir of the sensor frame (`mounting`), increasing, one per detector.
         noise_power: E|n|^2 of a phase-history sample, one per receiver; 0: unknown.
         mode: one of MODES.
         waveform: one of WAVEFORMS: what the fast-time samples are.
@@ -66,6 +68,7 @@ class Sensor:
             else it is of the detectors, and the channels' noise is correlated (`noise_covariance`).
         full_scale: magnitude at which the receivers clip the real and the imaginary part of a sample, in the unit of
             the samples; 0: not known.
+        mounting: where the antenna is on the platform, and how it is turned.
         calibration_id: calibration already applied by the sensor; empty: none.
         config_hash: identity of this description; empty: the first 16 hexadecimal digits of the SHA-256 of the rest.
 
@@ -80,7 +83,8 @@ class Sensor:
     sample_count: int
     pulse_count: int
     pulse_repetition_frequency: float
-    aperture: float
+    elevation_diameter: float
+    azimuth_diameter: float
     pattern: str
     elevation_boresights: tuple[float, ...]
     noise_power: tuple[float, ...]
@@ -95,6 +99,7 @@ class Sensor:
     channel_matrix: tuple[tuple[complex, ...], ...] = ()
     matrix_in_antenna: bool = True
     full_scale: float = 0.0
+    mounting: Mounting = AT_BASE_LINK
     calibration_id: str = ""
     config_hash: str = ""
 
@@ -104,7 +109,7 @@ class Sensor:
         for key, allowed in (("mode", MODES), ("waveform", WAVEFORMS)):
             if getattr(self, key) not in allowed:
                 raise UserError(f"Sensor {key} is {getattr(self, key)!r}; allowed are {', '.join(allowed)}.")
-        for key in ("wavelength", "bandwidth", "pulse_repetition_frequency", "aperture"):
+        for key in ("wavelength", "bandwidth", "pulse_repetition_frequency", "elevation_diameter", "azimuth_diameter"):
             value = getattr(self, key)
             if not (np.isfinite(value) and value > 0):
                 raise UserError(f"Sensor {key} is {value}; it must be finite and greater than 0.")
@@ -256,13 +261,24 @@ class Sensor:
 
     @property
     def beamwidth(self) -> float:
-        """Ratio wavelength / aperture, rad."""
-        return self.wavelength / self.aperture
+        """Beamwidth along the detector axis: wavelength / elevation_diameter, rad."""
+        return self.wavelength / self.elevation_diameter
+
+    @property
+    def azimuth_beamwidth(self) -> float:
+        """Beamwidth beside the detector axis: wavelength / azimuth_diameter, rad."""
+        return self.wavelength / self.azimuth_diameter
 
     @cached_property
     def beams(self) -> Beams:
         """Beams of the detectors, as they receive from one direction; the channels are `mixing` times them."""
-        return Beams(self._patterns, np.array(self.elevation_boresights), self.beamwidth, self.detector_rotation)
+        return Beams(
+            self._patterns,
+            np.array(self.elevation_boresights),
+            self.beamwidth,
+            self.detector_rotation,
+            azimuth_beamwidth=self.azimuth_beamwidth,
+        )
 
     def widened(self, factor: float) -> Sensor:
         """Return the sensor with beams `factor` times as wide around the same boresights, as of a smaller antenna.
@@ -277,7 +293,12 @@ class Sensor:
             )
             for table in self.beam_tables
         )
-        return replace(self, aperture=self.aperture / factor, beam_tables=tables)
+        return replace(
+            self,
+            elevation_diameter=self.elevation_diameter / factor,
+            azimuth_diameter=self.azimuth_diameter / factor,
+            beam_tables=tables,
+        )
 
     @property
     def mixing(self) -> C128:
@@ -305,7 +326,7 @@ class Sensor:
     @property
     def _patterns(self) -> tuple[Pattern, ...]:
         if self.beam_tables:
-            return tuple(tabulated_pattern(table, self.beamwidth) for table in self.beam_tables)
+            return tuple(tabulated_pattern(table, self.beamwidth, self.azimuth_beamwidth) for table in self.beam_tables)
         return (detector_pattern(self.pattern, self.detector_size),)
 
 

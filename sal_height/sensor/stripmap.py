@@ -14,7 +14,7 @@ def lit_angle(beams: Beams) -> float:
     It is the half-width of the widest main lobe and the `look_ahead_angle`. The pulse repetition frequency that presets
     demand samples the Doppler of this angle; what lies beyond would appear as ambiguities.
     """
-    return max(pattern.main_lobe for pattern in beams.patterns) * beams.beamwidth + look_ahead_angle(beams)
+    return max(pattern.main_lobe for pattern in beams.patterns) * beams.track_beamwidth + look_ahead_angle(beams)
 
 
 def look_ahead_angle(beams: Beams) -> float:
@@ -27,8 +27,11 @@ def look_ahead_angle(beams: Beams) -> float:
 
 
 def processed_angle(sensor: Sensor) -> float:
-    """Return the angle over which a target is processed, rad: one beamwidth, for a resolution of half the aperture."""
-    return sensor.beamwidth
+    """Return the angle over which a target is processed, rad.
+
+    It is one beamwidth along the flight, for a resolution of half the antenna's size in that direction.
+    """
+    return sensor.beams.track_beamwidth
 
 
 def aperture_length(sensor: Sensor, slant_range: float) -> float:

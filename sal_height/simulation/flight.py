@@ -41,6 +41,9 @@ linking models the scene with the same extent.
 TURN_BEAMWIDTHS = 0.5
 """Ground before and behind what the pulses of a stripmap block light up, should the body turn a little; beamwidths."""
 
+ARM_STEP_S = 1e-3
+"""Half step of the central difference that gives the velocity of a turning lever arm, s: gusts last seconds."""
+
 GROUND, GUST = 0, 1
 """Random numbers that do not belong to a dwell: keys of their streams."""
 
@@ -49,9 +52,11 @@ GROUND, GUST = 0, 1
 class SimulatedFlight:
     """Everything a simulated run is made of; each dwell follows from it and a seed alone.
 
-    base_link are the axes of the antenna's stabilised mount. In spotlight the beams are held on the scene: during a
-    dwell every scatterer keeps the direction in which base_link sees it in the middle of the dwell. In stripmap they
-    are fixed to base_link, and dwells are blocks of one sequence of pulses.
+    Positions, velocities and attitudes are those of the sensor: of the antenna, and of the axes of its stabilised
+    mount. Odometry is that of base_link, from which the antenna is a lever arm away (`Sensor.mounting`). In spotlight
+    the beams are held on the scene: during a dwell every scatterer keeps the direction in which the sensor sees it in
+    the middle of the dwell. In stripmap they are fixed to the sensor's axes, and dwells are blocks of one sequence of
+    pulses.
 
     Attributes:
         preset: sensor, flight and CNR.
@@ -68,7 +73,7 @@ class SimulatedFlight:
     seed: int
 
     def position(self, seconds: npt.ArrayLike) -> F64:
-        """Platform position (m, map) at times (s) after the start of the first dwell, shape (..., 3)."""
+        """Antenna position (m, map) at times (s) after the start of the first dwell, shape (..., 3)."""
         flight = self.preset.flight
         aim = sphere_point(0.0, 0.0, self.scene.reference_height)
         abeam = aim - flight.slant_range_m * look_direction(flight.look_angle_rad, 0.0, self.sensor.look_side)
@@ -79,7 +84,7 @@ class SimulatedFlight:
         return straight + self._gust.displacement(seconds) - self._gust.displacement(self._middle_of_flight)
 
     def velocity(self, seconds: npt.ArrayLike) -> F64:
-        """Platform velocity (m/s, map) at times (s) after the start of the first dwell, shape (..., 3)."""
+        """Antenna velocity (m/s, map) at times (s) after the start of the first dwell, shape (..., 3)."""
         return np.array([self.preset.flight.speed_mps, 0.0, 0.0]) + self._gust.velocity(seconds)
 
     @cached_property
@@ -135,9 +140,20 @@ class SimulatedFlight:
         return Trajectory([self._state(sample * period_ns) for sample in samples])
 
     def _state(self, stamp_ns: int) -> PlatformState:
-        seconds = stamp_ns * 1e-9
-        attitude = self._gust.rotation(seconds).as_quat()
-        return PlatformState(stamp_ns, self.position(seconds), attitude, self.velocity(seconds), np.zeros((6, 6)))
+        """Odometry of base_link, to which the sensor is fixed by its mounting."""
+        seconds, mounting = stamp_ns * 1e-9, self.sensor.mounting
+        attitude = self._gust.rotation(seconds)
+        position, velocity = self.position(seconds), self.velocity(seconds)
+        if not mounting.is_identity:
+            before, arm, after = (self._arm(seconds + shift) for shift in (-ARM_STEP_S, 0.0, ARM_STEP_S))
+            position, velocity = position - arm, velocity - (after - before) / (2 * ARM_STEP_S)
+            attitude *= mounting.axes.inv()
+        return PlatformState(stamp_ns, position, attitude.as_quat(), velocity, np.zeros((6, 6)))
+
+    def _arm(self, seconds: float) -> F64:
+        """Vector from base_link to the antenna in map axes, m."""
+        mounting = self.sensor.mounting
+        return (self._gust.rotation(seconds) * mounting.axes.inv()).apply(mounting.lever_arm)
 
     def aperture(self, dwell: int) -> ApertureState:
         """State in the middle of a dwell; in stripmap of the aperture that slides with the ground abeam of it."""
@@ -179,7 +195,7 @@ class SimulatedFlight:
 
     def _tiles(self, dwell: int) -> range:
         """The tiles of ground that a stripmap block lights up; tile n is what lies abeam of block n without gusts."""
-        angle = lit_angle(self.built.beams) + self._swing + TURN_BEAMWIDTHS * self.sensor.beamwidth
+        angle = lit_angle(self.built.beams) + self._swing + TURN_BEAMWIDTHS * self.sensor.beams.track_beamwidth
         reach = angle * self.preset.flight.slant_range_m
         neighbours = math.ceil(reach / self.preset.dwell_spacing_m)
         abeam = math.floor(self.aperture(dwell).position[0] / self.preset.dwell_spacing_m + self.dwells / 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,13 +15,18 @@ import yaml
 from annotated_types import Ge, Gt, Le, Lt, MinLen
 from pydantic import AfterValidator, TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
+from scipy.spatial.transform import Rotation
 
 from sal_height.beams import PATTERNS, BeamTable, read_beam_tables
 from sal_height.errors import UserError
+from sal_height.geometry import Mounting
 from sal_height.numeric import C128
 from sal_height.sensor import MAX_DETECTORS, Sensor, lit_angle
 from sal_height.simulation.impairments import MOST_SWING_BEAMWIDTHS, UNIMPAIRED, Impairments
 from sal_height.simulation.settings import STRICT_KEYS, Decibels, Float, Int
+
+Length = Annotated[Float, Ge(-1000), Le(1000)]
+Turn = Annotated[Float, Ge(-np.pi), Le(np.pi)]
 
 BEAM_TABLES = ".csv"
 """Suffix of the file of measured beams that a preset may name as its pattern."""
@@ -65,8 +71,33 @@ class HybridSettings:
 
 
 @dataclass(frozen=True)
+class MountingSettings:
+    """Where the antenna is on the platform and how it is turned, in the axes of base_link (x forward, y left, z up).
+
+    `boresight_rad` are roll, pitch and yaw of the sensor's axes against those of base_link, turned in the order yaw,
+    pitch, roll.
+    """
+
+    __pydantic_config__ = STRICT_KEYS
+
+    frame_id: Annotated[str, MinLen(1)] = "sensor"
+    lever_arm_m: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    boresight_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)
+
+    @property
+    def mounting(self) -> Mounting:
+        """The same as the core has it."""
+        turn = Rotation.from_euler("ZYX", self.boresight_rad[::-1])
+        x, y, z, w = turn.as_quat().tolist()
+        return Mounting(self.frame_id, self.lever_arm_m, (x, y, z, w))
+
+
+@dataclass(frozen=True)
 class SensorSettings:
     """The sensor as people describe it: an evenly spaced detector array around the look angle.
+
+    `aperture_m` is the diameter of the antenna along the detector axis, and beside it too unless `azimuth_aperture_m`
+    is given; one beamwidth is the wavelength over the diameter, in each direction its own.
 
     `pattern` is the name of an aperture, or the path of a .csv of measured beams: from the preset's folder or, if it is
     not there, from the working directory. `detector_size_beamwidths` are widths along the detector axis and beside it.
@@ -102,11 +133,26 @@ class SensorSettings:
     detector_gains_db: tuple[Decibels, ...] = ()
     detector_phases_rad: tuple[Annotated[Float, Ge(-np.pi), Le(np.pi)], ...] = ()
     full_scale_over_noise_db: Annotated[Float, Ge(-60), Le(300)] | None = None
+    azimuth_aperture_m: Annotated[Float, Ge(1e-6), Le(1e4)] | None = None
+    mounting: MountingSettings = MountingSettings()
+
+    @property
+    def azimuth_diameter_m(self) -> float:
+        """Diameter of the antenna beside the detector axis, m."""
+        return self.aperture_m if self.azimuth_aperture_m is None else self.azimuth_aperture_m
 
     @property
     def beamwidth_rad(self) -> float:
-        """Wavelength / aperture."""
+        """Beamwidth along the detector axis."""
         return self.wavelength_m / self.aperture_m
+
+    @property
+    def track_beamwidth_rad(self) -> float:
+        """Beamwidth along the flight (`Beams.track_beamwidth`)."""
+        along, beside = self.beamwidth_rad, self.wavelength_m / self.azimuth_diameter_m
+        return math.sqrt(
+            beside * beside + (along * along - beside * beside) * math.sin(self.detector_rotation_rad) ** 2
+        )
 
     @property
     def is_bare(self) -> bool:
@@ -147,7 +193,8 @@ class SensorSettings:
         """
         if self.pattern in PATTERNS:
             return ()
-        return read_beam_tables(Path(self.pattern), self.beamwidth_rad)
+        azimuth_beamwidth = self.wavelength_m / self.azimuth_diameter_m
+        return read_beam_tables(Path(self.pattern), self.beamwidth_rad, azimuth_beamwidth)
 
 
 @dataclass(frozen=True)
@@ -245,13 +292,15 @@ class Preset:
             sample_count=s.sample_count,
             pulse_count=s.pulse_count,
             pulse_repetition_frequency=s.pulse_repetition_frequency_hz,
-            aperture=s.aperture_m,
+            elevation_diameter=s.aperture_m,
+            azimuth_diameter=s.azimuth_diameter_m,
             pattern="table" if tables else s.pattern,
             elevation_boresights=tuple(boresights.tolist()),
             noise_power=s.noise_power(),
             channel_matrix=s.channel_matrix(),
             matrix_in_antenna=s.in_antenna,
             full_scale=s.full_scale(),
+            mounting=s.mounting.mounting,
             waveform=s.waveform,
             chirp_rate=s.bandwidth_hz / s.pulse_duration_s if s.pulse_duration_s else 0.0,
             pulse_duration=s.pulse_duration_s,
@@ -341,8 +390,8 @@ def check_pulses(sensor: Sensor, speed: float) -> None:
     Raises:
         UserError: the pulse repetition frequency is too low.
     """
-    beamwidths = lit_angle(sensor.beams) / sensor.beamwidth
-    doppler_band = 4 * speed / sensor.aperture * beamwidths
+    beamwidths = lit_angle(sensor.beams) / sensor.beams.track_beamwidth
+    doppler_band = 4 * speed * lit_angle(sensor.beams) / sensor.wavelength
     if sensor.pulse_repetition_frequency < doppler_band * (1 - 1e-6):
         raise UserError(
             f"Preset {sensor.name}: sensor.pulse_repetition_frequency_hz is {sensor.pulse_repetition_frequency:g}; the "
@@ -399,7 +448,7 @@ def _check_impairments(preset: Preset, source: str) -> None:
             f"Preset {source}: impairments.nyquist_spur_over_noise is {impairments.nyquist_spur_over_noise:g}; "
             "with a sensor.waveform other than 'spectrum', or an odd sensor.sample_count, it must be 0."
         )
-    most = MOST_SWING_BEAMWIDTHS * sensor.beamwidth_rad
+    most = MOST_SWING_BEAMWIDTHS * sensor.track_beamwidth_rad
     if swing > most:
         raise UserError(
             f"Preset {source}: impairments.antenna_swing.amplitude_rad is {swing:g}; it must be {most:g}, "

@@ -36,8 +36,9 @@ def mean_square_gain(beams: Beams) -> float:
     the square of the mean of the pattern instead: for the square aperture 0.07 dB less.)
     """
     nodes = (np.arange(1000) + 0.5) / 1000 - 0.5
-    sine, cosine = math.sin(beams.rotation), math.cos(beams.rotation)
-    return float(np.mean(np.abs(beams.patterns[0].amplitude(nodes * sine, nodes * cosine)) ** 2))
+    along = math.sin(beams.rotation) * (beams.track_beamwidth / beams.beamwidth)
+    beside = math.cos(beams.rotation) * (beams.track_beamwidth / beams.beamwidth_beside)
+    return float(np.mean(np.abs(beams.patterns[0].amplitude(nodes * along, nodes * beside)) ** 2))
 
 
 def cell_power(cnr: float, sensor: Sensor, slant_range: float, speed: float) -> float:
@@ -115,7 +116,7 @@ def simulate_block(
         elevation = np.arctan2(sight[1].astype(np.float32), sight[2].astype(np.float32))
         squint = np.arcsin((sight[0] / distance).astype(np.float32))
         response = beams.response(elevation, squint)
-        beam_phase = quartic_phase * np.square(np.square(squint * (2 / sensor.beamwidth)))
+        beam_phase = quartic_phase * np.square(np.square(squint * (2 / sensor.beams.track_beamwidth)))
         echoes = strengths[lit] * unit_phasors(beam_phase - sensor.centre_wavenumber * delay)
         place = np.mod(delay * (dense / sensor.range_window) + dense // 2, dense)
         before = np.floor(place).astype(np.int32)

@@ -12,14 +12,16 @@ from helpers import file_size_limit
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import CRCValidationError
 from nav_msgs.msg import Odometry
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Qos, QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
-from sal_height_msgs.msg import HeightImage
+from sal_height_msgs.msg import HeightImage, Surface
 from std_msgs.msg import String
 
+from sal_height.bag.codec import serialized
 from sal_height.bag.definitions import installed_definition
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import salvage
@@ -34,9 +36,9 @@ def height_image(dwell: int) -> HeightImage:
     image = HeightImage(dwell=dwell, estimator="ml", range_looks=4, azimuth_looks=1)
     image.header.frame_id = "map"
     image.grid.rows, image.grid.cols, image.grid.row_spacing = 2, 3, 0.05
-    image.height = np.array([0.5, np.nan, -1.25, 3.0, 4.0, dwell], np.float32)
+    image.surfaces = [Surface(height=np.array([0.5, np.nan, -1.25, 3.0, 4.0, dwell], np.float32))]
     image.validity = np.array([0, 1, 0, 0, 0, 0], np.uint8)
-    image.provenance.parameters = '{"ml_height": {}}'
+    image.provenance.parameters = [Parameter("ml_height.range_looks", value=4).to_parameter_msg()]
     return image
 
 
@@ -50,7 +52,7 @@ def bag(tmp_path: Path) -> Path:
         for i in range(3):
             writer.write("/note", serialize_message(String(data="x" * i)), 1000 + 10 * i, 990 + 10 * i)
         for dwell in range(2):
-            writer.write("/ml/height", serialize_message(height_image(dwell)), 1005 + 10 * dwell, 1004)
+            writer.write("/ml/height", serialized(height_image(dwell)), 1005 + 10 * dwell, 1004)
     return directory
 
 
@@ -58,9 +60,12 @@ def test_rosbags_decodes_our_messages_from_the_schema_in_the_bag(bag: Path) -> N
     with AnyReader([bag]) as reader:
         images = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages() if c.topic == "/ml/height"]
     assert [image.dwell for image in images] == [0, 1]
-    np.testing.assert_array_equal(images[1].height, np.array([0.5, np.nan, -1.25, 3.0, 4.0, 1.0], np.float32))
+    np.testing.assert_array_equal(
+        images[1].surfaces[0].height, np.array([0.5, np.nan, -1.25, 3.0, 4.0, 1.0], np.float32)
+    )
     assert images[0].grid.row_spacing == 0.05
-    assert images[0].provenance.parameters == '{"ml_height": {}}'
+    (parameter,) = images[0].provenance.parameters
+    assert (parameter.name, parameter.value.integer_value) == ("ml_height.range_looks", 4)
 
 
 def test_rosbags_reads_times_counts_hashes_and_qos_from_metadata_yaml(bag: Path) -> None:
@@ -124,9 +129,11 @@ def test_mcap_alone_finds_everything_rosbag2_writes(bag: Path) -> None:
         "MSG: geometry_msgs/PoseWithCovariance",
         "MSG: geometry_msgs/Quaternion",
         "MSG: geometry_msgs/Vector3",
+        *(f"MSG: rcl_interfaces/{name}" for name in ("Parameter", "ParameterValue")),
         "MSG: sal_height_msgs/Aperture",
         "MSG: sal_height_msgs/ImageGrid",
         "MSG: sal_height_msgs/Provenance",
+        "MSG: sal_height_msgs/Surface",
         "MSG: std_msgs/Header",
     ]
 

@@ -455,6 +455,6 @@ def test_nothing_is_left_to_calibrate() -> None:
         worst = np.max(np.abs(errors(result, BeamCalibration.none(count))) / sigmas(result))
         assert least <= worst <= most
     again = sensor_with(described, found)
-    assert again.aperture == pytest.approx(actual.aperture, rel=0.003)
+    assert again.elevation_diameter == pytest.approx(actual.elevation_diameter, rel=0.003)
     relative = np.diag(again.mixing / np.where(np.eye(count) > 0, actual.mixing, 1))
     assert relative == pytest.approx(np.ones(count), abs=0.02)

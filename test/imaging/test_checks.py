@@ -297,8 +297,8 @@ def test_centroid_of_a_block_must_be_within_half_the_beam_of_its_middle(yaw: flo
 @pytest.mark.parametrize(
     ("reason", "change"),
     [
-        ("aliased in azimuth", {"aperture": 0.003}),
-        ("too few pulses", {"aperture": 0.2}),
+        ("aliased in azimuth", {"azimuth_diameter": 0.003}),
+        ("too few pulses", {"azimuth_diameter": 0.2}),
         ("aliased in range", {"bandwidth": 5e9}),
     ],
 )

@@ -9,20 +9,23 @@ import pytest
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion
 from rclpy.serialization import deserialize_message, serialize_message
-from sal_height_msgs.msg import ComplexImage, DetectorFrame, HeightImage, Provenance, SensorInfo
+from sal_height_msgs.msg import BeamModel, ChannelFrame, ComplexImage, HeightImage, Provenance, SensorInfo, Waveform
 from std_msgs.msg import Header
 
 from sal_height import messages
+from sal_height.beams import PATTERNS
+from sal_height.calibration import Calibration
 from sal_height.elevation.estimate import Validity
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry.earth import sphere_point
+from sal_height.geometry.earth import EARTH_RADIUS, sphere_point
 from sal_height.geometry.frames import ApertureState
 from sal_height.geometry.grid import Grid
+from sal_height.geometry.mounting import Mounting
 from sal_height.geometry.trajectory import PlatformState
 from sal_height.imaging.focus import Slc
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.sensor import MODES, WAVEFORMS, Sensor
 from sal_height.simulation.preset import load_preset
 
 STAMP = Time(sec=1_700_000_000, nanosec=987_654_321)
@@ -58,9 +61,19 @@ def test_the_channel_matrix_survives_its_message(sensor: Sensor) -> None:
     assert messages.sensor_from_message(through_the_wire(messages.sensor_to_message(mixed, STAMP))) == mixed
 
 
-def test_a_sensor_info_that_says_nothing_of_channels_has_its_detectors() -> None:
-    assert SensorInfo().matrix_in_antenna
-    assert not SensorInfo().channel_matrix_real
+def test_the_mounting_and_both_diameters_survive_their_message(sensor: Sensor) -> None:
+    mounting = Mounting("lidar", (0.5, -1.0, 0.25), (0.0, 0.6, 0.0, 0.8))
+    mounted = replace(sensor, mounting=mounting, azimuth_diameter=0.02, config_hash="")
+    assert messages.sensor_from_message(through_the_wire(messages.sensor_to_message(mounted, STAMP))) == mounted
+
+
+@pytest.mark.parametrize("version", [0, 2])
+def test_another_version_of_the_contract_is_refused(sensor: Sensor, version: int) -> None:
+    message = messages.sensor_to_message(sensor, STAMP)
+    assert message.contract_version == SensorInfo.CONTRACT_VERSION == 1
+    message.contract_version = version
+    with pytest.raises(UserError, match=f"contract_version {version}"):
+        messages.sensor_from_message(message)
 
 
 def test_a_sensor_info_without_identity_is_refused(sensor: Sensor) -> None:
@@ -93,12 +106,77 @@ def test_phase_history_survives_its_frames(sensor: Sensor, rng: np.random.Genera
     frames = [through_the_wire(f) for f in messages.history_to_messages(history, sensor, 7, STAMP)]
     for frame in frames:
         messages.check_frame(frame, sensor)
-        assert frame.dwell == 7
+        assert (frame.dwell, frame.header.frame_id) == (7, "sensor")
     back = messages.history_from_messages(frames)
     assert back.stamp_ns == history.stamp_ns
     assert np.array_equal(back.samples, samples)
     assert np.array_equal(back.pulse_times, times)
     assert np.array_equal(back.reference_range, history.reference_range)
+
+
+def integer_frame(sensor: Sensor, rng: np.random.Generator) -> tuple[ChannelFrame, np.ndarray]:
+    """A frame of int16 samples in steps of 0.25, and these samples, shape (pulses, samples, 2)."""
+    shape = (sensor.pulse_count, sensor.sample_count)
+    whole = rng.integers(-32768, 32768, (*shape, 2), dtype=np.int16)
+    history = PhaseHistory(0, np.arange(shape[0]) * 1e-4, np.full(shape[0], 5e3), np.zeros((1, *shape), np.complex64))
+    (frame,) = messages.history_to_messages(history, sensor, 0, STAMP)
+    frame.encoding, frame.scale = ChannelFrame.COMPLEX_INT16, 0.25
+    frame.samples = messages.to_bytes(whole.astype("<i2").view(np.uint8))
+    return frame, whole
+
+
+def test_integer_samples_are_scaled(sensor: Sensor, rng: np.random.Generator) -> None:
+    frame, whole = integer_frame(sensor, rng)
+    frame = through_the_wire(frame)
+    messages.check_frame(frame, sensor)
+    samples = messages.history_from_messages([frame]).samples[0]
+    assert samples.dtype == np.complex64
+    np.testing.assert_array_equal(samples, (whole[..., 0] + 1j * whole[..., 1]) / 4)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "reason"),
+    [
+        ("encoding", "complex_float64", "unknown encoding"),
+        ("encoding", "", "unknown encoding"),
+        ("encoding", ChannelFrame.COMPLEX_FLOAT32, "wrong size"),
+        ("scale", 0.0, "wrong scale"),
+        ("scale", float("nan"), "wrong scale"),
+        ("scale", float("inf"), "wrong scale"),
+    ],
+)
+def test_samples_that_cannot_be_decoded_are_rejected(
+    sensor: Sensor, rng: np.random.Generator, field: str, value: object, reason: str
+) -> None:
+    frame, _ = integer_frame(sensor, rng)
+    setattr(frame, field, value)
+    with pytest.raises(Rejected) as rejection:
+        messages.check_frame(frame, sensor)
+    assert rejection.value.reason == reason
+
+
+def test_reading_float_samples_does_not_copy_them(sensor: Sensor) -> None:
+    shape = (sensor.pulse_count, sensor.sample_count)
+    history = PhaseHistory(0, np.arange(shape[0]) * 1e-4, np.full(shape[0], 5e3), np.zeros((1, *shape), np.complex64))
+    (frame,) = messages.history_to_messages(history, sensor, 0, STAMP)
+    view = messages.samples_of(frame)
+    np.frombuffer(frame.samples, np.float32)[1] = 42.0
+    assert view[0, 0] == 42j
+
+
+def test_a_calibration_keeps_the_id_that_its_maker_gave_it() -> None:
+    """A node in another language need not know how this package makes ids, and says NaN where it measured nothing."""
+    nothing = np.full(2, np.nan)
+    made = Calibration("of the sensor", np.full((2, 3), 0.5 + 1j), nothing, nothing, nothing, dwells=4)
+    message = messages.calibration_to_message(made, STAMP)
+    message.id = "flight 7, 2026-11-22"
+    again = messages.calibration_from_message(through_the_wire(message))
+    assert again.id == "flight 7, 2026-11-22"
+    assert np.array_equal(again.response, made.response)
+    assert np.isnan([*again.response_sigma, *again.gain_sigma, *again.phase_sigma, again.width_sigma]).all()
+    message.id = ""
+    with pytest.raises(UserError, match="no id"):
+        messages.calibration_from_message(message)
 
 
 def test_a_platform_state_survives_its_odometry() -> None:
@@ -138,7 +216,7 @@ def test_images_grid_and_aperture_survive_their_messages(rng: np.random.Generato
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     aperture = ApertureState(np.array([0.0, 1.0, 2.0]), np.array([50.0, 0.0, 0.0]), turn, 0.08, np.eye(6))
     slc = rng.standard_normal((3, 6, 4, 2)).astype(np.float32).view(np.complex64)[..., 0]
-    frame = DetectorFrame(dwell=9)
+    frame = ChannelFrame(dwell=9)
     frame.header.stamp = STAMP
     sent = messages.slc_to_messages(
         Slc(slc, grid, aperture, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.5, 1.0])),
@@ -156,6 +234,28 @@ def test_images_grid_and_aperture_survive_their_messages(rng: np.random.Generato
     assert all(m.header.stamp == STAMP and m.header.frame_id == "map" and m.dwell == 9 for m in sent)
 
 
+@pytest.mark.parametrize(
+    ("layer", "value"),
+    [("height", np.nan), ("sigma", np.inf), ("sigma", np.nan), ("sigma", 0.0), ("sigma", -1.0), ("north", np.inf)],
+)
+def test_a_bad_pixel_is_masked_and_its_neighbours_stay(layer: str, value: float) -> None:
+    """Bug 1: a single usable pixel with sigma = inf made consumers reject the whole height image."""
+    grid = Grid(np.array([10.0, 20.0, 0.0]), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, 2, 2)
+    aperture = ApertureState(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
+    two = np.full((2, 2), Validity.TWO_SCATTERERS, np.uint8)
+    ones = np.ones((2, 2))
+    slc = ComplexImage(header=Header(frame_id="map"))
+    field = HeightField(grid, two, Surface(ones, ones, ones, grid.pixels()), None)
+    message = messages.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance())
+    assert messages.bad_pixels(message, messages.field_from_message(message)) == 0
+    getattr(message.surfaces[0], layer)[2] = value
+    masked = messages.field_from_message(message)
+    assert masked.validity.ravel().tolist() == [6, 6, Validity.MISSING_DATA, 6]
+    assert np.isnan(masked.first.height).ravel().tolist() == [False, False, True, False]
+    assert np.isnan(masked.first.positions[1, 0]).all()
+    assert messages.bad_pixels(message, masked) == 1
+
+
 @pytest.mark.parametrize("layover", [False, True])
 def test_a_height_field_survives_its_message(layover: bool) -> None:
     grid = Grid(np.array([10.0, 20.0, 0.0]), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, 2, 2)
@@ -171,10 +271,10 @@ def test_a_height_field_survives_its_message(layover: bool) -> None:
     field = HeightField(grid, validity, Surface(height, height / 10, height * 5, positions), second)
     message = messages.height_to_message(field, aperture, (2, 3), "ml", ComplexImage(dwell=4), Provenance())
     message = through_the_wire(message)
-    assert np.array_equal(np.array(message.height), height.ravel(), equal_nan=True)
+    assert np.array_equal(np.array(message.surfaces[0].height), height.ravel(), equal_nan=True)
     assert bytes(message.validity) == validity.tobytes()
-    assert message.east[2] == pytest.approx(0.25)
-    assert message.north[2] == pytest.approx(-1.5)
+    assert message.surfaces[0].east[2] == pytest.approx(0.25)
+    assert message.surfaces[0].north[2] == pytest.approx(-1.5)
     assert (message.dwell, message.range_looks, message.azimuth_looks) == (4, 2, 3)
     nan = np.nan
     expected = (
@@ -185,8 +285,9 @@ def test_a_height_field_survives_its_message(layover: bool) -> None:
         [nan, nan, -0.5, nan],
     )
     for name, values in zip(("height", "sigma", "cnr_db", "east", "north"), expected, strict=True):
-        found = np.array(getattr(message, f"second_{name}"))
-        np.testing.assert_allclose(found, values if layover else [], rtol=1e-6)
+        if layover:
+            np.testing.assert_allclose(np.array(getattr(message.surfaces[1], name)), values, rtol=1e-6)
+    assert len(message.surfaces) == 1 + layover
     cloud = messages.height_points(field, message)
     points = np.frombuffer(cloud.data, np.float32).reshape(cloud.width, 6)
     heights = [1, 2, 3, 7] if layover else [1, 2, 3]
@@ -198,6 +299,16 @@ def test_a_height_field_survives_its_message(layover: bool) -> None:
 def test_validity_values_are_those_of_the_message() -> None:
     for reason in Validity:
         assert getattr(HeightImage, reason.name) == reason
+
+
+def test_the_sphere_is_that_of_the_core() -> None:
+    assert HeightImage.EARTH_RADIUS == EARTH_RADIUS
+
+
+def test_texts_that_name_a_kind_are_those_of_the_core() -> None:
+    assert (SensorInfo.SPOTLIGHT, SensorInfo.STRIPMAP) == MODES
+    assert (Waveform.SPECTRUM, Waveform.CHIRP, Waveform.DERAMPED) == WAVEFORMS
+    assert {BeamModel.GAUSSIAN, BeamModel.SINC, BeamModel.JINC} == set(PATTERNS)
 
 
 def test_look_sides_are_those_of_the_message() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 from sal_height_msgs.msg import Provenance
 
 from sal_height import __version__, messages
@@ -22,17 +20,20 @@ def test_a_product_keeps_what_is_known_of_the_images_it_is_made_of() -> None:
         code_version="0",
         config_hash="f00",
         calibration_id="ca1",
-        parameters='{"sar_compression": {"autofocus": true}}',
+        parameters=messages.with_stage([], "sar_compression", {"autofocus": True}),
         autofocus_phase=[0.5, -0.25],
     )
     heights = messages.derived(images, "ml_height", Looks())
     assert (heights.code_version, heights.config_hash, heights.calibration_id) == (__version__, "f00", "ca1")
     assert list(heights.autofocus_phase) == [0.5, -0.25]
-    assert json.loads(heights.parameters) == {"sar_compression": {"autofocus": True}, "ml_height": {"range_looks": 3}}
+    stages = messages.stages_of(heights.parameters)
+    assert stages == {"sar_compression": {"autofocus": True}, "ml_height": {"range_looks": 3}}
 
 
-def test_words_of_another_program_are_kept_beside_ours() -> None:
-    made = messages.as_json("monopulse", Looks(range_looks=4), "not JSON")
-    assert json.loads(made) == {"before": "not JSON", "monopulse": {"range_looks": 4}}
-    assert recorded(made, "monopulse", "range_looks") == 4
-    assert recorded(made, "monopulse", "azimuth_looks") is None
+def test_a_stage_that_comes_again_replaces_what_it_had() -> None:
+    before = messages.with_stage([], "ml", {"looks": 2, "prior": {"length": 5.0, "mean": None}, "window": "boxcar"})
+    assert [parameter.name for parameter in before] == ["ml.looks", "ml.prior.length", "ml.window"]
+    made = messages.with_stage(before, "ml", Looks(range_looks=4))
+    assert messages.stages_of(made) == {"ml": {"range_looks": 4}}
+    assert recorded(made, "ml", "range_looks") == 4
+    assert recorded(made, "ml", "azimuth_looks") is None

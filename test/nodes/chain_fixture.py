@@ -10,7 +10,7 @@ import numpy as np
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import DetectorFrame, HeightImage, SensorInfo
+from sal_height_msgs.msg import ChannelFrame, HeightImage, SensorInfo
 
 from sal_height import messages
 from sal_height.nodes.graph import Graph
@@ -66,7 +66,7 @@ class Chain:
         self._publishers = {
             SensorInfo: self._feeder.create_publisher(SensorInfo, "sensor_info", LATCHED_QOS),
             Odometry: self._feeder.create_publisher(Odometry, "platform/odometry", ODOMETRY_QOS),
-            DetectorFrame: self._feeder.create_publisher(DetectorFrame, "phase_history", FRAMES_QOS),
+            ChannelFrame: self._feeder.create_publisher(ChannelFrame, "phase_history", FRAMES_QOS),
         }
         for name in self.estimators:
             self._feeder.create_subscription(HeightImage, f"{name}/height", self._keep, FRAMES_QOS)
@@ -92,7 +92,7 @@ class Chain:
             for state in self.flight.platform_states(dwell)
         ]
 
-    def frames(self, dwell: int) -> list[DetectorFrame]:
+    def frames(self, dwell: int) -> list[ChannelFrame]:
         history = self.flight.phase_history(dwell)
         stamp = messages.to_stamp(START_NS + history.stamp_ns)
         return messages.history_to_messages(history, self.flight.sensor, dwell, stamp)
@@ -127,7 +127,10 @@ def next_dwell_is_exact(chain: Chain, reference: dict[tuple[str, int], HeightIma
 
 def same_heights(ours: HeightImage, theirs: HeightImage) -> bool:
     """Whether two height images agree value for value."""
-    return ours.grid == theirs.grid and all(
-        np.array_equal(np.array(getattr(ours, field)), np.array(getattr(theirs, field)), equal_nan=True)
-        for field in ("height", "sigma", "cnr_db", "validity", "east", "north")
+    if (ours.grid, ours.validity, len(ours.surfaces)) != (theirs.grid, theirs.validity, len(theirs.surfaces)):
+        return False
+    return all(
+        np.array_equal(np.array(getattr(mine, field)), np.array(getattr(other, field)), equal_nan=True)
+        for mine, other in zip(ours.surfaces, theirs.surfaces, strict=True)
+        for field in mine.get_fields_and_field_types()
     )

@@ -10,7 +10,7 @@ import pytest
 from chain_fixture import DETECTORS, START_NS, Chain, next_dwell_is_exact, same_heights
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
-from sal_height_msgs.msg import ComplexImage, DetectorFrame, HeightImage, Provenance
+from sal_height_msgs.msg import ChannelFrame, ComplexImage, HeightImage, Provenance
 
 from sal_height import messages
 from sal_height.errors import Rejected
@@ -21,51 +21,51 @@ from sal_height.pipeline import Compressor
 from sal_height.simulation import SimulatedFlight
 
 
-def truncated(frame: DetectorFrame) -> None:
-    frame.samples = frame.samples[:-2]
+def truncated(frame: ChannelFrame) -> None:
+    frame.samples = frame.samples[:-8]
 
 
-def not_a_number(frame: DetectorFrame) -> None:
-    frame.samples[17] = math.nan
+def not_a_number(frame: ChannelFrame) -> None:
+    np.frombuffer(frame.samples, np.float32)[17] = math.nan
 
 
-def infinite(frame: DetectorFrame) -> None:
-    frame.samples[0] = math.inf
+def infinite(frame: ChannelFrame) -> None:
+    np.frombuffer(frame.samples, np.float32)[0] = math.inf
 
 
-def infinite_time(frame: DetectorFrame) -> None:
+def infinite_time(frame: ChannelFrame) -> None:
     frame.pulse_time[3] = math.inf
 
 
-def backwards_in_time(frame: DetectorFrame) -> None:
+def backwards_in_time(frame: ChannelFrame) -> None:
     frame.pulse_time[3] = 0.0
 
 
-def unknown_detector(frame: DetectorFrame) -> None:
-    frame.detector = DETECTORS
+def unknown_channel(frame: ChannelFrame) -> None:
+    frame.channel = DETECTORS
 
 
-def other_shape(frame: DetectorFrame) -> None:
+def other_shape(frame: ChannelFrame) -> None:
     frame.pulse_count -= 1
 
 
-def too_few_ranges(frame: DetectorFrame) -> None:
+def too_few_ranges(frame: ChannelFrame) -> None:
     frame.reference_range = frame.reference_range[:-1]
 
 
-def endless(frame: DetectorFrame) -> None:
+def endless(frame: ChannelFrame) -> None:
     frame.pulse_time[-1] = 1e300
 
 
-def instantaneous(frame: DetectorFrame) -> None:
+def instantaneous(frame: ChannelFrame) -> None:
     frame.pulse_time = [0.0] * len(frame.pulse_time)
 
 
-def touching(frame: DetectorFrame) -> None:
+def touching(frame: ChannelFrame) -> None:
     frame.reference_range[4] = 0.0
 
 
-def beyond(frame: DetectorFrame) -> None:
+def beyond(frame: ChannelFrame) -> None:
     frame.reference_range[4] = 1e300
 
 
@@ -84,7 +84,7 @@ def good_frame(flight: SimulatedFlight) -> bytes:
         (infinite, "not finite"),
         (infinite_time, "not finite"),
         (backwards_in_time, "wrong pulse times"),
-        (unknown_detector, "unknown detector"),
+        (unknown_channel, "unknown channel"),
         (other_shape, "contradicts sensor info"),
         (too_few_ranges, "wrong size"),
         (endless, "wrong pulse times"),
@@ -96,7 +96,7 @@ def good_frame(flight: SimulatedFlight) -> bytes:
 def test_a_bad_frame_is_rejected_with_its_reason(
     flight: SimulatedFlight, good_frame: bytes, spoil: Any, reason: str
 ) -> None:
-    frame = deserialize_message(good_frame, DetectorFrame)
+    frame = deserialize_message(good_frame, ChannelFrame)
     messages.check_frame(frame, flight.sensor)
     spoil(frame)
     with pytest.raises(Rejected) as error:
@@ -104,7 +104,7 @@ def test_a_bad_frame_is_rejected_with_its_reason(
     assert error.value.reason == reason
 
 
-@pytest.mark.parametrize(("spoil", "reason"), [(truncated, "wrong size"), (unknown_detector, "unknown detector")])
+@pytest.mark.parametrize(("spoil", "reason"), [(truncated, "wrong size"), (unknown_channel, "unknown channel")])
 def test_a_bad_frame_costs_its_dwell_only(chain: Chain, reference: Any, spoil: Any, reason: str) -> None:
     frames = chain.frames(0)
     spoil(frames[3])
@@ -167,7 +167,7 @@ def test_without_sensor_info_frames_are_dropped(chain: Chain, reference: Any) ->
 
 def test_sensor_info_that_is_not_of_these_frames(chain: Chain, reference: Any) -> None:
     other = chain.sensor_info()
-    other.wavelength *= 2
+    other.waveform.wavelength *= 2
     other.config_hash = "another"
     chain.publish(other, *chain.odometry(0), *chain.frames(0))
     chain.await_drops("sar_compression", "contradicts sensor info", DETECTORS)
@@ -175,18 +175,28 @@ def test_sensor_info_that_is_not_of_these_frames(chain: Chain, reference: Any) -
     next_dwell_is_exact(chain, reference)
 
 
-@pytest.mark.parametrize("field", ["wavelength", "bandwidth", "aperture", "pulse_repetition_frequency"])
+@pytest.mark.parametrize(
+    "field",
+    [
+        "waveform.wavelength",
+        "waveform.bandwidth",
+        "beams.elevation_diameter",
+        "beams.azimuth_diameter",
+        "pulse_repetition_frequency",
+    ],
+)
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
 def test_sensor_info_with_an_impossible_value_is_refused(field: str, value: float, flight: Any) -> None:
     message = messages.sensor_to_message(flight.sensor, messages.to_stamp(0))
-    setattr(message, field, value)
-    with pytest.raises(ValueError, match=field):
+    *part, name = field.split(".")
+    setattr(getattr(message, part[0]) if part else message, name, value)
+    with pytest.raises(ValueError, match=name):
         messages.sensor_from_message(message)
 
 
 def test_useless_sensor_info_leaves_the_good_one_in_force(chain: Chain, reference: Any) -> None:
     useless = chain.sensor_info()
-    useless.wavelength = math.nan
+    useless.waveform.wavelength = math.nan
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
     chain.publish(useless)
@@ -230,7 +240,7 @@ def test_detectors_that_disagree_on_pulse_times(chain: Chain, reference: Any) ->
     frames = chain.frames(0)
     frames[5].pulse_time[-1] += 1e-6
     chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
-    chain.await_drops("sar_compression", "detectors disagree", DETECTORS)
+    chain.await_drops("sar_compression", "channels disagree", DETECTORS)
     next_dwell_is_exact(chain, reference)
 
 
@@ -272,7 +282,7 @@ def shortened(image: ComplexImage) -> None:
 
 
 def of_nobody(image: ComplexImage) -> None:
-    image.detector = 99
+    image.channel = 99
 
 
 def of_unknown_noise(image: ComplexImage) -> None:
@@ -291,7 +301,7 @@ def good_image(flight: SimulatedFlight) -> bytes:
 
 @pytest.mark.parametrize(
     ("spoil", "reason"),
-    [(shortened, "wrong size"), (of_nobody, "unknown detector"), (of_unknown_noise, "not finite")],
+    [(shortened, "wrong size"), (of_nobody, "unknown channel"), (of_unknown_noise, "not finite")],
 )
 def test_a_bad_image_is_rejected_with_its_reason(
     flight: SimulatedFlight, good_image: bytes, spoil: Any, reason: str
@@ -320,7 +330,7 @@ def test_bad_images_are_counted_by_the_estimators(chain: Chain, reference: Any, 
     for image in images:
         image.dwell = 55
         source.publish(image)
-    expected = {"detectors disagree": DETECTORS}
+    expected = {"channels disagree": DETECTORS}
     for stage in ("monopulse", "ml_height"):
         chain.wait(lambda s=stage: chain.dropped(s) == expected, f"{expected} in {stage}")
     images[0].grid.row_spacing /= 2
@@ -339,7 +349,7 @@ def test_bad_images_are_counted_by_the_estimators(chain: Chain, reference: Any, 
 def test_frames_are_processed_with_their_own_sensor_info(chain: Chain, reference: Any) -> None:
     """Another description comes while a dwell still waits for its odometry, and while its images are on their way."""
     other = chain.sensor_info()
-    other.elevation_boresights = [angle + 2e-4 for angle in other.elevation_boresights]
+    other.beams.elevation_boresights = [angle + 2e-4 for angle in other.beams.elevation_boresights]
     other.config_hash = "another"
     chain.publish(chain.sensor_info(), *chain.frames(0))
     chain.wait(lambda: chain.accounts()["sar_compression"]["in"] == DETECTORS, "the frames")
@@ -390,24 +400,24 @@ def test_odometry_of_other_frames_is_ignored(chain: Chain, reference: Any, field
 @pytest.mark.parametrize("noise", [[0.0] + [1.0] * 7, [0.0] * 8])
 def test_noise_that_is_unknown_gives_no_heights(chain: Chain, noise: list[float]) -> None:
     info = chain.sensor_info()
-    info.noise_power = noise
+    info.channels.noise_power = noise
     chain.publish(info, *chain.odometry(0), *chain.frames(0))
     for stage in ("monopulse", "ml_height"):
         chain.await_drops(stage, "cannot be processed", DETECTORS)
 
 
-def silent(frame: DetectorFrame) -> None:
-    frame.samples = np.zeros(len(frame.samples), dtype=np.float32)
+def silent(frame: ChannelFrame) -> None:
+    frame.samples = messages.to_bytes(np.zeros(len(frame.samples), np.uint8))
 
 
 def test_a_loud_and_a_dead_detector_leave_heights_of_the_others(chain: Chain) -> None:
     info, frames = chain.sensor_info(), chain.frames(0)
-    info.noise_power = [1.0, 900.0] + [1.0] * 6
+    info.channels.noise_power = [1.0, 900.0] + [1.0] * 6
     silent(frames[4])
     chain.publish(info, *chain.odometry(0), *frames)
     chain.await_heights(0)
     for estimator in ("monopulse", "ml"):
-        heights = np.array(chain.heights[estimator, 0].height)
+        heights = np.array(chain.heights[estimator, 0].surfaces[0].height)
         assert np.count_nonzero(np.isfinite(heights)) > 20
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,8 +39,8 @@ def assert_heights_agree(fed: Any) -> None:
     sensor = fed.flight.sensor
     cell = sensor.range_resolution * sensor.wavelength * 5000.0 / (2 * aperture.length)
     truth = truth_image(fed.flight.surface(0), aperture, grid, cell, sensor.beams)
-    height = messages.float_view(image.height, grid.shape)
-    sigma = messages.float_view(image.sigma, grid.shape)
+    height = messages.float_view(image.surfaces[0].height, grid.shape)
+    sigma = messages.float_view(image.surfaces[0].sigma, grid.shape)
     usable = np.isfinite(height) & truth.single
     scaled = ((height - truth.height) / sigma)[usable]
     assert usable.sum() > 50
@@ -76,7 +75,7 @@ def test_stamp_dwell_and_frame_are_those_of_the_input(fed: Any) -> None:
 def test_provenance_names_every_stage_with_its_parameters(fed: Any) -> None:
     provenance = fed.heights["ml", 0].provenance
     assert provenance.config_hash == fed.flight.sensor.config_hash
-    parameters = json.loads(provenance.parameters)
+    parameters = messages.stages_of(provenance.parameters)
     assert parameters["sar_compression"]["range_window"] == "taylor"
     assert parameters["ml_height"]["objective"] == "normalised"
 
@@ -85,8 +84,8 @@ def test_invalid_pixels_are_nan_and_valid_ones_are_not(fed: Any) -> None:
     for image in fed.heights.values():
         valid = np.isin(image.validity, (HeightImage.OK, HeightImage.TWO_SCATTERERS))
         for field in ("height", "sigma", "east", "north"):
-            assert np.array_equal(np.isfinite(np.array(getattr(image, field))), valid)
-        assert np.all(np.array(image.sigma)[valid] > 0)
+            assert np.array_equal(np.isfinite(np.array(getattr(image.surfaces[0], field))), valid)
+        assert np.all(np.array(image.surfaces[0].sigma)[valid] > 0)
 
 
 def test_position_of_a_pixel_has_its_height(fed: Any, graph: Graph) -> None:
@@ -106,15 +105,14 @@ def test_position_of_a_pixel_has_its_height(fed: Any, graph: Graph) -> None:
     origin = np.array([image.grid.origin.x, image.grid.origin.y])
     points = np.frombuffer(clouds[0].data, np.float32).reshape(-1, 6).astype(np.float64)
     height, east = (
-        np.concatenate([np.array(getattr(image, prefix + name)) for prefix in ("", "second_")])
-        for name in ("height", "east")
+        np.concatenate([np.array(getattr(surface, name)) for surface in image.surfaces]) for name in ("height", "east")
     )
     seen = np.isfinite(height)
     assert len(points) == np.count_nonzero(seen)
     assert np.allclose(height_of(points[:, :3]), height[seen], atol=1e-3)
     assert np.allclose(points[:, 0] - origin[0], east[seen], atol=1e-4)
     picture = np.frombuffer(pictures[0].data, np.float32)
-    assert np.array_equal(picture, np.array(image.height, dtype=np.float32), equal_nan=True)
+    assert np.array_equal(picture, np.array(image.surfaces[0].height, dtype=np.float32), equal_nan=True)
     assert (pictures[0].encoding, pictures[0].height, pictures[0].width) == ("32FC1", image.grid.rows, image.grid.cols)
 
 
@@ -155,8 +153,8 @@ def test_looks_that_slide_give_a_height_to_every_pixel(fed: Any) -> None:
     after = fed.heights["ml", 1]
     assert (after.grid.rows, after.grid.cols) == (46, 12)
     assert after.grid.row_spacing == pytest.approx(before.grid.row_spacing / 2)
-    assert '"look_window": "triangular"' in after.provenance.parameters
-    assert np.isfinite(np.array(after.height)).mean() > 0.3
+    assert messages.stages_of(after.provenance.parameters)["ml_height"]["look_window"] == "triangular"
+    assert np.isfinite(np.array(after.surfaces[0].height)).mean() > 0.3
 
 
 def test_a_parameter_set_at_run_time_takes_effect_at_the_next_dwell(fed: Any) -> None:
@@ -168,7 +166,7 @@ def test_a_parameter_set_at_run_time_takes_effect_at_the_next_dwell(fed: Any) ->
     after = fed.heights["ml", 1]
     assert (before.range_looks, after.range_looks) == (2, 4)
     assert (before.grid.rows, after.grid.rows) == (23, 12)
-    assert json.loads(after.provenance.parameters)["ml_height"]["range_looks"] == 4
+    assert messages.stages_of(after.provenance.parameters)["ml_height"]["range_looks"] == 4
 
 
 @pytest.mark.parametrize(

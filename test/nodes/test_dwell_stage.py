@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from helpers import make_sensor
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import DetectorFrame
+from sal_height_msgs.msg import ChannelFrame
 
 from sal_height import messages
 from sal_height.errors import Rejected
@@ -19,7 +19,7 @@ from sal_height.nodes.dwell_stage import GONE_AFTER, HELD_EARLY, HELD_SENSORS, D
 from sal_height.nodes.graph import Graph
 from sal_height.sensor import Sensor
 
-SAMPLES = array.array("f", [1.0]) * 250_000
+SAMPLES = array.array("B", [1]) * 1_000_000
 """Of a frame: 1 MB."""
 
 TIMEOUT_S = 20.0
@@ -36,11 +36,11 @@ class Gate(DwellStage):
         self.processed: list[tuple[list[int], Any]] = []
         self.may_work, self.at_work = Event(), Event()
         self.may_work.set()
-        super().__init__("gate", DetectorFrame, "phase_history", context=graph.context, parameter_overrides=overrides)
+        super().__init__("gate", ChannelFrame, "phase_history", context=graph.context, parameter_overrides=overrides)
         graph.add(self)
         self.graph = graph
 
-    def check(self, message: DetectorFrame, sensor: Sensor) -> None:
+    def check(self, message: ChannelFrame, sensor: Sensor) -> None:
         """Every frame will do."""
 
     def supplies(self, dwell: list[Any], _: Sensor) -> Any:
@@ -52,14 +52,14 @@ class Gate(DwellStage):
         self.at_work.set()
         assert self.may_work.wait(TIMEOUT_S)
         self.processed.append(
-            ([frame.detector for frame in dwell if len(frame.samples) and any(frame.samples)], supplies)
+            ([frame.channel for frame in dwell if len(frame.samples) and any(frame.samples)], supplies)
         )
         return len(dwell)
 
     def hear(self, dwell: int, *channels: int, sensor: Sensor | None = None, stamp: float | None = None) -> None:
         """Take in frames of a dwell as if they came by the topic; they are a second apart."""
         for channel in channels:
-            frame = DetectorFrame(dwell=dwell, detector=channel, config_hash=(sensor or SENSOR).config_hash)
+            frame = ChannelFrame(dwell=dwell, channel=channel, config_hash=(sensor or SENSOR).config_hash)
             frame.samples = SAMPLES
             frame.header.stamp = messages.to_stamp(round(1e9 * (1000.0 + (dwell if stamp is None else stamp))))
             self._on_message(frame)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from chain_fixture import Chain
 from rclpy.parameter import Parameter
 from sal_height_msgs.msg import HeightImage
 
+from sal_height import messages
 from sal_height.nodes.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
@@ -43,15 +42,15 @@ def test_ground_and_roof_have_their_heights(graph: Graph, roofed: SimulatedFligh
         chain.publish(*chain.odometry(dwell), *chain.frames(dwell))
         chain.await_heights(dwell)
         image = chain.heights["ml", dwell]
-        assert json.loads(image.provenance.parameters)["ml_height"]["layover"] is layover
+        assert messages.stages_of(image.provenance.parameters)["ml_height"]["layover"] is layover
         two = np.array(image.validity) == HeightImage.TWO_SCATTERERS
         if not layover:
             assert not two.any()
-            assert len(image.second_height) == 0
+            assert len(image.surfaces) == 1
             continue
         assert np.count_nonzero(two) > 12
         both, sigma = (
-            np.stack([np.array(getattr(image, prefix + name)) for prefix in ("", "second_")], axis=-1)
+            np.stack([np.array(getattr(surface, name)) for surface in image.surfaces], axis=-1)
             for name in ("height", "sigma")
         )
         assert np.array_equal(np.isfinite(both[:, 1]), two)
@@ -74,9 +73,9 @@ def test_neighbours_have_a_say_where_they_are_asked(graph: Graph, roofed: Simula
         chain.publish(*chain.odometry(dwell), *chain.frames(dwell))
         chain.await_heights(dwell)
         images.append(chain.heights["ml", dwell])
-        assert json.loads(images[-1].provenance.parameters)["ml_height"]["prior_strength"] == strength
+        assert messages.stages_of(images[-1].provenance.parameters)["ml_height"]["prior_strength"] == strength
     plain, smoothed = (np.count_nonzero(np.array(image.validity) == HeightImage.OK) for image in images)
     assert smoothed > 0.8 * plain > 0
-    height = np.array(images[1].height)[np.array(images[1].validity) == HeightImage.OK]
+    height = np.array(images[1].surfaces[0].height)[np.array(images[1].validity) == HeightImage.OK]
     off = np.abs(height[:, None] - [0.0, ROOF]).min(axis=1)
     assert off.max() < 0.25

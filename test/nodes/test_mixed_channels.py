@@ -13,6 +13,7 @@ from helpers import assert_one_sentence
 from sal_height_msgs.msg import HeightImage
 from scipy.linalg import dft
 
+from sal_height import messages
 from sal_height.nodes.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 
@@ -35,7 +36,7 @@ def seen(chain: Chain) -> Mapping[tuple[str, int], HeightImage]:
 
 def compared(ours: HeightImage, theirs: HeightImage) -> np.ndarray:
     """Differences of height (m) where both images have one, in most of the pixels of theirs."""
-    heights, expected = np.array(ours.height), np.array(theirs.height)
+    heights, expected = np.array(ours.surfaces[0].height), np.array(theirs.surfaces[0].height)
     both = np.isfinite(heights) & np.isfinite(expected)
     assert both.sum() > 0.8 * np.isfinite(expected).sum() > 0
     return (heights - expected)[both]
@@ -86,7 +87,7 @@ def test_calibration_constants_spoil_heights_when_not_described(chain: Chain, re
     frames = chain.frames(0)
     for frame, gain in zip(frames, constants(), strict=True):
         samples = np.frombuffer(frame.samples, np.complex64) * np.complex64(gain)
-        frame.samples = samples.view(np.float32)
+        frame.samples = messages.to_bytes(samples.view(np.uint8))
     chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
     chain.await_heights(0)
     valid = [np.count_nonzero(np.isfinite(np.array(images["ml", 0].height))) for images in (chain.heights, reference)]
@@ -110,7 +111,7 @@ def test_a_network_that_is_not_lossless_leaves_pairs_out_and_names_another_way(
 def test_a_dead_channel_of_a_mixture_leaves_no_detectors(graph: Graph, flight: SimulatedFlight) -> None:
     chain = Chain(graph, flown_with(flight, BUTLER, in_antenna=True), missing_after_s=30.0)
     frames = chain.frames(0)
-    frames[3].samples = np.zeros(len(frames[3].samples), dtype=np.float32)
+    frames[3].samples = messages.to_bytes(np.zeros(len(frames[3].samples), np.uint8))
     chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
     for stage in ("monopulse", "ml_height"):
         chain.await_drops(stage, "dead channels", DETECTORS)
@@ -118,20 +119,20 @@ def test_a_dead_channel_of_a_mixture_leaves_no_detectors(graph: Graph, flight: S
 
 
 @pytest.mark.parametrize(
-    ("real", "imaginary"),
+    "matrix",
     [
-        (np.eye(DETECTORS).ravel()[:-1], np.zeros(DETECTORS**2 - 1)),
-        (np.eye(DETECTORS).ravel(), np.zeros(3)),
-        (np.ones(DETECTORS**2), np.zeros(DETECTORS**2)),
-        (np.full(DETECTORS**2, np.nan), np.zeros(DETECTORS**2)),
+        np.eye(DETECTORS, dtype=complex).ravel()[:-1].view(float),
+        np.eye(DETECTORS, dtype=complex).ravel().view(float)[:-1],
+        np.ones(DETECTORS**2, dtype=complex).view(float),
+        np.full(2 * DETECTORS**2, np.nan),
     ],
-    ids=["short", "unequal", "singular", "NaN"],
+    ids=["short", "odd", "singular", "NaN"],
 )
 def test_a_matrix_that_cannot_be_used_leaves_the_good_description_in_force(
-    chain: Chain, reference: Any, real: np.ndarray, imaginary: np.ndarray
+    chain: Chain, reference: Any, matrix: np.ndarray
 ) -> None:
     useless = chain.sensor_info()
-    useless.channel_matrix_real, useless.channel_matrix_imaginary = real.tolist(), imaginary.tolist()
+    useless.channels.matrix = matrix.tolist()
     chain.publish(useless)
     for stage in chain.stages:
         chain.wait(lambda s=stage: chain.accounts()[s].get("ignored.sensor info") == 1, "the count")

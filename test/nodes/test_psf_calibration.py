@@ -234,7 +234,7 @@ def test_calibrations_that_are_none_are_counted_and_ignored(
     stages = ["sar_compression", "ml_height", "monopulse"]
     good = messages.calibration_to_message(calibration_of(flight), messages.to_stamp(START_NS))
     for number, (field, value, sentence) in enumerate(
-        [("id", "other", "make the id"), ("response_real", [1.0], "need 512"), ("width_factor", 9.0, "allowed are")], 1
+        [("id", "", "has no id"), ("response", [1.0, 0.0], "need 512"), ("width_factor", 9.0, "allowed are")], 1
     ):
         bad = messages.calibration_to_message(calibration_of(flight), messages.to_stamp(START_NS))
         setattr(bad, field, value)
@@ -251,7 +251,11 @@ def test_calibrations_that_are_none_are_counted_and_ignored(
     chain.wait(lambda: chain.stages["sar_compression"]._calibration is not None, "the calibration of another sensor")
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
-    assert np.array_equal(np.array(chain.heights["ml", 0].height), np.array(reference["ml", 0].height), equal_nan=True)
+    assert np.array_equal(
+        np.array(chain.heights["ml", 0].surfaces[0].height),
+        np.array(reference["ml", 0].surfaces[0].height),
+        equal_nan=True,
+    )
 
 
 def test_a_file_for_another_sensor_stops_every_frame_with_a_sentence(

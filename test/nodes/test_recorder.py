@@ -24,7 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
-from sal_height_msgs.msg import DetectorFrame
+from sal_height_msgs.msg import ChannelFrame
 from std_msgs.msg import String
 
 from sal_height.bag.reader import BagReader
@@ -86,12 +86,12 @@ def test_every_message_is_recorded_byte_for_byte(graph: Graph, source: Node, bag
 
 
 def test_bursts_of_large_frames_lose_nothing(graph: Graph, source: Node, bag: Path) -> None:
-    publisher = source.create_publisher(DetectorFrame, "/phase_history", 32)
+    publisher = source.create_publisher(ChannelFrame, "/phase_history", 32)
     recorder = start(graph, bag)
     frames = []
-    for detector in range(16):
-        frame = DetectorFrame(detector=detector, pulse_count=512, sample_count=512)
-        frame.samples.frombytes(bytes([detector]) * (8 * 512 * 512))
+    for channel in range(16):
+        frame = ChannelFrame(channel=channel, pulse_count=512, sample_count=512)
+        frame.samples.frombytes(bytes([channel]) * (8 * 512 * 512))
         frames.append(serialize_message(frame))
     for _ in range(2):
         publish(graph, recorder, publisher, frames)
@@ -100,7 +100,7 @@ def test_bursts_of_large_frames_lose_nothing(graph: Graph, source: Node, bag: Pa
 
 
 def test_the_hash_in_the_bag_is_the_one_that_ros_announces(graph: Graph, source: Node, bag: Path) -> None:
-    publisher = source.create_publisher(DetectorFrame, "/phase_history", 1)
+    publisher = source.create_publisher(ChannelFrame, "/phase_history", 1)
     start(graph, bag)
     wait_until_matched(graph, publisher)
     (announced,) = source.get_publishers_info_by_topic("/phase_history")

@@ -29,7 +29,7 @@ from std_msgs.msg import Header
 from sal_height import messages
 from sal_height.elevation.estimate import Validity
 from sal_height.errors import UserError
-from sal_height.geometry.earth import EARTH_RADIUS, sphere_coordinates, sphere_point
+from sal_height.geometry.earth import sphere_coordinates, sphere_point
 from sal_height.geometry.grid import Grid
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.relief_mapper import ReliefMapper
@@ -58,7 +58,8 @@ def height_image(dwell: int, shift: int = 0, level: float = 2.0) -> HeightImage:
     grid = Grid(sphere_point(WEST + shift + 0.5, SOUTH + 0.5, 0.0), *axes, 1.0, 1.0, ROWS, COLS)
     field = HeightField(grid, validity, Surface(height, sigma, sigma, sphere_point(east, north, height)), None)
     slc = ComplexImage(dwell=dwell, header=Header(frame_id="map", stamp=messages.to_stamp(1_000_000_000 * (dwell + 1))))
-    provenance = Provenance(config_hash="of the sensor", calibration_id="of the lens", parameters='{"ml_height": {}}')
+    provenance = Provenance(config_hash="of the sensor", calibration_id="of the lens")
+    provenance.parameters = messages.with_stage([], "ml_height", {"range_looks": 2})
     return messages.height_to_message(field, make_aperture(), (2, 2), "ml", slc, provenance)
 
 
@@ -131,7 +132,7 @@ def test_dwells_become_one_map(mapped: Mapped) -> None:
     message = mapped.map_of(3)
     assert (message.rows, message.cols, message.cell_size) == (ROWS, COLS + 2, 1.0)
     assert (message.origin_east, message.origin_north) == (WEST + 0.5, SOUTH + 0.5)
-    assert (message.header.frame_id, message.earth_radius) == ("map", EARTH_RADIUS)
+    assert message.header.frame_id == "map"
     assert (message.header.stamp.sec, message.dwell, message.estimator) == (3, 2, "ml")
     count = np.tile([1, 2, *[3] * (COLS - 2), 2, 1], (ROWS, 1))
     count[-1] = [0, 0, 0, *[3] * (COLS - 3), 2, 1] + (np.arange(COLS + 2) == 1) + 2 * (np.arange(COLS + 2) == 2)
@@ -148,7 +149,7 @@ def test_provenance_names_this_stage_after_those_before(mapped: Mapped) -> None:
     mapped.feed(height_image(0))
     provenance = mapped.map_of(1).provenance
     assert (provenance.config_hash, provenance.calibration_id) == ("of the sensor", "of the lens")
-    parameters = json.loads(provenance.parameters)
+    parameters = messages.stages_of(provenance.parameters)
     assert set(parameters) == {"ml_height", "relief_mapper"}
     assert parameters["relief_mapper"]["cell_size_m"] == 1.0
 
@@ -205,27 +206,24 @@ def test_the_cell_size_follows_from_the_first_image_unless_given(graph: Graph, g
 
 REFUSED: dict[str, tuple[str, Any, str, str]] = {
     "other frame": ("header.frame_id", "odom", "wrong frames", "'odom'"),
-    "other earth": ("earth_radius", 6_378_137.0, "wrong earth radius", "6378137"),
-    "no earth": ("earth_radius", float("nan"), "wrong earth radius", "nan"),
-    "too few heights": ("height", array.array("f", [1.0]), "wrong size", "height has 1 entries"),
-    "too few places": ("east", array.array("f"), "wrong size", "east has 0 entries"),
+    "no surface": ("surfaces", [], "wrong size", "no surface"),
+    "too few heights": ("first.height", array.array("f", [1.0]), "wrong size", "height has 1 entries"),
+    "too few places": ("first.east", array.array("f"), "wrong size", "east has 0 entries"),
     "no pixels": ("grid.rows", 0, "wrong size", "0 x 9"),
     "origin nowhere": ("grid.origin.x", float("inf"), "not finite", "grid"),
     "no motion": ("aperture.velocity.x", 0.0, "wrong geometry", "velocity"),
     "no rotation": ("aperture.pose.pose.orientation.w", 5.0, "wrong geometry", "orientation"),
-    "place nowhere": ("east", array.array("f", [float("nan")] * ROWS * COLS), "not finite", "east or north"),
-    "negative sigma": ("sigma", array.array("f", [-0.5] * ROWS * COLS), "wrong sigma", "greater than 0"),
-    "zero sigma": ("sigma", array.array("f", [0.0] * ROWS * COLS), "wrong sigma", "greater than 0"),
     "far away": ("grid.origin.x", 1e6, "map full", "max_cells"),
 }
 """A field of a height image, what it is set to, and for what reason and with what words it is refused then."""
 
 
 def broken(field: str, value: Any) -> HeightImage:
-    """A height image with another value of a field."""
+    """A height image with another value of a field; "first" is its first surface."""
     image = height_image(9)
-    *path, last = field.split(".")
-    setattr(functools.reduce(getattr, path, image), last, value)
+    *path, last = field.removeprefix("first.").split(".")
+    holder = image.surfaces[0] if field.startswith("first.") else functools.reduce(getattr, path, image)
+    setattr(holder, last, value)
     return image
 
 
@@ -244,10 +242,18 @@ def test_what_cannot_be_used_is_counted_and_leaves_the_map_as_it_is(mapped: Mapp
     assert (mapped.status["in"], mapped.status["processed"]) == (str(len(REFUSED) + 2), "2")
 
 
+def test_single_bad_pixels_do_not_enter_and_are_counted(mapped: Mapped) -> None:
+    image = height_image(0)
+    image.surfaces[0].sigma[0], image.surfaces[0].east[1] = float("inf"), float("nan")
+    mapped.feed(image)
+    np.testing.assert_array_equal(mapped.map_of(1).count[:4], [0, 0, 1, 1])
+    assert mapped.status["ignored.bad pixels"] == "1"
+
+
 def test_a_first_image_that_is_refused_does_not_choose_the_cells(graph: Graph) -> None:
     mapped = Mapped(graph, start(graph, max_cells=ROWS * (COLS + 1)))
     large = height_image(0)
-    large.grid.row_spacing, large.east[0] = 0.01, 1e5
+    large.grid.row_spacing, large.surfaces[0].east[0] = 0.01, 1e5
     mapped.feed(large, height_image(1))
     assert mapped.map_of(1).cell_size == 1.0
     assert mapped.status["dropped.map full"] == "1"

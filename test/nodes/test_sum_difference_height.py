@@ -13,6 +13,7 @@ from helpers import assert_one_sentence
 from rclpy.parameter import Parameter
 from sal_height_msgs.msg import HeightImage
 
+from sal_height import messages
 from sal_height.elevation.estimate import Validity
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
@@ -47,7 +48,7 @@ def in_both(field: str, one: HeightImage, other: HeightImage) -> tuple[np.ndarra
     """Values of a field of both images, in the pixels that are valid in both: some 20, as two beams see no more."""
     both = valid(one) & valid(other)
     assert np.count_nonzero(both) > 15
-    return np.array(getattr(one, field))[both], np.array(getattr(other, field))[both]
+    return np.array(getattr(one.surfaces[0], field))[both], np.array(getattr(other.surfaces[0], field))[both]
 
 
 @pytest.mark.parametrize("place", ["antenna", "receiver"])
@@ -102,7 +103,7 @@ def test_channels_that_are_no_sum_and_difference_are_refused_by_this_node_alone(
 def test_a_dead_sum_channel_gives_no_height_and_ends_nothing(graph: Graph) -> None:
     chain = Chain(graph, flown(place="antenna"), missing_after_s=30.0, estimators=WITH_SUM_DIFFERENCE)
     frames = chain.frames(0)
-    frames[0].samples = np.zeros(len(frames[0].samples), np.float32)
+    frames[0].samples = messages.to_bytes(np.zeros(len(frames[0].samples), np.uint8))
     chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
     chain.await_drops("sum_difference_height", "dead detectors", 2)
     chain.publish(*chain.odometry(1), *chain.frames(1))

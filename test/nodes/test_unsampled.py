@@ -17,12 +17,12 @@ from sal_height.sensor.sensor import Sensor
 
 def sparse(sensor: Sensor) -> Sensor:
     """An antenna so small that the pulses do not sample its beams: 1.67 mm apart, allowed are .5 mm."""
-    return dataclasses.replace(sensor, aperture=0.001, config_hash="")
+    return dataclasses.replace(sensor, elevation_diameter=0.001, azimuth_diameter=0.001, config_hash="")
 
 
 def short(sensor: Sensor) -> Sensor:
     """An antenna so large that the dwell resolves no more than its beam: 8 cm, needed are 50 cm."""
-    return dataclasses.replace(sensor, aperture=1.0, config_hash="")
+    return dataclasses.replace(sensor, elevation_diameter=1.0, azimuth_diameter=1.0, config_hash="")
 
 
 def deep(sensor: Sensor) -> Sensor:

@@ -93,7 +93,7 @@ def test_rosbags_reads_the_calibration_by_the_schema_in_the_bag(calibrated: Path
         ((_, _, raw),) = reader.messages([connection])
         message = reader.deserialize(raw, connection.msgtype)
     assert message.id == found.id
-    response = message.response_real + 1j * message.response_imaginary
+    response = message.response.view(np.complex128)
     assert np.array_equal(response.reshape(message.channels, message.frequencies), found.response)
     assert np.array_equal(message.gain_sigma, found.gain_sigma)
     assert np.all(found.gain_sigma > 0)
@@ -109,7 +109,7 @@ def test_what_tells_too_little_says_what_is_needed(recorded: Path, tmp_path: Pat
         assert_one_sentence(sentence)
     found = load_calibration(tmp_path / "out" / CALIBRATION)
     assert found.width_factor == 1.0
-    assert found.width_sigma == 0.0
+    assert np.isnan(found.width_sigma)
 
 
 def test_weighted_images_make_no_calibration(recorded: Path, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from sal_height_msgs.msg import DetectorFrame, SensorInfo
+from sal_height_msgs.msg import ChannelFrame, SensorInfo
 
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
@@ -33,7 +33,7 @@ from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import Preset
 
 SEED = 3
-INPUTS = {"phase_history": DetectorFrame, "sensor_info": SensorInfo, "platform/odometry": Odometry}
+INPUTS = {"phase_history": ChannelFrame, "sensor_info": SensorInfo, "platform/odometry": Odometry}
 
 
 @pytest.fixture
@@ -263,7 +263,7 @@ def test_a_sensor_that_comes_later_is_refused(
     def with_company(self: Conductor, *arguments: Any) -> Any:
         if not publishers:
             node = graph.add(Node("other", context=graph.context))
-            publishers.append(node.create_publisher(DetectorFrame, "phase_history", 1))
+            publishers.append(node.create_publisher(ChannelFrame, "phase_history", 1))
         return original(self, *arguments)
 
     monkeypatch.setattr(Conductor, moment, with_company)

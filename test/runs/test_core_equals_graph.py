@@ -28,7 +28,7 @@ def test_the_core_makes_the_heights_of_the_graph(recorded: Path) -> None:
     settings = ImageSettings(rows=size["rows"], cols=size["cols"])
     compressor, compared = Compressor(), 0
     for dwell in sorted({frame.dwell for frame in found["/phase_history"]}):
-        frames = sorted((f for f in found["/phase_history"] if f.dwell == dwell), key=lambda frame: frame.detector)
+        frames = sorted((f for f in found["/phase_history"] if f.dwell == dwell), key=lambda frame: frame.channel)
         slc = compressor.add(messages.history_from_messages(frames), track, sensor, settings)
         assert slc
         for name in ("ml", "monopulse"):
@@ -36,7 +36,7 @@ def test_the_core_makes_the_heights_of_the_graph(recorded: Path) -> None:
             estimator = ESTIMATORS[name]
             looks = {"range_looks": image.range_looks, "azimuth_looks": image.azimuth_looks}
             field = heights(slc, sensor, estimator, estimator.settings(**looks))
-            height = messages.float_view(image.height, field.grid.shape)
+            height = messages.float_view(image.surfaces[0].height, field.grid.shape)
             np.testing.assert_array_equal(field.validity.ravel(), np.array(image.validity))
             np.testing.assert_array_equal(field.first.height.astype(np.float32), height)
             compared += int(np.isfinite(height).sum())

@@ -13,7 +13,7 @@ from helpers import assert_one_sentence, make_aperture, make_sensor
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import DetectorFrame, Provenance
+from sal_height_msgs.msg import ChannelFrame, Provenance
 
 from sal_height import messages
 from sal_height.bag.writer import BagWriter
@@ -248,7 +248,7 @@ def write_bag(path: Path, dwells: int = 2, stretched: float = 1.0) -> Path:
             distance = np.linalg.norm(grid.pixels() - aperture.position, axis=-1)
             wound = np.exp(4j * np.pi / sensor.wavelength * distance)
             slc = np.array([tape(3 * dwell + m, GRID.shape, ((64, 35),), noise=NOISE) for m in range(3)]) * wound
-            frame, provenance = DetectorFrame(dwell=dwell), Provenance(config_hash=sensor.config_hash)
+            frame, provenance = ChannelFrame(dwell=dwell), Provenance(config_hash=sensor.config_hash)
             image = Slc(slc.astype(np.complex64), grid, aperture, np.zeros(3), np.zeros(3))
             for message in messages.slc_to_messages(image, frame, provenance):
                 bag.write("/slc", serialize_message(message), dwell + 1, dwell + 1)

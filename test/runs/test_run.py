@@ -102,9 +102,9 @@ def test_rosbags_reads_the_heights_by_the_schema_in_the_bag(recorded: Path) -> N
         for connection, _, raw in reader.messages([c for c in reader.connections if c.topic == "/ml/height"]):
             image = reader.deserialize(raw, connection.msgtype)
             dwells.append(image.dwell)
-            assert len(image.height) == image.grid.rows * image.grid.cols
-            assert np.array_equal(np.isfinite(image.height), np.isin(image.validity, (0, 6)))
-            assert np.array_equal(np.isfinite(image.second_height), image.validity == 6)
+            assert len(image.surfaces[0].height) == image.grid.rows * image.grid.cols
+            assert np.array_equal(np.isfinite(image.surfaces[0].height), np.isin(image.validity, (0, 6)))
+            assert np.array_equal(np.isfinite(image.surfaces[1].height), image.validity == 6)
         assert dwells == [0, 1]
 
 

@@ -12,6 +12,7 @@ from scipy.constants import speed_of_light
 from sal_height.beams.pattern import PATTERNS
 from sal_height.beams.table import BeamTable
 from sal_height.errors import UserError
+from sal_height.geometry import Mounting
 from sal_height.sensor.sensor import MAX_DETECTORS
 
 
@@ -69,7 +70,8 @@ def test_domain_reaches_half_a_pitch_and_the_guard_beyond_the_boresights() -> No
         ("bandwidth", -1.0, "greater than 0"),
         ("bandwidth", 4e14, "less than twice the carrier frequency"),
         ("pulse_repetition_frequency", float("inf"), "finite"),
-        ("aperture", -0.01, "greater than 0"),
+        ("elevation_diameter", -0.01, "greater than 0"),
+        ("azimuth_diameter", float("nan"), "greater than 0"),
         ("sample_count", 1, "2 or more"),
         ("pulse_count", 1, "2 or more"),
         ("elevation_boresights", (0.1, 0.1, 0.2), "increasing"),
@@ -165,7 +167,8 @@ OTHER_VALUES = {
     "sample_count": 65,
     "pulse_count": 49,
     "pulse_repetition_frequency": 31e3,
-    "aperture": 0.02,
+    "elevation_diameter": 0.02,
+    "azimuth_diameter": 0.02,
     "pattern": "sinc",
     "elevation_boresights": (0.1, 0.2, 0.3),
     "noise_power": (1.0, 2.0, 1.0),
@@ -175,6 +178,7 @@ OTHER_VALUES = {
     "mode": "stripmap",
     "detector_size": (0.5, 0.0),
     "detector_rotation": 0.1,
+    "mounting": Mounting(lever_arm=(0.0, 1.0, 0.0)),
     "calibration_id": "2026-01",
 }
 OTHER_PULSE = {

@@ -55,7 +55,7 @@ def deramped_sensor(sign: int = 1, record: int = 1100, **changes: object) -> Sen
 
 
 def raw_echo(sensor: Sensor, delay: np.ndarray, video_sign: int = 1) -> np.ndarray:
-    """Echo of a point of amplitude 1, late by tau - tau_r = `delay` (s, shape (...)), as DetectorFrame defines it."""
+    """Echo of a point of amplitude 1, late by tau - tau_r = `delay` (s, shape (...)), as ChannelFrame defines it."""
     time = (np.arange(sensor.sample_count) - (sensor.sample_count - 1) / 2) / sensor.sampling_rate
     rate, late = sensor.chirp_rate, np.asarray(delay)[..., None]
     lasts = np.abs(time - late) <= sensor.pulse_duration / 2
@@ -323,7 +323,8 @@ def alos(shared_data: Callable[[str], Path]) -> tuple[Sensor, np.ndarray]:
         sample_count=raw.shape[1],
         pulse_count=raw.shape[0],
         pulse_repetition_frequency=2150.538,
-        aperture=8.9,
+        elevation_diameter=8.9,
+        azimuth_diameter=8.9,
         elevation_boresights=(0.6,),
         noise_power=(0.0,),
         waveform="chirp",

@@ -280,7 +280,7 @@ def _spread(pixels: int, count: int) -> F64:
 
 def _links_phases(sensor: Sensor, antenna: F64) -> bool:
     """Whether all that the beam lights stays in its range cell during the dwell, and the noise is known."""
-    half_beam = 2 * np.linalg.norm(antenna[-1] - antenna[0]) * sensor.beamwidth / sensor.wavelength
+    half_beam = 2 * np.linalg.norm(antenna[-1] - antenna[0]) * sensor.beams.track_beamwidth / sensor.wavelength
     return bool(half_beam <= patch_half_width(sensor)) and min(sensor.noise_power) > 0
 
 

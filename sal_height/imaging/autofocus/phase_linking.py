@@ -100,10 +100,10 @@ def beam_coherence(sensor: Sensor, antenna: F64, centre: F64) -> C128:
     """
     flight = antenna[-1] - antenna[0]
     slant_range = np.linalg.norm(centre - antenna.mean(axis=0))
-    cells = 2 * np.linalg.norm(flight) * sensor.beamwidth / sensor.wavelength
+    cells = 2 * np.linalg.norm(flight) * sensor.beams.track_beamwidth / sensor.wavelength
     offset = np.linspace(-LIT_BEAMWIDTHS, LIT_BEAMWIDTHS, 16 * int(np.ceil(cells)) + 1)
     power = np.abs(sensor.beams.patterns[0].amplitude(np.zeros_like(offset), offset)) ** 2
-    along = offset * sensor.beamwidth * slant_range
+    along = offset * sensor.beams.track_beamwidth * slant_range
     points = centre + along[:, None] * (flight / np.linalg.norm(flight))
     farther = np.linalg.norm(points - antenna[:, None], axis=-1) - np.linalg.norm(centre - antenna, axis=-1)[:, None]
     waves = np.sqrt(power / power.sum()) * np.exp(-1j * sensor.centre_wavenumber * farther)

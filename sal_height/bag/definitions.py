@@ -99,10 +99,15 @@ def _not_installed(type_name: str) -> UserError:
 
 
 def _fields(text: str) -> dict[str, list[tuple[str, str]]]:
-    """(type, name) of every field, by the message type that has it; the first type of the text is called ''."""
+    """(type, name) of every field, by the message type that has it; the first type of the text is called ''.
+
+    Names of types are without their package: ``BeamTable[]`` and ``sal_height_msgs/BeamTable[]`` are the same type, as
+    programs write the one or the other. That is enough, for the types themselves are compared too.
+    """
     fields: dict[str, list[tuple[str, str]]] = {}
     for section in re.split(rf"^{SEPARATOR}\n", "MSG:\n" + text, flags=re.MULTILINE):
         title, _, body = section.partition("\n")
         matches = (_FIELD.match(line) for line in body.splitlines())
-        fields[title.removeprefix("MSG:").strip()] = [(m[1], m[2]) for m in matches if m and not m[3]]
+        name = title.removeprefix("MSG:").strip().replace("/msg/", "/")
+        fields[name] = [(m[1].rpartition("/")[2], m[2]) for m in matches if m and not m[3]]
     return fields

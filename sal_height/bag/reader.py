@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -28,6 +28,7 @@ from sal_height.bag.files import (
     recorded_definition,
     recorded_qos,
 )
+from sal_height.bag.versions import current_name, needs_upgrade, upgraded
 from sal_height.errors import UserError
 
 
@@ -37,6 +38,7 @@ class Topic:
 
     count: number of messages. offered_qos: profile of every publisher at the time of recording, as far as known.
     definition: text and hash of the type as recorded, which may be older than the installed one.
+    is_old: whether the type is of an older version of sal_height_msgs, which `type_name` and messages() make current.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Topic:
     count: int
     offered_qos: tuple[QoSProfile, ...]
     definition: Definition
+    is_old: bool = False
 
 
 class BagMessage(NamedTuple):
@@ -82,10 +85,12 @@ class BagReader:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
         """Messages in order of log time, those of `topics` or all; holds a few chunks of the bag in memory.
 
+        Messages of an older version of sal_height_msgs are made into those of today on the way.
+
         UserError if a checksum or a record is found to be wrong on the way.
         """
         streams = (_read_messages(file, topics) for file in self._files)
-        return heapq.merge(*streams, key=lambda message: message.log_time_ns)
+        return map(self._upgraded, heapq.merge(*streams, key=lambda message: message.log_time_ns))
 
     def decode(self, type_name: str, cdr: bytes) -> Any:
         """Message object of the installed class.
@@ -103,6 +108,19 @@ class BagReader:
                 f"a message of type '{type_name}' in bag '{self.path}' cannot be decoded: {error}"
             ) from error
 
+    def _upgraded(self, message: BagMessage) -> BagMessage:
+        topic = self.topics[message.topic]
+        if not topic.is_old:
+            return message
+        try:
+            cdr = upgraded(message.type_name, topic.definition, message.cdr)
+        except Exception as error:  # rosbags reports damage by whatever its deserializer stumbles over
+            raise UserError(
+                f"a message on topic '{topic.name}' of bag '{self.path}', recorded with an older definition of "
+                f"'{message.type_name}', cannot be decoded: {error}"
+            ) from error
+        return message._replace(type_name=topic.type_name, cdr=cdr)
+
     def _add(self, topic: Topic) -> None:
         known = self.topics.setdefault(topic.name, topic)
         if known is topic:
@@ -113,12 +131,12 @@ class BagReader:
                 "a topic must have one."
             )
         count = known.count + topic.count
-        self.topics[topic.name] = Topic(known.name, known.type_name, count, known.offered_qos, known.definition)
+        self.topics[topic.name] = replace(known, count=count)
 
     def _check_definition(self, type_name: str) -> None:
         installed = installed_definition(type_name)
         for topic in self.topics.values():
-            if topic.type_name == type_name and not topic.definition.same_layout(installed):
+            if topic.type_name == type_name and not (topic.is_old or topic.definition.same_layout(installed)):
                 raise UserError(
                     f"topic '{topic.name}' of bag '{self.path}' was recorded with another definition of '{type_name}' "
                     f"({topic.definition.type_hash or 'no hash'}) than the installed one ({installed.type_hash}); "
@@ -141,7 +159,9 @@ def _read_index(file: Path) -> tuple[list[Topic], dict[str, str]]:
         check_encoding(file, channel)
         schema = summary.schemas[channel.schema_id]
         definition = recorded_definition(channel, schema)
-        topics.append(Topic(channel.topic, schema.name, counts.get(channel.id, 0), recorded_qos(channel), definition))
+        is_old = needs_upgrade(schema.name, definition)
+        count, name = counts.get(channel.id, 0), current_name(schema.name)
+        topics.append(Topic(channel.topic, name, count, recorded_qos(channel), definition, is_old))
     return topics, custom_data
 
 

@@ -12,7 +12,7 @@ import pytest
 from helpers import assert_one_sentence, make_aperture, make_sensor
 from matplotlib.image import imread
 from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import DetectorFrame, Provenance
+from sal_height_msgs.msg import ChannelFrame, Provenance
 
 from sal_height import messages
 from sal_height.bag.writer import BagWriter
@@ -21,7 +21,7 @@ from sal_height.geometry.grid import Grid
 from sal_height.imaging.focus import Slc
 from sal_height.runs import irf as irf_module
 
-REFERENCE = Path(__file__).parents[2] / "bags" / "small_street"
+REFERENCE = Path(__file__).parents[2] / "bags" / "version_0"
 
 ROWS, COLS = 60, 80
 CELLS = (1.6, 2.2)
@@ -56,7 +56,7 @@ def write_bag(path: Path, dwells: int = 2, info: bool = True, **changes: Any) ->
         if info:
             bag.write("/sensor_info", serialize_message(messages.sensor_to_message(sensor, stamp)), 0, 0)
         for dwell in range(dwells):
-            frame, provenance = DetectorFrame(dwell=dwell), Provenance(config_hash=sensor.config_hash)
+            frame, provenance = ChannelFrame(dwell=dwell), Provenance(config_hash=sensor.config_hash)
             image = Slc(slc, GRID, aperture, np.zeros(3), np.zeros(3))
             for message in messages.slc_to_messages(image, frame, provenance):
                 for name, value in changes.items():

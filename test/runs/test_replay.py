@@ -22,7 +22,7 @@ from sal_height.runs.conductor import Execution
 from sal_height.runs.gotcha import import_gotcha
 from sal_height.runs.replay import recorded_parameters, replay
 
-REFERENCE = Path(__file__).parents[2] / "bags" / "small_street"
+REFERENCE = Path(__file__).parents[2] / "bags" / "version_0"
 
 CPU_TOLERANCE_M = 1e-5
 """Matrix products round differently on different processors; the heights' sigma is a thousand times that."""

@@ -1,0 +1,93 @@
+"""Writes docs/parameters.md, the tables of all node parameters, from the settings models of the nodes.
+
+Run it after a change to a parameter: .venv/bin/python tools/parameter_tables.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from sal_height.elevation import HeightSettings
+from sal_height.nodes.dwell_stage import DwellParameters
+from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.player import Player
+from sal_height.nodes.psf_calibration import PsfCalibration
+from sal_height.nodes.recorder import Recorder
+from sal_height.nodes.relief_mapper import ReliefMapper
+from sal_height.nodes.relief_tracker import ReliefTracker
+from sal_height.nodes.sar_compression import SarCompression
+from sal_height.nodes.simulator import Simulator
+from sal_height.nodes.stage import StageParameters
+from sal_height.settings import Setting, Settings, settings_of
+
+DOCUMENT = Path(__file__).parents[1] / "docs" / "parameters.md"
+
+HEAD = """# Parameters of the nodes
+
+`tools/parameter_tables.py` makes this file from the settings models in the code; a test fails if it is out of date.
+Set a parameter of a run or replay by `--param NODE.NAME=VALUE`, of a node by `--ros-args -p NAME:=VALUE`, and in a
+preset under `processing`. `.venv/bin/NODE --help` prints the same. A parameter that is "set at the start" cannot be
+changed while the node runs.
+"""
+
+SHARED: Mapping[str, type[Settings]] = {
+    "All nodes but the recorder": StageParameters,
+    "Nodes that take whole dwells": DwellParameters,
+    "All height nodes": HeightSettings,
+}
+"""Parameters that several nodes have, by the title of their table; a model may be derived from an earlier one."""
+
+NODES: Mapping[str, type[Settings]] = {
+    "simulator": Simulator.parameters,
+    "player": Player.parameters,
+    "sar_compression": SarCompression.parameters,
+    **{name: node.parameters for name, node in HEIGHT_NODES.items()},
+    "relief_tracker": ReliefTracker.parameters,
+    "relief_mapper": ReliefMapper.parameters,
+    "psf_calibration": PsfCalibration.parameters,
+    "recorder": Recorder.parameters,
+}
+"""Parameters by the name of the node, in the order of the data."""
+
+
+def document() -> str:
+    """The text of docs/parameters.md."""
+    sections, shown = [HEAD], {}
+    for title, model in SHARED.items():
+        own = {name: entry for name, entry in settings_of(model).items() if name not in shown}
+        sections.append(_section(title, own))
+        shown.update(dict.fromkeys(own, title))
+    for node, model in NODES.items():
+        entries = settings_of(model)
+        tables = [f"“{title}”" for title in SHARED if title in {shown.get(name) for name in entries}]
+        own = {name: entry for name, entry in entries.items() if name not in shown}
+        sections.append(_section(f"`{node}`", own, f"Also: {', '.join(tables)}." if tables else ""))
+    return "\n".join(sections)
+
+
+def _section(title: str, entries: Mapping[str, Setting], also: str = "") -> str:
+    lines = [f"## {title}", ""]
+    lines += [also, ""] if also else []
+    if entries:
+        lines += ["| parameter | default | meaning | allowed |", "|---|---|---|---|", *map(_row, entries.values()), ""]
+    return "\n".join(lines)
+
+
+def _row(entry: Setting) -> str:
+    allowed = entry.allowed.removeprefix("it must be ").removeprefix("allowed are ")
+    meaning = f"{entry.text}; set at the start" if entry.read_only else entry.text
+    return f"| `{entry.name}` | {_shown(entry.default)} | {meaning} | {allowed} |".replace("  ", " ").replace(
+        "<", "&lt;"
+    )
+
+
+def _shown(value: object) -> str:
+    """A default as it is typed; nothing for an empty text or list."""
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    return f"`{value}`" if value not in ("", ()) else ""
+
+
+if __name__ == "__main__":
+    DOCUMENT.write_text(document(), encoding="utf-8")

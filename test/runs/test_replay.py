@@ -22,7 +22,8 @@ from sal_height.runs.conductor import Execution
 from sal_height.runs.gotcha import import_gotcha
 from sal_height.runs.replay import recorded_parameters, replay
 
-REFERENCE = Path(__file__).parents[2] / "bags" / "version_0"
+BAGS = Path(__file__).parents[2] / "bags"
+REFERENCE = BAGS / "version_1"
 
 CPU_TOLERANCE_M = 1e-5
 """Matrix products round differently on different processors; the heights' sigma is a thousand times that."""
@@ -96,11 +97,19 @@ def test_the_reference_bag_gives_the_heights_recorded_in_it(tmp_path: Path) -> N
             assert np.array_equal(ours, theirs)
 
 
+def test_both_versions_of_the_reference_bag_give_the_same_heights(tmp_path: Path) -> None:
+    """They hold one flight. What version 0 recorded of heights is older than the stated rate of false alarms."""
+    for version in ("version_0", "version_1"):
+        replay(BAGS / version, tmp_path / version, {})
+    compared = compare_heights(tmp_path / "version_0" / "bag", tmp_path / "version_1" / "bag")
+    assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
+    assert all(result.equal and result.matched == 2 for result in compared.values())
+
+
 def test_the_tolerance_of_the_reference_test_notices_a_wrong_range(tmp_path: Path) -> None:
     """A reference range that is off by a tenth of a millimetre moves the heights by more than the tolerance."""
     reader = BagReader(REFERENCE)
     moved = copy_of(REFERENCE, tmp_path / "moved", [lifted(reader, message) for message in reader.messages()])
-    shutil.copy(REFERENCE / "parameters.yaml", moved)
     compared = replay(moved, tmp_path / "replay", {}).compared
     assert compared["/ml/height"].greatest_height_difference > 5 * CPU_TOLERANCE_M
 

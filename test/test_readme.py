@@ -1,4 +1,4 @@
-"""The examples in README.md run as they stand."""
+"""README and documents: examples run as they stand, commands, parameters and links exist."""
 
 from __future__ import annotations
 
@@ -7,8 +7,36 @@ from pathlib import Path
 
 import pytest
 
-README = Path(__file__).parents[1] / "README.md"
+from sal_height.commands._program import program
+from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.psf_calibration import PsfCalibration
+from sal_height.nodes.relief_mapper import ReliefMapper
+from sal_height.nodes.sar_compression import SarCompression
+from sal_height.settings import settings_of
+
+ROOT = Path(__file__).parents[1]
+README = ROOT / "README.md"
+DOCUMENTS = [README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+NODES = {
+    **HEIGHT_NODES,
+    "sar_compression": SarCompression,
+    "psf_calibration": PsfCalibration,
+    "relief_mapper": ReliefMapper,
+}
+
 EXAMPLES = re.findall(r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+ALL_DOCUMENTS = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+
+
+def commands_in(document: Path) -> list[list[str]]:
+    """Words of the sal-height commands in code blocks and between backquotes, of those that leave no word open."""
+    text = document.read_text(encoding="utf-8").replace("\\\n", " ")
+    blocks = re.findall(r"^```\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    spans = re.findall(r"`(sal-height [^` ]+ [^`]+)`", re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL))
+    lines = [line for block in blocks for line in block.splitlines()] + spans
+    words = [line.split("#")[0].split() for line in lines if line.startswith("sal-height ")]
+    return [line[1:] for line in words if not re.search(r"\b[A-Z]{3,}\b|…|\*", " ".join(line))]
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
@@ -20,3 +48,26 @@ def test_an_example_runs_as_it_stands(example: str, capsys: pytest.CaptureFixtur
 def test_there_is_an_example_of_ten_lines_from_preset_to_heights() -> None:
     (whole,) = [example for example in EXAMPLES if "load_preset" in example and "heights(" in example]
     assert len([line for line in whole.splitlines() if line.strip()]) <= 10
+
+
+@ALL_DOCUMENTS
+def test_commands_can_be_parsed_and_set_parameters_that_exist(document: Path) -> None:
+    for words in commands_in(document):
+        program().parse_args(words, exit_on_error=False, print_error=False)
+        for node, name in re.findall(r"--param (\w+)\.(\w+)=", " ".join(words)):
+            assert name in settings_of(NODES[node].parameters), f"{node}.{name} in {document.name}"
+
+
+def test_readme_has_commands_to_check() -> None:
+    assert len(commands_in(README)) >= 5
+
+
+@ALL_DOCUMENTS
+def test_links_lead_to_files_and_headings(document: Path) -> None:
+    for link in re.findall(r"\]\(([^)]+)\)", document.read_text(encoding="utf-8")):
+        name, _, heading = link.partition("#")
+        target = document.parent / name if name else document
+        assert target.exists(), f"{link} in {document.name}"
+        if heading:
+            titles = re.findall(r"^#+ (.+)$", target.read_text(encoding="utf-8"), re.MULTILINE)
+            assert heading in [re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles], link

@@ -342,6 +342,6 @@ def test_the_nodes_make_the_same_heights(graph: Graph, mode: str) -> None:
     chain.await_heights(flight.dwells - 1)
     for estimator in ("ml", "monopulse"):
         ours = heights_of(slc, flight.sensor, estimator, **looks).first.height
-        theirs = messages.float_view(chain.heights[estimator, flight.dwells - 1].height, ours.shape)
+        theirs = messages.float_view(chain.heights[estimator, flight.dwells - 1].surfaces[0].height, ours.shape)
         np.testing.assert_array_equal(theirs, ours.astype(np.float32))
         assert np.any(np.isfinite(ours))

@@ -1,6 +1,6 @@
 """Refuse dwells of which no image can be made: odometry, pulse times and Doppler that disagree, and aliasing.
 
-What the data cannot tell is not refused but said (`describe_unverified_squint`).
+What the data cannot tell is not refused but said (`describe_unverified_squint`, `describe_strip_centroid`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, look_direction
 from sal_height.imaging.pixels import aim_point
 from sal_height.numeric import F64
-from sal_height.sensor import PhaseHistory, Sensor, lit_angle
+from sal_height.sensor import PhaseHistory, Sensor, look_ahead_angle
 
 COHERENT = 0.5
 """Least share of the products of neighbouring pulses that must agree for the dwell to have one Doppler centroid."""
@@ -171,8 +171,7 @@ def check_doppler_centroid(
 ) -> None:
     """Make sure that a spotlight dwell's Doppler centroid lies in the band that image or beam make up.
 
-    The centroid is the phase from pulse to pulse, after dechirping to the aim point, averaged over everything (Madsen,
-    IEEE Trans. AES 25, 1989). What lies outside was not lit where attitude and boresights say.
+    What lies outside was not lit where attitude and boresights say.
 
     Raises:
         Rejected: the centroid is outside.
@@ -180,43 +179,49 @@ def check_doppler_centroid(
     aim = aim_point(sensor, aperture, float(np.mean(history.reference_range)))
     delay = np.linalg.norm(aim - antenna, axis=-1) - history.reference_range
     slant_range = float(np.linalg.norm(aim - aperture.position))
-    width = max(grid.cols * grid.col_spacing / slant_range, sensor.beams.track_beamwidth)
-    _check_centroid(history, np.diff(delay), sensor, antenna, aperture, width)
-
-
-def check_strip_centroid(history: PhaseHistory, antenna: F64, sensor: Sensor, aperture: ApertureState) -> None:
-    """Make sure that a stripmap block's Doppler centroid is that of the middle of the beams, to half their width.
-
-    As `check_doppler_centroid`, but the aim point moves with the platform.
-
-    Raises:
-        Rejected: the centroid is outside.
-    """
-    sight = aperture.rotation @ look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
-    steps = -np.diff(antenna, axis=0) @ sight - np.diff(history.reference_range)
-    width = 2 * lit_angle(sensor.beams) - sensor.beams.track_beamwidth
-    _check_centroid(history, steps, sensor, antenna, aperture, width)
-
-
-def _check_centroid(
-    history: PhaseHistory, steps: F64, sensor: Sensor, antenna: F64, aperture: ApertureState, width: float
-) -> None:
-    """Make sure that the centroid, relative to a point whose delay changes by `steps` (m), is within `width` (rad).
-
-    Raises:
-        Rejected: it is outside.
-    """
-    products = np.einsum("mpf,mpf->p", history.samples[:, :-1].conj(), history.samples[:, 1:])
-    correlation = complex(np.sum(products * np.exp(1j * sensor.centre_wavenumber * steps)))
-    if abs(correlation) <= COHERENT * float(np.sum(np.abs(products))):
-        return  # noise, or errors of phase from pulse to pulse: there is no centroid
     speed = float(np.linalg.norm(aperture.velocity))
-    rate = speed * (len(antenna) - 1) / float(np.linalg.norm(antenna[-1] - antenna[0]))
-    found = float(np.angle(correlation)) / (2 * np.pi) * rate
-    allowed = speed * width / sensor.wavelength
+    width = max(grid.cols * grid.col_spacing / slant_range, sensor.beams.track_beamwidth)
+    found, allowed = (
+        _centroid_offset(history, np.diff(delay), sensor, antenna, speed),
+        speed * width / sensor.wavelength,
+    )
     if abs(found) > allowed:
         raise Rejected(
             "Doppler centroid outside the band",
             f"The Doppler centroid is {found:+.4g} Hz off that of the beams' middle, image and beam make up "
             f"{allowed:.4g} Hz to each side; attitude, boresights or odometry must be wrong.",
         )
+
+
+def describe_strip_centroid(history: PhaseHistory, antenna: F64, sensor: Sensor, aperture: ApertureState) -> str:
+    """A sentence on a stripmap block whose Doppler centroid is not that of the middle of the beams; empty where it is.
+
+    Level ground has its centroid there. A single target that outshines its surroundings has it wherever in the beam it
+    stands, so that such a block is not refused.
+    """
+    sight = aperture.rotation @ look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
+    steps = -np.diff(antenna, axis=0) @ sight - np.diff(history.reference_range)
+    speed = float(np.linalg.norm(aperture.velocity))
+    width = sensor.beams.track_beamwidth + 2 * look_ahead_angle(sensor.beams)
+    found, expected = _centroid_offset(history, steps, sensor, antenna, speed), speed * width / sensor.wavelength
+    if abs(found) <= expected:
+        return ""
+    return (
+        f"The Doppler centroid is {found:+.4g} Hz off that of the beams' middle, more than the {expected:.4g} Hz that "
+        "ground of even brightness can have: either a single bright target stands there, or yaw, boresights or "
+        "odometry are wrong and the image is defocused."
+    )
+
+
+def _centroid_offset(history: PhaseHistory, steps: F64, sensor: Sensor, antenna: F64, speed: float) -> float:
+    """Doppler centroid (Hz) relative to a point whose delay changes by `steps` (m); 0 where the data have none.
+
+    The centroid is the phase from pulse to pulse, after dechirping to that point, averaged over everything (Madsen,
+    IEEE Trans. AES 25, 1989). Noise, or errors of phase from pulse to pulse, have none.
+    """
+    products = np.einsum("mpf,mpf->p", history.samples[:, :-1].conj(), history.samples[:, 1:])
+    correlation = complex(np.sum(products * np.exp(1j * sensor.centre_wavenumber * steps)))
+    if abs(correlation) <= COHERENT * float(np.sum(np.abs(products))):
+        return 0.0
+    rate = speed * (len(antenna) - 1) / float(np.linalg.norm(antenna[-1] - antenna[0]))
+    return float(np.angle(correlation)) / (2 * np.pi) * rate

@@ -12,7 +12,7 @@ from sal_height.imaging.autofocus.gradient import Focus, apply_phase, autofocus,
 from sal_height.imaging.checks import (
     check_doppler_centroid,
     check_dwell,
-    check_strip_centroid,
+    describe_strip_centroid,
     describe_unverified_squint,
 )
 from sal_height.imaging.formers.choice import FORMERS, choose_former
@@ -161,6 +161,7 @@ class StripFocuser:
     def __init__(self) -> None:
         """Begin without a strip."""
         self.shortfall = ""
+        self._doubt = ""
         self._strip: Strip | None = None
         self._track: Trajectory | None = None
         self._settings = ImageSettings()
@@ -195,7 +196,7 @@ class StripFocuser:
         aperture = antenna_track.aperture(history.stamp_ns, history.pulse_times)
         reference = float(history.reference_range[len(antenna) // 2])
         check_dwell(history, antenna, sensor, aperture)
-        check_strip_centroid(history, antenna, sensor, aperture)
+        self._doubt = describe_strip_centroid(history, antenna, sensor, aperture) or self._doubt
         shape = settings.rows, settings.cols
         lattice = lay_lattice(sensor, processing, aperture, antenna, reference, shape)
         strip = self._strip if self._strip and not starts_anew(history, self._strip) else None
@@ -229,7 +230,7 @@ class StripFocuser:
         noise_power = slc_noise_power(sensor, processing, pulses)
         shares = strip.history.shares.max(axis=1)
         abeam = replace(abeam, length=length, sliding=True)
-        doubt = describe_unverified_squint(sensor, aperture)
+        doubt, self._doubt = describe_unverified_squint(sensor, aperture) or self._doubt, ""
         return Slc(images, grid, abeam, noise_power, shares, settings.azimuth_window, doubt=doubt)
 
     def _track_with_held_pulses(self, history: PhaseHistory, track: Trajectory, sensor: Sensor) -> Trajectory:

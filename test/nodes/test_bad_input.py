@@ -436,7 +436,7 @@ def test_a_detector_that_sends_nothing_leaves_heights_of_the_others(graph: Graph
     chain.await_heights(7)
     for estimator in ("monopulse", "ml"):
         assert same_heights(chain.heights[estimator, 7], without[estimator, 0])
-        assert np.count_nonzero(np.isfinite(without[estimator, 0].height)) > 20
+        assert np.count_nonzero(np.isfinite(without[estimator, 0].surfaces[0].height)) > 20
     assert chain.accounts()["sar_compression"]["ignored.missing channels"] == 1
 
 

@@ -56,7 +56,7 @@ def test_heights_with_a_table_of_the_beam_are_those_with_its_formula(
 ) -> None:
     seen = seen_with(graph, measured(tmp_path, 0.0))
     for estimator in ESTIMATORS:
-        heights, expected = (np.array(images[estimator, 0].height) for images in (seen, reference))
+        heights, expected = (np.array(images[estimator, 0].surfaces[0].height) for images in (seen, reference))
         assert np.mean(np.isfinite(heights) == np.isfinite(expected)) > 0.95
         both = np.isfinite(heights) & np.isfinite(expected)
         assert both.sum() > 30
@@ -69,9 +69,9 @@ def test_heights_with_complex_beams_differ_by_the_noise_alone(
     """The phases turn the noise against the echoes: two independent errors, whose median difference is .95 sigma."""
     seen = seen_with(graph, measured(tmp_path, 0.7))
     for estimator in ESTIMATORS:
-        heights, expected = (np.array(images[estimator, 0].height) for images in (seen, reference))
+        heights, expected = (np.array(images[estimator, 0].surfaces[0].height) for images in (seen, reference))
         both = np.isfinite(heights) & np.isfinite(expected)
         assert both.sum() > 0.8 * np.isfinite(expected).sum()
-        scaled = (heights - expected)[both] / np.array(reference[estimator, 0].sigma)[both]
+        scaled = (heights - expected)[both] / np.array(reference[estimator, 0].surfaces[0].sigma)[both]
         assert abs(np.median(scaled)) < 4 * 1.25 * np.std(np.clip(scaled, -3, 3)) / np.sqrt(both.sum())
         assert np.median(np.abs(scaled)) < 1.2

@@ -65,7 +65,7 @@ def test_the_same_network_in_the_antenna_changes_the_noise_alone(
     heights = seen(Chain(graph, flown_with(flight, BUTLER, in_antenna=True), missing_after_s=30.0))
     for estimator in ("ml", "monopulse"):
         difference = compared(heights[estimator, 0], reference[estimator, 0])
-        sigma = np.nanmedian(np.array(reference[estimator, 0].sigma))
+        sigma = np.nanmedian(np.array(reference[estimator, 0].surfaces[0].sigma))
         assert np.median(np.abs(difference)) < 1.3 * sigma
 
 
@@ -90,7 +90,10 @@ def test_calibration_constants_spoil_heights_when_not_described(chain: Chain, re
         frame.samples = messages.to_bytes(samples.view(np.uint8))
     chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
     chain.await_heights(0)
-    valid = [np.count_nonzero(np.isfinite(np.array(images["ml", 0].height))) for images in (chain.heights, reference)]
+    valid = [
+        np.count_nonzero(np.isfinite(np.array(images["ml", 0].surfaces[0].height)))
+        for images in (chain.heights, reference)
+    ]
     assert valid[0] < 0.5 * valid[1]
 
 
@@ -105,7 +108,7 @@ def test_a_network_that_is_not_lossless_leaves_pairs_out_and_names_another_way(
     )
     chain.wait(lambda: ("ml", 0) in chain.heights, "the heights")
     difference = compared(chain.heights["ml", 0], reference["ml", 0])
-    assert np.median(np.abs(difference)) < 1.3 * np.nanmedian(np.array(reference["ml", 0].sigma))
+    assert np.median(np.abs(difference)) < 1.3 * np.nanmedian(np.array(reference["ml", 0].surfaces[0].sigma))
 
 
 def test_a_dead_channel_of_a_mixture_leaves_no_detectors(graph: Graph, flight: SimulatedFlight) -> None:

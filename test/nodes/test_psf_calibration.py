@@ -70,7 +70,7 @@ def flown(graph: Graph, flight: SimulatedFlight, calibration: str, missing_after
 
 def differences(chain: Chain, reference: Any, estimator: str) -> np.ndarray:
     """Heights less those of the reference (m), where both have one."""
-    heights, expected = (np.array(one[estimator, 0].height) for one in (chain.heights, reference))
+    heights, expected = (np.array(one[estimator, 0].surfaces[0].height) for one in (chain.heights, reference))
     difference = heights - expected
     return difference[np.isfinite(difference)]
 

@@ -215,8 +215,8 @@ def nowhere(image: HeightImage) -> None:
     ("spoil", "reason", "words"),
     [
         (empty, "wrong size", "at least 1"),
-        (all_nan, "cannot be processed", "0 steps"),
-        (nothing_valid, "cannot be processed", "0 steps"),
+        (all_nan, "cannot be processed", "0 pairs of consecutive"),
+        (nothing_valid, "cannot be processed", "0 pairs of consecutive"),
         (too_few_sigmas, "wrong size", "sigma has 1199 entries"),
         (no_surface, "wrong size", "at least one"),
         (no_motion, "wrong geometry", "velocity"),

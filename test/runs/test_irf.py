@@ -228,7 +228,7 @@ USELESS = {
     "no_info": (lambda path: write_bag(path, info=False), "not its sensor_info"),
     "no_images": (lambda path: write_bag(path, dwells=0), "holds no images"),
     "other_sensor": (lambda path: write_bag(path, provenance=Provenance(config_hash="x")), "an image of sensor 'x'"),
-    "wrong_size": (lambda path: write_bag(path, samples=[1.0, 2.0]), "dwell 0, detector 0: samples has 2 entries"),
+    "wrong_size": (lambda path: write_bag(path, samples=[1.0, 2.0]), "dwell 0, channel 0: samples has 2 entries"),
 }
 
 
@@ -281,4 +281,4 @@ def test_a_bag_of_heights_says_how_to_get_images(capsys: pytest.CaptureFixture[s
     assert main(["irf", str(REFERENCE)]) == 2
     assert "sal-height irf --help" in capsys.readouterr().err
     assert main(["irf", "--help"]) == 0
-    assert "topics:=[/slc,/sensor_info]" in capsys.readouterr().out
+    assert "replay BAG --record slc" in capsys.readouterr().out

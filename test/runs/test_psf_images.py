@@ -422,6 +422,6 @@ def test_images_of_different_heights_are_not_pooled(tmp_path: Path, capsys: pyte
 def test_the_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["psf", "--help"]) == 0
     said = capsys.readouterr().out
-    for words in ("sal-height psf tape.npy", "range_window=rectangular", "sal-height psf my_slc", "measured together"):
+    for words in ("sal-height psf tape.npy", "range_window=rectangular", "--record slc", "measured together"):
         assert words in said
     assert main(["psf", "tape.npy", "--chip", "64"]) == 2

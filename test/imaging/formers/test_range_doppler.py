@@ -89,7 +89,7 @@ def test_pulses_closer_than_a_quarter_of_the_wavelength_do_not_spoil_the_image()
 def test_a_processed_angle_up_to_the_evanescent_waves_is_refused(aperture: float, fits: bool) -> None:
     """Sine of half the angle at the lowest frequency, half a percent below the middle one: 1 / (2 aperture) / 0.995."""
     case = strip(np.random.default_rng(104), **{**CLOSE_PULSES, "targets": 1, "pulses": 60, "margin": -1.0})
-    sensor = replace(case.sensor, aperture=aperture, config_hash="")
+    sensor = replace(case.sensor, elevation_diameter=aperture, azimuth_diameter=aperture, config_hash="")
     lowest = 1 - sensor.bandwidth / 2 * sensor.wavelength / 299_792_458
     assert (1 / (2 * aperture) < 0.9 * lowest) == fits
     assert np.isfinite(expected_error(case.antenna, sensor, case.grid)) == fits

@@ -6,8 +6,8 @@ import bisect
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.interpolate import CubicHermiteSpline, PPoly
+from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
 from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
@@ -44,8 +44,10 @@ class Trajectory:
     Times are float64 seconds after `epoch_ns`. An absolute time in float64 is only good to 0.2 us, in which the
     platform travels many optical wavelengths.
 
-    The track is that of a sensor with a given mounting on the platform. The lever arm, turned by the attitude of each
-    state, is interpolated with a cubic spline, whose derivative is the velocity that rotation adds to the antenna.
+    The track is that of a sensor with a given mounting on the platform. The lever arm follows a spline through the
+    attitudes, with continuous angular velocity and acceleration, which adds its turning to the antenna's velocity. It
+    is exact for a platform that turns at a constant rate, even between two states; 1 m of arm turning at 0.2 rad/s
+    leaves its chord over 5 ms by 0.12 um, an eighth of an optical wavelength each way.
     """
 
     def __init__(self, states: list[PlatformState], mounting: Mounting = AT_BASE_LINK) -> None:
@@ -74,7 +76,7 @@ class Trajectory:
         self.mounting = mounting
         if not mounting.is_identity:
             arms = attitude.apply(mounting.lever_arm)
-            self._position = PPoly(self._position.c + CubicSpline(seconds, arms).c, seconds)
+            self._turning = RotationSpline(seconds, attitude)
             self._covariance = [_moved_covariance(*pair) for pair in zip(self._covariance, arms, strict=True)]
             attitude *= mounting.axes
         self._attitude = Slerp(seconds, attitude)
@@ -114,7 +116,20 @@ class Trajectory:
         Raises:
             UserError: a time lies outside the track.
         """
-        return self._position(self._offsets(stamp_ns, seconds_after))
+        return self._antenna(self._offsets(stamp_ns, seconds_after))
+
+    def _antenna(self, t: float | F64) -> F64:
+        """Position of the antenna (m, map) at times in s after the epoch, shape (..., 3)."""
+        if self.mounting.is_identity:
+            return self._position(t)
+        return self._position(t) + self._turning(t).apply(self.mounting.lever_arm)
+
+    def _antenna_velocity(self, t: float) -> F64:
+        """Velocity of the antenna (m/s, map): that of base_link, and w x arm with the angular velocity w."""
+        if self.mounting.is_identity:
+            return self._position(t, 1)
+        swept = np.cross(self._turning(t, 1), self.mounting.lever_arm)  # both in the axes of base_link
+        return self._position(t, 1) + self._turning(t).apply(swept)
 
     def aperture(self, stamp_ns: int, pulse_times: F64) -> ApertureState:
         """Return the state in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
@@ -126,13 +141,13 @@ class Trajectory:
         """
         t = self._offsets(stamp_ns, pulse_times)
         middle = float(np.clip((t[0] + t[-1]) / 2, self._seconds[0], self._seconds[-1]))
-        velocity = np.asarray(self._position(middle, 1))
+        velocity = np.asarray(self._antenna_velocity(middle))
         speed = float(np.linalg.norm(velocity))
         if not speed > 0:
             raise UserError("The odometry's velocity is 0 in the aperture; a synthetic aperture needs motion.")
         nearest = int(np.argmin(np.abs(self._seconds - middle)))
         return ApertureState(
-            position=np.asarray(self._position(middle)),
+            position=np.asarray(self._antenna(middle)),
             velocity=velocity,
             rotation=self._attitude(middle).as_matrix(),
             length=speed * float(t[-1] - t[0]) * len(t) / (len(t) - 1),

@@ -63,6 +63,12 @@ def test_readme_has_commands_to_check() -> None:
 
 
 @ALL_DOCUMENTS
+def test_files_of_tests_and_code_exist(document: Path) -> None:
+    for name in re.findall(r"`([\w/]+/\w+\.py)`", document.read_text(encoding="utf-8")):
+        assert (ROOT / name).exists() or (ROOT / "sal_height" / name).exists(), f"{name} in {document.name}"
+
+
+@ALL_DOCUMENTS
 def test_links_lead_to_files_and_headings(document: Path) -> None:
     for link in re.findall(r"\]\(([^)]+)\)", document.read_text(encoding="utf-8")):
         name, _, heading = link.partition("#")

@@ -184,7 +184,7 @@ class SimulatedFlight:
             return _joined([self._ground(tile)[0].after(self._seconds(tile, dwell)) for tile in self._tiles(dwell)])
         aperture = self.aperture(dwell)
         beams = self.built.beams
-        angle = SCENE_BEAMWIDTHS * beams.beamwidth + look_ahead_angle(beams) + self._swing
+        angle = SCENE_BEAMWIDTHS * beams.track_beamwidth + look_ahead_angle(beams) + self._swing
         half_width = angle * self.preset.flight.slant_range_m
         return self._visible(aperture, (aperture.position[0] - half_width, aperture.position[0] + half_width))
 

@@ -1,4 +1,4 @@
-"""Figures of the papers, computed again, and Monte Carlo runs of the estimators, both checked against theory.
+"""Figures of the papers, recomputed, and Monte Carlo runs of the estimators, both checked against theory.
 
 Read `curve` first (what a figure is made of and how a point is checked), then `catalogue` (all figures, and how they
 are written), and `montecarlo` (one estimator at one operating point).
@@ -8,4 +8,4 @@ whose beamwidth is 1 rad and whose array looks at 0.
 """
 
 DEFAULT_TRIALS = 20_000
-"""Monte Carlo trials per point unless a command is told otherwise."""
+"""Monte Carlo trials per point by default."""

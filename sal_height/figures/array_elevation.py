@@ -33,29 +33,29 @@ WEIGHTS: dict[str, Callable[[F64], F64]] = {
 CHANNELS, PITCH = 16, 0.5
 
 END_OF_SEARCH = CHANNELS * PITCH / 2
-"""Beamwidths."""
+"""Half width of the search, beamwidths."""
 
 ELEVATIONS = np.linspace(0, 4, 9)
-"""True elevations of figure 10, beamwidths; those below 0 mirror them."""
+"""True elevations in figure 10, beamwidths; elevations below 0 mirror them."""
 
 LOOKS = (1, 4, 16)
 
 CNR_DB = (0, 5, 10, 20)
 
 THEORY_LOOKS, THEORY_CNR_DB = 16, 20
-"""Looks and CNR at which theory's own error is far below the standard error of 100 000 trials."""
+"""Looks and CNR at which the error of the asymptotic theory is far below the standard error of 100 000 trials."""
 
 EXAMPLE_CNR, EXAMPLE_LOOKS, EXAMPLE_ELEVATION = 3.0, 4, 1.75
-"""Of figure 11."""
+"""CNR, looks and true elevation (beamwidths) of figure 11."""
 
 BINS = np.linspace(-4, 4, 161)
-"""Edges of the histogram, beamwidths."""
+"""Edges of the bins of the histogram, beamwidths."""
 
 CORE = 1.0
-"""Beamwidths from the truth beyond which an estimate is an outlier."""
+"""Distance from the truth beyond which an estimate is an outlier, beamwidths."""
 
 STEP = 1e-3
-"""Beamwidths between the places of which derivatives are differences."""
+"""Step of the differences that approximate derivatives, beamwidths."""
 
 
 def fig10(trials: int, seed: int) -> Iterator[Curve]:
@@ -106,16 +106,16 @@ def example_array() -> Beams:
 
 
 def estimates(elevation: float, cnr: float, looks: int, objective: str, trials: int, seed: int) -> F64:
-    """Estimates of independent pixels, beamwidths, shape (trials,), by the code that the node runs."""
+    """Estimates of independent pixels, beamwidths, shape (trials,), by the code of the node."""
     return run_array_trials(
         seed, example_array(), elevation, cnr, looks, trials, OBJECTIVES[objective], 0.0, TARGETS["gaussian"]
     )
 
 
 def limit(beams: Beams, objective: str, elevation: float, cnr: float) -> float:
-    """What the estimate tends to with the number of looks: the maximiser of the expected objective, beamwidths.
+    """Limit of the estimate for many looks: the maximiser of the expected objective, beamwidths.
 
-    The expected covariance is C a0 a0^T + I. The elevation itself for "normalised"; "numerator" is drawn inwards.
+    The expected covariance is C a0 a0^T + I. The elevation itself for "normalised"; "numerator" is biased inwards.
     """
     target = beams.response(elevation, 0.0)
 
@@ -130,8 +130,8 @@ def limit(beams: Beams, objective: str, elevation: float, cnr: float) -> float:
 def limit_std(beams: Beams, objective: str, elevation: float, cnr: float, looks: int) -> float:
     """Standard deviation at high CNR, |b'| / |b''^T a0| / sqrt(2 (K - 1) C), times sqrt(1 + 1 / (C |a0|^2)).
 
-    The latter is the loss of not knowing the amplitudes. For "normalised" it is the stochastic Cramer-Rao bound times
-    sqrt(K / (K - 1)). Beamwidths.
+    The last factor is the loss caused by unknown amplitudes. For "normalised" the result is the stochastic Cramer-Rao
+    bound times sqrt(K / (K - 1)). Beamwidths.
     """
     target, place = beams.response(elevation, 0.0), limit(beams, objective, elevation, cnr)
     below, here, above = (WEIGHTS[objective](beams.response(place + step, 0.0)) for step in (-STEP, 0.0, STEP))
@@ -142,7 +142,7 @@ def limit_std(beams: Beams, objective: str, elevation: float, cnr: float, looks:
 
 
 def _theory(beams: Beams, objective: str, looks: int, cnr_db: float) -> tuple[F64, F64]:
-    """Mean and standard deviation at ELEVATIONS as far as theory goes, else NaN.
+    """Mean and standard deviation at ELEVATIONS; NaN where theory has no closed form.
 
     The middle of the array is its own mirror image. An estimate at the end of the search cannot pass it.
     """

@@ -30,20 +30,20 @@ from sal_height.numeric import F64
 Amplitudes = Callable[[F64], tuple[F64, F64]]
 
 RATIOS = np.linspace(-0.9, 0.9, 37)
-"""Discriminants."""
+"""Discriminants at which elevations are drawn."""
 
 ROTATIONS_DEG = (0, 15)
-"""psi."""
+"""Rotations psi of the detector axis, degrees."""
 
 AZIMUTHS = {"beam centre": 0.0, "upper beam edge": 0.5, "lower beam edge": -0.5}
 """Along-track angle of a target in spotlight, and of the Doppler centroid processed in stripmap; beamwidths."""
 
 ASPECTS = 16
-"""Nodes of the mean over the passing beam; the patterns vary slowly."""
+"""Quadrature nodes of the mean over the passing beam; a few are enough because the patterns vary slowly."""
 
 
 def fig8() -> Iterator[Curve]:
-    """Spotlight: the target stays where it is in the beam."""
+    """Compute figure 8: in spotlight the target keeps its place in the beam."""
     for rotation in ROTATIONS_DEG:
         pair, reference = _pair(rotation), _reference(rotation)
         for place, azimuth in AZIMUTHS.items():
@@ -52,7 +52,7 @@ def fig8() -> Iterator[Curve]:
 
 
 def fig9() -> Iterator[Curve]:
-    """Stripmap: targets pass through the beam, and count from half a beamwidth before the centroid to as much after."""
+    """Compute figure 9: in stripmap targets pass through the beam, half a beamwidth to each side."""
     for rotation in ROTATIONS_DEG:
         pair, reference = _pair(rotation), _reference(rotation)
         for place, centroid in AZIMUTHS.items():
@@ -70,7 +70,7 @@ def _reference(rotation_deg: float) -> ReferencePair:
 
 
 def _curve(case: str, pair: Beams, squint: float, amplitudes: Amplitudes) -> Curve:
-    """Elevation over the discriminant, by the inversion that estimators use."""
+    """Compute elevation over the discriminant by the inversion that the estimators use."""
     elevation = invert(pair, RATIOS, squint).elevation
     style, colour = "--" if "edge" in case else "-", 0 if pair.rotation == 0 else 3
     return exact_curve("elevation", case, RATIOS, elevation, elevations_with(amplitudes, RATIOS), style, colour)

@@ -25,10 +25,10 @@ from sal_height.io import new_folder, write_text, writing
 COLUMNS = ("figure", "curve", "x", "value", "standard_error", "closed_form")
 
 LEAST_TRIALS = 100
-"""Below it, standard errors of quantiles mean nothing."""
+"""Least number of trials; with fewer, standard errors of quantiles mean nothing."""
 
 MOST_TRIALS = 1_000_000
-"""All estimates of a curve are held at a time."""
+"""Greatest number of trials; all estimates of a curve are held in memory at a time."""
 
 _ELEVATION = "elevation (beamwidths)"
 _PAIR_AXES = {
@@ -105,13 +105,13 @@ FIGURES = {
     ),
     **PSF_FIGURES,
 }
-"""By name: of the SAL paper as it numbers them, of the relief paper and what it leaves to others, of the PSF paper."""
+"""Figures by name: those of the SAL paper by its numbers, then those on the relief paper and the PSF paper."""
 
 
 def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> list[dict[str, Any]]:
     """Make figures, leaving NAME.csv and NAME.png of each and checks.json in `out`.
 
-    The table has a row for each point of each curve: COLUMNS, with closed_form empty where no theory says. checks.json
+    The table has a row for each point of each curve: COLUMNS, with closed_form empty where theory has none. checks.json
     is a list of the points that have a closed form, see `curve.check_of`: z is null for values from no random numbers.
 
     Args:
@@ -147,7 +147,7 @@ def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> lis
 
 
 def summary(checks: Sequence[dict[str, Any]]) -> str:
-    """What the checks say, in one line."""
+    """Summarise the checks in one line."""
     existing = [check for check in checks if check["value"] is not None]
     exact = [abs(check["value"] - check["closed_form"]) for check in existing if check["z"] is None]
     z = [abs(check["z"]) for check in checks if check["z"] is not None]
@@ -161,7 +161,7 @@ def summary(checks: Sequence[dict[str, Any]]) -> str:
 
 
 def _write(name: str, figure: Figure, curves: Sequence[Curve], folder: Path) -> list[dict[str, Any]]:
-    """Table and picture of a figure; returns its checks."""
+    """Write table and picture of a figure, and return its checks."""
     rows = [row for curve in curves for row in rows_of(name, curve)]
     checks = [check_of(row) for row in rows]
     with writing(folder / f"{name}.csv"), (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as stream:

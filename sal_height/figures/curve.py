@@ -23,11 +23,11 @@ class Curve:
 
     Attributes:
         quantity: what is plotted: curves of one quantity share axes.
-        case: what tells the curve from others of its quantity.
+        case: what distinguishes the curve from others of its quantity.
         x: where it was evaluated.
         value: of the curve.
         standard_error: of the value; 0 where it comes from no random numbers.
-        closed_form: what the value has to be; NaN where no theory says.
+        closed_form: exact value; NaN where theory has none.
         style: of its line, as matplotlib has it.
         colour: number of its colour; curves with one number are to be compared.
     """
@@ -43,13 +43,13 @@ class Curve:
 
     @property
     def name(self) -> str:
-        """Of quantity and case."""
+        """Name of the curve, of its quantity and case."""
         return f"{self.quantity}, {self.case}"
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of one of the papers, or beside them.
+    """A figure of one of the papers, or one that adds to them.
 
     Attributes:
         title: what it shows.
@@ -83,7 +83,7 @@ def rows_of(figure: str, curve: Curve) -> list[dict[str, Any]]:
 def check_of(row: dict[str, Any]) -> dict[str, Any] | None:
     """A point beside its closed form, with `z`: their difference in standard errors; None if there is no closed form.
 
-    A value without standard error has no z, which is then None: it has to be within EXACT. A value that should exist
+    A value without standard error has no z, which is then None: it must be within EXACT. A value that should exist
     and does not is None.
     """
     if np.isnan(row["closed_form"]):

@@ -1,4 +1,4 @@
-"""Pictures of figures: axes and families of curves as in the SAL paper, so that both can be laid side by side."""
+"""Pictures of figures: axes and families of curves as in the SAL paper, so that both can be compared."""
 
 from __future__ import annotations
 

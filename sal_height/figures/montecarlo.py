@@ -45,20 +45,20 @@ from sal_height.theory import (
 )
 
 OUTLIER = 1.0
-"""Beamwidths from the truth from which on an estimate of elevation is an outlier; of discriminants: as a number."""
+"""Least error of an outlier: beamwidths for an elevation, a number for a discriminant."""
 
 AT_EDGE = 1e-6
-"""Beamwidths from the end of the search within which an estimate was stopped by it."""
+"""Distance from the end of the search within which an estimate counts as stopped by it, beamwidths."""
 
 TRIALS_AT_ONCE = 8192
 
 DETECTORS, MOST_DETECTORS = 16, 128
 
 FARTHEST_SEARCH = 200.0
-"""Beamwidths to each side."""
+"""Greatest half width of the search, beamwidths."""
 
 ARRAY_ESTIMATORS = tuple(name for name, entry in ESTIMATORS.items() if entry.channels is whitened_channels)
-"""Those of ESTIMATORS that take detectors in equal noise, as they are drawn here."""
+"""Estimators of ESTIMATORS that take detectors of equal noise, which is what the trials draw."""
 
 BOUNDS = {
     "crb_conditional": conditional_crb,
@@ -69,7 +69,7 @@ BOUNDS = {
 
 @dataclass(frozen=True)
 class Experiment:
-    """A target at one place, seen again and again in noise; angles in beamwidths.
+    """Repeated observations of a target at one place in noise; angles in beamwidths.
 
     Attributes:
         beams: of the detectors, around 0, of a beamwidth of 1 rad.
@@ -102,7 +102,7 @@ class Experiment:
 
     @property
     def cnr(self) -> float:
-        """Power ratio."""
+        """CNR as a power ratio."""
         return float(10 ** (self.cnr_db / 10))
 
 
@@ -275,7 +275,7 @@ def _elevations(experiment: Experiment, power: float, objective: str, guard: flo
 def _registered_elevations(
     experiment: Experiment, power: float, estimator: ElevationEstimator, settings: HeightSettings
 ) -> F64:
-    """Elevations by an estimator as its node has them, shape (trials,); NaN where there is none."""
+    """Elevations as the node of an estimator gives them, shape (trials,); NaN where there is none."""
 
     def elevations(matrices: Covariance) -> F64:
         pixels = matrices[:, None]
@@ -289,7 +289,7 @@ def _registered_elevations(
 
 
 def _discriminants(experiment: Experiment, power: float, estimator: str) -> F64:
-    """Estimates of the discriminant of two detectors as the node has them, shape (trials,)."""
+    """Estimates of the discriminant of two detectors as the node makes them, shape (trials,)."""
 
     def discriminants(matrices: Covariance) -> F64:
         wide = matrices.astype(np.complex128)
@@ -300,7 +300,7 @@ def _discriminants(experiment: Experiment, power: float, estimator: str) -> F64:
 
 
 def _from_covariances(experiment: Experiment, power: float, estimate: Callable[[Covariance], F64]) -> F64:
-    """What is estimated from the covariances of independent pixels, shape (trials,)."""
+    """Estimate from the covariances of independent pixels, shape (trials,)."""
     beams, target, estimates = experiment.beams, TARGETS[experiment.target], np.empty(experiment.trials)
 
     def work(rng: np.random.Generator, part: slice) -> None:
@@ -317,7 +317,7 @@ def _at_edge(elevations: F64, low: float, high: float) -> Bool:
 
 
 def _statistics(estimates: F64, truth: float, clipped: Bool) -> dict[str, float | None]:
-    """Statistics with their standard errors (_se); estimates that do not exist are clipped ones and in no other."""
+    """Statistics with their standard errors (_se); estimates that do not exist count in clipped_share alone."""
     finite = estimates[np.isfinite(estimates)]
     outliers = np.abs(estimates - truth) > OUTLIER
     named: list[tuple[str, Measured]] = [("outlier_share", share(outliers)), ("clipped_share", share(clipped))]

@@ -18,16 +18,16 @@ from sal_height.theory import SteadyLaw, gaussian_law, gaussian_mean, steady_mea
 Signal = Callable[[np.random.Generator, tuple[int, int]], C128]
 
 KAPPAS = np.linspace(-1, 1, 9)
-"""Discriminants without noise."""
+"""Discriminants without noise, on the horizontal axis."""
 
 CNR_DB = (0, 5, 10, 15, 20)
-"""Of the sum channel in one look."""
+"""CNR of the sum channel in one look, dB."""
 
 FLUCTUATING_LOOKS = 4
-"""Of figure 6."""
+"""Number of looks of figure 6."""
 
 BLOCK = 8192
-"""Trials that are drawn at a time, each block from a generator of its own."""
+"""Number of trials that are drawn at a time; each block has a random generator of its own."""
 
 
 def circular(rng: np.random.Generator, shape: tuple[int, ...]) -> C128:
@@ -37,7 +37,7 @@ def circular(rng: np.random.Generator, shape: tuple[int, ...]) -> C128:
 
 
 def steady(_rng: np.random.Generator, shape: tuple[int, int]) -> C128:
-    """A target of constant brightness 1."""
+    """Amplitudes of a target of constant brightness 1."""
     return np.ones(shape, dtype=np.complex128)
 
 
@@ -45,7 +45,7 @@ def fig5(trials: int, seed: int) -> Iterator[Curve]:
     """One look at a target of constant brightness: spread, mean and median over kappa.
 
     The standard deviation, which the paper plots, has no theory: it does not exist for one look, and that of a sample
-    is what its worst outliers make it. Half the 16 to 84 % width does exist.
+    depends on its worst outliers. Half the 16 to 84 % width does exist.
     """
     for index, cnr_db in enumerate(CNR_DB):
         cnr, case = 10 ** (cnr_db / 10), f"CNR {cnr_db} dB"
@@ -87,7 +87,7 @@ def _block(signal: Signal, cnr_sum: float, looks: int, seed: np.random.SeedSeque
 
 
 def _ratio(total: C128, difference: C128) -> F64:
-    """The estimate that the node makes of Sigma and Delta, shapes (trials, looks), in unit noise."""
+    """Estimate as the node does from Sigma and Delta, shapes (trials, looks), in unit noise."""
     sum_power, difference_power = (np.sum(np.abs(channel) ** 2, axis=-1) for channel in (total, difference))
     cross_power = np.sum(difference * total.conj(), axis=-1)
     return DISCRIMINANTS["ratio"](sum_power, difference_power, cross_power, float(total.shape[-1]))

@@ -20,15 +20,15 @@ from sal_height.figures.reference import (
 from sal_height.figures.unit_arrays import array_of
 
 ELEVATIONS = np.linspace(-1, 1, 81)
-"""Beamwidths."""
+"""Elevations that are drawn, beamwidths."""
 
 FROM_PUPIL = {"gaussian": gaussian_from_pupil, "sinc": sinc_from_pupil, "jinc": jinc_from_pupil}
 
 POINT_PITCH = 0.5
-"""Of figure 3, beamwidths."""
+"""Distance between the detectors in figure 3, beamwidths."""
 
 DETECTOR_SIZE = (0.6, 1.2)
-"""Of figure 4 in elevation and azimuth, beamwidths; the detectors touch."""
+"""Size of the detectors in figure 4 in elevation and azimuth, beamwidths; they touch."""
 
 
 def fig3() -> Iterator[Curve]:

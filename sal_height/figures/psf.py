@@ -1,4 +1,4 @@
-"""The PSF paper on synthetic tapes of known responses: what point targets tell of the range and the azimuth response.
+"""The PSF paper on synthetic tapes of known responses: range and azimuth response, estimated from point targets.
 
 Four targets, as in the paper, are found in each tape; how far they are above the clutter, and the faults of the
 responses, are ours. Range, azimuth and cut are of the same tapes, as the paper has them from the same targets.
@@ -36,40 +36,40 @@ from sal_height.response import (
 )
 
 TAPE = (2000, 256)
-"""Rows and columns: of so many rows that neither teeth nor ends of the band fall on a frequency."""
+"""Rows and columns of a tape; with this number of rows neither teeth nor ends of the band fall on a frequency."""
 
 PLACES = tuple((row, 128) for row in (250, 750, 1250, 1750))
-"""Of the targets, which lie off them by up to half a pixel."""
+"""Places of the targets, which are displaced from them by up to half a pixel."""
 
 OVER_CLUTTER_DB = 40.0
-"""Power of the targets' peaks over the mean of the clutter, if the azimuth response had no phase."""
+"""Power of the targets' peaks over the mean clutter, for an azimuth response without phase."""
 
 RANGE, AZIMUTH = RangeFault(), AzimuthFault(quartic=1.5)
 """Taylor weights of -35 dB and a sawtooth of 0.1; a cosine beam whose phase is 1.5 rad at the ends of the band."""
 
 TARGET_TAPES, GROUP_TAPES = 40, 41
-"""Numbers that tell tapes apart."""
+"""Numbers that give the tapes of each figure random numbers of their own."""
 
 PIXELS = np.arange(COUNT, dtype=np.float64) - COUNT / 2
 
 DEPTHS = np.array([0.05, 0.1, 0.2])
-"""Of the sawtooth, over the amplitude."""
+"""Depths of the sawtooth, over the amplitude."""
 
 CUT_DEPTH = 0.1
 
 RECOVERY_DB = np.array([20.0, 30.0, 40.0, 50.0, 60.0])
 
 FIRST_ORDER_DB = 40.0
-"""From here on errors are those of the first order within 1 %."""
+"""Least ratio at which errors are those of the first order within 1 %."""
 
 GROUPS = 4
-"""Of four targets, for every tape, that `psf_recovery` draws: they need no tape around them."""
+"""Groups of four targets that `psf_recovery` draws for every tape; they need no tape around them."""
 
 
 def psf_range(trials: int, seed: int) -> Iterator[Curve]:
     """|R| and arg R of four targets and of the average, the paper's way; figures 6 to 10.
 
-    Theory is what a chip of 64 pixels holds of R, of mean 1.
+    The closed form is what a chip of 64 pixels retains of R, scaled to a mean of 1.
     """
     found = [_targets(RANGE, rng) for rng in generators(trials, seed, TARGET_TAPES)]
     truth, beam = _truth(RANGE)
@@ -97,7 +97,7 @@ def psf_cut(trials: int, seed: int) -> Iterator[Curve]:
     """The point-spread function along range, and its echoes over the depth of the sawtooth; figure 26.
 
     An echo of the amplitude depth / pi is in quadrature with Taylor's sidelobe at its place. The band of 7 / 16 has a
-    null there, so that the echo is all there is. All depths see the same clutter.
+    null there, so that only the echo is left. All depths see the same clutter.
     """
     middle, echo = COUNT * FINENESS // 2, int(RANGE.teeth) * FINENESS
     levels, errors = np.zeros((2, len(DEPTHS))), np.zeros(len(DEPTHS))
@@ -147,14 +147,14 @@ def psf_recovery(trials: int, seed: int) -> Iterator[Curve]:
 
 
 def _targets(fault: RangeFault, rng: np.random.Generator) -> tuple[PointTarget, ...]:
-    """Those found in a new tape."""
+    """The targets found in a new tape."""
     places = np.array(PLACES) + rng.uniform(-0.5, 0.5, (len(PLACES), 2))
     targets = tuple(Target(row, col, OVER_CLUTTER_DB) for row, col in places.tolist())
     return find_targets(make_tape(TAPE, rng, targets, fault, AZIMUTH)).require()
 
 
 def _truth(fault: RangeFault) -> tuple[C128, C128]:
-    """What chips hold of the range and the azimuth response."""
+    """What chips retain of the range and the azimuth response."""
     return chip_response(range_psf(PIXELS, fault)), chip_response(azimuth_psf(PIXELS, AZIMUTH))
 
 
@@ -233,4 +233,4 @@ PSF_FIGURES = {
         psf_recovery,
     ),
 }
-"""By name."""
+"""Figures by name."""

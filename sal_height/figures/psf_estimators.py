@@ -14,11 +14,11 @@ from sal_height.response.speckle_tiles import SpeckleTiles, checked_image
 from sal_height.response.transfer_function import centred
 
 AZIMUTH_STRIPE = 3
-"""Rows of the cross that let the azimuth response through, those of the paper."""
+"""Rows of the cross that pass the azimuth response, as in the paper."""
 
 
 RANGE_STRIPE = 5
-"""Columns of the cross that let the range response through, those of the paper."""
+"""Columns of the cross that pass the range response, as in the paper."""
 
 
 def masked_transfer_function(
@@ -26,7 +26,7 @@ def masked_transfer_function(
 ) -> tuple[C128, C128]:
     """R and A the paper's way: chips masked by a cross, plain means over k_a and over k_r (figures 10 and 15).
 
-    The cross has no effect on R: the mean over k_a is the transform of the row through the peak, which it lets through.
+    The cross has no effect on R: the mean over k_a is the transform of the row through the peak, which it passes.
 
     Args:
         targets: chips of one shape.
@@ -47,7 +47,7 @@ def masked_transfer_function(
 def masked_spectrum(
     target: PointTarget, azimuth_stripe: int = AZIMUTH_STRIPE, range_stripe: int = RANGE_STRIPE
 ) -> C128:
-    """Transform of a chip of which only a cross through the peak is left (PSF paper, figures 4 and 5)."""
+    """Transform a chip of which only a cross through the peak is left (PSF paper, figures 4 and 5)."""
     shape = target.spectrum.shape
     down, across = (np.minimum(np.arange(size), size - np.arange(size)) for size in shape)
     cross = (down <= azimuth_stripe // 2)[:, None] | (across <= range_stripe // 2)
@@ -71,7 +71,7 @@ def mean_modulus(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64]:
 
 
 def depth_and_pedestal(power: F64, teeth: float) -> tuple[float, float]:
-    """Depth of a sawtooth and height of the pedestal in |R|: what the paper reads off its figures 10 and 24.
+    """Depth of a sawtooth and height of the pedestal in |R|: as the paper reads them from its figures 10 and 24.
 
     The depth is pi / 2 times the sawtooth's fundamental in ln |R|, beside a parabola, where the power is above half of
     its greatest; the pedestal is the mean |R| of the quietest quarter of the frequencies over the greatest.

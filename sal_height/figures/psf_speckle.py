@@ -1,6 +1,6 @@
-"""The PSF paper on synthetic tapes of known responses: what speckle tells, and whether targets tell the same.
+"""The PSF paper on synthetic tapes of known responses: responses from speckle, and whether targets have the same.
 
-The paper concludes from the difference that the system is not linear (section 3). Here it is linear, but where a
+The paper concludes from the difference that the system is not linear (section 3). Here it is linear, except where a
 limiter is named.
 """
 
@@ -27,10 +27,10 @@ from sal_height.response import (
 )
 
 ROWS = 256
-"""Of all tapes; as many columns make an image of the paper."""
+"""Rows of all tapes; an image of the paper has as many columns."""
 
 IMAGES = 8
-"""Side by side in a tape, those of the paper."""
+"""Number of images side by side in a tape, as in the paper."""
 
 RANGE = RangeFault()
 
@@ -41,7 +41,7 @@ WITHIN = 0.35
 """Frequency up to which the tape's swinging beam is a cosine within 0.3 %: it is interpolated between pointings."""
 
 SPECKLE_COLS, TARGETS, BINS = 960, 8, 128
-"""Columns of speckle beside targets, their number, and the pixels of their chips along range."""
+"""Columns of speckle beside the targets, number of targets, and range pixels of their chips."""
 
 OVER_CLUTTER_DB = 40.0
 
@@ -57,7 +57,7 @@ SPREADS = 200
 P_VALUES = np.array([0.05, 0.25, 0.5, 0.75])
 
 LEVELS = np.array([8.0, 12.0, 16.0, 24.0])
-"""Of the limiter, over the rms of the signal where targets are spread out."""
+"""Levels of the limiter, over the rms of the signal where targets are spread out."""
 
 SIGNIFICANCE = 0.05
 
@@ -135,7 +135,7 @@ class Comparison:
 
     @property
     def p_value(self) -> float:
-        """Of the test of superposition."""
+        """P-value of the test of superposition."""
         return superposition(self.response, self.error, self.speckle).p_value
 
 
@@ -216,7 +216,7 @@ def _powers(tapes: list[Comparison]) -> Iterator[Curve]:
 
 
 def _mean_response(tapes: list[Comparison]) -> tuple[C128, F64]:
-    """Of the targets of several tapes, with its standard error."""
+    """Mean response of the targets of several tapes, with its standard error."""
     response = np.mean([tape.response for tape in tapes], axis=0)
     error = np.sqrt(np.mean([tape.error**2 for tape in tapes], axis=0) / len(tapes))
     return response, error
@@ -240,7 +240,7 @@ def _readings(tapes: dict[float, list[Comparison]], rng: np.random.Generator) ->
         read[:, index, 1] = _reading(power, rng.multivariate_normal(_prediction(noise), scatter, SPREADS))
         of_tapes = np.std([depth_and_pedestal(tape.speckle.range.power, RANGE.teeth) for tape in some], axis=0, ddof=1)
         read[2, index, 1] = np.maximum(read[2, index, 1], of_tapes / np.sqrt(len(some)))
-    read[1, :, 0, 1] = np.nan  # what noise makes of the targets' pedestal, which is not there
+    read[1, :, 0, 1] = np.nan  # the pedestal of targets in noise is not drawn
     for kind, name in enumerate(("depth", "pedestal")):
         for source, whose in enumerate(("targets", "speckle")):
             value, expected, error = read[:, :, source, kind]
@@ -255,7 +255,7 @@ def _reading(power: F64, drawn: F64) -> F64:
 
 
 def _share(quantity: str, case: str, x: F64, happened: Bool, expected: F64) -> Curve:
-    """Of tapes where something happened, shape (tapes, points); its standard error is that of the expected share."""
+    """Share of tapes where something `happened`, shape (tapes, points); standard error by the expected share."""
     value = np.mean(happened, axis=0)
     share = np.where(np.isnan(expected), value, expected)
     return Curve(quantity, case, x, value, np.sqrt(share * (1 - share) / len(happened)), expected)
@@ -286,4 +286,4 @@ SPECKLE_FIGURES = {
         psf_superposition,
     ),
 }
-"""By name."""
+"""Figures by name."""

@@ -1,4 +1,4 @@
-"""What the PSF paper's figures share: how many tapes they see, and where their curves are held to theory."""
+"""What the PSF paper's figures share: the number of tapes, and the points that are checked against theory."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from sal_height.figures.curve import Curve, exact_curve
 from sal_height.numeric import F64, Bool, Complex, frequencies
 
 COUNT = 64
-"""Pixels along each side of chips and sub-images, those of the paper."""
+"""Pixels along each side of chips and sub-images, as in the paper."""
 
 FREQUENCY = frequencies(COUNT)
-"""Cycles per pixel."""
+"""Frequencies of a chip, cycles per pixel."""
 
 TRIALS_OF_A_TAPE = 1000
 """Trials that one tape stands for: 20 tapes of the usual 20 000."""
@@ -19,19 +19,19 @@ TRIALS_OF_A_TAPE = 1000
 LEAST_TAPES, MOST_TAPES = 4, 40
 
 HELD = 5
-"""One frequency in so many is held to theory: bins err independently, and of hundreds some are three sigma off."""
+"""Step of the frequencies that are checked: bins err independently, and of hundreds some are three sigma off."""
 
 IN_BAND = 0.1
-"""Modulus of a response, over its greatest, from which on its phase is shown and it is held to theory."""
+"""Least modulus of a response, over its greatest, at which its phase is shown and checked."""
 
 
 def generators(trials: int, seed: int, figure: int, tapes: float = 1.0) -> list[np.random.Generator]:
-    """One for each tape.
+    """Make a random generator for each tape.
 
     Args:
         trials: that `sal-height figures` is asked for.
         seed: of all.
-        figure: number that tells its tapes from those of other figures.
+        figure: number of the figure, so that its tapes differ from those of others.
         tapes: over the usual number of them.
     """
     count = round(tapes * min(max(trials // TRIALS_OF_A_TAPE, LEAST_TAPES), MOST_TAPES))
@@ -39,7 +39,7 @@ def generators(trials: int, seed: int, figure: int, tapes: float = 1.0) -> list[
 
 
 def in_band(response: Complex | F64) -> Bool:
-    """Where a response is worth a phase."""
+    """Where a response is strong enough to have a phase."""
     return np.abs(response) > IN_BAND * np.abs(response).max()
 
 
@@ -50,5 +50,5 @@ def held(quantity: str, case: str, value: F64, error: F64, theory: F64, colour: 
 
 
 def shown(quantity: str, case: str, x: F64, value: F64, style: str = "-", colour: int = 0) -> Curve:
-    """A curve that is there to be looked at: of one draw, or of theory itself."""
+    """A curve that is shown and not checked: of one draw, or of theory itself."""
     return exact_curve(quantity, case, x, value, np.full_like(value, np.nan), style, colour)

@@ -1,6 +1,6 @@
-"""Closed forms for the PSF paper's figures: responses of the synthetic tape, and errors that clutter leaves in them.
+"""Closed forms for the PSF paper's figures: responses of the synthetic tape, and their errors caused by clutter.
 
-They share no code with what estimates: responses are made in pixels, from sums of sines and Taylor's coefficients, or
+They share no code with the estimators: responses are made in pixels, from sums of sines and Taylor's coefficients, or
 by quadrature; Fejer's kernel is applied over frequency.
 """
 
@@ -16,10 +16,10 @@ NBAR = 5
 """Sidelobes of the tape's Taylor weights that fall off little, plus one."""
 
 HARMONICS = 500
-"""Of the sawtooth that are summed; its echoes fall off with their number."""
+"""Number of harmonics of the sawtooth that are summed; echoes decay with the number of the harmonic."""
 
 STEPS = 4096
-"""Of quadratures over the band, and over the period of the swing."""
+"""Quadrature nodes over the band, and over the period of the swing."""
 
 
 def taylor_coefficients(sidelobe_db: float, nbar: int) -> F64:
@@ -71,7 +71,7 @@ def chip_transform(chip: C128) -> C128:
 
 
 def chip_response(psf: C128) -> C128:
-    """What a chip shows of a response: the transform of its pixels, with its own peak, of the value 1, in pixel 0.
+    """Response as a chip shows it: the transform of its pixels, with its own peak, of the value 1, in pixel 0.
 
     What the chip cuts off moves the peak a little.
 

@@ -1,4 +1,4 @@
-"""A second way to the amplitudes of a pair: by quadrature, and without the code that estimators use.
+"""Amplitudes of a pair of detectors by quadrature, without the code that estimators use.
 
 Quadrature is Gauss and Legendre's. Patterns of an aperture contain no more than half a cycle per beamwidth, so that a
 few nodes are exact to rounding.
@@ -21,13 +21,13 @@ from sal_height.numeric import F64
 Amplitude = Callable[[F64, F64], F64]
 
 PUPIL_NODES = 64
-"""Of integrals over an aperture."""
+"""Quadrature nodes of integrals over an aperture."""
 
 DETECTOR_NODES = 14
-"""Of integrals over a detector's width and over an aperture's aspects."""
+"""Quadrature nodes of integrals over a detector's width and over an aperture's aspects."""
 
 REACH = 0.95
-"""Beamwidths around the middle of a pair within which its discriminant rises from less than -0.9 to more than 0.9."""
+"""Distance from the middle of a pair within which its discriminant rises from -0.9 to 0.9 or more, beamwidths."""
 
 
 def nodes_between(low: float, high: float, count: int) -> tuple[F64, F64]:

@@ -42,13 +42,13 @@ from sal_height.theory import (
 Draw = Callable[[np.random.Generator, int], F64]
 
 SEPARATION = 0.5
-"""delta between the two beams' axes, beamwidths."""
+"""Separation delta of the axes of the two beams, beamwidths."""
 
 ELEVATIONS = np.linspace(-0.7, 0.7, 57)
-"""Off the equisignal direction, beamwidths."""
+"""Elevations from the equisignal direction, beamwidths."""
 
 SEPARATIONS = np.linspace(0.1, 1.2, 45)
-"""Beamwidths."""
+"""Separations of the beams over which the slope is drawn, beamwidths."""
 
 SLOPES: dict[str, Callable[[F64], F64]] = {
     "gaussian": lambda q: q / GAUSSIAN_WIDTH**2,
@@ -58,18 +58,18 @@ SLOPES: dict[str, Callable[[F64], F64]] = {
 """-G'(q) / G(q) per beamwidth of each pattern G at q beamwidths."""
 
 PLATFORM_HEIGHT = 10_000.0
-"""m."""
+"""Height H of the platform, m."""
 
 LOOK_ANGLES_DEG = np.linspace(15, 70, 56)
-"""From nadir."""
+"""Angles from nadir, degrees."""
 
 ANGLE_ERROR, RANGE_ERROR = 1e-3, 1.0
-"""rad and m."""
+"""Errors of angle (rad) and range (m) whose effects are drawn."""
 
 WIDTH = "half 16-84 % width"
 
 EQUAL_NOISE = (1.0, 1.0)
-"""Powers in Sigma and Delta."""
+"""Noise powers in Sigma and Delta."""
 
 GAMMAS = (0.25, 0.75)
 
@@ -82,12 +82,12 @@ ESTIMATORS: tuple[tuple[str, Estimator, type[SteadyLaw], str], ...] = (
 """The relief paper's eq. 17 and the maximum likelihood for a real angle, with the law of each and its line."""
 
 HYBRID_SNR = 1000.0
-"""Of sums formed after the receivers: so great that the spread of gamma tells the SNR, within 0.3 %."""
+"""SNR of sums formed after the receivers; high enough that the spread of gamma gives the SNR within 0.3 %."""
 
 HYBRID_GAMMA = 0.5
 
 COUPLINGS = np.linspace(0.5, 1.0, 11)
-"""c; up to 1 / sqrt(2) a passive hybrid can have it."""
+"""Coupling c of the hybrid; a passive one has at most 1 / sqrt(2)."""
 
 LOSSES_DB = np.linspace(0, 3, 7)
 
@@ -124,7 +124,7 @@ def relief_discriminator() -> Iterator[Curve]:
 
 
 def relief_geometry() -> Iterator[Curve]:
-    """Height h = H - rho cos theta (relief paper, eq. 1) and on the sphere, and what errors of theta and rho do to it.
+    """Height h = H - rho cos theta (relief paper, eq. 1) and on the sphere, and its errors caused by theta and rho.
 
     Ranges are those of a plane square to nadir.
     """
@@ -145,7 +145,7 @@ def relief_geometry() -> Iterator[Curve]:
 
 
 def _seen(theta: F64, slant_range: F64) -> F64:
-    """Points in the map that a level platform sees there, to the right and abeam."""
+    """Points in the map that a level platform sees at these angles and ranges, to the right and abeam."""
     position, velocity = np.array([0.0, 0.0, PLATFORM_HEIGHT]), np.array([1.0, 0.0, 0.0])
     return locate_at_elevation(
         theta, slant_range, 0.0, ApertureState(position, velocity, np.eye(3), 1.0, np.zeros((6, 6))), 1
@@ -204,7 +204,7 @@ def _estimate(estimator: Estimator, total: C128, difference: C128) -> F64:
 
 
 def relief_hybrid(trials: int, seed: int) -> Iterator[Curve]:
-    """Gain in SNR of a hybrid before the receivers, told by the spread of gamma, against sums formed after them.
+    """Gain in SNR of a hybrid before the receivers, from the spread of gamma, over sums formed after them.
 
     Lossless and unitary, it gains nothing. All points see the same draws of noise.
     """
@@ -345,4 +345,4 @@ RELIEF_FIGURES = {
         relief_order,
     ),
 }
-"""By name."""
+"""Figures by name."""

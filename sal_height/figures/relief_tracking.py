@@ -1,6 +1,6 @@
 """Heights tracked along range (the relief paper leaves this to Bayesian filtering), beside their closed forms.
 
-A Gauss-Markov relief is drawn, measured in every cell, and tracked as the node does it; what counts is the error in the
+A Gauss-Markov relief is drawn, measured in every cell, and tracked as the node does it; the error is taken in the
 middle of the swath, far from its ends.
 """
 
@@ -22,35 +22,35 @@ LENGTHS = np.array([1.0, 2.0, 5.0, 10.0, 20.0, 40.0])
 """Correlation lengths of the relief, m."""
 
 SPACING = 0.5
-"""Way on the ground from cell to cell, m."""
+"""Ground spacing between cells, m."""
 
 RELIEF_SIGMA = 1.0
 MEASURED_SIGMA = 1.0
 """Standard deviations of the relief and of its measurements, m."""
 
 ROWS = 301
-"""Cells of a swath; what lies 150 cells away has no say in the middle."""
+"""Cells of a swath; cells 150 away from the middle do not affect it."""
 
 SNR_DB = np.arange(0.0, 31.0, 5.0)
-"""Of the sum channel in a cell, for RMSE against it."""
+"""SNR of the sum channel in a cell, for the RMSE over it."""
 
 UNIT_SNR_DB = 10.0
-"""At which a measurement in the equisignal direction has MEASURED_SIGMA, by range and slope of the discriminator."""
+"""SNR of a measurement in the equisignal direction with MEASURED_SIGMA, by range and slope of the discriminator."""
 
 SNR_LENGTH = 20.0
-"""Correlation length of the relief there, m."""
+"""Correlation length of the relief in the curves over SNR, m."""
 
 LOOKS = 4
-"""Independent pixels whose mean power says how noisy a cell is where noise varies."""
+"""Independent pixels whose mean power gives the noise of a cell where noise varies."""
 
 BLOCK = 4096
-"""Tracks that are drawn at a time."""
+"""Number of tracks that are drawn at a time."""
 
 STREAM = 17
-"""Sets the random numbers apart from those of other figures with the same seed."""
+"""Number that gives this figure other random numbers than other figures with the same seed."""
 
 ALL = np.inf
-"""Gate: errors are Gaussian, and no measurement is an outlier."""
+"""No gate: errors are Gaussian, and no measurement is an outlier."""
 
 
 def relief_tracking(trials: int, seed: int) -> Iterator[Curve]:
@@ -134,7 +134,7 @@ def _expected_rmse(prior: ReliefPrior, sigma: F64, taken: F64) -> float:
 
 
 def _decibels(rmse: float) -> float:
-    """How much less than that of single cells an RMSE is."""
+    """Gain of an RMSE over that of single cells, dB."""
     return float(20 * np.log10(MEASURED_SIGMA / rmse))
 
 

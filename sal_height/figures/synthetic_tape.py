@@ -1,4 +1,4 @@
-"""A synthetic tape: images of an imperfect SAR with known transfer functions, to try calibration on.
+"""A synthetic tape: images of an imperfect SAR with known transfer functions, for tests of the calibration.
 
 The image is speckle and point targets (PSF paper, eq. 2.9), filtered by a range and an azimuth response (eq. 2.10). All
 frequencies are in cycles per pixel, from -1/2 up; responses over N frequencies begin with -1/2, as `numpy.fft.fftshift`
@@ -37,7 +37,7 @@ class RangeFault:
     teeth: float = 16.0
 
     def response(self, count: int) -> C128:
-        """At `count` frequencies from -1/2 cycles per pixel, shape (count,)."""
+        """Response at `count` frequencies from -1/2 cycles per pixel, shape (count,)."""
         frequency = frequencies(count)
         taper = RangeTaper(self.sidelobe_db, self.support).response(frequency)
         return np.asarray(taper * RangeSawtooth(self.sawtooth, self.teeth).response(frequency), dtype=np.complex128)
@@ -64,7 +64,7 @@ class AzimuthFault:
         return self.swing * np.sin(2 * np.pi * np.asarray(columns, dtype=np.float64) / self.swing_period)
 
     def response(self, count: int, pointing: float = 0.0) -> C128:
-        """At `count` frequencies from -1/2 cycles per pixel, with the beam displaced by `pointing`; shape (count,)."""
+        """Response at `count` frequencies from -1/2 cycles per pixel, the beam displaced by `pointing`, (count,)."""
         frequency = frequencies(count)
         beam = np.abs(np.cos(np.pi * (frequency - pointing))) ** self.taper
         return beam * np.exp(1j * self.quartic * (2 * frequency) ** 4)

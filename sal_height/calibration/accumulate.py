@@ -46,6 +46,10 @@ SQUINT_STEP = 0.01
 """Beamwidths to which squints of columns are rounded, so that beams are computed for few."""
 
 
+TARGET_MEMORY = 2**27
+"""Bytes of the chips of point targets that are held: 2048 of 64 x 64 pixels, where 25 per dwell would be 1.6 MB."""
+
+
 class Calibrator:
     """Gathers what the images of a sensor tell, dwell by dwell."""
 
@@ -88,7 +92,7 @@ class Calibrator:
         grid, aperture = slc.grid, slc.aperture
         pixels = unwound(slc.images, grid, aperture, self.sensor)
         self._spectra += cross_spectra(pixels, self.sensor, slc.noise_power)
-        self._targets += targets_in(pixels.sum(axis=0))
+        self._targets = brightest([*self._targets, *targets_in(pixels.sum(axis=0))], TARGET_MEMORY)
         if self._target is not None:
             seen = sighting(pixels, grid, aperture, self.sensor.look_side, self._target)
             self._sightings += [seen] if seen else []
@@ -214,6 +218,16 @@ def targets_in(image: C64) -> tuple[PointTarget, ...]:
     if min(rows, cols) < NARROWEST or not power.max() > 10 ** (LEAST_OVER_CLUTTER_DB / 10) * power.mean():
         return ()
     return find_targets(image, (rows, cols)).targets
+
+
+def brightest(targets: list[PointTarget], memory: int) -> list[PointTarget]:
+    """The brightest of some targets over their clutter, as many as their chips fit into `memory` bytes.
+
+    The standard error of a response falls with the sum of these ratios, to which the faint ones add least.
+    """
+    ranked = sorted(targets, key=lambda target: -target.over_clutter)
+    held = np.cumsum([target.spectrum.nbytes for target in ranked])
+    return ranked[: int(np.searchsorted(held, memory, side="right"))]
 
 
 def common_response(targets: list[PointTarget], frequencies: int) -> C128:

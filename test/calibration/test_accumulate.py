@@ -11,7 +11,7 @@ import pytest
 from helpers import assert_one_sentence, circular, multilook
 
 from sal_height.beams.array import Beams, column_squint
-from sal_height.calibration.accumulate import Calibrator, common_response, targets_in
+from sal_height.calibration.accumulate import Calibrator, brightest, common_response, targets_in
 from sal_height.calibration.beams import BeamCalibration
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
 from sal_height.elevation.looks import Looks
@@ -22,6 +22,7 @@ from sal_height.geometry.frames import angles_of
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.focus import ImageSettings, Slc, focus_dwell
 from sal_height.numeric.windows import window
+from sal_height.response.point_targets import PointTarget
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import Impairments, RangeSawtooth
 from sal_height.simulation.preset import TargetSettings, load_preset
@@ -57,6 +58,22 @@ def test_what_receivers_have_in_common_is_told_by_a_target() -> None:
     error = np.abs(shape.mean(axis=0) - true / true.mean())
     assert np.sqrt(np.mean(error**2)) < 0.45 * np.std(true)
     assert not any("common" in sentence for sentence in undetermined)
+
+
+def test_memory_of_targets_is_bounded_and_the_brightest_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [PointTarget(0.0, 0.0, float(over), np.zeros((64, 64), np.complex128)) for over in (300, 100, 900, 500)]
+    chip = 64 * 64 * 16
+    assert [target.over_clutter for target in brightest(found, 2 * chip)] == [900.0, 500.0]
+    assert [target.over_clutter for target in brightest(found, 3 * chip - 1)] == [900.0, 500.0]
+    assert brightest([], chip) == []
+    flight = flown(2, targets=(TargetSettings(east_m=0.0, north_m=0.3, height_m=0.5, power_db=45.0),))
+    (slc, _), calibrator = images(flight), Calibrator(flight.sensor)
+    monkeypatch.setattr(
+        "sal_height.calibration.accumulate.TARGET_MEMORY", 3 * targets_in(slc.images.sum(axis=0))[0].spectrum.nbytes
+    )
+    for _ in range(5):
+        calibrator.add(slc)
+    assert len(calibrator._targets) == 3
 
 
 def test_the_common_response_is_that_of_a_tape_at_its_frequencies() -> None:

@@ -22,7 +22,7 @@ class Rejected(UserError):  # noqa: N818 (not an error of the program)
 
 
 class NotDetermined(UserError):  # noqa: N818 (not an error of the program)
-    """The data do not tell what was to be estimated.
+    """The data do not determine what was to be estimated.
 
     The sentence says what is missing, and what would be needed.
     """

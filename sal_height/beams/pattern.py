@@ -1,4 +1,4 @@
-"""Beam patterns: the registry PATTERNS of apertures, and what a detector of some size makes of them.
+"""Beam patterns: the registry PATTERNS of apertures, and their averages over detectors of some size.
 
 A pattern is a function h of the direction to the target, seen from the beam's boresight: e in elevation (along the
 detector axis) and a in azimuth (beside it), both in beamwidths (wavelength / aperture). For a point detector

@@ -34,13 +34,13 @@ from sal_height.response import (
 from sal_height.sensor import MAX_SHARE, Sensor, spectrum_sensor, whitened_channels, with_powers
 
 LOOKS = 4
-"""Columns averaged to a pixel that tells of the beams; rows are not, so that slopes do not mix elevations."""
+"""Columns averaged to a pixel for the beams; rows are not averaged, so that slopes do not mix elevations."""
 
 PIXELS = 256
-"""Kept of each dwell at least, to tell of the beams: 8000 of 15 dB tell the width within 0.1 %."""
+"""Least number of pixels kept of each dwell for the beams: 8000 of 15 dB give the width within 0.1 %."""
 
 NARROWEST = 4
-"""Rows or columns of a chip that can be told from a point."""
+"""Least rows or columns of a chip in which a point can be recognised."""
 
 SQUINT_STEP = 0.01
 """Beamwidths to which squints of columns are rounded, so that beams are computed for few."""
@@ -138,7 +138,7 @@ class Calibrator:
         return [(self.dwells * kept + index) % blocks for index in range(kept)]
 
     def _calibrated_beams(self, response: C128, undetermined: list[str]) -> BeamCalibration:
-        """Gains and width of the beams, by the reference target if it tells them; enters what is not determined."""
+        """Gains and width of the beams, by the reference target if it determines them; notes what is not determined."""
         if self._target is not None:
             try:
                 return self._by_target()

@@ -6,7 +6,7 @@ responses, G the covariance of the channels' signals, which the scene and the be
 complex Gaussian signals have a Wishart distribution; Fisher scoring makes its likelihood greatest (Goodman, Ann. Math.
 Stat. 34, 1963, has the distribution; Kay, Estimation Theory, 1993, section 15.7, the scores).
 
-A response that all channels have in common cannot be told so: it is what the spectrum of a point tells (PSF paper).
+A response that all channels share cannot be found in this way; the spectrum of a point target shows it (PSF paper).
 """
 
 from __future__ import annotations

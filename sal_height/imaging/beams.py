@@ -27,7 +27,7 @@ def image_beams(sensor: Sensor, azimuth_window: str) -> Beams:
     refer to it. Beams that separate stay as they are.
 
     Speckled ground is not one target with these ratios: its detectors correlate as the mean of products of beams, which
-    with the axis turned is not the product of means. About half of the error in elevation that averaging takes off
+    with the axis turned is not the product of means. About half of the error in elevation that averaging removes from
     points stays on ground.
 
     Args:

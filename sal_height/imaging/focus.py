@@ -101,7 +101,7 @@ class Slc:
 
     @property
     def autofocus_phase(self) -> F64:
-        """Phase that was taken off each pulse, rad; empty: none."""
+        """Phase that was removed from each pulse, rad; empty: none."""
         return self.focus.phase if self.focus and self.focus.trusted else np.zeros(0)
 
 

@@ -19,7 +19,7 @@ LONGEST_TICK_S = 0.2
 
 
 class Key(NamedTuple):
-    """What tells dwells apart: a sensor that starts anew may count them from 0 again."""
+    """What distinguishes dwells: a sensor that starts anew may count them from 0 again."""
 
     config_hash: str
     number: int

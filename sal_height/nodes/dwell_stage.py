@@ -136,7 +136,7 @@ class DwellStage(Stage):
         self.advance()
 
     def _is_complete(self, dwell: Dwell[Any]) -> bool:
-        """Whether all channels have come, but for those that are given up."""
+        """Whether all channels have come, except those that are given up."""
         absences = self._absences.get(dwell.key.config_hash, Counter())
         return not dwell.absent or (self._may_proceed(dwell) and all(absences[c] >= GONE_AFTER for c in dwell.absent))
 

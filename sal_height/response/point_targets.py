@@ -63,7 +63,7 @@ GAP_SHARE = 0.01
 """Share of pixels that are exactly 0 from which on a chip has gaps."""
 
 EQUAL_PEAKS = 3
-"""Equally great real or imaginary parts, or amplitudes, in a chip that tell of clipping."""
+"""Equally great real or imaginary parts, or amplitudes, in a chip that indicate clipping."""
 
 EXPONENT = np.uint32(0x7F800000)
 """Of a float32: all set if it is infinite or not a number, which compiled loops do not tell otherwise."""

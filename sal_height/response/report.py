@@ -1,4 +1,4 @@
-"""All that images of one receiver tell of their point-spread function: by targets, by speckle, and whether both agree.
+"""The point-spread function from the images of one receiver: by targets, by speckle, and whether both agree.
 
 Each part is there or it is not, and then a sentence says why and what would be needed: nothing is made up (PSF paper,
 sections 3 and 4). Axis 0 of images is range, axis 1 azimuth.
@@ -29,7 +29,7 @@ LONG_CHIPS = (256, 128, 64)
 
 @dataclass(frozen=True)
 class PsfReport:
-    """What images tell of the response to a point; None stands for what they do not.
+    """The response to a point as images show it; None stands for what they do not show.
 
     Attributes:
         chip: rows and columns of the targets' chips.

@@ -1,4 +1,4 @@
-"""What pure speckle tells of the system's response: |R| over range frequency, |A| over azimuth frequency, the pointing.
+"""The system's response from pure speckle: |R| over range frequency, |A| over azimuth frequency, the pointing.
 
 Speckle scatters white, so that the power spectrum of its image is that of the response (PSF paper, eq. 2.6). A
 sub-image of M pixels shows it through its own ends: its mean periodogram is |R|^2 convolved with the Fejer kernel,
@@ -118,7 +118,7 @@ class Pointing:
 
 @dataclass(frozen=True)
 class SpeckleSpectra:
-    """What speckle tells of the response.
+    """The response as estimated from speckle.
 
     Attributes:
         range: along axis 0, of |R|^2.

@@ -4,7 +4,7 @@ Everything after this module works on "spectrum" samples, where a point of ampli
 reference contributes A exp(-j 2 pi f d) at the fast-time frequency f. Three sensors describe the three forms:
 
     sensor                   the raw samples, as the receiver delivers them
-    spectrum_sensor(sensor)  what `to_spectrum` makes of them: the frequencies in the band of the pulse
+    spectrum_sensor(sensor)  the sensor of what `to_spectrum` returns: the frequencies in the band of the pulse
     echo_sensor(sensor)      what `from_spectrum` makes them of: the frequencies of the whole record
 
 "chirp" is compressed by the matched filter: correlation with the pulse s(t), at the delays at which the whole pulse

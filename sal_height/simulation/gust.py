@@ -1,4 +1,4 @@
-"""How gusts move the platform about its track, and what of it the antenna's mount lets through.
+"""How gusts move the platform about its track, and how much of it the antenna's mount passes on.
 
 Gusts have the Dryden spectra of MIL-F-8785C for medium and high altitude, as strong in all axes. The aircraft follows
 them with a lag, and its autopilot brings it back to the track. The motion is a sum of harmonics of random phases, so
@@ -80,7 +80,7 @@ class GustMotion:
         return self._sum(seconds, 1, np.pi / 2)
 
     def rotation(self, seconds: npt.ArrayLike) -> Rotation:
-        """Attitude of base_link: level and eastwards, but for the share that the mount lets through.
+        """Attitude of base_link: level and eastwards, except for the share that the mount passes on.
 
         The aircraft banks by the acceleration to its right over g, and pitches and yaws with the direction of flight.
         """

@@ -2,8 +2,8 @@
 
 What a receiver does to the echoes, before its own noise, is a response over fast-time frequency; what the antenna does
 is where its beams point and how wide they are; what the processing of a real radar leaves is a phase over the aperture
-(PSF paper, sections 1 and 3). Nothing of it is in `sensor.Sensor`, which is the description. A receiver that saturates
-is described: `full_scale`.
+(PSF paper, sections 1 and 3). None of this is part of `sensor.Sensor`, which is the description. Only
+the saturation of receivers is described there: `full_scale`.
 
 Fast-time frequencies are offsets from the carrier in cycles per range cell (c / 2 B of the images): the band is that
 from -1/2 to 1/2. With waveform "chirp" or "deramped" the receiver's response is that of a filter before the mixer, so
@@ -29,7 +29,7 @@ TAPER_NODES = 4097
 """Nodes of the tabulated Taylor weights, which are interpolated linearly between them."""
 
 MOST_SWING_BEAMWIDTHS = 0.5
-"""Greatest swing of the antenna: the beams' middle stays within the band that a dwell may have (`sampling`)."""
+"""Greatest swing of the antenna: the beams' middle stays within the band that a dwell may have (`imaging.checks`)."""
 
 FORWARD = np.array([1.0, 0.0, 0.0])
 """Direction of flight in body axes."""
@@ -90,7 +90,7 @@ class RangeTaper:
 class AntennaSwing:
     """The beams swing along the flight (PSF paper, section 1): ahead by amplitude sin(2 pi t / period + phase).
 
-    Attitude does not tell of it. With a period much longer than the flight and a phase of pi / 2 they squint.
+    The odometry does not contain it. With a period much longer than the flight and a phase of pi / 2 the beams squint.
 
     Attributes:
         amplitude_rad: angle along the flight; at most MOST_SWING_BEAMWIDTHS.
@@ -115,7 +115,7 @@ STEADY = AntennaSwing(amplitude_rad=0.0, period_s=1.0)
 
 @dataclass(frozen=True)
 class Impairments:
-    """All that the simulated sensor has and its description does not tell of; by default nothing.
+    """How the simulated sensor differs from its description; by default in nothing.
 
     Receivers are where noise is added: behind the detectors, or behind a hybrid in the antenna (Sigma, then Delta).
     What they do to echoes comes before their noise, which stays as described.
@@ -148,7 +148,7 @@ class Impairments:
     quartic_phase_rad: Annotated[Float, Ge(-100), Le(100)] = 0.0
 
     def receiver_response(self, sensor: Sensor) -> C128:
-        """What each receiver multiplies the echoes by, at the frequencies of `echo_sensor(sensor)`.
+        """Factor of each receiver on the echoes at the frequencies of `echo_sensor(sensor)`.
 
         Args:
             sensor: as it is described, of any waveform.
@@ -169,7 +169,7 @@ class Impairments:
         return response
 
     def spur(self, sensor: Sensor) -> C128:
-        """What every pulse has in each receiver beside echoes and noise, shape (receivers, frequencies)."""
+        """Signal of each receiver in every pulse besides echoes and noise, shape (receivers, frequencies)."""
         spur = np.zeros((sensor.detector_count, echo_sensor(sensor).sample_count), dtype=np.complex128)
         spur[:, 0] = self.nyquist_spur_over_noise * np.sqrt(sensor.noise_power)
         return spur
@@ -191,7 +191,7 @@ def _cycles_per_cell(sensor: Sensor) -> F64:
 
 
 def through_receivers(clean: Complex, sensor: Sensor, impairments: Impairments) -> Complex:
-    """Echoes as they must come from the detectors for the receivers, were they as described, to deliver what they do.
+    """Echoes from which receivers as described would deliver the samples of the impaired ones.
 
     With receivers R behind the channel matrix M in the antenna that is M^-1 (R M s + spur), without it R s + spur. The
     difference from s is added, so that echoes keep every bit where nothing is impaired.

@@ -86,7 +86,7 @@ class MountingSettings:
 
     @property
     def mounting(self) -> Mounting:
-        """The same as the core has it."""
+        """The mounting as a value of the core."""
         turn = Rotation.from_euler("ZYX", self.boresight_rad[::-1])
         x, y, z, w = turn.as_quat().tolist()
         return Mounting(self.frame_id, self.lever_arm_m, (x, y, z, w))
@@ -201,7 +201,7 @@ class SensorSettings:
 class Flight:
     """A level track eastwards, with one dwell every `dwell_spacing_m`; in stripmap dwells follow without a gap.
 
-    It is straight but for what gusts of `gust_mps` (rms, in each axis) do to it, see `gust`.
+    It is straight except for the motion by gusts of `gust_mps` (rms, in each axis), see `gust`.
     """
 
     __pydantic_config__ = STRICT_KEYS
@@ -226,7 +226,7 @@ class ImageSize:
 
 @dataclass(frozen=True)
 class TargetSettings:
-    """A point target beside those of the scene, a `PointTarget`; power over a resolution cell of brightness 1."""
+    """A point target (`PointTarget`) beside those of the scene; power over that of a cell of brightness 1."""
 
     __pydantic_config__ = STRICT_KEYS
 
@@ -240,14 +240,14 @@ class TargetSettings:
 
 @dataclass(frozen=True)
 class Preset:
-    """All of a run. `cnr_db` is of one detector looking straight at a resolution cell of brightness 1 in the SLC.
+    """What a run is made from. `cnr_db` is that of a detector looking straight at a cell of brightness 1 in the SLC.
 
-    In stripmap it looks straight at the cell in elevation; what its beam loses over the aperture is made good.
+    In stripmap it looks straight at the cell in elevation; the loss of its beam over the aperture is compensated.
     `scene_extent_m` spreads the scatterers in height about the scene's terrain (`Scene.extent`); `targets` are added to
-    it, at rest or moving. `impairments` are what the description of the sensor does not tell of.
+    it, at rest or moving. `impairments` are how the sensor differs from its description.
 
-    `estimators` are the names of those whose heights a run makes; none: all that suit the sensor and need not be asked
-    for. `processing` holds parameters of nodes by node and name, as the option --param does, which overrides them.
+    `estimators` are the names of the height estimators of a run; none: those that run by default and suit the sensor.
+    `processing` holds parameters of nodes by node and name; the option --param overrides them.
     """
 
     __pydantic_config__ = STRICT_KEYS
@@ -268,7 +268,7 @@ class Preset:
 
     @property
     def dwell_spacing_m(self) -> float:
-        """Way from one dwell to the next, m; in stripmap that of a dwell's pulses."""
+        """Distance flown from one dwell to the next, m; in stripmap during the pulses of a dwell."""
         if self.flight.dwell_spacing_m is not None:
             return self.flight.dwell_spacing_m
         return self.flight.speed_mps * self.sensor.pulse_count / self.sensor.pulse_repetition_frequency_hz
@@ -401,7 +401,7 @@ def check_pulses(sensor: Sensor, speed: float) -> None:
 
 
 def _check_channels(sensor: SensorSettings, source: str) -> None:
-    """A hybrid has two detectors; gains and phases are one per detector.
+    """Check that a hybrid has two detectors, and that there is one gain and one phase per detector.
 
     Raises:
         UserError: it has not, or they are not.
@@ -424,7 +424,7 @@ def _check_one_per_detector(key: str, values: tuple[float, ...], sensor: SensorS
 
 
 def _check_impairments(preset: Preset, source: str) -> None:
-    """Impairments are of receivers that there are and of frequencies that samples are; beams stay on what is lit.
+    """Check that impairments name receivers and frequencies that exist, and that the beams stay on lit ground.
 
     Raises:
         UserError: they are not.
@@ -457,7 +457,7 @@ def _check_impairments(preset: Preset, source: str) -> None:
 
 
 def _check_dwell_spacing(preset: Preset, source: str) -> None:
-    """Spotlight dwells must not overlap; stripmap dwells have no spacing of their own.
+    """Check that spotlight dwells do not overlap, and that stripmap dwells have no spacing of their own.
 
     Raises:
         UserError: they do, or it is missing or given.

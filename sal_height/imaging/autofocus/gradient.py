@@ -1,4 +1,4 @@
-"""Autofocus: the phase error that all detectors share, estimated from what all of them saw, taken off all alike.
+"""Autofocus: the phase error that all detectors share, estimated from all of them together and removed from all alike.
 
 An error of path length common to the detectors - atmosphere, vibration, navigation - turns the phase of a whole pulse.
 Each detector and range cell tells what that pulse's phase did, so the maximum-likelihood phase-gradient kernel

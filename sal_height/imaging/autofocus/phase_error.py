@@ -26,7 +26,7 @@ def without_shift(phase: F64) -> F64:
 
     A linear trend moves the image along the flight, which navigation knows better than an image does. Where the phase
     steps by more than SMOOTH_STEP (rms), its course is known only modulo 2 pi, and so is no trend of it: there only the
-    mean is taken off, and the image stays where the beams' middle puts it.
+    mean is removed, and the image stays where the middle of the beams puts it.
     """
     course = np.unwrap(phase)
     smooth = np.sqrt(np.mean(np.diff(course) ** 2)) <= SMOOTH_STEP

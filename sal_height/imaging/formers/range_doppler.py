@@ -247,7 +247,7 @@ def _is_even(sensor: Sensor, processing: Processing, layout: _Layout) -> bool:
 def _range_transform(sensor: Sensor, wavenumber: F64, layout: _Layout, doppler: F64) -> ChirpZ:
     """Transform from frequencies to rows for each Doppler, or one for all if they hardly differ.
 
-    It takes off the migration and secondary compression of the middle range (stationary phase), and stretches range
+    It removes the migration and secondary compression of the middle range (stationary phase), and stretches range
     with Doppler, which corrects the migration of the other ranges.
     """
     rows, frequencies, central = len(layout.distance), len(wavenumber), sensor.centre_wavenumber

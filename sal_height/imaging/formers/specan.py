@@ -179,7 +179,7 @@ def expected_error(antenna: F64, sensor: Sensor, grid: Grid) -> float:
 
 
 def _columns(grid: Grid) -> F64:
-    """Way from the middle of a row to each column, m, (cols, 3).
+    """Displacement from the middle of a row to each column, m, (cols, 3).
 
     A column is as far from a position as the middle of its row is from that position less this.
     """

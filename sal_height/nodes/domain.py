@@ -14,6 +14,9 @@ from sal_height.errors import UserError
 DOMAINS = range(1, 101)
 """Domains to choose from: 0 is everybody's default, and above 100 the ports are among those that Linux hands out."""
 
+PARTICIPANTS = 16
+"""Participants of a domain whose ports are looked at."""
+
 _next = itertools.count(os.getpid())  # where to look first: each process, and each of its runs, at another place
 
 DomainChoice: TypeAlias = int | Literal["free", "environment"]
@@ -30,7 +33,9 @@ def free_domain() -> Iterator[int]:
     """A domain that nobody on this machine uses, kept from other callers until the context ends.
 
     What keeps it is a TCP port of the same number as the domain's first UDP port: the system frees it with the process,
-    whoever that belongs to. A domain in which somebody else has a node is recognised by the UDP port of its first node.
+    whoever that belongs to. A domain in which somebody else has a node is recognised by the UDP port of that node's
+    participant: Fast DDS numbers participants through all domains of a process, so that the first of a domain may have
+    any of the lower numbers.
 
     Raises:
         UserError: all domains are in use.
@@ -41,7 +46,8 @@ def free_domain() -> Iterator[int]:
             try:
                 _bind(held, socket.SOCK_STREAM, "127.0.0.1", first_port(domain))
                 with ExitStack() as probe:
-                    _bind(probe, socket.SOCK_DGRAM, "", first_port(domain) + 10)
+                    for participant in range(PARTICIPANTS):
+                        _bind(probe, socket.SOCK_DGRAM, "", first_port(domain) + 10 + 2 * participant)
             except OSError:
                 continue
             yield domain

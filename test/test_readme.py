@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,16 @@ from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.settings import settings_of
+from sal_height.simulation.impairments import Impairments
+from sal_height.simulation.preset import (
+    Flight,
+    HybridSettings,
+    ImageSize,
+    MountingSettings,
+    Preset,
+    SensorSettings,
+    TargetSettings,
+)
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -60,6 +71,14 @@ def test_commands_can_be_parsed_and_set_parameters_that_exist(document: Path) ->
 
 def test_readme_has_commands_to_check() -> None:
     assert len(commands_in(README)) >= 5
+
+
+@pytest.mark.parametrize(
+    "part", [Preset, SensorSettings, Flight, ImageSize, HybridSettings, MountingSettings, TargetSettings, Impairments]
+)
+def test_every_key_of_a_preset_is_described(part: type) -> None:
+    text = (ROOT / "docs" / "presets.md").read_text(encoding="utf-8")
+    assert [entry.name for entry in fields(part) if not re.search(rf"\b{entry.name}\b", text)] == []
 
 
 @ALL_DOCUMENTS

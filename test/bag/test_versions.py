@@ -80,12 +80,12 @@ def flat(message: Any, prefix: str = "") -> dict[str, Any]:
     return values
 
 
-def first_of(topic: str) -> tuple[Any, Any]:
-    """The first message on a topic as recorded, and as it is read today."""
+def last_of(topic: str) -> tuple[Any, Any]:
+    """The last message on a topic as recorded, and as it is read today; of a dwell's frames that of channel 7."""
     reader = BagReader(BAG)
-    new = next(message for message in reader.messages([topic]))
+    *_, new = reader.messages([topic])
     with (BAG / "bag_0.mcap").open("rb") as stream:
-        schema, _, record = next(make_reader(stream).iter_messages([topic]))
+        *_, (schema, _, record) = make_reader(stream).iter_messages([topic])
     assert schema
     old = typestore(schema.name, reader.topics[topic].definition).deserialize_cdr(record.data, schema.name)
     return old, reader.decode(new.type_name, new.cdr)
@@ -93,7 +93,7 @@ def first_of(topic: str) -> tuple[Any, Any]:
 
 @pytest.mark.parametrize("topic", sorted(RENAMED))
 def test_every_field_has_its_recorded_value_or_its_documented_default(topic: str) -> None:
-    old, new = map(flat, first_of(topic))
+    old, new = map(flat, last_of(topic))
     expected = {name: old[name] for name in new if name in old}
     expected |= {name: old[source] for name, source in RENAMED[topic].items()} | DEFAULTS[topic]
     assert expected.keys() | ELSEWHERE >= new.keys()
@@ -102,13 +102,13 @@ def test_every_field_has_its_recorded_value_or_its_documented_default(topic: str
 
 
 def test_the_sensor_of_an_old_bag_is_at_base_link() -> None:
-    sensor = sensor_from_message(first_of("/sensor_info")[1])
+    sensor = sensor_from_message(last_of("/sensor_info")[1])
     assert sensor.mounting.is_identity
     assert sensor.elevation_diameter == sensor.azimuth_diameter == 0.01
 
 
 def test_samples_are_those_recorded() -> None:
-    old, new = first_of("/phase_history")
+    old, new = last_of("/phase_history")
     recorded = np.asarray(old.samples, dtype=np.float32).view(np.complex64)
     assert recorded.any()
     np.testing.assert_array_equal(samples_of(new).ravel(), recorded)
@@ -116,7 +116,7 @@ def test_samples_are_those_recorded() -> None:
 
 @pytest.mark.parametrize(("topic", "count"), [("/monopulse/height", 1), ("/ml/height", 2)])
 def test_layers_are_those_recorded(topic: str, count: int) -> None:
-    old, new = first_of(topic)
+    old, new = last_of(topic)
     assert len(new.surfaces) == count
     for surface, prefix in zip(new.surfaces, ("", "second_"), strict=False):
         for name in ("height", "sigma", "cnr_db", "east", "north"):
@@ -125,7 +125,7 @@ def test_layers_are_those_recorded(topic: str, count: int) -> None:
 
 
 def test_parameters_are_listed_by_node_and_name() -> None:
-    parameters = first_of("/ml/height")[1].provenance.parameters
+    parameters = last_of("/ml/height")[1].provenance.parameters
     assert stages_of(parameters)["ml_height"]["azimuth_looks"] == 2
     assert {type(parameter_value_to_python(parameter.value)) for parameter in parameters} >= {int, float, str, bool}
 

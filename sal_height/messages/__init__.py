@@ -1,6 +1,7 @@
-"""Messages to arrays and back. Reading samples is a view; writing them costs one block copy.
+"""Conversion of messages to arrays and back.
 
-The only package that knows both.
+It is the only package that knows both the types of messages and those of the core. Samples are read without a copy
+(but for frames of 16-bit integers) and written with one block copy.
 """
 
 from sal_height.messages.basics import (

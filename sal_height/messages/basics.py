@@ -1,4 +1,4 @@
-"""What all conversions need: time, samples, vectors, grids and apertures."""
+"""Conversions that all messages share: times, samples, vectors, grids and apertures."""
 
 from __future__ import annotations
 
@@ -18,24 +18,27 @@ from sal_height.numeric import C64, C128, F32, F64, U8
 from sal_height.sensor import Sensor
 
 MAP_FRAME = "map"
+"""Name of the frame of positions: x east, y north, z up (REP-103)."""
+
 BODY_FRAME = "base_link"
+"""Name of the frame of the platform: x forward, y left, z up (REP-103)."""
 
 
 def to_ns(stamp: Time) -> int:
-    """Nanoseconds since the epoch."""
+    """Return the nanoseconds since the epoch that a Time message states."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 def to_stamp(ns: int) -> Time:
-    """Time message of nanoseconds since the epoch."""
+    """Return the Time message that states these nanoseconds since the epoch."""
     sec, nanosec = divmod(ns, 1_000_000_000)
     return Time(sec=sec, nanosec=nanosec)
 
 
 def to_floats(samples: npt.NDArray[np.generic]) -> array.array[float]:
-    """A float32[] field's value holding `samples` (real or complex, any shape): one block copy.
+    """Return the value of a float32[] field that holds `samples`, real or complex, of any shape.
 
-    rosidl takes an array.array as it is, but converts numpy arrays element by element.
+    This is one block copy: rosidl takes an array.array as it is, but converts a NumPy array element by element.
     """
     single = np.ascontiguousarray(samples, dtype=np.complex64 if np.iscomplexobj(samples) else np.float32)
     floats = array.array("f")
@@ -44,17 +47,17 @@ def to_floats(samples: npt.NDArray[np.generic]) -> array.array[float]:
 
 
 def complex_pairs(values: npt.NDArray[np.complexfloating]) -> array.array[float]:
-    """A float64[] field's value holding complex `values` of any shape: real and imaginary part in turn."""
+    """Return the value of a float64[] field that holds complex `values` of any shape: real, imaginary part in turn."""
     pairs = array.array("d")
     pairs.frombytes(np.ascontiguousarray(values, dtype=np.complex128).tobytes())
     return pairs
 
 
 def from_complex_pairs(pairs: Sequence[float], where: str) -> C128:
-    """The complex numbers of a float64[] field, shape (numbers,).
+    """Read a float64[] field of real and imaginary parts in turn as complex128 numbers, shape (numbers,).
 
     Raises:
-        UserError: an odd number of entries; the sentence begins with `where`.
+        UserError: the number of entries is odd; the sentence begins with `where`.
     """
     if len(pairs) % 2:
         raise UserError(f"{where} has {len(pairs)} entries; real and imaginary parts must come in pairs.")
@@ -62,22 +65,22 @@ def from_complex_pairs(pairs: Sequence[float], where: str) -> C128:
 
 
 def to_bytes(values: U8) -> array.array[int]:
-    """A uint8[] field's value holding `values`."""
+    """Return the value of a uint8[] field that holds `values`."""
     return array.array("B", values.tobytes())
 
 
 def complex_view(floats: Sequence[float], shape: tuple[int, ...]) -> C64:
-    """Read a float32[] field as complex samples of `shape`, without copying."""
+    """Read a float32[] field as complex64 samples of `shape`, without a copy."""
     return np.frombuffer(memoryview(floats), np.complex64).reshape(shape)  # type: ignore[arg-type]
 
 
 def float_view(floats: Sequence[float], shape: tuple[int, ...]) -> F32:
-    """Read a float32[] field as reals of `shape`, without copying."""
+    """Read a float32[] field as float32 numbers of `shape`, without a copy."""
     return np.frombuffer(memoryview(floats), np.float32).reshape(shape)  # type: ignore[arg-type]
 
 
 def grid_from_message(message: messages.ImageGrid) -> Grid:
-    """The grid an ImageGrid describes."""
+    """Return the grid that an ImageGrid describes."""
     return Grid(
         origin=vector_of(message.origin),
         row_direction=vector_of(message.row_direction),
@@ -90,7 +93,7 @@ def grid_from_message(message: messages.ImageGrid) -> Grid:
 
 
 def aperture_from_message(message: messages.Aperture) -> ApertureState:
-    """The aperture an Aperture message describes."""
+    """Return the aperture that an Aperture message describes."""
     q = message.pose.pose.orientation
     return ApertureState(
         position=vector_of(message.pose.pose.position),
@@ -103,7 +106,7 @@ def aperture_from_message(message: messages.Aperture) -> ApertureState:
 
 
 def grid_to_message(grid: Grid) -> messages.ImageGrid:
-    """The same grid as a message."""
+    """Return the ImageGrid that describes a grid."""
     return messages.ImageGrid(
         origin=Point(**xyz(grid.origin)),
         row_direction=Vector3(**xyz(grid.row_direction)),
@@ -116,7 +119,7 @@ def grid_to_message(grid: Grid) -> messages.ImageGrid:
 
 
 def aperture_to_message(aperture: ApertureState) -> messages.Aperture:
-    """The same aperture as a message."""
+    """Return the Aperture message that describes an aperture."""
     message = messages.Aperture(velocity=Vector3(**xyz(aperture.velocity)), length=aperture.length)
     message.sliding = aperture.sliding
     message.pose.pose.position = Point(**xyz(aperture.position))
@@ -127,38 +130,44 @@ def aperture_to_message(aperture: ApertureState) -> messages.Aperture:
 
 
 def xyz(vector: F64) -> dict[str, float]:
-    """Coordinates by name, as Point and Vector3 take them."""
+    """Return the coordinates of a vector by name, as Point and Vector3 take them."""
     return dict(zip("xyz", map(float, vector), strict=True))
 
 
 def vector_of(message: Point | Vector3) -> F64:
-    """Coordinates as an array."""
+    """Return the coordinates of a Point or Vector3 as an array, shape (3,)."""
     return np.array([message.x, message.y, message.z])
 
 
 def check_geometry(image_grid: messages.ImageGrid, aperture: messages.Aperture, where: str) -> None:
-    """Make sure that the pixels of an image lie somewhere, and that something flew past them.
+    """Check that the grid and the aperture of an image are finite and possible.
 
     Raises:
-        Rejected: they do not; the sentence begins with `where`.
+        Rejected: a value is not finite, a direction or the orientation has not the norm 1, a spacing is not greater
+            than 0, or the velocity is 0; the sentence begins with `where`.
     """
     grid = grid_from_message(image_grid)
     numbers = [grid.origin, grid.row_direction, grid.col_direction, vector_of(aperture.pose.pose.position)]
     numbers += [vector_of(aperture.velocity), np.array([grid.row_spacing, grid.col_spacing])]
     if not np.all(np.isfinite(np.concatenate(numbers))):
-        raise Rejected("not finite", f"{where}: grid or aperture is NaN or infinite; all must be finite.")
+        raise Rejected("not finite", f"{where}: grid or aperture has NaN or infinite values; all must be finite.")
     q = aperture.pose.pose.orientation
     norms = [np.linalg.norm(v) for v in (grid.row_direction, grid.col_direction, [q.x, q.y, q.z, q.w])]
     if not (np.allclose(norms, 1, atol=0.01) and grid.row_spacing > 0 and grid.col_spacing > 0):
         raise Rejected(
             "wrong geometry",
-            f"{where}: directions and orientation must have norm 1, spacings be greater than 0.",
+            f"{where}: row_direction, col_direction and orientation have the norms {np.round(norms, 3).tolist()}, the "
+            f"spacings are {grid.row_spacing:g} and {grid.col_spacing:g} m; norms must be 1, spacings greater than 0.",
         )
     if not np.linalg.norm(vector_of(aperture.velocity)) > 0:
         raise Rejected("wrong geometry", f"{where}: aperture.velocity is 0; a synthetic aperture needs motion.")
 
 
 def check_channel(channel: int, sensor: Sensor, where: str) -> None:
-    """Make sure that the sensor has a channel of that number; the sentence of the Rejected begins with `where`."""
+    """Check that the sensor has a channel of that number.
+
+    Raises:
+        Rejected: it has not; the sentence begins with `where`.
+    """
     if channel >= sensor.detector_count:
         raise Rejected("unknown channel", f"{where}: SensorInfo has channels 0 to {sensor.detector_count - 1}.")

@@ -1,4 +1,4 @@
-"""What was measured of a sensor."""
+"""Conversion of the calibration of a sensor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sal_height.messages.basics import BODY_FRAME, complex_pairs, from_complex_p
 def calibration_to_message(
     calibration: Calibration, stamp: Time, undetermined: Sequence[str] = ()
 ) -> messages.Calibration:
-    """Calibration as a message, with a sentence for all that could not be determined."""
+    """Return the Calibration message; `undetermined` has a sentence for each part that could not be determined."""
     channels, frequencies = calibration.response.shape
     return messages.Calibration(
         header=Header(stamp=stamp, frame_id=BODY_FRAME),
@@ -37,13 +37,14 @@ def calibration_to_message(
 
 
 def calibration_from_message(message: messages.Calibration) -> Calibration:
-    """The calibration a message holds.
+    """Return the calibration that a message holds.
 
     Raises:
-        UserError: no id, or values out of their range.
+        UserError: the message has no id, the number of its values contradicts its channels and frequencies, or a value
+            is out of its range.
     """
     if not message.id:
-        raise UserError("A Calibration has no id; products need one to refer to.")
+        raise UserError("A Calibration has no id; it must have one, to which products refer.")
     response = from_complex_pairs(message.response, f"Calibration {message.id!r}: response")
     shape = message.channels, message.frequencies
     if response.size != shape[0] * shape[1]:

@@ -1,4 +1,4 @@
-"""Platform states and phase histories."""
+"""Conversion of platform states (Odometry) and phase histories (ChannelFrame)."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from sal_height.numeric import C64
 from sal_height.sensor import PhaseHistory, Sensor
 
 LONGEST_DWELL = 3600.0
-"""Longest time from a frame's stamp to its last pulse, s."""
+"""Greatest time from the stamp of a frame to its last pulse, s."""
 
 GREATEST_RANGE = 1e8
 """Greatest reference range of a frame, m."""
 
 SAMPLE_BYTES = {messages.ChannelFrame.COMPLEX_FLOAT32: 8, messages.ChannelFrame.COMPLEX_INT16: 4}
-"""Bytes of a complex sample by ChannelFrame.encoding."""
+"""Bytes per complex sample by ChannelFrame.encoding."""
 
 
 def state_to_message(state: PlatformState, stamp: Time) -> Odometry:
-    """Odometry of a platform state (pose of base_link in map, twist in base_link)."""
+    """Return the Odometry of a platform state: pose of base_link in map, velocity in the axes of base_link."""
     message = Odometry(header=Header(stamp=stamp, frame_id=MAP_FRAME), child_frame_id=BODY_FRAME)
     message.pose.pose.position = Point(**xyz(state.position))
     message.pose.pose.orientation = Quaternion(**dict(zip("xyzw", state.orientation.tolist(), strict=True)))
@@ -48,25 +48,30 @@ def state_to_message(state: PlatformState, stamp: Time) -> Odometry:
 
 
 def state_from_message(message: Odometry) -> PlatformState:
-    """The platform state an Odometry describes.
+    """Return the platform state that an Odometry describes, with the velocity in the axes of map.
 
     Raises:
-        Rejected: other frames than map and base_link, values that are not finite, or an orientation that is no
-            rotation.
+        Rejected: the frames are not map and base_link, a value is not finite, or the quaternion of the orientation has
+            not the norm 1.
     """
     frames = (message.header.frame_id, message.child_frame_id)
     if frames != (MAP_FRAME, BODY_FRAME):
         raise Rejected(
             "wrong frames",
-            f"Odometry is of {frames[1]!r} in {frames[0]!r}; it must be of {BODY_FRAME!r} in {MAP_FRAME!r} (ENU, FLU).",
+            f"Odometry has child_frame_id {frames[1]!r} and frame_id {frames[0]!r}; it must be of {BODY_FRAME!r} (x "
+            f"forward, y left, z up) in {MAP_FRAME!r} (east, north, up).",
         )
     pose, twist = message.pose.pose, message.twist.twist.linear
     orientation = np.array([pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w])
     position, body_velocity = vector_of(pose.position), vector_of(twist)
     if not np.all(np.isfinite(np.concatenate([orientation, position, body_velocity]))):
-        raise Rejected("not finite", "Odometry has a value that is NaN or infinite; all must be finite.")
+        raise Rejected(
+            "not finite", "Odometry has NaN or infinite values; position, orientation and velocity must be finite."
+        )
     if not 0.99 < np.linalg.norm(orientation) < 1.01:
-        raise Rejected("no rotation", f"Odometry orientation {orientation} has not the norm 1 of a rotation.")
+        raise Rejected(
+            "no rotation", f"Odometry has the orientation {orientation.tolist()}; a rotation must have the norm 1."
+        )
     return PlatformState(
         stamp_ns=to_ns(message.header.stamp),
         position=position,
@@ -77,7 +82,7 @@ def state_from_message(message: Odometry) -> PlatformState:
 
 
 def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp: Time) -> list[messages.ChannelFrame]:
-    """One ChannelFrame per channel, with samples as "complex_float32"."""
+    """Return one ChannelFrame per channel of a dwell, with samples encoded as "complex_float32"."""
     return [
         messages.ChannelFrame(
             header=Header(stamp=stamp, frame_id=sensor.mounting.frame_id),
@@ -96,10 +101,10 @@ def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp
 
 
 def check_frame(frame: messages.ChannelFrame, sensor: Sensor) -> None:
-    """Make sure a frame can be processed with `sensor`.
+    """Check that a frame has the sizes that its sensor states, and values that can be processed.
 
     Raises:
-        Rejected: it cannot; the sentence names the field, the value and what is allowed.
+        Rejected: it has not; the sentence names the field, its value and what is allowed.
     """
     where = f"ChannelFrame of dwell {frame.dwell}, channel {frame.channel}"
     check_channel(frame.channel, sensor, where)
@@ -107,8 +112,8 @@ def check_frame(frame: messages.ChannelFrame, sensor: Sensor) -> None:
     if (frame.pulse_count, frame.sample_count) != expected:
         raise Rejected(
             "contradicts sensor info",
-            f"{where}: {frame.pulse_count} pulses x {frame.sample_count} samples, SensorInfo says "
-            f"{expected[0]} x {expected[1]}.",
+            f"{where}: the frame has {frame.pulse_count} pulses of {frame.sample_count} samples; SensorInfo states "
+            f"{expected[0]} of {expected[1]}.",
         )
     if frame.encoding not in SAMPLE_BYTES:
         raise Rejected(
@@ -119,7 +124,7 @@ def check_frame(frame: messages.ChannelFrame, sensor: Sensor) -> None:
     for field, count in wanted.items():
         if len(getattr(frame, field)) != count:
             raise Rejected(
-                "wrong size", f"{where}: {field} has {len(getattr(frame, field))} entries instead of {count}."
+                "wrong size", f"{where}: {field} has {len(getattr(frame, field))} entries; it must have {count}."
             )
     if frame.encoding == messages.ChannelFrame.COMPLEX_INT16 and not 0 < frame.scale < np.inf:
         raise Rejected("wrong scale", f"{where}: scale is {frame.scale}; it must be finite and greater than 0.")
@@ -131,8 +136,8 @@ def check_frame(frame: messages.ChannelFrame, sensor: Sensor) -> None:
     if np.any(np.diff(times) < 0) or times[0] < 0 or not times[0] < times[-1] <= LONGEST_DWELL:
         raise Rejected(
             "wrong pulse times",
-            f"{where}: pulse_time runs from {times[0]:g} to {times[-1]:g} s; it must not decrease, and lie between 0 "
-            f"and {LONGEST_DWELL:g} s.",
+            f"{where}: pulse_time runs from {times[0]:g} to {times[-1]:g} s; it must not decrease, must not be "
+            f"constant, and must lie between 0 and {LONGEST_DWELL:g} s.",
         )
     ranges = np.asarray(frame.reference_range)
     if not np.all((ranges > 0) & (ranges <= GREATEST_RANGE)):
@@ -144,7 +149,10 @@ def check_frame(frame: messages.ChannelFrame, sensor: Sensor) -> None:
 
 
 def samples_of(frame: messages.ChannelFrame) -> C64:
-    """The samples of a frame, shape (pulses, samples): of "complex_float32" a view, of "complex_int16" a copy."""
+    """Return the samples of a frame in the unit of the receiver, complex64, shape (pulses, samples).
+
+    Of "complex_float32" they are a view, of "complex_int16" a copy multiplied by the scale.
+    """
     shape = frame.pulse_count, frame.sample_count
     if frame.encoding == messages.ChannelFrame.COMPLEX_FLOAT32:
         return np.frombuffer(frame.samples, "<c8").reshape(shape)
@@ -153,17 +161,17 @@ def samples_of(frame: messages.ChannelFrame) -> C64:
 
 
 def _bytes_of(samples: C64) -> array.array[int]:
-    """The value of ChannelFrame.samples in the encoding "complex_float32": one block copy."""
+    """Return the value of ChannelFrame.samples in the encoding "complex_float32", with one block copy."""
     data = array.array("B")
     data.frombytes(np.ascontiguousarray(samples, dtype="<c8").reshape(-1).view(np.uint8).data)
     return data
 
 
 def history_from_messages(frames: Sequence[messages.ChannelFrame]) -> PhaseHistory:
-    """Phase history of the checked frames of all channels of a dwell, in the order of channels.
+    """Return the phase history of a dwell from the frames of all channels, in order, that `check_frame` has passed.
 
     Raises:
-        Rejected: the channels disagree on pulse times or reference ranges.
+        Rejected: the channels differ in pulse times or reference ranges.
     """
     first = frames[0]
     for frame in frames[1:]:
@@ -171,7 +179,7 @@ def history_from_messages(frames: Sequence[messages.ChannelFrame]) -> PhaseHisto
             raise Rejected(
                 "channels disagree",
                 f"Dwell {first.dwell}: channel {frame.channel} has other pulse times or reference ranges than "
-                f"channel {first.channel}; all must share them.",
+                f"channel {first.channel}; those of all channels must be equal.",
             )
     return PhaseHistory(
         stamp_ns=to_ns(first.header.stamp),

@@ -1,4 +1,4 @@
-"""Height images, and pictures and points for viewers."""
+"""Conversion of height images, and the images and point clouds that viewers show of them."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from sal_height.numeric import F32
 from sal_height.relief import HeightField, Surface
 
 LAYERS = ("height", "sigma", "cnr_db", "east", "north")
-"""Fields of a Surface message."""
+"""Names of the fields of a Surface message."""
 
 USABLE = (Validity.OK, Validity.TWO_SCATTERERS, Validity.INTERPOLATED)
-"""Values of validity of the pixels that have a height."""
+"""Validities of the pixels that have a height."""
 
 
 def height_to_message(
@@ -41,7 +41,7 @@ def height_to_message(
     source: messages.ComplexImage | messages.HeightImage,
     provenance: messages.Provenance,
 ) -> messages.HeightImage:
-    """HeightImage with the stamp and dwell of its `source`."""
+    """Return the HeightImage of a field of heights, with the stamp and the dwell of its `source`."""
     image = messages.HeightImage(
         header=source.header,
         dwell=source.dwell,
@@ -64,17 +64,17 @@ def _surface_to_message(surface: Surface, grid: Grid) -> messages.Surface:
 
 
 def field_from_message(image: messages.HeightImage) -> HeightField:
-    """The heights of the first surface of a HeightImage.
+    """Return the heights of the first surface of a HeightImage.
 
     A pixel that is usable by its validity but whose height, sigma, east or north is not finite, or whose sigma is not
     greater than 0, gets the validity MISSING_DATA; `bad_pixels` counts them.
 
     Raises:
-        Rejected: they cannot be used; the sentence names the field, the value and what is allowed.
+        Rejected: the image cannot be used; the sentence names the field, its value and what is allowed.
     """
     where = f"HeightImage of dwell {image.dwell}"
     if image.header.frame_id != MAP_FRAME:
-        raise Rejected("wrong frames", f"{where} is in {image.header.frame_id!r}; it must be in {MAP_FRAME!r} (ENU).")
+        raise Rejected("wrong frames", f"{where} is in {image.header.frame_id!r}; it must be in {MAP_FRAME!r}.")
     if not image.surfaces:
         raise Rejected("wrong size", f"{where} has no surface; it must have at least one.")
     grid, first = grid_from_message(image.grid), image.surfaces[0]
@@ -102,13 +102,13 @@ def field_from_message(image: messages.HeightImage) -> HeightField:
 
 
 def bad_pixels(image: messages.HeightImage, field: HeightField) -> int:
-    """Number of the pixels of `image` that are usable by their validity but were masked in `field` made of it."""
+    """Return the number of pixels that are usable by their validity in `image` but masked in `field`, made of it."""
     said = np.isin(np.array(image.validity, dtype=np.uint8), USABLE)
     return int(np.count_nonzero(said & ~np.isin(field.validity.ravel(), USABLE)))
 
 
 def bad_pixel_warning(image: messages.HeightImage, count: int) -> UserError:
-    """The sentence that says how many pixels of a height image were masked."""
+    """Return the warning that says how many pixels of a height image were masked."""
     return UserError(
         f"HeightImage of dwell {image.dwell}: {count} of {len(image.validity)} pixels are usable by their validity, "
         "but their height, sigma, east or north is not finite, or sigma is not greater than 0; they are left out."
@@ -116,25 +116,25 @@ def bad_pixel_warning(image: messages.HeightImage, count: int) -> UserError:
 
 
 def height_picture(image: messages.HeightImage) -> Image:
-    """The heights as a 32FC1 image, NaN where not valid: for any image viewer."""
+    """Return the heights of the first surface as a 32FC1 image for image viewers, NaN where they are not valid."""
     return float_picture(float_view(image.surfaces[0].height, (image.grid.rows, image.grid.cols)), image.header)
 
 
 def float_picture(values: F32, header: Header) -> Image:
-    """An array (rows, cols) as a 32FC1 image."""
+    """Return an array (rows, cols) as a 32FC1 image."""
     rows, cols = values.shape
     data = array.array("B", values.tobytes())
     return Image(header=header, height=rows, width=cols, encoding="32FC1", step=4 * cols, data=data)
 
 
 def height_points(field: HeightField, image: messages.HeightImage) -> PointCloud2:
-    """All scatterers as points x, y, z in map with height, sigma and cnr_db: for any point-cloud viewer."""
+    """Return all scatterers as a cloud of points x, y, z (m, map) with height, sigma (m) and cnr_db for viewers."""
     points = np.concatenate([_points(surface) for surface in (field.first, field.second) if surface])
     return point_cloud(points, ("x", "y", "z", "height", "sigma", "cnr_db"), image.header)
 
 
 def point_cloud(points: F32, names: Sequence[str], header: Header) -> PointCloud2:
-    """Points of shape (points, fields) whose fields have these `names`."""
+    """Return points of shape (points, fields) as a cloud whose fields have these `names`."""
     return PointCloud2(
         header=header,
         height=1,
@@ -148,7 +148,7 @@ def point_cloud(points: F32, names: Sequence[str], header: Header) -> PointCloud
 
 
 def _points(surface: Surface) -> F32:
-    """Position, height, sigma and CNR of the scatterers of a surface, shape (scatterers, 6)."""
+    """Return position, height, sigma and CNR of the scatterers of a surface, shape (scatterers, 6)."""
     seen = np.isfinite(surface.height)
     columns = [*surface.positions[seen].T, surface.height[seen], surface.sigma[seen], surface.cnr_db[seen]]
     return np.ascontiguousarray(np.stack(columns, axis=-1), dtype=np.float32)

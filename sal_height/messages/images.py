@@ -1,4 +1,4 @@
-"""Single-look complex images."""
+"""Conversion of single-look complex images."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from sal_height.sensor import Sensor
 def slc_to_messages(
     slc: Slc, frame: messages.ChannelFrame, provenance: messages.Provenance
 ) -> list[messages.ComplexImage]:
-    """One ComplexImage per channel, with the stamp and dwell of `frame`."""
+    """Return one ComplexImage per channel, with the stamp and the dwell of `frame`."""
     return [
         messages.ComplexImage(
             header=Header(stamp=frame.header.stamp, frame_id=MAP_FRAME),
@@ -47,10 +47,10 @@ def slc_to_messages(
 
 
 def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
-    """Make sure an image can be processed with `sensor`.
+    """Check that an image has the size that its grid states, and values that can be processed.
 
     Raises:
-        Rejected: it cannot; the sentence names the field, the value and what is allowed.
+        Rejected: it has not; the sentence names the field, its value and what is allowed.
     """
     where = f"ComplexImage of dwell {image.dwell}, channel {image.channel}"
     check_channel(image.channel, sensor, where)
@@ -71,13 +71,10 @@ def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
 
 
 def slc_from_messages(images: Sequence[messages.ComplexImage]) -> Slc:
-    """The images of all channels of a dwell, which `check_slc` has passed.
-
-    The azimuth window is that which the provenance records of sar_compression; rectangular if it names none that is
-    known.
+    """Return the images of all channels of a dwell, in order, from messages that `check_slc` has passed.
 
     Raises:
-        Rejected: the channels disagree on grid or aperture.
+        Rejected: the channels differ in grid or aperture.
     """
     first = images[0]
     for image in images[1:]:
@@ -85,7 +82,7 @@ def slc_from_messages(images: Sequence[messages.ComplexImage]) -> Slc:
             raise Rejected(
                 "channels disagree",
                 f"Dwell {first.dwell}: channel {image.channel} has another grid or aperture than channel "
-                f"{first.channel}; all must share them.",
+                f"{first.channel}; those of all channels must be equal.",
             )
     grid = grid_from_message(first.grid)
     return Slc(
@@ -99,6 +96,9 @@ def slc_from_messages(images: Sequence[messages.ComplexImage]) -> Slc:
 
 
 def recorded_azimuth_window(provenance: messages.Provenance) -> str:
-    """Azimuth window that images were made with, as their provenance records it; rectangular if it names none known."""
+    """Return the name of the azimuth window that images were made with, which their provenance records.
+
+    It is "rectangular" if the provenance does not name a window of `numeric.WINDOWS`.
+    """
     name = recorded(provenance.parameters, "sar_compression", "azimuth_window")
     return name if isinstance(name, str) and name in WINDOWS else "rectangular"

@@ -1,4 +1,4 @@
-"""Provenance: what a product was made from, by which programs and with which parameters."""
+"""Provenance: what a product was made from, by which version of the programs and with which parameters."""
 
 from __future__ import annotations
 
@@ -15,9 +15,12 @@ from sal_height.settings import Settings
 
 
 def derived(before: Provenance, stage: str, values: Settings | Mapping[str, Any]) -> Provenance:
-    """Provenance of what `stage` with the parameters `values` made of a product with the provenance `before`.
+    """Return the provenance of what `stage`, with the parameters `values`, made of a product.
 
-    All that `before` says of the images stays: sensor, calibration, and the phase that autofocus took off.
+    Args:
+        before: provenance of that product. Its sensor, calibration and autofocus phase are kept.
+        stage: name of the node.
+        values: of the parameters, by name.
     """
     return Provenance(
         code_version=__version__,
@@ -31,12 +34,12 @@ def derived(before: Provenance, stage: str, values: Settings | Mapping[str, Any]
 def with_stage(
     before: Sequence[ParameterMessage], stage: str, values: Settings | Mapping[str, Any]
 ) -> list[ParameterMessage]:
-    """Provenance.parameters: `before` with those of `stage` added, in place of what it had.
+    """Return the value of Provenance.parameters with the parameters of one more stage.
 
     Args:
-        before: parameters of earlier stages.
-        stage: name of the node; part of the parameters' names up to the first dot.
-        values: by name. A mapping within becomes names with further dots; None is left out.
+        before: parameters of the earlier stages; those of `stage` among them are replaced.
+        stage: name of the node, which is the part before the first dot in the names of its parameters.
+        values: of the parameters, by name. Nested mappings make names with further dots; None is left out.
     """
     flat = _flat(values, f"{stage}.")
     kept = [parameter for parameter in before if not parameter.name.startswith(f"{stage}.")]
@@ -44,7 +47,7 @@ def with_stage(
 
 
 def stages_of(parameters: Sequence[ParameterMessage]) -> dict[str, dict[str, Any]]:
-    """The values in a Provenance.parameters by stage and name of the parameter."""
+    """Return the values in a Provenance.parameters by stage and name of the parameter."""
     stages: dict[str, dict[str, Any]] = {}
     for parameter in parameters:
         stage, _, name = parameter.name.partition(".")
@@ -53,12 +56,12 @@ def stages_of(parameters: Sequence[ParameterMessage]) -> dict[str, dict[str, Any
 
 
 def recorded(parameters: Sequence[ParameterMessage], stage: str, name: str) -> Any:
-    """Value of the parameter `name` of `stage` in a Provenance.parameters; None if it is not there."""
+    """Return the value of the parameter `name` of `stage` in a Provenance.parameters, or None if it is not there."""
     return stages_of(parameters).get(stage, {}).get(name)
 
 
 def _flat(values: Settings | Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """Values that a ROS parameter can have, by name behind the prefix."""
+    """Return values that ROS parameters can have by their names, each of which begins with the prefix."""
     flat: dict[str, Any] = {}
     for name, value in dict(values).items():
         if isinstance(value, Settings | Mapping):

@@ -1,4 +1,4 @@
-"""Relief maps, and pictures and points for viewers."""
+"""Conversion of relief maps, and the images and point clouds that viewers show of them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sal_height.relief import Relief
 
 
 def relief_to_message(relief: Relief, images: int, last: HeightImage, provenance: Provenance) -> ReliefMap:
-    """ReliefMap of `images` height images, with stamp, dwell and estimator of the `last` one."""
+    """Return the ReliefMap of `images` height images, with the stamp, dwell and estimator of the `last` one."""
     rows, cols = relief.height.shape
     return ReliefMap(
         header=last.header,
@@ -36,12 +36,12 @@ def relief_to_message(relief: Relief, images: int, last: HeightImage, provenance
 
 
 def relief_picture(relief: Relief, last: HeightImage) -> Image:
-    """The heights as a 32FC1 image with north up, NaN where nothing was seen: for any image viewer."""
+    """Return the heights as a 32FC1 image for image viewers, with north up and NaN in cells that were not seen."""
     return float_picture(relief.height[::-1], last.header)
 
 
 def relief_points(relief: Relief, last: HeightImage) -> PointCloud2:
-    """The cells that were seen as points x, y, z in map with height and sigma: for any point-cloud viewer."""
+    """Return the cells that were seen as a cloud of points x, y, z (m, map) with height and sigma (m) for viewers."""
     row, col = np.nonzero(relief.count)
     height, sigma = (layer[row, col].astype(np.float64) for layer in (relief.height, relief.sigma))
     east, north = relief.east + relief.cell_size * col, relief.north + relief.cell_size * row

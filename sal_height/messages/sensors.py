@@ -1,4 +1,4 @@
-"""The sensor's description."""
+"""Conversion of the description of a sensor."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sal_height.sensor import Sensor
 
 
 def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
-    """SensorInfo of a sensor."""
+    """Return the SensorInfo that describes a sensor."""
     x, y, z = sensor.mounting.lever_arm
     return messages.SensorInfo(
         header=Header(stamp=stamp, frame_id=BODY_FRAME),
@@ -66,10 +66,10 @@ def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
 
 
 def sensor_from_message(message: messages.SensorInfo) -> Sensor:
-    """The sensor a SensorInfo describes.
+    """Return the sensor that a SensorInfo describes.
 
     Raises:
-        UserError: another version of the contract, no config_hash, or a value out of its range.
+        UserError: the message has another contract_version, no config_hash, or a value out of its range.
     """
     if message.contract_version != messages.SensorInfo.CONTRACT_VERSION:
         raise UserError(
@@ -77,7 +77,9 @@ def sensor_from_message(message: messages.SensorInfo) -> Sensor:
             f"reads {messages.SensorInfo.CONTRACT_VERSION}."
         )
     if not message.config_hash:
-        raise UserError(f"SensorInfo {message.name!r} has no config_hash; frames and products need one to refer to.")
+        raise UserError(
+            f"SensorInfo {message.name!r} has no config_hash; it must have one, to which frames and products refer."
+        )
     waveform, beams, channels = message.waveform, message.beams, message.channels
     return Sensor(
         name=message.name,

@@ -181,7 +181,7 @@ def test_arm_and_boresight_are_described_in_the_axes_of_the_platform_not_in_each
 
 
 def test_a_lever_arm_moves_with_a_rolling_platform() -> None:
-    """Within the dwell of 1.6 ms the antenna rises by 0.16 mm, 200 wavelengths of phase: the Doppler of 0.1 m/s."""
+    """Within the dwell of 1.6 ms the antenna rises by 0.16 mm, a hundred wavelengths, at 0.1 m/s."""
     case = Case("spotlight", roll_rate=0.1, arm=(0.0, 1.0, 0.0))
     assert case.height_error() == pytest.approx(0.0, abs=EXACT)
 

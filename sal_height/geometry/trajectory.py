@@ -47,7 +47,7 @@ class Trajectory:
     The track is that of a sensor with a given mounting on the platform. The lever arm follows a spline through the
     attitudes, with continuous angular velocity and acceleration, which adds its turning to the antenna's velocity. It
     is exact for a platform that turns at a constant rate, even between two states; 1 m of arm turning at 0.2 rad/s
-    leaves its chord over 5 ms by 0.12 um, an eighth of an optical wavelength each way.
+    leaves its chord over 5 ms by 0.12 um, a twelfth of a wavelength of 1.55 um each way.
     """
 
     def __init__(self, states: list[PlatformState], mounting: Mounting = AT_BASE_LINK) -> None:

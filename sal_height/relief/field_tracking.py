@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from sal_height.numeric import F64, Bool, Index, in_parallel
 from sal_height.relief.range_tracking import (
@@ -191,7 +190,7 @@ def _filtered_lines(deviation: F64, precision: F64, line: _Line) -> Iterator[_St
         scaled = root[:, :, None] * spread
         factor = np.linalg.cholesky(np.eye(size) + scaled * root[:, None, :])
         unknown = np.concatenate([scaled, (root * (measured - state))[..., None]], axis=-1)
-        whitened = solve_triangular(factor, unknown, lower=True, check_finite=False)
+        whitened = np.linalg.solve(factor, unknown)
         gain, innovation = np.swapaxes(whitened[..., :-1], -1, -2), whitened[..., -1]
         log_volume = float(np.sum(np.log(np.diagonal(factor, axis1=-2, axis2=-1))))
         log_likelihood = -float(np.sum(innovation**2)) / 2 - log_volume

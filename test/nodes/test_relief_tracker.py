@@ -220,7 +220,7 @@ def nowhere(image: HeightImage) -> None:
         (too_few_sigmas, "wrong size", "sigma has 1199 entries"),
         (no_surface, "wrong size", "at least one"),
         (no_motion, "wrong geometry", "velocity"),
-        (no_direction, "wrong geometry", "norm 1"),
+        (no_direction, "wrong geometry", "norms must be 1"),
         (nowhere, "not finite", "grid"),
     ],
 )

@@ -62,13 +62,14 @@ def check_frames(sensor: Sensor, aperture: ApertureState, reference_range: float
     the data focus and heights would be wrong by twice the height of the flight. Its antenna is below the map's origin.
 
     Raises:
-        Rejected: z of base_link points down, or the antenna is far below the map's origin (LOWEST_FLIGHT).
+        Rejected: z of the sensor frame (base_link, turned by the mounting) points down, or the antenna is far below the
+            map's origin (LOWEST_FLIGHT).
     """
     if aperture.rotation[2, 2] <= 0:
         raise Rejected(
             "odometry frames",
-            f"The z axis of base_link points {np.arccos(np.clip(aperture.rotation[2, 2], -1, 1)):.3g} rad away from up "
-            "in map; base_link must have x forward, y left and z up, map east-north-up.",
+            f"The z axis of the sensor frame points {np.arccos(np.clip(aperture.rotation[2, 2], -1, 1)):.3g} rad away "
+            "from up in map; base_link, turned by the mounting, must have x forward, y left, z up, map east-north-up.",
         )
     height = float(aperture.position[2])
     drop = height - float(aim_point(sensor, aperture, reference_range)[2])

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sal_height.nodes.domain import DomainChoice
     from sal_height.runs.conductor import Execution
 
-DONE, FAILED, BAD_USE, INTERRUPTED = 0, 1, 2, 130
+DONE, FAILED, BAD_USE, INTERRUPTED, CUT_OFF = 0, 1, 2, 130, 141
 """Exit statuses. FAILED means something else in each command, whose help says what."""
 
 PROCESSING = Group("Simulate and process", sort_key=1)
@@ -53,6 +53,7 @@ def epilogue(examples: str, failure: str | None = None) -> str:
         FAILED: failure,
         BAD_USE: "wrong use, unusable input or failure; a sentence on stderr explains it",
         INTERRUPTED: "interrupted by SIGINT (Ctrl-C), SIGTERM or SIGHUP; files stay on disk",
+        CUT_OFF: "the reader of the output closed it, as `head` does",
     }
     statuses = "\n".join(f"  {status:<4} {meaning}" for status, meaning in meanings.items() if meaning)
     return f"examples:\n{examples.strip(chr(10))}\n\nexit status:\n{statuses}"

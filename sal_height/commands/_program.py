@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -11,7 +12,7 @@ from pkgutil import iter_modules
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from sal_height import __version__
-from sal_height.commands._options import BAD_USE, DONE, INTERRUPTED, epilogue
+from sal_height.commands._options import BAD_USE, CUT_OFF, DONE, INTERRUPTED, epilogue
 from sal_height.errors import UserError
 
 EXAMPLES = """
@@ -33,6 +34,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     _interrupt_on_termination()
+    try:
+        status = _status(words)
+        sys.stdout.flush()  # what is still in the buffer may find that nobody reads it
+    except BrokenPipeError:
+        return _cut_off()
+    except SystemExit as ended:  # the printer of help ends the program itself
+        if isinstance(ended.__context__, BrokenPipeError):
+            return _cut_off()
+        raise
+    return status
+
+
+def _status(words: list[str]) -> int:
+    """Run a command and return its exit status; errors of the user become a sentence on stderr."""
     try:
         status = program()(words, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
@@ -77,6 +92,17 @@ def _interrupt_on_termination() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         signal.signal(signal.SIGHUP, signal.default_int_handler)
+
+
+def _cut_off() -> int:
+    """The status after whoever read the output closed it, as `head` does; nothing more is written to it."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except BrokenPipeError:
+            os.dup2(nowhere, stream.fileno())
+    return CUT_OFF
 
 
 def _complain(sentence: str) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -82,6 +83,24 @@ def test_the_module_is_the_program() -> None:
     assert result.stdout == f"sal_height {__version__}\n"
 
 
+@pytest.mark.parametrize("also_errors", [False, True], ids=["stdout", "stdout and stderr"])
+@pytest.mark.parametrize(
+    "words", [["--help"], ["--version"], ["montecarlo", "pair", "--trials", "10"], ["replay"]], ids=" ".join
+)
+def test_a_reader_that_closes_the_output_ends_a_command_quietly(words: list[str], also_errors: bool) -> None:
+    """As `sal-height ... | head` does; `replay` without a bag complains on stderr and prints nothing."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "wb") as closed:
+        command = [sys.executable, "-m", "sal_height", *words]
+        errors = closed if also_errors else subprocess.PIPE
+        result = subprocess.run(command, stdout=closed, stderr=errors, check=False, timeout=60)  # noqa: S603 (our code)
+    if words == ["replay"] and not also_errors:
+        assert result.returncode == 2
+    else:
+        assert (result.returncode, result.stderr or b"") == (141, b"")
+
+
 @pytest.mark.parametrize("path", PATHS, ids=" ".join)
 def test_help_has_examples_that_can_be_parsed_and_exit_statuses(
     path: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -93,6 +112,7 @@ def test_help_has_examples_that_can_be_parsed_and_exit_statuses(
     assert "  0    done" in statuses
     assert "  2    " in statuses
     assert "  130  interrupted" in statuses
+    assert "  141  the reader" in statuses
     examples = text[text.index("examples:") :].replace("\\\n", " ")
     lines = [line.strip().split("  ")[0].split()[1:] for line in examples.splitlines() if line.startswith("  sal-h")]
     assert lines

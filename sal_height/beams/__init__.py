@@ -2,7 +2,7 @@
 
 Read `pattern` first (the registry PATTERNS of apertures, point detectors and finite ones), then `table` (measured beams
 from CSV) and `array` (`Beams`: all detectors of a sensor, each along its boresight). `apertures` holds the formulas,
-`detector` the mean over a finite detector, `spline` the interpolation of both kinds of table.
+`detector` the mean over a finite detector.
 """
 
 from sal_height.beams.apertures import GAUSSIAN_WIDTH

@@ -16,9 +16,6 @@ from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, aperture_at, squint_on_cone
 from sal_height.numeric import C128, F64, Index
 
-NEGLIGIBLE = 1e-6
-"""Entries of a channel matrix below this share of the greatest one, -120 dB, count as 0: samples are complex64."""
-
 
 @dataclass(frozen=True, eq=False)
 class Beams:
@@ -58,11 +55,11 @@ class Beams:
 
         Float64, or complex128 if a pattern or the matrix is complex.
         """
-        return self._in_channels(self._mean(self._amplitude, elevation, squint))
+        return self._in_channels(self._amplitude, elevation, squint)
 
     def slope(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
         """Return the derivative of `response` with respect to elevation, per rad: shape (..., channels)."""
-        return self._in_channels(self._mean(self._slope, elevation, squint))
+        return self._in_channels(self._slope, elevation, squint)
 
     def power(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
         """Return the sum of |response|^2 over the channels, for targets at `elevation` and `squint` (rad)."""
@@ -90,8 +87,12 @@ class Beams:
         """Return the beams of channels that are `matrix` times these, shape (channels, channels).
 
         If the result mixes no detectors, because the matrix is diagonal or undoes a hybrid, the beams are `scaled`.
+        Entries and imaginary parts below 1e-6 (-120 dB) of the greatest one are rounding of complex64 samples: 0.
         """
-        matrix = _without_rounding(matrix if self.matrix is None else matrix @ self.matrix)
+        matrix = matrix if self.matrix is None else matrix @ self.matrix
+        least = 1e-6 * np.abs(matrix).max()
+        matrix = np.where(np.abs(matrix) > least, matrix, 0)
+        matrix = matrix if np.any(np.abs(matrix.imag) > least) else matrix.real
         mixed = np.any(matrix != np.diag(np.diag(matrix)))
         return replace(self, matrix=matrix) if mixed else replace(self, matrix=None).scaled(np.diag(matrix))
 
@@ -101,7 +102,8 @@ class Beams:
         Raises:
             UserError: the channels are mixtures of detectors.
         """
-        self._check_unmixed()
+        if self.matrix is not None:
+            raise UserError("The channels are mixtures of detectors; single detectors cannot be picked from them.")
         patterns = self.patterns if len(self.patterns) == 1 else tuple(self.patterns[i] for i in indices)
         return replace(self, patterns=patterns, boresights=self.boresights[indices], middle=self.axis_middle)
 
@@ -177,18 +179,12 @@ class Beams:
         """Point of the axis about which it is turned, rad from nadir."""
         return float(np.mean(self.span)) if self.middle is None else self.middle
 
-    def _check_unmixed(self) -> None:
-        if self.matrix is not None:
-            raise UserError("The channels are mixtures of detectors; single detectors cannot be picked from them.")
-
-    def _in_channels(self, values: F64) -> F64:
-        """Return the channels' values from those of the detectors, shape (..., detectors)."""
-        return values if self.matrix is None else np.asarray(values @ self.matrix.T)
-
-    def _mean(self, function: Callable[[F64, F64], F64], elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
-        """Return the mean over the aspects of a function of the offsets from the boresights."""
+    def _in_channels(self, function: Callable[[F64, F64], F64], elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
+        """Return the mean over the aspects of a function of the offsets from the boresights, in the channels."""
         seen = (function(*self._offsets(elevation, np.asarray(squint) + aspect)) for aspect in self.aspects.tolist())
-        return reduce(np.add, (weight * value for weight, value in zip(self.weights.tolist(), seen, strict=True)))
+        weighted = (weight * value for weight, value in zip(self.weights.tolist(), seen, strict=True))
+        mean = reduce(np.add, weighted)
+        return mean if self.matrix is None else np.asarray(mean @ self.matrix.T)
 
     def _amplitude(self, e: F64, a: F64) -> F64:
         return self._by_detector([pattern.amplitude for pattern in self.patterns], e, a)
@@ -214,13 +210,6 @@ class Beams:
         e = (x * cosine + y * sine - (self.boresights - self.axis_middle)) / self.beamwidth  # differences first: exact
         a = (y * cosine - x * sine) / self.beamwidth_beside
         return e, a
-
-
-def _without_rounding(matrix: F64 | C128) -> F64 | C128:
-    """Set entries and imaginary parts below NEGLIGIBLE to 0; return a real matrix if no imaginary part is left."""
-    least = NEGLIGIBLE * np.abs(matrix).max()
-    kept = np.where(np.abs(matrix) > least, matrix, 0)
-    return kept if np.any(np.abs(kept.imag) > least) else kept.real
 
 
 def column_squint(grid: Grid, aperture: ApertureState, beams: Beams, look_side: int) -> F64:

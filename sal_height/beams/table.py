@@ -4,33 +4,31 @@ from __future__ import annotations
 
 import csv
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, RectBivariateSpline
 
 from sal_height.beams.apertures import PatternFunction
 from sal_height.beams.pattern import Pattern, first_null
-from sal_height.beams.spline import Surface, Values, spline_surface
 from sal_height.errors import UserError
 from sal_height.numeric import C128, F64
 
 COLUMNS = ("detector", "elevation_beamwidths", "azimuth_beamwidths", "real", "imaginary")
 """Columns of a file of beam tables; the third may be absent."""
 
-DEGREE = 3
-"""Degree of the spline through a table."""
+LEAST_NODES = 4  # offsets along one axis of a table, for a cubic spline
 
-LEAST_NODES = DEGREE + 1
-"""Least number of offsets along one axis of a table."""
+Values = npt.NDArray[Any]
+"""Float64 or complex128."""
 
-EDGE = 1e-9
-"""Beamwidths beyond a table that count as its edge: elevations in rad are rounded to about 1e-12 beamwidths."""
-
-UNKNOWN_MAIN_LOBE = 1.0
-"""Half-width of the main lobe in azimuth, beamwidths, of a table with a single azimuth: that of a square aperture."""
+Derivatives = Callable[[F64, F64, tuple[int, int]], Values]
+"""Derivative of the given orders of an interpolated table, at elevations and azimuths of one shape, in that shape."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +79,6 @@ class BeamTable:
         return flat.reshape(len(self.elevation), len(self.azimuth))
 
 
-Grid = dict[tuple[float, float], tuple[complex, int]]
-"""Amplitude and line number in the file, by elevation and azimuth in beamwidths."""
-
-
 def read_beam_tables(path: Path, beamwidth: float, azimuth_beamwidth: float | None = None) -> tuple[BeamTable, ...]:
     """Read measured beams from a CSV file with the columns COLUMNS, one row for every detector and direction.
 
@@ -103,80 +97,72 @@ def read_beam_tables(path: Path, beamwidth: float, azimuth_beamwidth: float | No
         UserError: the file cannot be read, a column is missing, a value is not a number, a direction is missing or
             given twice, a detector is missing, or BeamTable refuses a beam.
     """
-    grids = _grids(path)
-    if sorted(grids) != list(range(len(grids))):
-        missing = min(set(range(len(grids))) - set(grids))
-        raise UserError(f"{path} has beams of {len(grids)} detectors but none of detector {missing}; count from 0.")
-    widths = beamwidth, azimuth_beamwidth or beamwidth
-    return tuple(_table(path, detector, grids[detector], widths) for detector in range(len(grids)))
-
-
-def _grids(path: Path) -> dict[int, Grid]:
-    grids: dict[int, Grid] = defaultdict(dict)
-    for line, row in _rows(path):
-        detector, direction, amplitude = _numbers(path, line, row)
-        if direction in grids[detector]:
+    beams: dict[int, dict[tuple[float, float], complex]] = defaultdict(dict)
+    lines: dict[tuple[int, float, float], int] = {}
+    for line, row in _read_rows(path):
+        detector, *direction = (_number(path, line, row, name) for name in COLUMNS[:3])
+        e, a = direction
+        first = lines.setdefault((int(detector), e, a), line)
+        if first != line:
             raise UserError(
-                f"{path}, line {line}: elevation {direction[0]:g} and azimuth {direction[1]:g} of detector {detector} "
-                f"are already in line {grids[detector][direction][1]}; give every direction once."
+                f"{path}, line {line}: elevation {e:g} and azimuth {a:g} of detector {detector:g} are already in line "
+                f"{first}; give every direction once."
             )
-        grids[detector][direction] = amplitude, line
-    if not grids:
+        beams[int(detector)][e, a] = complex(*(_number(path, line, row, name) for name in COLUMNS[3:]))
+    if not beams:
         raise UserError(f"{path} has no rows; at least one detector's beam is needed.")
-    return grids
+    missing = sorted(set(range(len(beams))) - set(beams))
+    if missing:
+        raise UserError(f"{path} has beams of {len(beams)} detectors but none of detector {missing[0]}; count from 0.")
+    widths = beamwidth, azimuth_beamwidth or beamwidth
+    return tuple(_table(path, detector, beams[detector], widths) for detector in range(len(beams)))
 
 
-def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
+def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     """Return the rows that are not empty, by column, with their line numbers."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             reader = csv.reader(stream)
             header = [name.strip() for name in next(reader, [])]
-            _check_header(path, header)
             lines = [(reader.line_num, row) for row in reader if row]
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror}.") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise UserError(f"{path} is no CSV text; it must be a table with the columns {', '.join(COLUMNS)}.") from error
+    needed = set(COLUMNS) - {"azimuth_beamwidths"}
+    if not (needed <= set(header) <= set(COLUMNS) and len(set(header)) == len(header)):
+        found = ", ".join(header)[:120] or "nothing"
+        raise UserError(f"{path}, line 1: the columns are {found!r}; they must be {', '.join(COLUMNS)}, once each.")
     for line, row in lines:
         if len(row) != len(header):
             raise UserError(f"{path}, line {line}: there are {len(row)} values; the header has {len(header)} columns.")
     return [(line, dict(zip(header, row, strict=True))) for line, row in lines]
 
 
-def _check_header(path: Path, header: list[str]) -> None:
-    needed = set(COLUMNS) - {"azimuth_beamwidths"}
-    if not (needed <= set(header) <= set(COLUMNS) and len(set(header)) == len(header)):
-        found = ", ".join(header)[:120] or "nothing"
-        raise UserError(f"{path}, line 1: the columns are {found!r}; they must be {', '.join(COLUMNS)}, once each.")
+def _number(path: Path, line: int, row: dict[str, str], name: str) -> float:
+    """Return the number in a column of a row; 0 in a column that the file does not have."""
+    text = row.get(name, "0").strip()
+    convert, allowed = (int, "a whole number of 0 or more") if name == "detector" else (float, "a finite number")
+    try:
+        number = float(convert(text))
+    except (ValueError, OverflowError):
+        number = np.nan
+    if not np.isfinite(number) or (name == "detector" and number < 0):
+        raise UserError(f"{path}, line {line}: {name} is {text[:40]!r}; it must be {allowed}.")
+    return number
 
 
-def _numbers(path: Path, line: int, row: dict[str, str]) -> tuple[int, tuple[float, float], complex]:
-    """Return detector, elevation and azimuth in beamwidths, and amplitude of a row."""
-    values = {}
-    for name in COLUMNS:
-        text = row.get(name, "0").strip()
-        try:
-            values[name] = float(int(text)) if name == "detector" else float(text)
-        except (ValueError, OverflowError):
-            values[name] = np.nan
-        least = 0.0 if name == "detector" else -np.inf
-        if not (np.isfinite(values[name]) and values[name] >= least):
-            allowed = "a whole number of 0 or more" if name == "detector" else "a finite number"
-            raise UserError(f"{path}, line {line}: {name} is {text[:40]!r}; it must be {allowed}.")
-    detector, elevation, azimuth, real, imaginary = values.values()
-    return int(detector), (elevation, azimuth), complex(real, imaginary)
-
-
-def _table(path: Path, detector: int, grid: Grid, beamwidths: tuple[float, float]) -> BeamTable:
-    elevation, azimuth = (sorted(set(angles)) for angles in zip(*grid, strict=True))
-    for direction in ((e, a) for e in elevation for a in azimuth):
-        if direction not in grid:
+def _table(
+    path: Path, detector: int, beam: dict[tuple[float, float], complex], beamwidths: tuple[float, float]
+) -> BeamTable:
+    elevation, azimuth = (sorted(set(angles)) for angles in zip(*beam, strict=True))
+    for e, a in product(elevation, azimuth):
+        if (e, a) not in beam:
             raise UserError(
-                f"{path}: detector {detector} has no amplitude at elevation {direction[0]:g} and azimuth "
-                f"{direction[1]:g}; its grid must be complete."
+                f"{path}: detector {detector} has no amplitude at elevation {e:g} and azimuth {a:g}; its grid must be "
+                "complete."
             )
-    values = [grid[e, a][0] for e in elevation for a in azimuth]
+    values = [beam[direction] for direction in product(elevation, azimuth)]
     try:
         return BeamTable(
             tuple(e * beamwidths[0] for e in elevation),
@@ -201,40 +187,52 @@ def tabulated_pattern(table: BeamTable, beamwidth: float, azimuth_beamwidth: flo
     Returns:
         Pattern: named "table", known where the table is; float64 where all amplitudes are real, otherwise complex128.
     """
-    elevation, azimuth = (
-        np.array(table.elevation) / beamwidth,
-        np.array(table.azimuth) / (azimuth_beamwidth or beamwidth),
-    )
+    elevation = np.array(table.elevation) / beamwidth
+    azimuth = np.array(table.azimuth) / (azimuth_beamwidth or beamwidth)
     values = table.values if any(table.imaginary) else table.values.real
-    domain = (float(elevation[0]), float(elevation[-1]))
     if azimuth.size == 1:
-        surface, azimuths, main_lobe = _line(elevation, values[:, 0]), (-np.inf, np.inf), UNKNOWN_MAIN_LOBE
+        derivatives, azimuths = _interpolate_line(elevation, values[:, 0]), (-np.inf, np.inf)
     else:
-        surface, azimuths = spline_surface(elevation, azimuth, values, DEGREE), (float(azimuth[0]), float(azimuth[-1]))
-        main_lobe = first_null(_within(domain, azimuths, surface, (0, 0)), max(map(abs, azimuths)))
+        derivatives, azimuths = (
+            _interpolate_surface(elevation, azimuth, values),
+            (float(azimuth[0]), float(azimuth[-1])),
+        )
+    elevations = (float(elevation[0]), float(elevation[-1]))
     amplitude, slope, azimuth_slope = (
-        _within(domain, azimuths, surface, orders) for orders in ((0, 0), (1, 0), (0, 1))
+        _within(elevations, azimuths, derivatives, orders) for orders in ((0, 0), (1, 0), (0, 1))
     )
-    return Pattern("table", amplitude, slope, azimuth_slope, main_lobe, domain)
+    # A single azimuth does not show the main lobe: it is taken for that of a square aperture, 1 beamwidth.
+    main_lobe = 1.0 if azimuth.size == 1 else first_null(amplitude, max(map(abs, azimuths)))
+    return Pattern("table", amplitude, slope, azimuth_slope, main_lobe, elevations)
 
 
-def _line(elevation: F64, values: Values) -> Surface:
-    """Interpolate values over elevation alone."""
+def _interpolate_line(elevation: F64, values: Values) -> Derivatives:
+    """Interpolate values, shape (n,), by a cubic spline over elevation alone."""
     spline = CubicSpline(elevation, values)
     return lambda e, _, orders: np.zeros_like(e, dtype=values.dtype) if orders[1] else spline(e, orders[0])
 
 
+def _interpolate_surface(elevation: F64, azimuth: F64, values: Values) -> Derivatives:
+    """Interpolate values, shape (n, m), by a tensor product of cubic splines."""
+    if np.iscomplexobj(values):
+        real, imaginary = (_interpolate_surface(elevation, azimuth, part) for part in (values.real, values.imag))
+        return lambda e, a, orders: real(e, a, orders) + 1j * imaginary(e, a, orders)
+    spline = RectBivariateSpline(elevation, azimuth, values)
+    return lambda e, a, orders: spline.ev(e, a, *orders)
+
+
 def _within(
-    elevations: tuple[float, float], azimuths: tuple[float, float], surface: Surface, orders: tuple[int, int]
+    elevations: tuple[float, float], azimuths: tuple[float, float], derivatives: Derivatives, orders: tuple[int, int]
 ) -> PatternFunction:
     """Return a derivative of the spline as a function of all offsets (beamwidths): 0 beyond the table."""
+    edge = 1e-9  # beamwidths beyond a table that still belong to it: elevations in rad are rounded to about 1e-12
 
     def values(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
         e, a = np.broadcast_arrays(np.asarray(e, dtype=np.float64), np.asarray(a, dtype=np.float64))
         scale = np.where(np.isnan(e + a), np.nan, 1.0)
         for offset, (low, high) in ((e, elevations), (a, azimuths)):
-            scale[(offset < low - EDGE) | (offset > high + EDGE)] = 0.0
+            scale[(offset < low - edge) | (offset > high + edge)] = 0.0
         nearest_e, nearest_a = np.clip(np.nan_to_num(e), *elevations), np.clip(np.nan_to_num(a), *azimuths)
-        return scale * surface(nearest_e, nearest_a, orders)
+        return scale * derivatives(nearest_e, nearest_a, orders)
 
     return values

@@ -11,7 +11,7 @@ from benchmarks.row import Row, sized
 from sal_height.beams import Beams
 from sal_height.elevation import OBJECTIVES, Covariance, PeakSearches, covariance, stochastic_crb
 from sal_height.numeric import F64, Bool
-from sal_height.theory import TARGETS, draw_pixels, run_array_trials
+from sal_height.theory import TargetPixels
 
 PATTERNS = ("sinc", "jinc")
 TRIALS = sized(400_000, 2000)
@@ -69,11 +69,8 @@ def against_dense_search() -> Iterator[Row]:
         for level_db in LEVELS_DB:
             for _ in range(share // PIXELS_AT_ONCE):
                 offset = rng.uniform(-3.75, 3.75)
-                power, target = 10 ** (level_db / 10), TARGETS["gaussian"]
-                samples = draw_pixels(
-                    rng, beams, elevation_at(offset), 0.0, power, SEARCH_LOOKS, PIXELS_AT_ONCE, target
-                )
-                pixels = covariance(samples, hermitian=False)
+                target = TargetPixels(beams, elevation_at(offset), 10 ** (level_db / 10), SEARCH_LOOKS)
+                pixels = covariance(target.draw(rng, PIXELS_AT_ONCE), hermitian=False)
                 expected, clear = _dense_search(pixels, beams)
                 error = (search.peaks(pixels).elevation - expected)[clear] / BEAMWIDTH
                 squares += float(np.sum(error**2))
@@ -101,8 +98,8 @@ def against_dense_search() -> Iterator[Row]:
 
 def _errors(beams: Beams, offset: float, looks: int) -> F64:
     """Errors of independent pixels with a fluctuating target, beamwidths, searched to half a pitch beyond the array."""
-    normalised, target = OBJECTIVES["normalised"], TARGETS["gaussian"]
-    found = run_array_trials(1, beams, elevation_at(offset), CNR, looks, TRIALS, normalised, 0.0, target)
+    pixels = TargetPixels(beams, elevation_at(offset), CNR, looks)
+    found = pixels.peak_elevations(1, TRIALS, OBJECTIVES["normalised"], 0.0)
     return (found - elevation_at(offset)) / BEAMWIDTH
 
 

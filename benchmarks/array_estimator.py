@@ -31,7 +31,7 @@ from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.numeric import C64, F64, in_parallel
 from sal_height.pipeline import heights
 from sal_height.sensor import Sensor
-from sal_height.theory.array_trials import SAMPLES_AT_ONCE, TARGETS, draw_pixels, run_array_trials, with_streams
+from sal_height.theory.array_trials import SAMPLES_AT_ONCE, TargetPixels, with_streams
 
 DETECTORS, PITCH, BEAMWIDTH, LOOKS = 16, 0.5, 1.55e-4, 4
 TRIALS = sized(100_000, 1000)
@@ -94,8 +94,7 @@ def _scene() -> tuple[Grid, ApertureState, Sensor]:
 
 def against_random_numbers() -> Iterator[Row]:
     """Draw targets and noise, sum up covariances, find the peaks; over drawing the same numbers on as many threads."""
-    beams, target = beams_of("sinc"), TARGETS["gaussian"]
-    elevation, normalised = elevation_at(1.75), OBJECTIVES["normalised"]
+    pixels, normalised = TargetPixels(beams_of("sinc"), elevation_at(1.75), CNR, LOOKS), OBJECTIVES["normalised"]
 
     def draw(rng: np.random.Generator, part: slice) -> None:
         count = part.stop - part.start
@@ -104,7 +103,7 @@ def against_random_numbers() -> Iterator[Row]:
 
     at_once = SAMPLES_AT_ONCE // (LOOKS * DETECTORS)
     whole, bare = medians(
-        lambda: run_array_trials(1, beams, elevation, CNR, LOOKS, TRIALS, normalised, 0.0, target),
+        lambda: pixels.peak_elevations(1, TRIALS, normalised, 0.0),
         lambda: with_streams(draw, 1, TRIALS, at_once),
     )
     yield Row(
@@ -164,8 +163,8 @@ def _throughput(name: str) -> Iterator[Row]:
 
 def _slc(name: str) -> C64:
     """Images of single looks at a fluctuating target in unit noise, (detectors, ROWS, COLS * LOOKS)."""
-    rng, target = np.random.default_rng(2), TARGETS["gaussian"]
-    samples = draw_pixels(rng, beams_of(name), elevation_at(1.75), 0.0, CNR, LOOKS, ROWS * COLS, target)
+    pixels = TargetPixels(beams_of(name), elevation_at(1.75), CNR, LOOKS)
+    samples = pixels.draw(np.random.default_rng(2), ROWS * COLS)
     return np.ascontiguousarray(samples.reshape(ROWS, COLS * LOOKS, DETECTORS).transpose(2, 0, 1))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.row import Row, medians, sized
 from sal_height.beams import Beams, pattern_named
 from sal_height.elevation import OBJECTIVES, Covariance, peak_elevation, search_guard, two_scatterers
-from sal_height.theory.array_trials import TARGETS, draw_pixels
+from sal_height.theory import TargetPixels
 
 DETECTORS, PITCH, BEAMWIDTH, LOOKS = 16, 0.5, 1.55e-4, 4
 SIDE = sized(256, 16)
@@ -42,10 +42,9 @@ def _throughput(beams: Beams, share: float) -> Row:
 
 def _image(beams: Beams, share: float) -> Covariance:
     """Covariance, shape (SIDE, SIDE, M, M), in unit noise."""
-    rng = np.random.default_rng(3)
-    target, count = TARGETS["gaussian"], SIDE**2
+    rng, count = np.random.default_rng(3), SIDE**2
     upper, lower = (float(np.pi / 4 + offset * BEAMWIDTH) for offset in (0.5, -0.5))
-    samples = draw_pixels(rng, beams, upper, 0.0, CNR, LOOKS, count, target)
+    samples = TargetPixels(beams, upper, CNR, LOOKS).draw(rng, count)
     both = rng.uniform(size=count) < share
     second = np.sqrt(CNR / 2) * (rng.standard_normal((count, LOOKS)) + 1j * rng.standard_normal((count, LOOKS)))
     samples = samples + (both[:, None] * second)[..., None] * beams.response(lower, 0.0)

@@ -22,7 +22,7 @@ from sal_height.figures.curve import Curve
 from sal_height.figures.sample_statistics import Measured, mean, std
 from sal_height.figures.unit_arrays import array_of
 from sal_height.numeric import F64
-from sal_height.theory import TARGETS, run_array_trials
+from sal_height.theory import TargetPixels
 
 WEIGHTS: dict[str, Callable[[F64], F64]] = {
     "normalised": lambda response: np.asarray(response / np.linalg.norm(response)),
@@ -107,9 +107,8 @@ def example_array() -> Beams:
 
 def estimates(elevation: float, cnr: float, looks: int, objective: str, trials: int, seed: int) -> F64:
     """Estimates of independent pixels, beamwidths, shape (trials,), by the code of the node."""
-    return run_array_trials(
-        seed, example_array(), elevation, cnr, looks, trials, OBJECTIVES[objective], 0.0, TARGETS["gaussian"]
-    )
+    pixels = TargetPixels(example_array(), elevation, cnr, looks)
+    return pixels.peak_elevations(seed, trials, OBJECTIVES[objective], 0.0)
 
 
 def limit(beams: Beams, objective: str, elevation: float, cnr: float) -> float:

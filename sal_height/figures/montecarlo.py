@@ -35,10 +35,10 @@ from sal_height.numeric import F64, Bool
 from sal_height.sensor import whitened_channels
 from sal_height.theory import (
     TARGETS,
+    TargetPixels,
     cnr_detector_of,
-    draw_pixels,
     gaussian_law,
-    run_array_trials,
+    s68_of,
     steady_looks_mean,
     straight_power,
     with_streams,
@@ -258,18 +258,13 @@ def _shown(number: float | None) -> str:
     return "-" if number is None else f"{number:.6g}"
 
 
+def _pixels(experiment: Experiment, power: float) -> TargetPixels:
+    return TargetPixels(experiment.beams, experiment.theta, power, experiment.looks, experiment.target)
+
+
 def _elevations(experiment: Experiment, power: float, objective: str, guard: float) -> F64:
-    return run_array_trials(
-        experiment.seed,
-        experiment.beams,
-        experiment.theta,
-        power,
-        experiment.looks,
-        experiment.trials,
-        OBJECTIVES[objective],
-        guard,
-        TARGETS[experiment.target],
-    )
+    pixels = _pixels(experiment, power)
+    return pixels.peak_elevations(experiment.seed, experiment.trials, OBJECTIVES[objective], guard)
 
 
 def _registered_elevations(
@@ -301,12 +296,11 @@ def _discriminants(experiment: Experiment, power: float, estimator: str) -> F64:
 
 def _from_covariances(experiment: Experiment, power: float, estimate: Callable[[Covariance], F64]) -> F64:
     """Estimate from the covariances of independent pixels, shape (trials,)."""
-    beams, target, estimates = experiment.beams, TARGETS[experiment.target], np.empty(experiment.trials)
+    pixels, estimates = _pixels(experiment, power), np.empty(experiment.trials)
 
     def work(rng: np.random.Generator, part: slice) -> None:
-        count = part.stop - part.start
-        samples = draw_pixels(rng, beams, experiment.theta, 0.0, power, experiment.looks, count, target)
-        estimates[part] = estimate(covariance(samples, beams.is_complex))
+        samples = pixels.draw(rng, part.stop - part.start)
+        estimates[part] = estimate(covariance(samples, experiment.beams.is_complex))
 
     with_streams(work, experiment.seed, experiment.trials, max(1, TRIALS_AT_ONCE // experiment.looks))
     return estimates
@@ -350,7 +344,8 @@ def _closed_form(experiment: Experiment, kappa: float) -> dict[str, float | None
         expected = float(steady_looks_mean(kappa, experiment.cnr, experiment.looks))
         return {"mean": expected, "median": None, "std": None, "s68": None}
     law = gaussian_law(kappa, experiment.cnr, experiment.looks)
-    return {"mean": law.centre, "median": law.centre, "std": _or_none(law.std), "s68": law.s68}
+    centre = float(law.mean())
+    return {"mean": centre, "median": centre, "std": _or_none(float(law.std())), "s68": s68_of(law)}
 
 
 def _or_none(number: float) -> float | None:

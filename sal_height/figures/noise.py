@@ -13,7 +13,7 @@ from sal_height.elevation import DISCRIMINANTS
 from sal_height.figures.curve import Curve
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, std
 from sal_height.numeric import C128, F64, WORKERS
-from sal_height.theory import SteadyLaw, gaussian_law, gaussian_mean, steady_mean
+from sal_height.theory import SteadyLaw, gaussian_law, gaussian_mean, s68_of, steady_mean
 
 Signal = Callable[[np.random.Generator, tuple[int, int]], C128]
 
@@ -52,9 +52,9 @@ def fig5(trials: int, seed: int) -> Iterator[Curve]:
         sample = discriminants(np.random.SeedSequence((seed, 5)), steady, cnr, 1, trials)
         laws = [SteadyLaw(kappa, cnr) for kappa in KAPPAS.tolist()]
         yield _curve("standard deviation", case, index, [std(row) for row in sample], np.full(len(KAPPAS), np.nan))
-        yield _curve("half 16-84 % width", case, index, [s68(row) for row in sample], [law.s68 for law in laws])
+        yield _curve("half 16-84 % width", case, index, [s68(row) for row in sample], [s68_of(law) for law in laws])
         yield _curve("mean", case, index, [mean(row) for row in sample], steady_mean(KAPPAS, cnr))
-        yield _curve("median", case, index, [median(row) for row in sample], [law.quantile(0.5) for law in laws])
+        yield _curve("median", case, index, [median(row) for row in sample], [law.ppf(0.5) for law in laws])
 
 
 def fig6(trials: int, seed: int) -> Iterator[Curve]:
@@ -62,7 +62,7 @@ def fig6(trials: int, seed: int) -> Iterator[Curve]:
     for index, cnr_db in enumerate(CNR_DB):
         cnr, case = 10 ** (cnr_db / 10), f"CNR {cnr_db} dB"
         sample = discriminants(np.random.SeedSequence((seed, 6)), circular, cnr, FLUCTUATING_LOOKS, trials)
-        spread = [gaussian_law(kappa, cnr, FLUCTUATING_LOOKS).std for kappa in KAPPAS.tolist()]
+        spread = [gaussian_law(kappa, cnr, FLUCTUATING_LOOKS).std() for kappa in KAPPAS.tolist()]
         yield _curve("standard deviation", case, index, [std(row) for row in sample], spread)
         yield _curve("mean", case, index, [mean(row) for row in sample], gaussian_mean(KAPPAS, cnr))
 

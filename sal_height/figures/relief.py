@@ -34,6 +34,7 @@ from sal_height.theory import (
     SteadyMlLaw,
     crossover_slope,
     hybrid_gain,
+    s68_of,
     steady_looks_mean,
     steady_mean,
     synthesise,
@@ -185,9 +186,9 @@ def relief_snr(trials: int, seed: int) -> Iterator[Curve]:
             if estimator is ratio:
                 bias = steady_mean(gamma, snr) - gamma
                 yield Curve("bias", f"{case}, mean", SNR_DB, *measured(mean, off), bias, ":", colour)
-            bias = np.array([law.quantile(0.5) for law in laws]) - gamma
+            bias = np.array([law.ppf(0.5) for law in laws]) - gamma
             yield Curve("bias", f"{case}, median", SNR_DB, *measured(median, off), bias, style, colour)
-            widths = np.array([law.s68 for law in laws])
+            widths = np.array([s68_of(law) for law in laws])
             yield Curve(WIDTH, case, SNR_DB, *measured(s68, sample), widths, style, colour)
         first_order = np.sqrt(discriminator_variance(gamma, snr, EQUAL_NOISE))
         yield exact_curve(WIDTH, f"gamma {gamma}, first order", SNR_DB, first_order, no_theory(snr), ":", colour)
@@ -254,8 +255,8 @@ def relief_order(trials: int, seed: int) -> Iterator[Curve]:
     single = np.full_like(number, steady_mean(gamma, x))
     means = steady_mean(gamma, x * number), steady_looks_mean(gamma, x, number), single
     widths = np.full((3, len(PULSES)), np.nan)
-    widths[:, 0] = SteadyLaw(gamma, x).s68
-    widths[0] = [SteadyLaw(gamma, x * pulses).s68 for pulses in PULSES.tolist()]
+    widths[:, 0] = s68_of(SteadyLaw(gamma, x))
+    widths[0] = [s68_of(SteadyLaw(gamma, x * pulses)) for pulses in PULSES.tolist()]
     for colour, case in enumerate(("aperture, then ratio", "products, then ratio", "ratios, then mean")):
         yield Curve("mean", case, number, *measured(mean, sample[colour]), means[colour], colour=colour)
         yield Curve(WIDTH, case, number, *measured(s68, sample[colour]), widths[colour], colour=colour)

@@ -11,13 +11,13 @@ from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
 from sal_height.beams import column_squint
+from sal_height.elevation import speckle_crb
 from sal_height.geometry import sphere_coordinates
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import or_null
 from sal_height.nodes.relief_tracker import PREFIX
 from sal_height.numeric import F64, Bool
 from sal_height.simulation import SimulatedFlight, VisibleSurface, truth_image
-from sal_height.theory import height_crb
 
 CELL_PIXELS = 1.5
 """Side of a ground cell in pixels on level ground: large enough that few cells stay empty."""
@@ -175,8 +175,10 @@ def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface
     beams = image_beams(sensor, messages.recorded_azimuth_window(image.provenance))
     truth = truth_image(surface, aperture, grid, cell, beams)
     squint = column_squint(grid, aperture, sensor.beams, sensor.look_side)
-    slope = np.full(grid.shape, track.slant_range_m * np.sin(track.look_angle_rad))
-    bound = height_crb(truth, 10 ** (flight.preset.cnr_db / 10), 2, beams, squint, slope)
+    height_slope = track.slant_range_m * np.sin(track.look_angle_rad)  # of height over elevation, m/rad
+    with np.errstate(invalid="ignore"):  # where nothing stands
+        cnr = 10 ** (flight.preset.cnr_db / 10) * truth.power
+        bound = height_slope * speckle_crb(beams, truth.elevation, squint, cnr, 2)
 
     first = image.surfaces[0]
     height, sigma, east, north = (

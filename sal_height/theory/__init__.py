@@ -1,11 +1,10 @@
 """Closed forms and Monte Carlo trials that estimators, figures and tests are held to.
 
-Read `discriminator_noise` first (laws of the pair's discriminant), then `sum_difference` (the relief paper's radar),
-`height_bound` (the Cramér-Rao bound of each pixel's height) and `array_trials` (fast draws of pixels for Monte Carlo).
-Nothing that processes data imports from here.
+Read `discriminator_noise` first (laws of the pair's discriminant), then `sum_difference` (the relief paper's radar)
+and `array_trials` (fast draws of pixels for Monte Carlo). Nothing that processes data imports from here.
 """
 
-from sal_height.theory.array_trials import TARGETS, draw_pixels, run_array_trials, with_streams
+from sal_height.theory.array_trials import TARGETS, TargetPixels, with_streams
 from sal_height.theory.discriminator_noise import (
     NORMAL_SHARES,
     SteadyLaw,
@@ -13,11 +12,11 @@ from sal_height.theory.discriminator_noise import (
     cnr_detector_of,
     gaussian_law,
     gaussian_mean,
+    s68_of,
     steady_looks_mean,
     steady_mean,
     straight_power,
 )
-from sal_height.theory.height_bound import height_crb
 from sal_height.theory.sum_difference import crossover_slope, hybrid_gain, synthesise
 
 __all__ = [
@@ -25,14 +24,13 @@ __all__ = [
     "TARGETS",
     "SteadyLaw",
     "SteadyMlLaw",
+    "TargetPixels",
     "cnr_detector_of",
     "crossover_slope",
-    "draw_pixels",
     "gaussian_law",
     "gaussian_mean",
-    "height_crb",
     "hybrid_gain",
-    "run_array_trials",
+    "s68_of",
     "steady_looks_mean",
     "steady_mean",
     "straight_power",

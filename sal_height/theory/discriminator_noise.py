@@ -13,6 +13,7 @@ The carrier-to-noise ratio (CNR) is a power ratio and has two definitions, which
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -86,53 +87,17 @@ def gaussian_mean(kappa: npt.ArrayLike, cnr_sum: npt.ArrayLike) -> F64:
     return kappa * cnr_sum / (cnr_sum + 1)
 
 
-@dataclass(frozen=True)
-class StudentLaw:
-    """centre + scale T: T has Student's law with twice as many degrees of freedom as there are looks.
+def gaussian_law(kappa: float, cnr_sum: float, looks: int) -> Any:
+    """Return the law of mu for a fluctuating (complex Gaussian) target, a frozen distribution of `scipy.stats`.
 
-    Attributes:
-        centre: mean and median.
-        scale: multiplies T; positive.
-        looks: K.
-    """
-
-    centre: float
-    scale: float
-    looks: int
-
-    def pdf(self, mu: npt.ArrayLike) -> F64:
-        """Probability density; broadcasts."""
-        return t.pdf(mu, 2 * self.looks, self.centre, self.scale)
-
-    def cdf(self, mu: npt.ArrayLike) -> F64:
-        """Probability of less than `mu`; broadcasts."""
-        return t.cdf(mu, 2 * self.looks, self.centre, self.scale)
-
-    def quantile(self, share: npt.ArrayLike) -> F64:
-        """Return the value below which mu lies with the probability `share`; broadcasts."""
-        return t.ppf(share, 2 * self.looks, self.centre, self.scale)
-
-    @property
-    def std(self) -> float:
-        """Standard deviation; infinite for one look."""
-        return float(self.scale * np.sqrt(self.looks / (self.looks - 1))) if self.looks > 1 else np.inf
-
-    @property
-    def s68(self) -> float:
-        """Half the width from 16 to 84 %: the standard deviation of a normal distribution as wide."""
-        return float(np.diff(self.quantile(NORMAL_SHARES))[0] / 2)
-
-
-def gaussian_law(kappa: float, cnr_sum: float, looks: int) -> StudentLaw:
-    """Return the law of mu for a fluctuating (complex Gaussian) target, exact for any number of looks K.
-
-    Delta given Sigma is a linear regression with the coefficient kappa C / (C + 1) and the residual variance
-    1 + kappa^2 C / (C + 1); its coefficient estimated from K complex samples has Student's law:
+    It is exact for any number of looks K. Delta given Sigma is a linear regression with the coefficient
+    kappa C / (C + 1) and the residual variance 1 + kappa^2 C / (C + 1); its coefficient estimated from K complex
+    samples has Student's law with 2 K degrees of freedom:
 
         mu = kappa C / (C + 1) + sqrt(C + 1 + kappa^2 C) / (C + 1) T_2K / sqrt(2 K)
     """
     scale = np.sqrt((cnr_sum + 1 + kappa**2 * cnr_sum) / (2 * looks)) / (cnr_sum + 1)
-    return StudentLaw(float(gaussian_mean(kappa, cnr_sum)), float(scale), looks)
+    return t(2 * looks, gaussian_mean(kappa, cnr_sum), scale)
 
 
 @dataclass(frozen=True)
@@ -163,18 +128,12 @@ class SteadyLaw:
         below = np.where(b > 0, ncx2.sf(b**2, 2, a**2), 1.0)
         return below - (radius - mu) / (2 * radius) * np.exp(-((a - b) ** 2) / 2) * i0e(a * b)
 
-    def quantile(self, share: float) -> float:
+    def ppf(self, share: float) -> float:
         """Return the value below which mu lies with the probability `share`, to 1e-12."""
         reach = abs(self.kappa) + 1
         while not self.cdf(-reach) < share < self.cdf(reach):
             reach *= 2
         return float(brentq(lambda mu: float(self.cdf(mu)) - share, -reach, reach, xtol=1e-12))
-
-    @property
-    def s68(self) -> float:
-        """Half the width from 16 to 84 %."""
-        low, high = (self.quantile(share) for share in NORMAL_SHARES)
-        return (high - low) / 2
 
 
 class SteadyMlLaw(SteadyLaw):
@@ -198,3 +157,13 @@ class SteadyMlLaw(SteadyLaw):
         truth, angle = np.arctan(self.kappa), np.arctan(np.asarray(mu, dtype=np.float64))[..., None]
         turned = np.sin(2 * order * (angle - truth)) - np.sin(2 * order * (-np.pi / 2 - truth))
         return 0.5 + angle[..., 0] / np.pi + np.sum(coefficient / order * turned, axis=-1) / np.pi
+
+
+def s68_of(law: Any) -> float:
+    """Return half the width of a law from 16 to 84 %: the standard deviation of a normal distribution as wide.
+
+    Args:
+        law: anything whose `ppf` gives quantiles: `SteadyLaw`, `SteadyMlLaw`, or a distribution of `scipy.stats`.
+    """
+    low, high = (law.ppf(share) for share in NORMAL_SHARES)
+    return float(high - low) / 2

@@ -6,13 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, share, std
-from sal_height.theory.discriminator_noise import StudentLaw
+from sal_height.theory.discriminator_noise import s68_of
 
-LAW = StudentLaw(0.3, 0.5, 6)
+LAW = stats.t(12, 0.3, 0.5)
 
-EXPECTED: dict[Callable[[np.ndarray], Measured], float] = {mean: 0.3, median: 0.3, std: LAW.std, s68: LAW.s68}
+EXPECTED: dict[Callable[[np.ndarray], Measured], float] = {mean: 0.3, median: 0.3, std: LAW.std(), s68: s68_of(LAW)}
 
 
 @pytest.mark.parametrize("statistic", EXPECTED)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers import (
-    BEAMWIDTH,
     elevation_at,
     flat_scene,
     make_aperture,
@@ -16,6 +15,7 @@ from helpers import (
     target_slc,
 )
 
+from sal_height.elevation.bounds import speckle_crb
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
 from sal_height.geometry.earth import height_of
 from sal_height.geometry.frames import angles_of, look_direction
@@ -23,7 +23,6 @@ from sal_height.geometry.grid import Grid, pixels_at
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid, strip_grid
 from sal_height.simulation.scene import Scene, VisibleSurface, visible_surface
 from sal_height.simulation.truth import Truth, truth_image
-from sal_height.theory.height_bound import height_crb
 
 SENSOR = make_sensor()
 CELL = SENSOR.range_resolution, azimuth_resolution(SENSOR, make_aperture(), 5000.0)
@@ -158,26 +157,6 @@ def test_scatterers_beside_the_image_are_left_out() -> None:
     assert np.count_nonzero(np.isfinite(truth_of(scatterers(grid, inside, [0.0] * 4, [1.0] * 4), grid).height)) == 4
 
 
-def single_pixel(offset: float, power: float = 1.0) -> Truth:
-    one = np.ones((1, 1))
-    return Truth(0 * one, elevation_at(offset) * one, power * one, one > 0)
-
-
-@pytest.mark.parametrize("offset", [0.1, 3.2])
-def test_bound_follows_the_formula(offset: float) -> None:
-    squint, slope, cnr, looks = 0.3 * BEAMWIDTH, 3500.0, 20.0, 4
-    a, derivative = (f(elevation_at(offset), squint) for f in (BEAMS.response, BEAMS.slope))
-    information = derivative @ (np.eye(16) - np.outer(a, a) / (a @ a)) @ derivative
-    expected = slope * np.sqrt(1 / (2 * (looks - 1) * cnr * 0.7 * information))
-    slopes = np.full((1, 1), -slope)
-    bound = height_crb(single_pixel(offset, 0.7), cnr, looks, BEAMS, np.array([squint]), slopes)
-    assert bound[0, 0] == pytest.approx(expected, rel=1e-9)
-
-
-def test_bound_is_infinite_for_one_look() -> None:
-    assert np.isinf(height_crb(single_pixel(0.0), 100.0, 1, BEAMS, np.zeros(1), np.ones((1, 1))))
-
-
 @pytest.mark.parametrize(("looks", "cnr"), [(4, 100.0), (16, 30.0)])
 def test_maximum_likelihood_comes_close_to_the_bound_and_not_below(looks: int, cnr: float) -> None:
     trials = 8000
@@ -185,7 +164,7 @@ def test_maximum_likelihood_comes_close_to_the_bound_and_not_below(looks: int, c
     estimate = ml_elevation(multilook(slc, 1, looks), BEAMS, np.zeros(1), 1.0, OBJECTIVES["normalised"], 1.0)
     squares = (estimate.elevation[:, 0] - elevation_at(0.6)) ** 2
     standard_error = np.std(squares) / np.sqrt(trials) / np.mean(squares) / 2  # of the rms, relative: 1 %
-    bound = height_crb(single_pixel(0.6), cnr, looks, BEAMS, np.zeros(1), np.ones((1, 1)))[0, 0]
+    bound = speckle_crb(BEAMS, elevation_at(0.6), 0.0, cnr, looks)
     assert standard_error < 0.02
     assert -3.5 * standard_error < np.sqrt(np.mean(squares)) / bound - 1 < 0.03 + 3.5 * standard_error
 

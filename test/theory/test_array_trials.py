@@ -10,18 +10,15 @@ from sal_height.elevation.bounds import stochastic_crb
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation
 from sal_height.elevation.looks import covariance
 from sal_height.theory import array_trials as array_trials_module
-from sal_height.theory.array_trials import TARGETS, draw_pixels, run_array_trials
+from sal_height.theory.array_trials import TargetPixels
 
 
 def errors(
     offset: float, cnr_db: float, looks: int, trials: int, objective: str = "normalised", pattern: str = "sinc"
 ) -> np.ndarray:
     """Errors in beamwidths; searched are half a pitch beyond 16 detectors."""
-    estimates = run_array_trials(
-        51, make_beams(pattern), float(elevation_at(offset)), 10 ** (cnr_db / 10), looks, trials,
-        OBJECTIVES[objective], 0.0, TARGETS["gaussian"],
-    )  # fmt: skip
-    return offset_of(estimates) - offset
+    pixels = TargetPixels(make_beams(pattern), float(elevation_at(offset)), 10 ** (cnr_db / 10), looks)
+    return offset_of(pixels.peak_elevations(51, trials, OBJECTIVES[objective], 0.0)) - offset
 
 
 @pytest.mark.parametrize(("target", "spread"), [("gaussian", 1.0), ("steady", 0.0)])
@@ -30,7 +27,7 @@ def test_pixels_have_the_power_and_the_statistics_asked_for(target: str, spread:
     beams, cnr, trials = make_beams("jinc", count=5), 40.0, 20_000
     elevation, squint = float(elevation_at(0.3)), 0.2 * BEAMWIDTH
     rng = np.random.default_rng(52)
-    samples = draw_pixels(rng, beams, elevation, squint, cnr, 3, trials, TARGETS[target])
+    samples = TargetPixels(beams, elevation, cnr, 3, target, squint).draw(rng, trials)
     assert samples.shape == (trials, 3, 5)
     assert samples.dtype == np.complex64
     count, a = trials * 3, beams.response(elevation, squint)
@@ -49,20 +46,18 @@ def test_pixels_have_the_power_and_the_statistics_asked_for(target: str, spread:
 
 
 def test_trials_are_peaks_of_drawn_pixels_whatever_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    beams, elevation = make_beams("jinc", count=6), float(elevation_at(0.7))
+    beams = make_beams("jinc", count=6)
+    pixels = TargetPixels(beams, float(elevation_at(0.7)), 3.0, 4, "steady")
     monkeypatch.setattr(array_trials_module, "SAMPLES_AT_ONCE", 6 * 4 * 100)
 
     def run(workers: int, seed: int = 53) -> np.ndarray:
         monkeypatch.setattr(array_trials_module, "WORKERS", workers)
-        return run_array_trials(
-            seed, beams, elevation, 3.0, 4, 950, OBJECTIVES["normalised"], BEAMWIDTH, TARGETS["steady"]
-        )
+        return pixels.peak_elevations(seed, 950, OBJECTIVES["normalised"], BEAMWIDTH)
 
     estimates = run(1)
     np.testing.assert_array_equal(run(3), estimates)
     assert not np.any(run(1, seed=54) == estimates)
-    rng = np.random.default_rng(np.random.SeedSequence(53).spawn(10)[9])
-    samples = draw_pixels(rng, beams, elevation, 0.0, 3.0, 4, 50, TARGETS["steady"])
+    samples = pixels.draw(np.random.default_rng(np.random.SeedSequence(53).spawn(10)[9]), 50)
     last = peak_elevation(
         covariance(samples, hermitian=False)[:, None], beams, np.zeros(1), OBJECTIVES["normalised"], BEAMWIDTH
     )

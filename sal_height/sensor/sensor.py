@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.constants import speed_of_light
 
-from sal_height.beams import Beams, BeamTable, Pattern, detector_pattern, tabulated_pattern
+from sal_height.beams import Beams, BeamTable, detector_pattern, tabulated_pattern
 from sal_height.errors import UserError
 from sal_height.geometry import AT_BASE_LINK, Mounting
 from sal_height.numeric import C128
@@ -18,18 +18,11 @@ from sal_height.numeric import C128
 MAX_DETECTORS = 128
 """Greatest number of detectors: estimators hold M x M numbers per pixel and direction."""
 
-
 MODES = ("spotlight", "stripmap")
 """Steering of the antenna: held on the scene during a dwell, or fixed to the body."""
 
 WAVEFORMS = ("spectrum", "chirp", "deramped")
 """Kinds of fast-time samples: frequencies, the echo of a linear FM pulse, or that echo mixed with a replica."""
-
-LARGEST_CONDITION = 1e6
-"""Greatest condition number of a channel matrix: beyond it, single-precision channels lose some beams to rounding."""
-
-BANDWIDTH_TOLERANCE = 0.01
-"""Allowed relative difference between the bandwidth of a linear FM pulse and |chirp_rate| * pulse_duration."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +30,7 @@ class Sensor:
     """Description of a multi-detector sensor; the same content as sal_height_msgs/SensorInfo.
 
     Quantities derived from the fast-time frequencies (`frequency_step` to `range_window`) exist for waveform "spectrum"
-    only; `waveform.spectrum_sensor` gives the corresponding sensor for the others.
+    only, and are a ValueError for the others; `spectrum_sensor` gives the corresponding sensor.
 
     Attributes:
         name: shown to users.
@@ -104,67 +97,61 @@ class Sensor:
     config_hash: str = ""
 
     def __post_init__(self) -> None:
-        if self.look_side not in (-1, 1):
-            raise UserError(f"Sensor look_side is {self.look_side}; allowed are +1 (right) and -1 (left).")
-        for key, allowed in (("mode", MODES), ("waveform", WAVEFORMS)):
-            if getattr(self, key) not in allowed:
-                raise UserError(f"Sensor {key} is {getattr(self, key)!r}; allowed are {', '.join(allowed)}.")
-        for key in ("wavelength", "bandwidth", "pulse_repetition_frequency", "elevation_diameter", "azimuth_diameter"):
-            value = getattr(self, key)
-            if not (np.isfinite(value) and value > 0):
-                raise UserError(f"Sensor {key} is {value}; it must be finite and greater than 0.")
-        if self.bandwidth >= 2 * speed_of_light / self.wavelength:
-            raise UserError(
-                f"Sensor bandwidth is {self.bandwidth} Hz; it must be less than twice the carrier frequency."
-            )
-        for key in ("sample_count", "pulse_count"):
-            if getattr(self, key) < 2:
-                raise UserError(f"Sensor {key} is {getattr(self, key)}; it must be 2 or more.")
+        self._require(self.look_side in (-1, 1), "look_side", "allowed are +1 (right) and -1 (left)")
+        for name, allowed in (("mode", MODES), ("waveform", WAVEFORMS)):
+            self._require(getattr(self, name) in allowed, name, f"allowed are {', '.join(allowed)}")
+        for name in ("wavelength", "bandwidth", "pulse_repetition_frequency", "elevation_diameter", "azimuth_diameter"):
+            self._require(0 < getattr(self, name) < np.inf, name, "it must be finite and greater than 0")
+        highest = 2 * speed_of_light / self.wavelength
+        self._require(self.bandwidth < highest, "bandwidth", "in Hz, it must be less than twice the carrier frequency")
+        for name in ("sample_count", "pulse_count"):
+            self._require(getattr(self, name) >= 2, name, "it must be 2 or more")
+        self._require(0 <= self.full_scale < np.inf, "full_scale", "it must be finite and 0 or more")
         self._check_detectors()
         self._check_beams()
         self._check_channels()
         self._check_waveform()
         if not self.config_hash:
-            text = json.dumps(asdict(self), sort_keys=True, default=_complex_parts)
+            text = json.dumps(asdict(self), sort_keys=True, default=lambda value: (value.real, value.imag))
             digest = hashlib.sha256(text.encode()).hexdigest()
             object.__setattr__(self, "config_hash", digest[:16])
 
+    def _require(self, holds: bool, name: str, allowed: str) -> None:
+        """Refuse the value of a field unless it `holds` what is `allowed`."""
+        if not holds:
+            raise UserError(f"Sensor {name} is {getattr(self, name)!r}; {allowed}.")
+
     def _check_detectors(self) -> None:
-        boresights = np.array(self.elevation_boresights)
-        if not (
-            boresights.size and np.all((boresights > 0) & (boresights < np.pi / 2)) and np.all(np.diff(boresights) > 0)
-        ):
-            raise UserError(
-                "Sensor elevation_boresights must be one or more increasing angles between 0 (nadir) and pi/2 rad, "
-                f"not {self.elevation_boresights}."
-            )
-        if boresights.size > MAX_DETECTORS:
-            raise UserError(f"Sensor has {boresights.size} detectors; at most {MAX_DETECTORS} are allowed.")
-        noise = np.array(self.noise_power)
-        if noise.shape != boresights.shape or not np.all(np.isfinite(noise) & (noise >= 0)):
-            raise UserError(
-                f"Sensor noise_power must be {boresights.size} finite numbers of 0 or more, one per detector, "
-                f"not {self.noise_power}."
-            )
+        count, boresights = self.detector_count, np.array(self.elevation_boresights)
+        self._require(
+            bool(count and boresights[0] > 0 and boresights[-1] < np.pi / 2 and np.all(np.diff(boresights) > 0)),
+            "elevation_boresights",
+            "it must be one or more increasing angles between 0 (nadir) and pi/2 rad",
+        )
+        if count > MAX_DETECTORS:
+            raise UserError(f"Sensor has {count} detectors; at most {MAX_DETECTORS} are allowed.")
+        self._require(
+            len(self.noise_power) == count and all(0 <= power < np.inf for power in self.noise_power),
+            "noise_power",
+            f"it must be {count} finite numbers of 0 or more, one per detector",
+        )
 
     def _check_beams(self) -> None:
-        if not abs(self.detector_rotation) <= np.pi / 2:
-            raise UserError(f"Sensor detector_rotation is {self.detector_rotation}; allowed are -pi/2 to pi/2 rad.")
-        if (self.pattern == "table") != bool(self.beam_tables):
+        self._require(abs(self.detector_rotation) <= np.pi / 2, "detector_rotation", "allowed are -pi/2 to pi/2 rad")
+        tables = len(self.beam_tables)
+        if (self.pattern == "table") != bool(tables):
             raise UserError(
-                f"Sensor pattern is {self.pattern!r} with {len(self.beam_tables)} beam tables; tables go with the "
-                "pattern 'table' and with no other."
+                f"Sensor pattern is {self.pattern!r} with {tables} beam tables; tables go with the pattern 'table' and "
+                "with no other."
             )
-        if self.beam_tables and len(self.beam_tables) not in (1, self.detector_count):
+        if tables not in (0, 1, self.detector_count):
             raise UserError(
-                f"Sensor has {len(self.beam_tables)} beam tables for {self.detector_count} detectors; "
-                "give one for each, or one for all."
+                f"Sensor has {tables} beam tables for {self.detector_count} detectors; give one for each, or one for "
+                "all."
             )
         self.beams.domain(0.0)  # refuses beams that do not overlap
 
     def _check_channels(self) -> None:
-        if not (np.isfinite(self.full_scale) and self.full_scale >= 0):
-            raise UserError(f"Sensor full_scale is {self.full_scale}; it must be finite and 0 or more.")
         if not self.channel_matrix:
             return
         count = self.detector_count
@@ -173,48 +160,44 @@ class Sensor:
                 f"Sensor channel_matrix has rows of {[len(row) for row in self.channel_matrix]} entries; it must have "
                 f"{count} of {count}, one row per channel and one column per detector, or none."
             )
-        matrix = self.mixing
-        if not np.all(np.isfinite(matrix)):
+        if not np.all(np.isfinite(self.mixing)):
             raise UserError("Sensor channel_matrix has NaN or infinite entries; all must be finite.")
-        if not np.linalg.cond(matrix) <= LARGEST_CONDITION:
+        condition = np.linalg.cond(self.mixing)
+        if not condition <= 1e6:  # beyond it, single-precision channels lose some beams to rounding
             raise UserError(
-                f"Sensor channel_matrix has the condition number {np.linalg.cond(matrix):.3g}; to be inverted it must "
-                f"have {LARGEST_CONDITION:g} or less."
+                f"Sensor channel_matrix has the condition number {condition:.3g}; to be inverted it must have 1e+06 or "
+                "less."
             )
 
     def _check_waveform(self) -> None:
         keys = ("chirp_rate", "pulse_duration", "sampling_rate")
+        given = f"with waveform {self.waveform!r} it must be"
         if self.waveform == "spectrum":
-            for key in keys:
-                if getattr(self, key) != 0:
-                    raise UserError(f"Sensor {key} is {getattr(self, key):g}; with waveform 'spectrum' it must be 0.")
+            for name in keys:
+                self._require(getattr(self, name) == 0, name, f"{given} 0")
             return
-        rate, duration, sampling = self.chirp_rate, self.pulse_duration, self.sampling_rate
-        if not (np.isfinite(rate) and rate != 0):
-            raise UserError(
-                f"Sensor chirp_rate is {rate}; with waveform {self.waveform!r} it must be finite and not 0."
-            )
-        for key in keys[1:]:
-            if not (np.isfinite(getattr(self, key)) and getattr(self, key) > 0):
-                raise UserError(
-                    f"Sensor {key} is {getattr(self, key)}; with waveform {self.waveform!r} it must be finite and "
-                    "greater than 0."
-                )
-        if not abs(abs(rate) * duration / self.bandwidth - 1) <= BANDWIDTH_TOLERANCE:
-            raise UserError(
-                f"Sensor bandwidth is {self.bandwidth:g} Hz; it must be |chirp_rate| * pulse_duration = "
-                f"{abs(rate) * duration:g} Hz within 1 %."
-            )
-        least = self.bandwidth if self.waveform == "chirp" else 3 / duration
-        if sampling < least:
-            raise UserError(f"Sensor sampling_rate is {sampling:g} Hz; it must be {least:g} Hz or more.")
-        window = 2 / self.bandwidth if self.waveform == "chirp" else sampling / abs(rate)
+        rate, duration, sampling = abs(self.chirp_rate), self.pulse_duration, self.sampling_rate
+        self._require(0 < rate < np.inf, "chirp_rate", f"{given} finite and not 0")
+        for name in keys[1:]:
+            self._require(0 < getattr(self, name) < np.inf, name, f"{given} finite and greater than 0")
+        swept = rate * duration
+        self._require(
+            abs(swept / self.bandwidth - 1) <= 0.01,
+            "bandwidth",
+            f"it must be |chirp_rate| * pulse_duration = {swept:g} Hz within 1 %",
+        )
+        # A matched filter needs the band and two resolution cells beside the pulse; a deramped pulse, three samples and
+        # the delays that its sampling rate tells apart.
+        chirp = self.waveform == "chirp"
+        least, window = (self.bandwidth, 2 / self.bandwidth) if chirp else (3 / duration, sampling / rate)
+        self._require(sampling >= least, "sampling_rate", f"it must be {least:g} Hz or more")
         samples = (duration + window) * sampling
-        if self.sample_count < samples * (1 - 1e-9):
-            raise UserError(
-                f"Sensor sample_count is {self.sample_count}; to hold the pulse of {duration:g} s and a range window "
-                f"of {window:g} s it must be {np.ceil(samples):.0f} or more."
-            )
+        self._require(
+            self.sample_count >= samples * (1 - 1e-9),
+            "sample_count",
+            f"to hold the pulse of {duration:g} s and a range window of {window:g} s it must be {np.ceil(samples):.0f} "
+            "or more",
+        )
 
     @property
     def detector_count(self) -> int:
@@ -222,15 +205,20 @@ class Sensor:
         return len(self.elevation_boresights)
 
     @property
-    def frequency_step(self) -> float:
-        """Spacing of the fast-time frequency samples, Hz.
+    def _frequency_count(self) -> int:
+        """Number of fast-time frequencies.
 
         Raises:
             ValueError: the samples are not frequencies.
         """
         if self.waveform != "spectrum":
             raise ValueError(f"Samples of waveform {self.waveform!r} are not frequencies; use its spectrum_sensor.")
-        return self.bandwidth / self.sample_count
+        return self.sample_count
+
+    @property
+    def frequency_step(self) -> float:
+        """Spacing of the fast-time frequency samples, Hz."""
+        return self.bandwidth / self._frequency_count
 
     @property
     def wavenumber_step(self) -> float:
@@ -250,14 +238,8 @@ class Sensor:
 
     @property
     def range_window(self) -> float:
-        """Slant range that the frequency samples cover without ambiguity, m.
-
-        Raises:
-            ValueError: the samples are not frequencies.
-        """
-        if self.waveform != "spectrum":
-            raise ValueError(f"Samples of waveform {self.waveform!r} are not frequencies; use its spectrum_sensor.")
-        return self.range_resolution * self.sample_count
+        """Slant range that the frequency samples cover without ambiguity, m."""
+        return self.range_resolution * self._frequency_count
 
     @property
     def beamwidth(self) -> float:
@@ -272,8 +254,12 @@ class Sensor:
     @cached_property
     def beams(self) -> Beams:
         """Beams of the detectors, as they receive from one direction; the channels are `mixing` times them."""
+        widths = self.beamwidth, self.azimuth_beamwidth
+        patterns = [tabulated_pattern(table, *widths) for table in self.beam_tables] or [
+            detector_pattern(self.pattern, self.detector_size)
+        ]
         return Beams(
-            self._patterns,
+            tuple(patterns),
             np.array(self.elevation_boresights),
             self.beamwidth,
             self.detector_rotation,
@@ -285,19 +271,18 @@ class Sensor:
 
         The config_hash is that of the original: the description given by the user has not changed.
         """
-        tables = tuple(
-            replace(
-                table,
-                elevation=tuple(factor * angle for angle in table.elevation),
-                azimuth=tuple(factor * angle for angle in table.azimuth),
-            )
-            for table in self.beam_tables
-        )
+
+        def wider(angles: tuple[float, ...]) -> tuple[float, ...]:
+            return tuple(factor * angle for angle in angles)
+
         return replace(
             self,
             elevation_diameter=self.elevation_diameter / factor,
             azimuth_diameter=self.azimuth_diameter / factor,
-            beam_tables=tables,
+            beam_tables=tuple(
+                replace(table, elevation=wider(table.elevation), azimuth=wider(table.azimuth))
+                for table in self.beam_tables
+            ),
         )
 
     @property
@@ -322,14 +307,3 @@ class Sensor:
             return receivers
         matrix = self.mixing
         return matrix @ receivers @ matrix.conj().T
-
-    @property
-    def _patterns(self) -> tuple[Pattern, ...]:
-        if self.beam_tables:
-            return tuple(tabulated_pattern(table, self.beamwidth, self.azimuth_beamwidth) for table in self.beam_tables)
-        return (detector_pattern(self.pattern, self.detector_size),)
-
-
-def _complex_parts(value: complex) -> tuple[float, float]:
-    """A complex number for JSON."""
-    return value.real, value.imag

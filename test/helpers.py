@@ -17,6 +17,7 @@ from sal_height.beams.array import Beams
 from sal_height.beams.pattern import pattern_named
 from sal_height.elevation.looks import Looks, Window, windowed_looks
 from sal_height.geometry.frames import ApertureState
+from sal_height.sensor.channels import whitened_channels
 from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.preset import Preset
 from sal_height.simulation.scene import Scene, VisibleSurface
@@ -41,6 +42,12 @@ def elevation_at(offset: npt.ArrayLike) -> Array:
 def offset_of(elevation: npt.ArrayLike) -> Array:
     """Beamwidths above the middle of `make_beams`."""
     return (np.asarray(elevation) - np.pi / 4) / BEAMWIDTH
+
+
+def whitening(noise_covariance: Array, channel_matrix: Array) -> tuple[float, Array]:
+    """Noise power and transform of `whitened_channels`."""
+    channels = whitened_channels(noise_covariance, channel_matrix)
+    return float(channels.noise_powers[0]), channels.transform
 
 
 def make_sensor(**changes: object) -> Sensor:

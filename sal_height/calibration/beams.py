@@ -114,7 +114,7 @@ def calibrate_beams(looks: Looks, beams: Beams, squint: F64, noise_power: float)
         looks: complex covariance of three or more channels (`looks.windowed_looks` with `hermitian`).
         beams: of the channels, as described.
         squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in every channel (`channels.whitening`).
+        noise_power: E|n|^2 of one SLC pixel in every channel (`whitened_channels`).
 
     Raises:
         NotDetermined: two detectors; too few pixels; or a combination of width and gains remains unknown, as of

@@ -131,7 +131,7 @@ def ml_elevation(
         looks: covariance of M channels in each pixel.
         beams: of the M detectors.
         squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in every channel (`channels.whitening`).
+        noise_power: E|n|^2 of one SLC pixel in every channel (`whitened_channels`).
         objective: one of OBJECTIVES.
         min_cnr: pixels below this power ratio are LOW_CNR.
         rules: of validity.

@@ -204,7 +204,7 @@ def windowed_looks(
         down: looks in range.
         across: looks in azimuth.
         hermitian: whether the covariance is complex, as complex beams need it (`Beams.is_complex`).
-        transform: matrix by which the channels are multiplied (`channels.whitening`), shape (channels, channels);
+        transform: matrix by which the channels are multiplied (`whitened_channels`), shape (channels, channels);
             None leaves them as they are.
 
     Raises:

@@ -7,7 +7,7 @@ over frequency), `waveform` (raw chirp or deramped echoes to phase history), `re
 
 from sal_height.sensor.channels import Channels, sum_difference_channels, whitened_channels, with_powers
 from sal_height.sensor.phase_history import NUFFT_TOLERANCE, PhaseHistory
-from sal_height.sensor.receivers import MAX_SHARE, clipped, count_saturated, saturated_shares
+from sal_height.sensor.receivers import MAX_SHARE, clipped, count_saturated
 from sal_height.sensor.sensor import MAX_DETECTORS, MODES, Sensor
 from sal_height.sensor.stripmap import aperture_length, lit_angle, look_ahead_angle, processed_angle
 from sal_height.sensor.waveform import echo_sensor, from_spectrum, range_compressed, spectrum_sensor
@@ -29,7 +29,6 @@ __all__ = [
     "look_ahead_angle",
     "processed_angle",
     "range_compressed",
-    "saturated_shares",
     "spectrum_sensor",
     "sum_difference_channels",
     "whitened_channels",

@@ -27,18 +27,13 @@ class Channels:
 
 
 def whitened_channels(noise_covariance: C128, channel_matrix: C128) -> Channels:
-    """Return channels of equal and independent noise; arguments and errors as of `whitening`."""
-    power, transform = whitening(noise_covariance, channel_matrix)
-    return Channels(transform, transform @ channel_matrix, np.full(len(channel_matrix), power))
+    """Return channels of equal and independent noise that are as close to the single beams as such channels can be.
 
-
-def whitening(noise_covariance: C128, channel_matrix: C128) -> tuple[float, C128]:
-    """Find the transform to channels of equal and independent noise that are closest to the single beams.
-
-    The channels are M times the beams, with noise of covariance N. With the polar decomposition N^(-1/2) M = U P (U
-    unitary, P Hermitian and positive), T = sqrt(power) U^H N^(-1/2) gives channels of independent noise of that power
-    that are sqrt(power) P times the beams: of all whitening transforms, T is the one closest to the beams. It undoes a
-    lossless hybrid, and it removes the phases of complex calibration constants, so that real beams stay real.
+    A sensor's channels are M times the beams, with noise of covariance N. With the polar decomposition
+    N^(-1/2) M = U P (U unitary, P Hermitian and positive), T = sqrt(power) U^H N^(-1/2) gives channels of independent
+    noise of that power that are sqrt(power) P times the beams: of all whitening transforms, T is the one closest to the
+    beams. It undoes a lossless hybrid, and it removes the phases of complex calibration constants, so that real beams
+    stay real.
 
     The power is detectors / trace(M^H N^-1 M): the squares of the beams' gains have the mean 1, and a noisy detector
     has little weight in CNRs, too. Without a channel matrix and with independent noise, the power is the harmonic mean
@@ -47,10 +42,6 @@ def whitening(noise_covariance: C128, channel_matrix: C128) -> tuple[float, C128
     Args:
         noise_covariance: N, E n n^H of the channels, shape (channels, channels).
         channel_matrix: M, invertible, shape (channels, detectors), as many.
-
-    Returns:
-        The noise power of the new channels, and T, shape (channels, channels): for `looks.windowed_looks`, and T M for
-        `Beams.combined`.
 
     Raises:
         UserError: a noise power is not known (0), negative or not finite, or the covariance is not positive definite.
@@ -66,7 +57,8 @@ def whitening(noise_covariance: C128, channel_matrix: C128) -> tuple[float, C128
     inverse_root = (vectors / np.sqrt(values)) @ vectors.conj().T
     unitary, positive = polar(inverse_root @ channel_matrix)
     power = len(channel_matrix) / float(np.sum(np.abs(positive) ** 2))
-    return power, np.sqrt(power) * (unitary.conj().T @ inverse_root)
+    transform = np.sqrt(power) * (unitary.conj().T @ inverse_root)
+    return Channels(transform, transform @ channel_matrix, np.full(len(channel_matrix), power))
 
 
 def with_powers(noise_covariance: C128, powers: F64) -> C128:
@@ -86,8 +78,7 @@ def with_powers(noise_covariance: C128, powers: F64) -> C128:
     return scaled
 
 
-MATRIX_ROUNDING = 1e-6
-"""Relative difference allowed between a channel matrix and one that forms sum and difference: float32 rounding."""
+MATRIX_ROUNDING = 1e-6  # relative difference allowed between a channel matrix and a hybrid's: rounding of float32
 
 
 def sum_difference_channels(noise_covariance: C128, channel_matrix: C128) -> Channels:
@@ -133,13 +124,9 @@ def separated_gains(matrix: C128) -> tuple[C128, F64 | C128]:
         UserError: the matrix is not such a product, or channel 0 is not the sum.
     """
     matrix = np.asarray(matrix, dtype=np.complex128)
-    error = np.inf
-    if matrix.shape == (2, 2) and np.all(np.isfinite(matrix)):
-        (a, b), (c, d) = matrix
-        error = abs(a * d + b * c) / max(abs(a * d), abs(b * c), np.finfo(np.float64).tiny)
-        if not (a * np.conj(b)).real > 0 or not abs(d) > 0:
-            error = np.inf
-    if not error <= MATRIX_ROUNDING:
+    a, b, c, d = matrix.ravel() if matrix.shape == (2, 2) and np.all(np.isfinite(matrix)) else np.zeros(4)
+    separable = abs(a * d + b * c) <= MATRIX_ROUNDING * max(abs(a * d), abs(b * c))
+    if not (separable and (a * np.conj(b)).real > 0 and abs(d) > 0):
         raise UserError(
             f"The channel matrix {matrix.tolist()} forms no sum and difference of two beams; it must be "
             "diag(channel gains) [[1, 1], [-1, 1]] diag(beam gains), with gains that add in channel 0."

@@ -18,6 +18,7 @@ from helpers import (
     offset_of,
     standard_error_of_rms,
     target_slc,
+    whitening,
 )
 
 from sal_height.beams.array import Beams
@@ -30,7 +31,6 @@ from sal_height.elevation.looks import Looks, live_detectors
 from sal_height.elevation.monopulse.estimators import DISCRIMINANTS
 from sal_height.elevation.monopulse.pairs import monopulse_elevation
 from sal_height.errors import UserError
-from sal_height.sensor.channels import whitening
 
 MIN_CNR = 10**0.5
 PATTERN_NAMES = pytest.mark.parametrize("pattern", sorted(PATTERNS))

@@ -16,12 +16,13 @@ from helpers import (
     multilook,
     offset_of,
     target_slc,
+    whitening,
 )
 
 from sal_height.elevation.estimate import ElevationEstimate, Validity
 from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
 from sal_height.errors import UserError
-from sal_height.sensor.channels import whitening, with_powers
+from sal_height.sensor.channels import with_powers
 from sal_height.sensor.sensor import Sensor
 from sal_height.sensor.waveform import spectrum_sensor
 from sal_height.simulation.receivers import form_channels, received, receiver_noise

@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 import yaml
 from beam_tables import sample_pattern, write_beam_tables
-from helpers import RAW_SETTINGS, RAW_WAVEFORMS, assert_one_sentence, with_waveform
+from helpers import RAW_SETTINGS, RAW_WAVEFORMS, assert_one_sentence, whitening, with_waveform
 
 from sal_height.beams import pattern_named
 from sal_height.errors import UserError
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.numeric.windows import broadening, window
 from sal_height.sensor import lit_angle
-from sal_height.sensor.channels import whitening
 from sal_height.sensor.sensor import Sensor
 from sal_height.sensor.waveform import spectrum_sensor
 from sal_height.simulation.flight import SimulatedFlight, flight_of

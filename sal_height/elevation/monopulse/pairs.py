@@ -1,7 +1,7 @@
 """Pairwise amplitude-comparison monopulse (SAL paper, sections 2 and 3).
 
 For every two neighbouring detectors Sigma is the sum and Delta the upper minus the lower one. The channels have equal
-noise (`channels.whitening`), so that the noise of Sigma and Delta is equal and independent, too. In each pixel the pair
+noise (`whitened_channels`), so that the noise of Sigma and Delta is equal and independent, too. In each pixel the pair
 with the most power in Sigma is selected; its discriminant mu = Re(Delta / Sigma) is estimated and inverted.
 """
 
@@ -48,7 +48,7 @@ def monopulse_elevation(
         looks: covariance of M channels in each pixel.
         beams: of the M detectors.
         squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in every channel (`channels.whitening`).
+        noise_power: E|n|^2 of one SLC pixel in every channel (`whitened_channels`).
         discriminant: one of DISCRIMINANTS.
         min_cnr: pixels below this power ratio are LOW_CNR.
         rules: of validity.

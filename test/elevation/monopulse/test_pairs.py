@@ -18,6 +18,7 @@ from helpers import (
     offset_of,
     standard_error_of_rms,
     target_slc,
+    whitening,
 )
 from scipy import stats
 from scipy.integrate import quad
@@ -37,7 +38,6 @@ from sal_height.elevation.monopulse.estimators import (
 )
 from sal_height.elevation.monopulse.pairs import _strongest_pair, monopulse_elevation
 from sal_height.errors import UserError
-from sal_height.sensor.channels import whitening
 
 PATTERN_NAMES = pytest.mark.parametrize("pattern", sorted(PATTERNS))
 

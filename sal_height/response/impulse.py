@@ -12,17 +12,10 @@ from scipy.special import entr
 from sal_height.errors import UserError
 from sal_height.numeric import C128, F64, I64, WINDOWS, Bool, Complex, broadening, noise_gain, window
 
-CHIP = 256
-"""Side of the chip around the target, pixels."""
-
-OVERSAMPLING = 32
-"""Samples per pixel of an interpolated cut."""
-
-REACH = 10
-"""Sidelobes are counted up to this many widths (at -3 dB) from the peak."""
-
-NEAR = 8
-"""A target is looked for this many pixels around the place it is said to be near."""
+CHIP = 256  # side of the chip around the target, pixels
+OVERSAMPLING = 32  # samples per pixel of an interpolated cut
+REACH = 10  # sidelobes are counted up to this many widths (at -3 dB) from the peak
+NEAR = 8  # pixels around a given place where the target is searched
 
 GAP = 1 / 16
 """Share of the sampling rate over which a spectrum is averaged to find the gap beside its band.
@@ -81,7 +74,7 @@ class ImpulseResponse:
     entropy: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Chip:
     """Pixels around a target as a sum of waves, which has values between them too (Fourier interpolation).
 
@@ -89,26 +82,39 @@ class Chip:
         start: row and column of its first pixel in the image.
         spectrum: discrete Fourier transform of its pixels, scaled to a greatest amplitude of 1, those not finite taken
             for 0; complex128, shape (rows, cols).
-        frequencies: cycles per chip of each bin along rows and along columns, in the band that holds the spectrum.
+        frequencies: cycles per pixel of each bin along rows and along columns, in the band that holds the spectrum.
         finite: first and last of the pixels beside the target, without a gap, that are finite; in the image's rows,
             and in its columns.
     """
 
     start: tuple[int, int]
     spectrum: C128
-    frequencies: tuple[I64, I64]
+    frequencies: tuple[F64, F64]
     finite: tuple[tuple[int, int], tuple[int, int]]
 
+    def values(self, rows: npt.ArrayLike, cols: npt.ArrayLike) -> C128:
+        """Amplitude at each of `rows` and each of `cols`, fractional pixels of the image; shape (rows, cols)."""
+        return np.linalg.multi_dot([self._waves(0, rows), self.spectrum, self._waves(1, cols).T])
+
     def power(self, rows: npt.ArrayLike, cols: npt.ArrayLike) -> F64:
-        """Power at each of `rows` and each of `cols`, fractional pixels of the image; shape (rows, cols)."""
-        values = np.linalg.multi_dot([self._waves(0, rows), self.spectrum, self._waves(1, cols).T])
-        return np.abs(values) ** 2
+        """Square of the modulus of `values`."""
+        return np.abs(self.values(rows, cols)) ** 2
+
+    def peak(self, row: int, col: int) -> tuple[float, float]:
+        """Row and column of the interpolated peak, within a pixel of the brightest one and among finite pixels."""
+        pixel, peak = (row, col), [float(row), float(col)]
+        for axis in (0, 1, 0, 1):  # the second time for what the step along the other axis has changed
+            spectrum = (self.spectrum, self.spectrum.T)[axis]
+            line = self._waves(axis, peak[axis])[0] * (spectrum @ self._waves(1 - axis, peak[1 - axis])[0])
+            first, last = self.finite[axis]
+            limits = max(first, pixel[axis] - 1), min(last, pixel[axis] + 1)
+            peak[axis] = float(np.clip(peak[axis] + peak_offset(line, self.frequencies[axis]), *limits))
+        return peak[0], peak[1]
 
     def _waves(self, axis: int, positions: npt.ArrayLike) -> C128:
         """Each bin's wave at positions along an axis, shape (positions, bins)."""
-        count = self.spectrum.shape[axis]
         pixels = np.atleast_1d(np.asarray(positions, dtype=np.float64)) - self.start[axis]
-        return np.exp(2j * np.pi / count * np.outer(pixels, self.frequencies[axis])) / count
+        return np.exp(2j * np.pi * np.outer(pixels, self.frequencies[axis])) / self.spectrum.shape[axis]
 
 
 def measure_brightest(image: Complex, near: tuple[int, int] | None = None) -> ImpulseResponse:
@@ -129,7 +135,7 @@ def measure_brightest(image: Complex, near: tuple[int, int] | None = None) -> Im
     power = (amplitude / amplitude[row, col]) ** 2
     median = float(np.nanmedian(power))
     chip = chip_around(image, row, col)
-    fine_row, fine_col = _peak(chip, row, col)
+    fine_row, fine_col = chip.peak(row, col)
     return ImpulseResponse(
         row=fine_row,
         col=fine_col,
@@ -155,7 +161,10 @@ def chip_around(image: Complex, row: int, col: int, size: tuple[int, int] = (CHI
     return Chip(
         start=(first_row, first_col),
         spectrum=np.asarray(spectrum),
-        frequencies=(band_frequencies(energy.sum(axis=1)), band_frequencies(energy.sum(axis=0))),
+        frequencies=(
+            band_frequencies(energy.sum(axis=1)) / energy.shape[0],
+            band_frequencies(energy.sum(axis=0)) / energy.shape[1],
+        ),
         finite=(
             _run(finite[:, col - first_col], row - first_row, first_row),
             _run(finite[row - first_row], col - first_col, first_col),
@@ -247,27 +256,22 @@ def band_frequencies(energy: F64) -> I64:
     return (np.arange(count) - highest) % count + highest - count
 
 
-def _peak(chip: Chip, row: int, col: int) -> tuple[float, float]:
-    """Row and column of the peak within a pixel of the brightest one: a parabola through the interpolated samples."""
-    steps = np.arange(-OVERSAMPLING, OVERSAMPLING + 1) / OVERSAMPLING
-    rows, cols = (
-        (p + steps)[(p + steps >= first) & (p + steps <= last)]
-        for p, (first, last) in zip((row, col), chip.finite, strict=True)
-    )
-    power = chip.power(rows, cols)
-    i, j = np.unravel_index(np.argmax(power), power.shape)
-    return (
-        float(rows[i]) + _parabola_peak(power[:, j], int(i)) / OVERSAMPLING,
-        float(cols[j]) + _parabola_peak(power[i], int(j)) / OVERSAMPLING,
-    )
+def peak_offset(spectrum: C128, frequencies: F64) -> float:
+    """Place of the peak of a sum of waves near pixel 0, pixels.
 
-
-def _parabola_peak(power: F64, at: int) -> float:
-    """Peak of the parabola through the greatest sample, at index `at`, and its neighbours; in samples from `at`."""
-    if not 0 < at < len(power) - 1:
-        return 0.0
-    before, here, after = power[at - 1 : at + 2]
-    return float((after - before) / (2 * (2 * here - before - after)))
+    Args:
+        spectrum: amplitude of each wave, shape (count,).
+        frequencies: of each, cycles per pixel, within one cycle; shape (count,).
+    """
+    waves = 2j * np.pi * (frequencies - np.mean(frequencies))
+    place = 0.0
+    for _ in range(5):  # Newton's steps, each of which doubles the digits
+        moved = spectrum * np.exp(waves * place)
+        value, slope, curvature = moved.sum(), moved @ waves, moved @ waves**2
+        rise = np.real(np.conj(value) * slope)
+        bend = np.real(np.conj(value) * curvature) + np.abs(slope) ** 2
+        place += float(np.clip(-rise / bend, -0.25, 0.25) if bend < 0 else np.copysign(0.25, rise))
+    return place
 
 
 def _response_along(axis: int, chip: Chip, row: float, col: float) -> CutResponse:

@@ -196,7 +196,7 @@ def find_targets(image: Complex, chip: tuple[int, int] = CHIP) -> TargetSurvey:
 def chip_at(image: Complex, row: int, col: int, clutter: float, shape: tuple[int, int] = CHIP) -> PointTarget:
     """The chip around a pixel, with its interpolated peak moved to pixel (0, 0).
 
-    A fraction of a pixel is a linear phase over the band, wherever the band lies (Fourier interpolation).
+    Values between pixels are interpolated in a window twice as long and wide as the chip, as far as the image goes.
 
     Args:
         image: complex pixels, shape (rows, cols).
@@ -205,46 +205,14 @@ def chip_at(image: Complex, row: int, col: int, clutter: float, shape: tuple[int
         clutter: mean power of the clutter.
         shape: rows and columns of the chip.
     """
-    window = chip_around(image, row, col, (CONTEXT * shape[0], CONTEXT * shape[1]))
-    down, across = (bins / len(bins) for bins in window.frequencies)
-    peak_row, peak_col = float(row), float(col)
-    turns, along = _turns(down, row - window.start[0]), _turns(across, col - window.start[1])
-    scale = image[row, col] / np.einsum("r,rc,c", turns, window.spectrum, along)
-    for _ in range(PEAK_ROUNDS):
-        step = peak_offset(turns * np.einsum("rc,c->r", window.spectrum, along), down)
-        peak_row, turns = peak_row + step, turns * _turns(down, step)
-        step = peak_offset(along * np.einsum("r,rc->c", turns, window.spectrum), across)
-        peak_col, along = peak_col + step, along * _turns(across, step)
-    moved = scipy.fft.ifft2(window.spectrum * turns[:, None] * along)
-    peak = moved[0, 0]
-    power = float(np.abs(peak * moved.size * scale) ** 2)
-    rows, cols = (scipy.fft.ifftshift(np.arange(size) - size // 2) for size in shape)
-    chip = moved[np.ix_(rows, cols)] / peak
-    spectrum = np.asarray(scipy.fft.fftshift(scipy.fft.fft2(chip)))
+    window = chip_around(image, row, col, (2 * shape[0], 2 * shape[1]))
+    peak_row, peak_col = window.peak(row, col)
+    down, across = (scipy.fft.ifftshift(np.arange(size) - size // 2) for size in shape)
+    pixels = window.values(peak_row + down, peak_col + across)
+    gain = pixels[0, 0] / window.values(row, col)[0, 0]
+    power = float(np.abs(gain * np.complex128(image[row, col])) ** 2)
+    spectrum = np.asarray(scipy.fft.fftshift(scipy.fft.fft2(pixels / pixels[0, 0])))
     return PointTarget(peak_row, peak_col, power / clutter, spectrum)
-
-
-def peak_offset(spectrum: C128, frequencies: F64) -> float:
-    """Place of the peak of a sum of waves near pixel 0, pixels.
-
-    Args:
-        spectrum: amplitude of each wave, shape (count,).
-        frequencies: of each, cycles per pixel, within one cycle; shape (count,).
-    """
-    waves = 2j * np.pi * (frequencies - np.mean(frequencies))
-    place = 0.0
-    for _ in range(PEAK_STEPS):
-        moved = spectrum * np.exp(waves * place)
-        value, slope, curvature = moved.sum(), moved @ waves, moved @ waves**2
-        rise = np.real(np.conj(value) * slope)
-        bend = np.real(np.conj(value) * curvature) + np.abs(slope) ** 2
-        place += float(np.clip(-rise / bend, -0.25, 0.25) if bend < 0 else np.copysign(0.25, rise))
-    return place
-
-
-def _turns(frequencies: F64, place: float) -> C128:
-    """What waves turn by from the first pixel to a place (pixels)."""
-    return np.exp(2j * np.pi * frequencies * place)
 
 
 def _check(image: Complex, chip: tuple[int, int]) -> None:

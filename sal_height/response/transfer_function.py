@@ -14,8 +14,8 @@ import scipy.fft
 
 from sal_height.errors import NotDetermined
 from sal_height.numeric import C128, F64
-from sal_height.response.impulse import band_frequencies
-from sal_height.response.point_targets import PointTarget, peak_offset
+from sal_height.response.impulse import band_frequencies, peak_offset
+from sal_height.response.point_targets import PointTarget
 
 FLOOR = 0.05
 """Power of a response, over its greatest, up to which it is rather left out than divided by."""

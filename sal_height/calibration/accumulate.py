@@ -25,8 +25,8 @@ from sal_height.imaging import Slc, image_beams
 from sal_height.numeric import C64, C128, F64, WORKERS, noise_gain, window
 from sal_height.response import (
     CHIP,
-    LEAST_OVER_CLUTTER_DB,
     PointTarget,
+    PointTargetSettings,
     estimate_transfer_function,
     find_targets,
     without_clutter,
@@ -53,13 +53,15 @@ TARGET_MEMORY = 2**27
 class Calibrator:
     """Gathers what the images of a sensor tell, dwell by dwell."""
 
-    def __init__(self, sensor: Sensor, target: F64 | None = None) -> None:
+    def __init__(self, sensor: Sensor, target: F64 | None = None, settings: PointTargetSettings | None = None) -> None:
         """Begin.
 
         Args:
             sensor: its description.
             target: place of a reference target in the map, m, shape (3,); None: there is none.
+            settings: which bright pixels of the scene are taken for point targets.
         """
+        self._settings = settings or PointTargetSettings()
         self.sensor = spectrum_sensor(sensor)
         self._target = target
         self._sightings: list[Sighting] = []
@@ -92,7 +94,7 @@ class Calibrator:
         grid, aperture = slc.grid, slc.aperture
         pixels = unwound(slc.images, grid, aperture, self.sensor)
         self._spectra += cross_spectra(pixels, self.sensor, slc.noise_power)
-        self._targets = brightest([*self._targets, *targets_in(pixels.sum(axis=0))], TARGET_MEMORY)
+        self._targets = brightest([*self._targets, *targets_in(pixels.sum(axis=0), self._settings)], TARGET_MEMORY)
         if self._target is not None:
             seen = sighting(pixels, grid, aperture, self.sensor.look_side, self._target)
             self._sightings += [seen] if seen else []
@@ -211,13 +213,13 @@ def _in_length(columns: C64, rows: int) -> C64:
     return np.pad(columns, ((0, 0), (0, rows - columns.shape[1]), (0, 0)))
 
 
-def targets_in(image: C64) -> tuple[PointTarget, ...]:
+def targets_in(image: C64, settings: PointTargetSettings) -> tuple[PointTarget, ...]:
     """Point targets of an image; none where no pixel stands out from its mean, or it is too narrow to tell."""
     power = image.real**2 + image.imag**2
     rows, cols = (min(size, length) for size, length in zip(CHIP, image.shape, strict=True))
-    if min(rows, cols) < NARROWEST or not power.max() > 10 ** (LEAST_OVER_CLUTTER_DB / 10) * power.mean():
+    if min(rows, cols) < NARROWEST or not power.max() > 10 ** (settings.point_over_clutter_db / 10) * power.mean():
         return ()
-    return find_targets(image, (rows, cols)).targets
+    return find_targets(image, (rows, cols), settings).targets
 
 
 def brightest(targets: list[PointTarget], memory: int) -> list[PointTarget]:
@@ -242,8 +244,8 @@ def common_response(targets: list[PointTarget], frequencies: int) -> C128:
     """
     if not targets:
         raise NotDetermined(
-            f"No point target stands {LEAST_OVER_CLUTTER_DB:g} dB over its surroundings, alone and as a point; needed "
-            "is one at least, in any dwell."
+            "No point target stands out from its surroundings, alone and as a point; at least one is needed, in any "
+            "dwell (parameter point_over_clutter_db)."
         )
     transfer = estimate_transfer_function(targets)
     pixels = scipy.fft.ifft(scipy.fft.ifftshift(without_clutter(transfer.range_response, transfer.range_sigma)))

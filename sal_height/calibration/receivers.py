@@ -19,7 +19,7 @@ import scipy.fft
 
 from sal_height.errors import NotDetermined
 from sal_height.geometry import ApertureState, Grid, without_range_phase
-from sal_height.numeric import C64, C128, F64, I64, WORKERS
+from sal_height.numeric import C64, C128, F64, WORKERS
 from sal_height.sensor import Sensor, with_powers
 
 SPACING_TOLERANCE = 1e-6
@@ -68,12 +68,10 @@ class DifferentialResponse:
         response: at the fast-time frequencies, complex128, shape (channels, frequencies); 1: like the others.
         sigma: standard error of a frequency's response, rms of its two parts together, were all lags kept: of each
             channel, shape (channels,).
-        echoes: number of lags of each channel that are significant, shape (channels,).
     """
 
     response: C128
     sigma: F64
-    echoes: I64
 
 
 def unwound(slc: C64, grid: Grid, aperture: ApertureState, sensor: Sensor) -> C64:
@@ -151,7 +149,7 @@ def differential_response(spectra: CrossSpectra) -> DifferentialResponse:
     echoes = _beyond_median(scipy.fft.ifft(logarithm, axis=0))
     real = np.abs(echoes) > SIGNIFICANCE * np.maximum(np.sqrt(variance / count), _rms_around(echoes))
     kept = scipy.fft.fft(np.where(real, echoes, 0), axis=0)
-    return DifferentialResponse(np.exp(kept.T), np.sqrt(variance), np.count_nonzero(real, axis=0))
+    return DifferentialResponse(np.exp(kept.T), np.sqrt(variance))
 
 
 def _scoring(measured: C128, noise: C128, response: C128) -> tuple[C128, F64]:

@@ -20,6 +20,7 @@ from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS
 from sal_height.numeric import F64
+from sal_height.response import PointTargetSettings
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
 
@@ -27,7 +28,7 @@ MOST_DWELLS = 1024
 """Greatest number of dwells for one calibration: 130 MB of pixels from 16 channels."""
 
 
-class Parameters(DwellParameters):
+class Parameters(DwellParameters, PointTargetSettings):
     """Parameters of the node."""
 
     dwells: int = setting(
@@ -98,7 +99,7 @@ class PsfCalibration(DwellStage):
         if (self._dwells - 1) % parameters.dwell_step:
             return 0
         if self._calibrator is None or self._calibrator.sensor.config_hash != sensor.config_hash:
-            self._calibrator = Calibrator(sensor, self._target)
+            self._calibrator = Calibrator(sensor, self._target, parameters)
         try:
             self._calibrator.add(messages.slc_from_messages(images))
         except Rejected as error:

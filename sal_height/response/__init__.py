@@ -17,7 +17,14 @@ from sal_height.response.impulse import (
 )
 from sal_height.response.linearity import superposition
 from sal_height.response.point_spread import FINENESS, PointSpread, Sidelobe, cut_through, estimate_point_spread
-from sal_height.response.point_targets import CHIP, LEAST_OVER_CLUTTER_DB, PointTarget, chip_at, find_targets
+from sal_height.response.point_targets import (
+    CHIP,
+    PointTarget,
+    PointTargetSettings,
+    TargetSurvey,
+    chip_at,
+    find_targets,
+)
 from sal_height.response.report import LONG_CHIPS, ImagePointing, PsfReport, pointing_of_images, report_on
 from sal_height.response.speckle_spectra import (
     AxisSpectrum,
@@ -32,7 +39,6 @@ __all__ = [
     "CHIP",
     "FINENESS",
     "FLOOR",
-    "LEAST_OVER_CLUTTER_DB",
     "LONG_CHIPS",
     "OVERSAMPLING",
     "REACH",
@@ -43,9 +49,11 @@ __all__ = [
     "ImpulseResponse",
     "PointSpread",
     "PointTarget",
+    "PointTargetSettings",
     "PsfReport",
     "Sidelobe",
     "SpeckleSpectra",
+    "TargetSurvey",
     "TransferFunction",
     "chip_around",
     "chip_at",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -17,63 +17,59 @@ from scipy.ndimage import maximum_filter, median_filter
 from scipy.spatial import cKDTree
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.numeric import C64, C128, F32, F64, Complex, compiled, in_parallel
+from sal_height.numeric import C64, C128, F64, Complex, Index, in_parallel
 from sal_height.response.impulse import chip_around
+from sal_height.settings import Settings, setting
 
-CHIP = (64, 64)
-"""Rows and columns around a target, those of the paper."""
+CHIP = (64, 64)  # rows and columns around a target, those of the paper
+BLOCK = 16  # side of the pixels of the survey: 24 m at the paper's 1.5 m
+CORE = (2, 1)  # pixels to each side of the peak, in range and azimuth, where a chip is not compared with its cuts
+OVER_SPECKLE = 20.0  # power over the mean that speckle in a chip does not reach: exp(-20) a pixel
 
-CONTEXT = 2
-"""Sides of the window that a peak is moved in, over those of the chip, as far as the image goes."""
 
-PEAK_STEPS = 5
-"""Of Newton's method towards a peak, each of which doubles the digits."""
+class PointTargetSettings(Settings):
+    """Which bright pixels are taken for point targets. Powers are ratios in dB."""
 
-PEAK_ROUNDS = 2
-"""Of the search for a peak along range, then along azimuth."""
+    point_over_clutter_db: float = setting(
+        20.0,
+        "lowest peak power of a point target over the clutter around it; a million pixels of speckle reach 11 dB",
+        unit="dB",
+        minimum=10.0,
+        maximum=100.0,
+    )
+    point_isolation_db: float = setting(
+        20.0,
+        "a point target is alone if all that lies beside its cuts in the chip is this far below its peak",
+        unit="dB",
+        minimum=3.0,
+        maximum=100.0,
+    )
+    point_sidelobes_db: float = setting(
+        9.0,
+        "sidelobes in the cuts of a point target lie this far below its peak; those of a flat band are at 13.3 dB",
+        unit="dB",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    point_energy_ratio: float = setting(
+        1.25,
+        "largest energy in the cuts of a point target over that of the other targets; more indicates several points",
+        minimum=1.0,
+        maximum=1000.0,
+    )
+    points_per_image: int = setting(
+        25, "bright pixels examined in an image, the brightest first", minimum=1, maximum=10_000
+    )
 
-BLOCK = 16
-"""Side of the pixels of the survey: 24 m at the paper's 1.5 m."""
 
-SURROUNDINGS = 5
-"""Blocks along each side of the square whose median power is the clutter of the block in its middle."""
-
-LEAST_OVER_CLUTTER_DB = 20.0
-"""Peak power over that of the clutter: speckle of 1e6 pixels has peaks of 11 dB."""
-
-MAX_CHIPS = 25
-"""That are looked at, those of the brightest candidates; the paper's number."""
-
-FOREIGN = 0.01
-"""Power beside a target, over its own, from which on it does not count as alone: sidelobes far from it are less."""
-
-SECOND_PEAK = 0.125
-"""Power of a second peak in the cuts through the first, over its own, that is no sidelobe: of a flat band 0.047."""
-
-OVER_SPECKLE = 20.0
-"""Power over the mean clutter that speckle in a chip does not reach: exp(-20) a pixel."""
-
-WIDE = 1.25
-"""Energy of a target's cut, over that of the others', from which on it is more than a point."""
-
-CORE = (2, 1)
-"""Pixels to each side of the peak, along range and azimuth, where a chip is not compared with its cuts."""
-
-GAP_SHARE = 0.01
-"""Share of pixels that are exactly 0 from which on a chip has gaps."""
-
-EQUAL_PEAKS = 3
-"""Equally great real or imaginary parts, or amplitudes, in a chip that indicate clipping."""
-
-EXPONENT = np.uint32(0x7F800000)
-"""Of a float32: all set if it is infinite or not a number, which compiled loops do not tell otherwise."""
+DEFAULTS = PointTargetSettings()
 
 
 class Verdict(StrEnum):
     """What became of a candidate; all but ACCEPTED say why it does not show the system's response."""
 
     ACCEPTED = "accepted"
-    SPARE = "fainter than those looked at"
+    SPARE = "fainter than those examined"
     EDGE = "too near the edge of the image"
     NOT_FINITE = "beside pixels that are not finite"
     GAPS = "beside pixels of 0"
@@ -99,7 +95,7 @@ class Candidate:
     verdict: Verdict = Verdict.ACCEPTED
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PointTarget:
     """A target's chip, with its interpolated peak moved to pixel (0, 0), where it is 1.
 
@@ -122,7 +118,7 @@ class PointTarget:
         return scipy.fft.ifft2(scipy.fft.ifftshift(self.spectrum))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TargetSurvey:
     """What was found in an image.
 
@@ -133,6 +129,14 @@ class TargetSurvey:
 
     candidates: tuple[Candidate, ...]
     targets: tuple[PointTarget, ...]
+
+    @classmethod
+    def pooled(cls, surveys: Sequence[TargetSurvey]) -> TargetSurvey:
+        """What was found in several images."""
+        return cls(
+            tuple(candidate for survey in surveys for candidate in survey.candidates),
+            tuple(target for survey in surveys for target in survey.targets),
+        )
 
     @property
     def verdicts(self) -> Counter[Verdict]:
@@ -145,30 +149,33 @@ class TargetSurvey:
         Raises:
             NotDetermined: there is none; the sentence counts the verdicts and says what is needed.
         """
-        if not self.targets:
-            level = f"{LEAST_OVER_CLUTTER_DB:g} dB"
-            found = ", ".join(f"{count} {verdict}" for verdict, count in self.verdicts.items())
-            raise NotDetermined(
-                f"No point target shows the response of the system: of {len(self.candidates)} that stand {level} over "
-                f"their surroundings, {found}; needed is one at least that is finite, not clipped and alone "
-                "in a chip that lies within the image."
-                if self.candidates
-                else f"No pixel stands {level} over its surroundings and could show the response of the system; needed "
-                "is one point target at least that does, alone in a chip that lies within the image."
-            )
-        return self.targets
+        if self.targets:
+            return self.targets
+        found = ", ".join(f"{count} {verdict}" for verdict, count in self.verdicts.items())
+        what = (
+            f"None of the {len(self.candidates)} bright pixels is a point target that shows the response ({found})"
+            if self.candidates
+            else "No pixel stands out enough from its surroundings to show the response (setting point_over_clutter_db)"
+        )
+        raise NotDetermined(
+            f"{what}; at least one point target is needed that is finite, not clipped and alone in a chip inside the "
+            "image."
+        )
 
 
-def find_targets(image: Complex, chip: tuple[int, int] = CHIP) -> TargetSurvey:
+def find_targets(
+    image: Complex, chip: tuple[int, int] = CHIP, settings: PointTargetSettings = DEFAULTS
+) -> TargetSurvey:
     """Find the targets whose chips show the response to a point, and little else.
 
-    A candidate is the brightest pixel of a block and the eight around it that stands LEAST_OVER_CLUTTER_DB over the
-    median of the blocks around. It is judged in a chip of its own; along an axis where the chip is as long as the image
-    the image is taken for cyclic.
+    A candidate is the brightest pixel of a block and the eight around it, if it stands far enough over the median of
+    the blocks around. It is judged in a chip of its own; along an axis where the chip is as long as the image the image
+    is taken for cyclic.
 
     Args:
         image: complex pixels, shape (rows, cols); range, azimuth.
         chip: rows and columns of a chip.
+        settings: which bright pixels are taken for point targets.
 
     Raises:
         UserError: the image is not a complex matrix, or the chip does not fit into it.
@@ -176,20 +183,23 @@ def find_targets(image: Complex, chip: tuple[int, int] = CHIP) -> TargetSurvey:
     _check(image, chip)
     with np.errstate(over="ignore", invalid="ignore"):  # what is too great is not finite
         pixels = np.ascontiguousarray(image, dtype=np.complex64)
-    candidates, clutter = _survey(pixels)
-    candidates = _mark_crowds(candidates, clutter, chip, pixels.shape)
-    promising = [index for index, one in enumerate(candidates) if one.verdict is Verdict.ACCEPTED]
+    places, power, clutter = _survey(pixels, _ratio(settings.point_over_clutter_db))
+    verdicts = _place_verdicts(places, power, pixels.shape, chip, _ratio(-settings.point_isolation_db))
+    promising = [index for index, verdict in enumerate(verdicts) if verdict is Verdict.ACCEPTED]
     targets: dict[int, PointTarget] = {}
-    for index in promising[:MAX_CHIPS]:
-        verdict, target = _judged(pixels, candidates[index], float(clutter[index]), chip)
-        candidates[index] = replace(candidates[index], verdict=verdict)
+    for index in promising[: settings.points_per_image]:
+        verdicts[index], target = _examined(pixels, places[index], float(clutter[index]), chip, settings)
         if target:
             targets[index] = target
-    for index in promising[MAX_CHIPS:]:
-        candidates[index] = replace(candidates[index], verdict=Verdict.SPARE)
-    for index in _wide(targets):
-        candidates[index] = replace(candidates[index], verdict=Verdict.COMPLICATED)
+    for index in promising[settings.points_per_image :]:
+        verdicts[index] = Verdict.SPARE
+    for index in _wide(targets, settings.point_energy_ratio):
+        verdicts[index] = Verdict.COMPLICATED
         del targets[index]
+    candidates = (
+        Candidate(int(row), int(col), float(over), verdict)
+        for (row, col), over, verdict in zip(places, power / clutter, verdicts, strict=True)
+    )
     return TargetSurvey(tuple(candidates), tuple(targets.values()))
 
 
@@ -228,99 +238,94 @@ def _check(image: Complex, chip: tuple[int, int]) -> None:
         )
 
 
-def _survey(image: C64) -> tuple[list[Candidate], F64]:
-    """What stands out, the brightest first, and the clutter (power) around each."""
+def _survey(image: C64, least: float) -> tuple[Index, F64, F64]:
+    """Rows and columns of the pixels that stand out, the brightest first, their power, and the clutter around each."""
     mean, peak = _blocks(image)
-    clutter = median_filter(mean, SURROUNDINGS, mode="nearest")
-    stands_out = (peak > 10 ** (LEAST_OVER_CLUTTER_DB / 10) * clutter) & (peak == maximum_filter(peak, 3))
-    places = np.argwhere(stands_out & (clutter > 0))
-    places = places[np.argsort(-peak[tuple(places.T)], kind="stable")]
-    candidates = []
-    for i, j in places:
-        rows, cols = (slice(BLOCK * k, BLOCK * (k + 1)) for k in (i, j))
-        power = np.nan_to_num(np.abs(image[rows, cols].astype(np.complex128)), posinf=0.0) ** 2
+    clutter = median_filter(mean, 5, mode="nearest")  # of 5 x 5 blocks
+    standing_out = (peak > least * clutter) & (peak == maximum_filter(peak, 3)) & (clutter > 0)
+    blocks = np.argwhere(standing_out)
+    blocks = blocks[np.argsort(-peak[standing_out], kind="stable")]
+    places = np.zeros_like(blocks)
+    for place, (i, j) in zip(places, BLOCK * blocks, strict=True):
+        power = _power(image[i : i + BLOCK, j : j + BLOCK])
         row, col = np.unravel_index(np.argmax(power), power.shape)
-        over = float(peak[i, j] / clutter[i, j])
-        candidates.append(Candidate(BLOCK * int(i) + int(row), BLOCK * int(j) + int(col), over))
-    return candidates, np.asarray(clutter[tuple(places.T)])
+        place[:] = i + row, j + col
+    return places, peak[tuple(blocks.T)], clutter[tuple(blocks.T)]
 
 
 def _blocks(image: C64) -> tuple[F64, F64]:
     """Mean and greatest power of each block's finite pixels, 0 if there is none; shapes (blocks down, across)."""
-    shape = -(-image.shape[0] // BLOCK), -(-image.shape[1] // BLOCK)
-    mean, peak = np.zeros(shape), np.zeros(shape)
-    parts = image.view(np.float32)
+    edges = np.arange(0, image.shape[1], BLOCK)
+    mean, peak = np.zeros((2, -(-image.shape[0] // BLOCK), len(edges)))
 
-    def work(rows: slice) -> None:
-        _add_blocks(parts[BLOCK * rows.start : BLOCK * rows.stop], mean[rows], peak[rows])
+    def work(part: slice) -> None:
+        for row in range(part.start, part.stop):
+            strip = image[BLOCK * row : BLOCK * (row + 1)]
+            power, finite = _power(strip), np.isfinite(strip).sum(axis=0)
+            mean[row] = np.add.reduceat(power.sum(axis=0), edges) / np.maximum(np.add.reduceat(finite, edges), 1)
+            peak[row] = np.maximum.reduceat(power.max(axis=0), edges)
 
-    in_parallel(work, shape[0])
+    in_parallel(work, len(mean))
     return mean, peak
 
 
-@compiled
-def _add_blocks(parts: F32, mean: F64, peak: F64) -> None:
-    bits = parts.view(np.uint32)
-    rows, numbers = parts.shape
-    for i in range(mean.shape[0]):
-        for j in range(mean.shape[1]):
-            last_row, last = min(BLOCK * (i + 1), rows), min(2 * BLOCK * (j + 1), numbers)
-            total, greatest, count = 0.0, 0.0, 0
-            for r in range(BLOCK * i, last_row):
-                for c in range(2 * BLOCK * j, last, 2):
-                    bad = (bits[r, c] & EXPONENT) == EXPONENT or (bits[r, c + 1] & EXPONENT) == EXPONENT
-                    re, im = np.float64(parts[r, c]), np.float64(parts[r, c + 1])
-                    power = 0.0 if bad else re * re + im * im
-                    total += power
-                    greatest = max(greatest, power)
-                    count += 0 if bad else 1
-            mean[i, j] = total / max(count, 1)
-            peak[i, j] = greatest
+def _power(pixels: C64) -> F64:
+    """Power of pixels, 0 where they are not finite."""
+    power = np.square(pixels.real, dtype=np.float64) + np.square(pixels.imag, dtype=np.float64)
+    return np.where(np.isfinite(power), power, 0.0)
 
 
-def _mark_crowds(
-    candidates: list[Candidate], clutter: F64, chip: tuple[int, int], shape: tuple[int, ...]
-) -> list[Candidate]:
-    """The candidates with the verdict CROWDED where a chip holds another bright one, EDGE where it leaves the image.
-
-    Another one crowds a chip if it has more than FOREIGN times the power of the candidate in its middle.
-    """
-    if not candidates:
-        return []
-    places = np.array([(one.row, one.col) for one in candidates]) / (np.array(chip) // 2)
-    power = np.array([one.over_clutter for one in candidates]) * clutter
-    first, second = cKDTree(places).query_pairs(1 + 1e-6, p=np.inf, output_type="ndarray").T
-    crowded = np.zeros(len(candidates), dtype=np.bool_)
-    crowded[first[power[second] > FOREIGN * power[first]]] = True
-    crowded[second[power[first] > FOREIGN * power[second]]] = True
-    marked = []
-    for one, alone in zip(candidates, ~crowded, strict=True):
-        inside = _start(one.row, shape[0], chip[0]) >= 0 and _start(one.col, shape[1], chip[1]) >= 0
-        verdict = Verdict.EDGE if not inside else one.verdict if alone else Verdict.CROWDED
-        marked.append(replace(one, verdict=verdict))
-    return marked
+def _place_verdicts(
+    places: Index, power: F64, shape: tuple[int, ...], chip: tuple[int, int], foreign: float
+) -> list[Verdict]:
+    """EDGE where a chip leaves the image, CROWDED where it holds another candidate of more than `foreign` its power."""
+    crowded = np.zeros(len(places), dtype=np.bool_)
+    if len(places):
+        halves = places / (np.array(chip) // 2)
+        first, second = cKDTree(halves).query_pairs(1 + 1e-6, p=np.inf, output_type="ndarray").T
+        crowded[first[power[second] > foreign * power[first]]] = True
+        crowded[second[power[first] > foreign * power[second]]] = True
+    starts = [_chip_start(place, shape, chip) for place in places.tolist()]
+    return [
+        Verdict.EDGE if start is None else Verdict.CROWDED if is_crowded else Verdict.ACCEPTED
+        for start, is_crowded in zip(starts, crowded.tolist(), strict=True)
+    ]
 
 
-def _start(position: int, length: int, size: int) -> int:
-    """First pixel of a chip of `size` around a position in `length` pixels; -1 if it leaves them."""
-    first = 0 if size == length else int(position) - size // 2
-    return first if first + size <= length else -1
+def _chip_start(place: Sequence[int], shape: tuple[int, ...], chip: tuple[int, int]) -> tuple[int, int] | None:
+    """First row and column of the chip around a pixel; None if it leaves the image."""
+    row, col = (0 if n == size else at - size // 2 for at, n, size in zip(place, shape, chip, strict=True))
+    return (row, col) if row >= 0 <= col and row + chip[0] <= shape[0] and col + chip[1] <= shape[1] else None
 
 
-def _judged(image: C64, one: Candidate, clutter: float, shape: tuple[int, int]) -> tuple[Verdict, PointTarget | None]:
+def _examined(
+    image: C64, place: Index, clutter: float, shape: tuple[int, int], settings: PointTargetSettings
+) -> tuple[Verdict, PointTarget | None]:
     """The verdict on a candidate with a chip of its own, and the target if it is one."""
-    start = _start(one.row, image.shape[0], shape[0]), _start(one.col, image.shape[1], shape[1])
-    pixels = image[start[0] : start[0] + shape[0], start[1] : start[1] + shape[1]]
+    row, col = place.tolist()
+    first_row, first_col = _chip_start((row, col), image.shape, shape) or (0, 0)
+    pixels = image[first_row : first_row + shape[0], first_col : first_col + shape[1]]
     if not np.all(np.isfinite(pixels)):
         return Verdict.NOT_FINITE, None
-    if np.mean(pixels == 0) > GAP_SHARE:
+    if np.mean(pixels == 0) > 0.01:
         return Verdict.GAPS, None
     if _is_clipped(pixels):
         return Verdict.CLIPPED, None
-    target = chip_at(image, one.row, one.col, clutter, shape)
-    if _is_complicated(target):
+    target = chip_at(image, row, col, clutter, shape)
+    # All of a chip but its middle is the product of its cuts (PSF paper, eq. 2.10), and each cut has one peak.
+    chip = target.chip
+    rest = np.abs(chip - chip[:, :1] * chip[:1]) ** 2
+    down, across = (np.minimum(np.arange(size), size - np.arange(size)) for size in shape)
+    rest[np.ix_(down <= CORE[0], across <= CORE[1])] = 0
+    second_peak = max(_second_peak(np.abs(cut) ** 2) for cut in (chip[:, 0], chip[0]))
+    allowed = max(_ratio(-settings.point_isolation_db), OVER_SPECKLE / target.over_clutter)
+    if rest.max() > allowed or second_peak > _ratio(-settings.point_sidelobes_db):
         return Verdict.COMPLICATED, None
     return Verdict.ACCEPTED, target
+
+
+def _ratio(decibels: float) -> float:
+    return float(10 ** (decibels / 10))
 
 
 def _is_clipped(pixels: C64) -> bool:
@@ -328,19 +333,7 @@ def _is_clipped(pixels: C64) -> bool:
     parts = np.maximum(np.abs(pixels.real), np.abs(pixels.imag))
     amplitude = np.abs(pixels)
     equal = np.count_nonzero(parts == parts.max()), np.count_nonzero(amplitude >= amplitude.max() * (1 - 1e-6))
-    return bool(max(equal) >= EQUAL_PEAKS)
-
-
-def _is_complicated(target: PointTarget) -> bool:
-    """Whether the chip holds more than the product of its cuts (PSF paper, eq. 2.10), or a cut a second peak."""
-    chip = target.chip
-    product = chip[:, :1] * chip[:1]
-    rest = np.abs(chip - product) ** 2
-    down, across = (np.minimum(np.arange(size), size - np.arange(size)) for size in chip.shape)
-    rest[np.ix_(down <= CORE[0], across <= CORE[1])] = 0
-    return bool(rest.max() > max(FOREIGN, OVER_SPECKLE / target.over_clutter)) or any(
-        _second_peak(np.abs(cut) ** 2) > SECOND_PEAK for cut in (chip[:, 0], chip[0])
-    )
+    return bool(max(equal) >= 3)
 
 
 def _second_peak(power: F64) -> float:
@@ -350,8 +343,8 @@ def _second_peak(power: F64) -> float:
     return float(np.max(power, where=tops, initial=0.0))
 
 
-def _wide(targets: dict[int, PointTarget]) -> Sequence[int]:
-    """Those whose cuts hold more energy than those of the others, less their clutter."""
+def _wide(targets: dict[int, PointTarget], ratio: float) -> list[int]:
+    """Those whose cuts hold more energy than `ratio` times that of the median target, less their clutter."""
     if not targets:
         return []
     energies = []
@@ -359,4 +352,4 @@ def _wide(targets: dict[int, PointTarget]) -> Sequence[int]:
         cuts = target.spectrum.mean(axis=1), target.spectrum.mean(axis=0)
         energies.append([np.mean(np.abs(cut) ** 2) - len(cut) / target.over_clutter for cut in cuts])
     usual = np.quantile(energies, 0.5, axis=0, method="lower")
-    return [index for index, energy in zip(targets, energies, strict=True) if np.any(energy > WIDE * usual)]
+    return [index for index, energy in zip(targets, energies, strict=True) if np.any(energy > ratio * usual)]

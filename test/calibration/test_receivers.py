@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sal_height.calibration.receivers import CrossSpectra, _information, cross_spectra, differential_response, unwound
+from sal_height.calibration.receivers import (
+    CrossSpectra,
+    DifferentialResponse,
+    _information,
+    cross_spectra,
+    differential_response,
+    unwound,
+)
 from sal_height.errors import NotDetermined
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.focus import ImageSettings, focus_dwell
@@ -36,6 +43,11 @@ def drawn(response: np.ndarray, columns: int, rng: np.random.Generator, noise: f
     return CrossSpectra(seen @ seen.conj().transpose(0, 2, 1), noise * columns * np.eye(CHANNELS), columns)
 
 
+def echoes_of(found: DifferentialResponse) -> np.ndarray:
+    """Number of lags of each channel that the response is made of, shape (channels,)."""
+    return np.count_nonzero(np.abs(np.fft.ifft(np.log(found.response), axis=1)) > 1e-9, axis=1)
+
+
 def one_channel(of_it: np.ndarray) -> np.ndarray:
     response = np.ones((COUNT, CHANNELS), dtype=complex)
     response[:, 1] = of_it
@@ -54,10 +66,10 @@ def test_one_receiver_that_differs_is_found_and_no_other(fault: np.ndarray) -> N
     """Its error is that of the lags that are kept, sigma sqrt(kept / lags): chi-square of 2 kept, 5 sigma."""
     found = differential_response(drawn(one_channel(fault), 3000, np.random.default_rng(1)))
     error = np.sqrt(np.mean(np.abs(found.response[1] - fault) ** 2))
-    kept = found.echoes[1]
+    kept = echoes_of(found)[1]
     assert 2 <= kept <= 9
     assert error < found.sigma[1] * np.sqrt(kept / COUNT) * (1 + 5 / np.sqrt(2 * 2 * kept)) + 0.001
-    assert np.all(found.echoes[[0, 2, 3, 4]] == 0)
+    assert np.all(echoes_of(found)[[0, 2, 3, 4]] == 0)
     np.testing.assert_array_equal(found.response[[0, 2, 3, 4]], 1)
 
 
@@ -74,12 +86,12 @@ def test_sigma_is_the_spread_of_single_frequencies(monkeypatch: pytest.MonkeyPat
 def test_speckle_alone_makes_no_response() -> None:
     rng = np.random.default_rng(3)
     found = [differential_response(drawn(np.ones((COUNT, CHANNELS)), 200, rng)) for _ in range(40)]
-    assert sum(int(one.echoes.sum()) for one in found) <= 2
+    assert sum(int(echoes_of(one).sum()) for one in found) <= 2
 
 
 def test_what_all_receivers_share_is_not_theirs_to_tell() -> None:
     found = differential_response(drawn(np.tile(sawtooth()[:, None], CHANNELS), 3000, np.random.default_rng(4)))
-    assert not found.echoes.any()
+    assert not echoes_of(found).any()
 
 
 def test_what_cannot_be_told_is_said() -> None:
@@ -110,8 +122,8 @@ def test_spectra_of_images_are_those_of_the_frames() -> None:
         pixels = unwound(slc.images, slc.grid, slc.aperture, sensor)
         spectra += cross_spectra(pixels, sensor, slc.noise_power)
     found = differential_response(spectra)
-    assert found.echoes[3] >= 2
-    assert found.echoes[[0, 1, 2, 4, 5, 6, 7]].sum() <= 1
+    assert echoes_of(found)[3] >= 2
+    assert echoes_of(found)[[0, 1, 2, 4, 5, 6, 7]].sum() <= 1
     assert np.sqrt(np.mean(np.abs(found.response[3] - fault) ** 2)) < 0.15 * 0.5 / np.sqrt(2)
 
 

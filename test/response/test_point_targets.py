@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from sal_height.errors import NotDetermined, UserError
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
 from sal_height.response import point_targets
-from sal_height.response.point_targets import BLOCK, Candidate, Verdict, chip_at, find_targets
+from sal_height.response.point_targets import BLOCK, PointTargetSettings, Verdict, chip_at, find_targets
 
 SIDE = 256
 PLACES = ((70.3, 60.8), (80.0, 190.45), (190.75, 100.1))
@@ -81,7 +81,7 @@ def test_speckle_has_no_targets() -> None:
     assert not survey.candidates
     with pytest.raises(NotDetermined) as refusal:
         survey.require()
-    assert_one_sentence(str(refusal.value), "No pixel", "20 dB", "needed")
+    assert_one_sentence(str(refusal.value), "No pixel", "point_over_clutter_db", "needed")
 
 
 def with_gap(value: float, size: int) -> np.ndarray:
@@ -149,55 +149,49 @@ def test_two_that_are_not_resolved_are_wider_than_the_others() -> None:
     assert found[190] is found[60] is Verdict.ACCEPTED
 
 
-def crowded_pairwise(candidates: list[Candidate], clutter: np.ndarray, chip: tuple[int, int]) -> list[bool]:
+def crowded_pairwise(places: np.ndarray, power: np.ndarray, chip: tuple[int, int]) -> list[bool]:
     """Each candidate against every other."""
-    power = [one.over_clutter * level for one, level in zip(candidates, clutter, strict=True)]
-    return [
-        any(
-            other is not one
-            and abs(other.row - one.row) <= chip[0] // 2
-            and abs(other.col - one.col) <= chip[1] // 2
-            and power[j] > point_targets.FOREIGN * power[i]
-            for j, other in enumerate(candidates)
-        )
-        for i, one in enumerate(candidates)
-    ]
+    near = np.all(np.abs(places[:, None] - places) <= np.array(chip) // 2, axis=-1)
+    np.fill_diagonal(near, val=False)
+    return np.any(near & (power > 0.01 * power[:, None]), axis=1).tolist()
 
 
-def draw_candidates(count: int, side: int) -> tuple[list[Candidate], np.ndarray]:
+def draw_candidates(count: int, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Places far from the edges of an image of 10 000 x 10 000, and powers."""
     rng = np.random.default_rng(7)
-    places, levels = rng.integers(0, side, (count, 2)), 10 ** rng.uniform(2, 5, count)
-    found = [Candidate(int(row), int(col), float(over)) for (row, col), over in zip(places, levels, strict=True)]
-    return found, rng.uniform(1, 2, count)
+    return rng.integers(500, 500 + side, (count, 2)), 10 ** rng.uniform(2, 5, count) * rng.uniform(1, 2, count)
 
 
 @pytest.mark.parametrize("chip", [(64, 64), (30, 6)])
 def test_crowds_are_those_of_all_pairs(chip: tuple[int, int]) -> None:
-    candidates, clutter = draw_candidates(300, 600)
-    marked = point_targets._mark_crowds(candidates, clutter, chip, (10_000, 10_000))
-    inside = [one for one in marked if one.verdict is not Verdict.EDGE]
-    expected = crowded_pairwise(candidates, clutter, chip)
-    crowded = {(one.row, one.col) for one, is_crowded in zip(candidates, expected, strict=True) if is_crowded}
-    assert 50 < len(crowded) < 290
-    assert all(((one.row, one.col) in crowded) == (one.verdict is Verdict.CROWDED) for one in inside)
+    places, power = draw_candidates(300, 600)
+    marked = point_targets._place_verdicts(places, power, (10_000, 10_000), chip, 0.01)
+    expected = crowded_pairwise(places, power, chip)
+    assert 50 < sum(expected) < 290
+    assert [verdict is Verdict.CROWDED for verdict in marked] == expected
 
 
 def test_crowds_of_a_city_need_little_memory() -> None:
     """All pairs of as many candidates would take 3 GB."""
-    candidates, clutter = draw_candidates(20_000, 8192)
+    places, power = draw_candidates(20_000, 8192)
     tracemalloc.start()
-    point_targets._mark_crowds(candidates, clutter, (64, 64), (8192, 8192))
+    point_targets._place_verdicts(places, power, (10_000, 10_000), (64, 64), 0.01)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 50e6
 
 
-def test_no_more_chips_than_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(point_targets, "MAX_CHIPS", 2)
+def test_settings_decide_what_is_taken() -> None:
     image = tape(*(Target(*place, 40.0 + i) for i, place in enumerate(PLACES)))
-    survey = find_targets(image)
+    survey = find_targets(image, settings=PointTargetSettings(points_per_image=2))
     assert [candidate.verdict for candidate in survey.candidates] == [Verdict.ACCEPTED, Verdict.ACCEPTED, Verdict.SPARE]
     assert len(survey.targets) == 2
+    assert len(find_targets(image, settings=PointTargetSettings(point_over_clutter_db=41.5)).candidates) == 1
+    assert not find_targets(image, settings=PointTargetSettings(point_sidelobes_db=45.0)).targets
+    lone = pair(30, 28, 18)
+    assert not find_targets(lone, settings=PointTargetSettings(point_isolation_db=26.0)).targets
+    close = tape(Target(190, 60, 40), Target(60, 190, 40), Target(70.0, 60.0, 42), Target(71.9, 60.0, 42), seed=2)
+    assert len(find_targets(close, settings=PointTargetSettings(point_energy_ratio=5.0)).targets) == 3
 
 
 def test_the_survey_is_a_mean_and_a_maximum_of_blocks() -> None:

@@ -329,7 +329,7 @@ POOR = {
     "no target": (
         lambda: tape(5, (128, 128), ()),
         0,
-        {"targets": "No pixel stands 20 dB", "superposition": "targets."},
+        {"targets": "No pixel stands out", "superposition": "targets."},
     ),
     "two targets that overlap": (
         lambda: tape(5, (192, 192), ((60, 46), (60, 74)), 45.0),

@@ -53,17 +53,19 @@ NODES: Mapping[str, type[Settings]] = {
 
 def document() -> str:
     """The text of docs/parameters.md."""
-    sections, shown = [HEAD], {}
+    sections = [HEAD]
     for title, model in SHARED.items():
-        own = {name: entry for name, entry in settings_of(model).items() if name not in shown}
-        sections.append(_section(title, own))
-        shown.update(dict.fromkeys(own, title))
+        sections.append(_section(title, _own(model)))
     for node, model in NODES.items():
-        entries = settings_of(model)
-        tables = [f"“{title}”" for title in SHARED if title in {shown.get(name) for name in entries}]
-        own = {name: entry for name, entry in entries.items() if name not in shown}
-        sections.append(_section(f"`{node}`", own, f"Also: {', '.join(tables)}." if tables else ""))
+        tables = ", ".join(f"“{title}”" for title, shared in SHARED.items() if issubclass(model, shared))
+        sections.append(_section(f"`{node}`", _own(model), f"Also: {tables}." if tables else ""))
     return "\n".join(sections)
+
+
+def _own(model: type[Settings]) -> dict[str, Setting]:
+    """The settings of a model that are in no table of a model that it is derived from."""
+    inherited = [settings_of(shared) for shared in SHARED.values() if shared is not model and issubclass(model, shared)]
+    return {name: entry for name, entry in settings_of(model).items() if not any(name in other for other in inherited)}
 
 
 def _section(title: str, entries: Mapping[str, Setting], also: str = "") -> str:

@@ -31,6 +31,7 @@ class JobQueue:
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._waiting: deque[Job] = deque()
+        self._waiting_size = 0
         self._running = False
         self._closed = False
 
@@ -53,8 +54,9 @@ class JobQueue:
             while self._waiting and self._is_full(job, capacity, capacity_bytes):
                 if policy == "newest":
                     return [job]
-                dropped.append(self._waiting.popleft())
+                dropped.append(self._take())
             self._waiting.append(job)
+            self._waiting_size += job.size
             self._changed.notify()
             return dropped
 
@@ -64,7 +66,7 @@ class JobQueue:
             self._running = False
             self._changed.wait_for(lambda: self._waiting or self._closed)
             self._running = bool(self._waiting)
-            return self._waiting.popleft() if self._waiting else None
+            return self._take() if self._waiting else None
 
     def close(self) -> None:
         """Take no more jobs; those that wait are still handed out."""
@@ -76,6 +78,7 @@ class JobQueue:
         """Drop all jobs that wait."""
         with self._changed:
             self._waiting.clear()
+            self._waiting_size = 0
 
     @property
     def closed(self) -> bool:
@@ -89,5 +92,9 @@ class JobQueue:
             return len(self._waiting) + self._running
 
     def _is_full(self, job: Job, capacity: int, capacity_bytes: float) -> bool:
-        size = job.size + sum(waiting.size for waiting in self._waiting)
-        return len(self._waiting) >= capacity or size > capacity_bytes
+        return len(self._waiting) >= capacity or self._waiting_size + job.size > capacity_bytes
+
+    def _take(self) -> Job:
+        job = self._waiting.popleft()
+        self._waiting_size -= job.size
+        return job

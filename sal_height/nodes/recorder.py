@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import threading
+import traceback
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,19 +16,24 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 from sal_height.bag.definitions import message_class
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
-from sal_height.nodes.account import RECORDED, UNWRITTEN, Account
+from sal_height.nodes.account import DROPPED, IGNORED, RECORDED, UNWRITTEN, Account
+from sal_height.nodes.guard import guarded
+from sal_height.nodes.jobs import Job, JobQueue
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Role, Topics
 from sal_height.settings import Settings, setting
 
 DIAGNOSTICS = "/diagnostics"
+QUEUE_FULL, FAILED = f"{DROPPED}queue full", f"{IGNORED}internal error"
 NEVER_BY_DEFAULT = ("/rosout", "/parameter_events")
-QUEUE_DEPTH = 1000  # messages per topic that may wait while the disk is busy
+QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node takes them
+JOB_BYTES = 1000  # memory of a message that waits, besides its own bytes
 DISCOVERY_PERIOD_S = 0.1
 DIAGNOSTICS_PERIOD_S = 0.5
 NEWS_DELAY_S = 0.02  # from the first message written to the account that counts it, for whoever waits for it
@@ -42,11 +50,15 @@ class Parameters(Settings):
     custom_data: tuple[str, ...] = setting(
         (), "texts to store in the bag, each as NAME=TEXT, as with ros2 bag record --custom-data", read_only=True
     )
+    max_memory_mb: int = setting(
+        2048, "memory for messages that wait to be written to the disk", unit="MB", minimum=1, maximum=1_000_000
+    )
 
 
 class Recorder(Role, Node):
     """Subscribes to topics as soon as they have a publisher and writes their serialized messages to a bag.
 
+    A thread of its own writes. Once messages of max_memory_mb wait for it, those that come are left out and counted.
     The bag is complete once the node is destroyed or its context shut down.
     """
 
@@ -62,7 +74,8 @@ class Recorder(Role, Node):
         """
         super().__init__("recorder", **node_arguments)
         try:
-            parameters = LiveParameters(self, Parameters).current
+            self._parameters_now = LiveParameters(self, Parameters)
+            parameters = self._parameters_now.current
             self._topics = [self.resolve_topic_name(name) for name in parameters.topics]
             custom_data = dict(_name_and_text(text) for text in parameters.custom_data)
             self._bag = BagWriter(directory or _folder(parameters.directory), custom_data)
@@ -73,16 +86,20 @@ class Recorder(Role, Node):
         self._refused: set[str] = set()
         self._recorded: dict[str, int] = {}
         self._unwritten = 0
+        self._lost: Counter[str] = Counter()
+        self._last_loss = ""
         self._reported = False
         self._closed = False
-        self._lock = threading.Lock()  # the context may be shut down in another thread than the executor's
+        self._lock = threading.Lock()  # of the bag, which several threads write to
+        self._queue = JobQueue()
+        self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._worker.start()
         self.context.on_shutdown(self.close_bag)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        self.create_timer(DISCOVERY_PERIOD_S, self._discover, clock=steady)
-        self.create_timer(FLUSH_PERIOD_S, self._flush, clock=steady)
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=steady)
-        self._news = self.create_timer(NEWS_DELAY_S, self._publish_diagnostics, clock=steady)
+        self._every(DISCOVERY_PERIOD_S, self._discover)
+        self._every(FLUSH_PERIOD_S, lambda: self._put(self._flush))
+        self._every(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
+        self._news = self._every(NEWS_DELAY_S, self._publish_diagnostics)
         self._discover()
 
     @property
@@ -95,8 +112,20 @@ class Recorder(Role, Node):
         """Number of messages that were received and could not be written."""
         return self._unwritten
 
+    @property
+    def dropped(self) -> int:
+        """Number of messages that were left out because too much waited to be written."""
+        return self._lost[QUEUE_FULL]
+
+    @property
+    def failures(self) -> int:
+        """Number of errors that no message should cause."""
+        return self._lost[FAILED]
+
     def close_bag(self) -> None:
         """Write what has arrived so far and complete the bag; later messages are ignored. May be called twice."""
+        self._queue.close()
+        self._worker.join()
         with self._lock:
             if self._closed:
                 return
@@ -112,6 +141,10 @@ class Recorder(Role, Node):
         """Complete the bag and destroy the node."""
         self.close_bag()
         super().destroy_node()
+
+    def _every(self, period_s: float, callback: Callable[[], None]) -> Timer:
+        """Call `callback` again and again by a clock that never stands still; an error in it does not end the node."""
+        return self.create_timer(period_s, guarded(callback, self._fail), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _discover(self) -> None:
         """Subscribe to the wanted topics that have a publisher by now."""
@@ -140,34 +173,58 @@ class Recorder(Role, Node):
                 self._report(error)
             self._recorded[name] = 0
             self._subscribed[name] = self.create_subscription(
-                message_type, name, self._writer_of(name), _matching(offered), raw=True
+                message_type, name, guarded(self._taker_of(name), self._fail), _matching(offered), raw=True
             )
 
-    def _writer_of(self, topic: str) -> Callable[..., None]:
-        def received(cdr: bytes, info: dict[str, Any]) -> None:
-            with self._lock:
-                if not self._closed:
-                    self._write(topic, cdr, info)
+    def _taker_of(self, topic: str) -> Callable[..., None]:
+        """A callback that hands the messages of a topic to the thread that writes."""
+
+        def take(cdr: bytes, info: dict[str, Any]) -> None:
+            times = self._times(info)
+            self._put(lambda: self._write(topic, cdr, times), 1, len(cdr) + JOB_BYTES)
             # An account of the accounts recorded would be recorded in turn, without end.
             if topic != DIAGNOSTICS and self._news.is_canceled():
                 self._news.reset()
 
-        return received
+        return take
 
-    def _write(self, topic: str, cdr: bytes, info: dict[str, Any]) -> None:
+    def _put(self, run: Callable[[], None], messages: int = 0, size: int = 0) -> None:
+        """Have something done by the thread that writes, unless too much waits for it."""
+        limit_mb = self._parameters_now.current.max_memory_mb
+        lost = self._queue.put(Job(run, messages, size), sys.maxsize, limit_mb * 1_000_000, "newest")
+        if self._queue.closed or not any(job.messages for job in lost):
+            return
+        self._lost[QUEUE_FULL] += 1
+        self._last_loss = (
+            f"The disk falls behind: {limit_mb} MB (max_memory_mb) of messages wait for it, and what comes is left out "
+            "of the bag; record fewer topics, or on a faster disk."
+        )
+        self.get_logger().warning(self._last_loss, throttle_duration_sec=1.0)
+
+    def _work(self) -> None:
+        while job := self._queue.get():
+            with self._lock:
+                guarded(job.run, self._fail)()
+
+    def _times(self, info: dict[str, Any]) -> tuple[int, int]:
+        """When a message was received and when it was published, ns; a bag cannot hold times before 1970."""
         clock = self.get_clock()
-        now_ns = clock.now().nanoseconds
+        now_ns = max(0, clock.now().nanoseconds)
         if isinstance(clock, ROSClock) and clock.ros_time_is_active:  # the middleware's times are not of this clock
-            received_ns, published_ns = now_ns, now_ns
-        else:
-            received_ns = info["received_timestamp"] or now_ns
-            published_ns = info["source_timestamp"] or received_ns
+            return now_ns, now_ns
+        received_ns = max(0, info["received_timestamp"]) or now_ns
+        return received_ns, max(0, info["source_timestamp"]) or received_ns
+
+    def _write(self, topic: str, cdr: bytes, times: tuple[int, int]) -> None:
         try:
-            self._bag.write(topic, cdr, received_ns, published_ns)
-            self._recorded[topic] += 1
-        except OSError as error:
+            self._bag.write(topic, cdr, *times)
+        except Exception as error:
             self._unwritten += 1
+            if not isinstance(error, OSError):
+                raise
             self._report(error)
+        else:
+            self._recorded[topic] += 1
 
     def _drain(self, topic: str, subscription: Subscription) -> None:
         """Write the messages that have arrived but not been handed out by the executor."""
@@ -176,37 +233,46 @@ class Recorder(Role, Node):
                 taken = subscription.handle.take_message(subscription.msg_type, True)
                 if taken is None:
                     return
-                self._write(topic, *taken)
+                cdr, info = taken
+                self._write(topic, cdr, self._times(info))
 
     def _publish_diagnostics(self) -> None:
         """Publish how many messages of each topic are in the bag (recorded.<topic>) and how many were lost."""
-        self._news.cancel()
+        if not self._queue.unfinished:
+            self._news.cancel()
         recorded = {f"{RECORDED}{topic}": count for topic, count in self._recorded.items()}
+        missing = self._unwritten + self.dropped
         status = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if self._unwritten else DiagnosticStatus.OK,
+            level=DiagnosticStatus.ERROR if missing else DiagnosticStatus.OK,
             name=self.get_fully_qualified_name().lstrip("/"),
-            message=f"{self._unwritten} messages could not be written" if self._unwritten else "recording",
-            values=Account({UNWRITTEN: self._unwritten} | recorded).to_values(),
+            message=f"{missing} messages are not in the bag" if missing else "recording",
+            values=Account({UNWRITTEN: self._unwritten} | self._lost | recorded, self._last_loss).to_values(),
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
 
     def _flush(self) -> None:
-        with self._lock:
-            if not self._closed:
-                try:
-                    self._bag.flush()
-                except OSError as error:
-                    self._report(error)
+        try:
+            self._bag.flush()
+        except OSError as error:
+            self._report(error)
+
+    def _fail(self, error: Exception) -> None:
+        """Count and log an error that no message should cause."""
+        self._lost[FAILED] += 1
+        trace = "".join(traceback.format_exception(error))
+        self.get_logger().error(f"Unexpected failure, please report it: {trace}", throttle_duration_sec=1.0)
 
     def _report(self, error: OSError) -> None:
+        """Say once that the bag can no longer be written."""
+        self._last_loss = (
+            f"Bag {self._bag.directory} cannot be written any further, and messages are lost from now on: {error}; "
+            f"'sal-height salvage {self._bag.directory} --out DIR' recovers what was written before."
+        )
         if not self._reported:
             self._reported = True
-            self.get_logger().error(
-                f"bag '{self._bag.directory}' cannot be written any further, messages are lost from now on: {error}; "
-                f"'sal-height salvage {self._bag.directory} --out DIR' recovers what was written before"
-            )
+            self.get_logger().error(self._last_loss)
 
 
 def _folder(path: str) -> Path:

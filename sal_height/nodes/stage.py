@@ -26,6 +26,7 @@ from std_srvs.srv import Trigger
 
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.account import DROPPED, IGNORED, JOBS, PUBLISHED_ON, SUBSCRIBERS, Account
+from sal_height.nodes.guard import guarded
 from sal_height.nodes.jobs import Job, JobQueue
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.role import Role
@@ -203,19 +204,19 @@ class Stage(Role, Node):
             callback(message)
 
         self.create_subscription(
-            message_type, topic, self._guarded(receive), copy.copy(qos), qos_overriding_options=QOS_OVERRIDES
+            message_type, topic, guarded(receive, self._fail), copy.copy(qos), qos_overriding_options=QOS_OVERRIDES
         )
 
     def every(self, period_s: float, callback: Callable[[], Any], clock: Clock | None = None) -> None:
         """Call `callback` again and again, by a clock that never stands still unless another one is given."""
-        self.create_timer(period_s, self._guarded(callback), clock=clock or self.steady_clock)
+        self.create_timer(period_s, guarded(callback, self._fail), clock=clock or self.steady_clock)
 
     def serve(self, name: str, callback: Callable[[], tuple[bool, str]]) -> None:
         """Offer a service of type Trigger; `callback` returns whether it succeeded, and a message."""
 
         def respond(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             failure = False, "internal error; the log of the node says more"
-            response.success, response.message = self._guarded(callback)() or failure
+            response.success, response.message = guarded(callback, self._fail)() or failure
             return response
 
         self.create_service(Trigger, name, respond)
@@ -268,18 +269,10 @@ class Stage(Role, Node):
         self.get_logger().error(f"Unexpected failure, please report it: {trace}")
         return Rejected("internal error", repr(error))
 
-    def _guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """The callback, except that an error in it is counted and logged, and does not end the node."""
-
-        def guarded(*arguments: Any) -> Any:
-            try:
-                return callback(*arguments)
-            except Exception as error:  # noqa: BLE001 (no message may end the node)
-                reason = self.unexpected(error)
-                self.ignore(reason.reason, reason)
-                return None
-
-        return guarded
+    def _fail(self, error: Exception) -> None:
+        """Count and log an error in a callback."""
+        reason = self.unexpected(error)
+        self.ignore(reason.reason, reason)
 
     def reject(self, messages: int, error: Rejected) -> None:
         """Count messages that are dropped, and log why."""

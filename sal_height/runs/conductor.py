@@ -177,8 +177,11 @@ class Conductor(Node):
         """
         if (source := self.accounts.get(self._source)) and source.dropped:
             raise UserError(source.last_drop)
-        if (recorder := self.accounts.get(RECORDER)) and recorder.unwritten:
+        recorder = self.accounts.get(RECORDER, Account())
+        if recorder.unwritten:
             raise UserError(f"{recorder.unwritten} messages could not be written to the bag; make room on its disk.")
+        if recorder.dropped:
+            raise UserError(recorder.last_drop)
         self.refuse_company(own=1)
 
     def refuse_company(self, own: int) -> None:

@@ -7,12 +7,13 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from helpers import file_size_limit
+from helpers import assert_one_sentence, file_size_limit
 from mcap.reader import make_reader
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Log
@@ -21,7 +22,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 from sal_height_msgs.msg import ChannelFrame
@@ -209,14 +210,89 @@ def test_simulated_time_stamps_the_log(graph: Graph, source: Node, bag: Path) ->
     assert (message.log_time, message.publish_time) == (42 * 10**9, 42 * 10**9)
 
 
-def test_messages_that_wait_for_the_disk_are_bounded(graph: Graph, source: Node, bag: Path) -> None:
+class SlowDisk(Recorder):
+    """A recorder whose disk stands still until `may_write` is set."""
+
+    def __init__(self, **arguments: Any) -> None:
+        self.may_write, self.at_work = Event(), Event()
+        super().__init__(**arguments)
+
+    def _write(self, topic: str, cdr: bytes, times: tuple[int, int]) -> None:
+        self.at_work.set()
+        assert self.may_write.wait(TIMEOUT_S)
+        super()._write(topic, cdr, times)
+
+
+def test_messages_that_wait_for_the_disk_are_bounded_by_memory(graph: Graph, source: Node, bag: Path) -> None:
+    overrides = [Parameter("topics", value=["/note"]), Parameter("max_memory_mb", value=10)]
+    recorder = graph.add(SlowDisk(directory=bag, context=graph.context, parameter_overrides=overrides))
+    status: dict[str, str] = {}
+    source.create_subscription(DiagnosticArray, "/diagnostics", lambda message: status.update(values(message)), 10)
+    publisher = source.create_publisher(String, "/note", 100)
+    wait_until_matched(graph, publisher)
+    for number in range(8):  # the first is at the disk, and of the others there is room for three
+        publisher.publish(String(data=str(number) + "x" * 3_000_000))
+        assert graph.spin_until(recorder.at_work.is_set, TIMEOUT_S)
+    assert graph.spin_until(lambda: status.get("dropped.queue full") == "4", TIMEOUT_S), status
+    assert status["level"] == str(DiagnosticStatus.ERROR)
+    assert_one_sentence(status["last_drop"], "10 MB (max_memory_mb)")
+    recorder.may_write.set()
+    assert graph.spin_until(lambda: recorder.recorded["/note"] == 4, TIMEOUT_S)
+    publish(graph, recorder, publisher, [String(data="after")])
+    assert recorder.dropped == 4
+    graph.close()
+    written = [deserialize_message(message.cdr, String).data[:1] for message in BagReader(bag).messages(["/note"])]
+    assert written == ["0", "1", "2", "3", "a"]
+
+
+@pytest.mark.parametrize(
+    ("owner", "part"),
+    [
+        ("", "get_topic_names_and_types"),
+        ("", "_times"),
+        ("_diagnostics", "publish"),
+        ("_bag", "flush"),
+        ("_bag", "write"),
+    ],
+)
+def test_an_error_in_a_callback_does_not_end_the_recorder(
+    graph: Graph, source: Node, bag: Path, monkeypatch: pytest.MonkeyPatch, owner: str, part: str
+) -> None:
+    failed: list[str] = []
+
+    def fail(*_: Any) -> None:
+        failed.append(part)
+        raise ZeroDivisionError(part)
+
+    publisher = source.create_publisher(String, "/note", 1)
+    recorder = start(graph, bag, topics=["/note"])
+    wait_until_matched(graph, publisher)
+    with monkeypatch.context() as broken:
+        broken.setattr(getattr(recorder, owner, recorder), part, fail)
+        publisher.publish(String(data="now"))
+        assert graph.spin_until(lambda: bool(failed), TIMEOUT_S)
+    publish(graph, recorder, publisher, [String(data="after")])
+    assert recorder.failures == len(failed)
+    assert recorder.unwritten == (1 if part == "write" else 0)
+
+
+def test_a_bag_gets_no_times_before_1970(graph: Graph, bag: Path) -> None:
+    """It cannot hold them, and a half-written message would make all of it unreadable."""
+    received, published = start(graph, bag)._times({"received_timestamp": -5, "source_timestamp": -7})
+    assert received == published > 0
+
+
+def test_messages_that_wait_in_the_middleware_are_bounded(graph: Graph, source: Node, bag: Path) -> None:
+    """The oldest are lost."""
     publisher = source.create_publisher(String, "/note", 5000)
     start(graph, bag, topics=["/note"])
     wait_until_matched(graph, publisher)
     for number in range(1100):
         publisher.publish(String(data=str(number)))
+    assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT_S))
     graph.close()
-    assert 0 < BagReader(bag).message_count <= 1000
+    written = [deserialize_message(message.cdr, String).data for message in BagReader(bag).messages(["/note"])]
+    assert written == [str(number) for number in range(100, 1100)]
 
 
 def test_messages_that_wait_in_the_queue_are_written_before_the_bag_is_closed(

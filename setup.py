@@ -42,7 +42,6 @@ setup(
     extras_require={
         "dem": ["rasterio"],
         "test": ["h5py", "pytest", "pytest-xdist"],
-        "fast": ["pyfftw"],
         "dev": ["colcon-common-extensions", "mypy", "pre-commit", "ruff", "types-PyYAML"],
     },
     entry_points={

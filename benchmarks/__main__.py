@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
@@ -122,19 +122,11 @@ def machine() -> str:
     info = Path("/proc/cpuinfo")
     text = info.read_text(encoding="utf-8") if info.exists() else ""
     models = [entry.partition(":")[2].strip() for entry in text.splitlines() if entry.startswith("model name")]
-    libraries = " ".join(_versions("numpy", "scipy", "numba", "pyfftw", "ducc0", "mkl_fft"))
+    libraries = " ".join(f"{package} {version(package)}" for package in ("numpy", "scipy", "numba"))
     return (
         f"{models[0] if models else platform.machine()}, {WORKERS} processors, load {os.getloadavg()[0]:.1f}\n"
         f"Python {platform.python_version()}, {libraries}; medians of repeated measurements, taken in turn"
     )
-
-
-def _versions(*packages: str) -> Iterator[str]:
-    for package in packages:
-        try:
-            yield f"{package} {version(package)}"
-        except PackageNotFoundError:
-            continue
 
 
 def _print(text: str) -> None:

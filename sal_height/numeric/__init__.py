@@ -6,8 +6,8 @@ rows) and `range_profiles` (interpolation of band-limited profiles). Nothing her
 """
 
 from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, Complex, Index
-from sal_height.numeric.chirp_z import ChirpZ, apply_chirp_z
-from sal_height.numeric.fft import Rows, blocks, fast_length, frequencies, rows_at_once
+from sal_height.numeric.chirp_z import ChirpZ, chirp_z
+from sal_height.numeric.fft import blocks, fast_length, frequencies, rows_at_once
 from sal_height.numeric.jit import WORKERS, compiled, in_parallel, inlined
 from sal_height.numeric.phasors import cosine_and_sine, distance_phasors, outer_phasors, unit_phasors
 from sal_height.numeric.range_profiles import (
@@ -36,10 +36,9 @@ __all__ = [
     "ChirpZ",
     "Complex",
     "Index",
-    "Rows",
-    "apply_chirp_z",
     "blocks",
     "broadening",
+    "chirp_z",
     "compiled",
     "cosine_and_sine",
     "dense_profiles",

@@ -13,17 +13,18 @@ from sal_height.numeric.jit import WORKERS
 from sal_height.numeric.phasors import outer_phasors
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ChirpZ:
-    """The factors of y[m] = sum over n of x[n] exp(j step (n - n0) (m - m0)), one line for each step.
+    """The sums y[m] = sum over n of x[n] exp(j step (n - n0) (m - m0)) of many lines, each with a step of its own.
 
-    Multiply x by `before`, transform forward over `length`, multiply by `spectrum`, transform backward, multiply by
-    `after`: n m = (n^2 + m^2 - (m - n)^2) / 2 makes the sum a convolution with a chirp.
+    n m = (n^2 + m^2 - (m - n)^2) / 2 makes each sum a convolution with a chirp between two products with chirps. Other
+    factors of the numbers before and after may be multiplied into `before` and `after`. A factor of one line is the
+    same for all.
 
     Attributes:
-        before: complex64, shape (lines, inputs).
-        spectrum: of the chirp, over `length`: complex64, shape (lines, length).
-        after: complex64, shape (lines, outputs).
+        before: complex64, shape (lines or 1, inputs).
+        spectrum: of the chirp, over the length of the FFTs: complex64, shape (lines or 1, length).
+        after: complex64, shape (lines or 1, outputs).
     """
 
     before: C64
@@ -35,8 +36,17 @@ class ChirpZ:
         """Length of the FFTs."""
         return int(self.spectrum.shape[-1])
 
+    def apply(self, values: C64, lines: slice) -> C64:
+        """The sums of the numbers of some lines: complex64, from shape (these lines, inputs) to (these, outputs)."""
+        before, spectrum, after = (
+            factor[lines] if len(factor) > 1 else factor for factor in (self.before, self.spectrum, self.after)
+        )
+        spectra = scipy.fft.fft(values * before, self.length, overwrite_x=True)
+        spectra *= spectrum
+        return scipy.fft.ifft(spectra, norm="forward", overwrite_x=True)[:, : after.shape[1]] * after
 
-def apply_chirp_z(steps: F64, inputs: int, n0: float, outputs: int, m0: float) -> ChirpZ:
+
+def chirp_z(steps: F64, inputs: int, n0: float, outputs: int, m0: float) -> ChirpZ:
     """Factors for transforms of `inputs` numbers, indices counted from `n0`, to `outputs`, counted from `m0`.
 
     Args:

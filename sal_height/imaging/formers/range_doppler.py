@@ -18,7 +18,6 @@ from scipy.constants import speed_of_light
 
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
-from sal_height.imaging.formers._kernels import multiply_transposed
 from sal_height.imaging.formers.accuracy import check_expected_error
 from sal_height.imaging.formers.backprojection import valid_pixels
 from sal_height.imaging.formers.straight_track import Resampling, StraightTrack, resampling, straight_track
@@ -28,9 +27,8 @@ from sal_height.numeric import (
     F64,
     WORKERS,
     ChirpZ,
-    Rows,
-    apply_chirp_z,
     blocks,
+    chirp_z,
     fast_length,
     outer_phasors,
     rows_at_once,
@@ -71,15 +69,13 @@ class _Filters:
     Attributes:
         compensation: of motion, with the range window, (pulses, frequencies).
         resampling: to even steps; None: they are even.
-        places: number of even places.
-        range: from frequency to rows, for each Doppler (`before` of shape (length, frequencies)) or one for all.
-        azimuth: matched filter of each row over Doppler, with what comes after `range`, (rows, length).
+        range: from frequency to rows, for each Doppler or one for all.
+        azimuth: matched filter of each row over Doppler, (rows, length).
         fold: Doppler spectra that fall together where columns are that many steps apart.
     """
 
     compensation: C64
     resampling: Resampling | None
-    places: int
     range: ChirpZ
     azimuth: C64
     fold: int
@@ -107,39 +103,20 @@ def _focus(samples: C64, filters: _Filters, image: C64, detectors: Iterator[int]
     rows, cols = image.shape[1:]
     frequencies, length = samples.shape[2], filters.azimuth.shape[1]
     width = length // filters.fold
-    along, across, folded = (Rows(rows_at_once(n), n) for n in (length, filters.range.length, width))
     doppler = np.empty((length, frequencies), dtype=np.complex64)
     compressed = np.empty((rows, length), dtype=np.complex64)
     for detector in detectors:
-        for block in blocks(frequencies, len(along.data)):
-            lines = along.data[: block.stop - block.start]
+        for block in blocks(frequencies, rows_at_once(length)):
+            pulses = samples[detector, :, block] * filters.compensation[:, block]
             if filters.resampling:
-                pulses = samples[detector, :, block] * filters.compensation[:, block]
-                lines[:, : filters.places] = filters.resampling.apply(pulses).T
-            else:
-                multiply_transposed(samples[detector, :, block], filters.compensation[:, block], lines)
-            lines[:, filters.places :] = 0
-            along.forward()
-            doppler[:, block] = along.spectrum[: len(lines)].T
-        for block in blocks(length, len(across.data)):
-            across.load(doppler[block], _lines(filters.range.before, block))
-            across.forward()
-            across.filter(_lines(filters.range.spectrum, block))
-            across.backward()
-            compressed[:, block] = across.data[: block.stop - block.start, :rows].T
-        for block in blocks(rows, len(folded.data)):
-            lines = folded.spectrum[: block.stop - block.start]
-            np.multiply(compressed[block, :width], filters.azimuth[block, :width], out=lines)
-            for first in range(width, length, width):
-                part = slice(first, first + width)
-                lines += compressed[block, part] * filters.azimuth[block, part]
-            folded.backward()
-            image[detector, block] = folded.data[: len(lines), :cols]
-
-
-def _lines(factor: C64, block: slice) -> C64:
-    """The factor's rows of a block; its only row, if it is the same for all."""
-    return factor[block] if len(factor) > 1 else factor
+                pulses = filters.resampling.apply(pulses)
+            doppler[:, block] = scipy.fft.fft(pulses, length, axis=0)
+        for block in blocks(length, rows_at_once(filters.range.length)):
+            compressed[:, block] = filters.range.apply(doppler[block], block).T
+        for block in blocks(rows, rows_at_once(width)):
+            spectra = compressed[block] * filters.azimuth[block]
+            spectra = spectra.reshape(-1, filters.fold, width).sum(axis=1)
+            image[detector, block] = scipy.fft.ifft(spectra, norm="forward", overwrite_x=True)[:, :cols]
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,12 +167,10 @@ def _filters(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Pr
     doppler = np.clip(layout.doppler, -widest, widest)
     to_rows = _range_transform(sensor, wavenumber, layout, doppler)
     azimuth = _azimuth_filters(sensor, processing, layout)
-    azimuth *= to_rows.after.T
     azimuth[:, doppler != layout.doppler] = 0
     return _Filters(
         compensation=_motion_compensation(history, antenna, processing, wavenumber, layout),
         resampling=None if _is_even(sensor, processing, layout) else resampling(layout.track.places, layout.places),
-        places=layout.steps,
         range=to_rows,
         azimuth=azimuth,
         fold=layout.fold,
@@ -256,7 +231,7 @@ def _range_transform(sensor: Sensor, wavenumber: F64, layout: _Layout, doppler: 
     scale = sensor.wavenumber_step * row_step * stretch
     if np.ptp(scale) * frequencies / 2 * rows / 2 < SMALL_PHASE:
         scale = scale[:1]
-    scaled = apply_chirp_z(scale, frequencies, frequencies // 2, rows, (rows - 1) / 2)
+    scaled = chirp_z(scale, frequencies, frequencies // 2, rows, (rows - 1) / 2)
     edges = _migration(layout.middle, doppler, wavenumber[[0, -1]], central)
     if np.abs(edges).max() < SMALL_PHASE:
         return scaled

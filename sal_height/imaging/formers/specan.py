@@ -24,9 +24,8 @@ from sal_height.numeric import (
     F64,
     WORKERS,
     ChirpZ,
-    Rows,
-    apply_chirp_z,
     blocks,
+    chirp_z,
     distance_phasors,
     outer_phasors,
     rows_at_once,
@@ -67,25 +66,13 @@ def focus_spotlight(history: PhaseHistory, antenna: F64, sensor: Sensor, process
 
 def _focus(samples: C64, factors: _Factors, image: C64, detectors: Iterator[int]) -> None:
     """Focus some detectors, one after the other: range, corner turn, azimuth."""
-    rows, cols = image.shape[1:]
-    pulses = samples.shape[1]
-    by_pulse, by_row = (Rows(rows_at_once(chirp.length), chirp.length) for chirp in (factors.range, factors.azimuth))
+    rows, pulses = image.shape[1], samples.shape[1]
     compressed = np.empty((rows, pulses), dtype=np.complex64)
     for detector in detectors:
-        for block in blocks(pulses, len(by_pulse.data)):
-            lines = block.stop - block.start
-            by_pulse.load(samples[detector, block], factors.range.before[block])
-            by_pulse.forward()
-            by_pulse.filter(factors.range.spectrum)
-            by_pulse.backward()
-            compressed[:, block] = by_pulse.data[:lines, :rows].T
-        for block in blocks(rows, len(by_row.data)):
-            lines = block.stop - block.start
-            by_row.load(compressed[block], factors.azimuth.before[block])
-            by_row.forward()
-            by_row.filter(factors.azimuth.spectrum[block])
-            by_row.backward()
-            np.multiply(by_row.data[:lines, :cols], factors.azimuth.after[block], out=image[detector, block])
+        for block in blocks(pulses, rows_at_once(factors.range.length)):
+            compressed[:, block] = factors.range.apply(samples[detector, block], block).T
+        for block in blocks(rows, rows_at_once(factors.azimuth.length)):
+            image[detector, block] = factors.azimuth.apply(compressed[block], block)
 
 
 def _factors(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> _Factors:
@@ -99,15 +86,13 @@ def _factors(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Pr
     # Range: dechirp to the centre; rows then lie at even steps of range.
     row_range, scale = _rows(antenna, grid)
     step = (row_range[-1] - row_range[0]) / max(1, grid.rows - 1)
-    by_range = apply_chirp_z(
-        np.array([sensor.wavenumber_step * step]), frequencies, frequencies // 2, grid.rows, middle[0]
-    )
+    by_range = chirp_z(np.array([sensor.wavenumber_step * step]), frequencies, frequencies // 2, grid.rows, middle[0])
     dechirp = outer_phasors(delay, wavenumber)
     dechirp *= by_range.before * processing.range_weights(frequencies).astype(np.float32)
     dechirp *= (processing.azimuth_weights(pulses) / (pulses * frequencies)).astype(np.float32)[:, None]
     # Azimuth: the middle of each row keeps its phase, then columns lie at even steps of the row's own scale.
     track = straight_track(antenna, grid.col_direction)
-    by_azimuth = apply_chirp_z(
+    by_azimuth = chirp_z(
         -sensor.centre_wavenumber * scale * track.spacing * grid.col_spacing,
         pulses,
         (pulses - 1) / 2,
@@ -117,8 +102,6 @@ def _factors(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Pr
     middles = grid.points(np.arange(grid.rows), np.full(grid.rows, middle[1]))
     row_phase = distance_phasors(sensor.centre_wavenumber, middles, antenna, to_centre)
     row_phase *= by_azimuth.before
-    # The chirp over rows that ends the range transform is the same for all pulses: it goes with the rows.
-    row_phase *= by_range.after[0][:, None]
     # A row bows: over its columns, the range from the middle of the track is not that of its middle.
     row_middle = np.linalg.norm(middles - track.middle, axis=-1)
     columns = _columns(grid)

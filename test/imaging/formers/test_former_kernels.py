@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.imaging.formers._kernels import add_pulses, interpolate_pulses, keep_reached, multiply_transposed
+from sal_height.imaging.formers._kernels import add_pulses, interpolate_pulses, keep_reached
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
 
@@ -75,13 +75,3 @@ def test_pulses_are_interpolated_by_their_weights() -> None:
     interpolate_pulses(samples, first, weights, result)
     expected = np.einsum("pt,pti->pi", weights, samples[first[:, None] + np.arange(8)])
     np.testing.assert_allclose(result, expected, atol=1e-5)
-
-
-@pytest.mark.parametrize("rows", [7, 8, 19])
-def test_products_are_transposed(rows: int) -> None:
-    rng = np.random.default_rng(114)
-    data, factor = circular(rng, (2, rows, 5)).astype(np.complex64)
-    result = np.zeros((5, 24), np.complex64)
-    multiply_transposed(data, factor, result)
-    np.testing.assert_allclose(result[:, :rows], (data * factor).T, atol=1e-6)
-    assert not result[:, rows:].any()

@@ -15,7 +15,6 @@ from sal_height.imaging.formers import accuracy
 from sal_height.imaging.formers.accuracy import ALLOWED_ERROR
 from sal_height.imaging.formers.range_doppler import expected_error, focus_stripmap
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric.fft import CHOICE
 
 RADAR = {**XBAND, "pulses": 1000, "targets": 30}
 
@@ -101,15 +100,6 @@ def test_rows_far_from_the_middle_have_the_migration_of_their_own_range() -> Non
     half_swath = case.grid.rows * case.grid.row_spacing / 2
     assert case.sensor.beamwidth**2 * half_swath / 8 > 0.24 * case.sensor.range_resolution
     assert difference_db(case.image(focus_stripmap), case.image()) < -40
-
-
-@pytest.mark.parametrize("library", ["scipy", "fftw"])
-def test_either_library_of_transforms_gives_the_same_image(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    if library == "fftw":
-        pytest.importorskip("pyfftw")
-    monkeypatch.setenv(CHOICE, library)
-    case = strip(np.random.default_rng(93), **SAL)
-    assert difference_db(case.image(focus_stripmap), case.image()) < -60
 
 
 @pytest.mark.parametrize("base", [SAL, RADAR], ids=["lidar", "radar"])

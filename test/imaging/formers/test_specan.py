@@ -17,7 +17,6 @@ from sal_height.imaging.formers.accuracy import ALLOWED_ERROR
 from sal_height.imaging.formers.specan import expected_error, focus_spotlight
 from sal_height.imaging.pixels import ground_plane_grid, slant_plane_grid
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric.fft import CHOICE
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 
@@ -52,15 +51,6 @@ def test_image_is_that_of_backprojection(changes: dict) -> None:
     assert image.dtype == np.complex64
     assert image.shape == reference.shape
     assert difference_db(image, reference) < -60
-
-
-@pytest.mark.parametrize("library", ["scipy", "fftw"])
-def test_either_library_of_transforms_gives_the_same_image(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    if library == "fftw":
-        pytest.importorskip("pyfftw")
-    monkeypatch.setenv(CHOICE, library)
-    case = dwell(np.random.default_rng(71))
-    assert difference_db(case.image(focus_spotlight), case.image()) < -60
 
 
 def peak(image: np.ndarray) -> np.ndarray:

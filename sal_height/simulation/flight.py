@@ -10,6 +10,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, PlatformState, Trajectory, look_direction, sphere_point
 from sal_height.numeric import F64, Complex
 from sal_height.sensor import (
@@ -23,8 +24,8 @@ from sal_height.sensor import (
     spectrum_sensor,
 )
 from sal_height.simulation.gust import GustMotion, gust_motion
-from sal_height.simulation.impairments import pointing_rotation, through_receivers
-from sal_height.simulation.preset import Preset, check_pulses
+from sal_height.simulation.impairments import MOST_SWING_BEAMWIDTHS, pointing_rotation, through_receivers
+from sal_height.simulation.preset import Preset
 from sal_height.simulation.receivers import received
 from sal_height.simulation.scene import SAMPLES_PER_CELL, PointTarget, Scene, VisibleSurface, visible_surface
 from sal_height.simulation.scenes import load_scene
@@ -285,10 +286,11 @@ def flight_of(preset: Preset, seed: int) -> SimulatedFlight:
     """Return the flight that a preset describes, over its scene and targets.
 
     Raises:
-        UserError: the scene or a file of beams cannot be used, or the pulses do not sample the Doppler of the beams.
+        UserError: the scene or a file of beams cannot be used, the pulses do not sample the Doppler of the beams, or
+            the beams swing too far.
     """
     sensor = preset.make_sensor()
-    check_pulses(sensor, preset.flight.speed_mps)
+    _check_beams(preset, sensor)
     scene = load_scene(preset.scene, preset.scene_extent_m)
     targets = tuple(
         PointTarget(
@@ -298,6 +300,30 @@ def flight_of(preset: Preset, seed: int) -> SimulatedFlight:
     )
     scene = replace(scene, points=scene.points + targets)
     return SimulatedFlight(preset, sensor, scene, preset.dwells, seed)
+
+
+def _check_beams(preset: Preset, sensor: Sensor) -> None:
+    """Check that the pulses sample the Doppler of all that the main lobes light up, and that the beams swing little.
+
+    Raises:
+        UserError: the pulse repetition frequency is too low, or the swing too great.
+    """
+    track_beamwidth, swing = sensor.beams.track_beamwidth, preset.impairments.antenna_swing.amplitude_rad
+    speeds_per_length = 4 * lit_angle(sensor.beams) / track_beamwidth
+    length = sensor.wavelength / track_beamwidth
+    doppler_band = speeds_per_length * preset.flight.speed_mps / length
+    if sensor.pulse_repetition_frequency < doppler_band * (1 - 1e-6):
+        raise UserError(
+            f"Preset {preset.name}: sensor.pulse_repetition_frequency_hz is {sensor.pulse_repetition_frequency:g}; the "
+            f"main lobe spans {doppler_band:g} Hz of Doppler, {speeds_per_length:g} times the speed over the length "
+            f"{length:g} m of the antenna along the flight, so it must be {doppler_band:g} or more."
+        )
+    most = MOST_SWING_BEAMWIDTHS * track_beamwidth
+    if swing > most:
+        raise UserError(
+            f"Preset {preset.name}: impairments.antenna_swing.amplitude_rad is {swing:g}; it must be {most:g}, "
+            f"{MOST_SWING_BEAMWIDTHS:g} beamwidths, or less."
+        )
 
 
 def _joined(surfaces: list[VisibleSurface]) -> VisibleSurface:

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from sal_height.geometry import look_direction
 from sal_height.numeric import C128, F64, Complex
 from sal_height.sensor import Sensor, echo_sensor, spectrum_sensor
-from sal_height.simulation.settings import STRICT_KEYS, Decibels, Float, Int
+from sal_height.simulation.settings import Angle, Decibels, Float, Int, StrictKeys
 
 TAPER_NODES = 4097
 """Nodes of the tabulated Taylor weights, which are interpolated linearly between them."""
@@ -36,7 +36,7 @@ FORWARD = np.array([1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
-class RangeSawtooth:
+class RangeSawtooth(StrictKeys):
     """A sawtooth on the amplitude of a receiver's response over frequency (PSF paper, section 3).
 
     The amplitude is 1 + depth saw(teeth x) at the frequency x, with saw(x) = 2 x from -1/2 to 1/2. It puts paired
@@ -49,8 +49,6 @@ class RangeSawtooth:
         receivers: that have it, counted from 0; empty: all.
     """
 
-    __pydantic_config__ = STRICT_KEYS
-
     depth: Annotated[Float, Gt(0), Le(1)]
     teeth: Annotated[Float, Gt(0), Le(32768)]
     receivers: tuple[Annotated[Int, Ge(0)], ...] = ()
@@ -62,7 +60,7 @@ class RangeSawtooth:
 
 
 @dataclass(frozen=True)
-class RangeTaper:
+class RangeTaper(StrictKeys):
     """Taylor weights over the middle of the band in all receivers (PSF paper, section 1).
 
     They are 1 in the middle of the band and 0 outside of their share.
@@ -71,8 +69,6 @@ class RangeTaper:
         sidelobe_db: level by which the 4 sidelobes to each side stay below the peak.
         band_share: of the band that the weights take.
     """
-
-    __pydantic_config__ = STRICT_KEYS
 
     sidelobe_db: Annotated[Float, Ge(13), Le(100)] = 35.0
     band_share: Annotated[Float, Ge(0.01), Le(1)] = 1.0
@@ -87,7 +83,7 @@ class RangeTaper:
 
 
 @dataclass(frozen=True)
-class AntennaSwing:
+class AntennaSwing(StrictKeys):
     """The beams swing along the flight (PSF paper, section 1): ahead by amplitude sin(2 pi t / period + phase).
 
     The odometry does not contain it. With a period much longer than the flight and a phase of pi / 2 the beams squint.
@@ -98,11 +94,9 @@ class AntennaSwing:
         phase_rad: when the first dwell starts.
     """
 
-    __pydantic_config__ = STRICT_KEYS
-
     amplitude_rad: Annotated[Float, Ge(0), Le(1)]
     period_s: Annotated[Float, Ge(1e-6), Le(1e9)]
-    phase_rad: Annotated[Float, Ge(-np.pi), Le(np.pi)] = 0.0
+    phase_rad: Angle = 0.0
 
     def pointing(self, seconds: npt.ArrayLike) -> F64:
         """Angle (rad) by which the beams point ahead at times (s) after the start of the first dwell."""
@@ -114,7 +108,7 @@ STEADY = AntennaSwing(amplitude_rad=0.0, period_s=1.0)
 
 
 @dataclass(frozen=True)
-class Impairments:
+class Impairments(StrictKeys):
     """How the simulated sensor differs from its description; by default in nothing.
 
     Receivers are where noise is added: behind the detectors, or behind a hybrid in the antenna (Sigma, then Delta).
@@ -136,12 +130,10 @@ class Impairments:
             whose half a beamwidth is the edge.
     """
 
-    __pydantic_config__ = STRICT_KEYS
-
     range_sawtooth: RangeSawtooth | None = None
     range_taper: RangeTaper | None = None
     undescribed_gains_db: tuple[Decibels, ...] = ()
-    undescribed_phases_rad: tuple[Annotated[Float, Ge(-np.pi), Le(np.pi)], ...] = ()
+    undescribed_phases_rad: tuple[Angle, ...] = ()
     nyquist_spur_over_noise: Annotated[Float, Ge(0), Le(1e6)] = 0.0
     beam_width_factor: Annotated[Float, Ge(0.5), Le(2)] = 1.0
     antenna_swing: AntennaSwing = STEADY

@@ -5,6 +5,7 @@ The elevation diameter is 10 mm, the azimuth diameter 16 mm, unless the test say
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +25,6 @@ from sal_height.imaging.weighting import Processing
 from sal_height.pipeline import Compressor, heights
 from sal_height.sensor import Sensor, aperture_length, lit_angle, processed_angle
 from sal_height.simulation import flight_of, load_preset
-from sal_height.simulation.preset import check_pulses as check_preset_pulses
 
 WAVELENGTH, HIGH, LONG = 1.55e-6, 0.010, 0.016
 RANGE, MIDDLE = 5000.0, np.pi / 4
@@ -96,9 +96,11 @@ def test_pulses_may_be_half_the_azimuth_diameter_apart() -> None:
 def test_a_preset_needs_the_pulse_repetition_frequency_of_its_azimuth_diameter() -> None:
     """4 v 1.22 / D: 15.2 kHz with 16 mm at 50 m/s."""
     least = 4 * 50.0 * 1.21967 / LONG
-    check_preset_pulses(sensor_of(pulse_repetition_frequency=1.001 * least), 50.0)
-    with pytest.raises(UserError, match="15245"):
-        check_preset_pulses(sensor_of(pulse_repetition_frequency=0.999 * least), 50.0)
+    preset = load_preset("small")
+    for share in (1.001, 0.999):
+        sensor = replace(preset.sensor, azimuth_aperture_m=LONG, pulse_repetition_frequency_hz=share * least)
+        with nullcontext() if share > 1 else pytest.raises(UserError, match=r"15245\.9 Hz .* length 0\.016 m"):
+            flight_of(replace(preset, sensor=sensor), seed=0)
 
 
 @pytest.mark.parametrize("rotation", [0.0, 0.3])

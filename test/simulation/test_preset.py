@@ -45,37 +45,37 @@ def content_with(key: str, value: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("key", "value", "allowed"),
     [
-        ("name", "", "at least 1 character"),
-        ("name", 5, "valid string"),
-        ("scene", None, "valid string"),
-        ("cnr_db", "loud", "valid number"),
+        ("name", "", "must have at least 1 character"),
+        ("name", 5, "must be a text"),
+        ("scene", None, "must be a text"),
+        ("cnr_db", "loud", "must be a number"),
         ("cnr_db", 101, "less than or equal to 100"),
         ("cnr_db", -61, "greater than or equal to -60"),
         ("cnr_db", float("nan"), "finite"),
         ("dwells", 0, "greater than or equal to 1"),
-        ("dwells", 2.5, "valid integer"),
-        ("looks", 2, "valid tuple"),
-        ("looks", [2, 2, 2], "at most 2 items"),
-        ("sensor", 3, "dictionary"),
-        ("sensor", None, "dictionary"),
+        ("dwells", 2.5, "must be a whole number"),
+        ("looks", 2, "must be a list"),
+        ("looks", [2, 2, 2], "must have at most 2 items, not 3"),
+        ("sensor", 3, "must be a mapping of keys to values"),
+        ("sensor", None, "must be a mapping of keys to values"),
         ("sensor.look_side", "up", "'left' or 'right'"),
         ("sensor.wavelength_m", 0, "greater than "),
         ("sensor.wavelength_m", float("inf"), "finite"),
-        ("sensor.wavelength_m", "red", "valid number"),
+        ("sensor.wavelength_m", "red", "must be a number"),
         ("sensor.aperture_m", -1.0, "greater than "),
         ("sensor.pattern", "cosine", "'gaussian', 'sinc' or 'jinc'"),
         ("sensor.pattern", "beams.txt", "'jinc', or the path of a .csv file of beams"),
-        ("sensor.pattern", 7, "valid string"),
+        ("sensor.pattern", 7, "must be a text"),
         ("sensor.detector_rotation_rad", 1.6, "less than or equal to 1.57"),
         ("sensor.detector_rotation_rad", True, "not true or false"),
-        ("sensor.detector_size_beamwidths", 0.5, "valid tuple"),
+        ("sensor.detector_size_beamwidths", 0.5, "must be a list"),
         ("scene_extent_m", -1.0, "greater than or equal to 0"),
-        ("targets", "car", "valid tuple"),
-        ("sensor.hybrid", "antenna", "dictionary"),
-        ("sensor.full_scale_over_noise_db", "loud", "valid number"),
+        ("targets", "car", "must be a list"),
+        ("sensor.hybrid", "antenna", "must be a mapping of keys to values"),
+        ("sensor.full_scale_over_noise_db", "loud", "must be a number"),
         ("sensor.detectors", 0, "greater than or equal to "),
         ("sensor.detectors", 129, "less than or equal to 128"),
-        ("sensor.detectors", [8], "valid integer"),
+        ("sensor.detectors", [8], "must be a whole number"),
         ("sensor.pitch_beamwidths", 0.0, "greater than "),
         ("sensor.bandwidth_hz", float("-inf"), "finite"),
         ("sensor.waveform", "noise", "'spectrum', 'chirp' or 'deramped'"),
@@ -90,13 +90,13 @@ def content_with(key: str, value: Any) -> dict[str, Any]:
         ("flight.look_angle_rad", 0, "greater than 0"),
         ("flight.look_angle_rad", 1.6, "less than 1.57"),
         ("flight.speed_mps", -50, "greater than "),
-        ("flight.dwell_spacing_m", "far", "valid number"),
+        ("flight.dwell_spacing_m", "far", "must be a number"),
         ("flight.odometry_rate_hz", 0, "greater than "),
         ("flight.gust_mps", -0.1, "greater than or equal to 0"),
         ("flight.gust_mps", 20.1, "less than or equal to 20"),
         ("sensor.mode", "scan", "'spotlight' or 'stripmap'"),
         ("image.rows", 0, "greater than or equal to 1"),
-        ("image.cols", "many", "valid integer"),
+        ("image.cols", "many", "must be a whole number"),
     ],
 )
 def test_wrong_value_is_refused_naming_key_value_and_what_is_allowed(key: str, value: Any, allowed: str) -> None:
@@ -178,7 +178,8 @@ def test_prf_must_sample_the_doppler_of_the_main_lobe(pattern: str, size: list[f
     assert_one_sentence(
         str(refusal.value),
         f"sensor.pulse_repetition_frequency_hz is {prf:g}",
-        f"spans {20e3 * beamwidths:g} Hz of Doppler ({4 * beamwidths:g} speed / aperture)",
+        f"spans {20e3 * beamwidths:g} Hz of Doppler, {4 * beamwidths:g} times the speed over the length 0.01 m",
+        f"must be {20e3 * beamwidths:g} or more",
     )
 
 
@@ -204,7 +205,7 @@ def test_prf_must_sample_the_beams_that_a_turned_detector_axis_points_ahead() ->
     content["sensor"]["pulse_repetition_frequency_hz"] = 20e3 * 1.874
     with pytest.raises(UserError) as refusal:
         flight_of(parse_preset(content, "mine.yaml"), seed=0)
-    assert_one_sentence(str(refusal.value), "spans 37500 Hz of Doppler (7.5 speed / aperture)")
+    assert_one_sentence(str(refusal.value), "spans 37500 Hz of Doppler, 7.5 times the speed over the length 0.01 m")
 
 
 def test_sensor_of_a_preset_has_its_detectors_turned() -> None:
@@ -265,9 +266,9 @@ def test_unknown_key_is_refused_by_its_name(key: str) -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", "the top level is None; input should be a dictionary"),
-        ("- name: small\n", "the top level is [{'name': 'small'}]; input should be a dictionary"),
-        ("just words", "the top level is 'just words'; input should be a dictionary"),
+        ("", "the top level is None; it must be a mapping of keys to values"),
+        ("- name: small\n", "the top level is [{'name': 'small'}]; it must be a mapping of keys to values"),
+        ("just words", "the top level is 'just words'; it must be a mapping of keys to values"),
         ("name: [small\nsensor:", "is not valid YAML"),
         ("name: small\n\tsensor: 1", "is not valid YAML"),
         ("name: !!python/object:os.system {}", "is not valid YAML"),
@@ -310,18 +311,18 @@ def test_sensor_of_a_preset_has_its_beams_evenly_around_the_look_angle() -> None
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"hybrid": {"place": "attic"}}, "sensor.hybrid.place is 'attic'; input should be 'antenna' or 'receiver'"),
+        ({"hybrid": {"place": "attic"}}, "sensor.hybrid.place is 'attic'; it must be 'antenna' or 'receiver'"),
         ({"hybrid": {}}, "sensor.hybrid.place is missing"),
         (
             {"hybrid": {"place": "antenna", "coupling": 0}},
-            "sensor.hybrid.coupling is 0; input should be greater than 0",
+            "sensor.hybrid.coupling is 0; it must be greater than 0",
         ),
-        ({"hybrid": {"place": "antenna", "coupling": 1.1}}, "sensor.hybrid.coupling is 1.1; input should be less than"),
-        ({"hybrid": {"place": "antenna", "loss_db": -1}}, "sensor.hybrid.loss_db is -1; input should be greater than"),
-        ({"hybrid": {"place": "antenna", "delta_phase_rad": 4}}, "sensor.hybrid.delta_phase_rad is 4; input should be"),
+        ({"hybrid": {"place": "antenna", "coupling": 1.1}}, "sensor.hybrid.coupling is 1.1; it must be less than"),
+        ({"hybrid": {"place": "antenna", "loss_db": -1}}, "sensor.hybrid.loss_db is -1; it must be greater than"),
+        ({"hybrid": {"place": "antenna", "delta_phase_rad": 4}}, "sensor.hybrid.delta_phase_rad is 4; it must be"),
         ({"hybrid": {"place": "antenna", "magic": 4}}, "sensor.hybrid.magic is not a known key"),
-        ({"detector_gains_db": [0, 70]}, "sensor.detector_gains_db.1 is 70; input should be less than"),
-        ({"detector_phases_rad": [0, "x"]}, "sensor.detector_phases_rad.1 is 'x'; input should be a valid number"),
+        ({"detector_gains_db": [0, 70]}, "sensor.detector_gains_db.1 is 70; it must be less than"),
+        ({"detector_phases_rad": [0, "x"]}, "sensor.detector_phases_rad.1 is 'x'; it must be a number"),
     ],
 )
 def test_a_wrong_value_of_the_channels_is_refused(changes: dict[str, Any], complaint: str) -> None:
@@ -514,28 +515,28 @@ NUMBERS = [
 def test_boolean_is_no_number(key: str) -> None:
     with pytest.raises(UserError) as refusal:
         parse_preset(content_with(key, True), "mine.yaml")
-    assert_one_sentence(str(refusal.value), f"{key} is True; input should be a number, not true or false")
+    assert_one_sentence(str(refusal.value), f"{key} is True; it must be a number, not true or false")
 
 
 def test_boolean_in_a_list_is_no_number() -> None:
     with pytest.raises(UserError) as refusal:
         parse_preset(content_with("looks", [2, True]), "mine.yaml")
-    assert_one_sentence(str(refusal.value), "looks.1 is True; input should be a number")
+    assert_one_sentence(str(refusal.value), "looks.1 is True; it must be a number")
 
 
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
-        ("sensor.wavelength_m", 1e-10, "is 1e-10; input should be greater than or equal to 1e-09"),
-        ("sensor.wavelength_m", 1e300, "is 1e+300; input should be less than or equal to 100"),
+        ("sensor.wavelength_m", 1e-10, "is 1e-10; it must be greater than or equal to 1e-09"),
+        ("sensor.wavelength_m", 1e300, "is 1e+300; it must be less than or equal to 100"),
         ("sensor.aperture_m", 2e4, "less than or equal to 10000"),
         ("sensor.bandwidth_hz", 0.5, "greater than or equal to 1"),
         ("sensor.bandwidth_hz", 1e16, "less than or equal to 1e+15"),
-        ("sensor.sampling_rate_hz", 2e15, "is 2e+15; input should be less than or equal to 1e+15"),
+        ("sensor.sampling_rate_hz", 2e15, "is 2e+15; it must be less than or equal to 1e+15"),
         ("sensor.pitch_beamwidths", 1e4, "less than or equal to 1000"),
         ("sensor.pulse_repetition_frequency_hz", 2e9, "less than or equal to 1e+09"),
         ("flight.slant_range_m", 2e7, "less than or equal to 1e+07"),
-        ("flight.look_angle_rad", 1.5707963267948966, "is 1.5708; input should be less than 1.5708"),
+        ("flight.look_angle_rad", 1.5707963267948966, "is 1.5708; it must be less than 1.5708"),
         ("flight.speed_mps", 0.001, "greater than or equal to 0.01"),
         ("flight.speed_mps", 20001, "less than or equal to 20000"),
         ("flight.dwell_spacing_m", 1e-7, "greater than or equal to 1e-06"),
@@ -586,8 +587,8 @@ def test_preset_name_that_no_file_can_have_is_refused(name: str) -> None:
     [
         ({"magic": 1}, "impairments.magic is not a known key"),
         ({"range_sawtooth": {"depth": 0.1}}, "impairments.range_sawtooth.teeth is missing"),
-        ({"range_sawtooth": {"depth": 1.1, "teeth": 4}}, "range_sawtooth.depth is 1.1; input should be less than"),
-        ({"range_sawtooth": {"depth": 0, "teeth": 4}}, "range_sawtooth.depth is 0; input should be greater than 0"),
+        ({"range_sawtooth": {"depth": 1.1, "teeth": 4}}, "range_sawtooth.depth is 1.1; it must be less than"),
+        ({"range_sawtooth": {"depth": 0, "teeth": 4}}, "range_sawtooth.depth is 0; it must be greater than 0"),
         ({"range_sawtooth": {"depth": 0.1, "teeth": 33}}, "range_sawtooth.teeth is 33; 64 samples show at most 32"),
         (
             {"range_sawtooth": {"depth": 0.1, "teeth": 4, "receivers": [0, 8]}},
@@ -595,30 +596,45 @@ def test_preset_name_that_no_file_can_have_is_refused(name: str) -> None:
         ),
         (
             {"range_sawtooth": {"depth": 0.1, "teeth": 4, "receivers": [-1]}},
-            "impairments.range_sawtooth.receivers.0 is -1; input should be greater than or equal to 0",
+            "impairments.range_sawtooth.receivers.0 is -1; it must be greater than or equal to 0",
         ),
-        ({"range_taper": {"sidelobe_db": 12}}, "range_taper.sidelobe_db is 12; input should be greater than"),
-        ({"range_taper": {"band_share": 1.1}}, "range_taper.band_share is 1.1; input should be less than"),
+        ({"range_taper": {"sidelobe_db": 12}}, "range_taper.sidelobe_db is 12; it must be greater than"),
+        ({"range_taper": {"band_share": 1.1}}, "range_taper.band_share is 1.1; it must be less than"),
         ({"undescribed_gains_db": [0, 1]}, "impairments.undescribed_gains_db has 2 entries; it must have 8"),
         ({"undescribed_phases_rad": [0]}, "impairments.undescribed_phases_rad has 1 entries; it must have 8"),
-        ({"undescribed_gains_db": [61] * 8}, "undescribed_gains_db.0 is 61; input should be less than"),
-        ({"undescribed_phases_rad": [4] * 8}, "undescribed_phases_rad.0 is 4; input should be less than"),
-        ({"nyquist_spur_over_noise": -1}, "nyquist_spur_over_noise is -1; input should be greater than"),
-        ({"beam_width_factor": 2.1}, "beam_width_factor is 2.1; input should be less than"),
-        ({"beam_width_factor": True}, "beam_width_factor is True; input should be a number, not true or false"),
+        ({"undescribed_gains_db": [61] * 8}, "undescribed_gains_db.0 is 61; it must be less than"),
+        ({"undescribed_phases_rad": [4] * 8}, "undescribed_phases_rad.0 is 4; it must be less than"),
+        ({"nyquist_spur_over_noise": -1}, "nyquist_spur_over_noise is -1; it must be greater than"),
+        ({"beam_width_factor": 2.1}, "beam_width_factor is 2.1; it must be less than"),
+        ({"beam_width_factor": True}, "beam_width_factor is True; it must be a number, not true or false"),
         ({"antenna_swing": {"amplitude_rad": 1e-5}}, "antenna_swing.period_s is missing"),
-        (
-            {"antenna_swing": {"amplitude_rad": 7.8e-5, "period_s": 1}},
-            "antenna_swing.amplitude_rad is 7.8e-05; it must be 7.75e-05, 0.5 beamwidths, or less",
-        ),
-        ({"antenna_swing": {"amplitude_rad": 1e-5, "period_s": 0}}, "antenna_swing.period_s is 0; input should be"),
-        ({"quartic_phase_rad": 101}, "quartic_phase_rad is 101; input should be less than"),
+        ({"antenna_swing": {"amplitude_rad": 1e-5, "period_s": 0}}, "antenna_swing.period_s is 0; it must be"),
+        ({"quartic_phase_rad": 101}, "quartic_phase_rad is 101; it must be less than"),
     ],
 )
 def test_a_wrong_impairment_is_refused(changes: dict[str, Any], complaint: str) -> None:
     with pytest.raises(UserError) as refusal:
         parse_preset(content_with("impairments", changes), "mine.yaml")
     assert_one_sentence(str(refusal.value), complaint)
+
+
+def test_a_swing_beyond_half_a_beamwidth_is_refused() -> None:
+    """Along the flight: with the detector axis turned by 90 degrees that is a beamwidth of `aperture_m`."""
+    swing = {"antenna_swing": {"amplitude_rad": 7.8e-5, "period_s": 1}}
+    content = content_with("impairments", swing)
+    content["sensor"] |= {"azimuth_aperture_m": 0.0098, "pulse_repetition_frequency_hz": 1e5}
+    flight_of(parse_preset(content, "mine.yaml"), seed=0)
+    content["sensor"]["detector_rotation_rad"] = np.pi / 2
+    with pytest.raises(UserError) as refusal:
+        flight_of(parse_preset(content, "mine.yaml"), seed=0)
+    said = "antenna_swing.amplitude_rad is 7.8e-05; it must be 7.75e-05, 0.5 beamwidths, or less"
+    assert_one_sentence(str(refusal.value), said)
+
+
+def test_a_key_that_is_no_text_is_refused() -> None:
+    with pytest.raises(UserError) as refusal:
+        parse_preset(content_with("image", {"rows": 46, "cols": 12}) | {5: 1}, "mine.yaml")
+    assert_one_sentence(str(refusal.value), "Preset mine.yaml: 5 is not a known key")
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import copy
 import time
 from abc import abstractmethod
 from collections import Counter
-from typing import Any
+from typing import Any, NamedTuple
 
 from sal_height_msgs.msg import SensorInfo
 
@@ -56,13 +56,22 @@ class DwellParameters(StageParameters):
     )
 
 
+class _Early(NamedTuple):
+    """A message that waits for its sensor info: when it came, s of a steady clock, and the bytes it holds."""
+
+    message: Any
+    came: float
+    size: int
+
+
 class DwellStage(Stage):
     """Takes one message per channel and hands over complete dwells.
 
     Messages that come before their sensor info wait for it. A dwell that stays incomplete is given up and counted, and
     the next one is not affected. It is given up when the node has waited for timeout_s without anything to do; or when
     the dwell is older than timeout_s and messages have come whose stamps are later by as much. So neither a slow
-    machine nor a source that waits for the graph makes a dwell time out.
+    machine nor a source that waits for the graph makes a dwell time out. The same holds for a message whose sensor info
+    does not come.
     """
 
     parameters: type[DwellParameters] = DwellParameters
@@ -76,7 +85,8 @@ class DwellStage(Stage):
         super().__init__(name, **node_arguments)
         self._sensors: dict[str, Sensor] = {}
         self._assembler: DwellAssembler[Any] = DwellAssembler()
-        self._early: list[tuple[Any, int]] = []
+        self._early: list[_Early] = []
+        self._newest_ns = 0
         self._waiting = WaitingClock()
         self._absences: dict[str, Counter[int]] = {}
         self.listen(SensorInfo, "sensor_info", self._on_sensor_info, LATCHED_QOS)
@@ -123,9 +133,7 @@ class DwellStage(Stage):
                 self._give_up(dwell, missing or self._incomplete(dwell, f"within {parameters.timeout_s:g} s"))
         for dwell in self._assembler.surplus(parameters.max_unfinished_dwells, parameters.max_memory_bytes):
             self._give_up(dwell, self._surplus(dwell))
-        if idle:
-            self._give_up_early(0, 0)
-        self._give_up_early(HELD_EARLY, parameters.max_memory_bytes)
+        self._limit_early(parameters, idle, now)
 
     def note_progress(self) -> None:
         """Something that dwells wait for has come: the node has not been waiting in vain."""
@@ -180,13 +188,19 @@ class DwellStage(Stage):
         self._assembler.take(dwell)
         self.reject(len(dwell.items), reason)
 
-    def _give_up_early(self, count: int, size: float) -> None:
-        """Drop the oldest messages without sensor info until there are `count` and `size` bytes of them at most."""
-        excess = sum(held for _, held in self._early) - size
-        while self._early and (len(self._early) > count or excess > 0):
-            message, held = self._early.pop(0)
-            excess -= held
-            self.reject(1, self._unmatched(message))
+    def _limit_early(self, parameters: DwellParameters, idle: bool, now: float) -> None:
+        """Drop messages that have waited too long for their sensor info, and the oldest of too many."""
+        kept: list[_Early] = []
+        size = 0
+        for early in reversed(self._early):
+            size += early.size
+            passed_s = (self._newest_ns - messages.to_ns(early.message.header.stamp)) * 1e-9
+            overdue = idle or min(now - early.came, passed_s) > parameters.timeout_s
+            if overdue or len(kept) == HELD_EARLY or size > parameters.max_memory_bytes:
+                self.reject(1, self._unmatched(early.message))
+            else:
+                kept.append(early)
+        self._early = kept[::-1]
 
     def _on_sensor_info(self, message: SensorInfo) -> None:
         try:
@@ -201,8 +215,8 @@ class DwellStage(Stage):
         if len(self._sensors) > HELD_SENSORS:
             self._forget(next(iter(self._sensors)))
         waiting, self._early = self._early, []
-        for early, _ in waiting:
-            self._take_in(early)
+        for early in waiting:
+            self._take_in(early.message, early.came)
         self.advance()
 
     def _forget(self, config_hash: str) -> None:
@@ -218,20 +232,21 @@ class DwellStage(Stage):
     def _on_message(self, message: Any) -> None:
         self.tally.receive()
         self._waiting.restart()
-        self._take_in(message)
+        self._take_in(message, time.monotonic())
         self.advance()
 
-    def _take_in(self, message: Any) -> None:
+    def _take_in(self, message: Any, now: float) -> None:
         try:
             sensor = self._sensors.get(self.identity(message))
+            stamp_ns, size = messages.to_ns(message.header.stamp), payload_bytes(message)
             if sensor is None:
-                self._early.append((message, payload_bytes(message)))
-                return
-            self.check(message, sensor)
-            self._absences.setdefault(sensor.config_hash, Counter()).pop(message.channel, None)
-            key = Key(sensor.config_hash, message.dwell, messages.to_ns(message.header.stamp))
-            size = payload_bytes(message)
-            self._assembler.add(key, sensor, message.channel, message, time.monotonic(), size)
+                self._early.append(_Early(message, now, size))
+            else:
+                self.check(message, sensor)
+                self._absences.setdefault(sensor.config_hash, Counter()).pop(message.channel, None)
+                key = Key(sensor.config_hash, message.dwell, stamp_ns)
+                self._assembler.add(key, sensor, message.channel, message, now, size)
+            self._newest_ns = max(self._newest_ns, stamp_ns)
         except Exception as error:  # noqa: BLE001 (no message may end the node)
             self.reject(1, self.unexpected(error))
 

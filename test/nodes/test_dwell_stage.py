@@ -253,6 +253,34 @@ def test_a_dwell_is_dropped_once_the_sensor_has_moved_on(graph: Graph) -> None:
     assert dropped(gate)["incomplete dwell"] == 1
 
 
+@pytest.mark.parametrize("described_again", [False, True])
+def test_a_message_of_an_unknown_sensor_is_dropped_once_the_sensor_has_moved_on(
+    graph: Graph, described_again: bool
+) -> None:
+    """Dwells of a known sensor never pause meanwhile, so that the node is never idle."""
+    gate = Gate(graph, timeout_s=0.2)
+    gate.describe(SENSOR)
+    began = time.monotonic()
+    gate.hear(0, 0, sensor=other_sensor(0))
+    gate.hear(1, 0, 1, 2)
+    assert dropped(gate) == {}  # later by the stamps, but not by the clock on the wall
+    while "contradicts sensor info" not in dropped(gate) and time.monotonic() - began < TIMEOUT_S:
+        if described_again:
+            gate.describe(SENSOR)
+        gate.hear(1000 + gate.tally.summary()["in"], 0, 1, 2, stamp=1.0)
+    assert dropped(gate)["contradicts sensor info"] == 1
+
+
+def test_a_message_of_an_unknown_sensor_waits_while_the_stamps_stand_still(graph: Graph) -> None:
+    gate = Gate(graph, timeout_s=0.2)
+    gate.describe(SENSOR)
+    began = time.monotonic()
+    gate.hear(0, 0, sensor=other_sensor(0))
+    while time.monotonic() - began < 0.3:
+        gate.hear(1000 + gate.tally.summary()["in"], 0, 1, 2, stamp=0.1)
+    assert "contradicts sensor info" not in dropped(gate)
+
+
 def test_without_a_channel_dwells_proceed_if_that_is_allowed(graph: Graph) -> None:
     gate = overdue_gate(graph, missing_channels="proceed")
     gate.hear(0, 0, 2)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import scipy.fft
 from rclpy.parameter import Parameter
 from sal_height_msgs.msg import ChannelFrame, Provenance
@@ -20,6 +21,7 @@ from sal_height.elevation import (
     OBJECTIVES,
     ElevationEstimate,
     Looks,
+    MlSettings,
     Window,
     ml_elevation,
     windowed_looks,
@@ -30,7 +32,7 @@ from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.numeric import C64, F64, in_parallel
 from sal_height.pipeline import heights
-from sal_height.sensor import Sensor
+from sal_height.sensor import Channels, Sensor
 from sal_height.theory.array_trials import SAMPLES_AT_ONCE, TargetPixels, with_streams
 
 DETECTORS, PITCH, BEAMWIDTH, LOOKS = 16, 0.5, 1.55e-4, 4
@@ -40,8 +42,6 @@ CNR = 10.0
 
 UPSAMPLING = 16
 """Of the paper's way: steps of 1/32 beamwidth."""
-
-MIN_CNR = 3.0
 
 PIXELS_AT_ONCE = 256
 """Whose convolutions NumPy holds at a time."""
@@ -122,11 +122,11 @@ def throughput() -> Iterator[Row]:
 
 
 def _throughput(name: str) -> Iterator[Row]:
-    beams, normalised, slc = beams_of(name), OBJECTIVES["normalised"], _slc(name)
+    beams, settings, slc = beams_of(name), MlSettings(layover=False), _slc(name)
     one, many = np.zeros(COLS), np.linspace(-0.5, 0.5, COLS) * BEAMWIDTH
 
     def estimate(squint: F64) -> ElevationEstimate:
-        return ml_elevation(azimuth_looks(slc, LOOKS), beams, squint, 1.0, normalised, MIN_CNR)
+        return ml_elevation(azimuth_looks(slc, LOOKS, squint), beams, settings)
 
     there = np.zeros_like(slc)
     single, several, paper, copy = medians(
@@ -204,9 +204,11 @@ def by_convolution(slc: C64, looks: int, beams: Beams) -> F64:
     return elevation.reshape(rows, -1)
 
 
-def azimuth_looks(slc: C64, count: int, hermitian: bool = False) -> Looks:
-    """Looks of pixels of `count` samples in azimuth."""
-    return windowed_looks(slc, Window.named("boxcar", 1), Window.named("boxcar", count), hermitian)
+def azimuth_looks(slc: C64, count: int, squint: npt.ArrayLike = 0.0, hermitian: bool = False) -> Looks:
+    """Looks of pixels of `count` samples in azimuth, in unit noise."""
+    windows, alike = (Window.named("boxcar", 1), Window.named("boxcar", count)), np.eye(len(slc), dtype=np.complex128)
+    channels = Channels(alike, alike, np.ones(len(slc)))
+    return windowed_looks(slc, windows, np.full(slc.shape[2] // count, squint), channels, hermitian)
 
 
 def beams_of(name: str) -> Beams:

@@ -12,7 +12,7 @@ from benchmarks.array_estimator import azimuth_looks, beams_of, elevation_at
 from benchmarks.row import Row, sized
 from sal_height.beams import Beams
 from sal_height.calibration import BeamCalibration, beams_with, calibrate_beams
-from sal_height.elevation import OBJECTIVES, covariance, peak_elevation
+from sal_height.elevation import OBJECTIVES, Looks, covariance, peak_elevation
 from sal_height.numeric import C64, F64
 from sal_height.theory.array_trials import TARGETS, TargetPixels
 
@@ -38,7 +38,7 @@ def _from_a_scene(name: str) -> Iterator[Row]:
     truth = _truth(rng, beams.count)
     looks = azimuth_looks(_slc(rng, beams_with(beams, truth)), LOOKS, hermitian=True)
     begin = time.perf_counter()
-    found = calibrate_beams(looks, beams, np.zeros(COLS), 1.0)
+    found = calibrate_beams(looks, beams)
     took = time.perf_counter() - begin
     ratio = np.log(found.gains / truth.gains)
     stated = f"from {found.pixels} pixels of {beams.count} detectors; the stated standard deviation is"
@@ -103,8 +103,8 @@ def _greatest_bias(actual: Beams, used: Beams) -> float:
     rng, biases = np.random.default_rng(4), []
     for elevation in map(elevation_at, OFFSETS):
         samples = TargetPixels(actual, elevation, 100.0, LOOKS).draw(rng, TRIALS)
-        seen = covariance(samples, hermitian=True)[:, None]
-        found = peak_elevation(seen, used, np.zeros(1), OBJECTIVES["normalised"], 0.0)
+        seen = Looks.of(covariance(samples, hermitian=True)[:, None], LOOKS)
+        found = peak_elevation(seen, used, OBJECTIVES["normalised"], 0.0)
         biases.append(abs(float(np.mean(found)) - elevation) / used.beamwidth)
     return max(biases)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.row import Row, medians, sized
 from sal_height.beams import Beams, pattern_named
-from sal_height.elevation import OBJECTIVES, Covariance, peak_elevation, search_guard, two_scatterers
+from sal_height.elevation import OBJECTIVES, Looks, peak_elevation, search_guard, two_scatterers
 from sal_height.theory import TargetPixels
 
 DETECTORS, PITCH, BEAMWIDTH, LOOKS = 16, 0.5, 1.55e-4, 4
@@ -28,9 +28,9 @@ def throughput() -> Iterator[Row]:
 
 
 def _throughput(beams: Beams, share: float) -> Row:
-    covariance, squint = _image(beams, share), np.zeros(SIDE)
-    single = peak_elevation(covariance, beams, squint, OBJECTIVES["normalised"], search_guard(beams))
-    (seconds,) = medians(lambda: two_scatterers(covariance, beams, squint, 1.0, LOOKS, single, FALSE_ALARM))
+    looks = _image(beams, share)
+    single, everywhere = peak_elevation(looks, beams, OBJECTIVES["normalised"], search_guard(beams)), looks.power >= 0
+    (seconds,) = medians(lambda: two_scatterers(looks, beams, single, everywhere, FALSE_ALARM))
     return Row(
         f"layover, {100 * share:.0f} % of the pixels hold two",
         seconds,
@@ -40,14 +40,13 @@ def _throughput(beams: Beams, share: float) -> Row:
     )
 
 
-def _image(beams: Beams, share: float) -> Covariance:
-    """Covariance, shape (SIDE, SIDE, M, M), in unit noise."""
+def _image(beams: Beams, share: float) -> Looks:
+    """Looks of SIDE x SIDE pixels in unit noise."""
     rng, count = np.random.default_rng(3), SIDE**2
     upper, lower = (float(np.pi / 4 + offset * BEAMWIDTH) for offset in (0.5, -0.5))
     samples = TargetPixels(beams, upper, CNR, LOOKS).draw(rng, count)
     both = rng.uniform(size=count) < share
     second = np.sqrt(CNR / 2) * (rng.standard_normal((count, LOOKS)) + 1j * rng.standard_normal((count, LOOKS)))
     samples = samples + (both[:, None] * second)[..., None] * beams.response(lower, 0.0)
-    return np.asarray(np.einsum("pkm,pkn->pmn", samples, samples.conj()).real, np.float32).reshape(
-        SIDE, SIDE, DETECTORS, DETECTORS
-    )
+    covariance = np.asarray(np.einsum("pkm,pkn->pmn", samples, samples.conj()).real, np.float32)
+    return Looks.of(covariance.reshape(SIDE, SIDE, DETECTORS, DETECTORS), LOOKS)

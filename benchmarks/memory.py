@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.array_estimator import azimuth_looks, beams_of
 from benchmarks.cases import Case, spotlight, stripmap
 from benchmarks.row import Row, sized
-from sal_height.elevation import OBJECTIVES, ml_elevation
+from sal_height.elevation import MlSettings, ml_elevation
 from sal_height.imaging import FORMERS
 from sal_height.numeric import C64
 
@@ -59,10 +59,10 @@ def _case(former: str, detectors: int, pulses: int, frequencies: int, rows: int)
 
 def _measure_array() -> None:
     """Print the bytes of images, and those by which the peak of their estimate lies above what was resident before."""
-    beams, squint = beams_of("jinc"), np.zeros(COLS // 4)
+    beams, settings = beams_of("jinc"), MlSettings(layover=False)
 
     def estimate(slc: C64) -> None:
-        ml_elevation(azimuth_looks(slc, 4), beams, squint, 1.0, OBJECTIVES["normalised"], 3.0)
+        ml_elevation(azimuth_looks(slc, 4), beams, settings)
 
     rng = np.random.default_rng(1)
     slc = rng.standard_normal((DETECTORS, ROWS, 2 * COLS), dtype=np.float32).view(np.complex64)

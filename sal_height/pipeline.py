@@ -143,15 +143,14 @@ def elevations(
     # Their beams, as the images have them and as wide as the calibration has found them.
     beams = image_beams(sensor, slc.azimuth_window).widened(calibration.width_factor if calibration else 1.0)
     beams = beams.detectors(live).combined(channels.matrix)
-    # Looks: the covariance of the channels in each height pixel.
-    down, across = settings.windows
-    looks = windowed_looks(images, down, across, beams.is_complex, channels.transform)
-    grid = look_grid(slc.grid, down, across)
-    # The squint of each column; a target that moves is seen at another one than its pixel says.
+    # The height pixels, and the squint of each column; a target that moves is seen at another one than its pixel says.
+    grid = look_grid(slc.grid, *settings.windows)
     squint = column_squint(grid, slc.aperture, sensor.beams, sensor.look_side)
     squint = moving_squint(squint, settings.radial_velocity_mps, np.linalg.norm(slc.aperture.velocity))
+    # Looks: the covariance of the channels in each of them.
+    looks = windowed_looks(images, settings.windows, squint, channels, beams.is_complex)
     # Elevation from the ratios between channels, which clipped samples spoil.
-    estimate = estimator.estimate(looks, beams, squint, channels.noise_powers, settings)
+    estimate = estimator.estimate(looks, beams, settings)
     if slc.saturated_share[live].max() > settings.max_saturated_share:
         estimate = without_saturated(estimate)
     return estimate, looks, grid

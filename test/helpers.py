@@ -17,7 +17,7 @@ from sal_height.beams.array import Beams
 from sal_height.beams.pattern import pattern_named
 from sal_height.elevation.looks import Looks, Window, windowed_looks
 from sal_height.geometry.frames import ApertureState
-from sal_height.sensor.channels import whitened_channels
+from sal_height.sensor.channels import Channels, whitened_channels
 from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.preset import Preset
 from sal_height.simulation.scene import Scene, VisibleSurface
@@ -165,9 +165,25 @@ def multilook(
     azimuth_looks: int,
     hermitian: bool = False,
     transform: npt.NDArray[Any] | None = None,
+    squint: npt.ArrayLike = 0.0,
+    noise_power: npt.ArrayLike = 1.0,
 ) -> Looks:
-    """`windowed_looks` over `blocks`."""
-    return windowed_looks(slc, *blocks(range_looks, azimuth_looks), hermitian, transform)
+    """`windowed_looks` over `blocks`; the squint (rad) of the columns and the noise power of the channels broadcast."""
+    return looks_in(slc, blocks(range_looks, azimuth_looks), hermitian, transform, squint, noise_power)
+
+
+def looks_in(
+    slc: npt.NDArray[Any],
+    windows: tuple[Window, Window],
+    hermitian: bool = False,
+    transform: npt.NDArray[Any] | None = None,
+    squint: npt.ArrayLike = 0.0,
+    noise_power: npt.ArrayLike = 1.0,
+) -> Looks:
+    """`windowed_looks` over any windows, otherwise as `multilook`."""
+    same = np.eye(len(slc))
+    channels = Channels(same if transform is None else transform, same, np.full(len(slc), noise_power))
+    return windowed_looks(slc, windows, np.full(windows[1].pixels(slc.shape[2]), squint), channels, hermitian)
 
 
 def circular(rng: np.random.Generator, shape: tuple[int, ...]) -> npt.NDArray[np.complex128]:
@@ -183,14 +199,7 @@ def standard_error_of_rms(error: Array) -> float:
 def noise_free_looks(beams: Beams, offset: Array, squint: float = 0.0, count: int = 1, energy: float = 1e6) -> Looks:
     """Exact covariance of a target at each of `offset` (beamwidths, shape (pixels,)), one column."""
     response = beams.response(elevation_at(offset), squint)
-    return looks_of(energy * (response[:, None, :, None] * response[:, None, None, :]), count)
-
-
-def looks_of(covariance: npt.NDArray[Any], count: float) -> Looks:
-    """Looks with this covariance (rows, cols, channels, channels), each pixel a sample of the SLC."""
-    row, col = np.indices(covariance.shape[:2]).astype(np.float64)
-    power = np.trace(covariance.real, axis1=-2, axis2=-1)
-    return Looks(covariance, np.full(row.shape, float(count)), row, col, power, np.ones(row.shape, dtype=bool))
+    return Looks.of(energy * (response[:, None, :, None] * response[:, None, None, :]), count, squint)
 
 
 def sample_frequencies(sensor: Sensor) -> Array:

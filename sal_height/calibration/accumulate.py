@@ -192,13 +192,12 @@ class Calibrator:
         spectra = scipy.fft.fft(np.concatenate(columns, axis=2), axis=1, workers=WORKERS)
         spectra *= scipy.fft.ifftshift(weights, axes=1)[..., None].astype(np.complex64)
         images = scipy.fft.ifft(spectra, axis=1, workers=WORKERS, overwrite_x=True)
-        one, across = Window.named("boxcar", 1, 0), Window.named("boxcar", LOOKS, 0)
-        looks = windowed_looks(images, one, across, True, channels.transform)
         step = SQUINT_STEP * self.sensor.beams.track_beamwidth
         squint = np.round(np.array(self._squints) / step) * step
+        windows = Window.named("boxcar", 1), Window.named("boxcar", LOOKS)
+        looks = windowed_looks(images, windows, squint, channels, hermitian=True)
         calibrate = calibrate_beams if self.sensor.detector_count > 2 else calibrate_phases
-        beams = self._beams.combined(channels.matrix)
-        found = calibrate(looks, beams, squint, float(channels.noise_powers[0]))
+        found = calibrate(looks, self._beams.combined(channels.matrix))
         alike = np.sqrt(noise_gain(taper**2)) / noise_gain(taper)  # speckle of rows that are neighbours
         return replace(
             found,

@@ -30,10 +30,10 @@ from sal_height.elevation import (
     Columns,
     Covariance,
     Fit,
+    HeightSettings,
     Looks,
     PeakSearch,
     PeakSearches,
-    ValidityRules,
     is_one_scatterer,
     search_guard,
 )
@@ -102,7 +102,7 @@ def beams_with(beams: Beams, calibration: BeamCalibration) -> Beams:
     return beams.widened(calibration.width_factor).combined(np.diag(calibration.gains))
 
 
-def calibrate_beams(looks: Looks, beams: Beams, squint: F64, noise_power: float) -> BeamCalibration:
+def calibrate_beams(looks: Looks, beams: Beams) -> BeamCalibration:
     """Width and gains from all pixels of one scatterer, bright enough and between the boresights.
 
     Fisher scoring with the corrected derivatives of the likelihood, at angles that are searched anew in each step. It
@@ -111,10 +111,8 @@ def calibrate_beams(looks: Looks, beams: Beams, squint: F64, noise_power: float)
     azimuth. Pixels must not share looks, or the standard deviations are too small.
 
     Args:
-        looks: complex covariance of three or more channels (`looks.windowed_looks` with `hermitian`).
+        looks: complex covariance of three or more channels of equal noise (`looks.windowed_looks` with `hermitian`).
         beams: of the channels, as described.
-        squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in every channel (`whitened_channels`).
 
     Raises:
         NotDetermined: two detectors; too few pixels; or a combination of width and gains remains unknown, as of
@@ -126,12 +124,12 @@ def calibrate_beams(looks: Looks, beams: Beams, squint: F64, noise_power: float)
             f"{beams.count} detectors do not tell width and amplitudes of the beams from the scene, whose elevations "
             "are unknown; that needs 3 or more, or a target of known elevation."
         )
-    return _settle(_of_scene(looks, beams, squint, noise_power), beams, _all_parameters(beams.count))
+    return _settle(_of_scene(looks, beams), beams, _all_parameters(beams.count))
 
 
-def calibrate_phases(looks: Looks, beams: Beams, squint: F64, noise_power: float) -> BeamCalibration:
+def calibrate_phases(looks: Looks, beams: Beams) -> BeamCalibration:
     """Phases of the gains alone, of two detectors or more; arguments and errors otherwise as of `calibrate_beams`."""
-    return _settle(_of_scene(looks, beams, squint, noise_power), beams, _phases(beams.count))
+    return _settle(_of_scene(looks, beams), beams, _phases(beams.count))
 
 
 def calibrate_on_target(
@@ -234,23 +232,23 @@ def _phases(channels: int) -> F64:
     return np.vstack([np.zeros((channels + 1, channels - 1)), differences])
 
 
-def _of_scene(looks: Looks, beams: Beams, squint: F64, noise_power: float) -> Equations:
+def _of_scene(looks: Looks, beams: Beams) -> Equations:
     """Sums over the usable pixels of a scene, at the angles that are likeliest with a calibration."""
     _check_channels(beams, looks.covariance.shape[-1])
     _check_complex(looks.covariance[slice(0, 1), slice(0, 1)])
-    squints = np.unique(squint)
+    squint = looks.squint
 
     def equations(calibration: BeamCalibration) -> Normal:
         phases = calibration.gains / np.abs(calibration.gains)
         wide = beams.widened(calibration.width_factor)
         amplitudes = wide.scaled(np.abs(calibration.gains))
-        searches = PeakSearches.over(amplitudes, squints, OBJECTIVES["normalised"], search_guard(beams))
+        searches = PeakSearches.over(amplitudes, squint, OBJECTIVES["normalised"], search_guard(beams))
         share = MISFIT_SHARE if calibration.steps > 1 else FIRST_MISFIT_SHARE
         of_blocks: dict[tuple[int, int], Normal] = {}
 
         def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
             pixels = looks.covariance[rows, cols].reshape(-1, beams.count, beams.count)
-            pixels = pixels * (phases.conj()[:, None] * phases / noise_power).astype(np.complex64)
+            pixels = pixels * (phases.conj()[:, None] * phases / looks.noise_power).astype(np.complex64)
             elevation = search.peaks(pixels).elevation
             across = np.broadcast_to(squint[cols], looks.count[rows, cols].shape).reshape(-1)
             of_pixel = (looks.count[rows, cols].reshape(-1), looks.finite[rows, cols].reshape(-1))
@@ -307,7 +305,7 @@ def _usable(pixels: Covariance, explained: F64, count: F64, elevation: F64, beam
     first, last = beams.span
     left = np.trace(pixels, axis1=1, axis2=2).real - explained
     one = is_one_scatterer(
-        Fit(explained, left, (beams.count - 1) * count - 0.5, beams.count), ValidityRules(misfit_share=share)
+        Fit(explained, left, (beams.count - 1) * count - 0.5, beams.count), HeightSettings(misfit_share=share)
     )
     return one & (explained - count >= LEAST_ENERGY) & (elevation >= first) & (elevation <= last)
 

@@ -1,25 +1,24 @@
 """Elevation angle of the scatterer in each pixel, from the amplitude ratios between channels.
 
-Read `looks` first (channels' covariance over looks), then `estimate` (the result and the reasons for none),
-`likelihood` with `search` (maximum likelihood over the whole array), `capon` and `music` (the two spectra known from
-tomography, on the same search), `monopulse` (pairs; sum and difference), `spatial_prior` (help from neighbours),
-`layover` (two scatterers in a pixel), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators by name, with
-their settings).
+Every estimator is a function `estimate(looks, beams, settings)` that returns an `ElevationEstimate`. Read `looks` first
+(what the channels have observed in each pixel), then `estimate` (the result and the reasons for none), `likelihood`
+with `search` (one scatterer, by the whole array), `spatial_prior` (help from neighbours), `layover` (two scatterers in
+a pixel) and `maximum_likelihood`, which joins these; `capon` and `music` (the two spectra known from tomography, on the
+same search), `monopulse` (pairs; sum and difference), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators
+by name).
 """
 
 from sal_height.elevation.bounds import conditional_crb, speckle_crb, stochastic_crb
 from sal_height.elevation.capon import capon_elevation
 from sal_height.elevation.estimate import (
-    MISFIT_SHARE,
     ElevationEstimate,
     Fit,
     Validity,
-    ValidityRules,
     is_one_scatterer,
     without_saturated,
 )
 from sal_height.elevation.layover import resolve_layover, two_scatterers
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation, peak_elevation, search_guard
+from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation, search_guard
 from sal_height.elevation.looks import (
     LOOK_WINDOWS,
     Covariance,
@@ -30,6 +29,7 @@ from sal_height.elevation.looks import (
     look_grid,
     windowed_looks,
 )
+from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.monopulse.discriminant import (
     discriminant,
     discriminant_domain,
@@ -47,14 +47,14 @@ from sal_height.elevation.monopulse.estimators import (
     total_least_squares,
 )
 from sal_height.elevation.monopulse.inversion import INVERSES, invert
-from sal_height.elevation.monopulse.pairs import monopulse_elevation
+from sal_height.elevation.monopulse.pairs import MonopulseSettings, monopulse_elevation
 from sal_height.elevation.monopulse.slope_table import read_slope_table
-from sal_height.elevation.monopulse.sum_difference import Discriminator, sum_difference_elevation
+from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings, sum_difference_elevation
 from sal_height.elevation.music import music_elevation
-from sal_height.elevation.registry import ESTIMATORS, ElevationEstimator, MlSettings
+from sal_height.elevation.registry import ESTIMATORS, ElevationEstimator
 from sal_height.elevation.search import Columns, Objective, PeakSearch, PeakSearches
-from sal_height.elevation.settings import HeightSettings
-from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH, prior_elevation
+from sal_height.elevation.settings import MISFIT_SHARE, HeightSettings
+from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH
 
 __all__ = [
     "DISCRIMINANTS",
@@ -66,7 +66,6 @@ __all__ = [
     "RECOMMENDED_STRENGTH",
     "Columns",
     "Covariance",
-    "Discriminator",
     "ElevationEstimate",
     "ElevationEstimator",
     "Estimator",
@@ -74,11 +73,12 @@ __all__ = [
     "HeightSettings",
     "Looks",
     "MlSettings",
+    "MonopulseSettings",
     "Objective",
     "PeakSearch",
     "PeakSearches",
+    "SumDifferenceSettings",
     "Validity",
-    "ValidityRules",
     "Window",
     "capon_elevation",
     "conditional_crb",
@@ -97,7 +97,6 @@ __all__ = [
     "moving_squint",
     "music_elevation",
     "peak_elevation",
-    "prior_elevation",
     "products",
     "ratio",
     "read_slope_table",

@@ -17,10 +17,10 @@ import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.likelihood import DEFAULT_ARRAY_RULES, ArrayRules, estimate_at_peak
+from sal_height.elevation.likelihood import ArraySettings, estimate_by_spectrum
 from sal_height.elevation.looks import Covariance, Looks
-from sal_height.errors import UserError
 from sal_height.numeric import F64
+from sal_height.settings import setting
 
 LOADING = 1.0
 """Loading in noise powers. With 16 detectors and 16 looks the standard deviation is 5 % above that of maximum
@@ -28,38 +28,31 @@ likelihood (25 % with 0.1, 0.2 % with 10), and a second scatterer half a beamwid
 median estimate by 0.04 beamwidths instead of 0.14."""
 
 
-def capon_elevation(
-    looks: Looks,
-    beams: Beams,
-    squint: F64,
-    noise_power: float,
-    min_cnr: float,
-    loading: float = LOADING,
-    rules: ArrayRules = DEFAULT_ARRAY_RULES,
-) -> ElevationEstimate:
+class CaponSettings(ArraySettings):
+    """Settings of Capon's method."""
+
+    loading: float = setting(
+        LOADING,
+        "power added to the diagonal of the mean covariance before it is inverted; more of it lowers the noise of the "
+        "estimate, less of it separates scatterers better",
+        unit="noise powers",
+        minimum=1e-3,
+        maximum=1e3,
+    )
+
+
+def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> ElevationEstimate:
     """Elevation of the peak of Capon's spectrum; sigma is that of maximum likelihood times `deviation_factor`.
 
-    Args:
-        looks: covariance of M channels in each pixel.
-        beams: of the M detectors.
-        squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in every channel.
-        min_cnr: pixels below this power ratio are LOW_CNR.
-        loading: power added to the diagonal of the mean covariance, in noise powers.
-        rules: of validity.
-
-    Raises:
-        UserError: the loading is not positive; or as in `ml_elevation`.
+    Arguments and errors as of `ml_elevation`.
     """
-    if not (np.isfinite(loading) and loading > 0):
-        raise UserError(f"The loading of Capon's method is {loading:g}; it must be finite and greater than 0.")
 
     def spectrum(covariance: Covariance, count: F64) -> Covariance:
-        mean = covariance / (count * noise_power)[:, None, None]
-        return -np.linalg.inv(mean + (loading * np.eye(beams.count)).astype(covariance.dtype))
+        mean = covariance / (count * looks.noise_power)[:, None, None]
+        return -np.linalg.inv(mean + (settings.loading * np.eye(beams.count)).astype(covariance.dtype))
 
-    estimate = estimate_at_peak(spectrum, looks, beams, squint, noise_power, min_cnr, rules)
-    return replace(estimate, sigma=estimate.sigma * deviation_factor(looks.count, beams, loading))
+    estimate = estimate_by_spectrum(spectrum, looks, beams, settings)
+    return replace(estimate, sigma=estimate.sigma * deviation_factor(looks.count, beams, settings.loading))
 
 
 def deviation_factor(count: F64, beams: Beams, loading: float) -> F64:

@@ -10,8 +10,8 @@ from scipy.special import gammainccinv
 
 from sal_height.elevation.bounds import beam_power
 from sal_height.elevation.looks import Covariance, Looks
+from sal_height.elevation.settings import HeightSettings
 from sal_height.numeric import F64, U8, Bool
-from sal_height.settings import Settings, setting
 
 
 class Validity(IntEnum):
@@ -63,40 +63,6 @@ class ElevationEstimate:
     second: SecondScatterer | None = None
 
 
-MISFIT_SHARE = 0.03
-"""Share of a pixel's explained power that may be left beyond the noise before it counts as more than one scatterer.
-
-What errors of the beams leave grows with the power of the scatterer, and would reject every bright pixel.
-"""
-
-FALSE_ALARM_RATE = 1e-4
-"""Share of single scatterers that are rejected because of noise, and of noise that passes for a scatterer.
-
-The latter is that of the strongest of M independent directions. The search sees more directions, but most of them are
-outside the array: of pixels of noise alone 0.1 to 1.7 times this share are valid, without any least CNR.
-"""
-
-
-class ValidityRules(Settings):
-    """When a pixel counts as a single scatterer that was detected; the same for every estimator."""
-
-    false_alarm_rate: float = setting(
-        FALSE_ALARM_RATE,
-        "share of single scatterers that are rejected because of noise, and of pixels of noise that pass for one",
-        minimum=1e-12,
-        maximum=0.1,
-    )
-    misfit_share: float = setting(
-        MISFIT_SHARE,
-        "share of a pixel's power that may be left beyond the noise before the pixel is marked NOT_ONE_SCATTERER",
-        minimum=0.0,
-        maximum=1.0,
-    )
-
-
-DEFAULT_RULES = ValidityRules()
-
-
 @dataclass(frozen=True, eq=False)
 class Fit:
     """How well one scatterer explains each pixel; arrays (rows, cols), powers in units of the noise power.
@@ -115,18 +81,17 @@ class Fit:
     directions: int
 
 
-def array_fit(looks: Looks, noise_power: float, explained: F64) -> Fit:
+def array_fit(looks: Looks, explained: F64) -> Fit:
     """Fit of a scatterer with the response of real beams to M channels of equal noise.
 
     K complex amplitudes and one elevation leave M K - K - 1/2 complex dimensions of noise.
 
     Args:
         looks: covariance of M channels in each pixel.
-        noise_power: E|n|^2 of one SLC pixel in every channel.
         explained: a^H R a / |a|^2 over the noise power, shape (rows, cols).
     """
     channels = looks.covariance.shape[-1]
-    return Fit(explained, looks.power / noise_power - explained, (channels - 1) * looks.count - 0.5, channels)
+    return Fit(explained, looks.power / looks.noise_power - explained, (channels - 1) * looks.count - 0.5, channels)
 
 
 def noise_limit(degrees: F64, rate: float) -> F64:
@@ -138,7 +103,7 @@ def noise_limit(degrees: F64, rate: float) -> F64:
     return np.where(orders > 0, gammainccinv(np.maximum(orders, 0.5), rate), 0.0)[which]
 
 
-def is_one_scatterer(fit: Fit, rules: ValidityRules = DEFAULT_RULES) -> Bool:
+def is_one_scatterer(fit: Fit, settings: HeightSettings) -> Bool:
     """Whether what a scatterer leaves of a pixel is noise, or a small share of what it explains.
 
     Two scatterers closer than about half a beamwidth cannot be told from one. Looks in range on sloping ground differ
@@ -146,14 +111,14 @@ def is_one_scatterer(fit: Fit, rules: ValidityRules = DEFAULT_RULES) -> Bool:
 
     Args:
         fit: of one scatterer to every pixel.
-        rules: rate of false alarms, and share of the explained power that may be left beyond the mean of the noise.
+        settings: rate of false alarms, and share of the explained power that may be left beyond the mean of the noise.
     """
-    noise = fit.left <= noise_limit(fit.degrees, rules.false_alarm_rate)
-    return noise | (fit.left - fit.degrees <= rules.misfit_share * fit.explained)
+    noise = fit.left <= noise_limit(fit.degrees, settings.false_alarm_rate)
+    return noise | (fit.left - fit.degrees <= settings.misfit_share * fit.explained)
 
 
 def decide_validity(
-    looks: Looks, fit: Fit, strong: Bool, inside: Bool, outside: Validity, rules: ValidityRules = DEFAULT_RULES
+    looks: Looks, fit: Fit, strong: Bool, inside: Bool, outside: Validity, settings: HeightSettings
 ) -> U8:
     """Reason for which each pixel's estimate cannot be used, the first that applies, or OK; for every estimator.
 
@@ -163,11 +128,11 @@ def decide_validity(
         strong: where its CNR is sufficient.
         inside: where its elevation is one that the estimator can tell.
         outside: reason to give elsewhere.
-        rules: when a scatterer is detected, and is the only one.
+        settings: when a scatterer is detected, and is the only one.
     """
-    detected = fit.explained >= noise_limit(looks.count, rules.false_alarm_rate / fit.directions)
+    detected = fit.explained >= noise_limit(looks.count, settings.false_alarm_rate / fit.directions)
     return np.select(
-        [~looks.finite, ~(detected & strong), ~inside, ~is_one_scatterer(fit, rules)],
+        [~looks.finite, ~(detected & strong), ~inside, ~is_one_scatterer(fit, settings)],
         [Validity.MISSING_DATA, Validity.LOW_CNR, outside, Validity.NOT_ONE_SCATTERER],
         Validity.OK,
     ).astype(np.uint8)

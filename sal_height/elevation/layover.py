@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -27,9 +27,7 @@ from sal_height.elevation.bounds import Numbers, information, unit_vectors
 from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity, explained_power
 from sal_height.elevation.likelihood import GUARD
 from sal_height.elevation.looks import Covariance, Looks
-from sal_height.elevation.search import REAL_COVARIANCE
-from sal_height.errors import UserError
-from sal_height.numeric import F32, F64, Bool, in_parallel
+from sal_height.numeric import F32, F64, Bool, Index, in_parallel
 
 LEAST_SEPARATION = 0.1
 """Least distance between the elevations of a pair, beamwidths: well below what can be resolved."""
@@ -42,9 +40,6 @@ NEWTON_STEPS = 12
 
 SETTLED = 1e-5
 """Convergence threshold of the Newton iteration, beamwidths."""
-
-FALSE_ALARM = 1e-3
-"""Share of single scatterers that may be taken for two, of the few that do not pass for one."""
 
 PIXELS_AT_ONCE = 1024
 """Number of pixels whose beams are held at a time."""
@@ -69,96 +64,57 @@ class TwoScatterers:
     sigma: F64
 
 
-def two_scatterers(
-    covariance: Covariance,
-    beams: Beams,
-    squint: F64,
-    noise_power: float,
-    looks_count: npt.ArrayLike,
-    single: F64,
-    false_alarm: float,
-) -> TwoScatterers:
+def two_scatterers(looks: Looks, beams: Beams, single: F64, tried: Bool, false_alarm: float) -> TwoScatterers:
     """Find the pixels that hold two scatterers rather than one, and the elevations of both.
 
     A pixel holds two if the best pair explains `detection_threshold` more power than the best single elevation. To
     save time, pairs are only tried where one more scatterer beside the single one explains nearly as much.
 
     Args:
-        covariance: R of M channels, shape (rows, cols, M, M), finite; complex if the beams are.
+        looks: covariance of M channels of equal noise in each pixel; complex if the beams are.
         beams: of the M detectors, 3 or more.
-        squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in one channel.
-        looks_count: K, for all pixels or each.
         single: elevation of the most likely single scatterer (`likelihood.peak_elevation`), rad, shape (rows, cols).
+        tried: pixels that are looked at, shape (rows, cols).
         false_alarm: share of single scatterers that may be taken for two, above 0 and up to 0.1.
-
-    Raises:
-        UserError: too few detectors, a real covariance of complex beams, or a noise power, number of looks or share of
-            false alarms out of range.
     """
-    _require(covariance, beams, noise_power, looks_count, false_alarm)
-    covariance = covariance if beams.is_complex else covariance.real
-    shape = single.shape
-    looks = np.broadcast_to(np.asarray(looks_count, dtype=np.float64), shape)
-    found = np.full((*shape, 3, 2), np.nan)
-    angles, angle_of = np.unique(squint, return_inverse=True)
-    for index, angle in enumerate(angles.tolist()):
-        cols = np.flatnonzero(angle_of == index)
-        grid = _PairGrid.of(beams, angle)
-        pixel = (np.repeat(np.arange(shape[0]), cols.size), np.tile(cols, shape[0]))
-        levels = _thresholds(beams, angle, looks[pixel], false_alarm)
+    found = np.full((*tried.shape, 3, 2), np.nan)
+    for squint in np.unique(looks.squint[tried.any(axis=0)]).tolist():
+        grid = _PairGrid.of(beams, squint)
+        row, col = np.nonzero(tried & (looks.squint == squint))
+        levels = _thresholds(beams, squint, looks.count[row, col], false_alarm)
 
-        def work(part: slice, grid: _PairGrid = grid, pixel: Any = pixel, levels: F64 = levels) -> None:
+        def work(part: slice, grid: _PairGrid = grid, row: Index = row, col: Index = col, levels: F64 = levels) -> None:
             for first in range(part.start, part.stop, PIXELS_AT_ONCE):
                 block = slice(first, min(first + PIXELS_AT_ONCE, part.stop))
-                here = (pixel[0][block], pixel[1][block])
-                found[here] = _pairs_of(
-                    covariance[here] / noise_power, grid, looks[here], single[here], levels[:, block]
-                )
+                here = row[block], col[block]
+                pixels = looks.covariance[here] / looks.noise_power
+                pixels = pixels if beams.is_complex else pixels.real
+                found[here] = _pairs_of(pixels, grid, looks.count[here], single[here], levels[:, block])
 
-        in_parallel(work, pixel[0].size, PIXELS_AT_ONCE)
+        in_parallel(work, row.size, PIXELS_AT_ONCE)
     return TwoScatterers(np.isfinite(found[:, :, 0, 0]), found[:, :, 0], found[:, :, 1], found[:, :, 2])
 
 
 def resolve_layover(
-    estimate: ElevationEstimate,
-    looks: Looks,
-    beams: Beams,
-    squint: F64,
-    noise_power: float,
-    min_cnr: float,
-    false_alarm: float = FALSE_ALARM,
+    estimate: ElevationEstimate, looks: Looks, beams: Beams, min_cnr: float, false_alarm: float
 ) -> ElevationEstimate:
     """Resolve the pixels that do not fit one scatterer into two, where two are detected.
 
     Those become TWO_SCATTERERS: the stronger one replaces the estimate, the weaker one is the second. Both must have
-    `min_cnr`.
-
-    Args:
-        estimate: by all detectors (`likelihood.ml_elevation`); with fewer than three it is returned as it is.
-        looks: covariance of M channels in each pixel.
-        beams: of the M detectors.
-        squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in every channel.
-        min_cnr: least usable power ratio.
-        false_alarm: share of single scatterers that may be taken for two, of those that do not pass for one.
+    `min_cnr`. The other arguments are those of `two_scatterers`, and an estimate by all detectors.
     """
-    if beams.count < 3:
-        return estimate
-    row, col = np.nonzero(estimate.validity == Validity.NOT_ONE_SCATTERER)
-    pixels, single = looks.covariance[row, col][None], estimate.elevation[row, col][None]
-    two = two_scatterers(pixels, beams, squint[col], noise_power, looks.count[row, col][None], single, false_alarm)
-    found = two.detected[0] & (two.power[0] >= min_cnr).all(axis=-1)
-    row, col, order = row[found], col[found], np.argsort(-two.power[0][found], axis=-1)
-    values = (np.take_along_axis(part[0][found], order, axis=-1).T for part in (two.elevation, two.sigma, two.power))
-    surfaces = [estimate.elevation.copy(), estimate.sigma.copy(), estimate.cnr.copy()]
-    second = [np.full(estimate.elevation.shape, np.nan) for _ in surfaces]
-    for surface, other, (stronger, weaker) in zip(surfaces, second, values, strict=True):
-        surface[row, col], other[row, col] = stronger, weaker
-    validity = estimate.validity.copy()
-    validity[row, col] = Validity.TWO_SCATTERERS
-    elevation, sigma, cnr = surfaces
-    return ElevationEstimate(elevation, sigma, cnr, validity, SecondScatterer(*second))
+    suspicious = estimate.validity == Validity.NOT_ONE_SCATTERER
+    two = two_scatterers(looks, beams, estimate.elevation, suspicious, false_alarm)
+    resolved = two.detected & (two.power >= min_cnr).all(axis=-1)
+    order = np.argsort(-two.power, axis=-1)
+    elevation, sigma, cnr = (np.take_along_axis(f, order, axis=-1) for f in (two.elevation, two.sigma, two.power))
+    return ElevationEstimate(
+        elevation=np.where(resolved, elevation[..., 0], estimate.elevation),
+        sigma=np.where(resolved, sigma[..., 0], estimate.sigma),
+        cnr=np.where(resolved, cnr[..., 0], estimate.cnr),
+        validity=np.where(resolved, Validity.TWO_SCATTERERS, estimate.validity).astype(np.uint8),
+        second=SecondScatterer(*(np.where(resolved, part[..., 1], np.nan) for part in (elevation, sigma, cnr))),
+    )
 
 
 def _thresholds(beams: Beams, squint: float, looks: F64, false_alarm: float) -> F64:
@@ -374,18 +330,3 @@ def _traces(left: Numbers, right: Numbers) -> F64:
 
 def _adjoint(matrix: Numbers) -> Numbers:
     return np.swapaxes(matrix.conj(), -1, -2)
-
-
-def _require(
-    covariance: Covariance, beams: Beams, noise_power: float, looks_count: npt.ArrayLike, false_alarm: float
-) -> None:
-    if beams.count < 3:
-        raise UserError(f"The sensor has {beams.count} detectors; telling two scatterers from one needs 3 or more.")
-    if beams.is_complex and not np.iscomplexobj(covariance):
-        raise UserError(REAL_COVARIANCE)
-    if not (np.isfinite(noise_power) and noise_power > 0):
-        raise UserError(f"The noise power is {noise_power:g}; it must be finite and greater than 0.")
-    if np.any(np.asarray(looks_count) < 1):
-        raise UserError(f"The number of looks is {np.min(looks_count):g}; it must be 1 or more.")
-    if not 0 < false_alarm <= 0.1:
-        raise UserError(f"The share of false alarms is {false_alarm:g}; it must be above 0 and up to 0.1.")

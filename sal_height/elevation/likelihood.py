@@ -11,17 +11,17 @@ or w^H R w with the weights w = a / |a| or w = a.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation.bounds import stochastic_deviation, unit_vectors
-from sal_height.elevation.estimate import ElevationEstimate, Validity, ValidityRules, array_fit, decide_validity
-from sal_height.elevation.looks import Covariance, Covariances, Looks
+from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
+from sal_height.elevation.looks import Covariance, Looks
 from sal_height.elevation.search import Columns, Objective, PeakSearch, PeakSearches
-from sal_height.errors import UserError
-from sal_height.numeric import F64
+from sal_height.elevation.settings import HeightSettings
+from sal_height.numeric import F64, Bool
 from sal_height.settings import setting
 
 GUARD = 3.0
@@ -58,8 +58,8 @@ Spectrum = Callable[[Covariance, F64], Covariance]
 for its highest peak is u^H S u with the unit response u = a / |a|."""
 
 
-class ArrayRules(ValidityRules):
-    """When an estimate by the whole array is valid."""
+class ArraySettings(HeightSettings):
+    """Settings of the estimators that take the whole array."""
 
     ambiguous_ratio: float = setting(
         AMBIGUOUS_RATIO,
@@ -72,9 +72,6 @@ class ArrayRules(ValidityRules):
     def margin(self) -> float:
         """Least distance in log-likelihood between the highest peak and the second: ln(ambiguous_ratio)."""
         return float(np.log(self.ambiguous_ratio))
-
-
-DEFAULT_ARRAY_RULES = ArrayRules()
 
 
 def _normalised(response: F64, slope: F64) -> tuple[F64, F64]:
@@ -93,112 +90,69 @@ OBJECTIVES: dict[str, Objective] = {"normalised": _normalised, "numerator": _num
 """Weights w and their slope from response a and slope a' (real, (..., detectors)); the paper's is "numerator"."""
 
 
-def peak_elevation(covariance: Covariances, beams: Beams, squint: F64, objective: Objective, guard: float) -> F64:
+def search_guard(beams: Beams) -> float:
+    """How far beyond the array is searched, rad: GUARD, but 0 for two detectors."""
+    return GUARD * beams.beamwidth if beams.count > 2 else 0.0
+
+
+def peak_elevation(looks: Looks, beams: Beams, objective: Objective, guard: float) -> F64:
     """Elevation (rad) of the greatest objective in every pixel, shape (rows, cols).
 
     Args:
-        covariance: shape (rows, cols, channels, channels); complex if the beams are.
+        looks: covariance of M channels in each pixel; complex if the beams are.
         beams: of the channels.
-        squint: of each column, rad, shape (cols,).
         objective: one of OBJECTIVES.
         guard: how far beyond the array is searched, rad (`Beams.domain`); with `search_guard` targets outside show.
 
     Raises:
         UserError: the beams have no elevation in common, or are complex where the covariance is not.
     """
-    searches = PeakSearches.over(beams, np.unique(squint), objective, guard)
-    (elevation,) = searches.of_pixels(covariance, squint, 1, lambda search, pixels, *_: search.peaks(pixels).elevation)
+    searches = PeakSearches.over(beams, looks.squint, objective, guard)
+    (elevation,) = searches.of_pixels(looks, 1, lambda search, pixels, *_: search.peaks(pixels).elevation)
     return elevation
 
 
-def search_guard(beams: Beams) -> float:
-    """How far beyond the array is searched, rad: GUARD, but 0 for two detectors."""
-    return GUARD * beams.beamwidth if beams.count > 2 else 0.0
-
-
-def ml_elevation(
-    looks: Looks,
-    beams: Beams,
-    squint: F64,
-    noise_power: float,
-    objective: Objective,
-    min_cnr: float,
-    rules: ArrayRules = DEFAULT_ARRAY_RULES,
-) -> ElevationEstimate:
-    """Elevation of the dominant scatterer in every pixel: the highest peak over the array and the guard beyond.
-
-    Args:
-        looks: covariance of M channels in each pixel.
-        beams: of the M detectors.
-        squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in every channel (`whitened_channels`).
-        objective: one of OBJECTIVES.
-        min_cnr: pixels below this power ratio are LOW_CNR.
-        rules: of validity.
-
-    Raises:
-        UserError: fewer than two detectors, or a real covariance of complex beams.
-    """
-    _require_two(beams)
-    margin = rules.margin
-
-    def find(search: PeakSearch, pixels: Covariance, *_: object) -> F64:
-        peaks = search.peaks(pixels, margin * noise_power)
-        share = np.divide(peaks.second, peaks.height, where=peaks.height > 0, out=np.zeros_like(peaks.height))
-        return np.vstack([peaks.elevation, share, search.fit(pixels, peaks.elevation)])
-
-    searches = PeakSearches.over(beams, np.unique(squint), objective, search_guard(beams))
-    elevation, share, explained, gain, turning = searches.of_pixels(looks.covariance, squint, 5, find)
-    estimate = _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr, rules)
-    if beams.count > 2:
-        ambiguous = (estimate.validity == Validity.OK) & ((1 - share) * explained < margin * noise_power)
-        estimate.validity[ambiguous] = Validity.AMBIGUOUS
-    return estimate
-
-
-def _require_two(beams: Beams) -> None:
-    if beams.count < 2:
-        raise UserError(f"The sensor has {beams.count} detector; elevation needs 2 or more.")
-
-
-def estimate_at(
-    elevation: F64,
-    looks: Looks,
-    beams: Beams,
-    squint: F64,
-    noise_power: float,
-    min_cnr: float,
-    rules: ArrayRules = DEFAULT_ARRAY_RULES,
-) -> ElevationEstimate:
+def estimate_at(elevation: F64, looks: Looks, beams: Beams, settings: ArraySettings) -> ElevationEstimate:
     """The estimate of scatterers whose likelihood peaks at given elevations (rad, shape (rows, cols)).
 
-    The other arguments are those of `ml_elevation`. No pixel is AMBIGUOUS, as other peaks are not looked at.
+    No pixel is AMBIGUOUS, as other peaks are not looked at.
     """
 
     def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> F64:
         return search.fit(pixels, elevation[rows, cols].reshape(-1))
 
-    searches = PeakSearches.over(beams, np.unique(squint), _normalised, search_guard(beams))
-    explained, gain, turning = searches.of_pixels(looks.covariance, squint, 3, find)
-    return _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr, rules)
+    searches = PeakSearches.over(beams, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
+    return _estimate(elevation, searches.of_pixels(looks, 3, find), looks, beams, settings)
 
 
-def estimate_at_peak(
-    spectrum: Spectrum,
-    looks: Looks,
-    beams: Beams,
-    squint: F64,
-    noise_power: float,
-    min_cnr: float,
-    rules: ArrayRules = DEFAULT_ARRAY_RULES,
-) -> ElevationEstimate:
+def estimate_at_highest(objective: Objective, looks: Looks, beams: Beams, settings: ArraySettings) -> ElevationEstimate:
+    """The estimate at the highest peak of one of OBJECTIVES over the array and the guard beyond.
+
+    A pixel is AMBIGUOUS where its likelihood is less than `ambiguous_ratio` times that of the second highest peak.
+
+    Raises:
+        UserError: a real covariance of complex beams.
+    """
+    margin = settings.margin * looks.noise_power
+
+    def find(search: PeakSearch, pixels: Covariance, *_: object) -> F64:
+        peaks = search.peaks(pixels, margin)
+        share = np.divide(peaks.second, peaks.height, where=peaks.height > 0, out=np.zeros_like(peaks.height))
+        fit = search.fit(pixels, peaks.elevation)
+        return np.vstack([peaks.elevation, (1 - share) * fit[0], fit])
+
+    searches = PeakSearches.over(beams, looks.squint, objective, search_guard(beams))
+    elevation, lead, *fit = searches.of_pixels(looks, 5, find)
+    return _without_ambiguous(_estimate(elevation, fit, looks, beams, settings), lead < margin, beams)
+
+
+def estimate_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, settings: ArraySettings) -> ElevationEstimate:
     """Elevation where the quadratic form of another spectrum is greatest; sigma and validity by the likelihood there.
 
-    A pixel is AMBIGUOUS where its likelihood is less than `ambiguous_ratio` times that of another peak. Arguments and
-    errors are those of `ml_elevation`.
+    A pixel is AMBIGUOUS where its likelihood is less than `ambiguous_ratio` times that of another peak. Errors are
+    those of `estimate_at_highest`.
     """
-    _require_two(beams)
-    margin = rules.margin * noise_power
+    margin = settings.margin * looks.noise_power
 
     def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> F64:
         found = search.peaks(spectrum(pixels, looks.count[rows, cols].reshape(-1))).elevation
@@ -207,24 +161,20 @@ def estimate_at_peak(
         fit = search.fit(pixels, found)
         return np.vstack([found, fit[0] - np.where(at_it, likely.second, likely.height), fit])
 
-    searches = PeakSearches.over(beams, np.unique(squint), _normalised, search_guard(beams))
-    elevation, lead, explained, gain, turning = searches.of_pixels(looks.covariance, squint, 5, find)
-    estimate = _estimate(elevation, explained, gain, turning, looks, beams, noise_power, min_cnr, rules)
+    searches = PeakSearches.over(beams, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
+    elevation, lead, *fit = searches.of_pixels(looks, 5, find)
+    return _without_ambiguous(_estimate(elevation, fit, looks, beams, settings), lead < margin, beams)
+
+
+def _without_ambiguous(estimate: ElevationEstimate, ambiguous: Bool, beams: Beams) -> ElevationEstimate:
+    """Mark valid pixels as AMBIGUOUS, but not with two detectors, which always are."""
     if beams.count > 2:
-        estimate.validity[(estimate.validity == Validity.OK) & (lead < margin)] = Validity.AMBIGUOUS
+        estimate.validity[(estimate.validity == Validity.OK) & ambiguous] = Validity.AMBIGUOUS
     return estimate
 
 
 def _estimate(
-    elevation: F64,
-    explained: F64,
-    gain: F64,
-    turning: F64,
-    looks: Looks,
-    beams: Beams,
-    noise_power: float,
-    min_cnr: float,
-    rules: ArrayRules,
+    elevation: F64, fit: Sequence[F64] | F64, looks: Looks, beams: Beams, settings: ArraySettings
 ) -> ElevationEstimate:
     """Sigma, CNR and validity from elevations and `PeakSearch.fit` there, all of the shape (rows, cols).
 
@@ -232,14 +182,15 @@ def _estimate(
     of errors about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB with 2 looks, and in fewer
     elsewhere, another peak is higher.
     """
-    explained = explained / noise_power
+    explained, gain, turning = fit
+    explained = explained / looks.noise_power
     cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
     first, last = beams.span
     inside = (elevation >= first) & (elevation <= last)
-    fit = array_fit(looks, noise_power, explained)
+    strong = cnr >= settings.min_cnr
     return ElevationEstimate(
         elevation=elevation,
         sigma=stochastic_deviation((explained - noise) / gain, noise, gain, turning * gain),
         cnr=cnr,
-        validity=decide_validity(looks, fit, cnr >= min_cnr, inside, Validity.OUTSIDE_ARRAY, rules),
+        validity=decide_validity(looks, array_fit(looks, explained), strong, inside, Validity.OUTSIDE_ARRAY, settings),
     )

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import Protocol, Self, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from sal_height.elevation._look_kernels import find_centres, sum_covariances, sum_powers, sum_samples
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid
-from sal_height.numeric import C64, F32, F64, Bool, Complex, Index, in_parallel
+from sal_height.numeric import C64, F32, F64, Bool, Index, in_parallel
+from sal_height.sensor import Channels
 
 Indices = slice | Index
 Covariance: TypeAlias = F32 | C64
@@ -86,13 +88,15 @@ class Window:
         return there @ self.weights, there @ self.weights**2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Looks:
-    """Covariance of the channels in each pixel of the height image, shape (rows, cols), and where its power lies.
+    """What the channels have observed in each pixel of the height image: all that an estimator takes, but the beams.
 
     Attributes:
         covariance: sum_k w_k g_k g_k^H, shape (rows, cols, channels, channels): complex64, or its real part as float32.
             Real beams need no more (a^T R a = a^T Re(R) a for any real a).
+        squint: of each column, rad, shape (cols,).
+        noise_powers: E|n|^2 of one look in each channel, shape (channels,).
         count: number of looks K, shape (rows, cols). For weighted looks (sum w)^2 / sum w^2, and the weights are scaled
             to have that sum: mean and variance of the noise are then those of K looks.
         row: power-weighted mean row of the looks, in SLC pixels, shape (rows, cols); the middle if there is no power.
@@ -102,11 +106,39 @@ class Looks:
     """
 
     covariance: Covariances
+    squint: F64
+    noise_powers: F64
     count: F64
     row: F64
     col: F64
     power: F64
     finite: Bool
+
+    @classmethod
+    def of(
+        cls, covariance: Covariance, count: float, squint: npt.ArrayLike = 0.0, noise_power: npt.ArrayLike = 1.0
+    ) -> Self:
+        """Looks of a known covariance (rows, cols, channels, channels), each pixel where its row and column are.
+
+        `squint` (rad) broadcasts with the columns, `noise_power` with the channels.
+        """
+        rows, cols, channels, _ = covariance.shape
+        row, col = np.indices((rows, cols), dtype=np.float64)
+        return cls(
+            covariance,
+            squint=np.full(cols, squint, np.float64),
+            noise_powers=np.full(channels, noise_power, np.float64),
+            count=np.full((rows, cols), count, np.float64),
+            row=row,
+            col=col,
+            power=np.trace(covariance.real, axis1=-2, axis2=-1, dtype=np.float64),
+            finite=np.ones((rows, cols), np.bool_),
+        )
+
+    @property
+    def noise_power(self) -> float:
+        """E|n|^2 of one look in every channel, if their noise is equal (`whitened_channels`)."""
+        return float(self.noise_powers[0])
 
 
 @dataclass(frozen=True)
@@ -186,13 +218,7 @@ def live_detectors(slc: C64) -> Index:
     return np.array(live)
 
 
-def windowed_looks(
-    slc: C64,
-    down: Window,
-    across: Window,
-    hermitian: bool = False,
-    transform: Complex | None = None,
-) -> Looks:
+def windowed_looks(slc: C64, windows: tuple[Window, Window], squint: F64, channels: Channels, hermitian: bool) -> Looks:
     """Sum up the looks of every pixel of the height image.
 
     On sloping ground the looks of a pixel come from different ranges and elevations; the power-weighted centre is the
@@ -201,21 +227,20 @@ def windowed_looks(
 
     Args:
         slc: images of all channels, shape (channels, rows, cols); the covariances are computed from them on demand.
-        down: looks in range.
-        across: looks in azimuth.
+        windows: looks in range and in azimuth.
+        squint: of each column of the height image, rad, shape (cols,).
+        channels: that the estimator takes, from those of the images.
         hermitian: whether the covariance is complex, as complex beams need it (`Beams.is_complex`).
-        transform: matrix by which the channels are multiplied (`whitened_channels`), shape (channels, channels);
-            None leaves them as they are.
 
     Raises:
         UserError: more looks than the image has pixels.
     """
-    channels, rows, cols = slc.shape
+    (down, across), transform, (rows, cols) = windows, channels.transform, slc.shape[1:]
     high, wide = len(down.weights), len(across.weights)
     if high > rows or wide > cols:
         raise UserError(f"Looks are {high} x {wide} in an image of {rows} x {cols} pixels; they must fit in it.")
-    gains = np.ones(channels, np.complex64) if transform is None else np.diag(transform).astype(np.complex64)
-    if transform is not None and np.any(transform != np.diag(np.diag(transform))):
+    gains = np.diag(transform).astype(np.complex64)
+    if np.any(transform != np.diag(np.diag(transform))):
         slc, gains = np.tensordot(transform.astype(np.complex64), slc, axes=1), np.ones_like(gains)
     numbers = np.ascontiguousarray(slc, dtype=np.complex64).view(np.float32)
     sums, squares = (np.multiply.outer(*pair) for pair in zip(down.sums(rows), across.sums(cols), strict=True))
@@ -230,6 +255,8 @@ def windowed_looks(
     scale = np.where(finite, sums / squares, 0.0)
     return Looks(
         covariance=SlcCovariance(numbers, down, across, gains, scale.astype(np.float32), hermitian),
+        squint=squint,
+        noise_powers=channels.noise_powers,
         count=sums**2 / squares,
         row=row,
         col=col,

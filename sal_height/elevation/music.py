@@ -14,47 +14,39 @@ import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.likelihood import DEFAULT_ARRAY_RULES, ArrayRules, estimate_at_peak
+from sal_height.elevation.likelihood import ArraySettings, estimate_by_spectrum
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.errors import UserError
 from sal_height.numeric import F64
+from sal_height.sensor import MAX_DETECTORS
+from sal_height.settings import setting
 
 
-def music_elevation(
-    looks: Looks,
-    beams: Beams,
-    squint: F64,
-    noise_power: float,
-    min_cnr: float,
-    order: int = 1,
-    rules: ArrayRules = DEFAULT_ARRAY_RULES,
-) -> ElevationEstimate:
+class MusicSettings(ArraySettings):
+    """Settings of MUSIC."""
+
+    order: int = setting(
+        1, "dimensions of the signal subspace; fewer than there are detectors", minimum=1, maximum=MAX_DETECTORS - 1
+    )
+
+
+def music_elevation(looks: Looks, beams: Beams, settings: MusicSettings) -> ElevationEstimate:
     """Elevation of the highest peak of MUSIC's spectrum in every pixel.
 
     Of order 2 a second scatterer close by displaces it less, but a single one is estimated with more noise: sigma is
     that of maximum likelihood over sqrt(1 - (order - 1) / (M - 1)), because the additional eigenvectors take so many
-    of the M - 1 dimensions in which the response can turn.
-
-    Args:
-        looks: covariance of M channels in each pixel.
-        beams: of the M detectors.
-        squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in every channel.
-        min_cnr: pixels below this power ratio are LOW_CNR.
-        order: dimensions of the signal subspace, from 1 to M - 1.
-        rules: of validity.
+    of the M - 1 dimensions in which the response can turn. Arguments as of `ml_elevation`.
 
     Raises:
-        UserError: the order is out of range; or as in `ml_elevation`.
+        UserError: the order is not less than the number of detectors; or as in `ml_elevation`.
     """
-    if not 1 <= order < max(beams.count, 2):
-        raise UserError(
-            f"The order of MUSIC is {order} with {beams.count} detectors; it must be 1 or more and less than that."
-        )
+    order, count = settings.order, beams.count
+    if order >= count:
+        raise UserError(f"The order of MUSIC is {order} with {count} detectors; it must be less than that.")
 
     def spectrum(covariance: Covariance, _count: F64) -> Covariance:
         signal = np.linalg.eigh(covariance)[1][:, :, -order:]
         return signal @ np.swapaxes(signal.conj(), 1, 2)
 
-    estimate = estimate_at_peak(spectrum, looks, beams, squint, noise_power, min_cnr, rules)
-    return replace(estimate, sigma=estimate.sigma / np.sqrt(1 - (order - 1) / (beams.count - 1)))
+    estimate = estimate_by_spectrum(spectrum, looks, beams, settings)
+    return replace(estimate, sigma=estimate.sigma / np.sqrt(1 - (order - 1) / (count - 1)))

@@ -26,7 +26,7 @@ from sal_height.elevation._kernels import (
     evaluate_on_grid,
     fit_scatterer,
 )
-from sal_height.elevation.looks import Covariance, Covariances
+from sal_height.elevation.looks import Covariance, Looks
 from sal_height.errors import UserError
 from sal_height.numeric import F32, F64, Index, in_parallel
 
@@ -195,8 +195,8 @@ class PeakSearches:
     at: Callable[[float], PeakSearch]
 
     @classmethod
-    def over(cls, beams: Beams, squints: F64, objective: Objective, guard: float) -> Self:
-        """Searches over `beams.domain(guard)` for targets at any of `squints` (distinct; angles in rad).
+    def over(cls, beams: Beams, squint: F64, objective: Objective, guard: float) -> Self:
+        """Searches over `beams.domain(guard)` for targets at the `squint` of any column (angles in rad).
 
         The columns of a spotlight image all have squints of their own. Over squint the beams are as smooth as over
         elevation, so that a polynomial through a few of them (Chebyshev nodes) stands for any between them.
@@ -204,7 +204,7 @@ class PeakSearches:
         Raises:
             UserError: the beams have no elevation in common.
         """
-        first, last = beams.domain(guard)
+        squints, (first, last) = np.unique(squint), beams.domain(guard)
         grid_steps = max(1, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))))
         nodes = np.linspace(first, last, TABLE_STEPS * grid_steps + 1)
 
@@ -228,23 +228,22 @@ class PeakSearches:
 
         return cls(nodes, interpolated)
 
-    def of_pixels(self, covariance: Covariances, squint: F64, count: int, find: Find) -> F64:
+    def of_pixels(self, looks: Looks, count: int, find: Find) -> F64:
         """Find `count` numbers for every pixel, shape (count, rows, cols), block by block on all processors.
 
         Args:
-            covariance: shape (rows, cols, channels, channels).
-            squint: of each column, rad, shape (cols,).
+            looks: covariance of the channels in each pixel.
             count: of numbers.
             find: gives them for the pixels of a block, which all have the same squint.
         """
-        result = np.empty((count, *covariance.shape[:2]))
+        result = np.empty((count, *looks.count.shape))
 
         def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
-            pixels = covariance[rows, cols]
+            pixels = looks.covariance[rows, cols]
             found = find(search, pixels.reshape(-1, *pixels.shape[2:]), rows, cols)
             result[:, rows, cols] = found.reshape(count, *pixels.shape[:2])
 
-        self.each(squint, covariance.shape[0], work)
+        self.each(looks.squint, len(looks.count), work)
         return result
 
     def each(self, squint: F64, rows: int, work: Callable[[PeakSearch, slice, Columns], object]) -> None:

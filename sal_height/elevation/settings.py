@@ -1,16 +1,40 @@
-"""Settings that all height estimators share: which looks make a pixel, and which pixels are valid."""
+"""Settings that all estimators share: which looks make a pixel, and which pixels are valid."""
 
 from __future__ import annotations
 
-from sal_height.elevation.estimate import ValidityRules
 from sal_height.elevation.looks import LOOK_WINDOWS, Window
 from sal_height.sensor import MAX_SHARE
-from sal_height.settings import setting
+from sal_height.settings import Settings, setting
+
+MISFIT_SHARE = 0.03
+"""Share of a pixel's explained power that may be left beyond the noise before it counts as more than one scatterer.
+
+What errors of the beams leave grows with the power of the scatterer, and would reject every bright pixel.
+"""
+
+FALSE_ALARM_RATE = 1e-4
+"""Share of single scatterers that are rejected because of noise, and of noise that passes for a scatterer.
+
+The latter is that of the strongest of M independent directions. The search sees more directions, but most of them are
+outside the array: of pixels of noise alone 0.1 to 1.7 times this share are valid, without any least CNR.
+"""
 
 
-class HeightSettings(ValidityRules):
+class HeightSettings(Settings):
     """What a height image is made with, whichever estimator makes it."""
 
+    false_alarm_rate: float = setting(
+        FALSE_ALARM_RATE,
+        "share of single scatterers that are rejected because of noise, and of pixels of noise that pass for one",
+        minimum=1e-12,
+        maximum=0.1,
+    )
+    misfit_share: float = setting(
+        MISFIT_SHARE,
+        "share of a pixel's power that may be left beyond the noise before the pixel is marked NOT_ONE_SCATTERER",
+        minimum=0.0,
+        maximum=1.0,
+    )
     range_looks: int = setting(2, "pixels averaged in range", minimum=1, maximum=4096)
     azimuth_looks: int = setting(2, "pixels averaged in azimuth", minimum=1, maximum=4096)
     range_step: int = setting(

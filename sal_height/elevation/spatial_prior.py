@@ -18,22 +18,12 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.beams import Beams
 from sal_height.elevation._kernels import concentrate, most_likely, send_along
-from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.likelihood import (
-    DEFAULT_ARRAY_RULES,
-    OBJECTIVES,
-    ArrayRules,
-    estimate_at,
-    peak_elevation,
-    search_guard,
-)
-from sal_height.elevation.looks import Covariances, Looks
+from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation, search_guard
+from sal_height.elevation.looks import Looks
 from sal_height.elevation.search import Columns, PeakSearch, PeakSearches
-from sal_height.errors import UserError
 from sal_height.numeric import F32, F64, Bool, Index, in_parallel
 
 RECOMMENDED_STRENGTH = 0.75
@@ -69,63 +59,27 @@ class _Tile:
     core: tuple[slice, slice]
 
 
-def prior_elevation(
-    looks: Looks,
-    beams: Beams,
-    squint: F64,
-    noise_power: float,
-    strength: float,
-    min_cnr: float,
-    rules: ArrayRules = DEFAULT_ARRAY_RULES,
-) -> ElevationEstimate:
-    """Elevation at the peaks of the exact likelihood that `smoothed_peaks` chooses.
-
-    The arguments are those of `likelihood.ml_elevation` and of `smoothed_peaks`; no pixel is AMBIGUOUS.
-    """
-    guard = search_guard(beams)
-    elevation = smoothed_peaks(looks.covariance, beams, squint, noise_power, looks.count, strength, guard)
-    return estimate_at(elevation, looks, beams, squint, noise_power, min_cnr, rules)
-
-
-def smoothed_peaks(
-    covariance: Covariances,
-    beams: Beams,
-    squint: F64,
-    noise_power: float,
-    looks_count: npt.ArrayLike,
-    strength: float,
-    guard: float,
-) -> F64:
-    """Elevation (rad) of the peak of the likelihood that suits the neighbours best, in every pixel, shape (rows, cols).
+def smoothed_peaks(looks: Looks, beams: Beams, strength: float) -> F64:
+    """Elevation (rad) of the peak of the exact likelihood that suits the neighbours best, in every pixel (rows, cols).
 
     Pixels of zero covariance, which stand for missing data, end the lines: neither they nor those beyond contribute.
 
     Args:
-        covariance: sum over looks, shape (rows, cols, channels, channels); complex if the beams are.
+        looks: covariance of M channels of equal noise in each pixel; complex if the beams are.
         beams: of the channels.
-        squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one look in one channel.
-        looks_count: number of looks K, of all pixels or each.
-        strength: loss of log-likelihood at a jump of elevation between neighbours, along each line; 0 gives
+        strength: loss of log-likelihood at a jump of elevation between neighbours, along each line, 0 or more; 0 gives
             `likelihood.peak_elevation` with the normalised objective; RECOMMENDED_STRENGTH suits most scenes.
-        guard: how far beyond the array is searched, rad (`Beams.domain`).
 
     Raises:
-        UserError: `strength` is negative, `noise_power` is not positive, or one is not finite; the beams have no
-            elevation in common, or are complex where the covariance is not.
+        UserError: the beams have no elevation in common, or are complex where the covariance is not.
     """
-    if not (np.isfinite(strength) and strength >= 0):
-        raise UserError(f"The strength of the spatial prior is {strength:g}; it must be finite and 0 or greater.")
-    if not (np.isfinite(noise_power) and noise_power > 0):
-        raise UserError(f"The noise power is {noise_power:g}; the spatial prior needs it finite and greater than 0.")
-    normalised = OBJECTIVES["normalised"]
-    elevation = peak_elevation(covariance, beams, squint, normalised, guard)
-    searches = PeakSearches.over(beams, np.unique(squint), normalised, guard)
-    looks = np.broadcast_to(np.asarray(looks_count, dtype=np.float64), elevation.shape)
+    normalised, guard = OBJECTIVES["normalised"], search_guard(beams)
+    elevation = peak_elevation(looks, beams, normalised, guard)
+    searches = PeakSearches.over(beams, looks.squint, normalised, guard)
     for tile in _tiles(*elevation.shape):
-        own, has_data = _log_likelihood(covariance, tile, searches, squint, noise_power, looks)
+        own, has_data = _log_likelihood(looks, tile, searches)
         messages = _messages(own, has_data, strength)
-        _move(elevation, own[tile.core], messages[tile.core], covariance, tile, searches, squint)
+        _move(elevation, own[tile.core], messages[tile.core], looks, tile, searches)
     return elevation
 
 
@@ -139,24 +93,22 @@ def _tiles(rows: int, cols: int) -> Iterator[_Tile]:
         )
 
 
-def _log_likelihood(
-    covariance: Covariances, tile: _Tile, searches: PeakSearches, squint: F64, noise_power: float, looks: F64
-) -> tuple[F32, Bool]:
+def _log_likelihood(looks: Looks, tile: _Tile, searches: PeakSearches) -> tuple[F32, Bool]:
     """Log-likelihood ratio to noise alone at every node of the grid, and which pixels of the tile have data.
 
     It is K (q - ln q - 1) with q = a^H R a / (K sigma^2 |a|^2), or 0 for q < 1: maximised over the power of Gaussian
     amplitudes. Shapes (rows, cols, grid nodes) and (rows, cols).
     """
-    shape, angles = (tile.rows.size, tile.cols.size), squint[tile.cols]
+    shape, angles = (tile.rows.size, tile.cols.size), looks.squint[tile.cols]
     own = np.empty((*shape, searches.at(float(angles[0])).grid.shape[1]), np.float32)
     has_data = np.empty(shape, dtype=np.bool_)
 
     def work(search: PeakSearch, some: slice, columns: Columns) -> None:
         here = tile.rows[some, None], tile.cols[columns]
-        pixels, count = covariance[here], looks[here]
+        pixels, count = looks.covariance[here], looks.count[here]
         has_data[some, columns] = np.any(np.diagonal(pixels, axis1=-2, axis2=-1) != 0, axis=-1)
         values = search.on_grid(pixels.reshape(-1, *pixels.shape[2:]))
-        concentrate(values, noise_power, count.reshape(-1))
+        concentrate(values, looks.noise_power, count.reshape(-1))
         own[some, columns] = values.reshape(*count.shape, -1)
 
     searches.each(angles, len(tile.rows), work)
@@ -184,15 +136,7 @@ def _starts(rows: int, cols: int, step: tuple[int, int]) -> Index:
     return np.argwhere(~inside)
 
 
-def _move(
-    elevation: F64,
-    own: F32,
-    messages: F32,
-    covariance: Covariances,
-    tile: _Tile,
-    searches: PeakSearches,
-    squint: F64,
-) -> None:
+def _move(elevation: F64, own: F32, messages: F32, looks: Looks, tile: _Tile, searches: PeakSearches) -> None:
     """Move pixels of the tile's core to another peak if their neighbours prefer it: changes `elevation` (rad) in place.
 
     `own` and `messages` are of the core.
@@ -207,6 +151,6 @@ def _move(
         row, col = np.nonzero(together[part, columns] != alone[part, columns])
         row, col = row + part.start, np.arange(len(cols))[columns][col]
         there = rows[row], cols[col]
-        elevation[there] = search.peaks_uphill(covariance[there], together[row, col])
+        elevation[there] = search.peaks_uphill(looks.covariance[there], together[row, col])
 
-    searches.each(squint[cols], len(rows), work)
+    searches.each(looks.squint[cols], len(rows), work)

@@ -273,12 +273,8 @@ def _registered_elevations(
     """Elevations as the node of an estimator gives them, shape (trials,); NaN where there is none."""
 
     def elevations(matrices: Covariance) -> F64:
-        pixels = matrices[:, None]
-        middle = np.zeros(pixels.shape[:2])
-        power = np.trace(pixels.real, axis1=-2, axis2=-1, dtype=np.float64)
-        looks = Looks(pixels, middle + experiment.looks, middle, middle, power, np.ones(middle.shape, dtype=np.bool_))
-        found = estimator.estimate(looks, experiment.beams, np.zeros(1), np.ones(experiment.beams.count), settings)
-        return found.elevation[:, 0]
+        looks = Looks.of(matrices[:, None], experiment.looks)
+        return estimator.estimate(looks, experiment.beams, settings).elevation[:, 0]
 
     return _from_covariances(experiment, power, elevations)
 

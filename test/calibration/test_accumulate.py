@@ -13,8 +13,8 @@ from helpers import assert_one_sentence, circular, multilook
 from sal_height.beams.array import Beams, column_squint
 from sal_height.calibration.accumulate import Calibrator, brightest, common_response, targets_in
 from sal_height.calibration.beams import BeamCalibration
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
 from sal_height.elevation.looks import Looks
+from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.errors import NotDetermined
 from sal_height.figures.synthetic_tape import RangeFault, Target, make_tape
 from sal_height.geometry.earth import sphere_point
@@ -120,8 +120,8 @@ def test_beams_are_told_by_images_of_white_noise_power(monkeypatch: pytest.Monke
     """Of noise alone, channels have the power that the likelihood is told, within 5 standard errors of 2000 looks."""
     given: list[Any] = []
 
-    def remember(looks: Looks, _beams: Beams, _squint: Any, noise_power: float) -> BeamCalibration:
-        given.append(looks.power.sum() / looks.count.sum() / looks.covariance.shape[-1] / noise_power)
+    def remember(looks: Looks, _beams: Beams) -> BeamCalibration:
+        given.append(looks.power.sum() / looks.count.sum() / looks.covariance.shape[-1] / looks.noise_power)
         return BeamCalibration.none(8)
 
     monkeypatch.setattr("sal_height.calibration.accumulate.calibrate_beams", remember)
@@ -218,9 +218,9 @@ def test_heights_of_a_pair_lose_their_bias_by_a_reference_target() -> None:
     biases = []
     for frames in (history, calibration.equalised(history)):
         after = focus_dwell(frames, track, sensor, ImageSettings(cols=12))
-        looks = multilook(after.images, 1, 1)
         squint = column_squint(after.grid, after.aperture, sensor.beams, sensor.look_side)
-        found = ml_elevation(looks, sensor.beams, squint, after.noise_power[0], OBJECTIVES["normalised"], 1.0)
+        looks = multilook(after.images, 1, 1, squint=squint, noise_power=after.noise_power[0])
+        found = ml_elevation(looks, sensor.beams, MlSettings(min_cnr_db=0.0, layover=False))
         brightest = np.unravel_index(np.argmax(looks.power), looks.power.shape)
         biases.append(abs(float(found.elevation[brightest]) - float(elevation)) / sensor.beamwidth)
     assert biases[0] > 0.02

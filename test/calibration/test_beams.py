@@ -56,9 +56,7 @@ def draw_samples(rng: np.random.Generator, beams: Beams, elevation: Array, squin
 
 def looks_of(samples: ComplexArray) -> Looks:
     """A column of pixels."""
-    matrices, one = covariance(samples, True), np.ones((len(samples), 1))
-    power = np.trace(matrices, axis1=1, axis2=2).real[:, None]
-    return Looks(matrices[:, None], samples.shape[1] * one, one, one, power, one > 0)
+    return Looks.of(covariance(samples, True)[:, None], samples.shape[1])
 
 
 def draw_scene(rng: np.random.Generator, beams: Beams, pixels: int, cnr: float, looks: int = 4) -> Looks:
@@ -85,7 +83,7 @@ def trials() -> tuple[Array, Array]:
     for seed in range(20):
         rng, beams = np.random.default_rng(seed), make_beams("jinc", 8)
         truth = draw_truth(rng, 8)
-        found = calibrate_beams(draw_scene(rng, beams_with(beams, truth), 10_000, 10.0), beams, NADIR, 1.0)
+        found = calibrate_beams(draw_scene(rng, beams_with(beams, truth), 10_000, 10.0), beams)
         rows.append((errors(found, truth), sigmas(found)))
     return np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
 
@@ -106,7 +104,7 @@ def test_errors_are_a_tenth_of_what_they_were() -> None:
     """5 %, .5 dB and 5 degrees at 15 dB; the benchmark measures 200 000 pixels of 16 detectors."""
     rng, beams = np.random.default_rng(1), make_beams("sinc", 8)
     truth = draw_truth(rng, 8)
-    found = calibrate_beams(draw_scene(rng, beams_with(beams, truth), 10_000, 10**1.5), beams, NADIR, 1.0)
+    found = calibrate_beams(draw_scene(rng, beams_with(beams, truth), 10_000, 10**1.5), beams)
     error = errors(found, truth)
     assert abs(error[0]) < 0.005
     assert np.sqrt(np.mean(error[1:9] ** 2)) < 0.05 * DB
@@ -119,7 +117,7 @@ def test_errors_are_a_tenth_of_what_they_were() -> None:
 def test_stated_errors_are_at_the_bound(pattern: str, channels: int) -> None:
     """Within 6 %: pixels that are too dark, some 3 %, and weights that take CNR as great are not in the bound."""
     rng, beams = np.random.default_rng(2), make_beams(pattern, channels)
-    found = calibrate_beams(draw_scene(rng, beams, 20_000, 10**1.5), beams, NADIR, 1.0)
+    found = calibrate_beams(draw_scene(rng, beams, 20_000, 10**1.5), beams)
     assert sigmas(found) / cramer_rao_bound(beams, 20_000, 10**1.5, 4) == pytest.approx(1, abs=0.06)
 
 
@@ -244,13 +242,13 @@ def test_elevations_lose_their_bias() -> None:
     """In beamwidths: means of 4000 errors have the standard error 2e-4 at 20 dB; the calibration's own is 1e-3."""
     rng, beams = np.random.default_rng(4), make_beams("jinc", 8)
     truth = beams_with(beams, draw_truth(rng, 8))
-    found = calibrate_beams(draw_scene(rng, truth, 20_000, 10**1.5), beams, NADIR, 1.0)
+    found = calibrate_beams(draw_scene(rng, truth, 20_000, 10**1.5), beams)
     described, calibrated = [], []
     for offset in (-1.3, 0.1, 1.4):
         target = np.full(4000, elevation_at(offset))
-        seen = looks_of(draw_samples(rng, truth, target, np.zeros(4000), 100.0, 4)).covariance
+        seen = looks_of(draw_samples(rng, truth, target, np.zeros(4000), 100.0, 4))
         for biases, used in ((described, beams), (calibrated, beams_with(beams, found))):
-            elevation = peak_elevation(seen, used, NADIR, OBJECTIVES["normalised"], 0.0)
+            elevation = peak_elevation(seen, used, OBJECTIVES["normalised"], 0.0)
             biases.append(float(np.mean(elevation - target[0])) / BEAMWIDTH)
     assert np.max(np.abs(described)) > 0.01
     assert np.max(np.abs(calibrated)) < 0.002
@@ -265,15 +263,15 @@ def test_columns_have_their_squint() -> None:
     across = np.tile(squint, 250)
     samples = draw_samples(rng, beams_with(beams, truth), rng.uniform(first, last, 10_000), across, 30.0, 2)
     slc = samples.reshape(250, 80, 6).transpose(2, 0, 1)
-    found = calibrate_beams(multilook(slc, 1, 2, hermitian=True), beams, squint, 1.0)
+    found = calibrate_beams(multilook(slc, 1, 2, hermitian=True, squint=squint), beams)
     assert np.max(np.abs(errors(found, truth) / sigmas(found))) < 4
 
 
 def test_noise_power_is_the_unit() -> None:
     rng, beams = np.random.default_rng(6), make_beams("sinc", 4)
     looks = draw_scene(rng, beams, 2000, 30.0)
-    louder = replace(looks, covariance=looks.covariance[:] * np.float32(4))
-    one, four = calibrate_beams(looks, beams, NADIR, 1.0), calibrate_beams(louder, beams, NADIR, 4.0)
+    louder = replace(looks, covariance=looks.covariance[:] * np.float32(4), noise_powers=np.full(4, 4.0))
+    one, four = calibrate_beams(looks, beams), calibrate_beams(louder, beams)
     assert errors(four, one) == pytest.approx(np.zeros(9), abs=1e-6)
     assert sigmas(four) == pytest.approx(sigmas(one), rel=1e-4)
 
@@ -287,7 +285,7 @@ def test_bad_pixels_and_layover_are_left_out() -> None:
     samples[::3] += draw_samples(rng, beams, target[1], zero, 15.0, 4)[::3]
     looks = looks_of(samples)
     looks.finite[:1000] = False
-    found = calibrate_beams(looks, beams, NADIR, 1.0)
+    found = calibrate_beams(looks, beams)
     assert 6500 < found.pixels < 8500
     assert found.width_factor == pytest.approx(1, abs=0.004)
 
@@ -297,14 +295,14 @@ def test_scatterers_beyond_the_boresights_are_left_out() -> None:
     rng, beams = np.random.default_rng(13), make_beams("sinc", 6)
     elevation = elevation_at(rng.uniform(-2.5, 2.5, 4000))
     looks = looks_of(draw_samples(rng, beams, elevation, np.zeros(4000), 100.0, 4))
-    assert calibrate_beams(looks, beams, NADIR, 1.0).pixels == pytest.approx(2000, rel=0.06)
+    assert calibrate_beams(looks, beams).pixels == pytest.approx(2000, rel=0.06)
 
 
 def test_the_order_in_which_threads_finish_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     """The blocks of pixels are taken in order, then backwards; the id of a calibration depends on its bits."""
     rng, beams = np.random.default_rng(8), make_beams("sinc", 4)
     scene = draw_scene(rng, beams_with(beams, draw_truth(rng, 4)), 20_000, 10.0)
-    forwards = calibrate_beams(scene, beams, NADIR, 1.0)
+    forwards = calibrate_beams(scene, beams)
     each, blocks = PeakSearches.each, []
 
     def backwards(searches: PeakSearches, squint: Array, rows: int, work: Callable[..., object]) -> None:
@@ -315,7 +313,7 @@ def test_the_order_in_which_threads_finish_changes_no_bit(monkeypatch: pytest.Mo
             work(*call)
 
     monkeypatch.setattr(PeakSearches, "each", backwards)
-    again = calibrate_beams(scene, beams, NADIR, 1.0)
+    again = calibrate_beams(scene, beams)
     assert min(blocks) > 5
     assert again.gains.tobytes() == forwards.gains.tobytes()
     assert (again.width_factor, again.width_sigma) == (forwards.width_factor, forwards.width_sigma)
@@ -325,42 +323,42 @@ def test_two_detectors_tell_their_phase() -> None:
     rng, beams = np.random.default_rng(8), make_beams("jinc", 2)
     truth = draw_truth(rng, 2, width=1.0, gain_db=0.0)
     looks = draw_scene(rng, beams_with(beams, truth), 4000, 30.0)
-    found = calibrate_phases(looks, beams, NADIR, 1.0)
+    found = calibrate_phases(looks, beams)
     assert np.abs(np.angle(found.gains / truth.gains)) == pytest.approx(np.zeros(2), abs=4 * found.phase_sigmas[0])
     assert 0 < found.phase_sigmas[0] < 1e-3
     assert np.abs(found.gains) == pytest.approx(np.ones(2), abs=1e-12)
     assert found.width_factor == 1
     assert np.isnan(found.width_sigma)
     with pytest.raises(NotDetermined, match="2 detectors do not tell"):
-        calibrate_beams(looks, beams, NADIR, 1.0)
+        calibrate_beams(looks, beams)
 
 
 def test_scenes_that_do_not_tell() -> None:
     rng, beams = np.random.default_rng(9), make_beams("gaussian", 6)
     with pytest.raises(NotDetermined, match="tell a combination of width and gains"):
-        calibrate_beams(draw_scene(rng, beams, 3000, 30.0), beams, NADIR, 1.0)
+        calibrate_beams(draw_scene(rng, beams, 3000, 30.0), beams)
     beams = make_beams("sinc", 4)
     with pytest.raises(NotDetermined, match=r"^1[0-9][0-9] pixels"):
-        calibrate_beams(draw_scene(rng, beams, 150, 30.0), beams, NADIR, 1.0)
+        calibrate_beams(draw_scene(rng, beams, 150, 30.0), beams)
     with pytest.raises(NotDetermined, match=r"^0 pixels"):
-        calibrate_beams(draw_scene(rng, beams, 2000, 0.1), beams, NADIR, 1.0)
+        calibrate_beams(draw_scene(rng, beams, 2000, 0.1), beams)
     looks = draw_scene(rng, beams, 2000, 30.0)
     with pytest.raises(NotDetermined, match=r"^0 pixels"):
-        calibrate_beams(replace(looks, finite=np.zeros_like(looks.finite)), beams, NADIR, 1.0)
+        calibrate_beams(replace(looks, finite=np.zeros_like(looks.finite)), beams)
     same = looks_of(draw_samples(rng, beams, np.full(3000, elevation_at(0.2)), np.zeros(3000), 30.0, 4))
     with pytest.raises(NotDetermined, match="elevations"):
-        calibrate_beams(same, beams, NADIR, 1.0)
+        calibrate_beams(same, beams)
 
 
 def test_refusals() -> None:
     rng, beams = np.random.default_rng(10), make_beams("sinc", 4)
     looks = draw_scene(rng, beams, 10, 30.0)
     with pytest.raises(UserError, match="mixtures"):
-        calibrate_beams(looks, beams.combined(np.ones((4, 4)) + np.eye(4)), NADIR, 1.0)
+        calibrate_beams(looks, beams.combined(np.ones((4, 4)) + np.eye(4)))
     with pytest.raises(UserError, match="4 channels and beams of 5"):
-        calibrate_beams(looks, make_beams("sinc", 5), NADIR, 1.0)
+        calibrate_beams(looks, make_beams("sinc", 5))
     with pytest.raises(UserError, match="real"):
-        calibrate_beams(replace(looks, covariance=looks.covariance[:].real), beams, NADIR, 1.0)
+        calibrate_beams(replace(looks, covariance=looks.covariance[:].real), beams)
 
 
 def scan(rng: np.random.Generator, beams: Beams, elevation: Array, cnr: float) -> ComplexArray:
@@ -445,9 +443,9 @@ def test_nothing_is_left_to_calibrate() -> None:
 
     def calibrated(sensor: Sensor) -> BeamCalibration:
         channels = whitened_channels(sensor.noise_covariance, sensor.mixing)
-        looks = multilook(slc, 1, 4, hermitian=True, transform=channels.transform)
+        looks = multilook(slc, 1, 4, True, channels.transform, noise_power=channels.noise_powers)
         beams = sensor.beams.combined(channels.matrix)
-        return calibrate_beams(looks, beams, np.zeros(100), float(channels.noise_powers[0]))
+        return calibrate_beams(looks, beams)
 
     found = calibrated(described)
     left = calibrated(sensor_with(described, found))

@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, circular, elevation_at, make_beams, target_slc
+from helpers import BEAMWIDTH, circular, elevation_at, make_beams, multilook, target_slc
 from scipy import stats
 
 from sal_height.elevation.estimate import (
-    FALSE_ALARM_RATE,
-    ElevationEstimate,
     Fit,
     Validity,
     explained_power,
     is_one_scatterer,
     noise_limit,
 )
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import Looks, Window, windowed_looks
-from sal_height.elevation.monopulse.sum_difference import Discriminator, sum_difference_elevation
-from sal_height.elevation.registry import ESTIMATORS
+from sal_height.elevation.looks import Looks
+from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings, sum_difference_elevation
+from sal_height.elevation.settings import FALSE_ALARM_RATE, HeightSettings
 
 CASES = pytest.mark.parametrize(("channels", "looks", "trials"), [(2, 1, 400_000), (3, 2, 300_000), (16, 4, 60_000)])
 
 
 def looks_of_pixels(slc: np.ndarray, hermitian: bool = False) -> Looks:
     """Looks of images (channels, pixels, looks)."""
-    windows = Window(np.ones(1), 1), Window(np.ones(slc.shape[2]), slc.shape[2])
-    return windowed_looks(slc.astype(np.complex64), *windows, hermitian)
+    return multilook(slc.astype(np.complex64), 1, slc.shape[2], hermitian)
 
 
 def assert_rate(happened: np.ndarray, rate: float) -> None:
@@ -42,7 +39,7 @@ def test_single_scatterers_are_rejected_at_the_stated_rate(channels: int, looks:
     beams, rng = make_beams("jinc", channels), np.random.default_rng([70, channels])
     offsets = rng.uniform(-0.4, 0.4, (trials, 1)) * (channels - 1) / 2
     seen = looks_of_pixels(target_slc(beams, offsets, trials, looks, 100.0 / looks, rng))
-    result = ml_elevation(seen, beams, np.zeros(1), 1.0, OBJECTIVES["normalised"], 3.0)
+    result = ml_elevation(seen, beams, MlSettings(layover=False))
     usable = result.cnr > 10
     assert np.mean(usable) > 0.8
     assert_rate(result.validity[usable] == Validity.NOT_ONE_SCATTERER, FALSE_ALARM_RATE)
@@ -55,7 +52,7 @@ def test_sum_and_difference_reject_at_the_stated_rate(looks: int) -> None:
     beams, rng = make_beams("gaussian", 2), np.random.default_rng([71, looks])
     slc = target_slc(beams, 0.1, trials, looks, 80.0 / looks, rng)
     seen = looks_of_pixels(np.stack([slc[1] + slc[0], slc[1] - slc[0]]) / np.sqrt(2), hermitian=True)
-    result = sum_difference_elevation(seen, beams, np.zeros(1), (1.0, 1.0), Discriminator(), 3.0)
+    result = sum_difference_elevation(seen, beams, SumDifferenceSettings(min_cnr_db=4.0))
     usable = result.cnr > 3
     assert np.mean(usable) > 0.9
     assert_rate(result.validity[usable] == Validity.NOT_ONE_SCATTERER, FALSE_ALARM_RATE)
@@ -66,7 +63,7 @@ def test_pixels_of_noise_pass_for_a_scatterer_no_more_often_than_stated(looks: i
     """Without a least CNR, the limit for M independent directions is passed by others, too, but mostly outside."""
     trials, beams = 200_000, make_beams("sinc", 4)
     noise = looks_of_pixels(circular(np.random.default_rng([72, looks]), (4, trials, looks)))
-    result: ElevationEstimate = ml_elevation(noise, beams, np.zeros(1), 1.0, OBJECTIVES["normalised"], -np.inf)
+    result = ml_elevation(noise, beams, MlSettings(min_cnr_db=-60.0, layover=False))
     assert np.count_nonzero(result.validity == Validity.OK) < 2 * FALSE_ALARM_RATE * trials
     assert np.count_nonzero(result.validity != Validity.LOW_CNR) < 8 * FALSE_ALARM_RATE * trials
 
@@ -84,8 +81,7 @@ def test_rules_of_validity_can_be_set() -> None:
     seen = looks_of_pixels(target_slc(beams, rng.uniform(-0.4, 0.4, (20_000, 1)), 20_000, 2, 50.0, rng))
 
     def share(reason: Validity, **rules: float) -> np.ndarray:
-        settings = ESTIMATORS["ml"].settings(min_cnr_db=5.0, layover=False, **rules)
-        result = ESTIMATORS["ml"].estimate(seen, beams, np.zeros(1), np.ones(3), settings)
+        result = ml_elevation(seen, beams, MlSettings(layover=False, **rules))
         return (result.validity == reason)[result.cnr > 10]
 
     assert_rate(share(Validity.NOT_ONE_SCATTERER, false_alarm_rate=1e-2, misfit_share=0.0), 1e-2)
@@ -102,7 +98,7 @@ def test_small_share_of_a_strong_scatterer_may_be_left() -> None:
     """Of 10 000 noise powers 3 % beyond the mean of the noise, whatever the noise alone allows."""
     left = np.array([7.5 + 299.0, 7.5 + 301.0])
     fit = Fit(np.full(2, 10_000.0), left, np.full(2, 7.5), directions=3)
-    np.testing.assert_array_equal(is_one_scatterer(fit), [True, False])
+    np.testing.assert_array_equal(is_one_scatterer(fit, HeightSettings()), [True, False])
 
 
 def test_explained_power_is_the_quadratic_form_of_the_unit_response() -> None:

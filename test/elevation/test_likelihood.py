@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,6 @@ from helpers import (
     assert_one_sentence,
     circular,
     elevation_at,
-    looks_of,
     make_beams,
     multilook,
     noise_free_looks,
@@ -26,18 +27,18 @@ from sal_height.beams.pattern import PATTERNS, Pattern
 from sal_height.elevation import search as peak_search
 from sal_height.elevation.bounds import stochastic_crb
 from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation, peak_elevation
+from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation
 from sal_height.elevation.looks import Looks, live_detectors
-from sal_height.elevation.monopulse.estimators import DISCRIMINANTS
-from sal_height.elevation.monopulse.pairs import monopulse_elevation
+from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.monopulse.pairs import MonopulseSettings, monopulse_elevation
 from sal_height.errors import UserError
 
-MIN_CNR = 10**0.5
 PATTERN_NAMES = pytest.mark.parametrize("pattern", sorted(PATTERNS))
 
 
-def estimate(looks: Looks, beams: Beams, squint: float = 0.0, objective: str = "normalised") -> ElevationEstimate:
-    return ml_elevation(looks, beams, np.array([squint]), 1.0, OBJECTIVES[objective], MIN_CNR)
+def estimate(looks: Looks, beams: Beams, **settings: Any) -> ElevationEstimate:
+    """By default at 5 dB and above."""
+    return ml_elevation(looks, beams, MlSettings(layover=False, **settings))
 
 
 def offsets_of(result: ElevationEstimate) -> np.ndarray:
@@ -48,7 +49,7 @@ def offsets_of(result: ElevationEstimate) -> np.ndarray:
 @pytest.mark.parametrize("squint", [0.0, 0.4 * BEAMWIDTH, 0.9 * BEAMWIDTH])
 def test_elevation_is_exact_without_noise(pattern: str, squint: float) -> None:
     beams, offsets = make_beams(pattern), np.linspace(-3.745, 3.745, 200)
-    result = estimate(noise_free_looks(beams, offsets, squint), beams, squint)
+    result = estimate(noise_free_looks(beams, offsets, squint), beams)
     np.testing.assert_allclose(offsets_of(result), offsets, atol=1e-5)
     assert np.all(result.validity == Validity.OK)
     np.testing.assert_allclose(result.cnr[:, 0], 1e6, rtol=1e-4)  # less one look's noise over the beams' power
@@ -57,7 +58,7 @@ def test_elevation_is_exact_without_noise(pattern: str, squint: float) -> None:
 def test_every_column_has_its_own_squint() -> None:
     beams, offsets, squints = make_beams("jinc"), np.linspace(-3.7, 3.7, 20), np.array([-0.9, 0.0, 0.3]) * BEAMWIDTH
     covariance = np.concatenate([noise_free_looks(beams, offsets, s).covariance for s in squints], axis=1)
-    result = ml_elevation(looks_of(covariance, 1), beams, squints, 1.0, OBJECTIVES["normalised"], 1)
+    result = estimate(Looks.of(covariance, 1, squints), beams)
     np.testing.assert_allclose(offset_of(result.elevation), np.repeat(offsets[:, None], 3, axis=1), atol=1e-5)
 
 
@@ -118,9 +119,9 @@ def test_estimate_is_the_highest_point_of_the_objective(pattern: str, looks: int
     slc = np.concatenate(
         [target_slc(beams, rng.uniform(-3.75, 3.75), 250, looks, 10**level, rng) for level in (0, 0.5, 1, 2)], axis=1
     )
-    covariance = multilook(slc, 1, looks).covariance[:, :]
-    expected, clear = dense_peaks(covariance[:, 0], beams, objective, 7.0)
-    found = peak_elevation(covariance, beams, np.zeros(1), OBJECTIVES[objective], 3 * BEAMWIDTH)
+    seen = multilook(slc, 1, looks)
+    expected, clear = dense_peaks(seen.covariance[:, :][:, 0], beams, objective, 7.0)
+    found = peak_elevation(seen, beams, OBJECTIVES[objective], 3 * BEAMWIDTH)
     error = (offset_of(found[:, 0]) - expected)[clear]
     assert np.mean(clear) > 0.99
     assert np.max(np.abs(error)) < 1e-3
@@ -130,15 +131,15 @@ def test_estimate_is_the_highest_point_of_the_objective(pattern: str, looks: int
 def test_blocks_and_threads_and_columns_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every pixel by itself gives what it gives among all others."""
     beams = make_beams("jinc")
-    covariance = multilook(target_slc(beams, 0.6, 12, 20, 3.0, np.random.default_rng(12)), 1, 4).covariance[:, :]
-    whole = peak_elevation(covariance, beams, np.full(5, 0.2) * BEAMWIDTH, OBJECTIVES["normalised"], 0.0)
+    slc = target_slc(beams, 0.6, 12, 20, 3.0, np.random.default_rng(12))
+    looks = multilook(slc, 1, 4, squint=0.2 * BEAMWIDTH)
+    whole = peak_elevation(looks, beams, OBJECTIVES["normalised"], 0.0)
     monkeypatch.setattr(peak_search, "PIXELS_AT_ONCE", 7)
     monkeypatch.setattr(peak_search, "PIXELS_OF_THREAD", 3)
-    blocks = peak_elevation(covariance, beams, np.full(5, 0.2) * BEAMWIDTH, OBJECTIVES["normalised"], 0.0)
+    blocks = peak_elevation(looks, beams, OBJECTIVES["normalised"], 0.0)
     np.testing.assert_array_equal(blocks, whole)
-    columns = peak_elevation(
-        covariance, beams, np.array([0.2, 0.3, 0.2, 0.1, 0.2]) * BEAMWIDTH, OBJECTIVES["normalised"], 0.0
-    )
+    looks = replace(looks, squint=np.array([0.2, 0.3, 0.2, 0.1, 0.2]) * BEAMWIDTH)
+    columns = peak_elevation(looks, beams, OBJECTIVES["normalised"], 0.0)
     np.testing.assert_array_equal(columns[:, [0, 2, 4]], whole[:, [0, 2, 4]])
 
 
@@ -150,7 +151,7 @@ def test_many_squints_are_as_good_as_one(pattern: str) -> None:
     covariance = np.stack(
         [noise_free_looks(beams, offsets[i : i + 1], squint).covariance[0] for i, squint in enumerate(squints)], axis=1
     )
-    elevation = peak_elevation(covariance, beams, squints, OBJECTIVES["normalised"], 0.0)
+    elevation = peak_elevation(Looks.of(covariance, 1, squints), beams, OBJECTIVES["normalised"], 0.0)
     np.testing.assert_allclose(offset_of(elevation[0]), offsets, atol=1e-5)
 
 
@@ -182,12 +183,12 @@ def test_complex_beams_are_estimated_from_the_complex_covariance() -> None:
     offsets = np.linspace(-1, 1, 41)
     response = beams.response(elevation_at(offsets), 0.0)
     covariance = (response[:, :, None] * response[:, None, :].conj())[:, None]
-    found = peak_elevation(covariance, beams, np.zeros(1), OBJECTIVES["normalised"], 0.0)
+    found = peak_elevation(Looks.of(covariance, 1), beams, OBJECTIVES["normalised"], 0.0)
     np.testing.assert_allclose(offset_of(found[:, 0]), offsets, atol=1e-5)
 
-    covariance = multilook(target_slc(beams, 0.3, 400, 4, 5.0, rng), 1, 4, hermitian=True).covariance[:, :]
-    expected, clear = dense_peaks(covariance[:, 0], beams, "normalised", 2.0)
-    found = peak_elevation(covariance, beams, np.zeros(1), OBJECTIVES["normalised"], 0.75 * BEAMWIDTH)
+    looks = multilook(target_slc(beams, 0.3, 400, 4, 5.0, rng), 1, 4, hermitian=True)
+    expected, clear = dense_peaks(looks.covariance[:, :][:, 0], beams, "normalised", 2.0)
+    found = peak_elevation(looks, beams, OBJECTIVES["normalised"], 0.75 * BEAMWIDTH)
     np.testing.assert_allclose(offset_of(found[clear, 0]), expected[clear], atol=1e-4)
     assert np.mean(clear) > 0.99
 
@@ -213,7 +214,7 @@ def test_rotation_and_aspects_and_own_patterns_of_detectors_come_through() -> No
     beams = replace(make_beams(count=5), patterns=tuple(PATTERNS[name] for name in ("jinc", "sinc") * 2 + ("jinc",)))
     beams = replace(beams, rotation=0.26).averaged(np.array([-0.3, 0.0, 0.4]) * BEAMWIDTH, np.array([1.0, 2.0, 1.5]))
     offsets, squint = np.linspace(-1, 1, 41), 0.3 * BEAMWIDTH
-    result = estimate(noise_free_looks(beams, offsets, squint), beams, squint)
+    result = estimate(noise_free_looks(beams, offsets, squint), beams)
     np.testing.assert_allclose(offsets_of(result), offsets, atol=1e-5)
 
 
@@ -224,7 +225,7 @@ def test_narrow_beams_at_45_degrees_lose_no_digits(beamwidth: float) -> None:
     beams, offsets = replace(wide, boresights=boresights, beamwidth=beamwidth), np.linspace(-3.7, 3.7, 101)
     response = beams.response(np.pi / 4 + offsets * beamwidth, 0.0)
     covariance = (response[:, :, None] * response[:, None, :])[:, None]
-    found = peak_elevation(covariance, beams, np.zeros(1), OBJECTIVES["normalised"], 0.0)
+    found = peak_elevation(Looks.of(covariance, 1), beams, OBJECTIVES["normalised"], 0.0)
     np.testing.assert_allclose((found[:, 0] - np.pi / 4) / beamwidth, offsets, atol=1e-5)
 
 
@@ -240,15 +241,14 @@ def test_search_ends_where_a_pattern_is_no_longer_known() -> None:
     """Patterns known 5 beamwidths to each side leave 1.25 around the middle of 16 detectors."""
     beams = replace(make_beams(), patterns=(replace(PATTERNS["sinc"], domain=(-5.0, 5.0)),))
     offsets = np.array([-2.0, -1.2, 0.3, 1.2, 2.0])
-    covariance = noise_free_looks(make_beams(), offsets).covariance
-    found = peak_elevation(covariance, beams, np.zeros(1), OBJECTIVES["normalised"], 3 * BEAMWIDTH)
+    found = peak_elevation(noise_free_looks(make_beams(), offsets), beams, OBJECTIVES["normalised"], 3 * BEAMWIDTH)
     np.testing.assert_allclose(offset_of(found[1:4, 0]), offsets[1:4], atol=1e-5)
     assert np.max(np.abs(offset_of(found))) <= 1.25 + 1e-9
 
 
 def test_pixel_without_any_power_has_an_elevation_in_the_domain() -> None:
     beams = make_beams()
-    found = peak_elevation(np.zeros((1, 1, 16, 16)), beams, np.zeros(1), OBJECTIVES["normalised"], 0.0)
+    found = peak_elevation(Looks.of(np.zeros((1, 1, 16, 16)), 1), beams, OBJECTIVES["normalised"], 0.0)
     assert abs(offset_of(found[0, 0])) <= 4
 
 
@@ -328,7 +328,7 @@ def test_two_channels_give_the_total_least_squares_of_monopulse() -> None:
     """Gaussian beams: with any others a second direction, in the sidelobes, has the same discriminant."""
     beams = make_beams("gaussian", count=2)
     looks = multilook(target_slc(beams, 0.1, 500, 4, 30.0, np.random.default_rng(15)), 1, 4)
-    monopulse = monopulse_elevation(looks, beams, np.zeros(1), 1.0, DISCRIMINANTS["tls"], MIN_CNR)
+    monopulse = monopulse_elevation(looks, beams, MonopulseSettings())
     inside = np.isfinite(monopulse.elevation)
     assert np.mean(inside) > 0.9
     result = estimate(looks, beams)
@@ -361,8 +361,8 @@ def test_least_cnr_is_asked_of_every_look(min_cnr: float, expected: Validity) ->
     """A target of CNR 20 in four looks."""
     beams = make_beams("jinc")
     exact = noise_free_looks(beams, np.array([0.6]), count=4, energy=4 * 20.0)
-    noisy = looks_of(exact.covariance + 4 * np.eye(16), 4)
-    result = ml_elevation(noisy, beams, np.zeros(1), 1.0, OBJECTIVES["normalised"], min_cnr)
+    noisy = Looks.of(exact.covariance + 4 * np.eye(16), 4)
+    result = estimate(noisy, beams, min_cnr_db=10 * math.log10(min_cnr))
     assert result.cnr[0, 0] == pytest.approx(20.0, rel=1e-6)
     assert result.validity[0, 0] == expected
 
@@ -372,8 +372,7 @@ def test_noise_alone_has_low_cnr(looks: int) -> None:
     """Even if no CNR is asked for, and wherever it peaks: beyond the array, little power makes a great CNR."""
     beams = make_beams("jinc")
     noise = target_slc(beams, 0.0, 3000, looks, 0.0, np.random.default_rng(18))
-    zeros = np.zeros(1)
-    result = ml_elevation(multilook(noise, 1, looks), beams, zeros, 1.0, OBJECTIVES["normalised"], -np.inf)
+    result = estimate(multilook(noise, 1, looks), beams, min_cnr_db=-60.0)
     missed = np.count_nonzero(result.validity != Validity.LOW_CNR)
     # One in 10 000 passes for a signal if the objective has 16 independent directions; searched are about 30.
     assert missed <= 3
@@ -395,7 +394,7 @@ def test_rest_counts_as_another_scatterer_from_3_percent_of_the_power_on(share: 
     b = beams.response(elevation_at(3.0), 0.0)
     b -= a * (a @ b) / (a @ a)
     covariance = energy * (np.outer(a, a) / (a @ a) + share * np.outer(b, b) / (b @ b)) + looks * np.eye(16)
-    result = estimate(looks_of(covariance[None, None], looks), beams)
+    result = estimate(Looks.of(covariance[None, None], looks), beams)
     assert offsets_of(result)[0] == pytest.approx(0.6, abs=0.01)
     assert result.validity[0, 0] == expected
 
@@ -409,21 +408,14 @@ def test_missing_sample_is_missing_data_and_spares_the_neighbours() -> None:
     assert np.all(np.delete(validity, 7) == Validity.OK)
 
 
-def test_one_detector_is_refused() -> None:
-    beams = make_beams(count=1)
-    with pytest.raises(UserError) as refusal:
-        estimate(noise_free_looks(beams, np.zeros(1)), beams)
-    assert_one_sentence(str(refusal.value), "1 detector", "2 or more")
-
-
 UNEQUAL = np.array([1.0, 100.0, 0.2, 5.0] * 4)
 """Noise powers of 16 detectors."""
 
 
-def whitened_looks(slc: np.ndarray, noise_powers: np.ndarray, looks: int, beams: Beams) -> tuple[Looks, Beams, float]:
-    """Looks (along columns) and beams of channels whose noise is made equal, and its power."""
+def whitened_looks(slc: np.ndarray, noise_powers: np.ndarray, looks: int, beams: Beams) -> tuple[Looks, Beams]:
+    """Looks (along columns) and beams of channels whose noise is made equal."""
     power, transform = whitening(np.diag(noise_powers), np.eye(len(noise_powers)))
-    return multilook(slc, 1, looks, transform=transform), beams.combined(transform), power
+    return multilook(slc, 1, looks, transform=transform, noise_power=power), beams.combined(transform)
 
 
 def test_unequal_noise_is_estimated_at_its_bound() -> None:
@@ -432,8 +424,8 @@ def test_unequal_noise_is_estimated_at_its_bound() -> None:
     rng = np.random.default_rng(23)
     noise = np.sqrt(UNEQUAL)[:, None, None] * circular(rng, (16, trials, looks))
     target = beams.response(elevation_at(0.6), 0.0)[:, None, None] * circular(rng, (trials, looks))
-    seen, white, power = whitened_looks(np.sqrt(cnr) * target + noise, UNEQUAL, looks, beams)
-    result = ml_elevation(seen, white, np.zeros(1), power, OBJECTIVES["normalised"], MIN_CNR)
+    seen, white = whitened_looks(np.sqrt(cnr) * target + noise, UNEQUAL, looks, beams)
+    result = estimate(seen, white)
     error = offsets_of(result) - 0.6
     normal = error * BEAMWIDTH / result.sigma[:, 0]
     # Fisher's information with a noise power of its own for each detector, by hand.
@@ -443,7 +435,7 @@ def test_unequal_noise_is_estimated_at_its_bound() -> None:
     assert np.sqrt(np.mean(error**2)) == pytest.approx(bound, rel=3.5 * standard_error_of_rms(error / bound) + 0.02)
     assert np.sqrt(np.mean(normal**2)) == pytest.approx(1, abs=3.5 * standard_error_of_rms(normal) + 0.02)
     assert np.mean(result.validity == Validity.OK) > 0.99
-    assert np.mean(result.cnr) == pytest.approx(cnr / power, rel=3.5 / np.sqrt(trials * looks) + 0.005)
+    assert np.mean(result.cnr) == pytest.approx(cnr / seen.noise_power, rel=3.5 / np.sqrt(trials * looks) + 0.005)
 
 
 def test_dead_detectors_are_left_out() -> None:
@@ -469,7 +461,7 @@ def test_another_peak_nearly_as_likely_is_ambiguous(difference: float, expected:
     assert abs(units[0] @ units[1]) < 0.03
     energies = (34.0, 34.0 - difference)
     covariance = sum(energy * np.outer(unit, unit) for energy, unit in zip(energies, units, strict=True))
-    result = estimate(looks_of(covariance[None, None] + looks * np.eye(16), looks), beams)
+    result = estimate(Looks.of(covariance[None, None] + looks * np.eye(16), looks), beams)
     assert offsets_of(result)[0] == pytest.approx(-1.5, abs=0.01)
     assert result.validity[0, 0] == expected
 

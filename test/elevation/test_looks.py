@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, circular, multilook
+from helpers import assert_one_sentence, circular, looks_in, multilook
 
-from sal_height.elevation.looks import Window, covariance, live_detectors, windowed_looks
+from sal_height.elevation.looks import Window, covariance, live_detectors
 from sal_height.errors import Rejected, UserError
 
 CHANNELS, ROWS, COLS = 3, 7, 9
@@ -38,7 +38,7 @@ def test_looks_are_weighted_sums_over_what_the_window_has_of_the_image(
     slc: np.ndarray, windows: tuple[Window, Window]
 ) -> None:
     down, across = windows
-    looks, hermitian = windowed_looks(slc, down, across), windowed_looks(slc, down, across, hermitian=True)
+    looks, hermitian = looks_in(slc, windows), looks_in(slc, windows, hermitian=True)
     shape = -(-ROWS // down.step), -(-COLS // across.step)
     assert looks.covariance.shape == (*shape, CHANNELS, CHANNELS)
     real, whole = looks.covariance[:, :], hermitian.covariance[:, :]
@@ -69,8 +69,7 @@ def test_blocks_at_the_edges_have_what_is_left(slc: np.ndarray) -> None:
 def test_noise_in_weighted_looks_has_mean_and_variance_of_so_many_looks() -> None:
     """Of one channel in unit noise: K and K, with 40 000 pixels to 3.5 standard errors."""
     noise = circular(np.random.default_rng(12), (1, 800, 800)).astype(np.complex64)
-    down, across = Window.named("triangular", 4), Window.named("hamming", 4)
-    looks = windowed_looks(noise, down, across)
+    looks = looks_in(noise, (Window.named("triangular", 4), Window.named("hamming", 4)))
     count = looks.count[0, 0]
     assert 4 < count < 14
     assert np.ptp(looks.count) < 1e-9

@@ -7,17 +7,18 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, assert_one_sentence, make_beams, multilook, offset_of, target_slc
+from helpers import BEAMWIDTH, make_beams, multilook, offset_of, target_slc
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import Pattern
 from sal_height.elevation import spatial_prior
 from sal_height.elevation._kernels import FREE_NODES
 from sal_height.elevation.estimate import explained_power
-from sal_height.elevation.likelihood import GUARD, OBJECTIVES, ml_elevation, peak_elevation
-from sal_height.elevation.looks import Covariance
+from sal_height.elevation.likelihood import GUARD, OBJECTIVES, estimate_at, peak_elevation, search_guard
+from sal_height.elevation.looks import Looks
+from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.search import PeakSearches
-from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH, prior_elevation, smoothed_peaks
+from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH, smoothed_peaks
 from sal_height.errors import UserError
 
 NORMALISED = OBJECTIVES["normalised"]
@@ -29,8 +30,8 @@ ROW, COL = np.indices((SIZE, SIZE))
 
 def image(
     beams: Beams, offset: np.ndarray, looks: int, cnr_db: float, seed: int, squint: float | np.ndarray = 0.0
-) -> Covariance:
-    """Covariance of targets at `offset` (beamwidths, shape (rows, cols)) in unit noise."""
+) -> Looks:
+    """Looks at targets at `offset` (beamwidths, shape (rows, cols)) in unit noise."""
     rows, cols = offset.shape
     slc = target_slc(
         beams,
@@ -41,25 +42,18 @@ def image(
         np.random.default_rng(seed),
         np.broadcast_to(squint, (rows, cols)).reshape(-1, 1),
     )
-    return multilook(slc.reshape(-1, rows, cols * looks), 1, looks, hermitian=beams.is_complex).covariance[:, :]
+    seen = multilook(slc.reshape(-1, rows, cols * looks), 1, looks, hermitian=beams.is_complex)
+    return Looks.of(seen.covariance[:, :], looks, squint)
 
 
-def alone(covariance: Covariance, beams: Beams, squint: float | np.ndarray = 0.0) -> np.ndarray:
+def alone(looks: Looks, beams: Beams) -> np.ndarray:
     """Elevations without the prior, rad."""
-    angles = np.broadcast_to(squint, covariance.shape[1])
-    return peak_elevation(covariance, beams, angles, NORMALISED, GUARD * BEAMWIDTH)
+    return peak_elevation(looks, beams, NORMALISED, search_guard(beams))
 
 
-def together(
-    covariance: Covariance,
-    beams: Beams,
-    looks: int,
-    strength: float = RECOMMENDED_STRENGTH,
-    squint: float | np.ndarray = 0.0,
-) -> np.ndarray:
+def together(looks: Looks, beams: Beams, strength: float = RECOMMENDED_STRENGTH) -> np.ndarray:
     """Elevations with the prior, rad."""
-    angles = np.broadcast_to(squint, covariance.shape[1])
-    return smoothed_peaks(covariance, beams, angles, 1.0, looks, strength, GUARD * BEAMWIDTH)
+    return smoothed_peaks(looks, beams, strength)
 
 
 def outliers(elevation: np.ndarray, offset: np.ndarray) -> np.ndarray:
@@ -80,8 +74,8 @@ SURFACES = {
 @pytest.mark.parametrize("surface", SURFACES)
 def test_ten_times_fewer_outliers_at_5_db_with_four_looks(surface: str, pattern: str) -> None:
     beams, offset = make_beams(pattern), SURFACES[surface]
-    covariance = image(beams, offset, 4, 5.0, seed=1)
-    before, after = alone(covariance, beams), together(covariance, beams, 4)
+    seen = image(beams, offset, 4, 5.0, seed=1)
+    before, after = alone(seen, beams), together(seen, beams)
     # 500 to 800 of 25 600 pixels, standard error 4 %; after, at most 50 with an error of 14 % or more.
     assert 500 < np.count_nonzero(outliers(before, offset)) < 1000
     assert np.count_nonzero(outliers(after, offset)) <= np.count_nonzero(outliers(before, offset)) / 10
@@ -90,8 +84,8 @@ def test_ten_times_fewer_outliers_at_5_db_with_four_looks(surface: str, pattern:
 def test_pixels_that_were_right_are_as_before() -> None:
     """Bit by bit, but for those a sidelobe away; so the local accuracy is that of maximum likelihood."""
     beams, offset = make_beams(), SURFACES["level"]
-    covariance = image(beams, offset, 4, 5.0, seed=2)
-    before, after = alone(covariance, beams), together(covariance, beams, 4)
+    seen = image(beams, offset, 4, 5.0, seed=2)
+    before, after = alone(seen, beams), together(seen, beams)
     right = np.abs(offset_of(before) - offset) < 0.5
     assert np.mean(before[right] == after[right]) > 0.999
 
@@ -100,8 +94,8 @@ def test_pixels_that_were_right_are_as_before() -> None:
 def test_edge_stays_within_a_pixel(looks: int, cnr_db: float, step: float) -> None:
     """Of every row the edge is where the fewest pixels are on the wrong side."""
     beams, half = make_beams(), SIZE // 2
-    covariance = image(beams, np.where(half > COL, -step / 2, step / 2), looks, cnr_db, seed=3)
-    high = offset_of(together(covariance, beams, looks)) > 0
+    seen = image(beams, np.where(half > COL, -step / 2, step / 2), looks, cnr_db, seed=3)
+    high = offset_of(together(seen, beams)) > 0
     wrong = np.array([high[:, :c].sum(axis=1) + (~high[:, c:]).sum(axis=1) for c in range(half - 5, half + 6)])
     nearest_first = np.argsort(np.abs(np.arange(-5, 6)), kind="stable")
     displacement = np.abs(np.arange(-5, 6))[nearest_first][np.argmin(wrong[nearest_first], axis=0)]
@@ -116,9 +110,9 @@ def test_thin_bars_are_found_more_often_than_without(size: int) -> None:
     beams = make_beams()
     bar = np.isin(COL % 16, np.arange(size))
     offset = np.where(bar, 2.0, -1.0)
-    covariance = image(beams, offset, 4, 5.0, seed=4)
-    before = np.mean(outliers(alone(covariance, beams), offset)[bar])
-    after = np.mean(outliers(together(covariance, beams, 4), offset)[bar])
+    seen = image(beams, offset, 4, 5.0, seed=4)
+    before = np.mean(outliers(alone(seen, beams), offset)[bar])
+    after = np.mean(outliers(together(seen, beams), offset)[bar])
     # Standard errors .003 and .001.
     assert before > 0.02
     assert after < before / 3
@@ -130,7 +124,7 @@ def test_lone_pixels_are_lost_in_a_fifth_of_the_cases() -> None:
     row, col = np.indices((400, 400))
     lone = (row % 10 == 5) & (col % 10 == 5)
     offset = np.where(lone, 2.0, -1.0)
-    lost = np.mean(outliers(together(image(beams, offset, 4, 5.0, seed=5), beams, 4), offset)[lone])
+    lost = np.mean(outliers(together(image(beams, offset, 4, 5.0, seed=5), beams), offset)[lone])
     assert lost == pytest.approx(0.2, abs=0.04)
 
 
@@ -138,32 +132,30 @@ def test_lone_pixels_are_lost_in_a_fifth_of_the_cases() -> None:
 @pytest.mark.parametrize("squint", [0.0, np.linspace(-0.4, 0.4, SIZE) * BEAMWIDTH], ids=["one squint", "many"])
 def test_strength_0_is_plain_maximum_likelihood(looks: int, squint: float | np.ndarray) -> None:
     beams = make_beams("jinc")
-    covariance = image(beams, SURFACES["roof"], looks, 0.0, 6, squint)
-    np.testing.assert_array_equal(
-        together(covariance, beams, looks, 0.0, squint), alone(covariance, beams, squint), strict=True
-    )
+    seen = image(beams, SURFACES["roof"], looks, 0.0, 6, squint)
+    np.testing.assert_array_equal(together(seen, beams, 0.0), alone(seen, beams), strict=True)
 
 
 @pytest.mark.parametrize("surface", SURFACES)
 def test_nothing_changes_at_20_db(surface: str) -> None:
     """With four looks, whose outliers are 1 in 10 000; 25 600 pixels have a standard error of 0.006 %."""
     beams = make_beams()
-    covariance = image(beams, SURFACES[surface], 4, 20.0, seed=7)
-    assert np.mean(together(covariance, beams, 4) == alone(covariance, beams)) >= 0.999
+    seen = image(beams, SURFACES[surface], 4, 20.0, seed=7)
+    assert np.mean(together(seen, beams) == alone(seen, beams)) >= 0.999
 
 
 def test_every_elevation_is_a_peak_of_its_pixel() -> None:
     """Or an end of the domain: 0.02 beamwidths to either side less power is explained."""
     beams = make_beams()
-    covariance = image(beams, SURFACES["roof"], 1, 0.0, seed=8)
-    elevation = together(covariance, beams, 1)
-    moved = elevation != alone(covariance, beams)
+    seen = image(beams, SURFACES["roof"], 1, 0.0, seed=8)
+    elevation = together(seen, beams)
+    moved = elevation != alone(seen, beams)
     assert np.mean(moved) > 0.1
     first, last = beams.domain(GUARD * BEAMWIDTH)
     inside = (elevation > first + 0.02 * BEAMWIDTH) & (elevation < last - 0.02 * BEAMWIDTH)
-    there = explained_power(covariance, beams.response(elevation, 0.0))
+    there = explained_power(seen.covariance, beams.response(elevation, 0.0))
     for side in (-0.02, 0.02):
-        beside = explained_power(covariance, beams.response(elevation + side * BEAMWIDTH, 0.0))
+        beside = explained_power(seen.covariance, beams.response(elevation + side * BEAMWIDTH, 0.0))
         assert np.all((beside < there)[inside])
 
 
@@ -172,9 +164,9 @@ def test_every_column_has_its_own_squint() -> None:
     straight = make_beams("jinc")
     beams = Beams(straight.patterns, straight.boresights, straight.beamwidth, rotation=np.deg2rad(15))
     squint, offset = np.linspace(-0.4, 0.4, SIZE) * BEAMWIDTH, np.zeros((SIZE, SIZE))
-    covariance = image(beams, offset, 4, 5.0, 9, squint)
-    before = np.count_nonzero(outliers(alone(covariance, beams, squint), offset))
-    after = np.count_nonzero(outliers(together(covariance, beams, 4, squint=squint), offset))
+    seen = image(beams, offset, 4, 5.0, 9, squint)
+    before = np.count_nonzero(outliers(alone(seen, beams), offset))
+    after = np.count_nonzero(outliers(together(seen, beams), offset))
     assert before > 500
     assert after <= before / 10
 
@@ -183,11 +175,11 @@ def test_likelihood_is_the_greatest_over_the_power_of_the_amplitudes() -> None:
     """Of Gaussian samples with covariance sigma^2 I + P a a^T: -K ln det - tr(inverse R), less that of P = 0."""
     beams, looks, noise_power = make_beams(count=8), 3, 2.5
     rng = np.random.default_rng(10)
-    covariance = image(beams, np.array([[0.3, -1.0]]), looks, 3.0, 10) * np.float32(noise_power)
+    covariance = image(beams, np.array([[0.3, -1.0]]), looks, 3.0, 10).covariance * np.float32(noise_power)
     covariance[0, 1] *= np.float32(0.05)  # weaker than noise almost everywhere: P = 0 is best
     searches = PeakSearches.over(beams, np.zeros(1), NORMALISED, 0.0)
-    tile, count = next(spatial_prior._tiles(1, 2)), np.full((1, 2), float(looks))
-    own, has_data = spatial_prior._log_likelihood(covariance, tile, searches, np.zeros(2), noise_power, count)
+    seen = Looks.of(covariance, looks, noise_power=noise_power)
+    own, has_data = spatial_prior._log_likelihood(seen, next(spatial_prior._tiles(1, 2)), searches)
     assert has_data.all()
     powers = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 4001)])
     nodes = np.linspace(*beams.domain(0.0), own.shape[2])
@@ -227,21 +219,21 @@ def test_all_eight_neighbours_say_the_same_of_a_cross() -> None:
 def test_pixels_without_data_say_nothing_and_pass_nothing_on() -> None:
     """Beyond a column without data an image is as if it were the only one."""
     beams = make_beams()
-    covariance = image(beams, SURFACES["level"], 1, 5.0, seed=12)
-    covariance[:, 60] = 0
-    whole = together(covariance, beams, 1)
-    np.testing.assert_array_equal(whole[:, :60], together(covariance[:, :60], beams, 1))
-    np.testing.assert_array_equal(whole[:, 61:], together(covariance[:, 61:], beams, 1))
-    np.testing.assert_array_equal(whole[:, 60], alone(covariance, beams)[:, 60])
+    seen = image(beams, SURFACES["level"], 1, 5.0, seed=12)
+    seen.covariance[:, 60] = 0
+    whole = together(seen, beams)
+    np.testing.assert_array_equal(whole[:, :60], together(Looks.of(seen.covariance[:, :60], 1), beams))
+    np.testing.assert_array_equal(whole[:, 61:], together(Looks.of(seen.covariance[:, 61:], 1), beams))
+    np.testing.assert_array_equal(whole[:, 60], alone(seen, beams)[:, 60])
 
 
 def test_tiles_agree_with_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """Even where neighbours count most, at 0 dB with one look; with margins of 2 one pixel in 700 differs."""
     beams, squint = make_beams(), np.linspace(-0.4, 0.4, SIZE) * BEAMWIDTH
-    covariance = image(beams, SURFACES["level"], 1, 0.0, 13, squint)[:150]
-    whole = together(covariance, beams, 1, squint=squint)
+    seen = Looks.of(image(beams, SURFACES["level"], 1, 0.0, 13, squint).covariance[:150], 1, squint)
+    whole = together(seen, beams)
     monkeypatch.setattr(spatial_prior, "TILE", 50)
-    np.testing.assert_array_equal(together(covariance, beams, 1, squint=squint), whole)
+    np.testing.assert_array_equal(together(seen, beams), whole)
 
 
 def with_phase(pattern: Pattern, phase: float) -> Pattern:
@@ -260,32 +252,17 @@ def test_phases_of_detectors_make_no_difference_to_complex_beams() -> None:
     real, phases = make_beams("jinc"), np.random.default_rng(14).uniform(0, 2 * np.pi, 16)
     beams = replace(real, patterns=tuple(with_phase(real.patterns[0], phase) for phase in phases))
     turned = image(beams, SURFACES["level"], 4, 5.0, seed=14)
-    plain = (turned * np.exp(1j * (phases - phases[:, None])).astype(np.complex64)).real
-    np.testing.assert_allclose(
-        offset_of(together(turned, beams, 4)), offset_of(together(plain, real, 4)), rtol=0, atol=1e-3
-    )
+    factors = np.exp(1j * (phases - phases[:, None])).astype(np.complex64)
+    plain = Looks.of((turned.covariance * factors).real, 4)
+    np.testing.assert_allclose(offset_of(together(turned, beams)), offset_of(together(plain, real)), rtol=0, atol=1e-3)
     with pytest.raises(UserError, match="must be complex"):
-        together(plain, beams, 4)
-
-
-@pytest.mark.parametrize("strength", [-0.1, np.nan, np.inf])
-def test_strength_out_of_range_is_refused(strength: float) -> None:
-    with pytest.raises(UserError) as refusal:
-        together(np.zeros((1, 1, 16, 16), np.float32), make_beams(), 1, strength)
-    assert_one_sentence(str(refusal.value), "strength", "finite and 0 or greater")
-
-
-@pytest.mark.parametrize("noise_power", [0.0, -1.0, np.nan])
-def test_noise_power_out_of_range_is_refused(noise_power: float) -> None:
-    with pytest.raises(UserError) as refusal:
-        smoothed_peaks(np.zeros((1, 1, 16, 16), np.float32), make_beams(), np.zeros(1), noise_power, 1, 1.0, 0.0)
-    assert_one_sentence(str(refusal.value), "noise power", "finite and greater than 0")
+        together(plain, beams)
 
 
 def test_uphill_of_the_right_node_is_the_highest_peak() -> None:
     """Climbed from the highest node of the grid or the next; from elsewhere, a lower peak."""
     beams = make_beams()
-    pixels = image(beams, np.full((1, 200), 0.4), 4, 20.0, seed=15)[0]
+    pixels = image(beams, np.full((1, 200), 0.4), 4, 20.0, seed=15).covariance[0]
     search = PeakSearches.over(beams, np.zeros(1), NORMALISED, 0.0).at(0.0)
     highest = np.argmax(search.on_grid(pixels), axis=1)
     for shift in (-1, 0, 1):
@@ -297,12 +274,15 @@ def test_uphill_of_the_right_node_is_the_highest_peak() -> None:
 @pytest.mark.parametrize("strength", [0.0, RECOMMENDED_STRENGTH])
 def test_estimate_is_that_of_the_peaks_that_were_taken(strength: float) -> None:
     beams, squint = make_beams("sinc"), np.linspace(-0.2, 0.2, 6) * BEAMWIDTH
-    looks = multilook(target_slc(beams, 0.7, 40, 24, 3.0, np.random.default_rng(5)).astype(np.complex64), 1, 4)
-    found = prior_elevation(looks, beams, squint, 1.0, strength, 1.0)
-    plain = ml_elevation(looks, beams, squint, 1.0, NORMALISED, 1.0)
-    guard = GUARD * BEAMWIDTH
-    taken = smoothed_peaks(looks.covariance, beams, squint, 1.0, looks.count, strength, guard)
-    np.testing.assert_array_equal(found.elevation, taken)
+    slc = target_slc(beams, 0.7, 40, 24, 3.0, np.random.default_rng(5)).astype(np.complex64)
+    looks = multilook(slc, 1, 4, squint=squint)
+    settings = MlSettings(min_cnr_db=0.0, ambiguous_ratio=1.0, layover=False)
+    plain = ml_elevation(looks, beams, settings)
+    found = estimate_at(smoothed_peaks(looks, beams, strength), looks, beams, settings)
+    if strength:
+        np.testing.assert_array_equal(
+            found.elevation, ml_elevation(looks, beams, settings.changed(prior_strength=strength)).elevation
+        )
     same = found.elevation == plain.elevation
     assert same.all() == (strength == 0)
     for name in ("sigma", "cnr", "validity"):

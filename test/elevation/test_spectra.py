@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from helpers import (
     circular,
     elevation_at,
     make_beams,
+    multilook,
     noise_free_looks,
     offset_of,
     standard_error_of_rms,
@@ -23,22 +23,20 @@ from helpers import (
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS
 from sal_height.elevation.bounds import speckle_crb
-from sal_height.elevation.capon import capon_elevation, deviation_factor
+from sal_height.elevation.capon import CaponSettings, capon_elevation, deviation_factor
 from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import Looks, Window, windowed_looks
-from sal_height.elevation.music import music_elevation
+from sal_height.elevation.looks import Looks
+from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.music import MusicSettings, music_elevation
 from sal_height.errors import UserError
 
-MIN_CNR = 10**0.5
+Estimate = Callable[[Looks, Beams], ElevationEstimate]
 
-Estimator = Callable[[Looks, Beams, np.ndarray, float, float], ElevationEstimate]
-
-ESTIMATORS: dict[str, Estimator] = {
-    "capon": capon_elevation,
-    "capon, little loading": partial(capon_elevation, loading=0.1),
-    "music": music_elevation,
-    "music of order 2": partial(music_elevation, order=2),
+ESTIMATORS: dict[str, Estimate] = {
+    "capon": lambda looks, beams: capon_elevation(looks, beams, CaponSettings()),
+    "capon, little loading": lambda looks, beams: capon_elevation(looks, beams, CaponSettings(loading=0.1)),
+    "music": lambda looks, beams: music_elevation(looks, beams, MusicSettings()),
+    "music of order 2": lambda looks, beams: music_elevation(looks, beams, MusicSettings(order=2)),
 }
 
 BOTH = pytest.mark.parametrize("name", ["capon", "music"])
@@ -46,8 +44,7 @@ BOTH = pytest.mark.parametrize("name", ["capon", "music"])
 
 def estimate(name: str, slc: np.ndarray, beams: Beams) -> ElevationEstimate:
     """Of images (channels, pixels, looks) in unit noise."""
-    windows = Window(np.ones(1), 1), Window(np.ones(slc.shape[2]), slc.shape[2])
-    return ESTIMATORS[name](windowed_looks(slc, *windows, beams.is_complex), beams, np.zeros(1), 1.0, MIN_CNR)
+    return ESTIMATORS[name](multilook(slc, 1, slc.shape[2], beams.is_complex), beams)
 
 
 def offsets_of(result: ElevationEstimate) -> np.ndarray:
@@ -59,7 +56,7 @@ def offsets_of(result: ElevationEstimate) -> np.ndarray:
 def test_elevation_is_exact_without_noise(pattern: str, name: str) -> None:
     beams, offsets, squint = make_beams(pattern), np.linspace(-3.745, 3.745, 50), 0.4 * BEAMWIDTH
     looks = noise_free_looks(beams, offsets, squint)
-    result = ESTIMATORS[name](looks, beams, np.array([squint]), 1.0, MIN_CNR)
+    result = ESTIMATORS[name](looks, beams)
     np.testing.assert_allclose(offsets_of(result), offsets, atol=1e-5)
     assert np.all(result.validity == Validity.OK)
 
@@ -136,9 +133,7 @@ def test_second_scatterer_displaces_capon_and_order_2_less_than_maximum_likeliho
     beams, rng = make_beams("sinc"), np.random.default_rng(63)
     slc = target_slc(beams, 0.0, 2000, 16, 100.0, rng)
     slc += np.sqrt(0.5) * (target_slc(beams, 0.5, 2000, 16, 100.0, rng) - circular(rng, slc.shape))
-    windows = Window(np.ones(1), 1), Window(np.ones(16), 16)
-    looks = windowed_looks(slc, *windows)
-    likely = ml_elevation(looks, beams, np.zeros(1), 1.0, OBJECTIVES["normalised"], MIN_CNR)
+    likely = ml_elevation(multilook(slc, 1, 16), beams, MlSettings(layover=False))
     assert displacement(offsets_of(likely)) == pytest.approx(0.135, abs=0.012)
     assert displacement(offsets_of(estimate("music", slc, beams))) == pytest.approx(0.137, abs=0.012)
     assert displacement(offsets_of(estimate("capon", slc, beams))) == pytest.approx(0.044, abs=0.012)
@@ -183,25 +178,8 @@ def test_complex_beams_and_pairs_are_estimated(name: str, count: int) -> None:
         assert np.sqrt(np.mean(normal**2)) == pytest.approx(1, abs=3.5 * standard_error_of_rms(normal) + 0.06)
 
 
-@pytest.mark.parametrize("loading", [0.0, -1.0, np.nan, np.inf])
-def test_loading_that_is_not_positive_is_refused(loading: float) -> None:
+def test_order_without_a_noise_subspace_is_refused() -> None:
     beams = make_beams()
     with pytest.raises(UserError) as refusal:
-        capon_elevation(noise_free_looks(beams, np.zeros(1)), beams, np.zeros(1), 1.0, MIN_CNR, loading)
-    assert_one_sentence(str(refusal.value), "loading", "greater than 0")
-
-
-@pytest.mark.parametrize("order", [0, 16])
-def test_order_without_a_noise_subspace_is_refused(order: int) -> None:
-    beams = make_beams()
-    with pytest.raises(UserError) as refusal:
-        music_elevation(noise_free_looks(beams, np.zeros(1)), beams, np.zeros(1), 1.0, MIN_CNR, order)
-    assert_one_sentence(str(refusal.value), f"order of MUSIC is {order}", "16 detectors")
-
-
-@BOTH
-def test_one_detector_is_refused(name: str) -> None:
-    beams = make_beams(count=1)
-    with pytest.raises(UserError) as refusal:
-        ESTIMATORS[name](noise_free_looks(beams, np.zeros(1)), beams, np.zeros(1), 1.0, MIN_CNR)
-    assert_one_sentence(str(refusal.value), "1 detector", "2 or more")
+        music_elevation(noise_free_looks(beams, np.zeros(1)), beams, MusicSettings(order=16))
+    assert_one_sentence(str(refusal.value), "order of MUSIC is 16", "16 detectors")

@@ -20,7 +20,7 @@ from helpers import (
 )
 
 from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
+from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.errors import UserError
 from sal_height.sensor.channels import with_powers
 from sal_height.sensor.sensor import Sensor
@@ -247,8 +247,8 @@ def estimated(channels: np.ndarray, sensor: Sensor) -> ElevationEstimate:
     """By maximum likelihood from images (channels, pixels, looks), with what the sensor says about its channels."""
     power, transform = whitening(sensor.noise_covariance, sensor.mixing)
     seen = sensor.beams.combined(transform @ sensor.mixing)
-    looks = multilook(channels, 1, channels.shape[2], seen.is_complex, transform)
-    return ml_elevation(looks, seen, np.zeros(1), power, OBJECTIVES["normalised"], 1.0)
+    looks = multilook(channels, 1, channels.shape[2], seen.is_complex, transform, noise_power=power)
+    return ml_elevation(looks, seen, MlSettings(min_cnr_db=0.0, layover=False))
 
 
 @pytest.mark.parametrize("scale", [1.0, np.sqrt(2), 10 ** (-1.5 / 20)])

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers import blocks, flat_scene, looks_of, make_aperture, make_beams, make_sensor, multilook
+from helpers import blocks, flat_scene, make_aperture, make_beams, make_sensor, multilook
 
 from sal_height.beams.array import column_squint
 from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
-from sal_height.elevation.looks import look_grid
+from sal_height.elevation.looks import Looks, look_grid
+from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
 from sal_height.geometry.grid import Grid, pixels_at
@@ -76,7 +76,7 @@ def test_exact_elevations_give_the_positions_of_the_targets_in_a_strip() -> None
     estimate = ElevationEstimate(
         elevation, np.full(row.shape, 1e-5), np.full(row.shape, 50.0), np.full(row.shape, Validity.OK, np.uint8)
     )
-    looks = replace(looks_of(np.zeros((*row.shape, 2, 2)), 4), row=row, col=col)
+    looks = replace(Looks.of(np.zeros((*row.shape, 2, 2)), 4), row=row, col=col)
     field = height_field(estimate, looks, grid, look_grid(grid, *blocks(10, 5)), aperture, 1)
     np.testing.assert_allclose(field.first.positions, targets, atol=1e-5)
     np.testing.assert_allclose(field.first.height, 2.0, atol=1e-5)
@@ -141,11 +141,11 @@ def heights(request: pytest.FixtureRequest) -> Strip:
     grid = slant_plane_grid(sensor, aperture, 5000.0, preset.image.rows, preset.image.cols, widened)
     pixels = grid.pixels().reshape(-1, 3)
     slc = backproject_points(history, flight.position(times), sensor, processing, pixels, aperture.forward)
-    looks = multilook(slc.reshape(-1, *grid.shape), *preset.looks)
     coarse = look_grid(grid, *blocks(*preset.looks))
     squint = column_squint(coarse, aperture, sensor.beams, sensor.look_side)
     noise = slc_noise_power(sensor, processing, 310)[0]
-    estimate = ml_elevation(looks, sensor.beams, squint, noise, OBJECTIVES["normalised"], 10**0.5)
+    looks = multilook(slc.reshape(-1, *grid.shape), *preset.looks, squint=squint, noise_power=noise)
+    estimate = ml_elevation(looks, sensor.beams, MlSettings(layover=False))
     field = height_field(estimate, looks, grid, coarse, aperture, sensor.look_side)
     return Strip(field.first.height - HEIGHT, field.first.sigma, field.first.cnr_db, turned(flight, coarse))
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, blocks, flat_scene, looks_of, make_aperture, make_beams, make_sensor, multilook
+from helpers import BEAMWIDTH, blocks, flat_scene, make_aperture, make_beams, make_sensor, multilook
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams.array import column_squint
 from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
 from sal_height.elevation.looks import Looks, Window, look_grid
+from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.geometry.earth import EARTH_RADIUS, height_of, sphere_point
 from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
 from sal_height.geometry.grid import Grid, pixels_at
@@ -36,7 +36,7 @@ def slant_grid(aperture: ApertureState, side: int = 1, rows: int = 30, cols: int
 
 def looks_at(row: np.ndarray, col: np.ndarray) -> Looks:
     """Looks with their centres given; the covariance plays no role in `height_field`."""
-    return replace(looks_of(np.zeros((*row.shape, 2, 2)), 4), row=row, col=col)
+    return replace(Looks.of(np.zeros((*row.shape, 2, 2)), 4), row=row, col=col)
 
 
 def estimate_of(elevation: np.ndarray, sigma: float = 1e-5, validity: int = Validity.OK) -> ElevationEstimate:
@@ -243,10 +243,10 @@ def chain() -> Chain:
         samples = simulate_dwell(sensor, surface, draw_amplitudes(surface, CNR, sensor, rng), antenna, reference)
         history = PhaseHistory(0, flight.pulse_times, reference, samples.astype(np.complex64))
         grid = slant_plane_grid(sensor, aperture, 5000.0, preset.image.rows, preset.image.cols, broadening(weights))
-        looks = multilook(backproject(history, antenna, sensor, Processing("taylor"), grid), 2, 2)
-        coarse = look_grid(grid, *blocks(2, 2))
+        slc, coarse = backproject(history, antenna, sensor, Processing("taylor"), grid), look_grid(grid, *blocks(2, 2))
         squint = column_squint(coarse, aperture, sensor.beams, sensor.look_side)
-        estimate = ml_elevation(looks, sensor.beams, squint, noise_power, OBJECTIVES["normalised"], 10**0.5)
+        looks = multilook(slc, 2, 2, squint=squint, noise_power=noise_power)
+        estimate = ml_elevation(looks, sensor.beams, MlSettings(layover=False))
         rows, cols = np.indices(coarse.shape) * 2 + 0.5
         for centred, seen in ((True, looks), (False, replace(looks, row=rows, col=cols))):
             fields[centred].append(height_field(estimate, seen, grid, coarse, aperture, sensor.look_side))

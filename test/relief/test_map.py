@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import assert_one_sentence, blocks, looks_of, make_aperture, make_sensor
+from helpers import assert_one_sentence, blocks, make_aperture, make_sensor
 from scipy.spatial.transform import Rotation
 
 from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.looks import look_grid
+from sal_height.elevation.looks import Looks, look_grid
 from sal_height.errors import Rejected
 from sal_height.geometry.earth import height_of, sphere_point
 from sal_height.geometry.frames import ApertureState
@@ -102,7 +102,7 @@ def test_the_common_part_is_what_the_pose_adds_to_the_sigma_of_heights(side: int
     grid = replace(slant_plane_grid(make_sensor(look_side=side), aperture, 5000.0, 30, 20, 1.188), col_spacing=20.0)
     row, col = np.meshgrid(np.arange(30.0), np.arange(20.0), indexing="ij")
     elevation = np.full(row.shape, np.pi / 4 + 1e-3)
-    certain = replace(looks_of(np.zeros((30, 20, 2, 2)), 1e12), row=row, col=col)
+    certain = replace(Looks.of(np.zeros((30, 20, 2, 2)), 1e12), row=row, col=col)
     zero = np.zeros(row.shape)
     estimate = ElevationEstimate(elevation, zero, zero + 50, zero.astype(np.uint8))
     field = height_field(estimate, certain, grid, grid, aperture, side)
@@ -151,7 +151,7 @@ def simulated_dwell(true: ApertureState, known: ApertureState, rng: np.random.Ge
     estimate = ElevationEstimate(
         elevation, np.full(shape, sigma), np.full(shape, 50.0), np.full(shape, Validity.OK, np.uint8)
     )
-    centres = replace(looks_of(np.zeros((*shape, 2, 2)), looks), row=row, col=col)
+    centres = replace(Looks.of(np.zeros((*shape, 2, 2)), looks), row=row, col=col)
     return height_field(estimate, centres, grid, look_grid(grid, *blocks(1, 1)), known, 1)
 
 

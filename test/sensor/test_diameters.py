@@ -10,11 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import Array, looks_of, make_aperture, make_sensor
+from helpers import Array, make_aperture, make_sensor
 from scipy.special import j1
 
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, MlSettings
-from sal_height.elevation.registry import MonopulseSettings
+from sal_height.elevation.looks import Looks
+from sal_height.elevation.monopulse.pairs import MonopulseSettings
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings
@@ -115,8 +116,8 @@ def test_elevations_of_points_off_abeam_are_right(name: str, settings: MlSetting
     beside = squint * np.cos(rotation) - (truth - MIDDLE) * np.sin(rotation)
     steps = along[:, None] - (np.array(sensor.elevation_boresights) - MIDDLE)
     beams = bessel(np.hypot(steps * HIGH, beside[:, None] * LONG) / WAVELENGTH)
-    looks = looks_of(1e6 * beams[:, None, :, None] * beams[:, None, None, :], 4)
-    estimate = estimator.estimate(looks, sensor.beams, np.array([squint]), np.ones(3), settings)
+    looks = Looks.of(1e6 * beams[:, None, :, None] * beams[:, None, None, :], 4, squint)
+    estimate = estimator.estimate(looks, sensor.beams, settings)
     np.testing.assert_allclose(estimate.elevation[:, 0], truth, atol=2e-9)
 
 

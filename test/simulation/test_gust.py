@@ -12,8 +12,8 @@ from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams.array import column_squint
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
 from sal_height.elevation.looks import look_grid
+from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.formers.backprojection import backproject
@@ -164,10 +164,10 @@ def test_spotlight_heights_are_right_in_gusts_and_with_the_attitude_they_leave()
         aperture = track.aperture(history.stamp_ns, history.pulse_times)
         grid = slant_plane_grid(sensor, aperture, 5000.0, image.rows, image.cols, widened)
         antenna = track.positions(history.stamp_ns, history.pulse_times)
-        looks = multilook(backproject(history, antenna, sensor, processing, grid), 2, 2)
-        coarse = look_grid(grid, *blocks(2, 2))
+        slc, coarse = backproject(history, antenna, sensor, processing, grid), look_grid(grid, *blocks(2, 2))
         squint = column_squint(coarse, aperture, sensor.beams, sensor.look_side)
-        estimate = ml_elevation(looks, sensor.beams, squint, noise, OBJECTIVES["normalised"], 10**0.5)
+        looks = multilook(slc, 2, 2, squint=squint, noise_power=noise)
+        estimate = ml_elevation(looks, sensor.beams, MlSettings(layover=False))
         errors.append(height_field(estimate, looks, grid, coarse, aperture, sensor.look_side).first.height - 3.7)
         turns.append(Rotation.from_matrix(aperture.rotation).magnitude())
     error = np.concatenate([e[np.isfinite(e)] for e in errors])

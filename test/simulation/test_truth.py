@@ -16,7 +16,7 @@ from helpers import (
 )
 
 from sal_height.elevation.bounds import speckle_crb
-from sal_height.elevation.likelihood import OBJECTIVES, ml_elevation
+from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.geometry.earth import height_of
 from sal_height.geometry.frames import angles_of, look_direction
 from sal_height.geometry.grid import Grid, pixels_at
@@ -161,7 +161,7 @@ def test_scatterers_beside_the_image_are_left_out() -> None:
 def test_maximum_likelihood_comes_close_to_the_bound_and_not_below(looks: int, cnr: float) -> None:
     trials = 8000
     slc = target_slc(BEAMS, 0.6, trials, looks, cnr, np.random.default_rng(30))
-    estimate = ml_elevation(multilook(slc, 1, looks), BEAMS, np.zeros(1), 1.0, OBJECTIVES["normalised"], 1.0)
+    estimate = ml_elevation(multilook(slc, 1, looks), BEAMS, MlSettings(min_cnr_db=0.0, layover=False))
     squares = (estimate.elevation[:, 0] - elevation_at(0.6)) ** 2
     standard_error = np.std(squares) / np.sqrt(trials) / np.mean(squares) / 2  # of the rms, relative: 1 %
     bound = speckle_crb(BEAMS, elevation_at(0.6), 0.0, cnr, looks)

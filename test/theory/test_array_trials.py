@@ -8,7 +8,7 @@ from helpers import BEAMWIDTH, elevation_at, make_beams, offset_of, standard_err
 
 from sal_height.elevation.bounds import stochastic_crb
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation
-from sal_height.elevation.looks import covariance
+from sal_height.elevation.looks import Looks, covariance
 from sal_height.theory import array_trials as array_trials_module
 from sal_height.theory.array_trials import TargetPixels
 
@@ -58,9 +58,8 @@ def test_trials_are_peaks_of_drawn_pixels_whatever_the_number_of_threads(monkeyp
     np.testing.assert_array_equal(run(3), estimates)
     assert not np.any(run(1, seed=54) == estimates)
     samples = pixels.draw(np.random.default_rng(np.random.SeedSequence(53).spawn(10)[9]), 50)
-    last = peak_elevation(
-        covariance(samples, hermitian=False)[:, None], beams, np.zeros(1), OBJECTIVES["normalised"], BEAMWIDTH
-    )
+    looks = Looks.of(covariance(samples, hermitian=False)[:, None], 4)
+    last = peak_elevation(looks, beams, OBJECTIVES["normalised"], BEAMWIDTH)
     np.testing.assert_array_equal(estimates[900:], last[:, 0])
 
 

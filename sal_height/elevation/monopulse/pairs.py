@@ -10,78 +10,74 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation.estimate import (
-    DEFAULT_RULES,
-    ElevationEstimate,
-    Validity,
-    ValidityRules,
-    array_fit,
-    decide_validity,
-)
+from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
 from sal_height.elevation.likelihood import OBJECTIVES, search_guard
 from sal_height.elevation.looks import Covariance, Looks
-from sal_height.elevation.monopulse.estimators import Estimator, accuracy, discriminate, sum_and_difference
+from sal_height.elevation.monopulse.estimators import DISCRIMINANTS, accuracy, discriminate, sum_and_difference
 from sal_height.elevation.monopulse.inversion import Inversion, Reason, invert
 from sal_height.elevation.search import Columns, PeakSearch, PeakSearches
-from sal_height.errors import UserError
+from sal_height.elevation.settings import HeightSettings
+from sal_height.errors import Rejected
 from sal_height.numeric import F64, Index
+from sal_height.settings import setting
 
 OUTSIDE_MARGIN = 3.0
 """Noise powers by which a direction outside the array must explain a pixel better than the pair's elevation does."""
 
 
-def monopulse_elevation(
-    looks: Looks,
-    beams: Beams,
-    squint: F64,
-    noise_power: float,
-    discriminant: Estimator,
-    min_cnr: float,
-    rules: ValidityRules = DEFAULT_RULES,
-) -> ElevationEstimate:
+class MonopulseSettings(HeightSettings):
+    """Settings of the estimator that takes the strongest pair of detectors."""
+
+    discriminant: str = setting(
+        "tls",
+        "estimator of the ratio Delta / Sigma: tls (total least squares), ratio (as published; biased at low CNR) or "
+        "noise_subtraction (ratio, with the noise power subtracted from that of Sigma)",
+        choices=tuple(DISCRIMINANTS),
+    )
+
+
+def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings) -> ElevationEstimate:
     """Estimate the elevation of the dominant scatterer in every pixel from its strongest pair.
 
     Sigma and CNR are those of `estimators.accuracy`: the bound for the pair by itself. Pixels are OUTSIDE_PAIR where
     their discriminant lies outside the domain of their pair.
 
     Args:
-        looks: covariance of M channels in each pixel.
-        beams: of the M detectors.
-        squint: of each column, rad, shape (cols,).
-        noise_power: E|n|^2 of one SLC pixel in every channel (`whitened_channels`).
-        discriminant: one of DISCRIMINANTS.
-        min_cnr: pixels below this power ratio are LOW_CNR.
-        rules: of validity.
+        looks: covariance of M channels of equal noise in each pixel.
+        beams: of the M detectors, 2 or more.
+        settings: of the estimator.
 
     Raises:
-        UserError: fewer than two detectors.
+        Rejected: the channels are mixtures of detectors.
     """
-    if beams.count < 2:
-        raise UserError(f"The sensor has {beams.count} detector; monopulse needs 2 or more.")
-    searches = PeakSearches.over(beams, np.unique(squint), OBJECTIVES["normalised"], search_guard(beams))
+    if beams.matrix is not None:
+        raise Rejected(
+            "mixed channels",
+            "The channel matrix of SensorInfo is no lossless hybrid, so the detectors' noise is correlated and they "
+            "form no pairs; use ml_height, or sum_difference_height for a sum and a difference.",
+        )
+    searches = PeakSearches.over(beams, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
 
     def strongest(search: PeakSearch, pixels: Covariance, *_where: object) -> F64:
         best = search.peaks(pixels).elevation
         return np.stack([*_strongest_pair(pixels), best, search.fit(pixels, best)[0]])
 
-    pair, lower, upper, real, imaginary, best, best_explained = searches.of_pixels(
-        looks.covariance, squint, 7, strongest
-    )
+    pair, lower, upper, real, imaginary, best, best_explained = searches.of_pixels(looks, 7, strongest)
     sums = sum_and_difference(lower, upper, real + 1j * imaginary, looks.count)
-    noise_powers = (2 * noise_power, 2 * noise_power)
-    mu = discriminate(sums, discriminant, noise_powers)
-    found, response = _invert_pairs(beams, pair.astype(np.intp), mu, np.broadcast_to(squint, mu.shape))
+    noise_powers = (2 * looks.noise_power, 2 * looks.noise_power)
+    mu = discriminate(sums, DISCRIMINANTS[settings.discriminant], noise_powers)
+    found, response = _invert_pairs(beams, pair.astype(np.intp), mu, np.broadcast_to(looks.squint, mu.shape))
     sigma, cnr = accuracy(sums, response, found.slope, noise_powers)
 
     def at_found(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> F64:
         return search.fit(pixels, found.elevation[rows, cols].reshape(-1))[:1]
 
-    (explained,) = searches.of_pixels(looks.covariance, squint, 1, at_found) / noise_power
+    (explained,) = searches.of_pixels(looks, 1, at_found) / looks.noise_power
     first, last = beams.span
     inside = (found.elevation >= first) & (found.elevation <= last)
-    fit = array_fit(looks, noise_power, explained)
-    validity = decide_validity(looks, fit, cnr >= min_cnr, inside, Validity.OUTSIDE_ARRAY, rules)
-    outside = ((best < first) | (best > last)) & (best_explained / noise_power - explained > OUTSIDE_MARGIN)
+    fit, strong = array_fit(looks, explained), cnr >= settings.min_cnr
+    validity = decide_validity(looks, fit, strong, inside, Validity.OUTSIDE_ARRAY, settings)
+    outside = ((best < first) | (best > last)) & (best_explained / looks.noise_power - explained > OUTSIDE_MARGIN)
     validity = np.where((validity == Validity.OK) & outside, Validity.OUTSIDE_ARRAY, validity)
     unpaired = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN]) & looks.finite
     validity = np.where(unpaired, Validity.OUTSIDE_PAIR, validity).astype(np.uint8)

@@ -13,62 +13,67 @@ complex gamma; `total_least_squares` is that for a real one, tan(1/2 atan2(2 Re 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
+from pydantic import field_validator
 
 from sal_height.beams import Beams
-from sal_height.elevation.estimate import (
-    DEFAULT_RULES,
-    ElevationEstimate,
-    Fit,
-    Validity,
-    ValidityRules,
-    decide_validity,
-)
+from sal_height.elevation.estimate import ElevationEstimate, Fit, Validity, decide_validity
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.monopulse.estimators import (
-    Estimator,
-    NoisePowers,
+    DISCRIMINANTS,
     Products,
     accuracy,
     discriminate,
     products_of_looks,
-    total_least_squares,
     whitened_products,
 )
-from sal_height.elevation.monopulse.inversion import (
-    Inverse,
-    Inversion,
-    Reason,
-    invert,
-)
+from sal_height.elevation.monopulse.inversion import INVERSES, Reason
+from sal_height.elevation.monopulse.slope_table import SlopeTable, read_slope_table
+from sal_height.elevation.settings import HeightSettings
 from sal_height.errors import UserError
-from sal_height.numeric import F64, U8, Bool
+from sal_height.numeric import F64
+from sal_height.settings import setting
 
 
-@dataclass(frozen=True)
-class Discriminator:
-    """How elevations are estimated from Sigma and Delta.
+class SumDifferenceSettings(HeightSettings):
+    """Settings of the discriminator of a sensor that delivers sum and difference of two beams."""
 
-    Attributes:
-        estimator: estimator of gamma, one of `estimators.DISCRIMINANTS`.
-        inverse: elevation from gamma, one of INVERSES or the `invert` of a `SlopeTable`.
-    """
+    discriminant: str = setting(
+        "tls",
+        "estimator of the ratio Delta / Sigma: tls (exact maximum likelihood), ratio (as published; biased at low CNR) "
+        "or noise_subtraction (ratio, with the noise power subtracted from that of Sigma)",
+        choices=tuple(DISCRIMINANTS),
+    )
+    inverse: str = setting(
+        "exact",
+        "how elevation follows from Delta / Sigma: exact (from the beams) or linear (as published: from the slope in "
+        "the equisignal direction)",
+        choices=tuple(INVERSES),
+    )
+    slope_table: str = setting(
+        "",
+        "path of a CSV file with a measured characteristic, which replaces inverse; its columns are angle_rad (from "
+        "the equisignal direction) and gamma; empty: none",
+        read_only=True,
+    )
 
-    estimator: Estimator = total_least_squares
-    inverse: Inverse = invert
+    @field_validator("slope_table")
+    @classmethod
+    def _check_slope_table(cls, path: str) -> str:
+        if path:
+            _slope_table(path)
+        return path
 
 
-def sum_difference_elevation(
-    looks: Looks,
-    pair: Beams,
-    squint: F64,
-    noise_powers: NoisePowers,
-    discriminator: Discriminator,
-    min_cnr: float,
-    rules: ValidityRules = DEFAULT_RULES,
-) -> ElevationEstimate:
+@lru_cache(maxsize=8)
+def _slope_table(path: str) -> SlopeTable:
+    return read_slope_table(Path(path))
+
+
+def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceSettings) -> ElevationEstimate:
     """Estimate the elevation of the scatterer in every pixel of images whose channels are Sigma and Delta.
 
     The standard deviation and the CNR are those of `estimators.accuracy`.
@@ -81,11 +86,7 @@ def sum_difference_elevation(
     Args:
         looks: covariance of Sigma = upper + lower and Delta = upper - lower in each pixel (`sum_difference_channels`).
         pair: the two beams, lower and upper.
-        squint: of each column, rad, shape (cols,).
-        noise_powers: of one SLC pixel of Sigma and of Delta.
-        discriminator: estimator of gamma, and its inversion.
-        min_cnr: pixels below this power ratio are LOW_CNR.
-        rules: of validity.
+        settings: estimator of gamma, its inversion, and when a pixel is valid.
 
     Raises:
         UserError: there are not two channels and two beams, or `discriminate` refuses the noise powers.
@@ -95,23 +96,17 @@ def sum_difference_elevation(
             f"There are {looks.covariance.shape[-1]} channels and {pair.count} beams; sum and difference need 2 of "
             "each."
         )
-    sums = products_of_looks(looks)
-    gamma = discriminate(sums, discriminator.estimator, noise_powers)
-    found = discriminator.inverse(pair, gamma, np.broadcast_to(squint, gamma.shape))
-    sigma, cnr = accuracy(sums, pair.response(found.elevation, squint), found.slope, noise_powers)
-    return ElevationEstimate(
-        found.elevation, sigma, cnr, _validity(looks, sums, noise_powers, found, cnr >= min_cnr, rules)
-    )
-
-
-def _validity(
-    looks: Looks, sums: Products, noise_powers: NoisePowers, found: Inversion, strong: Bool, rules: ValidityRules
-) -> U8:
-    """Reason for which each pixel's estimate cannot be used, the first that applies, or OK."""
+    sums, noise_powers = products_of_looks(looks), (float(looks.noise_powers[0]), float(looks.noise_powers[1]))
+    gamma = discriminate(sums, DISCRIMINANTS[settings.discriminant], noise_powers)
+    invert = _slope_table(settings.slope_table).invert if settings.slope_table else INVERSES[settings.inverse]
+    found = invert(pair, gamma, np.broadcast_to(looks.squint, gamma.shape))
+    sigma, cnr = accuracy(sums, pair.response(found.elevation, looks.squint), found.slope, noise_powers)
     explained, left = _eigenvalues(whitened_products(sums, noise_powers)[0]) / noise_powers[0]
     fit = Fit(explained, left, looks.count - 1, directions=2)  # K amplitudes and one complex gamma are estimated
     outside = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN])
-    return decide_validity(looks, fit, strong | outside, ~outside, Validity.OUTSIDE_PAIR, rules)
+    strong = (cnr >= settings.min_cnr) | outside
+    validity = decide_validity(looks, fit, strong, ~outside, Validity.OUTSIDE_PAIR, settings)
+    return ElevationEstimate(found.elevation, sigma, cnr, validity)
 
 
 def _eigenvalues(sums: Products) -> F64:

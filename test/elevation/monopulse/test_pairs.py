@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from helpers import (
     BEAMWIDTH,
-    assert_one_sentence,
     circular,
     elevation_at,
-    looks_of,
     make_beams,
     multilook,
     noise_free_looks,
@@ -36,14 +34,13 @@ from sal_height.elevation.monopulse.estimators import (
     sum_and_difference,
     total_least_squares,
 )
-from sal_height.elevation.monopulse.pairs import _strongest_pair, monopulse_elevation
-from sal_height.errors import UserError
+from sal_height.elevation.monopulse.pairs import MonopulseSettings, _strongest_pair, monopulse_elevation
 
 PATTERN_NAMES = pytest.mark.parametrize("pattern", sorted(PATTERNS))
 
 
-def estimate(looks: Looks, beams: Beams, squint: float = 0.0, discriminant: str = "tls") -> ElevationEstimate:
-    return monopulse_elevation(looks, beams, np.array([squint]), 1.0, DISCRIMINANTS[discriminant], 10**0.5)
+def estimate(looks: Looks, beams: Beams, discriminant: str = "tls") -> ElevationEstimate:
+    return monopulse_elevation(looks, beams, MonopulseSettings(discriminant=discriminant))
 
 
 def powers(
@@ -147,13 +144,13 @@ def test_targets_beyond_the_null_of_the_farther_beam_are_outside_their_pair(
 ) -> None:
     beams, squint, reach = make_beams(pattern, count=2, pitch=pitch), 0.4 * BEAMWIDTH, null - pitch / 2
     inside = np.linspace(-0.999, 0.999, 67) * reach
-    result = estimate(noise_free_looks(beams, inside, squint), beams, squint)
+    result = estimate(noise_free_looks(beams, inside, squint), beams)
     np.testing.assert_allclose(offset_of(result.elevation[:, 0]), inside, atol=1e-9)
     np.testing.assert_allclose(result.cnr[:, 0], 1e6, rtol=2e-5)  # one look's noise is taken off
     assert not np.any(result.validity == Validity.OUTSIDE_PAIR)
 
     outside = np.array([-1.15, -1.001, 1.001, 1.15]) * reach
-    result = estimate(noise_free_looks(beams, outside, squint), beams, squint)
+    result = estimate(noise_free_looks(beams, outside, squint), beams)
     assert np.isnan(result.elevation).all()
     assert np.all(result.validity == Validity.OUTSIDE_PAIR)
 
@@ -197,7 +194,7 @@ def test_only_the_ratio_pulls_the_elevation_to_the_middle_of_the_pair(discrimina
 def test_sigma_predicts_the_spread(looks: int, cnr: float, offset: float, turn: float) -> None:
     beams, trials, squint = replace(make_beams("jinc", count=2), rotation=np.deg2rad(turn)), 6000, 0.3 * BEAMWIDTH
     slc = target_slc(beams, offset, trials, looks, cnr, np.random.default_rng(26), squint)
-    result = estimate(multilook(slc, 1, looks), beams, squint)
+    result = estimate(multilook(slc, 1, looks, squint=squint), beams)
     normal = (offset_of(result.elevation[:, 0]) - offset) * BEAMWIDTH / result.sigma[:, 0]
     # SE of the rms 0.9 %; sigma takes energy and discriminant from the same samples.
     assert np.sqrt(np.mean(normal**2)) == pytest.approx(1, abs=3.5 / np.sqrt(2 * trials) + 0.02)
@@ -231,7 +228,7 @@ def test_every_pair_is_inverted_with_its_own_beams(turn: float) -> None:
     boresights = elevation_at(np.array([-0.8, -0.2, 0.2, 0.7]))
     beams = replace(make_beams(), patterns=patterns, boresights=boresights, rotation=np.deg2rad(turn))
     offsets = np.linspace(-0.7, 0.6, 53)
-    result = estimate(noise_free_looks(beams, offsets, 0.2 * BEAMWIDTH), beams, 0.2 * BEAMWIDTH)
+    result = estimate(noise_free_looks(beams, offsets, 0.2 * BEAMWIDTH), beams)
     np.testing.assert_allclose(offset_of(result.elevation[:, 0]), offsets, atol=1e-9)
     assert np.all(result.validity == Validity.OK)
 
@@ -272,8 +269,8 @@ def test_sigma_is_the_bound_for_two_channels(offset: float) -> None:
     """For the mean covariance of K looks; with two channels the information of the array is that of the pair."""
     beams, looks, energy, squint = make_beams("jinc", count=2), 4, 40.0, 0.3 * BEAMWIDTH
     exact = noise_free_looks(beams, np.array([offset]), squint, looks, energy)
-    noisy = looks_of(exact.covariance + looks * np.eye(2), looks)
-    result = estimate(noisy, beams, squint)
+    noisy = Looks.of(exact.covariance + looks * np.eye(2), looks, squint)
+    result = estimate(noisy, beams)
     assert offset_of(result.elevation[0, 0]) == pytest.approx(offset, abs=1e-9)
     assert result.cnr[0, 0] == pytest.approx(energy / looks, rel=1e-9)
     bound = stochastic_crb(beams, elevation_at(offset), squint, energy / looks, looks)
@@ -296,15 +293,8 @@ def test_pair_of_unequal_noise_has_the_sigma_that_it_says() -> None:
     rng, (power, transform) = np.random.default_rng(35), whitening(np.diag(noise_powers), np.eye(2))
     noise = np.sqrt(noise_powers)[:, None, None] * circular(rng, (2, trials, looks))
     target = beams.response(elevation_at(0.1), 0.0)[:, None, None] * circular(rng, (trials, looks))
-    seen = multilook(np.sqrt(300.0) * target + noise, 1, looks, transform=transform)
-    result = monopulse_elevation(seen, beams.combined(transform), np.zeros(1), power, DISCRIMINANTS["tls"], 1.0)
+    seen = multilook(np.sqrt(300.0) * target + noise, 1, looks, transform=transform, noise_power=power)
+    result = monopulse_elevation(seen, beams.combined(transform), MonopulseSettings(min_cnr_db=0.0))
     normal = (offset_of(result.elevation[:, 0]) - 0.1) * BEAMWIDTH / result.sigma[:, 0]
     assert np.mean(normal) == pytest.approx(0, abs=3.5 / np.sqrt(trials) + 0.02)
     assert np.sqrt(np.mean(normal**2)) == pytest.approx(1, abs=3.5 * standard_error_of_rms(normal) + 0.02)
-
-
-def test_one_detector_is_refused() -> None:
-    beams = make_beams(count=1)
-    with pytest.raises(UserError) as refusal:
-        estimate(noise_free_looks(beams, np.zeros(1)), beams)
-    assert_one_sentence(str(refusal.value), "1 detector", "2 or more")

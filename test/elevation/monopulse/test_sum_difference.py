@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from helpers import (
     assert_one_sentence,
     circular,
     elevation_at,
-    looks_of,
     make_beams,
     multilook,
     noise_free_looks,
@@ -39,10 +39,10 @@ from sal_height.elevation.monopulse.estimators import (
     ratio,
     total_least_squares,
 )
-from sal_height.elevation.monopulse.inversion import INVERSES, Reason, invert, invert_linear
-from sal_height.elevation.monopulse.pairs import monopulse_elevation
+from sal_height.elevation.monopulse.inversion import Reason, invert, invert_linear
+from sal_height.elevation.monopulse.pairs import MonopulseSettings, monopulse_elevation
 from sal_height.elevation.monopulse.slope_table import SlopeTable
-from sal_height.elevation.monopulse.sum_difference import Discriminator, sum_difference_elevation
+from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings, sum_difference_elevation
 from sal_height.errors import UserError
 from sal_height.sensor.channels import separated_gains, sum_difference_channels
 from sal_height.theory.discriminator_noise import steady_looks_mean, steady_mean
@@ -70,10 +70,10 @@ def target(pair: Beams, offset: float, shape: tuple[int, int], cnr: float, noise
     return images_of(total, difference, shape[1])
 
 
-def estimate(
-    looks: Looks, pair: Beams, noise: NoisePowers = EQUAL, discriminator: Discriminator | None = None
-) -> ElevationEstimate:
-    return sum_difference_elevation(looks, pair, np.zeros(1), noise, discriminator or Discriminator(), 10**0.5)
+def estimate(looks: Looks, pair: Beams, noise: NoisePowers = EQUAL, **settings: str) -> ElevationEstimate:
+    return sum_difference_elevation(
+        replace(looks, noise_powers=np.array(noise)), pair, SumDifferenceSettings(**settings)
+    )
 
 
 @pytest.mark.parametrize("noise", [(1.0, 1.0), (1.0, 9.0), (4.0, 0.5)])
@@ -279,8 +279,8 @@ def test_elevations_are_exact_without_noise_over_the_domain_of_the_pair(pattern:
     low, high = (float(offset_of(end)) for end in discriminant_domain(pair, 0.0))
     offset = np.clip(np.linspace(0.99 * low, 0.99 * high, 41), -0.9, 0.9)
     channels = np.tensordot(pair.response(elevation_at(offset), 0.0), SUM_DIFFERENCE.T, 1)
-    seen = looks_of(1e6 * channels[:, None, :, None] * channels[:, None, None, :], 1)
-    found = estimate(seen, pair, (1e-3, 2e-3), Discriminator(DISCRIMINANTS[name]))
+    seen = Looks.of(1e6 * channels[:, None, :, None] * channels[:, None, None, :], 1)
+    found = estimate(seen, pair, (1e-3, 2e-3), discriminant=name)
     np.testing.assert_allclose(offset_of(found.elevation[:, 0]), offset, atol=1e-7)
     assert np.all(found.validity == Validity.OK)
     np.testing.assert_allclose(found.cnr[:, 0], 1e6 / (1 / (1e3 + 5e2)), rtol=1e-6)
@@ -291,7 +291,7 @@ def test_a_lossless_hybrid_gives_the_elevations_and_sigmas_of_the_bare_pair() ->
     pair, rng, shape = make_beams("jinc", 2), np.random.default_rng(50), (400, 8)
     lower_upper = np.sqrt(50.0) * pair.response(elevation_at(0.1), 0.0)[:, None, None] * circular(rng, shape)
     lower_upper = lower_upper + circular(rng, (2, *shape))
-    bare = monopulse_elevation(multilook(lower_upper, 1, 8), pair, np.zeros(1), 1.0, total_least_squares, 1.0)
+    bare = monopulse_elevation(multilook(lower_upper, 1, 8), pair, MonopulseSettings(min_cnr_db=0.0))
     made = sum_difference_channels(np.eye(2), HYBRID)
     formed = np.tensordot(made.transform @ HYBRID, lower_upper, 1)
     assert made.noise_powers == pytest.approx((2.0, 2.0))
@@ -322,7 +322,7 @@ def test_sigma_is_the_stochastic_bound(offset: float, noise: NoisePowers) -> Non
     response, slope = pair.response(elevation_at(offset), 0.0), pair.slope(elevation_at(offset), 0.0)
     channels = SUM_DIFFERENCE @ response
     covariance = energy * np.multiply.outer(channels, channels) + looks * np.diag(noise)
-    seen = looks_of(covariance[None, None], looks)
+    seen = Looks.of(covariance[None, None], looks)
     found = estimate(seen, pair, noise)
     assert offset_of(found.elevation[0, 0]) == pytest.approx(offset, abs=1e-9)
     whitened, change = (weights * SUM_DIFFERENCE @ of_beams for of_beams in (response, slope))
@@ -333,16 +333,14 @@ def test_sigma_is_the_stochastic_bound(offset: float, noise: NoisePowers) -> Non
         assert bound == pytest.approx(of_detectors, rel=1e-12)
 
 
-def test_sigma_uses_the_slope_of_its_inversion() -> None:
+def test_sigma_uses_the_slope_of_its_inversion(tmp_path: Path) -> None:
     pair = make_beams("jinc", 2)
     looks = target(pair, 0.0, (10, 16), 1000.0, EQUAL, 52)
     slope = crossover_slope(PATTERNS["jinc"], 0.5 * BEAMWIDTH, BEAMWIDTH)
     half = 0.7 * slope * BEAMWIDTH
-    table = SlopeTable((-0.7 * BEAMWIDTH, 0.7 * BEAMWIDTH), (half, -half))
-    linear, falling = (
-        estimate(looks, pair, discriminator=Discriminator(inverse=inverse))
-        for inverse in (INVERSES["linear"], table.invert)
-    )
+    table = tmp_path / "slope.csv"
+    table.write_text(f"angle_rad,gamma\n{-0.7 * BEAMWIDTH},{half}\n{0.7 * BEAMWIDTH},{-half}\n", encoding="utf-8")
+    linear, falling = estimate(looks, pair, inverse="linear"), estimate(looks, pair, slope_table=str(table))
     np.testing.assert_allclose(offset_of(falling.elevation), -offset_of(linear.elevation), atol=1e-9)
     np.testing.assert_allclose(falling.sigma, linear.sigma, rtol=1e-3)
     assert np.all(falling.validity == Validity.OK)
@@ -361,7 +359,7 @@ def test_pixels_without_elevation_say_why(name: str) -> None:
         images_of(30 * circular(rng, (100, looks)), 20 * circular(rng, (100, looks)), looks),
         images_of(np.full((1, looks), np.nan + 0j), np.ones((1, looks), complex), looks),
     ]
-    found = [estimate(seen, pair, discriminator=Discriminator(DISCRIMINANTS[name])) for seen in signals]
+    found = [estimate(seen, pair, discriminant=name) for seen in signals]
     ok, noise, difference, nothing, only_difference, two, missing = (seen.validity[:, 0] for seen in found)
     assert np.all(ok == Validity.OK)
     assert np.count_nonzero(noise != Validity.LOW_CNR) <= 2  # 1000 pixels, false alarms of 1e-4 and a CNR of 5 dB
@@ -407,7 +405,7 @@ def test_complex_beams_are_inverted_by_the_real_part_of_their_ratio() -> None:
     offset = np.linspace(-0.4, 0.4, 9)
     channels = np.tensordot(pair.response(elevation_at(offset), 0.0), SUM_DIFFERENCE.T, 1)
     covariance = (1e6 * channels[:, None, :, None] * channels[:, None, None, :].conj()).astype(np.complex64)
-    found = estimate(looks_of(covariance, 1), pair)
+    found = estimate(Looks.of(covariance, 1), pair)
     np.testing.assert_allclose(offset_of(found.elevation[:, 0]), offset, atol=1e-5)
     assert np.all(found.validity == Validity.OK)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
@@ -34,6 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     _interrupt_on_termination()
+    logging.basicConfig(format="sal-height: %(message)s")  # warnings look like all else that the program says
     try:
         status = _status(words)
         sys.stdout.flush()  # what is still in the buffer may find that nobody reads it

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,8 @@ from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged
 from sal_height.runs.simulate import accuracies, read_mosaics
 from sal_height.sensor import Sensor
 from sal_height.simulation import SimulatedFlight, flight_of, parse_preset
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -180,7 +183,7 @@ def recorded_flight(reader: BagReader) -> SimulatedFlight | None:
 
 
 def recorded_parameters(reader: BagReader) -> dict[str, dict[str, Any]]:
-    """Node parameters that a bag was made with; empty if it does not hold them, as a bag recorded in flight.
+    """Node parameters that a bag was made with; none, with a warning, if it does not say, as a bag recorded in flight.
 
     They are in the bag's custom data; older bags have a file parameters.yaml beside them instead.
 
@@ -190,11 +193,17 @@ def recorded_parameters(reader: BagReader) -> dict[str, dict[str, Any]]:
     path = (reader.path if reader.path.is_dir() else reader.path.parent) / "parameters.yaml"
     try:
         text = reader.custom_data.get(PARAMETERS) or (path.read_text(encoding="utf-8") if path.is_file() else "")
-        values = yaml.safe_load(text) or {}  # JSON is a part of YAML
+        values = yaml.safe_load(text) or {}  # JSON is a part of YAML; none for a text that is empty
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise UserError(
             f"The parameters of bag {reader.path} cannot be read: {' '.join(str(error).split())}."
         ) from error
     if not (isinstance(values, dict) and all(isinstance(entry, dict) for entry in values.values())):
         raise UserError(f"The parameters of bag {reader.path} must map node names to mappings of names to values.")
+    if not text:
+        _LOG.warning(
+            "Bag %s does not hold the parameters it was made with; it is processed with the defaults of the nodes and "
+            "what --param sets.",
+            reader.path,
+        )
     return values

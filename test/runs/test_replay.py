@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import assert_one_sentence
 from rclpy.serialization import serialize_message
 
 from sal_height.bag.compare import compare_heights
@@ -205,6 +206,19 @@ def test_parameters_travel_with_the_file(recorded: Path, tmp_path: Path) -> None
     again = recorded_parameters(BagReader(tmp_path / "out" / "bag"))
     assert again["ml_height"] == {"range_looks": 4, "azimuth_looks": 2}
     assert json.loads((tmp_path / "out" / "report.json").read_text())["parameters"] == again
+
+
+def test_a_bag_without_parameters_is_processed_with_the_defaults_and_that_is_said(
+    recorded: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As a bag recorded in flight; one that was made with the defaults alone holds that it was."""
+    known = copy_of(recorded / "bag", tmp_path / "known", [], {"parameters": "{}"})
+    assert recorded_parameters(BagReader(known)) == {}
+    assert not caplog.messages
+    unknown = copy_of(recorded / "bag", tmp_path / "unknown", [], {"note": "no parameters"})
+    assert recorded_parameters(BagReader(unknown)) == {}
+    (said,) = caplog.messages
+    assert_one_sentence(said, str(unknown), "defaults", "--param")
 
 
 @pytest.mark.parametrize("beside", [False, True])

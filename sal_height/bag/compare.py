@@ -31,20 +31,27 @@ _Key: TypeAlias = tuple[str, int, int]
 class HeightComparison:
     """What one topic of a replay has in common with the recorded one.
 
-    matched: dwells with an image on both sides; missing: recorded only; extra: replayed only.
-    grids_different: matched images whose grid or looks differ in any way.
-    pixels: pixels of the matched images; pixels_different: those where any array differs (NaN equals NaN), all pixels
-    of an image whose arrays differ in length.
-    greatest_height_difference: of the first surface, over the pixels that have a height on both sides [m].
+    Attributes:
+        matched: number of dwells with an image on both sides.
+        missing: number of those with a recorded image only.
+        extra: number of those with a replayed image only.
+        grids_different: matched images whose grid or looks differ in any way.
+        grid_change: how the first of these differs, in words.
+        pixels: pixels of the matched images.
+        pixels_different: those where any array differs (NaN equals NaN); all pixels of an image that has another number
+            of rows or columns, or arrays of another length.
+        greatest_height_difference: of the first surface, over the pixels that have a height on both sides, m; None:
+            there are none.
     """
 
     matched: int = 0
     missing: int = 0
     extra: int = 0
     grids_different: int = 0
+    grid_change: str = ""
     pixels: int = 0
     pixels_different: int = 0
-    greatest_height_difference: float = 0.0
+    greatest_height_difference: float | None = None
 
     @property
     def equal(self) -> bool:
@@ -102,8 +109,8 @@ def _compare(recorded: HeightImage, replayed: HeightImage, tolerance_m: float) -
     # A well-formed image has rows * cols entries in every array that it has; of others the longest array counts.
     sizes = {values.size for side in (ours, theirs) for values in side.values()}
     pixels = max(sizes, default=0)
-    if len(sizes) != 1 or ours.keys() != theirs.keys():
-        different, greatest = pixels, 0.0
+    if len(sizes) != 1 or ours.keys() != theirs.keys() or _shape(recorded) != _shape(replayed):
+        different, greatest = pixels, None
     else:
         heights = {name for name in ours if name.endswith(".height")}
         compared = {name for name in ours if not tolerance_m or name == "validity"} | heights
@@ -111,14 +118,39 @@ def _compare(recorded: HeightImage, replayed: HeightImage, tolerance_m: float) -
         differences = [_differs(ours[name], theirs[name], allowed[name]) for name in compared]
         different = int(np.count_nonzero(np.any(differences, axis=0)))
         first = "surfaces[0].height"
-        greatest = _greatest_difference(ours[first], theirs[first]) if first in heights else 0.0
+        greatest = _greatest_difference(ours[first], theirs[first]) if first in heights else None
+    change = _grid_change(recorded, replayed, tolerance_m)
     return HeightComparison(
         matched=1,
-        grids_different=int(np.any(np.abs(_geometry(recorded) - _geometry(replayed)) > tolerance_m)),
+        grids_different=int(bool(change)),
+        grid_change=change,
         pixels=pixels,
         pixels_different=different,
         greatest_height_difference=greatest,
     )
+
+
+def _grid_change(recorded: HeightImage, replayed: HeightImage, tolerance_m: float) -> str:
+    """How the replayed grid differs from the recorded one, in words; empty if it does not."""
+    changes = [
+        f"{ours[0]} x {ours[1]} {what} instead of {theirs[0]} x {theirs[1]}"
+        for what, ours, theirs in (
+            ("pixels", _shape(replayed), _shape(recorded)),
+            ("looks", _looks(replayed), _looks(recorded)),
+        )
+        if ours != theirs
+    ]
+    if not changes and np.any(np.abs(_numbers(recorded.grid) - _numbers(replayed.grid)) > tolerance_m):
+        changes = ["pixels at other places"]
+    return ", ".join(changes)
+
+
+def _shape(image: HeightImage) -> tuple[int, int]:
+    return image.grid.rows, image.grid.cols
+
+
+def _looks(image: HeightImage) -> tuple[int, int]:
+    return image.range_looks, image.azimuth_looks
 
 
 def _arrays(image: HeightImage) -> dict[str, NDArray[np.generic]]:
@@ -132,17 +164,11 @@ def _arrays(image: HeightImage) -> dict[str, NDArray[np.generic]]:
     return {name: values for name, values in arrays.items() if values.size}
 
 
-def _geometry(image: HeightImage) -> NDArray[np.float64]:
-    """All numbers that say where the pixels lie, and of how many looks they are."""
-    return _numbers((image.grid, image.range_looks, image.azimuth_looks))
-
-
 def _numbers(value: Any) -> NDArray[np.float64]:
-    """All numbers in messages and tuples of them, one after the other."""
-    if hasattr(value, "get_fields_and_field_types"):
-        value = tuple(getattr(value, name) for name in value.get_fields_and_field_types())
-    parts = [_numbers(part) for part in value] if isinstance(value, tuple) else [np.array([value], dtype=np.float64)]
-    return np.concatenate(parts)
+    """All numbers in a message, one after the other."""
+    if not hasattr(value, "get_fields_and_field_types"):
+        return np.array([value], dtype=np.float64)
+    return np.concatenate([_numbers(getattr(value, name)) for name in value.get_fields_and_field_types()])
 
 
 def _differs(ours: NDArray[Any], theirs: NDArray[Any], tolerance: float) -> NDArray[np.bool_]:
@@ -152,19 +178,22 @@ def _differs(ours: NDArray[Any], theirs: NDArray[Any], tolerance: float) -> NDAr
     return differs
 
 
-def _greatest_difference(ours: NDArray[np.generic], theirs: NDArray[np.generic]) -> float:
+def _greatest_difference(ours: NDArray[np.generic], theirs: NDArray[np.generic]) -> float | None:
     difference = np.abs(ours.astype(np.float64) - theirs.astype(np.float64))
-    return float(np.nanmax(difference, initial=0.0))
+    return float(np.nanmax(difference)) if np.any(np.isfinite(difference)) else None
 
 
 def _add(one: HeightComparison | None, other: HeightComparison) -> HeightComparison:
-    one = one or HeightComparison()
+    if one is None:
+        return other
+    known = [d for d in (one.greatest_height_difference, other.greatest_height_difference) if d is not None]
     return HeightComparison(
         matched=one.matched + other.matched,
         missing=one.missing + other.missing,
         extra=one.extra + other.extra,
         grids_different=one.grids_different + other.grids_different,
+        grid_change=one.grid_change or other.grid_change,
         pixels=one.pixels + other.pixels,
         pixels_different=one.pixels_different + other.pixels_different,
-        greatest_height_difference=max(one.greatest_height_difference, other.greatest_height_difference),
+        greatest_height_difference=max(known, default=None),
     )

@@ -73,7 +73,8 @@ class Replay:
             if result.missing or result.extra:
                 lacks.append(f"Topic {topic} misses {result.missing} images and has {result.extra} more than recorded.")
             elif not (changed or result.equal):
-                lacks.append(f"Topic {topic} differs from the recorded one.")
+                how = f": its images have {result.grid_change}" if result.grid_change else ""
+                lacks.append(f"Topic {topic} differs from the recorded one{how}.")
         return [*self.outcome.losses, *lacks]
 
 

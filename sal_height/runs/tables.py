@@ -41,25 +41,22 @@ def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -
 
 
 def comparison_table(compared: Mapping[str, HeightComparison]) -> str:
-    """How the heights of a replay compare with the recorded ones, by topic."""
+    """How the heights of a replay compare with the recorded ones, by topic, and a sentence for each other grid."""
     heading = ["topic", "compared", "missing", "extra", "grids differ", "pixels differ", "greatest difference m"]
-    return aligned(
+    rows = [
         [
-            heading,
-            *(
-                [
-                    topic,
-                    str(result.matched),
-                    str(result.missing),
-                    str(result.extra),
-                    str(result.grids_different),
-                    f"{result.pixels_different} of {result.pixels}",
-                    f"{result.greatest_height_difference:.3g}",
-                ]
-                for topic, result in compared.items()
-            ),
+            topic,
+            str(result.matched),
+            str(result.missing),
+            str(result.extra),
+            str(result.grids_different),
+            f"{result.pixels_different} of {result.pixels}",
+            _number(result.greatest_height_difference, ".3g"),
         ]
-    )
+        for topic, result in compared.items()
+    ]
+    changes = [f"The replayed images of {t} have {r.grid_change}." for t, r in compared.items() if r.grid_change]
+    return "\n".join([aligned([heading, *rows]), *changes])
 
 
 def images_table(images: Sequence[Mapping[str, Any]]) -> str:

@@ -46,8 +46,8 @@ def test_equal_bags_are_equal_whatever_the_provenance(tmp_path: Path) -> None:
         message.header.stamp.sec = 7
     result = compare_heights(recorded, write_bag(tmp_path / "replayed", topics))
     assert result == {
-        "/ml/height": HeightComparison(matched=2, pixels=2 * ROWS * COLS),
-        "/monopulse/height": HeightComparison(matched=1, pixels=ROWS * COLS),
+        "/ml/height": HeightComparison(matched=2, pixels=2 * ROWS * COLS, greatest_height_difference=0.0),
+        "/monopulse/height": HeightComparison(matched=1, pixels=ROWS * COLS, greatest_height_difference=0.0),
     }
     assert all(comparison.equal for comparison in result.values())
 
@@ -77,7 +77,9 @@ def test_the_least_difference_in_any_array_is_one_pixel(name: str) -> None:
     values[2] = np.nextafter(values[2], np.float32(9)) if name in FLOAT_FIELDS else values[2] + 1
     result = compare_heights({"/h": [image()]}, {"/h": [other]})["/h"]
     assert (result.pixels_different, result.equal) == (1, False)
-    assert (result.greatest_height_difference > 0) == (name == "height")
+    greatest = result.greatest_height_difference
+    assert greatest is not None
+    assert (greatest > 0) == (name == "height")
 
 
 def test_nan_differs_from_a_number_but_adds_no_height_difference() -> None:
@@ -117,12 +119,31 @@ def relook(message: HeightImage) -> None:
     message.azimuth_looks += 1
 
 
-@pytest.mark.parametrize("change", [move, turn, stretch, reshape, relook])
-def test_another_grid_makes_the_images_differ(change: Callable[[HeightImage], None]) -> None:
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (move, "pixels at other places"),
+        (turn, "pixels at other places"),
+        (stretch, "pixels at other places"),
+        (relook, "4 x 2 looks instead of 4 x 1"),
+    ],
+)
+def test_another_grid_makes_the_images_differ(change: Callable[[HeightImage], None], said: str) -> None:
     other = image()
     change(other)
-    result = compare_heights({"/h": [image()]}, {"/h": [other]})["/h"]
+    result = compare_heights({"/h": [image(1), image()]}, {"/h": [image(1), other]})["/h"]
     assert (result.grids_different, result.pixels_different, result.equal) == (1, 0, False)
+    assert (result.grid_change, result.greatest_height_difference) == (said, 0.0)
+
+
+@pytest.mark.parametrize("tolerance_m", [0.0, 9.0])
+def test_images_of_another_shape_have_no_pixel_in_common(tolerance_m: float) -> None:
+    other = image()
+    reshape(other)
+    result = compare_heights({"/h": [image()]}, {"/h": [other]}, tolerance_m)["/h"]
+    assert (result.grids_different, result.pixels_different) == (1, ROWS * COLS)
+    assert result.grid_change == "4 x 3 pixels instead of 3 x 4"
+    assert result.greatest_height_difference is None
 
 
 def test_arrays_of_other_length_differ_in_every_pixel() -> None:

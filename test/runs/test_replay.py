@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -22,6 +23,7 @@ from sal_height.errors import UserError
 from sal_height.runs.conductor import Execution
 from sal_height.runs.gotcha import import_gotcha
 from sal_height.runs.replay import recorded_parameters, replay
+from sal_height.runs.tables import comparison_table
 
 BAGS = Path(__file__).parents[2] / "bags"
 REFERENCE = BAGS / "version_1"
@@ -48,6 +50,18 @@ def test_replay_with_another_parameter_shows_the_difference(recorded: Path, tmp_
     accuracy = json.loads((recorded / "report.json").read_text())["estimators"]
     assert result.accuracy["monopulse"] == accuracy["monopulse"]  # by the flight in the bag
     assert result.accuracy["ml"]["s68_m"] != accuracy["ml"]["s68_m"]
+
+
+def test_a_replay_on_another_grid_says_how_it_differs(recorded: Path, tmp_path: Path) -> None:
+    result = replay(recorded / "bag", tmp_path / "out", {"sar_compression": {"rows": 32}})
+    sentence = "The replayed images of /ml/height have {} x {} pixels instead of {} x {}."
+    found = re.search(sentence.replace("{}", r"(\d+)"), comparison_table(result.compared))
+    assert found
+    rows, cols, rows_before, cols_before = map(int, found.groups())
+    assert (rows < rows_before, cols == cols_before) == (True, True)
+    (report,) = (json.loads((tmp_path / "out" / "report.json").read_text())["comparison"][t] for t in ["/ml/height"])
+    assert report["greatest_height_difference"] is None
+    assert f"{rows} x {cols} pixels" in result.shortfalls(changed=False)[0]
 
 
 def test_the_tables_say_what_came_out(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

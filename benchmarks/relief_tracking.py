@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.row import Row, medians, sized
-from sal_height.relief import ReliefPrior, smoothed, smoothed_field
+from sal_height.relief import MeasuredHeights, ReliefPrior, smoothed, smoothed_field
 
 ROWS, COLS = sized((1024, 1024), (64, 64))
-SPACING = 0.5
+SPACINGS = (0.5, 0.5)
 PRIOR = ReliefPrior(20.0, 1.0)
 
 FIELD_ROWS, FIELD_COLS = sized((256, 256), (16, 16))
@@ -28,7 +28,7 @@ def throughput() -> Iterator[Row]:
         np.copyto(there[0], height)
         np.copyto(there[1], sigma)
 
-    tracking, copying = medians(lambda: smoothed(height, sigma, SPACING, PRIOR), copy)
+    tracking, copying = medians(lambda: smoothed(MeasuredHeights(height, sigma, SPACINGS), PRIOR), copy)
     yield Row(
         "relief tracked along range, over a copy",
         tracking / copying,
@@ -38,7 +38,7 @@ def throughput() -> Iterator[Row]:
         f"memory at hand: {1e3 * copying:.2f} ms",
     )
     part = np.s_[:FIELD_ROWS, :FIELD_COLS]
-    (field,) = medians(lambda: smoothed_field(height[part], sigma[part], (SPACING, SPACING), PRIOR))
+    (field,) = medians(lambda: smoothed_field(MeasuredHeights(height[part], sigma[part], SPACINGS), PRIOR))
     yield Row(
         "relief tracked along the flight, too",
         FIELD_ROWS * FIELD_COLS / 1e6 / field,

@@ -14,9 +14,17 @@ from sal_height.elevation import discriminator_variance
 from sal_height.figures.curve import Curve
 from sal_height.figures.sample_statistics import Measured
 from sal_height.numeric import F64
-from sal_height.relief import ReliefPrior, TrackedRelief, filtered, smoothed, steady_sigmas
+from sal_height.relief import (
+    MeasuredHeights,
+    ReliefPrior,
+    TrackedRelief,
+    TrackingSettings,
+    filtered,
+    smoothed,
+    steady_sigmas,
+)
 
-Track = Callable[[F64, F64, float, ReliefPrior, float], TrackedRelief]
+Track = Callable[[MeasuredHeights, ReliefPrior, TrackingSettings], TrackedRelief]
 
 LENGTHS = np.array([1.0, 2.0, 5.0, 10.0, 20.0, 40.0])
 """Correlation lengths of the relief, m."""
@@ -49,8 +57,8 @@ BLOCK = 4096
 STREAM = 17
 """Number that gives this figure other random numbers than other figures with the same seed."""
 
-ALL = np.inf
-"""No gate: errors are Gaussian, and no measurement is an outlier."""
+ALL = TrackingSettings(gate=1000.0)
+"""A gate that no Gaussian error reaches: no measurement is an outlier."""
 
 
 def relief_tracking(trials: int, seed: int) -> Iterator[Curve]:
@@ -96,16 +104,17 @@ def _over_snr(trials: int, seed: int) -> Iterator[Curve]:
         yield _curve("RMSE over SNR", name, index, rmse, closed_form, SNR_DB)
 
 
-def _untracked(height: F64, sigma: F64, _spacing: float, _prior: ReliefPrior, _gate: float) -> TrackedRelief:
-    return TrackedRelief(height, sigma, np.zeros(height.shape, dtype=np.bool_))
+def _untracked(measured: MeasuredHeights, _prior: ReliefPrior, _settings: TrackingSettings) -> TrackedRelief:
+    return TrackedRelief(measured.height, measured.sigma, np.zeros(measured.height.shape, dtype=np.bool_))
 
 
 def draw_relief(rng: np.random.Generator, prior: ReliefPrior, spacing: float, rows: int, cols: int) -> F64:
     """Tracks of a Gauss-Markov relief, m, shape (rows, cols), one in each column."""
     height = rng.standard_normal((rows, cols))
     height[0] *= prior.sigma
+    phi, noise = prior.step(spacing)
     for i in range(1, rows):
-        height[i] = prior.correlation(spacing) * height[i - 1] + np.sqrt(prior.noise(spacing)) * height[i]
+        height[i] = phi * height[i - 1] + np.sqrt(noise) * height[i]
     return height + prior.mean
 
 
@@ -117,7 +126,8 @@ def _rmse(seed: int, trials: int, prior: ReliefPrior, sigma: F64, taken: F64, tr
         rng = np.random.default_rng((seed, STREAM, first))
         height = draw_relief(rng, prior, SPACING, ROWS, cols)
         measured = height + sigma[:, None] * rng.standard_normal(height.shape)
-        result = track(measured, np.repeat(taken[:, None], cols, axis=1), SPACING, prior, ALL)
+        heights = MeasuredHeights(measured, np.repeat(taken[:, None], cols, axis=1), (SPACING, SPACING))
+        result = track(heights, prior, ALL)
         errors.append((result.height - height)[ROWS // 2])
     square = np.concatenate(errors) ** 2
     rmse = float(np.sqrt(np.mean(square)))

@@ -13,14 +13,14 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import Stage, StageParameters, height_topics, payload_bytes
-from sal_height.relief import GATE, track
+from sal_height.relief import TrackingSettings, track
 from sal_height.settings import setting
 
 PREFIX = "tracked"
 """Prefix of the topics, and value of HeightImage.estimator."""
 
 
-class Parameters(StageParameters):
+class Parameters(StageParameters, TrackingSettings):
     """Parameters of the node."""
 
     estimator: str = setting(
@@ -28,26 +28,6 @@ class Parameters(StageParameters):
         "estimator whose heights are smoothed; they come on topic <estimator>/height",
         choices=tuple(ESTIMATORS),
         read_only=True,
-    )
-    correlation_length_m: float = setting(
-        0.0,
-        "correlation length of the relief on the ground; 0: estimated from each image",
-        unit="m",
-        minimum=0.0,
-        maximum=1e6,
-    )
-    relief_sigma_m: float = setting(
-        0.0, "standard deviation of the relief; 0: estimated from each image", unit="m", minimum=0.0, maximum=1e5
-    )
-    along_track: bool = setting(
-        default=True, description="whether heights are smoothed along track as well as along range"
-    )
-    gate: float = setting(
-        GATE,
-        "heights farther than this from their prediction are outliers",
-        unit="standard deviations",
-        minimum=1.0,
-        maximum=1000.0,
     )
 
 
@@ -83,8 +63,7 @@ class ReliefTracker(Stage):
         field, aperture = messages.field_from_message(message), messages.aperture_from_message(message.aperture)
         if bad := messages.bad_pixels(message, field):
             self.ignore("bad pixels", messages.bad_pixel_warning(message, bad))
-        known = parameters.correlation_length_m or None, parameters.relief_sigma_m or None
-        tracked, prior = track(field, aperture, *known, parameters.gate, parameters.along_track)
+        tracked, prior = track(field, aperture, parameters)
         used = {**dict(parameters), "prior": dataclasses.asdict(prior)}
         provenance = messages.derived(message.provenance, self.get_name(), used)
         looks = message.range_looks, message.azimuth_looks

@@ -8,7 +8,7 @@ rows) and `range_profiles` (interpolation of band-limited profiles). Nothing her
 from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, Complex, Index
 from sal_height.numeric.chirp_z import ChirpZ, chirp_z
 from sal_height.numeric.fft import blocks, fast_length, frequencies, rows_at_once
-from sal_height.numeric.jit import WORKERS, compiled, in_parallel, inlined
+from sal_height.numeric.jit import WORKERS, compiled, compiled_with_nan, in_parallel, inlined
 from sal_height.numeric.phasors import cosine_and_sine, distance_phasors, outer_phasors, unit_phasors
 from sal_height.numeric.range_profiles import (
     OVERSAMPLING,
@@ -40,6 +40,7 @@ __all__ = [
     "broadening",
     "chirp_z",
     "compiled",
+    "compiled_with_nan",
     "cosine_and_sine",
     "dense_profiles",
     "distance_phasors",

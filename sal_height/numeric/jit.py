@@ -40,6 +40,11 @@ def compiled(function: Function) -> Function:
     return cast("Function", njit(nogil=True, fastmath=True, error_model="numpy", cache=True)(function))
 
 
+def compiled_with_nan(function: Function) -> Function:
+    """Compile as `compiled` does, but keep the meaning of NaN and of infinities, and the order of sums."""
+    return cast("Function", njit(nogil=True, error_model="numpy", cache=True)(function))
+
+
 def inlined(function: Function) -> Function:
     """Compile the function into the `compiled` functions that call it, which saves the cost of a call."""
     return cast("Function", njit(nogil=True, fastmath=True, error_model="numpy", inline="always")(function))

@@ -1,25 +1,34 @@
 """From elevation to heights on the ground, tracked over pixels and gathered from many dwells.
 
 Read `heights` first (elevation, range and Doppler to height, place and sigma), then `range_tracking` and
-`field_tracking` (Gauss-Markov smoothing along range, and along the track too), `tracked` (the smoothed heights,
-placed), `map` (all dwells in one grid) and `geotiff` (that grid as a file).
+`field_tracking` (Gauss-Markov smoothing along range, and along the track too, with the `settings`), `tracked` (the
+smoothed heights, placed), `map` (all dwells in one grid) and `geotiff` (that grid as a file).
 """
 
 from sal_height.relief.field_tracking import smoothed_field
 from sal_height.relief.geotiff import check_geotiff, write_geotiff
 from sal_height.relief.heights import HeightField, Surface, height_field
 from sal_height.relief.map import Relief, ReliefMap
-from sal_height.relief.range_tracking import GATE, ReliefPrior, TrackedRelief, filtered, smoothed, steady_sigmas
+from sal_height.relief.range_tracking import (
+    MeasuredHeights,
+    ReliefPrior,
+    TrackedRelief,
+    filtered,
+    smoothed,
+    steady_sigmas,
+)
+from sal_height.relief.settings import TrackingSettings
 from sal_height.relief.tracked import track
 
 __all__ = [
-    "GATE",
     "HeightField",
+    "MeasuredHeights",
     "Relief",
     "ReliefMap",
     "ReliefPrior",
     "Surface",
     "TrackedRelief",
+    "TrackingSettings",
     "check_geotiff",
     "filtered",
     "height_field",

@@ -60,37 +60,33 @@ def write_geotiff(path: Path, relief: Relief, origin: tuple[float, float] | None
     Raises:
         UserError: rasterio is not installed, or the file cannot be written.
     """
-    with _rasterio(path).MemoryFile() as memory:  # written there first, where the disk cannot cut it short
-        _fill(memory, relief, PLACED.format(*origin) if origin else UNPLACED, tags)
-        write_whole(path, memory.getbuffer())
-
-
-def _fill(memory: Any, relief: Relief, coordinates: str, tags: Mapping[str, str]) -> None:
-    """Write the file into memory."""
+    rasterio = _rasterio(path)
     rows, cols = relief.height.shape
     west = relief.east - relief.cell_size / 2
     north = relief.north + (rows - 0.5) * relief.cell_size
-    with memory.open(
-        driver="GTiff",
-        width=cols,
-        height=rows,
-        count=len(BANDS),
-        dtype="float32",
-        nodata=np.nan,
-        crs=coordinates,
-        transform=_rasterio(Path()).Affine(relief.cell_size, 0.0, west, 0.0, -relief.cell_size, north),
-        compress="deflate",
-        predictor=3,
-        zlevel=1,
-        interleave="band",
-        tiled=True,
-        bigtiff="if_safer",
-    ) as file:
-        file.update_tags(**tags)
-        for band, (layer, description) in enumerate(BANDS.items(), start=1):
-            file.write(getattr(relief, layer)[::-1].astype(np.float32), band)
-            file.set_band_description(band, layer)
-            file.update_tags(band, description=description)
+    with rasterio.MemoryFile() as memory:  # written there first, where the disk cannot cut it short
+        with memory.open(
+            driver="GTiff",
+            width=cols,
+            height=rows,
+            count=len(BANDS),
+            dtype="float32",
+            nodata=np.nan,
+            crs=PLACED.format(*origin) if origin else UNPLACED,
+            transform=rasterio.Affine(relief.cell_size, 0.0, west, 0.0, -relief.cell_size, north),
+            compress="deflate",
+            predictor=3,
+            zlevel=1,
+            interleave="band",
+            tiled=True,
+            bigtiff="if_safer",
+        ) as file:
+            file.update_tags(**tags)
+            for band, (layer, description) in enumerate(BANDS.items(), start=1):
+                file.write(getattr(relief, layer)[::-1].astype(np.float32), band)
+                file.set_band_description(band, layer)
+                file.update_tags(band, description=description)
+        write_whole(path, memory.getbuffer())
 
 
 def _rasterio(path: Path) -> Any:

@@ -49,6 +49,11 @@ class Surface:
             sigma = self.sigma.astype(np.float32)
         return np.isfinite(self.positions).all(axis=-1) & np.isfinite(sigma) & (sigma > 0)
 
+    def where(self, there: Bool) -> Surface:
+        """The surface with heights and positions only `there`, and NaN elsewhere; the CNR stays."""
+        height, sigma = (np.where(there, values, np.nan) for values in (self.height, self.sigma))
+        return Surface(height, sigma, self.cnr_db, np.where(there[..., None], self.positions, np.nan))
+
 
 @dataclass(frozen=True)
 class HeightField:
@@ -66,42 +71,6 @@ class HeightField:
     validity: U8
     first: Surface
     second: Surface | None
-
-
-@dataclass(frozen=True)
-class _Circles:
-    """The circle of each pixel's range and Doppler, on which its scatterer lies.
-
-    Attributes:
-        aperture: state of the platform, not sliding (`geometry.aperture_at`).
-        look_side: +1 right, -1 left.
-        slant_range: m, shape (rows, cols).
-        along: along-track distance from the platform to the scatterers, m, shape (rows, cols).
-        range_step: slant-range spacing of the rows of the SLC, m.
-        range_sigma: standard deviation of range, m.
-    """
-
-    aperture: ApertureState
-    look_side: int
-    slant_range: F64
-    along: F64
-    range_step: float
-    range_sigma: F64
-
-    def surface(self, elevation: F64, sigma: F64, cnr: F64) -> Surface:
-        """Height and position of scatterers at `elevation` with `sigma` (rad); NaN where there is no such direction."""
-        below, positions, above = (self._at(elevation + shift) for shift in (-SLOPE_STEP, 0.0, SLOPE_STEP))
-        height = height_of(positions)
-        slope = (height_of(above) - height_of(below)) / (2 * SLOPE_STEP)
-        depth = (height_of(self._at(elevation, self.range_step)) - height) / self.range_step
-        variance = (sigma * slope) ** 2 + (self.range_sigma * depth) ** 2
-        variance += pose_variance(elevation, slope, positions, self.aperture, self.look_side)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            cnr_db = 10 * np.log10(np.where(cnr > 0, cnr, np.nan))
-        return Surface(height, np.sqrt(variance), cnr_db, positions)
-
-    def _at(self, elevation: F64, farther: float = 0.0) -> F64:
-        return locate_at_elevation(elevation, self.slant_range + farther, self.along, self.aperture, self.look_side)
 
 
 def height_field(
@@ -134,23 +103,39 @@ def height_field(
     aperture = aperture_at(points, aperture)
     sight = points - aperture.position
     slant_range = np.linalg.norm(sight, axis=-1)
-    range_cell = slc_grid.row_spacing * np.abs(sight @ slc_grid.row_direction) / slant_range
-    circles = _Circles(
-        aperture,
-        look_side,
-        slant_range,
-        sight @ aperture.direction + slant_range * radial_velocity / np.linalg.norm(aperture.velocity),
-        slc_grid.row_spacing,
-        range_cell / np.sqrt(12 * looks.count),
-    )
-    first = circles.surface(estimate.elevation, estimate.sigma, estimate.cnr)
-    other = estimate.second
-    second = circles.surface(other.elevation, other.sigma, other.cnr) if other else None
+    along = sight @ aperture.direction + slant_range * radial_velocity / np.linalg.norm(aperture.velocity)
+    range_step = slc_grid.row_spacing
+    range_sigma = range_step * np.abs(sight @ slc_grid.row_direction) / slant_range / np.sqrt(12 * looks.count)
+
+    def surface(elevation: F64, sigma: F64, cnr: F64) -> Surface:
+        """Height and position of scatterers; NaN where there is no such direction."""
+        positions = locate_at_elevation(elevation, slant_range, along, aperture, look_side)
+        height = height_of(positions)
+        farther = locate_at_elevation(elevation, slant_range + range_step, along, aperture, look_side)
+        depth = (height_of(farther) - height) / range_step
+        slope = _height_slope(elevation, slant_range, along, aperture, look_side)
+        variance = (sigma * slope) ** 2 + (range_sigma * depth) ** 2
+        variance += pose_variance(elevation, slope, positions, aperture, look_side)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cnr_db = 10 * np.log10(np.where(cnr > 0, cnr, np.nan))
+        return Surface(height, np.sqrt(variance), cnr_db, positions)
+
+    first, other = surface(estimate.elevation, estimate.sigma, estimate.cnr), estimate.second
+    second = surface(other.elevation, other.sigma, other.cnr) if other else None
     validity = _checked_validity(estimate.validity, first, second)
     usable, two = np.isin(validity, (Validity.OK, Validity.TWO_SCATTERERS)), validity == Validity.TWO_SCATTERERS
     if second:
-        second = replace(_only(second, two), cnr_db=np.where(two, second.cnr_db, np.nan))
-    return HeightField(grid, validity, _only(first, usable), second)
+        second = replace(second.where(two), cnr_db=np.where(two, second.cnr_db, np.nan))
+    return HeightField(grid, validity, first.where(usable), second)
+
+
+def _height_slope(elevation: F64, slant_range: F64, along: F64, aperture: ApertureState, look_side: int) -> F64:
+    """Derivative of height by elevation on the circles of range and Doppler, m/rad, by central differences."""
+    below, above = (
+        height_of(locate_at_elevation(elevation + step, slant_range, along, aperture, look_side))
+        for step in (-SLOPE_STEP, SLOPE_STEP)
+    )
+    return (above - below) / (2 * SLOPE_STEP)
 
 
 def _checked_validity(validity: U8, first: Surface, second: Surface | None) -> U8:
@@ -165,16 +150,6 @@ def _checked_validity(validity: U8, first: Surface, second: Surface | None) -> U
     doubtful = np.where(two, ~told_apart, (validity == Validity.OK) & ~first.is_determined)
     reason = np.select([two, placed], [Validity.NOT_ONE_SCATTERER, Validity.LOW_CNR], Validity.OUTSIDE_ARRAY)
     return np.where(doubtful, reason, validity).astype(np.uint8)
-
-
-def _only(surface: Surface, there: Bool) -> Surface:
-    """The surface with heights and positions only where they can be used."""
-    return Surface(
-        height=np.where(there, surface.height, np.nan),
-        sigma=np.where(there, surface.sigma, np.nan),
-        cnr_db=surface.cnr_db,
-        positions=np.where(there[..., None], surface.positions, np.nan),
-    )
 
 
 def pose_variance(elevation: F64, slope: F64, positions: F64, aperture: ApertureState, look_side: int) -> F64:
@@ -216,9 +191,5 @@ def shared_variance(positions: F64, aperture: ApertureState) -> F64:
     aperture = aperture_at(positions, aperture)
     sight = positions - aperture.position
     slant_range, elevation, _ = angles_of(positions, aperture, RIGHT)
-    circles = slant_range, sight @ aperture.direction
-    below, above = (
-        height_of(locate_at_elevation(elevation + step, *circles, aperture, RIGHT))
-        for step in (-SLOPE_STEP, SLOPE_STEP)
-    )
-    return pose_variance(elevation, (above - below) / (2 * SLOPE_STEP), positions, aperture, RIGHT)
+    slope = _height_slope(elevation, slant_range, sight @ aperture.direction, aperture, RIGHT)
+    return pose_variance(elevation, slope, positions, aperture, RIGHT)

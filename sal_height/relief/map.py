@@ -34,52 +34,6 @@ HEIGHT, WEIGHT, CHI_SQUARE, COUNT = range(4)
 """Layers of a tile: mean height (m), 1 / its variance (1/m^2), chi-square, number of dwells."""
 
 
-@dataclass(frozen=True)
-class Box:
-    """Cells in a rectangle: rows from `south` to before `north`, columns from `west` to before `east`."""
-
-    south: int
-    west: int
-    north: int
-    east: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, cols)."""
-        return self.north - self.south, self.east - self.west
-
-    def around(self, other: Box) -> Box:
-        """The smallest box that holds both."""
-        return Box(
-            min(self.south, other.south),
-            min(self.west, other.west),
-            max(self.north, other.north),
-            max(self.east, other.east),
-        )
-
-    def within(self, other: Box) -> tuple[slice, slice]:
-        """Rows and columns of an array over `other` that lie in this box."""
-        return (
-            slice(max(self.south - other.south, 0), self.north - other.south),
-            slice(max(self.west - other.west, 0), self.east - other.west),
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class CellHeights:
-    """Heights of one dwell in the cells of a box; arrays of its shape, row 0 the southernmost.
-
-    Attributes:
-        box: the cells.
-        height: mean height, m; 0 where nothing was seen.
-        weight: 1 / variance of that mean, 1/m^2; 0 where nothing was seen.
-    """
-
-    box: Box
-    height: F64
-    weight: F64
-
-
 @dataclass(frozen=True, eq=False)
 class Relief:
     """A map as it stands; arrays of shape (rows, cols), row 0 the southernmost.
@@ -120,7 +74,7 @@ class ReliefMap:
         """
         self.cell_size = cell_size
         self.max_cells = max_cells
-        self._box: Box | None = None
+        self._corners: I64 | None = None  # row and column of the first and of the last cell of that rectangle
         self._tiles: dict[tuple[int, int], F64] = {}
 
     def add(self, surface: Surface, aperture: ApertureState) -> None:
@@ -133,57 +87,56 @@ class ReliefMap:
         if not seen.any():
             return
         east, north, _ = sphere_coordinates(surface.positions[seen])
-        row, col = (np.floor(distance / self.cell_size).astype(np.int64) for distance in (north, east))
-        box = Box(int(row.min()), int(col.min()), int(row.max()) + 1, int(col.max()) + 1)
-        whole = self._box.around(box) if self._box else box
-        if whole.shape[0] * whole.shape[1] > self.max_cells:
+        cells = np.floor(np.stack([north, east]) / self.cell_size).astype(np.int64)
+        corners = np.stack([cells.min(axis=1), cells.max(axis=1)])
+        if self._corners is not None:
+            corners = np.stack([np.minimum(corners[0], self._corners[0]), np.maximum(corners[1], self._corners[1])])
+        rows, cols = (corners[1] - corners[0] + 1).tolist()
+        if rows * cols > self.max_cells:
             raise Rejected(
                 "map full",
-                f"With these heights the map would have {whole.shape[0]} x {whole.shape[1]} cells of "
-                f"{self.cell_size:g} m, more than the {self.max_cells} that max_cells allows.",
+                f"With these heights the map would have {rows} x {cols} cells of {self.cell_size:g} m, more than the "
+                f"{self.max_cells} that max_cells allows.",
             )
-        cell = (row - box.south) * box.shape[1] + col - box.west
-        self._combine(_averaged(cell, surface.height[seen], surface.sigma[seen], box, self.cell_size, aperture))
-        self._box = whole
+        self._enter(*_averaged(cells, surface.height[seen], surface.sigma[seen], self.cell_size, aperture))
+        self._corners = corners
+
+    def _enter(self, row: I64, col: I64, height: F64, weight: F64) -> None:
+        """Enter a dwell's mean heights (m) in some cells, in the order of rows, with `weight` 1 / variance (1/m^2)."""
+        for tile_row in range(row[0] // TILE, row[-1] // TILE + 1):
+            line = slice(*np.searchsorted(row, [TILE * tile_row, TILE * (tile_row + 1)]))
+            tile_cols = col[line] // TILE
+            for tile_col in np.unique(tile_cols).tolist():
+                here = line.start + np.flatnonzero(tile_cols == tile_col)
+                tile = self._tiles.setdefault((tile_row, tile_col), np.zeros((4, TILE, TILE)))
+                there = np.s_[:, row[here] % TILE, col[here] % TILE]
+                tile[there] = _updated(tile[there], height[here], weight[here])
 
     def relief(self) -> Relief | None:
         """Return the map as it stands; None if nothing was seen yet."""
-        if self._box is None:
+        if self._corners is None:
             return None
-        box = self._box
-        height, sigma, disagreement = (np.full(box.shape, np.nan, np.float32) for _ in range(3))
-        count = np.zeros(box.shape, np.uint32)
-        for place, cells in self._tiles.items():
-            tile = _tile_box(place)
-            there, here = tile.within(box), box.within(tile)
-            part = cells[(slice(None), *here)]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                seen = part[COUNT] > 0
-                height[there] = np.where(seen, part[HEIGHT], np.nan)
-                sigma[there] = np.where(seen, 1 / np.sqrt(part[WEIGHT]), np.nan)
-                disagreement[there] = np.where(part[COUNT] > 1, np.sqrt(part[CHI_SQUARE] / (part[COUNT] - 1)), np.nan)
-            count[there] = part[COUNT]
+        south, west = self._corners[0].tolist()
+        shape = tuple((self._corners[1] - self._corners[0] + 1).tolist())
+        height, sigma, disagreement = (np.full(shape, np.nan, np.float32) for _ in range(3))
+        count = np.zeros(shape, np.uint32)
+        for (tile_row, tile_col), tile in self._tiles.items():
+            row, col = np.nonzero(tile[COUNT])
+            there = row + TILE * tile_row - south, col + TILE * tile_col - west
+            mean, weight, chi_square, dwells = tile[:, row, col]
+            height[there], sigma[there], count[there] = mean, 1 / np.sqrt(weight), dwells
+            with np.errstate(invalid="ignore"):
+                disagreement[there] = np.sqrt(chi_square / np.where(dwells > 1, dwells - 1, np.nan))
         centre = self.cell_size / 2
         return Relief(
-            east=box.west * self.cell_size + centre,
-            north=box.south * self.cell_size + centre,
+            east=west * self.cell_size + centre,
+            north=south * self.cell_size + centre,
             cell_size=self.cell_size,
             height=height,
             sigma=sigma,
             disagreement=disagreement,
             count=count,
         )
-
-    def _combine(self, dwell: CellHeights) -> None:
-        """Enter the heights of a dwell."""
-        box = dwell.box
-        for i in range(box.south // TILE, (box.north - 1) // TILE + 1):
-            for j in range(box.west // TILE, (box.east - 1) // TILE + 1):
-                tile = _tile_box((i, j))
-                part = tile.within(box)
-                if dwell.weight[part].any():
-                    cells = self._tiles.setdefault((i, j), np.zeros((4, TILE, TILE)))
-                    _update(cells[(slice(None), *box.within(tile))], dwell.height[part], dwell.weight[part])
 
 
 def fitting_cell_size(grid: Grid, aperture: ApertureState) -> float:
@@ -202,64 +155,53 @@ def fitting_cell_size(grid: Grid, aperture: ApertureState) -> float:
     return float(next(step * decade for step in (1, 2, 5, 10) if step * decade >= pixel * (1 - 1e-9)))
 
 
-def _averaged(cell: I64, height: F64, sigma: F64, box: Box, cell_size: float, aperture: ApertureState) -> CellHeights:
-    """Average the pixels in each cell of `box` with the weights w = 1 / sigma^2.
+def _averaged(
+    cells: I64, height: F64, sigma: F64, cell_size: float, aperture: ApertureState
+) -> tuple[I64, I64, F64, F64]:
+    """Average the pixels in each cell with the weights w = 1 / sigma^2.
 
     If a part c of the variances is common to all pixels, the variance of the mean is
     sum w^2 (sigma^2 - c) / (sum w)^2 + c = 1 / sum w + c (1 - sum w^2 / (sum w)^2).
 
     Args:
-        cell: index of each pixel's cell in the raveled box, shape (n,).
-        height: m, shape (n,).
-        sigma: m, shape (n,).
-        box: the cells.
+        cells: row and column of each pixel's cell, shape (2, pixels).
+        height: m, shape (pixels,).
+        sigma: m, shape (pixels,).
         cell_size: m.
         aperture: from which they were seen.
+
+    Returns:
+        Row and column of the cells that were seen, in the order of rows, and their mean height (m) and 1 / its variance
+        (1/m^2).
     """
-    cells = box.shape[0] * box.shape[1]
+    first = cells.min(axis=1)
+    shape = tuple(cells.max(axis=1) - first + 1)
+    index = np.ravel_multi_index(tuple(cells - first[:, None]), shape)
     weight = 1 / sigma**2
-    total = np.bincount(cell, weight, cells)
+    total = np.bincount(index, weight)
     seen = np.flatnonzero(total)
+    row, col = np.unravel_index(seen, shape)
     sums = total[seen]
-    mean = np.bincount(cell, weight * height, cells)[seen] / sums
-    common = _common_in_cells(seen, mean, box, cell_size, aperture)
-    variance = 1 / sums + common * (1 - np.bincount(cell, weight**2, cells)[seen] / sums**2)
-    heights, weights = np.zeros(cells), np.zeros(cells)
-    heights[seen], weights[seen] = mean, 1 / variance
-    return CellHeights(box, heights.reshape(box.shape), weights.reshape(box.shape))
-
-
-def _common_in_cells(cell: I64, height: F64, box: Box, cell_size: float, aperture: ApertureState) -> F64:
-    """`shared_variance` of the cells with these indices in the raveled box.
-
-    It changes by parts of the range, and is computed for one cell in each square of SMOOTH times the flight height.
-    """
-    row, col = np.divmod(cell, box.shape[1])
+    mean = np.bincount(index, weight * height)[seen] / sums
+    # The common variance changes by parts of the range: it is computed for one cell in each square.
     side = max(1, int(SMOOTH * height_of(aperture.position) / cell_size))
-    square = row // side * (box.shape[1] // side + 1) + col // side
+    square = row // side * (shape[1] // side + 1) + col // side
     chosen = np.zeros(square.max() + 1, dtype=np.int64)
-    chosen[square] = np.arange(len(cell))
-    east, north = (cell_size * (first + index[chosen] + 0.5) for first, index in ((box.west, col), (box.south, row)))
-    variance = shared_variance(sphere_point(east, north, height[chosen]), aperture)
-    return variance[square]
+    chosen[square] = np.arange(len(seen))
+    row, col = row + first[0], col + first[1]
+    places = sphere_point(cell_size * (col[chosen] + 0.5), cell_size * (row[chosen] + 0.5), mean[chosen])
+    common = shared_variance(places, aperture)[square]
+    variance = 1 / sums + common * (1 - np.bincount(index, weight**2)[seen] / sums**2)
+    return row, col, mean, 1 / variance
 
 
-def _update(cells: F64, height: F64, weight: F64) -> None:
-    """Update the weighted means of `cells` with a measurement of `weight` 1 / variance (0: no measurement).
+def _updated(cells: F64, height: F64, weight: F64) -> F64:
+    """Update the layers of cells, shape (4, n), with measurements of `weight` 1 / variance.
 
     Chi-square grows by the squared difference from the mean so far, over the variance of that difference. That gives
     the sum of w (h - mean)^2 over all measurements without the cancellation of large squares.
     """
-    total = cells[WEIGHT] + weight
-    gain = np.divide(weight, total, out=np.zeros_like(weight), where=weight > 0)
-    step = gain * (height - cells[HEIGHT])
-    cells[CHI_SQUARE] += np.divide(step**2 * cells[WEIGHT], gain, out=np.zeros_like(gain), where=gain > 0)
-    cells[HEIGHT] += step
-    cells[WEIGHT] = total
-    cells[COUNT] += weight > 0
-
-
-def _tile_box(place: tuple[int, int]) -> Box:
-    """Cells of the tile in row and column `place` of tiles."""
-    south, west = TILE * place[0], TILE * place[1]
-    return Box(south, west, south + TILE, west + TILE)
+    mean, known, chi_square, count = cells
+    gain = weight / (known + weight)
+    step = gain * (height - mean)
+    return np.stack([mean + step, known + weight, chi_square + step**2 * known / gain, count + 1])

@@ -10,12 +10,11 @@ import pytest
 from helpers import assert_one_sentence
 
 from sal_height.errors import UserError
-from sal_height.relief import field_tracking as relief_field
 from sal_height.relief.field_tracking import estimated_field_prior, smoothed_field
 from sal_height.relief.range_tracking import (
     COLUMNS_AT_ONCE,
-    GATE,
     LEAST_STEPS,
+    MeasuredHeights,
     ReliefPrior,
     TrackedRelief,
     estimated_prior,
@@ -23,13 +22,18 @@ from sal_height.relief.range_tracking import (
     smoothed,
     steady_sigmas,
 )
+from sal_height.relief.settings import TrackingSettings
 
 Array = npt.NDArray[np.float64]
 
 PRIOR = ReliefPrior(20.0, 1.0, 3.0)
 SPACING = 0.5
-ALL = np.inf
+ALL = TrackingSettings(gate=1000.0)
 """A gate that no measurement is beyond."""
+
+
+def of(height: Array, sigma: Array, spacings: tuple[float, float] = (SPACING, SPACING)) -> MeasuredHeights:
+    return MeasuredHeights(height, sigma, spacings)
 
 
 def draw(rng: np.random.Generator, prior: ReliefPrior, shape: tuple[int, int], spacings: tuple[float, float]) -> Array:
@@ -85,7 +89,7 @@ def test_filter_and_smoother_are_what_conditioning_on_all_cells_gives() -> None:
     measured = measure(rng, tracks(rng, PRIOR, sigma.shape), sigma, missing=0.2)
     sigma[7, 0], sigma[8, 0], sigma[9, 0], sigma[10, 0] = np.inf, np.nan, 0.0, -1.0
     known = np.where(np.isfinite(sigma) & (sigma > 0), measured, np.nan)
-    both, causal = smoothed(measured, sigma, SPACING, PRIOR, ALL), filtered(measured, sigma, SPACING, PRIOR, ALL)
+    both, causal = smoothed(of(measured, sigma), PRIOR, ALL), filtered(of(measured, sigma), PRIOR, ALL)
     for c in range(3):
         height, spread = conditioned(known[:, c], sigma[:, c], covariance, PRIOR.mean)
         np.testing.assert_allclose(both.height[:, c], height, atol=1e-9)
@@ -118,7 +122,7 @@ def test_errors_are_those_of_the_steady_state() -> None:
     measured = measure(rng, height, sigma)
     middle = slice(80, 161)  # 40 m, twice the correlation length, make several independent errors of a track
     for track, expected in zip((filtered, smoothed), steady_sigmas(PRIOR, SPACING, 1.0), strict=True):
-        result = track(measured, sigma, SPACING, PRIOR, ALL)
+        result = track(of(measured, sigma), PRIOR, ALL)
         assert rms((result.height - height)[middle]) == pytest.approx(expected, rel=0.02)
         np.testing.assert_allclose(result.sigma[middle], expected, rtol=1e-6)
 
@@ -136,9 +140,9 @@ def test_sigma_is_the_spread_of_the_errors(length: float, noise: float, missing:
     height = tracks(rng, prior, (300, 200))
     sigma = noise * uneven(rng, height.shape)
     measured = measure(rng, height, sigma, missing)
-    estimated = estimated_prior(measured, sigma, SPACING)
+    estimated = estimated_prior(of(measured, sigma))
     for known, track in itertools.product((prior, estimated), (filtered, smoothed)):
-        result = track(measured, sigma, SPACING, known)
+        result = track(of(measured, sigma), known)
         assert within(result, height) == pytest.approx(0.683, abs=0.03)
         assert rms((result.height - height) / result.sigma) == pytest.approx(1, abs=0.06)
 
@@ -150,7 +154,7 @@ def test_prior_is_estimated() -> None:
     for _ in range(9):
         height = tracks(rng, PRIOR, (400, 64))
         sigma = uneven(rng, height.shape)
-        prior = estimated_prior(measure(rng, height, sigma, 0.1), sigma, SPACING)
+        prior = estimated_prior(of(measure(rng, height, sigma, 0.1), sigma))
         found.append([np.log(prior.length / 20.0), np.log(prior.sigma), prior.mean - 3.0])
     error = np.std(found, axis=0, ddof=1)
     assert np.all(error < [0.12, 0.05, 0.1])
@@ -165,11 +169,11 @@ def test_prior_is_estimated_in_spite_of_outliers() -> None:
     clean = measure(rng, height, sigma)
     wrong = rng.random(height.shape) < 0.125
     measured = np.where(wrong, rng.uniform(-7, 13, height.shape), clean)
-    prior = estimated_prior(measured, sigma, SPACING)
+    prior = estimated_prior(of(measured, sigma))
     assert prior.length == pytest.approx(20, rel=0.3)
     assert prior.sigma == pytest.approx(1, rel=0.15)
-    result = smoothed(measured, sigma, SPACING, prior)
-    without = smoothed(np.where(wrong, np.nan, clean), sigma, SPACING, PRIOR)
+    result = smoothed(of(measured, sigma), prior)
+    without = smoothed(of(np.where(wrong, np.nan, clean), sigma), PRIOR)
     far = wrong & (np.abs(measured - height) > 5)
     assert np.mean(result.outlier[far]) > 0.99
     assert np.mean(result.outlier[~wrong]) < 0.001
@@ -182,13 +186,14 @@ def test_what_is_known_of_the_prior_is_kept() -> None:
     height = tracks(rng, PRIOR, (300, 40))
     sigma = np.ones_like(height)
     measured = measure(rng, height, sigma)
-    free = estimated_prior(measured, sigma, SPACING)
-    assert estimated_prior(measured, sigma, SPACING, length=7.0).length == pytest.approx(7.0)
-    assert estimated_prior(measured, sigma, SPACING, relief_sigma=2.0).sigma == pytest.approx(2.0)
-    both = estimated_prior(measured, sigma, SPACING, 7.0, 2.0)
+    free = estimated_prior(of(measured, sigma))
+    assert estimated_prior(of(measured, sigma), TrackingSettings(correlation_length_m=7.0)).length == pytest.approx(7.0)
+    assert estimated_prior(of(measured, sigma), TrackingSettings(relief_sigma_m=2.0)).sigma == pytest.approx(2.0)
+    known = TrackingSettings(correlation_length_m=7.0, relief_sigma_m=2.0)
+    both = estimated_prior(of(measured, sigma), known)
     assert (both.length, both.sigma) == pytest.approx((7.0, 2.0))
     assert both.mean == pytest.approx(free.mean, abs=0.3)
-    field = estimated_field_prior(measured, sigma, (SPACING, SPACING), 7.0, 2.0)
+    field = estimated_field_prior(of(measured, sigma), known)
     assert (field.length, field.sigma) == pytest.approx((7.0, 2.0))
 
 
@@ -199,10 +204,10 @@ def test_level_ground_is_averaged_and_no_surer_than_its_level() -> None:
     for _ in range(15):
         measured = 5 + rng.standard_normal((60, 20))
         sigma = np.ones_like(measured)
-        alone = estimated_prior(measured, sigma, SPACING)
-        field = estimated_field_prior(measured, sigma, (SPACING, SPACING))
-        along_range = smoothed(measured, sigma, SPACING, alone)
-        for result in (along_range, smoothed_field(measured, sigma, (SPACING, SPACING), field)):
+        alone = estimated_prior(of(measured, sigma))
+        field = estimated_field_prior(of(measured, sigma))
+        along_range = smoothed(of(measured, sigma), alone)
+        for result in (along_range, smoothed_field(of(measured, sigma), field)):
             assert rms(result.height - 5) < 0.2
             off.append(rms((result.height - 5) / result.sigma))
     assert np.count_nonzero(np.array(off) > 2) <= 2
@@ -215,7 +220,7 @@ def test_an_outlier_is_marked_and_does_no_harm() -> None:
     measured = measure(rng, height, sigma)
     spoilt, missing = measured.copy(), measured.copy()
     spoilt[50], missing[50] = 20.0, np.nan
-    result, expected = (smoothed(values, sigma, SPACING, PRIOR) for values in (spoilt, missing))
+    result, expected = (smoothed(of(values, sigma), PRIOR) for values in (spoilt, missing))
     np.testing.assert_array_equal(np.flatnonzero(result.outlier), [50])
     np.testing.assert_allclose(result.height, expected.height, rtol=1e-12)
     np.testing.assert_allclose(result.sigma, expected.sigma, rtol=1e-12)
@@ -227,12 +232,12 @@ def test_the_track_is_found_again_behind_a_cliff(step: float) -> None:
     measured = np.where(np.arange(200)[:, None] < 100, 0.0, step)
     sigma = np.full(measured.shape, 0.1)
     prior = ReliefPrior(20.0, 1.0)
-    result = filtered(measured, sigma, SPACING, prior)
+    result = filtered(of(measured, sigma), prior)
     lost = np.flatnonzero(result.outlier)
     n = np.arange(1, 101)
     left = prior.correlation(n * SPACING) ** 2 * (1 - result.sigma[99] ** 2)
     departure = step - prior.correlation(n * SPACING) * result.height[99]
-    let_in = departure**2 <= GATE**2 * (1 - left + 0.1**2)
+    let_in = departure**2 <= TrackingSettings().gate ** 2 * (1 - left + 0.1**2)
     count = int(np.argmax(let_in))
     assert 0 < count < 30
     np.testing.assert_array_equal(lost, np.arange(100, 100 + count))
@@ -244,12 +249,12 @@ def test_columns_and_precision_of_single_numbers_make_no_difference() -> None:
     rng = np.random.default_rng(9)
     sigma = uneven(rng, (50, 2 * COLUMNS_AT_ONCE + 1))
     measured = measure(rng, tracks(rng, PRIOR, sigma.shape), sigma, 0.1)
-    result = smoothed(measured, sigma, SPACING, PRIOR)
+    result = smoothed(of(measured, sigma), PRIOR)
     for c in (0, COLUMNS_AT_ONCE - 1, COLUMNS_AT_ONCE, 2 * COLUMNS_AT_ONCE):
-        alone = smoothed(measured[:, [c]], sigma[:, [c]], SPACING, PRIOR)
+        alone = smoothed(of(measured[:, [c]], sigma[:, [c]]), PRIOR)
         np.testing.assert_allclose(result.height[:, [c]], alone.height, rtol=1e-12)
         np.testing.assert_allclose(result.sigma[:, [c]], alone.sigma, rtol=1e-12)
-    single = smoothed(measured.astype(np.float32), sigma.astype(np.float32), SPACING, PRIOR)
+    single = smoothed(of(measured.astype(np.float32), sigma.astype(np.float32)), PRIOR)
     assert single.height.dtype == single.sigma.dtype == np.float32
     np.testing.assert_allclose(single.height, result.height, atol=2e-6)
     np.testing.assert_allclose(single.sigma, result.sigma, atol=1e-6)
@@ -257,29 +262,28 @@ def test_columns_and_precision_of_single_numbers_make_no_difference() -> None:
 
 def test_a_field_of_one_window_is_what_conditioning_on_all_cells_gives() -> None:
     rng = np.random.default_rng(10)
-    shape, spacings = (9, relief_field.WINDOW), (SPACING, 2.0)
+    shape, spacings = (9, TrackingSettings().window_columns), (SPACING, 2.0)
     rows, cols = (
         PRIOR.correlation(np.subtract.outer(np.arange(n), np.arange(n)) * d)
         for n, d in zip(shape, spacings, strict=True)
     )
     sigma = uneven(rng, shape)
     measured = measure(rng, draw(rng, PRIOR, shape, spacings), sigma, 0.2)
-    result = smoothed_field(measured, sigma, spacings, PRIOR, ALL)
+    result = smoothed_field(of(measured, sigma, spacings), PRIOR, ALL)
     height, spread = conditioned(measured.ravel(), sigma.ravel(), PRIOR.sigma**2 * np.kron(rows, cols), PRIOR.mean)
     np.testing.assert_allclose(result.height.ravel(), height, atol=1e-9)
     np.testing.assert_allclose(result.sigma.ravel(), spread, atol=1e-9)
 
 
 @pytest.mark.parametrize("cols", [1, 33, 48, 49, 80])
-def test_windows_lose_little_of_a_wide_field(cols: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_windows_lose_little_of_a_wide_field(cols: int) -> None:
     """Against one window as wide as the image: every sigma is 4 % greater at most, 2 % in the mean."""
     rng = np.random.default_rng(11)
     spacings = (SPACING, SPACING)
     sigma = np.ones((40, cols))
     measured = measure(rng, draw(rng, PRIOR, sigma.shape, spacings), sigma)
-    windows = smoothed_field(measured, sigma, spacings, PRIOR, ALL)
-    monkeypatch.setattr(relief_field, "WINDOW", cols)
-    whole = smoothed_field(measured, sigma, spacings, PRIOR, ALL)
+    windows = smoothed_field(of(measured, sigma), PRIOR, ALL)
+    whole = smoothed_field(of(measured, sigma), PRIOR, ALL.changed(window_columns=max(cols, 4)))
     ratio = windows.sigma / whole.sigma
     assert np.all(ratio > 1 - 1e-9)
     assert np.max(ratio) < 1.04
@@ -301,11 +305,11 @@ def test_a_field_is_calibrated_and_better_than_tracks_along_range() -> None:
         measured = measure(rng, height, sigma, 0.1)
         wrong = rng.random(height.shape) < 0.02
         measured[wrong] = rng.uniform(0, 100, np.count_nonzero(wrong))
-        known = estimated_field_prior(measured, sigma, spacings)
+        known = estimated_field_prior(of(measured, sigma, spacings))
         results = [
-            smoothed_field(measured, sigma, spacings, prior),
-            smoothed_field(measured, sigma, spacings, known),
-            smoothed(measured, sigma, spacings[0], prior),
+            smoothed_field(of(measured, sigma, spacings), prior),
+            smoothed_field(of(measured, sigma, spacings), known),
+            smoothed(of(measured, sigma, spacings), prior),
         ]
         shares.append([within(result, height) for result in results])
         errors.append([rms(result.height - height) for result in results])
@@ -316,21 +320,20 @@ def test_a_field_is_calibrated_and_better_than_tracks_along_range() -> None:
 
 
 @pytest.mark.parametrize(
-    ("height", "sigma", "spacing", "gate", "words"),
+    ("height", "sigma", "spacings", "words"),
     [
-        ((5, 4), (5, 3), 1.0, 4.0, ("(5, 4)", "(5, 3)", "same (rows, cols)")),
-        ((5,), (5,), 1.0, 4.0, ("(5,)",)),
-        ((5, 4), (5, 4), 0.0, 4.0, ("0 m apart",)),
-        ((5, 4), (5, 4), np.nan, 4.0, ("nan m apart",)),
-        ((5, 4), (5, 4), 1.0, 0.0, ("gate is 0",)),
-        ((5, 4), (5, 4), 1.0, np.nan, ("gate is nan",)),
+        ((5, 4), (5, 3), (1.0, 1.0), ("(5, 4)", "(5, 3)", "same (rows, cols)")),
+        ((5,), (5,), (1.0, 1.0), ("(5,)",)),
+        ((5, 4), (5, 4), (0.0, 1.0), ("0 m apart",)),
+        ((5, 4), (5, 4), (np.nan, 1.0), ("nan m apart",)),
+        ((5, 4), (5, 4), (1.0, np.inf), ("columns inf m",)),
     ],
 )
 def test_what_cannot_be_tracked_is_refused(
-    height: tuple[int, ...], sigma: tuple[int, ...], spacing: float, gate: float, words: tuple[str, ...]
+    height: tuple[int, ...], sigma: tuple[int, ...], spacings: tuple[float, float], words: tuple[str, ...]
 ) -> None:
     with pytest.raises(UserError) as error:
-        smoothed(np.ones(height), np.ones(sigma), spacing, PRIOR, gate)
+        of(np.ones(height), np.ones(sigma), spacings)
     assert_one_sentence(str(error.value), *words)
 
 
@@ -347,5 +350,5 @@ def test_a_prior_needs_measurements(cells: int) -> None:
     measured = np.full((50, 5), np.nan)
     measured[:cells, 1] = measured[:cells, 3] = 1.0
     with pytest.raises(UserError) as error:
-        estimated_prior(measured, np.ones_like(measured), SPACING)
+        estimated_prior(of(measured, np.ones_like(measured)))
     assert_one_sentence(str(error.value), f"{2 * max(0, cells - 1)} pairs", f"{LEAST_STEPS} or more")

@@ -15,9 +15,8 @@ from sal_height.geometry.frames import ApertureState, aperture_at
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.locate import locate_at_elevation, locate_at_height
 from sal_height.relief.heights import HeightField, Surface, pose_variance
-from sal_height.relief.range_tracking import ReliefPrior, TrackedRelief
+from sal_height.relief.range_tracking import TrackedRelief
 from sal_height.relief.tracked import (
-    INTERPOLATED_SIGMA,
     ground_spacings,
     look_side_of,
     own_sigma,
@@ -103,7 +102,7 @@ def test_a_tracked_scatterer_stays_on_its_circle(look_side: int, sliding: bool) 
     height = np.random.default_rng(1).uniform(-5, 5, grid.shape)
     field = field_of(grid, aperture, look_side, height, 1.0)
     relief = TrackedRelief(height + 3.0, np.full(grid.shape, 0.5), np.zeros(grid.shape, np.bool_))
-    result = tracked_field(field, relief, ReliefPrior(10.0, 2.0), aperture)
+    result = tracked_field(field, relief, aperture, 1.4)
     assert np.all(result.validity == Validity.OK)
     np.testing.assert_allclose(height_of(result.first.positions), height + 3.0, atol=1e-6)
     np.testing.assert_array_equal(result.first.height, height + 3.0)
@@ -123,11 +122,10 @@ def test_validity_says_where_a_height_comes_from() -> None:
     field = field_of(grid, aperture, 1, height, 1.0)
     field.validity[5] = Validity.TWO_SCATTERERS
     field.validity[3] = Validity.MISSING_DATA
-    prior = ReliefPrior(10.0, 2.0)
-    vague = 2.0 * INTERPOLATED_SIGMA
+    vague = 1.4
     sigma = np.array([0.1, 0.5, vague * 0.99, 0.5, vague * 1.01, 0.5, 0.1])[:, None]
     outlier = np.arange(7)[:, None] == 2
-    result = tracked_field(field, TrackedRelief(np.ones((7, 1)), sigma, outlier), prior, aperture)
+    result = tracked_field(field, TrackedRelief(np.ones((7, 1)), sigma, outlier), aperture, vague)
     expected = [
         *(Validity.OUTSIDE_ARRAY, Validity.OK, Validity.INTERPOLATED, Validity.INTERPOLATED),
         *(Validity.OUTSIDE_ARRAY, Validity.OK, Validity.OUTSIDE_ARRAY),
@@ -137,10 +135,10 @@ def test_validity_says_where_a_height_comes_from() -> None:
     for values in (result.first.height, result.first.sigma, result.first.positions[..., 0]):
         np.testing.assert_array_equal(np.isfinite(values), usable)
     assert result.second is None
-    unsure = tracked_field(field, TrackedRelief(np.ones((7, 1)), sigma * 10, outlier), prior, aperture)
+    unsure = tracked_field(field, TrackedRelief(np.ones((7, 1)), sigma * 10, outlier), aperture, vague)
     assert unsure.validity[2, 0] == Validity.LOW_CNR
     nowhere = TrackedRelief(np.full((7, 1), 2 * EARTH_RADIUS), sigma, outlier)
-    assert tracked_field(field, nowhere, prior, aperture).validity[1, 0] == Validity.OUTSIDE_ARRAY
+    assert tracked_field(field, nowhere, aperture, vague).validity[1, 0] == Validity.OUTSIDE_ARRAY
 
 
 def test_what_the_pose_leaves_open_is_not_averaged() -> None:
@@ -158,5 +156,5 @@ def test_what_the_pose_leaves_open_is_not_averaged() -> None:
     np.testing.assert_allclose(own_sigma(field, aperture), 0.7, rtol=1e-2)
     np.testing.assert_allclose(own_sigma(alone, flown), 0.7, rtol=1e-12)
     relief = TrackedRelief(field.first.height, np.full(grid.shape, 0.2), np.zeros(grid.shape, np.bool_))
-    tracked = tracked_field(field, relief, ReliefPrior(10.0, 2.0), aperture)
+    tracked = tracked_field(field, relief, aperture, 1.4)
     np.testing.assert_allclose(tracked.first.sigma, np.sqrt(0.2**2 + shared), rtol=1e-2)

@@ -1,0 +1,60 @@
+"""Settings of the tracking of height images."""
+
+from __future__ import annotations
+
+import math
+
+from sal_height.settings import Settings, setting
+
+
+class TrackingSettings(Settings):
+    """How the heights of an image are tracked, and how much of the prior is estimated from them."""
+
+    correlation_length_m: float = setting(
+        0.0,
+        "correlation length of the relief on the ground; 0: estimated from each image",
+        unit="m",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    relief_sigma_m: float = setting(
+        0.0, "standard deviation of the relief; 0: estimated from each image", unit="m", minimum=0.0, maximum=1e5
+    )
+    along_track: bool = setting(
+        default=True, description="whether heights are smoothed along track as well as along range"
+    )
+    gate: float = setting(
+        4.0,
+        "heights farther than this from their prediction are outliers",
+        unit="standard deviations",
+        minimum=1.0,
+        maximum=1000.0,
+    )
+    outlier_share: float = setting(
+        0.05,
+        "expected share of outliers among the heights from which the prior of the relief is estimated",
+        minimum=1e-6,
+        maximum=0.5,
+    )
+    prior_columns: int = setting(
+        64,
+        "columns from which the prior of the relief is estimated; more take longer and hardly improve it",
+        minimum=1,
+        maximum=65536,
+    )
+    window_columns: int = setting(
+        32,
+        "columns that are smoothed together along track; farther ones do not affect a height; the time per height "
+        "grows as the square",
+        minimum=4,
+        maximum=512,
+    )
+    interpolation_limit: float = setting(
+        math.sqrt(0.5),
+        "highest standard deviation of an interpolated height, over that of the relief; 0: nothing is interpolated",
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+
+DEFAULT_TRACKING = TrackingSettings()

@@ -131,7 +131,7 @@ def smoothed_field(
     deviation, precision, outlier = _inliers(measured, prior, settings)
     rows, cols = deviation.shape
     starts, size = _windows(cols, settings.window_columns)
-    margin = settings.window_columns // 4
+    edges = [0, *((starts[1:] + starts[:-1] + size) // 2).tolist(), cols]  # in the middle of what two windows share
     process = _LineProcess(prior, measured.spacings, size)
     result = TrackedRelief(np.empty_like(measured.height), np.empty_like(measured.height), outlier)
 
@@ -142,10 +142,10 @@ def smoothed_field(
             columns = some[:, None] + np.arange(size)
             state, variance = process.smoothed(deviation[:, columns], precision[:, columns])
             for index, start in enumerate(some.tolist()):
-                inner = slice(margin if start else 0, size - margin if start + size < cols else size)
-                there = np.s_[:, start + inner.start : start + inner.stop]
-                result.height[there] = state[:, index, inner] + prior.mean
-                result.sigma[there] = np.sqrt(variance[:, index, inner])
+                there = slice(*edges[first + index : first + index + 2])
+                inner = slice(there.start - start, there.stop - start)
+                result.height[:, there] = state[:, index, inner] + prior.mean
+                result.sigma[:, there] = np.sqrt(variance[:, index, inner])
 
     in_parallel(work, len(starts))
     return result
@@ -160,11 +160,6 @@ def _inliers(measured: MeasuredHeights, prior: ReliefPrior, settings: TrackingSe
 
 
 def _windows(cols: int, window: int) -> tuple[Index, int]:
-    """First columns of the windows, and their size.
-
-    Windows overlap by half, so that their inner parts adjoin; the last one ends with the image.
-    """
-    if cols <= window:
-        return np.zeros(1, np.intp), cols
-    margin = window // 4
-    return np.minimum(np.arange(0, cols - 2 * margin, window - 2 * margin), cols - window), window
+    """First columns of the windows, which overlap by half or, to end with the image, by more; and their size."""
+    size, half = min(window, cols), window // 2
+    return np.minimum(np.arange(0, max(1, cols - half), half), cols - size), size

@@ -290,6 +290,17 @@ def test_windows_lose_little_of_a_wide_field(cols: int) -> None:
     assert np.mean(ratio) < 1.02
 
 
+def test_a_mirrored_field_has_mirrored_heights() -> None:
+    """Two windows overlap in all columns but four; each column has one of them, whichever thread ends first."""
+    rng = np.random.default_rng(15)
+    sigma = uneven(rng, (20, TrackingSettings().window_columns + 2))
+    measured = measure(rng, draw(rng, PRIOR, sigma.shape, (SPACING, SPACING)), sigma)
+    result = smoothed_field(of(measured, sigma), PRIOR)
+    mirrored = smoothed_field(of(measured[:, ::-1], sigma[:, ::-1]), PRIOR)
+    np.testing.assert_allclose(mirrored.height[:, ::-1], result.height, rtol=1e-9)
+    np.testing.assert_allclose(mirrored.sigma[:, ::-1], result.sigma, rtol=1e-9)
+
+
 def test_a_field_is_calibrated_and_better_than_tracks_along_range() -> None:
     """6 fields of 60 x 80 m, of 200 independent errors each or more: standard error of the share 1.3 points.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, Trajectory
-from sal_height.imaging.autofocus.gradient import Focus, apply_phase, autofocus, patch_centres
+from sal_height.imaging.autofocus.gradient import AutofocusSettings, Focus, apply_phase, autofocus, patch_centres
 from sal_height.imaging.checks import (
     check_doppler_centroid,
     check_dwell,
@@ -37,10 +37,10 @@ from sal_height.imaging.strip import (
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import C64, F64, WINDOWS, broadening
 from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
-from sal_height.settings import Settings, setting
+from sal_height.settings import setting
 
 
-class ImageSettings(Settings):
+class ImageSettings(AutofocusSettings):
     """What image is wanted of a dwell or a strip."""
 
     former: str = setting(
@@ -126,9 +126,10 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     check_dwell(history, antenna, sensor, aperture)
     grid = _dwell_grid(settings, sensor, aperture, reference, processing)
     former = choose_former(settings.former, antenna, sensor, processing, grid)
-    focus = autofocus(history, antenna, sensor, patch_centres(sensor, aperture, grid)) if settings.autofocus else None
-    if focus and focus.trusted:
-        history = apply_phase(history, focus.phase)
+    focus = None
+    if settings.autofocus:
+        focus = autofocus(history, antenna, sensor, patch_centres(sensor, aperture, grid), settings)
+        history = apply_phase(history, focus.phase) if focus.trusted else history
     check_doppler_centroid(history, antenna, sensor, aperture, grid)
     images = former(history, antenna, sensor, processing, grid)
     noise_power = slc_noise_power(sensor, processing, len(antenna))

@@ -20,7 +20,6 @@ from sal_height.sensor import (
     echo_sensor,
     from_spectrum,
     lit_angle,
-    look_ahead_angle,
     spectrum_sensor,
 )
 from sal_height.simulation.gust import GustMotion, gust_motion
@@ -31,13 +30,6 @@ from sal_height.simulation.scene import SAMPLES_PER_CELL, PointTarget, Scene, Vi
 from sal_height.simulation.scenes import load_scene
 from sal_height.simulation.spotlight import draw_amplitudes, scatterer_amplitudes, simulate_dwell
 from sal_height.simulation.stripmap import cell_power, simulate_block
-
-SCENE_BEAMWIDTHS = 1.0
-"""Simulated ground of a spotlight dwell along the flight, to each side of the beams, in beamwidths.
-
-The main lobe of a circular aperture reaches 1.22; its power beyond 1 is 15 dB or more below that of the middle. Phase
-linking models the scene with the same extent.
-"""
 
 TURN_BEAMWIDTHS = 0.5
 """Ground before and behind what the pulses of a stripmap block light up, should the body turn a little; beamwidths."""
@@ -174,7 +166,7 @@ class SimulatedFlight:
     def surface(self, dwell: int) -> VisibleSurface:
         """Return what the dwell illuminates, in the range window; positions are those in the middle of the dwell.
 
-        In spotlight that is SCENE_BEAMWIDTHS along the flight to each side of the beams, however they swing. In
+        In spotlight that is `lit_angle` along the flight to each side of the beams, however they swing. In
         stripmap it is the ground abeam of the block, and `lit_angle` and TURN_BEAMWIDTHS before and behind it, each
         scatterer as it is seen from abeam.
 
@@ -184,9 +176,7 @@ class SimulatedFlight:
         if self.sensor.mode == "stripmap":
             return _joined([self._ground(tile)[0].after(self._seconds(tile, dwell)) for tile in self._tiles(dwell)])
         aperture = self.aperture(dwell)
-        beams = self.built.beams
-        angle = SCENE_BEAMWIDTHS * beams.track_beamwidth + look_ahead_angle(beams) + self._swing
-        half_width = angle * self.preset.flight.slant_range_m
+        half_width = (lit_angle(self.built.beams) + self._swing) * self.preset.flight.slant_range_m
         return self._visible(aperture, (aperture.position[0] - half_width, aperture.position[0] + half_width))
 
     @property

@@ -13,8 +13,7 @@ from phase_errors import ATMOSPHERE, power_law_phase, residual_phase, white_phas
 from sal_height.errors import UserError
 from sal_height.geometry.frames import angles_of
 from sal_height.geometry.trajectory import Trajectory
-from sal_height.imaging import focus as focusing
-from sal_height.imaging.autofocus.gradient import Focus, apply_phase, autofocus, patch_centres
+from sal_height.imaging.autofocus.gradient import AutofocusSettings, apply_phase, autofocus, patch_centres
 from sal_height.imaging.focus import ImageSettings, Slc, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.choice import FEW_PIXELS, FORMERS
@@ -181,7 +180,8 @@ def test_phase_that_was_taken_off_is_what_autofocus_says_of_the_slant_plane_grid
     flight, history = flight_of("small"), dwell_of("small")
     slc = focused("small", autofocus=True, rows=46, cols=12)
     antenna = flight.position(flight.pulse_times)
-    expected = autofocus(history, antenna, flight.spectrum, patch_centres(flight.spectrum, slc.aperture, slc.grid))
+    patches = patch_centres(flight.spectrum, slc.aperture, slc.grid)
+    expected = autofocus(history, antenna, flight.spectrum, patches, AutofocusSettings())
     np.testing.assert_allclose(slc.autofocus_phase, expected.phase, atol=1e-3)
     again = focused("small", apply_phase(history, slc.autofocus_phase), rows=46, cols=12)
     np.testing.assert_array_equal(slc.images, again.images)
@@ -200,20 +200,18 @@ def test_autofocus_of_noise_is_not_trusted_and_leaves_the_image() -> None:
     assert flight.sensor.pulse_count == len(on.focus.phase)
 
 
-@pytest.mark.parametrize(
-    ("standard_error", "gain", "applied"), [(0.4, 1.0, True), (0.6, 1.0, False), (0.4, 0.8, False)]
-)
-def test_only_a_trusted_phase_is_taken_off(
-    monkeypatch: pytest.MonkeyPatch, standard_error: float, gain: float, applied: bool
-) -> None:
-    phase = np.linspace(-1, 1, 48) ** 2
-    found = Focus(phase, "targets", standard_error, gain, 3, 0.01)
-    monkeypatch.setattr(focusing, "autofocus", lambda *_: found)
-    size = {"rows": 8, "cols": 8}
-    slc = focused("small", autofocus=True, **size)
-    expected = apply_phase(dwell_of("small"), phase) if applied else dwell_of("small")
+@pytest.mark.parametrize("applied", [True, False])
+def test_only_a_trusted_phase_is_taken_off(applied: bool) -> None:
+    """An error of more than the speckle allows is asked for, or of 3 rad."""
+    error = white_phase(48, 1.0, np.random.default_rng(96))
+    bad = apply_phase(dwell_of("small"), -error)
+    size = {"rows": 20, "cols": 8}
+    slc = focused("small", bad, autofocus=True, autofocus_max_error_rad=3.0 if applied else 0.01, **size)
+    assert slc.focus
+    assert slc.focus.trusted == applied
+    expected = apply_phase(bad, slc.focus.phase) if applied else bad
     np.testing.assert_array_equal(slc.images, focused("small", expected, **size).images)
-    np.testing.assert_array_equal(slc.autofocus_phase, phase if applied else np.zeros(0))
+    np.testing.assert_array_equal(slc.autofocus_phase, slc.focus.phase if applied else np.zeros(0))
 
 
 @pytest.mark.parametrize("former", [*SPOTLIGHT_FORMERS, "auto"])

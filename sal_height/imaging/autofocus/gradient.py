@@ -27,45 +27,59 @@ from scipy.constants import speed_of_light
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging.autofocus.phase_error import detrended, without_shift
-from sal_height.imaging.autofocus.phase_linking import beam_coherence, covariances, link_phases, signal_modes
+from sal_height.imaging.autofocus.phase_linking import (
+    azimuth_waves,
+    coherence_of,
+    fit_profile,
+    link_phases,
+    signal_modes,
+    speckle_classes,
+)
 from sal_height.imaging.pixels import azimuth_resolution
 from sal_height.numeric import C128, F64
 from sal_height.sensor import NUFFT_TOLERANCE, PhaseHistory, Sensor
+from sal_height.settings import Settings, setting
 
-TRUSTED_ERROR = 0.5
-"""Greatest standard error of a phase that is applied, rad: it leaves exp(-0.5^2) = 0.8 of a point's peak power."""
-
-SHARPNESS_LOSS = 0.1
-"""Greatest relative loss of sharpness by a correction: errors of 0.2 rad lose 0.04, the rest allows for speckle."""
-
-BRIGHT_TARGET = 10**1.5
-"""Power of a target over the median of the picture: 15 dB, which the brightest of 10^5 speckles does not reach."""
-
-WINDOW_SHRINKS = 0.85
-"""Ratio of the azimuth windows of successive iterations."""
-
-NARROWEST_WINDOW = 5
-"""Width of the last azimuth window, cells: a focused target and its first sidelobes."""
-
-TARGET_ITERATIONS = 30
-"""Maximum number of iterations of a round on targets."""
-
-TARGET_ROUNDS = 5
-"""Maximum number of rounds on targets, each from the widest window to the narrowest."""
-
-TARGET_CHANGE = 0.05
-"""Rms change of the phase (rad) below which the iterations of a round end, and the rounds."""
+WINDOW_SHRINKS = 0.85  # ratio of the azimuth windows of successive iterations on targets
+NARROWEST_WINDOW = 5  # width of the last azimuth window, cells: a focused target and its first sidelobes
+TARGET_ITERATIONS = 30  # maximum number of iterations of a round on targets
+TARGET_ROUNDS = 5  # maximum number of rounds on targets, each from the widest window to the narrowest
+TARGET_CHANGE = 0.05  # rms change of the phase (rad) below which the iterations of a round end, and the rounds
+MOST_RESPONSES = 2**25  # detectors x points x pulses: 0.5 GB, of which four copies are held at a time
 
 
-MOST_RESPONSES = 2**25
-"""Greatest number of responses (detectors x points x pulses): 0.5 GB, of which four copies are held at a time."""
+class AutofocusSettings(Settings):
+    """When autofocus trusts what it finds, and how it looks for it."""
 
-MOST_LINKED_PULSES = 1024
-"""Greatest number of pulses whose phases are linked: their matrices take 0.3 GB and 6 s, growing with its third power.
-"""
+    autofocus_max_error_rad: float = setting(
+        0.5,
+        "greatest standard error of a phase that autofocus applies; 0.5 leaves 0.8 of a point's peak power",
+        unit="rad",
+        minimum=0.0,
+        maximum=3.0,
+    )
+    autofocus_max_blur: float = setting(
+        0.1,
+        "greatest relative loss of sharpness by a phase that autofocus applies; errors of 0.2 rad lose 0.04",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    autofocus_target_db: float = setting(
+        15.0,
+        "power over the median of the image from which autofocus takes a pixel for a target; 10^5 speckles stay below",
+        unit="dB",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    autofocus_max_pulses: int = setting(
+        1024,
+        "greatest number of pulses of speckle that autofocus links; memory grows with its square, time with its cube",
+        minimum=2,
+        maximum=8192,
+    )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Focus:
     """A phase error that autofocus has estimated.
 
@@ -73,25 +87,16 @@ class Focus:
         phase: estimated error, rad, shape (pulses,); 0 where there is nothing to focus on.
         method: "speckle", "targets", or "none" where there is nothing to focus on.
         standard_error: rms over the pulses that the estimate's own statistics predict, rad; infinite if "none".
-        sharpness_gain: sum of squared powers in the picture after correction over that before.
-        iterations: number of them.
-        last_change: rms change of the phase in the last iteration, or in the last round on targets, rad.
+        trusted: whether the phase should be applied: known well enough, and the image does not lose by it.
     """
 
     phase: F64
     method: str
     standard_error: float
-    sharpness_gain: float
-    iterations: int
-    last_change: float
-
-    @property
-    def trusted(self) -> bool:
-        """Whether the phase should be applied: known to TRUSTED_ERROR, and the picture does not lose by it."""
-        return self.standard_error <= TRUSTED_ERROR and self.sharpness_gain >= 1 - SHARPNESS_LOSS
+    trusted: bool = False
 
 
-def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64) -> Focus:
+def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64, settings: AutofocusSettings) -> Focus:
     """Estimate the phase error of a dwell; ask the result whether it is to be trusted.
 
     The band is used without a window: it has more independent range cells so, and sidelobes share the phase error.
@@ -101,6 +106,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64)
         antenna: position at each pulse, m, shape (pulses, 3).
         sensor: wavelength, frequencies, beams and noise power.
         patches: points (m) at whose azimuths the scene is looked at, shape (rows, patches, 3) (`patch_centres`).
+        settings: what is trusted.
 
     Raises:
         UserError: a stripmap sensor, or a dwell that is too large.
@@ -112,29 +118,29 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64)
             f"Autofocus would hold {count} responses of pulses at points of the image; at most {MOST_RESPONSES} are "
             "allowed, so set autofocus to false or form a smaller image."
         )
-    if sensor.pulse_count > MOST_LINKED_PULSES and _links_phases(sensor, antenna):
+    on_speckle = _stays_in_range_cell(sensor, antenna) and min(sensor.noise_power) > 0
+    if on_speckle and sensor.pulse_count > settings.autofocus_max_pulses:
         raise UserError(
-            f"The dwell has {sensor.pulse_count} pulses, autofocus links the phases of at most {MOST_LINKED_PULSES} "
-            "pulses of speckle; set autofocus to false or send shorter dwells."
+            f"The dwell has {sensor.pulse_count} pulses, autofocus links the phases of at most "
+            f"{settings.autofocus_max_pulses} pulses of speckle (autofocus_max_pulses); raise that, set autofocus to "
+            "false, or send shorter dwells."
         )
     responses = pulse_responses(history, antenna, sensor, np.ones(sensor.sample_count), patches.reshape(-1, 3))
     half = patch_half_width(sensor)
-    focus = _nothing(sensor.pulse_count)
-    if _links_phases(sensor, antenna):
+    focus = Focus(np.zeros(sensor.pulse_count), "none", np.inf)
+    if on_speckle:
         middle = len(patches) // 2, patches.shape[1] // 2
         lit = responses.reshape(len(responses), *patches.shape[:2], -1)[:, :, middle[1]]
-        white = np.einsum("mn,npt->mpt", np.linalg.inv(np.linalg.cholesky(sensor.noise_covariance)), lit)
-        noise = np.full(len(lit), sensor.sample_count)
-        focus = focus_speckle(white, noise, beam_coherence(sensor, antenna, patches[middle]))
-    if focus.standard_error > TRUSTED_ERROR:
-        focus = focus_targets(responses, half)
+        whitening = np.linalg.inv(np.linalg.cholesky(sensor.sample_count * sensor.noise_covariance))
+        white = np.einsum("mn,npt->mpt", whitening, lit)
+        waves, profile = azimuth_waves(sensor, antenna, patches[middle])
+        focus = focus_speckle(white, waves, profile)
+    if focus.standard_error > settings.autofocus_max_error_rad:
+        focus = focus_targets(responses, half, 10 ** (settings.autofocus_target_db / 10))
     phase = without_shift(focus.phase)
-    corrected = _turned(responses, phase)
-    return replace(
-        focus,
-        phase=phase,
-        sharpness_gain=_sharpness(corrected, half) / _sharpness(responses, half),
-    )
+    sharper = _sharpness(_turned(responses, phase), half) / _sharpness(responses, half)
+    known = focus.standard_error <= settings.autofocus_max_error_rad
+    return replace(focus, phase=phase, trusted=known and sharper >= 1 - settings.autofocus_max_blur)
 
 
 def apply_phase(history: PhaseHistory, phase: F64) -> PhaseHistory:
@@ -180,26 +186,32 @@ def phase_gradient(responses: C128) -> F64:
     Args:
         responses: of detectors and range cells, shape (..., pulses).
     """
-    steps = np.angle(_neighbour_products(responses))
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    flat = responses.reshape(-1, responses.shape[-1])
+    products = np.einsum("gt,gt->t", flat[:, :-1].conj(), flat[:, 1:])
+    return np.concatenate([[0.0], np.cumsum(np.angle(products))])
 
 
-def focus_speckle(responses: C128, noise_power: F64, coherence: C128) -> Focus:
-    """Phase error from all that the beam lights: gradient of neighbours, then all pairs of pulses.
+def focus_speckle(white: C128, waves: C128, profile: F64) -> Focus:
+    """Phase error from all that the beam lights: gradient of neighbours, then all pairs of pulses, twice.
 
     Args:
-        responses: at the beam's middle in every range cell, shape (detectors, rows, pulses).
-        noise_power: of each detector's responses, shape (detectors,).
-        coherence: that speckle in the beam would have, shape (pulses, pulses).
+        white: responses at the beam's middle in every range cell, with independent noise of power 1 in all channels,
+            shape (channels, rows, pulses).
+        waves: from each azimuth (`azimuth_waves`).
+        profile: share of the power that the beam sends to each azimuth.
     """
-    modes, snr = signal_modes(responses, noise_power)
+    modes, snr = signal_modes(white)
     if not len(modes):
-        return _nothing(responses.shape[-1])
-    linked = link_phases(covariances(modes, snr), coherence, phase_gradient(modes))
-    return Focus(linked.phase, "speckle", linked.standard_error, np.nan, linked.iterations, linked.last_change)
+        return Focus(np.zeros(white.shape[-1]), "none", np.inf)
+    classes = speckle_classes(modes, snr)
+    phase, error = link_phases(classes, coherence_of(waves, profile), phase_gradient(modes))
+    # A fitted profile takes some noise for echo: the phases gain by it, but the error that it predicts is too small.
+    fitted = fit_profile(classes, waves, profile, phase)
+    phase, _ = link_phases(classes, coherence_of(waves, fitted), phase)
+    return Focus(phase, "speckle", error)
 
 
-def focus_targets(responses: C128, half_width: int) -> Focus:
+def focus_targets(responses: C128, half_width: int, brightness: float) -> Focus:
     """Phase error from bright targets: phase-gradient autofocus on the pictures around points.
 
     In rounds, each from wide to narrow windows, until one finds nothing new: a blur that is wider than the pictures
@@ -208,41 +220,43 @@ def focus_targets(responses: C128, half_width: int) -> Focus:
     Args:
         responses: shape (detectors, points, pulses).
         half_width: azimuth cells to each side of a point that its picture shows.
+        brightness: power of a target over the median of the pictures.
     """
-    phase, change, error, iterations, rounds = np.zeros(responses.shape[-1]), np.inf, np.inf, 0, 0
-    while change > TARGET_CHANGE and rounds < TARGET_ROUNDS:
-        found, error, count = _round(_turned(responses, phase), half_width)
-        if not count:
-            return _nothing(len(phase))
+    phase = np.zeros(responses.shape[-1])
+    for _ in range(TARGET_ROUNDS):
+        found, error = _round(_turned(responses, phase), half_width, brightness)
+        if not np.isfinite(error):
+            return Focus(np.zeros(len(phase)), "none", np.inf)
         phase += found
-        change, iterations, rounds = _rms(detrended(np.unwrap(found))), iterations + count, rounds + 1
-    return Focus(phase, "targets", float(np.hypot(error, change)), np.nan, iterations, change)
+        change = _rms(detrended(np.unwrap(found)))
+        if change <= TARGET_CHANGE:
+            break
+    return Focus(phase, "targets", float(np.hypot(error, change)))
 
 
-def _round(responses: C128, half_width: int) -> tuple[F64, float, int]:
-    """Phase error, its standard error, rad, and the number of iterations; that is 0 where there is no target.
+def _round(responses: C128, half_width: int, brightness: float) -> tuple[F64, float]:
+    """Phase error and its standard error, rad; that is infinite where there is no target.
 
     Each iteration looks at the present picture of every point, an FFT over its pulses, within `half_width` cells,
     takes those whose brightest cell is a target, moves that to the middle, and windows it in azimuth. While the window
     shrinks, the gradient follows what the window holds; in the narrowest, each pulse is held against all others, so
     that phases are seen which change from pulse to pulse.
     """
-    phase, change, error, iteration = np.zeros(responses.shape[-1]), np.inf, np.inf, 0
-    width = float(2 * half_width + 1)
-    while change > TARGET_CHANGE and iteration < TARGET_ITERATIONS:
-        targets = _centred_targets(_turned(responses, phase), half_width)
+    phase, error, width = np.zeros(responses.shape[-1]), np.inf, 2.0 * half_width + 1
+    for _ in range(TARGET_ITERATIONS):
+        targets = _centred_targets(_turned(responses, phase), half_width, brightness)
         if not targets.shape[1]:
-            return phase, np.inf, 0
+            return phase, np.inf
         if width > NARROWEST_WINDOW:
-            step = detrended(phase_gradient(_windowed(targets, width)))
+            phase += detrended(phase_gradient(_windowed(targets, width)))
             width = max(width * WINDOW_SHRINKS, NARROWEST_WINDOW)
-        else:
-            against_others, error = _against_others(targets)
-            step = detrended(against_others)
-            change = _rms(step)
+            continue
+        against_others, error = _against_others(targets)
+        step = detrended(against_others)
         phase += step
-        iteration += 1
-    return phase, error, iteration
+        if _rms(step) <= TARGET_CHANGE:
+            break
+    return phase, error
 
 
 def patch_half_width(sensor: Sensor) -> int:
@@ -278,14 +292,10 @@ def _spread(pixels: int, count: int) -> F64:
     return (np.arange(count) + 0.5) * pixels / count - 0.5
 
 
-def _links_phases(sensor: Sensor, antenna: F64) -> bool:
-    """Whether all that the beam lights stays in its range cell during the dwell, and the noise is known."""
+def _stays_in_range_cell(sensor: Sensor, antenna: F64) -> bool:
+    """Whether all that the beam lights stays in its range cell during the dwell."""
     half_beam = 2 * np.linalg.norm(antenna[-1] - antenna[0]) * sensor.beams.track_beamwidth / sensor.wavelength
-    return bool(half_beam <= patch_half_width(sensor)) and min(sensor.noise_power) > 0
-
-
-def _nothing(pulses: int) -> Focus:
-    return Focus(np.zeros(pulses), "none", np.inf, 1.0, 0, 0.0)
+    return bool(half_beam <= patch_half_width(sensor))
 
 
 def _rms(values: F64) -> float:
@@ -294,12 +304,6 @@ def _rms(values: F64) -> float:
 
 def _turned(responses: C128, phase: F64) -> C128:
     return responses * np.exp(-1j * phase)
-
-
-def _neighbour_products(responses: C128) -> C128:
-    """Sum over all but the pulses of conj(g(t)) g(t+1), shape (pulses - 1,)."""
-    flat = responses.reshape(-1, responses.shape[-1])
-    return np.einsum("gt,gt->t", flat[:, :-1].conj(), flat[:, 1:])
 
 
 def _picture(responses: C128, half_width: int) -> F64:
@@ -316,10 +320,10 @@ def _sharpness(responses: C128, half_width: int) -> float:
     return float(np.sum(picture**2) / np.sum(picture) ** 2)
 
 
-def _centred_targets(responses: C128, half_width: int) -> C128:
+def _centred_targets(responses: C128, half_width: int, brightness: float) -> C128:
     """Responses of the points whose picture holds a bright target, which a linear phase moves to the middle."""
     picture = _picture(responses, half_width)
-    bright = picture.max(axis=-1) > BRIGHT_TARGET * np.median(picture)
+    bright = picture.max(axis=-1) > brightness * np.median(picture)
     cell = picture[bright].argmax(axis=-1) - half_width
     pulses = responses.shape[-1]
     return responses[:, bright] * np.exp(-2j * np.pi / pulses * cell[:, None] * np.arange(pulses))

@@ -1,15 +1,17 @@
 """Phase linking: the maximum-likelihood phase of every pulse from a scene of speckle, all pairs of pulses together.
 
 The scene that the beam lights is narrower than what the pulses could tell apart, so its echo changes little from pulse
-to pulse, in a way that the beam's pattern determines: pulses t and s have the known coherence Gamma(t, s). What they
-differ in besides is the phase error. With g = exp(j phase) * speckle of covariance snr Gamma + 1, summed over detectors
-and range cells,
+to pulse: where a share p(a) of its power comes from the azimuth a, whose waves are w(a), pulses have the covariance
+R = snr sum over a of p(a) w(a) w(a)^H + 1. What they differ in besides is the phase error. With g = exp(j phase) *
+speckle of covariance R, summed over channels and range cells,
 
-    log likelihood = -sum over t, s of exp(j (phase_t - phase_s)) conj(g_t) (snr Gamma + 1)^-1 (t, s) g_s
+    log likelihood = -sum over t, s of exp(j (phase_t - phase_s)) conj(g_t) R^-1(t, s) g_s
 
-(Guarnieri & Tebaldini, IEEE Trans. GRS 46, 2008; for a single target in the middle, Gamma = 1, it is the eigenvector
-method of Jakowatz & Wahl, JOSA A 10, 1993). The phase gradient of neighbours is the start, and Fisher scoring leads to
-the maximum; the Fisher information 2 (Gamma' o Gamma'^-1 - 1) per range cell also tells how well it is known.
+(Guarnieri & Tebaldini, IEEE Trans. GRS 46, 2008; for a single target in the middle it is the eigenvector method of
+Jakowatz & Wahl, JOSA A 10, 1993). The phase gradient of neighbours is the start, and Fisher scoring leads to the
+maximum; the Fisher information 2 (R o R^-1 - 1) per response also tells how well it is known. The profile p(a) is at
+first that of the beam; then it is fitted to the responses, and the phases are linked again, because the sidelobes, a
+beam that is round and not a product, and ground of uneven brightness spread the echo otherwise.
 """
 
 from __future__ import annotations
@@ -22,44 +24,23 @@ from scipy.ndimage import uniform_filter1d
 from sal_height.numeric import C128, F64
 from sal_height.sensor import Sensor
 
-LIT_BEAMWIDTHS = 1.0
-"""Extent of the lit scene to each side of the beam's middle, in beamwidths.
-
-The simulated spotlight scene has it, too (`simulation.flight.SCENE_BEAMWIDTHS`). The main lobe of a circular aperture
-reaches 1.22; on a scene that wide, this model leaves 0.11 rad rms at 20 dB, and one of the same width 0.10 rad.
-"""
-
-WEAKEST_MODE = 0.1
-"""Least share of the strongest mode's signal-to-noise ratio in a range cell: weaker ones, what the others leave of a
-beam that is round and not a product, are not spread in azimuth like the beam."""
-
-LIKE_ROWS = 5
-"""Range cells over which the covariance between detectors is averaged: terrain takes more to cross a beam."""
-
-NOISE_MARGIN = 1.1
-"""Factor on the greatest eigenvalue of noise, which holds for many samples: for a few hundred, noise exceeds it so in
-less than a hundredth of the range cells."""
-
-CLASS_RATIO = 2.0
-"""Ratio of the greatest to the least signal-to-noise ratio of responses that share one covariance."""
-
-ITERATIONS = 50
-"""Maximum number of steps of Fisher scoring."""
-
-CONVERGED = 1e-4
-"""Rms change of the phases (rad) below which Fisher scoring has converged."""
-
-LONGEST_STEP = 1.0
-"""Greatest change of a phase in one iteration, rad: far from the maximum the likelihood is not a parabola."""
+WEAKEST_MODE = 0.1  # least share of the strongest mode's signal-to-noise ratio in a range cell
+LIKE_ROWS = 5  # range cells over which channels are correlated: terrain takes more to cross a beam
+NOISE_MARGIN = 1.1  # on the greatest eigenvalue of noise for many samples: a few hundred exceed it in 1 % of the cells
+CLASS_RATIO = 2.0  # of the greatest to the least signal-to-noise ratio of responses that share one covariance
+DARKEST = 1e-3  # least power of the first profile over its greatest, so that it may grow where the beam has a null
+ITERATIONS = 50  # maximum number of steps of Fisher scoring
+CONVERGED = 1e-4  # rms change of the phases (rad) below which Fisher scoring has converged
+LONGEST_STEP = 1.0  # greatest change of a phase in one step, rad: far from the maximum the likelihood is no parabola
 
 
-@dataclass(frozen=True)
-class Covariance:
-    """Sample covariance of responses of about the same signal-to-noise ratio.
+@dataclass(frozen=True, eq=False)
+class Speckle:
+    """Responses of about the same signal-to-noise ratio.
 
     Attributes:
         total: sum over the responses of g_t conj(g_s), noise of power 1, shape (pulses, pulses).
-        snr: mean power of the signal in a pulse.
+        snr: mean power of the echo in a pulse.
         count: number of responses.
     """
 
@@ -68,116 +49,112 @@ class Covariance:
     count: int
 
 
-@dataclass(frozen=True)
-class LinkedPhases:
-    """Result of `link_phases`.
+def azimuth_waves(sensor: Sensor, antenna: F64, centre: F64) -> tuple[C128, F64]:
+    """Waves from all azimuths that the pulses can tell apart, and the share of the power that the beam sends there.
 
-    Attributes:
-        phase: rad, shape (pulses,).
-        standard_error: rms over the pulses that the Fisher information predicts, mean and linear trend apart, rad.
-        iterations: number of them.
-        last_change: rms of the last one, rad.
-    """
-
-    phase: F64
-    standard_error: float
-    iterations: int
-    last_change: float
-
-
-def beam_coherence(sensor: Sensor, antenna: F64, centre: F64) -> C128:
-    """Coherence of the responses at a point in the middle of the beam, between every two pulses.
-
-    Speckle on a line through `centre` along the flight, weighted with the power pattern of the beam.
+    Azimuths are points on a line through `centre` along the flight, half a resolution cell apart.
 
     Args:
         sensor: wavelength and beams.
         antenna: position at each pulse, m, shape (pulses, 3).
-        centre: the point, m, shape (3,).
+        centre: point in the middle of the beam, m, shape (3,).
 
     Returns:
-        Shape (pulses, pulses), 1 on the diagonal.
+        Waves relative to that from the centre, shape (pulses, azimuths), and shares of sum 1, shape (azimuths,).
     """
-    flight = antenna[-1] - antenna[0]
+    pulses, flight = len(antenna), antenna[-1] - antenna[0]
+    length = np.linalg.norm(flight)
     slant_range = np.linalg.norm(centre - antenna.mean(axis=0))
-    cells = 2 * np.linalg.norm(flight) * sensor.beams.track_beamwidth / sensor.wavelength
-    offset = np.linspace(-LIT_BEAMWIDTHS, LIT_BEAMWIDTHS, 16 * int(np.ceil(cells)) + 1)
-    power = np.abs(sensor.beams.patterns[0].amplitude(np.zeros_like(offset), offset)) ** 2
-    along = offset * sensor.beams.track_beamwidth * slant_range
-    points = centre + along[:, None] * (flight / np.linalg.norm(flight))
+    unambiguous = sensor.wavelength * slant_range * (pulses - 1) / (4 * length)
+    offset = (np.arange(2 * pulses) / pulses - 1) * unambiguous
+    beamwidths = offset / (slant_range * sensor.beams.track_beamwidth)
+    power = np.abs(sensor.beams.patterns[0].amplitude(np.zeros_like(beamwidths), beamwidths)) ** 2
+    power += DARKEST * power.max()
+    points = centre + offset[:, None] * (flight / length)
     farther = np.linalg.norm(points - antenna[:, None], axis=-1) - np.linalg.norm(centre - antenna, axis=-1)[:, None]
-    waves = np.sqrt(power / power.sum()) * np.exp(-1j * sensor.centre_wavenumber * farther)
-    return waves @ waves.conj().T
+    return np.exp(-1j * sensor.centre_wavenumber * farther), power / power.sum()
 
 
-def signal_modes(responses: C128, noise_power: F64) -> tuple[C128, F64]:
-    """Combinations of the detectors that hold more than noise.
+def signal_modes(white: C128) -> tuple[C128, F64]:
+    """Combinations of the channels that hold more than noise.
 
-    A common phase leaves the covariance between the detectors of a range cell as it is. Its eigenvectors whose values
-    exceed those of noise alone (Marchenko & Pastur: (1 + sqrt(detectors / samples))^2), and WEAKEST_MODE, are the
-    detectors' beams towards what lies there; the rest is left out.
+    A common phase leaves the covariance between the channels of a range cell as it is. Its eigenvectors whose values
+    exceed those of noise alone (Marchenko & Pastur: (1 + sqrt(channels / samples))^2), and WEAKEST_MODE, are the
+    channels' beams towards what lies there; the rest is left out.
 
     Args:
-        responses: shape (detectors, points, pulses).
-        noise_power: of each detector's responses, greater than 0, shape (detectors,).
+        white: responses with noise of power 1 that is independent in all channels, shape (channels, points, pulses).
 
     Returns:
         The combinations, noise of power 1, shape (modes, pulses), and the signal-to-noise ratio of each, (modes,).
     """
-    detectors, _, pulses = responses.shape
-    white = responses / np.sqrt(noise_power)[:, None, None]
+    channels, _, pulses = white.shape
     between = uniform_filter1d(np.einsum("mpt,npt->pmn", white, white.conj()) / pulses, LIKE_ROWS, axis=0)
     values, vectors = np.linalg.eigh(between)
     combined = np.einsum("pmk,mpt->pkt", vectors.conj(), white)
     snr = values - 1
-    noise_edge = (1 + np.sqrt(detectors / (LIKE_ROWS * pulses))) ** 2
+    noise_edge = (1 + np.sqrt(channels / (LIKE_ROWS * pulses))) ** 2
     seen = (values > NOISE_MARGIN * noise_edge) & (snr >= WEAKEST_MODE * snr[:, -1:])
     return combined[seen], snr[seen]
 
 
-def covariances(modes: C128, snr: F64) -> list[Covariance]:
-    """Sample covariances of the modes, in classes of signal-to-noise ratio."""
+def speckle_classes(modes: C128, snr: F64) -> list[Speckle]:
+    """The modes in classes of signal-to-noise ratio."""
     steps = np.floor(np.log(snr) / np.log(CLASS_RATIO))
-    classes = [steps == step for step in np.unique(steps)]
-    return [Covariance(modes[c].T @ modes[c].conj(), float(snr[c].mean()), int(c.sum())) for c in classes]
+    members = [steps == step for step in np.unique(steps)]
+    return [Speckle(modes[c].T @ modes[c].conj(), float(snr[c].mean()), int(c.sum())) for c in members]
 
 
-def link_phases(samples: list[Covariance], coherence: C128, start: F64) -> LinkedPhases:
+def link_phases(classes: list[Speckle], coherence: C128, start: F64) -> tuple[F64, float]:
     """Phases of maximum likelihood by Fisher scoring; their mean and linear trend are those of the start.
 
     Args:
-        samples: covariances of the responses (`covariances`).
-        coherence: Gamma (`beam_coherence`).
+        classes: responses (`speckle_classes`).
+        coherence: of the echo between every two pulses (`coherence_of`).
         start: first estimate, rad, shape (pulses,).
+
+    Returns:
+        The phases, rad, and their standard error (rms over the pulses, mean and linear trend apart) by the Fisher
+        information, rad.
     """
-    phase, change, iteration = start.copy(), np.inf, 0
-    weighted, information = _weighted(samples, coherence)
-    variance = _inverse_without_trend(information)
-    while change > CONVERGED and iteration < ITERATIONS:
-        turn = np.exp(1j * phase)
-        score = 2 * (weighted * turn[:, None] * turn.conj()).imag.sum(axis=0)
-        step = variance @ score
-        step *= LONGEST_STEP / max(np.abs(step).max(), LONGEST_STEP)
-        phase += step
-        change, iteration = float(np.sqrt(np.mean(step**2))), iteration + 1
-    return LinkedPhases(phase, float(np.sqrt(np.mean(np.diag(variance)))), iteration, change)
-
-
-def _weighted(samples: list[Covariance], coherence: C128) -> tuple[C128, F64]:
-    """Sum over all responses of -conj(g_t) (snr Gamma + 1)^-1 g_s, and their Fisher information."""
-    identity = np.eye(len(coherence))
-    weighted, information = np.zeros_like(coherence), np.zeros(coherence.shape)
-    for sample in samples:
-        covariance = sample.snr * coherence + identity
+    pulses = len(start)
+    weighted, information = np.zeros((pulses, pulses), np.complex128), np.zeros((pulses, pulses))
+    for speckle in classes:
+        covariance = speckle.snr * coherence + np.eye(pulses)
         inverse = np.linalg.inv(covariance)
-        weighted -= inverse * sample.total.T
-        information += 2 * sample.count * ((covariance * inverse.T).real - identity)
-    return weighted, information
-
-
-def _inverse_without_trend(information: F64) -> F64:
-    """Inverse on the phases without mean and linear trend, 0 on those two."""
-    pulses = len(information)
+        weighted -= inverse * speckle.total.T
+        information += 2 * speckle.count * ((covariance * inverse.T).real - np.eye(pulses))
+    # The inverse of the information on all but mean and linear trend, of which the likelihood knows nothing.
     trend = np.stack([np.ones(pulses), np.linspace(-1.0, 1.0, pulses)], axis=1)
     rest = np.linalg.qr(trend, mode="complete")[0][:, 2:]
-    return rest @ np.linalg.inv(rest.T @ information @ rest) @ rest.T
+    variance = rest @ np.linalg.inv(rest.T @ information @ rest) @ rest.T
+    phase = start.copy()
+    for _ in range(ITERATIONS):
+        turn = np.exp(1j * phase)
+        step = variance @ (2 * (weighted * turn[:, None] * turn.conj()).imag.sum(axis=0))
+        step *= LONGEST_STEP / max(np.abs(step).max(), LONGEST_STEP)
+        phase += step
+        if np.sqrt(np.mean(step**2)) < CONVERGED:
+            break
+    return phase, float(np.sqrt(np.mean(np.diag(variance))))
+
+
+def fit_profile(classes: list[Speckle], waves: C128, profile: F64, phase: F64) -> F64:
+    """A profile of greater likelihood than `profile`, given the phases (rad, shape (pulses,)).
+
+    One step p <- p (w^H R^-1 S R^-1 w) / (n w^H R^-1 w) towards the maximum, its fixed point: S is the sum over n
+    responses, and the classes add to numerator and denominator by their signal-to-noise ratio. More steps fit noise.
+    """
+    turn, coherence = np.exp(-1j * phase), coherence_of(waves, profile)
+    found, expected = np.zeros(len(profile)), np.zeros(len(profile))
+    for speckle in classes:
+        whitened = np.linalg.inv(speckle.snr * coherence + np.eye(len(phase))) @ waves
+        total = speckle.total * turn[:, None] * turn.conj()
+        found += speckle.snr * np.sum(whitened.conj() * (total @ whitened), axis=0).real
+        expected += speckle.snr * speckle.count * np.sum(waves.conj() * whitened, axis=0).real
+    return profile * found / expected
+
+
+def coherence_of(waves: C128, profile: F64) -> C128:
+    """Coherence of the echo between every two pulses, (pulses, pulses); 1 on the diagonal if the profile's sum is 1."""
+    return (waves * profile) @ waves.conj().T

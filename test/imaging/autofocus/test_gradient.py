@@ -16,6 +16,7 @@ from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
 from sal_height.geometry.grid import Grid
 from sal_height.imaging.autofocus.gradient import (
+    AutofocusSettings,
     Focus,
     apply_phase,
     autofocus,
@@ -25,7 +26,14 @@ from sal_height.imaging.autofocus.gradient import (
     phase_gradient,
     pulse_responses,
 )
-from sal_height.imaging.autofocus.phase_linking import beam_coherence, covariances, link_phases, signal_modes
+from sal_height.imaging.autofocus.phase_linking import (
+    azimuth_waves,
+    coherence_of,
+    fit_profile,
+    link_phases,
+    signal_modes,
+    speckle_classes,
+)
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.imaging.weighting import Processing
@@ -39,6 +47,10 @@ from sal_height.simulation.receivers import receiver_noise
 from sal_height.simulation.scenes import load_scene
 
 ERRORS = {"white": white_phase, "atmosphere": lambda n, rms, rng: power_law_phase(n, rms, ATMOSPHERE, rng)}
+
+
+BRIGHT = 10**1.5
+"""Power of a target over the median of the picture."""
 
 
 def rms(values: np.ndarray) -> float:
@@ -58,7 +70,7 @@ class Dwell:
     def focus(self, phase: np.ndarray | None = None) -> Focus:
         """Autofocus after injection of a phase error."""
         history = self.history if phase is None else apply_phase(self.history, -phase)
-        return autofocus(history, self.antenna, self.sensor, self.patches)
+        return autofocus(history, self.antenna, self.sensor, self.patches, AutofocusSettings())
 
     def image(self, history: PhaseHistory) -> np.ndarray:
         return backproject(history, self.antenna, self.sensor, Processing("taylor"), self.grid)
@@ -98,18 +110,19 @@ def injected(kind: str, amount: float, dwell: Dwell, seed: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("preset_name", "cnr_db", "least", "mean"),
     [
-        ("sal_spotlight", 20.0, 0.10, 0.06),
-        ("sal_spotlight", 10.0, 0.16, 0.10),
-        ("sal_spotlight", 0.0, 0.50, 0.40),
-        ("small", 20.0, 0.20, 0.14),
+        ("sal_spotlight", 20.0, 0.13, 0.085),
+        ("sal_spotlight", 10.0, 0.22, 0.14),
+        ("sal_spotlight", 0.0, 0.75, 0.45),
+        ("small", 20.0, 0.16, 0.12),
     ],
 )
 def test_residual_phase_is_the_same_small_one_whatever_was_injected(
     preset_name: str, cnr_db: float, least: float, mean: float
 ) -> None:
-    """At most 0.2 of 1, 3 and 10 rad rms from 10 dB on; of 0.3 rad at 20 dB as the rms over the dwells.
+    """At most 0.22 of 1, 3 and 10 rad rms from 10 dB on; 0.3 of 0.3 rad at 20 dB as the rms over the dwells.
 
-    What is left is the speckle's own: the bound for one dwell is 0.033 rad at 20 dB, 0.08 at 10 dB, 0.23 at 0 dB.
+    What is left is the speckle's own: the bound for one dwell is 0.05 rad at 20 dB, 0.09 at 10 dB, 0.29 at 0 dB for a
+    scene as even as the beam. With the beam's profile alone it is 0.11, 0.14 and 0.43, in `small` at 20 dB 0.12.
     """
     left = []
     for seed in range(6):
@@ -122,7 +135,7 @@ def test_residual_phase_is_the_same_small_one_whatever_was_injected(
         assert focus.method == "speckle"
         assert left[-1] <= least
         if cnr_db >= 10:
-            assert left[-1] <= 0.2 * amount
+            assert left[-1] <= 0.22 * amount
     assert rms(np.array(left)) <= mean
 
 
@@ -253,7 +266,8 @@ def test_phase_linking_reaches_its_bound() -> None:
     rng = np.random.default_rng(10)
     dwell = dwell_of("small", 1)
     centre = dwell.patches[len(dwell.patches) // 2, 0]
-    coherence = beam_coherence(dwell.sensor, dwell.antenna, centre)
+    waves, share = azimuth_waves(dwell.sensor, dwell.antenna, centre)
+    coherence = coherence_of(waves, share)
     np.testing.assert_allclose(np.diag(coherence), 1.0)
     factor = np.linalg.cholesky(coherence + 1e-9 * np.eye(48))
     snr, left = 20.0, []
@@ -261,9 +275,43 @@ def test_phase_linking_reaches_its_bound() -> None:
         speckle = np.sqrt(snr) * circular(rng, (200, 48)) @ factor.T + circular(rng, (200, 48))
         error = white_phase(48, 10.0, rng)
         modes = speckle * np.exp(1j * error)
-        linked = link_phases(covariances(modes, np.full(200, snr)), coherence, phase_gradient(modes))
-        left.append(rms(residual_phase(linked.phase, error)))
-    assert rms(np.array(left)) == pytest.approx(linked.standard_error, rel=0.1)
+        classes = speckle_classes(modes, np.full(200, snr))
+        phase, standard_error = link_phases(classes, coherence, phase_gradient(modes))
+        left.append(rms(residual_phase(phase, error)))
+    assert rms(np.array(left)) == pytest.approx(standard_error, rel=0.1)
+
+
+def test_azimuths_are_all_that_the_pulses_tell_apart_and_the_beam_has_its_share() -> None:
+    """From half a turn per pulse on one side to nearly half a turn on the other."""
+    dwell = dwell_of("small", 1)
+    waves, share = azimuth_waves(dwell.sensor, dwell.antenna, dwell.patches[len(dwell.patches) // 2, 0])
+    assert waves.shape == (48, 96)
+    turns = np.angle(np.sum(waves[1:] * waves[:-1].conj(), axis=0)) / (2 * np.pi)
+    np.testing.assert_allclose(np.diff(turns[1:]), 1 / 96, rtol=1e-3)
+    assert abs(turns[0]) == pytest.approx(0.5, abs=1e-3)
+    assert share.sum() == pytest.approx(1.0)
+    assert np.argmax(share) == 48
+
+
+def test_profile_of_the_echo_is_found_where_the_beam_is_not_as_described() -> None:
+    """Speckle from a third of the azimuths: the profile gathers there, and the likelihood grows."""
+    rng = np.random.default_rng(14)
+    dwell = dwell_of("small", 1)
+    waves, share = azimuth_waves(dwell.sensor, dwell.antenna, dwell.patches[len(dwell.patches) // 2, 0])
+    lit = (np.arange(96) >= 40) & (np.arange(96) < 72)
+    modes = circular(rng, (400, 96)) * np.sqrt(20 / 32 * lit) @ waves.T + circular(rng, (400, 48))
+    (speckle,) = classes = speckle_classes(modes, np.full(400, 20.0))
+    found = fit_profile(classes, waves, share, np.zeros(48))
+
+    def likelihood(profile: np.ndarray) -> float:
+        covariance = 20 * coherence_of(waves, profile) + np.eye(48)
+        return float(
+            -np.linalg.slogdet(covariance)[1] - np.trace(np.linalg.solve(covariance, speckle.total)).real / 400
+        )
+
+    assert found[lit].sum() > 0.95 * found.sum()
+    assert found.sum() == pytest.approx(1.0, rel=0.1)
+    assert likelihood(found) > likelihood(share) + 10
 
 
 def test_modes_are_those_of_the_targets() -> None:
@@ -272,7 +320,7 @@ def test_modes_are_those_of_the_targets() -> None:
     gains, noise = np.array([1.0, 0.5, 0.1, 0.02]), np.array([1.0, 2.0, 1.0, 4.0])
     signal = 5 * gains[:, None, None] * np.exp(1j * rng.uniform(0, 7, (1, 40, 64)))
     responses = signal + np.sqrt(noise)[:, None, None] * circular(rng, (4, 40, 64))
-    modes, snr = signal_modes(responses, noise)
+    modes, snr = signal_modes(responses / np.sqrt(noise)[:, None, None])
     assert modes.shape == (40, 64)
     assert np.mean(snr) == pytest.approx(25 * np.sum(gains**2 / noise), rel=0.03)
     assert np.mean(np.abs(modes) ** 2) == pytest.approx(np.mean(snr) + 1, rel=1e-2)
@@ -286,7 +334,7 @@ def test_bright_targets_focus_in_every_place() -> None:
     targets = np.exp(1j * (2 * np.pi * cells * np.arange(128) / 128 + rng.uniform(0, 7, (40, 1))))
     seen = np.concatenate([targets, np.zeros((160, 128))])
     responses = (seen + 0.3 * circular(rng, (2, 200, 128))) * np.exp(1j * error)
-    focus = focus_targets(responses, 20)
+    focus = focus_targets(responses, 20, BRIGHT)
     assert focus.method == "targets"
     assert rms(residual_phase(focus.phase, error)) < 0.1
     assert focus.standard_error < 0.1
@@ -298,7 +346,7 @@ def test_white_phases_come_off_bright_targets() -> None:
     error = white_phase(128, 0.8, rng)
     cells = rng.uniform(-12, 12, (40, 1))
     seen = np.concatenate([10 * np.exp(2j * np.pi * cells * np.arange(128) / 128), np.zeros((160, 128))])
-    focus = focus_targets((seen + circular(rng, (2, 200, 128))) * np.exp(1j * error), 20)
+    focus = focus_targets((seen + circular(rng, (2, 200, 128))) * np.exp(1j * error), 20, BRIGHT)
     assert rms(residual_phase(focus.phase, error)) < 0.1
 
 
@@ -324,7 +372,7 @@ def test_dwells_too_large_for_memory_are_refused_before_anything_is_held(pulses:
     antenna = np.linspace(0, 0.01, pulses)[:, None] * np.array([1.0, 0.0, 0.0])
     history = PhaseHistory(0, np.arange(pulses) * 1e-5, np.full(pulses, 5e3), np.zeros((3, 1, 1), np.complex64))
     with pytest.raises(UserError) as refusal:
-        autofocus(history, antenna, sensor, np.zeros((points, 1, 3)))
+        autofocus(history, antenna, sensor, np.zeros((points, 1, 3)), AutofocusSettings())
     assert_one_sentence(str(refusal.value), said, "autofocus to false")
 
 
@@ -362,7 +410,7 @@ def test_gotcha_with_three_cycles_of_quadratic_phase_is_sharp_again(shared_data:
     history, antenna, sensor, grid, patches = load_gotcha(sorted(shared_data("afrl_gotcha").glob("*.mat")))
     error = 2 * np.pi * 3 * np.linspace(-1, 1, len(antenna)) ** 2
     bad = apply_phase(history, -error)
-    focus = autofocus(bad, antenna, sensor, patches)
+    focus = autofocus(bad, antenna, sensor, patches, AutofocusSettings())
     assert focus.method == "targets"
     assert focus.trusted
     assert rms(residual_phase(focus.phase, error)) < 0.3  # of which 0.21 are the recording's own

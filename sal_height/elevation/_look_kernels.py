@@ -1,4 +1,4 @@
-"""Compiled loops over the looks of pixels: their power and centre, and the channels' covariance.
+"""Compiled loops over samples and the looks of pixels: their power, and the channels' covariance.
 
 Each has a twin in plain NumPy in the tests. Of each axis the loops know the first sample of pixel 0, the step from
 pixel to pixel and the weights of the looks.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.numeric import C64, F32, F64, Index, compiled, inlined
+from sal_height.numeric import C64, F32, Index, compiled, inlined
 
 LOOKS_AT_ONCE = 4
 """Looks whose outer products are added at a time: as many as stay in registers."""
@@ -31,39 +31,6 @@ def sum_powers(numbers: F32, weights: F32, first: int, power: F32) -> None:
         for c in range(line.size):
             if (bits[r, c] & EXPONENT) == EXPONENT:
                 line[c] = -1
-
-
-@compiled
-def find_centres(
-    sample_power: F32,
-    down: tuple[int, int, F64],
-    across: tuple[int, int, F64],
-    first: int,
-    result: tuple[F64, F64, F64],
-) -> None:
-    """Power, mean row and mean column of the looks of pixels from row `first` on; power -1 where one is bad."""
-    (top, row_step, row_weights), (left, col_step, col_weights) = down, across
-    rows, cols = sample_power.shape
-    power, row, col = result
-    for i in range(power.shape[0]):
-        for j in range(power.shape[1]):
-            start, side = top + (first + i) * row_step, left + j * col_step
-            total, by_row, by_col, count, mean_row, mean_col, bad = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False
-            for r in range(max(start, 0), min(start + row_weights.size, rows)):
-                for c in range(max(side, 0), min(side + col_weights.size, cols)):
-                    looked = row_weights[r - start] * col_weights[c - side]
-                    weight = looked * sample_power[r, c]
-                    bad |= weight < 0
-                    total += weight
-                    by_row += weight * r
-                    by_col += weight * c
-                    count += looked
-                    mean_row += looked * r
-                    mean_col += looked * c
-            empty = bad or total == 0
-            power[i, j] = -1.0 if bad else total
-            row[i, j] = mean_row / count if empty else by_row / total
-            col[i, j] = mean_col / count if empty else by_col / total
 
 
 @compiled

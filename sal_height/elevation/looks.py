@@ -8,8 +8,9 @@ from typing import Protocol, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
-from sal_height.elevation._look_kernels import find_centres, sum_covariances, sum_powers, sum_samples
+from sal_height.elevation._look_kernels import sum_covariances, sum_powers, sum_samples
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid
 from sal_height.numeric import C64, F32, F64, Bool, Index, in_parallel
@@ -47,25 +48,15 @@ class Window:
     Attributes:
         weights: of the looks, greater than 0, shape (n,).
         step: number of samples from one pixel to the next.
-
-    Raises:
-        UserError: no weight, one that is not finite and greater than 0, or a step below 1.
     """
 
     weights: F64
     step: int
 
-    def __post_init__(self) -> None:
-        if not (self.weights.size and np.all(np.isfinite(self.weights) & (self.weights > 0)) and self.step >= 1):
-            raise UserError(
-                f"A window of looks has the weights {self.weights.tolist()} and the step {self.step}; it must have one "
-                "weight or more, all finite and greater than 0, and a step of 1 or more."
-            )
-
     @classmethod
     def named(cls, name: str, looks: int, step: int = 0) -> Self:
         """The window of that name in LOOK_WINDOWS over `looks` samples; step 0 makes blocks without overlap."""
-        return cls(LOOK_WINDOWS[name](looks) if looks > 0 else np.empty(0), step or max(looks, 1))
+        return cls(LOOK_WINDOWS[name](looks), step or looks)
 
     def pixels(self, samples: int) -> int:
         """Number of pixels along an axis of `samples`: every sample is a look of one of them."""
@@ -81,11 +72,13 @@ class Window:
         """Middle of pixel 0 in samples, with a fraction."""
         return self.first + (len(self.weights) - 1) / 2
 
-    def sums(self, samples: int) -> tuple[F64, F64]:
-        """Sum of the weights, and of their squares, over the looks of each pixel inside the image, (pixels,) each."""
-        inside = np.arange(len(self.weights)) + self.first + np.arange(self.pixels(samples))[:, None] * self.step
-        there = (inside >= 0) & (inside < samples)
-        return there @ self.weights, there @ self.weights**2
+    def matrix(self, samples: int) -> csr_array:
+        """The weight of each sample in each pixel, sparse, shape (pixels, samples)."""
+        pixel, look = np.indices((self.pixels(samples), len(self.weights)))
+        sample = self.first + pixel * self.step + look
+        inside = (sample >= 0) & (sample < samples)
+        places = pixel[inside], sample[inside]
+        return csr_array((self.weights[look[inside]], places), shape=(self.pixels(samples), samples))
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,15 +236,21 @@ def windowed_looks(slc: C64, windows: tuple[Window, Window], squint: F64, channe
     if np.any(transform != np.diag(np.diag(transform))):
         slc, gains = np.tensordot(transform.astype(np.complex64), slc, axes=1), np.ones_like(gains)
     numbers = np.ascontiguousarray(slc, dtype=np.complex64).view(np.float32)
-    sums, squares = (np.multiply.outer(*pair) for pair in zip(down.sums(rows), across.sums(cols), strict=True))
-    shape = sums.shape
-    sample_power, power, row, col = np.empty((rows, cols), np.float32), *np.empty((3, *shape))
+    # The power of each sample over all channels; negative where one is not finite.
+    sample_power = np.empty((rows, cols), np.float32)
     in_parallel(lambda part: sum_powers(numbers, np.abs(gains) ** 2, part.start, sample_power[part]), rows)
-    axes = (down.first, down.step, down.weights), (across.first, across.step, across.weights)
-    in_parallel(
-        lambda part: find_centres(sample_power, *axes, part.start, (power[part], row[part], col[part])), shape[0]
-    )
-    finite = power >= 0
+    # Sums over the looks of each pixel, first along the columns, then along the rows.
+    by_row, by_col = down.matrix(rows), across.matrix(cols)
+    sums, squares = (np.multiply.outer(by_row.power(n).sum(axis=1), by_col.power(n).sum(axis=1)) for n in (1, 2))
+    finite = by_row @ (by_col @ (sample_power < 0).T).T == 0
+    seen = np.maximum(sample_power, 0).astype(np.float64)
+    along = (by_col @ seen.T).T
+    power = by_row @ along * finite
+    # The power-weighted centre; the middle of the looks where there is no power.
+    row_of, col_of = by_row * np.arange(rows), by_col * np.arange(cols)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        row = np.where(power > 0, row_of @ along / power, (row_of.sum(axis=1) / by_row.sum(axis=1))[:, None])
+        col = np.where(power > 0, by_row @ (col_of @ seen.T).T / power, col_of.sum(axis=1) / by_col.sum(axis=1))
     scale = np.where(finite, sums / squares, 0.0)
     return Looks(
         covariance=SlcCovariance(numbers, down, across, gains, scale.astype(np.float32), hermitian),

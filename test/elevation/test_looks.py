@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from helpers import assert_one_sentence, circular, looks_in, multilook
@@ -83,21 +81,6 @@ def test_pixels_are_indexed_as_those_of_an_array(slc: np.ndarray) -> None:
     row, col = np.array([3, 0, 1]), np.array([4, 4, 2])
     for index in ((row, col), (slice(1, 3), col), (row, slice(None)), (row[:, None], col), (slice(2, 2), slice(0, 3))):
         np.testing.assert_array_equal(on_demand[index], whole[index])
-
-
-@pytest.mark.parametrize(
-    "window",
-    [
-        lambda: Window.named("boxcar", -1),
-        lambda: Window(np.array([]), 1),
-        lambda: Window(np.array([1, 0.0]), 1),
-        lambda: Window(np.ones(2), -1),
-    ],
-)
-def test_window_without_weight_or_step_is_refused(window: Callable[[], Window]) -> None:
-    with pytest.raises(UserError) as refusal:
-        window()
-    assert_one_sentence(str(refusal.value), "window of looks", "greater than 0", "step of 1 or more")
 
 
 def test_middle_of_a_pixel_is_that_of_its_window() -> None:

@@ -27,7 +27,6 @@ from sal_height.calibration.beam_likelihood import Normal, curve_of, with_known_
 from sal_height.elevation import (
     MISFIT_SHARE,
     OBJECTIVES,
-    Columns,
     Covariance,
     Fit,
     HeightSettings,
@@ -38,7 +37,7 @@ from sal_height.elevation import (
     search_guard,
 )
 from sal_height.errors import NotDetermined, UserError
-from sal_height.numeric import C128, F64, Bool
+from sal_height.numeric import C128, F64, Bool, Index
 
 Equations = Callable[["BeamCalibration"], Normal]
 
@@ -246,7 +245,7 @@ def _of_scene(looks: Looks, beams: Beams) -> Equations:
         share = MISFIT_SHARE if calibration.steps > 1 else FIRST_MISFIT_SHARE
         of_blocks: dict[tuple[int, int], Normal] = {}
 
-        def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
+        def work(search: PeakSearch, rows: slice, cols: Index) -> None:
             pixels = looks.covariance[rows, cols].reshape(-1, beams.count, beams.count)
             pixels = pixels * (phases.conj()[:, None] * phases / looks.noise_power).astype(np.complex64)
             elevation = search.peaks(pixels).elevation
@@ -255,7 +254,7 @@ def _of_scene(looks: Looks, beams: Beams) -> Equations:
             explained = search.fit(pixels, elevation)[0]
             usable = of_pixel[1] & _usable(pixels, explained, of_pixel[0], elevation, beams, share)
             curve = curve_of(wide, np.abs(calibration.gains), elevation[usable], across[usable])
-            block = (rows.start, int(np.arange(squint.size)[cols][0]))
+            block = (rows.start, int(cols[0]))
             of_blocks[block] = with_unknown_angles(curve, pixels[usable], of_pixel[0][usable])
 
         searches.each(squint, looks.covariance.shape[0], work)

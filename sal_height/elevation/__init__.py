@@ -52,7 +52,7 @@ from sal_height.elevation.monopulse.slope_table import read_slope_table
 from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings, sum_difference_elevation
 from sal_height.elevation.music import music_elevation
 from sal_height.elevation.registry import ESTIMATORS, ElevationEstimator
-from sal_height.elevation.search import Columns, Objective, PeakSearch, PeakSearches
+from sal_height.elevation.search import Objective, PeakSearch, PeakSearches
 from sal_height.elevation.settings import MISFIT_SHARE, HeightSettings
 from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH
 
@@ -64,7 +64,6 @@ __all__ = [
     "MISFIT_SHARE",
     "OBJECTIVES",
     "RECOMMENDED_STRENGTH",
-    "Columns",
     "Covariance",
     "ElevationEstimate",
     "ElevationEstimator",

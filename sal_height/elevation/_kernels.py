@@ -301,16 +301,6 @@ def outputs_at_nodes(matrix: Numbers, units: Numbers, outputs: Numbers, own: F32
 
 
 @compiled
-def concentrate(values: F32, noise_power: float, looks: F64) -> None:
-    """Replace values of the objective by log-likelihoods; `looks` K of each pixel."""
-    for i in range(len(values)):
-        line, count, scale = values[i], np.float32(looks[i]), np.float32(1 / (looks[i] * noise_power))
-        for g in range(line.size):
-            q = max(line[g] * scale, np.float32(1))
-            line[g] = count * (q - np.float32(1) - np.log(q))
-
-
-@compiled
 def send_along(
     own: F32, has_data: Bool, strength: np.float32, starts: Index, step: tuple[int, int], messages: F32
 ) -> None:
@@ -345,15 +335,3 @@ def pass_on(path: F32, strength: np.float32, message: F32) -> None:
             message[g] = max(message[g], path[g + k])
     for g in range(message.size):
         message[g] = max(message[g] - highest, -strength)
-
-
-@compiled
-def most_likely(own: F32, messages: F32, alone: Index, together: Index) -> None:
-    """Fill `together` with the node of the greatest sum, or `alone` where the neighbours do not prefer that node."""
-    for r in range(own.shape[0]):
-        for c in range(own.shape[1]):
-            best = alone[r, c]
-            for g in range(own.shape[2]):
-                if own[r, c, g] + messages[r, c, g] > own[r, c, best] + messages[r, c, best]:
-                    best = g
-            together[r, c] = best if messages[r, c, best] > messages[r, c, alone[r, c]] else alone[r, c]

@@ -19,9 +19,9 @@ from sal_height.beams import Beams
 from sal_height.elevation.bounds import stochastic_deviation, unit_vectors
 from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
 from sal_height.elevation.looks import Covariance, Looks
-from sal_height.elevation.search import Columns, Objective, PeakSearch, PeakSearches
+from sal_height.elevation.search import Objective, PeakSearch, PeakSearches
 from sal_height.elevation.settings import HeightSettings
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, Bool, Index
 from sal_height.settings import setting
 
 GUARD = 3.0
@@ -118,7 +118,7 @@ def estimate_at(elevation: F64, looks: Looks, beams: Beams, settings: ArraySetti
     No pixel is AMBIGUOUS, as other peaks are not looked at.
     """
 
-    def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> F64:
+    def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
         return search.fit(pixels, elevation[rows, cols].reshape(-1))
 
     searches = PeakSearches.over(beams, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
@@ -154,7 +154,7 @@ def estimate_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, setting
     """
     margin = settings.margin * looks.noise_power
 
-    def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> F64:
+    def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
         found = search.peaks(spectrum(pixels, looks.count[rows, cols].reshape(-1))).elevation
         likely = search.peaks(pixels, margin)
         at_it = np.abs(likely.elevation - found) < SAME_PEAK * beams.beamwidth

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
-from itertools import product
+from functools import lru_cache
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -33,13 +32,14 @@ from sal_height.numeric import F32, F64, Index, in_parallel
 Objective = Callable[[F64, F64], tuple[F64, F64]]
 """Gives the weights and their slope from response and slope of the beams, all real and of shape (..., detectors)."""
 
-Columns = slice | Index
-
 PIXELS_OF_THREAD = 2048
 """Number of pixels from which on another thread is worthwhile."""
 
 PIXELS_AT_ONCE = 2048
 """Number of pixels whose covariance and objective are held at a time, so that they fit into a processor's cache."""
+
+SEARCHES_HELD = 64
+"""Number of squints whose search is held: several blocks of pixels have the same one."""
 
 SPARE_SQUINTS = 14
 """Squints beyond pi per beamwidth from which all others are interpolated; this number leaves an error of 1e-9."""
@@ -177,7 +177,7 @@ class PeakSearch:
 
 REAL_COVARIANCE = "The covariance of complex beams is real; it must be complex (looks with hermitian=True)."
 
-Find = Callable[[PeakSearch, Covariance, slice, Columns], F64]
+Find = Callable[[PeakSearch, Covariance, slice, Index], F64]
 """Gives numbers (count, pixels) from the search at the pixels' squint, their covariance (pixels, channels, channels),
 and the rows and columns of the image they come from."""
 
@@ -208,7 +208,7 @@ class PeakSearches:
         grid_steps = max(1, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))))
         nodes = np.linspace(first, last, TABLE_STEPS * grid_steps + 1)
 
-        @cache
+        @lru_cache(SEARCHES_HELD)
         def exact(squint: float) -> PeakSearch:
             return PeakSearch.of(nodes, beams.response(nodes, squint), beams.slope(nodes, squint), objective)
 
@@ -221,6 +221,7 @@ class PeakSearches:
         own = [(search.grid, search.pieces, search.power) for search in searches]
         stack = tuple(np.stack(values) for values in zip(*own, strict=True))
 
+        @lru_cache(SEARCHES_HELD)
         def interpolated(squint: float) -> PeakSearch:
             weights = _lagrange(few, squint).astype(np.float32)
             grid, pieces, power = (_weighted_sum(weights, values) for values in stack)
@@ -231,14 +232,11 @@ class PeakSearches:
     def of_pixels(self, looks: Looks, count: int, find: Find) -> F64:
         """Find `count` numbers for every pixel, shape (count, rows, cols), block by block on all processors.
 
-        Args:
-            looks: covariance of the channels in each pixel.
-            count: of numbers.
-            find: gives them for the pixels of a block, which all have the same squint.
+        `find` gives them for the pixels of a block, which all have the same squint.
         """
         result = np.empty((count, *looks.count.shape))
 
-        def work(search: PeakSearch, rows: slice, cols: Columns) -> None:
+        def work(search: PeakSearch, rows: slice, cols: Index) -> None:
             pixels = looks.covariance[rows, cols]
             found = find(search, pixels.reshape(-1, *pixels.shape[2:]), rows, cols)
             result[:, rows, cols] = found.reshape(count, *pixels.shape[:2])
@@ -246,38 +244,24 @@ class PeakSearches:
         self.each(looks.squint, len(looks.count), work)
         return result
 
-    def each(self, squint: F64, rows: int, work: Callable[[PeakSearch, slice, Columns], object]) -> None:
+    def each(self, squint: F64, rows: int, work: Callable[[PeakSearch, slice, Index], object]) -> None:
         """Call `work` with the search, the rows and the columns of each block of the image, on all processors.
 
         A block has up to PIXELS_AT_ONCE pixels, or a row of them, and one of the squints (rad, shape (cols,)).
         """
         angles, angle_of = np.unique(squint, return_inverse=True)
-        if len(angles) == 1:
-            self._each_of_one(float(angles[0]), rows, len(squint), work)
-            return
-
-        def work_at(part: slice) -> None:
-            for index in range(part.start, part.stop):
-                search, cols = self.at(float(angles[index])), np.flatnonzero(angle_of == index)
+        blocks: list[tuple[float, slice, Index]] = []
+        for index, angle in enumerate(angles.tolist()):
+            alike = np.flatnonzero(angle_of == index)
+            for cols in np.split(alike, range(PIXELS_AT_ONCE, len(alike), PIXELS_AT_ONCE)):
                 high = max(1, PIXELS_AT_ONCE // len(cols))
-                for row in range(0, rows, high):
-                    work(search, slice(row, min(row + high, rows)), cols)
-
-        in_parallel(work_at, len(angles))
-
-    def _each_of_one(
-        self, squint: float, rows: int, cols: int, work: Callable[[PeakSearch, slice, Columns], object]
-    ) -> None:
-        """`each` where all columns have the same squint."""
-        search, wide = self.at(squint), min(cols, PIXELS_AT_ONCE)
-        high = max(1, PIXELS_AT_ONCE // wide)
-        blocks = list(product(range(0, rows, high), range(0, cols, wide)))
+                blocks += [(angle, slice(row, min(row + high, rows)), cols) for row in range(0, rows, high)]
 
         def work_on(part: slice) -> None:
-            for row, col in blocks[part]:
-                work(search, slice(row, min(row + high, rows)), slice(col, min(col + wide, cols)))
+            for angle, some_rows, cols in blocks[part]:
+                work(self.at(angle), some_rows, cols)
 
-        in_parallel(work_on, len(blocks), -(-PIXELS_OF_THREAD // (high * wide)))
+        in_parallel(work_on, len(blocks), -(-PIXELS_OF_THREAD * len(blocks) // max(1, rows * len(squint))))
 
 
 def _as_real(values: F64) -> F64:

@@ -20,10 +20,10 @@ from itertools import product
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation._kernels import concentrate, most_likely, send_along
+from sal_height.elevation._kernels import send_along
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation, search_guard
 from sal_height.elevation.looks import Looks
-from sal_height.elevation.search import Columns, PeakSearch, PeakSearches
+from sal_height.elevation.search import PeakSearch, PeakSearches
 from sal_height.numeric import F32, F64, Bool, Index, in_parallel
 
 RECOMMENDED_STRENGTH = 0.75
@@ -79,6 +79,7 @@ def smoothed_peaks(looks: Looks, beams: Beams, strength: float) -> F64:
     for tile in _tiles(*elevation.shape):
         own, has_data = _log_likelihood(looks, tile, searches)
         messages = _messages(own, has_data, strength)
+        own += messages
         _move(elevation, own[tile.core], messages[tile.core], looks, tile, searches)
     return elevation
 
@@ -103,13 +104,14 @@ def _log_likelihood(looks: Looks, tile: _Tile, searches: PeakSearches) -> tuple[
     own = np.empty((*shape, searches.at(float(angles[0])).grid.shape[1]), np.float32)
     has_data = np.empty(shape, dtype=np.bool_)
 
-    def work(search: PeakSearch, some: slice, columns: Columns) -> None:
+    def work(search: PeakSearch, some: slice, columns: Index) -> None:
         here = tile.rows[some, None], tile.cols[columns]
         pixels, count = looks.covariance[here], looks.count[here]
         has_data[some, columns] = np.any(np.diagonal(pixels, axis1=-2, axis2=-1) != 0, axis=-1)
         values = search.on_grid(pixels.reshape(-1, *pixels.shape[2:]))
-        concentrate(values, looks.noise_power, count.reshape(-1))
-        own[some, columns] = values.reshape(*count.shape, -1)
+        order = count.reshape(-1, 1).astype(np.float32)
+        q = np.maximum(values / (order * np.float32(looks.noise_power)), np.float32(1))
+        own[some, columns] = (order * (q - 1 - np.log(q))).reshape(*count.shape, -1)
 
     searches.each(angles, len(tile.rows), work)
     return own, has_data
@@ -136,20 +138,21 @@ def _starts(rows: int, cols: int, step: tuple[int, int]) -> Index:
     return np.argwhere(~inside)
 
 
-def _move(elevation: F64, own: F32, messages: F32, looks: Looks, tile: _Tile, searches: PeakSearches) -> None:
+def _move(elevation: F64, total: F32, messages: F32, looks: Looks, tile: _Tile, searches: PeakSearches) -> None:
     """Move pixels of the tile's core to another peak if their neighbours prefer it: changes `elevation` (rad) in place.
 
-    `own` and `messages` are of the core.
+    `total` and `messages` are of the core: log-likelihood with what the neighbours say of each node, and that alone.
     """
     rows, cols = tile.rows[tile.core[0]], tile.cols[tile.core[1]]
-    grid_step = (searches.nodes[-1] - searches.nodes[0]) / (own.shape[2] - 1)
+    grid_step = (searches.nodes[-1] - searches.nodes[0]) / (total.shape[2] - 1)
     alone = np.rint((elevation[rows[:, None], cols] - searches.nodes[0]) / grid_step).astype(np.intp)
-    together = np.empty_like(alone)
-    most_likely(own, messages, alone, together)
+    together = np.argmax(total, axis=2)
+    heard, before = (np.take_along_axis(messages, node[..., None], axis=2)[..., 0] for node in (together, alone))
+    changed = (heard > before) & (together != alone)
 
-    def work(search: PeakSearch, part: slice, columns: Columns) -> None:
-        row, col = np.nonzero(together[part, columns] != alone[part, columns])
-        row, col = row + part.start, np.arange(len(cols))[columns][col]
+    def work(search: PeakSearch, part: slice, columns: Index) -> None:
+        row, col = np.nonzero(changed[part, columns])
+        row, col = row + part.start, columns[col]
         there = rows[row], cols[col]
         elevation[there] = search.peaks_uphill(looks.covariance[there], together[row, col])
 

@@ -177,24 +177,6 @@ def test_messages_are_those_of_the_recursion_of_viterbi(free: int) -> None:
     np.testing.assert_allclose(messages[0], expected, atol=1e-5)
 
 
-def test_log_likelihoods_are_concentrated_over_the_power() -> None:
-    values, looks = np.array([[0.5, 4.0, 40.0], [9.0, 2.0, 1.0]], np.float32), np.array([4.0, 2.0])
-    q = np.maximum(values / (looks[:, None] * 1.5), 1)
-    expected = looks[:, None] * (q - 1 - np.log(q))
-    kernels.concentrate(values, 1.5, looks)
-    np.testing.assert_allclose(values, expected, rtol=1e-5)
-
-
-def test_node_changes_only_where_neighbours_prefer_the_other() -> None:
-    rng = np.random.default_rng(RNG_SEED)
-    own, messages = (rng.standard_normal((6, 7, 5)).astype(np.float32) for _ in range(2))
-    alone, together = np.argmax(own, axis=2), np.empty((6, 7), np.intp)
-    kernels.most_likely(own, messages, alone, together)
-    best = np.argmax(own + messages, axis=2)
-    heard = [np.take_along_axis(messages, node[..., None], axis=2)[..., 0] for node in (best, alone)]
-    np.testing.assert_array_equal(together, np.where(heard[0] > heard[1], best, alone))
-
-
 def images(channels: int) -> tuple[Array, Array]:
     """Images (channels, rows, cols), complex64, and the view of their real and imaginary parts."""
     slc = circular(np.random.default_rng([RNG_SEED, channels]), (channels, 7, 9)).astype(np.complex64)
@@ -223,20 +205,6 @@ def window_weights(window: tuple[int, int, Array], pixels: int, samples: int) ->
             if 0 <= first + pixel * step + k < samples:
                 result[pixel, first + pixel * step + k] = weight
     return result
-
-
-def test_centres_are_means_weighted_with_power() -> None:
-    power = np.random.default_rng(RNG_SEED).random((7, 9)).astype(np.float32)
-    power[3, 4] = -1
-    found = tuple(np.empty((3, 4, 3)))
-    look_kernels.find_centres(power, *WINDOWS, 0, found)
-    down, across = window_weights(WINDOWS[0], 4, 7), window_weights(WINDOWS[1], 3, 9)
-    bad = np.einsum("ir,jc,rc->ij", down > 0, across > 0, power < 0) > 0
-    total = np.einsum("ir,jc,rc->ij", down, across, power)
-    row = np.einsum("ir,jc,rc,r->ij", down, across, power, np.arange(7.0)) / total
-    empty_row = (down @ np.arange(7) / down.sum(axis=1))[:, None]
-    np.testing.assert_allclose(found[0], np.where(bad, -1, total), rtol=1e-5)
-    np.testing.assert_allclose(found[1], np.where(bad, empty_row, row), rtol=1e-5)
 
 
 @pytest.mark.parametrize("parts", [1, 2])

@@ -15,7 +15,7 @@ from sal_height.elevation.likelihood import OBJECTIVES, search_guard
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.elevation.monopulse.estimators import DISCRIMINANTS, accuracy, discriminate, sum_and_difference
 from sal_height.elevation.monopulse.inversion import Inversion, Reason, invert
-from sal_height.elevation.search import Columns, PeakSearch, PeakSearches
+from sal_height.elevation.search import PeakSearch, PeakSearches
 from sal_height.elevation.settings import HeightSettings
 from sal_height.errors import Rejected
 from sal_height.numeric import F64, Index
@@ -69,7 +69,7 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
     found, response = _invert_pairs(beams, pair.astype(np.intp), mu, np.broadcast_to(looks.squint, mu.shape))
     sigma, cnr = accuracy(sums, response, found.slope, noise_powers)
 
-    def at_found(search: PeakSearch, pixels: Covariance, rows: slice, cols: Columns) -> F64:
+    def at_found(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
         return search.fit(pixels, found.elevation[rows, cols].reshape(-1))[:1]
 
     (explained,) = searches.of_pixels(looks, 1, at_found) / looks.noise_power

@@ -20,11 +20,14 @@ from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS, height_topics
-from sal_height.pipeline import heights
+from sal_height.pipeline import heights, live_channels
 from sal_height.sensor import Sensor
 
 HELD_CALIBRATIONS = 4
 """Calibrations held: images made with one may come after the next."""
+
+LEFT_OUT = "channels_left_out"
+"""Name in the provenance, beside the node's parameters, of the channels without a signal; only if there are any."""
 
 
 class HeightNode(DwellStage):
@@ -74,7 +77,9 @@ class HeightNode(DwellStage):
                 f"Dwell {first.dwell}: {share:.3g} of a channel's samples are clipped; heights need {limit:g} or "
             )
             self.ignore("saturated", UserError(f"{sentence}less (max_saturated_share)."))
-        provenance = messages.derived(first.provenance, self.get_name(), parameters)
+        silent = sorted(set(range(len(images))) - set(live_channels(slc.images, sensor).tolist()))
+        left_out = {LEFT_OUT: silent} if silent else {}
+        provenance = messages.derived(first.provenance, self.get_name(), {**dict(parameters), **left_out})
         looks = (parameters.range_looks, parameters.azimuth_looks)
         image = messages.height_to_message(field, slc.aperture, looks, self.estimator.name, first, provenance)
         self._image.publish_if_heard(lambda: messages.height_picture(image))

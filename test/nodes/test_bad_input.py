@@ -417,8 +417,10 @@ def test_a_loud_and_a_dead_detector_leave_heights_of_the_others(chain: Chain) ->
     chain.publish(info, *chain.odometry(0), *frames)
     chain.await_heights(0)
     for estimator in ("monopulse", "ml"):
-        heights = np.array(chain.heights[estimator, 0].surfaces[0].height)
-        assert np.count_nonzero(np.isfinite(heights)) > 20
+        image = chain.heights[estimator, 0]
+        assert np.count_nonzero(np.isfinite(image.surfaces[0].height)) > 20
+        stage = messages.stages_of(image.provenance.parameters)["ml_height" if estimator == "ml" else estimator]
+        assert list(stage["channels_left_out"]) == [4]
 
 
 def test_a_detector_that_sends_nothing_leaves_heights_of_the_others(graph: Graph, flight: Any) -> None:
@@ -437,6 +439,7 @@ def test_a_detector_that_sends_nothing_leaves_heights_of_the_others(graph: Graph
     for estimator in ("monopulse", "ml"):
         assert same_heights(chain.heights[estimator, 7], without[estimator, 0])
         assert np.count_nonzero(np.isfinite(without[estimator, 0].surfaces[0].height)) > 20
+        assert "channels_left_out" in str(without[estimator, 0].provenance.parameters)
     assert chain.accounts()["sar_compression"]["ignored.missing channels"] == 1
 
 

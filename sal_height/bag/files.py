@@ -117,6 +117,7 @@ def _listed_files(metadata: Path) -> list[str]:
     if storage != "mcap" or compression != "none":
         raise UserError(
             f"Bag {metadata.parent} has storage {storage!r} and compression mode {compression!r}; only storage "
-            "'mcap' and mode 'none' (compression inside the MCAP file) can be read."
+            "'mcap' and mode 'none' (compression inside the MCAP file) can be read, to which "
+            f"'rosbags-convert --src {metadata.parent} --dst DIR --dst-storage mcap' converts it."
         )
     return names

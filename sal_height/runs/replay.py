@@ -22,6 +22,8 @@ from sal_height.response import measure_brightest
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import (
     HEIGHTS,
+    NODES,
+    SETTABLE,
     TRACKER,
     NodeParameters,
     check_parameters,
@@ -34,6 +36,7 @@ from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
 from sal_height.runs.simulate import accuracies, read_mosaics
 from sal_height.sensor import Sensor
+from sal_height.settings import settings_of
 from sal_height.simulation import SimulatedFlight, flight_of, parse_preset
 
 _LOG = logging.getLogger(__name__)
@@ -73,8 +76,7 @@ class Replay:
             if result.missing or result.extra:
                 lacks.append(f"Topic {topic} misses {result.missing} images and has {result.extra} more than recorded.")
             elif not (changed or result.equal):
-                how = f": its images have {result.grid_change}" if result.grid_change else ""
-                lacks.append(f"Topic {topic} differs from the recorded one{how}.")
+                lacks.append(f"Topic {topic} differs from the recorded one.")
         return [*self.outcome.losses, *lacks]
 
 
@@ -120,10 +122,9 @@ def replay(
         compared = {}
         if any(f"/{prefix}/height" in reader.topics for prefix in HEIGHTS.values()) and not outcome.interrupted:
             results = compare_heights(bag, made, tolerance_m)
-            wanted = (
-                {f"/{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS} if estimators else results.keys()
-            )
-            compared = {topic: results[topic] for topic in results if topic in reader.topics and topic in wanted}
+            prefixes = [prefix for name, prefix in HEIGHTS.items() if name in stages or not estimators]
+            topics = [f"/{prefix}/height" for prefix in prefixes]
+            compared = {topic: results[topic] for topic in topics if topic in results and topic in reader.topics}
         flight = recorded_flight(reader)
         accuracy = accuracies(read_mosaics(made, flight), stages) if flight else {}
         images = [] if height_nodes else _measure_images(folder)
@@ -184,9 +185,10 @@ def recorded_flight(reader: BagReader) -> SimulatedFlight | None:
 
 
 def recorded_parameters(reader: BagReader) -> dict[str, dict[str, Any]]:
-    """Node parameters that a bag was made with; none, with a warning, if it does not say, as a bag recorded in flight.
+    """Node parameters that a bag was made with; none, with a warning, if it does not say.
 
-    They are in the bag's custom data; older bags have a file parameters.yaml beside them instead.
+    They are in the bag's custom data; older bags have a file parameters.yaml beside them instead. Other programs, such
+    as rosbags-convert, leave both behind. What products in the bag say of their provenance is used then.
 
     Raises:
         UserError: they are not what this program writes.
@@ -194,17 +196,34 @@ def recorded_parameters(reader: BagReader) -> dict[str, dict[str, Any]]:
     path = (reader.path if reader.path.is_dir() else reader.path.parent) / "parameters.yaml"
     try:
         text = reader.custom_data.get(PARAMETERS) or (path.read_text(encoding="utf-8") if path.is_file() else "")
-        values = yaml.safe_load(text) or {}  # JSON is a part of YAML; none for a text that is empty
+        values = yaml.safe_load(text)  # JSON is a part of YAML
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise UserError(
             f"The parameters of bag {reader.path} cannot be read: {' '.join(str(error).split())}."
         ) from error
+    if not text:
+        values = _parameters_of_products(reader)
+        if not values:
+            _LOG.warning(
+                "Bag %s does not hold the parameters it was made with; it is processed with the defaults of the nodes "
+                "and what --param sets.",
+                reader.path,
+            )
+    values = values or {}
     if not (isinstance(values, dict) and all(isinstance(entry, dict) for entry in values.values())):
         raise UserError(f"The parameters of bag {reader.path} must map node names to mappings of names to values.")
-    if not text:
-        _LOG.warning(
-            "Bag %s does not hold the parameters it was made with; it is processed with the defaults of the nodes and "
-            "what --param sets.",
-            reader.path,
-        )
     return values
+
+
+def _parameters_of_products(reader: BagReader) -> dict[str, dict[str, Any]]:
+    """Node parameters in the provenance of the first height image of each topic; none of nodes unknown today."""
+    values: dict[str, dict[str, Any]] = {}
+    for topic in (f"/{prefix}/height" for prefix in HEIGHTS.values()):
+        if topic in reader.topics and (first := next(reader.messages([topic]), None)):
+            image = reader.decode(first.type_name, first.cdr)
+            values |= messages.stages_of(image.provenance.parameters)
+    return {
+        node: {name: value for name, value in values[node].items() if name in settings_of(NODES[node].parameters)}
+        for node in SETTABLE
+        if node in values
+    }

@@ -41,7 +41,7 @@ def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -
 
 
 def comparison_table(compared: Mapping[str, HeightComparison]) -> str:
-    """How the heights of a replay compare with the recorded ones, by topic, and a sentence for each other grid."""
+    """How the heights of a replay compare with the recorded ones, by topic, and a sentence on each change of grid."""
     heading = ["topic", "compared", "missing", "extra", "grids differ", "pixels differ", "greatest difference m"]
     rows = [
         [
@@ -55,7 +55,11 @@ def comparison_table(compared: Mapping[str, HeightComparison]) -> str:
         ]
         for topic, result in compared.items()
     ]
-    changes = [f"The replayed images of {t} have {r.grid_change}." for t, r in compared.items() if r.grid_change]
+    changed: dict[str, list[str]] = {}
+    for topic, result in compared.items():
+        if result.grid_change:
+            changed.setdefault(result.grid_change, []).append(topic)
+    changes = [f"The replayed images have {change} ({', '.join(topics)})." for change, topics in changed.items()]
     return "\n".join([aligned([heading, *rows]), *changes])
 
 

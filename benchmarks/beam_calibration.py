@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.array_estimator import azimuth_looks, beams_of, elevation_at
 from benchmarks.row import Row, sized
 from sal_height.beams import Beams
-from sal_height.calibration import BeamCalibration, beams_with, calibrate_beams
+from sal_height.calibration import BeamCalibration, calibrate_beams
 from sal_height.elevation import OBJECTIVES, Looks, covariance, peak_elevation
 from sal_height.numeric import C64, F64
 from sal_height.theory.array_trials import TARGETS, TargetPixels
@@ -36,7 +36,7 @@ def from_a_scene() -> Iterator[Row]:
 def _from_a_scene(name: str) -> Iterator[Row]:
     rng, beams = np.random.default_rng(3), beams_of(name)
     truth = _truth(rng, beams.count)
-    looks = azimuth_looks(_slc(rng, beams_with(beams, truth)), LOOKS, hermitian=True)
+    looks = azimuth_looks(_slc(rng, _calibrated(beams, truth)), LOOKS, hermitian=True)
     begin = time.perf_counter()
     found = calibrate_beams(looks, beams)
     took = time.perf_counter() - begin
@@ -65,8 +65,8 @@ def _from_a_scene(name: str) -> Iterator[Row]:
         f"{np.degrees(_rms(np.angle(truth.gains))):.1f} degrees wrong before; {stated} "
         f"{np.degrees(_rms(found.phase_sigmas)):.3f} degrees",
     )
-    actual = beams_with(beams, truth)
-    before, after = (_greatest_bias(actual, used) for used in (beams, beams_with(beams, found)))
+    actual = _calibrated(beams, truth)
+    before, after = (_greatest_bias(actual, used) for used in (beams, _calibrated(beams, found)))
     yield Row(
         f"{label}, bias of elevations over that before",
         after / before,
@@ -81,6 +81,10 @@ def _truth(rng: np.random.Generator, channels: int) -> BeamCalibration:
     amplitude, phase = GAIN_DB * DB * rng.standard_normal(channels), PHASE * rng.standard_normal(channels)
     gains = np.exp(amplitude - amplitude.mean() + 1j * (phase - phase.mean()))
     return replace(BeamCalibration.none(channels), width_factor=WIDTH, gains=gains)
+
+
+def _calibrated(beams: Beams, calibration: BeamCalibration) -> Beams:
+    return beams.widened(calibration.width_factor).scaled(calibration.gains)
 
 
 def _slc(rng: np.random.Generator, beams: Beams) -> C64:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -69,7 +69,7 @@ class Beams:
         """Return the beams of an image whose targets were seen under `aspects` (rad), weighted by `weights`."""
         return replace(self, aspects=aspects, weights=weights / np.sum(weights))
 
-    def scaled(self, gains: F64) -> Self:
+    def scaled(self, gains: npt.NDArray[Any]) -> Self:
         """Return the beams of channels that are multiplied by `gains`, real or complex, shape (channels,)."""
         if self.matrix is not None:
             return replace(self, matrix=gains[:, None] * self.matrix)
@@ -89,10 +89,10 @@ class Beams:
         If the result mixes no detectors, because the matrix is diagonal or undoes a hybrid, the beams are `scaled`.
         Entries and imaginary parts below 1e-6 (-120 dB) of the greatest one are rounding of complex64 samples: 0.
         """
-        matrix = matrix if self.matrix is None else matrix @ self.matrix
-        least = 1e-6 * np.abs(matrix).max()
-        matrix = np.where(np.abs(matrix) > least, matrix, 0)
-        matrix = matrix if np.any(np.abs(matrix.imag) > least) else matrix.real
+        product = matrix if self.matrix is None else matrix @ self.matrix
+        least = 1e-6 * np.abs(product).max()
+        kept = np.where(np.abs(product) > least, product, 0)
+        matrix = kept if np.any(np.abs(kept.imag) > least) else kept.real
         mixed = np.any(matrix != np.diag(np.diag(matrix)))
         return replace(self, matrix=matrix) if mixed else replace(self, matrix=None).scaled(np.diag(matrix))
 

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import scipy.fft
 
 from sal_height.beams import column_squint
-from sal_height.calibration.beams import (
-    MIXED,
-    BeamCalibration,
-    calibrate_beams,
-    calibrate_gains_on_target,
-    calibrate_on_target,
-    calibrate_phases,
-)
+from sal_height.calibration.beams import BeamCalibration, calibrate_beams, calibrate_on_target
 from sal_height.calibration.calibration import Calibration
-from sal_height.calibration.receivers import CrossSpectra, cross_spectra, differential_response, unwound
-from sal_height.calibration.reference_target import Sighting, sighting
+from sal_height.calibration.receivers import CrossSpectra, differential_response, remove_range_phase
+from sal_height.calibration.reference_target import Sighting, find_reference_target
+from sal_height.calibration.settings import DEFAULTS, CalibrationSettings
 from sal_height.elevation import Window, windowed_looks
 from sal_height.errors import NotDetermined, Rejected, UserError
 from sal_height.imaging import Slc, image_beams
@@ -31,47 +27,35 @@ from sal_height.response import (
     find_targets,
     without_clutter,
 )
-from sal_height.sensor import MAX_SHARE, Sensor, spectrum_sensor, whitened_channels, with_powers
-
-LOOKS = 4
-"""Columns averaged to a pixel for the beams; rows are not averaged, so that slopes do not mix elevations."""
-
-PIXELS = 256
-"""Least number of pixels kept of each dwell for the beams: 8000 of 15 dB give the width within 0.1 %."""
-
-NARROWEST = 4
-"""Least rows or columns of a chip in which a point can be recognised."""
-
-SQUINT_STEP = 0.01
-"""Beamwidths to which squints of columns are rounded, so that beams are computed for few."""
-
+from sal_height.sensor import Channels, Sensor, spectrum_sensor, whitened_channels, with_powers
 
 TARGET_MEMORY = 2**27
 """Bytes of the chips of point targets that are held: 2048 of 64 x 64 pixels, where 25 per dwell would be 1.6 MB."""
 
 
 class Calibrator:
-    """Gathers what the images of a sensor tell, dwell by dwell."""
+    """Collects from the images of a sensor, dwell by dwell, what a calibration is estimated from."""
 
-    def __init__(self, sensor: Sensor, target: F64 | None = None, settings: PointTargetSettings | None = None) -> None:
+    def __init__(self, sensor: Sensor, target: F64 | None = None, settings: CalibrationSettings = DEFAULTS) -> None:
         """Begin.
 
         Args:
             sensor: its description.
             target: place of a reference target in the map, m, shape (3,); None: there is none.
-            settings: which bright pixels of the scene are taken for point targets.
+            settings: what the calibration is measured from.
         """
-        self._settings = settings or PointTargetSettings()
         self.sensor = spectrum_sensor(sensor)
-        self._target = target
-        self._sightings: list[Sighting] = []
         self.dwells = 0
+        self._target, self._settings = target, settings
         self._beams = self.sensor.beams
-        self._spectra = CrossSpectra.none(self.sensor.detector_count, self.sensor.sample_count)
+        channels, frequencies = self.sensor.detector_count, self.sensor.sample_count
+        shape = channels, channels
+        self._spectra = CrossSpectra(np.zeros((frequencies, *shape), np.complex128), np.zeros(shape, np.complex128), 0)
+        self._noise_powers = np.zeros(channels)
+        self._sightings: list[Sighting] = []
         self._targets: list[PointTarget] = []
         self._columns: list[C64] = []
         self._squints: list[F64] = []
-        self._noise_powers = np.zeros(self.sensor.detector_count)
 
     def add(self, slc: Slc) -> None:
         """Take in the images of a dwell.
@@ -83,37 +67,35 @@ class Calibrator:
             NotDetermined: the images are weighted in range or not in the slant plane.
             Rejected: samples of a channel are clipped.
         """
-        share = slc.saturated_share.max()
-        if share > MAX_SHARE:
+        share, allowed = slc.saturated_share.max(), self._settings.max_saturated_share
+        if share > allowed:
             raise Rejected(
                 "saturated",
-                f"{share:.3g} of a channel's samples are clipped; calibration needs {MAX_SHARE:g} or less.",
+                f"{share:.3g} of a channel's samples are clipped; calibration needs {allowed:g} or less.",
             )
         if not self.dwells:
             self._beams = image_beams(self.sensor, slc.azimuth_window)
-        grid, aperture = slc.grid, slc.aperture
-        pixels = unwound(slc.images, grid, aperture, self.sensor)
-        self._spectra += cross_spectra(pixels, self.sensor, slc.noise_power)
+        grid, aperture, side = slc.grid, slc.aperture, self.sensor.look_side
+        pixels = remove_range_phase(slc, self.sensor)
+        self._spectra.add(pixels, self.sensor, slc.noise_power)
         self._targets = brightest([*self._targets, *targets_in(pixels.sum(axis=0), self._settings)], TARGET_MEMORY)
         if self._target is not None:
-            seen = sighting(pixels, grid, aperture, self.sensor.look_side, self._target)
+            seen = find_reference_target(pixels, grid, aperture, side, self._target, self._settings)
             self._sightings += [seen] if seen else []
-        squint = column_squint(grid, aperture, self._beams, self.sensor.look_side)
-        for block in self._blocks(*pixels.shape[1:]):
-            columns = slice(LOOKS * block, LOOKS * (block + 1))
+        squint = column_squint(grid, aperture, self._beams, side)
+        for columns in self._kept_columns(*pixels.shape[1:]):
             self._columns.append(pixels[..., columns].copy())
             self._squints.append(squint[columns].mean())
         self._noise_powers += slc.noise_power
         self.dwells += 1
 
     def calibration(self) -> tuple[Calibration, list[str]]:
-        """The calibration, and a sentence for each part that could not be determined and stays as described."""
+        """Return the calibration, and a sentence for each part that is not determined and stays as described."""
         channels, frequencies = self.sensor.detector_count, self.sensor.sample_count
         response, sigma = np.ones((channels, frequencies), dtype=np.complex128), np.full(channels, np.nan)
         undetermined: list[str] = []
         try:
-            differential = differential_response(self._spectra)
-            response, sigma = differential.response, differential.sigma
+            response, sigma = differential_response(self._spectra, self._settings.echo_significance)
         except NotDetermined as error:
             undetermined.append(f"How receivers differ over the band: {error}")
         beams = self._calibrated_beams(response, undetermined)
@@ -133,71 +115,70 @@ class Calibrator:
         )
         return calibration, undetermined
 
-    def _blocks(self, rows: int, cols: int) -> list[int]:
-        """Blocks of LOOKS columns that are kept of a dwell's images; others in the next dwell."""
-        blocks = cols // LOOKS
-        kept = min(blocks, -(-PIXELS // rows))
-        return [(self.dwells * kept + index) % blocks for index in range(kept)]
+    def _kept_columns(self, rows: int, cols: int) -> list[slice]:
+        """Return the blocks of `azimuth_looks` columns that are kept of a dwell; the next dwell keeps others."""
+        looks = self._settings.azimuth_looks
+        blocks = cols // looks
+        kept = min(blocks, -(-self._settings.pixels_per_dwell // rows))
+        first = ((self.dwells * kept + index) % blocks * looks for index in range(kept))
+        return [slice(col, col + looks) for col in first]
 
     def _calibrated_beams(self, response: C128, undetermined: list[str]) -> BeamCalibration:
-        """Gains and width of the beams, by the reference target if it determines them; notes what is not determined."""
+        """Return gains and width of the beams, by the reference target if it determines them, or by the scene.
+
+        Adds to `undetermined` a sentence for each that does not determine them.
+        """
+        estimates: dict[str, Callable[[], BeamCalibration]] = {"scene": partial(self._beams_by_scene, response)}
         if self._target is not None:
+            estimates = {"reference target": self._beams_by_target, **estimates}
+        for source, estimate in estimates.items():
             try:
-                return self._by_target()
+                if self.sensor.is_mixed:
+                    raise NotDetermined(
+                        "The channels are mixtures of detectors; beams are calibrated of single detectors only."
+                    )
+                return estimate()
             except UserError as error:
-                undetermined.append(f"Gains and width of the beams by the reference target: {error}")
-        try:
-            return self._by_scene(response)
-        except UserError as error:
-            undetermined.append(f"Gains and width of the beams by the scene: {error}")
+                undetermined.append(f"Gains and width of the beams by the {source}: {error}")
         return BeamCalibration.none(self.sensor.detector_count)
 
-    def _by_target(self) -> BeamCalibration:
-        """Gains of the beams, and their width if elevations differ, by the reference target.
+    def _beams_by_target(self) -> BeamCalibration:
+        """Return gains of the beams, and their width if elevations differ, by the reference target.
 
         Raises:
             NotDetermined: it was not seen, or not by all detectors.
         """
-        if self.sensor.is_mixed:
-            raise NotDetermined(MIXED)
         if not self._sightings:
-            raise NotDetermined("No dwell shows the target 20 dB over its image; one at least must.")
-        channels = whitened_channels(
-            with_powers(self.sensor.noise_covariance, self._noise_powers / self.dwells), self.sensor.mixing
-        )
-        samples = np.array([one.samples for one in self._sightings]) @ channels.transform.T
-        covariance = (samples[:, :, None] * samples[:, None].conj()).astype(np.complex64)
-        angles = np.array([[one.elevation, one.squint] for one in self._sightings]).T
-        known = covariance, 1, self._beams.combined(channels.matrix), *angles, float(channels.noise_powers[0])
-        try:
-            return calibrate_on_target(*known)
-        except NotDetermined:
-            return calibrate_gains_on_target(*known)
+            least = self._settings.target_over_image_db
+            raise NotDetermined(f"No dwell shows the target {least:g} dB over its image; one at least must.")
+        channels = self._whitened_channels(self._noise_powers / self.dwells)
+        samples, elevation, squint = (np.array(values) for values in zip(*self._sightings, strict=True))
+        samples, beams = samples @ channels.transform.T, self._beams.combined(channels.matrix)
+        return calibrate_on_target(samples, beams, elevation, squint, channels.noise_powers[0], self._settings)
 
-    def _by_scene(self, response: C128) -> BeamCalibration:
-        """Width and gains of the beams, by images of weighted range and equal receivers.
+    def _beams_by_scene(self, response: C128) -> BeamCalibration:
+        """Return gains and width of the beams, by images of weighted range and equal receivers.
 
         Raises:
-            NotDetermined: they cannot be told.
+            NotDetermined: the images do not determine them.
         """
-        if self.sensor.is_mixed:
-            raise NotDetermined(MIXED)
         if not self._columns:
-            raise NotDetermined(f"No image has {LOOKS} columns; needed are as many or more.")
-        taper = window("taylor", self.sensor.sample_count)
+            raise NotDetermined(f"No image has {self._settings.azimuth_looks} columns; needed are as many or more.")
+        rows = self.sensor.sample_count
+        taper = window("taylor", rows)
         weights = taper / response
         noise = self._noise_powers / self.dwells * np.mean(np.abs(weights) ** 2, axis=1)
-        channels = whitened_channels(with_powers(self.sensor.noise_covariance, noise), self.sensor.mixing)
-        columns = [_in_length(columns, self.sensor.sample_count) for columns in self._columns]
+        channels = self._whitened_channels(noise)
+        columns = [np.pad(part, ((0, 0), (0, rows - part.shape[1]), (0, 0))) for part in self._columns]
         spectra = scipy.fft.fft(np.concatenate(columns, axis=2), axis=1, workers=WORKERS)
         spectra *= scipy.fft.ifftshift(weights, axes=1)[..., None].astype(np.complex64)
         images = scipy.fft.ifft(spectra, axis=1, workers=WORKERS, overwrite_x=True)
-        step = SQUINT_STEP * self.sensor.beams.track_beamwidth
+        # Squints are rounded to 0.01 beamwidths, so that beams are computed for few.
+        step = 0.01 * self.sensor.beams.track_beamwidth
         squint = np.round(np.array(self._squints) / step) * step
-        windows = Window.named("boxcar", 1), Window.named("boxcar", LOOKS)
+        windows = Window.named("boxcar", 1), Window.named("boxcar", self._settings.azimuth_looks)
         looks = windowed_looks(images, windows, squint, channels, hermitian=True)
-        calibrate = calibrate_beams if self.sensor.detector_count > 2 else calibrate_phases
-        found = calibrate(looks, self._beams.combined(channels.matrix))
+        found = calibrate_beams(looks, self._beams.combined(channels.matrix), self._settings)
         alike = np.sqrt(noise_gain(taper**2)) / noise_gain(taper)  # speckle of rows that are neighbours
         return replace(
             found,
@@ -206,23 +187,22 @@ class Calibrator:
             phase_sigmas=found.phase_sigmas * alike,
         )
 
-
-def _in_length(columns: C64, rows: int) -> C64:
-    """Columns (channels, rows, cols) with zeros up to as many rows."""
-    return np.pad(columns, ((0, 0), (0, rows - columns.shape[1]), (0, 0)))
+    def _whitened_channels(self, noise_powers: F64) -> Channels:
+        """Return channels of equal noise from those of the sensor, whose pixels have these noise powers."""
+        return whitened_channels(with_powers(self.sensor.noise_covariance, noise_powers), self.sensor.mixing)
 
 
 def targets_in(image: C64, settings: PointTargetSettings) -> tuple[PointTarget, ...]:
-    """Point targets of an image; none where no pixel stands out from its mean, or it is too narrow to tell."""
+    """Return the point targets of an image; none where no pixel stands out, or the image is too narrow for a point."""
     power = image.real**2 + image.imag**2
     rows, cols = (min(size, length) for size, length in zip(CHIP, image.shape, strict=True))
-    if min(rows, cols) < NARROWEST or not power.max() > 10 ** (settings.point_over_clutter_db / 10) * power.mean():
+    if min(rows, cols) < 4 or not power.max() > 10 ** (settings.point_over_clutter_db / 10) * power.mean():
         return ()
     return find_targets(image, (rows, cols), settings).targets
 
 
 def brightest(targets: list[PointTarget], memory: int) -> list[PointTarget]:
-    """The brightest of some targets over their clutter, as many as their chips fit into `memory` bytes.
+    """Return the brightest of some targets over their clutter, as many as their chips fit into `memory` bytes.
 
     The standard error of a response falls with the sum of these ratios, to which the faint ones add least.
     """
@@ -232,7 +212,7 @@ def brightest(targets: list[PointTarget], memory: int) -> list[PointTarget]:
 
 
 def common_response(targets: list[PointTarget], frequencies: int) -> C128:
-    """The range response that point targets show, at the fast-time frequencies, shape (frequencies,).
+    """Return the range response that point targets show, at the fast-time frequencies, shape (frequencies,).
 
     Args:
         targets: in unweighted images, rows a range cell apart, of the sum of all channels.

@@ -1,22 +1,22 @@
 """Likelihood of the width of the beams and of the detectors' gains, given the covariance of a pixel.
 
-A scatterer makes of look k the samples A_k b + n of noise I, with b_m = g_m h((theta - theta_m) / w). With the
-covariance R of the looks and e = b / |b|, profiling out the A_k leaves the log-likelihood e^H R e. Parameters are
-ln w, ln |g_m| and arg g_m, in this order. Along e, and for unknown angles along de/dtheta, changes of e make no
-difference to first order: geometry is that of what is left.
-
-Sums are einsum's, not those of BLAS, whose threads would wait for each other beside those at work on other pixels.
+A scatterer makes of look k the samples A_k b + n, with noise n of covariance I and b_m = g_m h((theta - theta_m) / w).
+With the covariance R of the looks and e = b / |b|, profiling out the A_k leaves the log-likelihood e^H R e. Parameters
+are ln w, ln |g_m| and arg g_m, in this order. Changes of e along e, and for unknown angles along de/dtheta, make no
+difference to first order: what counts is the part of de that is orthogonal to them.
 
 At its peak over theta the likelihood's derivatives have a mean that more pixels do not reduce (Neyman and Scott,
-Econometrica 16, 1948): errors along the curve e(theta) bring it, bent as it is, nearer to the data on its inner side.
+Econometrica 16, 1948): the curve e(theta) is bent, so that an error along it ends nearer to the data on its inner side.
 With n the part of d^2e/dtheta^2 orthogonal to the curve over |de/dtheta|^2, that mean is -Re(n^H de) / 2 for a change
-de of the curve, whatever energy and number of the looks; it is taken off. What then remains falls off with the energy.
+de of the curve, whatever energy and number of the looks; it is subtracted. What remains falls off with the energy.
+
+Sums are those of einsum, not of BLAS, whose threads would wait for each other beside those at work on other pixels.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,12 +24,10 @@ from sal_height.beams import Beams
 from sal_height.elevation import Covariance
 from sal_height.numeric import C128, F64
 
-DIFFERENCE = 1e-3
-"""Half step, in beamwidths and relative widths, of derivatives as differences: they are right within 1e-5."""
+DIFFERENCE = 1e-3  # half step of differences, in beamwidths and relative widths: derivatives are right within 1e-5
 
 
-@dataclass(frozen=True)
-class Normal:
+class Normal(NamedTuple):
     """Sums over pixels that a step needs; parameters in the order ln w, ln |g_m|, arg g_m.
 
     Attributes:
@@ -44,22 +42,8 @@ class Normal:
     variance: F64
     pixels: int
 
-    def __add__(self, other: Normal) -> Normal:
-        return Normal(
-            self.score + other.score,
-            self.information + other.information,
-            self.variance + other.variance,
-            self.pixels + other.pixels,
-        )
 
-    @classmethod
-    def zero(cls, channels: int) -> Self:
-        """Of no pixel."""
-        size = 2 * channels + 1
-        return cls(np.zeros(size), np.zeros((size, size)), np.zeros((size, size)), 0)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Curve:
     """The unit vectors e of some pixels, all of the shape (pixels, channels) and orthogonal to e.
 
@@ -77,7 +61,7 @@ class Curve:
 
 
 def curve_of(beams: Beams, gains: F64, elevation: F64, squint: F64) -> Curve:
-    """The curve at some pixels' elevations and squints (rad, (pixels,)), of beams times `gains` (channels,)."""
+    """Return the curve at some pixels' elevations and squints (rad, (pixels,)), of beams times `gains` (channels,)."""
     beamwidth = beams.beamwidth
     narrow, wide = (beams.widened(1 + sign * DIFFERENCE).response(elevation, squint) for sign in (-1, 1))
     before, after = (beams.slope(elevation + sign * DIFFERENCE * beamwidth, squint) for sign in (-1, 1))
@@ -101,43 +85,43 @@ def curve_of(beams: Beams, gains: F64, elevation: F64, squint: F64) -> Curve:
 
 
 def with_known_angles(curve: Curve, pixels: Covariance, count: F64) -> Normal:
-    """Sums of a step over pixels (covariance over noise power, (pixels, M, M), of `count` looks)."""
+    """Sum over pixels of known elevation (covariance over noise power, (pixels, M, M), of `count` looks)."""
     explained, left = _residual(curve, pixels)
     geometry = _gram(curve, explained), _gram(curve, explained - count)
-    return Normal(_derivatives(curve, 2 * left), 2 * geometry[1], 2 * geometry[0], len(pixels))
+    return Normal(_score(curve, 2 * left), 2 * geometry[1], 2 * geometry[0], len(pixels))
 
 
 def with_unknown_angles(curve: Curve, pixels: Covariance, count: F64) -> Normal:
-    """The same where the angles are those of the greatest likelihood: without what a shift of angle does."""
+    """Sum over pixels at their likeliest elevations: the part of changes along the curve makes no difference."""
     explained, left = _residual(curve, pixels)
     left = left - _inner(curve.tangent, left).real * curve.tangent
     along = _products(curve.tangent, curve).real
     variance, information = (
         2 * (_gram(curve, weight) - _square(along, weight)) for weight in (explained, explained - count)
     )
-    return Normal(_derivatives(curve, 2 * left + curve.curvature / 2), information, variance, len(pixels))
+    return Normal(_score(curve, 2 * left + curve.curvature / 2), information, variance, len(pixels))
 
 
 def _residual(curve: Curve, pixels: Covariance) -> tuple[F64, C128]:
-    """Power that is explained, e^H R e, (pixels,), and R e without its part along e, (pixels, channels)."""
+    """Return the power that is explained, e^H R e, (pixels,), and R e without its part along e, (pixels, channels)."""
     output = np.einsum("pmn,pn->pm", pixels, curve.unit.astype(pixels.dtype)).astype(np.complex128)
     explained = _inner(curve.unit, output).real
     return explained[:, 0], output - explained * curve.unit
 
 
-def _derivatives(curve: Curve, direction: C128) -> F64:
-    """Sum over pixels of Re(direction^H de) for each parameter; `direction` is orthogonal to e."""
+def _score(curve: Curve, direction: C128) -> F64:
+    """Return the sum over pixels of Re(direction^H de) for each parameter; `direction` is orthogonal to e."""
     return np.sum(_products(direction, curve).real, axis=0)
 
 
 def _products(direction: C128, curve: Curve) -> C128:
-    """direction^H db/|b| for each parameter, shape (pixels, parameters)."""
+    """Return direction^H db/|b| for each parameter, shape (pixels, parameters)."""
     each = direction.conj() * curve.unit
     return np.concatenate([np.sum(direction.conj() * curve.wider, axis=-1, keepdims=True), each, 1j * each], axis=-1)
 
 
 def _gram(curve: Curve, weight: F64) -> F64:
-    """Weighted sum over pixels of Re(de^H de) for all pairs of parameters; de are without their part along e."""
+    """Return the weighted sum over pixels of Re(de^H de) for all pairs of parameters, de without its part along e."""
     channels = curve.unit.shape[1]
     amplitudes, phases = slice(1, channels + 1), slice(channels + 1, None)
     total = np.zeros((2 * channels + 1, 2 * channels + 1))
@@ -152,15 +136,15 @@ def _gram(curve: Curve, weight: F64) -> F64:
 
 
 def _square(values: F64, weight: F64) -> F64:
-    """Weighted sum over pixels of v v^T, from v of the shape (pixels, parameters)."""
+    """Return the weighted sum over pixels of v v^T, from v of the shape (pixels, parameters)."""
     return np.einsum("pi,pj->ij", values, values * weight[:, None])
 
 
 def _inner(a: C128, b: C128) -> C128:
-    """a^H b of each pixel, shape (pixels, 1)."""
+    """Return a^H b of each pixel, shape (pixels, 1)."""
     return np.sum(a.conj() * b, axis=-1, keepdims=True)
 
 
 def _without(vector: C128, unit: C128) -> C128:
-    """The vectors' part orthogonal to unit vectors."""
+    """Return the vectors' part orthogonal to unit vectors."""
     return vector - _inner(unit, vector) * unit

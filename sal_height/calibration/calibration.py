@@ -16,14 +16,8 @@ from sal_height.io import write_whole
 from sal_height.numeric import C64, C128, F64, window
 from sal_height.sensor import PhaseHistory, Sensor
 
-FLOOR = 0.1
-"""Amplitude of a response that is raised to half of what it should be; weaker ones less, stronger ones more."""
 
-WIDTHS = (0.5, 2.0)
-"""Width factors of beams that can be believed."""
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """Receivers' responses and beams of a sensor, as measured, over what its description says.
 
@@ -67,10 +61,9 @@ class Calibration:
                 "The calibration has responses that are not finite or a channel without any; all must be finite, and "
                 "those of a channel not all 0."
             )
-        low, high = WIDTHS
-        if not low <= self.width_factor <= high:
+        if not 0.5 <= self.width_factor <= 2.0:
             raise UserError(
-                f"The calibration's width factor of the beams is {self.width_factor}; allowed are {low} to {high}."
+                f"The calibration's width factor of the beams is {self.width_factor}; allowed are 0.5 to 2.0."
             )
         errors = np.concatenate([*sigmas, [self.width_sigma]])
         if np.any(np.isinf(errors) | (errors < 0)):
@@ -87,20 +80,20 @@ class Calibration:
     def equaliser(self) -> C64:
         """Weights of the channels' frequencies that leave all channels with one response, flat where it can be.
 
-        The inverse of the responses, regularised: a frequency has the weight w = a^4 / (a^4 + FLOOR^4), with a the
+        The inverse of the responses, regularised: a frequency has the weight w = a^4 / (a^4 + 0.1^4), with a the
         amplitude of the channel that is weakest there, in all of them. So ratios between channels are right at any
-        frequency, and w is 1 within .2 % down to a = 0.5.
+        frequency; w is 1 within .2 % down to a = 0.5, and 1/2 at a = 0.1.
 
         Returns:
             complex64, shape (channels, frequencies).
         """
         weakest = np.min(np.abs(self.response), axis=0) ** 4
-        weight = weakest / (weakest + FLOOR**4)
+        weight = weakest / (weakest + 0.1**4)
         safe = np.where(self.response == 0, 1, self.response)
         return np.asarray(weight / safe, dtype=np.complex64)
 
     def check(self, sensor: Sensor) -> None:
-        """Make sure that it is of this sensor, whose waveform is "spectrum".
+        """Check that it is of this sensor, whose waveform is "spectrum".
 
         Raises:
             UserError: it is not.
@@ -117,11 +110,11 @@ class Calibration:
             )
 
     def equalised(self, history: PhaseHistory) -> PhaseHistory:
-        """The phase history (waveform "spectrum") with equal responses in all channels."""
+        """Return the phase history (waveform "spectrum") with equal responses in all channels."""
         return replace(history, samples=history.samples * self.equaliser[:, None])
 
     def noise_gains(self, range_window: str) -> F64:
-        """By how much equalising raises the noise power of images, shape (channels,).
+        """Return by how much equalising raises the noise power of images, shape (channels,).
 
         Args:
             range_window: of the images, a name of `windows.WINDOWS`.
@@ -170,5 +163,5 @@ def load_calibration(path: Path) -> Calibration:
 
 
 def _measured(sigma: F64) -> F64:
-    """Standard errors with NaN for 0, which in files written before version 1 of the messages meant "not measured"."""
+    """Return standard errors with NaN for 0, which meant "not measured" before version 1 of the messages."""
     return np.where(sigma > 0, sigma, np.nan).astype(np.float64)

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from sal_height.calibration.settings import DEFAULTS, CalibrationSettings
 from sal_height.geometry import ApertureState, Grid, angles_of, aperture_at, pixels_at
 from sal_height.numeric import C64, C128, F64
 
-REACH = 2
-"""Pixels around its place in which the target is looked for."""
 
-OVER_IMAGE = 100.0
-"""Power of the target, all channels together, over the median of the image."""
-
-
-@dataclass(frozen=True)
-class Sighting:
+class Sighting(NamedTuple):
     """A reference target in the images of a dwell.
 
     Attributes:
@@ -31,8 +25,15 @@ class Sighting:
     squint: float
 
 
-def sighting(pixels: C64, grid: Grid, aperture: ApertureState, look_side: int, target: F64) -> Sighting | None:
-    """The reference target in the images of a dwell; None: it is not in them, or does not stand out.
+def find_reference_target(
+    pixels: C64,
+    grid: Grid,
+    aperture: ApertureState,
+    look_side: int,
+    target: F64,
+    settings: CalibrationSettings = DEFAULTS,
+) -> Sighting | None:
+    """Find the reference target in the images of a dwell; None: it is not in them, or does not stand out.
 
     Args:
         pixels: of all channels, shape (channels, rows, cols).
@@ -40,19 +41,20 @@ def sighting(pixels: C64, grid: Grid, aperture: ApertureState, look_side: int, t
         aperture: the images were made with.
         look_side: +1 looking right, -1 left.
         target: its place in the map, m, shape (3,).
+        settings: how far from its place it may be, and how bright it must be.
     """
     sight = target - aperture.position
     along = sight @ aperture.direction
     across = np.sqrt(np.maximum(sight @ sight - along**2, 0.0))
     row, col = (int(np.rint(index)) for index in pixels_at(across, along, aperture, grid))
-    rows, cols = pixels.shape[1:]
-    if not (REACH <= row < rows - REACH and REACH <= col < cols - REACH):
+    (rows, cols), reach = pixels.shape[1:], settings.target_reach
+    if not (reach <= row < rows - reach and reach <= col < cols - reach):
         return None
     power = np.sum(pixels.real**2 + pixels.imag**2, axis=0)
-    near = power[row - REACH : row + REACH + 1, col - REACH : col + REACH + 1]
-    if not near.max() > OVER_IMAGE * np.median(power):
+    near = power[row - reach : row + reach + 1, col - reach : col + reach + 1]
+    if not near.max() > 10 ** (settings.target_over_image_db / 10) * np.median(power):
         return None
     down, right = np.unravel_index(np.argmax(near), near.shape)
     _, elevation, squint = angles_of(target, aperture_at(target, aperture), look_side)
-    samples = pixels[:, row - REACH + int(down), col - REACH + int(right)].astype(np.complex128)
+    samples = pixels[:, row - reach + int(down), col - reach + int(right)].astype(np.complex128)
     return Sighting(samples, float(elevation), float(squint))

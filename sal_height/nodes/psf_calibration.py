@@ -12,7 +12,7 @@ from rclpy._rclpy_pybind11 import RCLError
 from sal_height_msgs.msg import Calibration, ComplexImage
 
 from sal_height import messages
-from sal_height.calibration import Calibrator, save_calibration
+from sal_height.calibration import CalibrationSettings, Calibrator, save_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import sphere_point
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
@@ -20,7 +20,6 @@ from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS
 from sal_height.numeric import F64
-from sal_height.response import PointTargetSettings
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
 
@@ -28,7 +27,7 @@ MOST_DWELLS = 1024
 """Greatest number of dwells for one calibration: 130 MB of pixels from 16 channels."""
 
 
-class Parameters(DwellParameters, PointTargetSettings):
+class Parameters(DwellParameters, CalibrationSettings):
     """Parameters of the node."""
 
     dwells: int = setting(
@@ -58,6 +57,7 @@ class PsfCalibration(DwellStage):
     inputs: ClassVar[Topics] = {"sensor_info": SENSOR_TOPICS["sensor_info"], **IMAGES}
     outputs = CALIBRATION
     takes_images = True
+    settable = True
     completes_file = True
 
     def __init__(self, **node_arguments: Any) -> None:

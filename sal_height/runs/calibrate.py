@@ -49,7 +49,7 @@ def calibrate(
     sensor, dwells = contents(reader)
     unweighted = {"sar_compression": {"range_window": "rectangular", "rows": 0, "calibration": ""}}
     wanted = {CALIBRATOR: {"dwells": min(dwells, MOST_DWELLS), "dwell_step": 1, "file": str(out / CALIBRATION)}}
-    recorded = {"sar_compression": recorded_parameters(reader).get("sar_compression", {})}
+    recorded = {name: recorded_parameters(reader).get(name, {}) for name in STAGES}
     values = check_parameters(merged(merged(merged(recorded, unweighted), wanted), parameters), STAGES)
     folder = new_folder(out)
     made = folder / "bag"

@@ -13,9 +13,10 @@ from helpers import assert_one_sentence, circular, multilook
 from sal_height.beams.array import Beams, column_squint
 from sal_height.calibration.accumulate import Calibrator, brightest, common_response, targets_in
 from sal_height.calibration.beams import BeamCalibration
+from sal_height.calibration.settings import CalibrationSettings
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
-from sal_height.errors import NotDetermined
+from sal_height.errors import NotDetermined, Rejected
 from sal_height.figures.synthetic_tape import RangeFault, Target, make_tape
 from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.frames import angles_of
@@ -120,7 +121,7 @@ def test_beams_are_told_by_images_of_white_noise_power(monkeypatch: pytest.Monke
     """Of noise alone, channels have the power that the likelihood is told, within 5 standard errors of 2000 looks."""
     given: list[Any] = []
 
-    def remember(looks: Looks, _beams: Beams) -> BeamCalibration:
+    def remember(looks: Looks, _beams: Beams, _settings: CalibrationSettings) -> BeamCalibration:
         given.append(looks.power.sum() / looks.count.sum() / looks.covariance.shape[-1] / looks.noise_power)
         return BeamCalibration.none(8)
 
@@ -128,6 +129,18 @@ def test_beams_are_told_by_images_of_white_noise_power(monkeypatch: pytest.Monke
     flight = flown(1, cnr_db=-60.0)
     calibrated(flight, images(flight))
     assert abs(given[0] - 1) < 5 * np.sqrt(1.3 / (64 * 12 * 8))
+
+
+def test_settings_say_how_much_is_kept_and_clipped() -> None:
+    flight = flown(1)
+    (slc,) = images(flight)
+    calibrator = Calibrator(flight.sensor, settings=CalibrationSettings(azimuth_looks=2, pixels_per_dwell=100))
+    calibrator.add(slc)
+    assert [columns.shape[1:] for columns in calibrator._columns] == [(64, 2)] * 2
+    clipped = replace(slc, saturated_share=np.full(8, 0.01))
+    with pytest.raises(Rejected, match=r"0.01 of a channel's samples are clipped; calibration needs 0.0008 or less"):
+        calibrator.add(clipped)
+    Calibrator(flight.sensor, settings=CalibrationSettings(max_saturated_share=0.02)).add(clipped)
 
 
 def _zeros(slc: Slc) -> Slc:
@@ -204,6 +217,27 @@ def test_a_reference_target_tells_what_a_scene_cannot() -> None:
     np.testing.assert_allclose(np.angle(gain), [0.17, -0.17], atol=0.02)
     assert np.all((calibration.gain_sigma > 0) & (calibration.gain_sigma < 0.02))
     assert not any("reference" in sentence for sentence in undetermined)
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"azimuth_looks": 13}, "No image has 13 columns"),
+        ({"pixels_per_parameter": 1000}, "5000 are needed"),
+        ({"min_energy": 1e6}, "an energy of 1e+06 noise powers"),
+        ({"max_uncertainty": 1e-6, "pixels_per_parameter": 1}, "to bring that to 0.0001 %"),
+        ({"target_over_image_db": 70.0}, "No dwell shows the target 70 dB over its image"),
+        ({"point_over_clutter_db": 90.0}, "No point target stands out"),
+    ],
+    ids=str,
+)
+def test_settings_say_what_is_enough(changed: dict[str, Any], sentence: str) -> None:
+    """A dwell over a reflector, which with the settings as they are determines everything."""
+    flight, place = paired(), sphere_point(0.0, 0.1, 0.2)
+    calibrator = Calibrator(flight.sensor, place if "target" in sentence else None, CalibrationSettings(**changed))
+    for slc in images(flight):
+        calibrator.add(slc)
+    assert any(sentence in reason for reason in calibrator.calibration()[1])
 
 
 def test_heights_of_a_pair_lose_their_bias_by_a_reference_target() -> None:

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from sal_height.calibration.receivers import (
-    CrossSpectra,
-    DifferentialResponse,
-    _information,
-    cross_spectra,
-    differential_response,
-    unwound,
-)
+from sal_height.calibration.receivers import CrossSpectra, _information, differential_response, remove_range_phase
 from sal_height.errors import NotDetermined
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.focus import ImageSettings, focus_dwell
@@ -43,7 +37,18 @@ def drawn(response: np.ndarray, columns: int, rng: np.random.Generator, noise: f
     return CrossSpectra(seen @ seen.conj().transpose(0, 2, 1), noise * columns * np.eye(CHANNELS), columns)
 
 
-def echoes_of(found: DifferentialResponse) -> np.ndarray:
+class Found(NamedTuple):
+    """What `differential_response` returns."""
+
+    response: np.ndarray
+    sigma: np.ndarray
+
+
+def estimate(spectra: CrossSpectra, echo_significance: float = 3.5) -> Found:
+    return Found(*differential_response(spectra, echo_significance))
+
+
+def echoes_of(found: Found) -> np.ndarray:
     """Number of lags of each channel that the response is made of, shape (channels,)."""
     return np.count_nonzero(np.abs(np.fft.ifft(np.log(found.response), axis=1)) > 1e-9, axis=1)
 
@@ -64,7 +69,7 @@ def sawtooth(depth: float = 0.1, teeth: int = 8) -> np.ndarray:
 @pytest.mark.parametrize("fault", [sawtooth(), np.exp(0.2j * np.cos(2 * np.pi * 3 * GRID))], ids=["amplitude", "phase"])
 def test_one_receiver_that_differs_is_found_and_no_other(fault: np.ndarray) -> None:
     """Its error is that of the lags that are kept, sigma sqrt(kept / lags): chi-square of 2 kept, 5 sigma."""
-    found = differential_response(drawn(one_channel(fault), 3000, np.random.default_rng(1)))
+    found = estimate(drawn(one_channel(fault), 3000, np.random.default_rng(1)))
     error = np.sqrt(np.mean(np.abs(found.response[1] - fault) ** 2))
     kept = echoes_of(found)[1]
     assert 2 <= kept <= 9
@@ -75,34 +80,33 @@ def test_one_receiver_that_differs_is_found_and_no_other(fault: np.ndarray) -> N
 
 def test_sigma_is_the_spread_of_single_frequencies(monkeypatch: pytest.MonkeyPatch) -> None:
     """All lags kept: 30 trials of 64 frequencies, standard error of the rms 1.2 %; the bound is first order in it."""
-    monkeypatch.setattr("sal_height.calibration.receivers.SIGNIFICANCE", 0.0)
     monkeypatch.setattr("sal_height.calibration.receivers._beyond_median", lambda echoes: echoes)
     rng = np.random.default_rng(2)
-    found = [differential_response(drawn(np.ones((COUNT, CHANNELS)), 400, rng)) for _ in range(30)]
+    found = [estimate(drawn(np.ones((COUNT, CHANNELS)), 400, rng), 0.0) for _ in range(30)]
     spread = np.sqrt(np.mean([np.abs(np.log(one.response)) ** 2 for one in found], axis=(0, 2)))
     np.testing.assert_allclose(spread / np.mean([one.sigma for one in found], axis=0), 1, atol=0.06)
 
 
 def test_speckle_alone_makes_no_response() -> None:
     rng = np.random.default_rng(3)
-    found = [differential_response(drawn(np.ones((COUNT, CHANNELS)), 200, rng)) for _ in range(40)]
+    found = [estimate(drawn(np.ones((COUNT, CHANNELS)), 200, rng)) for _ in range(40)]
     assert sum(int(echoes_of(one).sum()) for one in found) <= 2
 
 
 def test_what_all_receivers_share_is_not_theirs_to_tell() -> None:
-    found = differential_response(drawn(np.tile(sawtooth()[:, None], CHANNELS), 3000, np.random.default_rng(4)))
+    found = estimate(drawn(np.tile(sawtooth()[:, None], CHANNELS), 3000, np.random.default_rng(4)))
     assert not echoes_of(found).any()
 
 
 def test_what_cannot_be_told_is_said() -> None:
     rng = np.random.default_rng(5)
     with pytest.raises(NotDetermined, match="There are 8 columns of images; responses of 5 channels need 10 or more"):
-        differential_response(drawn(np.ones((COUNT, CHANNELS)), 8, rng))
+        estimate(drawn(np.ones((COUNT, CHANNELS)), 8, rng))
     dark = np.ones((COUNT, CHANNELS))
     dark[:, 3] = 1e-6
     for seed in range(4):  # power less noise is as often above 0 as below
         with pytest.raises(NotDetermined, match=r"power of channels \[3\] is not above their noise"):
-            differential_response(drawn(dark, 200, np.random.default_rng(seed)))
+            estimate(drawn(dark, 200, np.random.default_rng(seed)))
 
 
 def test_spectra_of_images_are_those_of_the_frames() -> None:
@@ -112,16 +116,16 @@ def test_spectra_of_images_are_those_of_the_frames() -> None:
     phase = 8 * (np.arange(sensor.sample_count) - (sensor.sample_count - 1) / 2) / sensor.sample_count
     fault = np.exp(0.5j * np.sin(2 * np.pi * phase))
     track = Trajectory([state for dwell in range(DWELLS) for state in flight.platform_states(dwell)])
-    spectra = CrossSpectra.none(sensor.detector_count, sensor.sample_count)
+    shape = sensor.detector_count, sensor.detector_count
+    spectra = CrossSpectra(np.zeros((sensor.sample_count, *shape), complex), np.zeros(shape, complex), 0)
     for dwell in range(DWELLS):
         history = flight.phase_history(dwell)
         samples = history.samples.copy()
         samples[3] *= fault.astype(np.complex64)
         history = replace(history, samples=samples)
         slc = focus_dwell(history, track, sensor, ImageSettings(range_window="rectangular", cols=12))
-        pixels = unwound(slc.images, slc.grid, slc.aperture, sensor)
-        spectra += cross_spectra(pixels, sensor, slc.noise_power)
-    found = differential_response(spectra)
+        spectra.add(remove_range_phase(slc, sensor), sensor, slc.noise_power)
+    found = estimate(spectra)
     assert echoes_of(found)[3] >= 2
     assert echoes_of(found)[[0, 1, 2, 4, 5, 6, 7]].sum() <= 1
     assert np.sqrt(np.mean(np.abs(found.response[3] - fault) ** 2)) < 0.15 * 0.5 / np.sqrt(2)
@@ -132,7 +136,7 @@ def test_weighted_images_are_refused() -> None:
     track = Trajectory(flight.platform_states(0))
     slc = focus_dwell(flight.phase_history(0), track, flight.sensor, ImageSettings(cols=12))
     with pytest.raises(NotDetermined, match="range_window rectangular in the slant plane"):
-        unwound(slc.images, slc.grid, slc.aperture, flight.sensor)
+        remove_range_phase(slc, flight.sensor)
 
 
 def test_information_is_that_of_the_wishart_distribution() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.calibration.reference_target import Sighting, sighting
+from sal_height.calibration.reference_target import Sighting, find_reference_target
 from sal_height.geometry.frames import ApertureState, angles_of
 from sal_height.geometry.grid import Grid
 from sal_height.simulation.flight import flight_of
@@ -33,7 +33,7 @@ def seen(over_db: float, row: int = ROW, col: int = COL) -> Sighting | None:
     """A target at ROW and COL whose image, of `over_db` over the speckle of two channels, is at `row` and `col`."""
     pixels = circular(np.random.default_rng(1), (2, ROWS, COLS)).astype(np.complex64)
     pixels[:, row, col] = 10 ** (over_db / 20) * np.array([1, 0.5j])
-    return sighting(pixels, GRID, APERTURE, 1, GRID.points(ROW, COL))
+    return find_reference_target(pixels, GRID, APERTURE, 1, GRID.points(ROW, COL))
 
 
 def test_it_is_found_within_two_pixels_of_its_place_and_seen_under_its_angles() -> None:
@@ -57,7 +57,7 @@ def test_it_is_not_taken_from_elsewhere_nor_from_speckle() -> None:
 def test_beyond_the_edge_there_is_none(row: int, col: int) -> None:
     pixels = np.full((2, ROWS, COLS), 1e-3, dtype=np.complex64)
     pixels[:, max(row, 0), col] = 1
-    assert sighting(pixels, GRID, APERTURE, 1, GRID.points(row, col)) is None
+    assert find_reference_target(pixels, GRID, APERTURE, 1, GRID.points(row, col)) is None
 
 
 def test_in_a_strip_it_is_seen_from_abeam() -> None:
@@ -68,7 +68,7 @@ def test_in_a_strip_it_is_seen_from_abeam() -> None:
     grid = replace(GRID, origin=aperture.position + 4999.0 * SIGHT - np.array([0.4, 0.0, 0.0]))
     pixels = np.full((2, ROWS, COLS), 1e-3, dtype=np.complex64)
     pixels[:, 20, 17] = 1
-    found = sighting(pixels, grid, aperture, 1, place)
+    found = find_reference_target(pixels, grid, aperture, 1, place)
     assert found is not None
     assert found.squint == pytest.approx(0, abs=1e-9)
     assert abs(angles_of(place, aperture, 1)[2]) > 1e-5

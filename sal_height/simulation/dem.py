@@ -2,49 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.errors import UserError
 from sal_height.geometry import EARTH_RADIUS
 from sal_height.simulation.scene import Scene
 
-LOWEST, HIGHEST = -12000.0, 9000.0
-"""Elevations there are on Earth, m."""
-
-
-NO_DATA = (-9999.0, -32768.0)
-"""Elevations that stand for none where a file does not say so."""
-
-
-def is_file(path: str) -> bool:
-    """Whether a path names a file; one that no file can have (too long, a zero in it) does not."""
-    try:
-        return Path(path).is_file()
-    except (OSError, ValueError):
-        return False
+LOWEST, HIGHEST = -12000.0, 9000.0  # m, elevations that occur on Earth
+NO_DATA = (-9999.0, -32768.0)  # elevations that stand for none where a file does not say so
 
 
 def read_elevation_model(path: Path) -> Scene:
-    """Terrain of uniform brightness from a GeoTIFF or an .npz file.
+    """Terrain of uniform brightness around the map origin, from a GeoTIFF or an .npz file.
+
+    Rows run from north to south. Where cells are given in degrees, the parallel in the middle keeps its length; over a
+    few tens of kilometres the others are off by less than a cell.
 
     Raises:
         UserError: another kind of file, or one that cannot be used.
     """
-    if path.suffix.lower() in (".tif", ".tiff"):
-        return _from_geotiff(path)
-    if path.suffix.lower() == ".npz":
-        return _from_npz(path)
-    raise UserError(f"Scene {path} has the suffix {path.suffix!r}; allowed are .tif, .tiff and .npz.")
+    readers = {".tif": _read_geotiff, ".tiff": _read_geotiff, ".npz": _read_npz}
+    if (suffix := path.suffix.lower()) not in readers:
+        raise UserError(f"Scene {path} has the suffix {path.suffix!r}; allowed are .tif, .tiff and .npz.")
+    elevation, dx, dy, latitude = readers[suffix](path)
+    if latitude is not None:
+        if not abs(latitude) < 90:
+            raise UserError(
+                f"Scene {path.stem} has its middle at latitude {latitude:.6g}; allowed is between -90 and 90."
+            )
+        metres = float(np.radians(1.0)) * EARTH_RADIUS
+        dx, dy = dx * metres * float(np.cos(np.radians(latitude))), dy * metres
+    for fault in _faults(elevation, dx, dy):
+        raise UserError(f"Scene {path.stem} has {fault}.")
+    rows, cols = elevation.shape
+    return Scene(
+        path.stem,
+        east=(np.arange(cols) - (cols - 1) / 2) * dx,
+        north=(np.arange(rows) - (rows - 1) / 2) * dy,
+        height=elevation[::-1],
+        brightness=np.ones(elevation.shape),
+    )
 
 
-def _from_npz(path: Path) -> Scene:
-    """An .npz with `elevation` (m, north row first) and the spacings `dx`, `dy`.
+def _read_npz(path: Path) -> tuple[Any, float, float, float | None]:
+    """`elevation` (m) of an .npz and its cells `dx`, `dy`: in metres and None, or in degrees and the middle latitude.
 
-    Spacings are in metres, or in degrees if the latitudes `ymin` and `ymax` of the edges are given too.
+    They are in degrees if the latitudes `ymin` and `ymax` of the edges are given too.
     """
     try:
         with np.load(path) as dem:
@@ -55,14 +62,12 @@ def _from_npz(path: Path) -> Scene:
         raise UserError(f"Scene {path} is not a readable .npz file: {_cause(error)}.") from error
     if missing:
         raise UserError(f"Scene {path} lacks {', '.join(missing)}; needed are elevation, dx and dy.")
-    if {"ymin", "ymax"} <= set(numbers):
-        latitude = (numbers["ymin"] + numbers["ymax"]) / 2
-        return _from_degrees(path.stem, elevation, latitude, numbers["dx"], numbers["dy"])
-    return _centred(path.stem, elevation, numbers["dx"], numbers["dy"])
+    in_degrees = {"ymin", "ymax"} <= numbers.keys()
+    return elevation, numbers["dx"], numbers["dy"], (numbers["ymin"] + numbers["ymax"]) / 2 if in_degrees else None
 
 
-def _from_geotiff(path: Path) -> Scene:
-    """The first band of a GeoTIFF, north up, in degrees or in a projection whose unit is the metre."""
+def _read_geotiff(path: Path) -> tuple[Any, float, float, float | None]:
+    """The same of the first band of a GeoTIFF, north up, in degrees or in a projection."""
     try:
         import rasterio  # noqa: PLC0415 (an extra)
     except ImportError as error:
@@ -80,14 +85,13 @@ def _from_geotiff(path: Path) -> Scene:
             f"Scene {path} must be north up with a coordinate reference system; reproject it with gdalwarp."
         )
     if geographic:
-        latitude = transform.f + transform.e * elevation.shape[0] / 2
-        return _from_degrees(path.stem, elevation, latitude, transform.a, -transform.e)
+        return elevation, transform.a, -transform.e, transform.f + transform.e * elevation.shape[0] / 2
     if unit is None:
         raise UserError(
             f"Scene {path} has a coordinate reference system that is neither geographic nor projected; "
             "reproject it with gdalwarp."
         )
-    return _centred(path.stem, elevation, transform.a * unit, -transform.e * unit)
+    return elevation, transform.a * unit, -transform.e * unit, None
 
 
 def _cause(error: Exception) -> str:
@@ -96,50 +100,26 @@ def _cause(error: Exception) -> str:
 
 
 def _as_float(elevation: Any) -> Any:
-    """The array as float64; a complex one as it is, for `_centred` to refuse."""
+    """The array as float64; a complex one as it is, for `_faults` to refuse."""
     return elevation if np.iscomplexobj(elevation) else elevation.astype(np.float64)
 
 
-def _from_degrees(name: str, elevation: npt.ArrayLike, latitude_deg: float, dx: float, dy: float) -> Scene:
-    """Terrain from rows of constant latitude, spaced `dx` and `dy` degrees, the middle one at `latitude_deg`.
-
-    That parallel keeps its length; over a few tens of kilometres the others are off by less than a cell.
-    """
-    if not abs(latitude_deg) < 90:
-        raise UserError(f"Scene {name} has its middle at latitude {latitude_deg:.6g}; allowed is between -90 and 90.")
-    metres = float(np.radians(1.0)) * EARTH_RADIUS
-    return _centred(name, elevation, dx * metres * float(np.cos(np.radians(latitude_deg))), dy * metres)
-
-
-def _centred(name: str, elevation: npt.ArrayLike, dx: float, dy: float) -> Scene:
-    """Terrain of uniform brightness around the map origin, from rows that run north to south; holes are refused."""
+def _faults(elevation: Any, dx: float, dy: float) -> Iterator[str]:
+    """What makes elevations (m) in cells of dx x dy (m) useless, each as the end of a sentence."""
     if np.iscomplexobj(elevation):
-        raise UserError(f"Scene {name} has complex elevations; they must be real numbers.")
-    elevation = np.asarray(elevation, dtype=np.float64)
+        yield "complex elevations; they must be real numbers"
     if not (0 < dx < np.inf and 0 < dy < np.inf):
-        raise UserError(f"Scene {name} has cells of {dx:.6} x {dy:.6} m; both must be greater than 0 and finite.")
+        yield f"cells of {dx:.6} x {dy:.6} m; both must be greater than 0 and finite"
     if elevation.ndim != 2 or min(elevation.shape) < 2:
-        raise UserError(f"Scene {name} has elevations of shape {elevation.shape}; 2 x 2 or more are needed.")
+        yield f"elevations of shape {elevation.shape}; 2 x 2 or more are needed"
     if holes := int(np.count_nonzero(~np.isfinite(elevation))):
-        raise UserError(
-            f"Scene {name} has {holes} cells without elevation; fill them first, e.g. with gdal_fillnodata."
-        )
+        yield f"{holes} cells without elevation; fill them first, e.g. with gdal_fillnodata"
     for value in NO_DATA:
         if cells := int(np.count_nonzero(elevation == value)):
-            raise UserError(
-                f"Scene {name} has {cells} cells of {value:g} m, which looks like undeclared no-data; "
-                "declare it (NaN in an .npz, gdal_edit -a_nodata for a .tif) and fill the holes."
+            yield (
+                f"{cells} cells of {value:g} m, which looks like undeclared no-data; declare it (NaN in an .npz, "
+                "gdal_edit -a_nodata for a .tif) and fill the holes"
             )
     low, high = float(elevation.min()), float(elevation.max())
     if low < LOWEST or high > HIGHEST:
-        raise UserError(
-            f"Scene {name} has elevations from {low:.6g} to {high:.6g} m; allowed are {LOWEST:g} to {HIGHEST:g} m."
-        )
-    rows, cols = elevation.shape
-    return Scene(
-        name,
-        east=(np.arange(cols) - (cols - 1) / 2) * dx,
-        north=(np.arange(rows) - (rows - 1) / 2) * dy,
-        height=elevation[::-1],
-        brightness=np.ones(elevation.shape),
-    )
+        yield f"elevations from {low:.6g} to {high:.6g} m; allowed are {LOWEST:g} to {HIGHEST:g} m"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -26,19 +26,13 @@ from sal_height.simulation.gust import GustMotion, gust_motion
 from sal_height.simulation.impairments import MOST_SWING_BEAMWIDTHS, pointing_rotation, through_receivers
 from sal_height.simulation.preset import Preset
 from sal_height.simulation.receivers import received
-from sal_height.simulation.scene import SAMPLES_PER_CELL, PointTarget, Scene, VisibleSurface, visible_surface
+from sal_height.simulation.scene import SAMPLES_PER_CELL, PointTarget, Scene, VisibleSurface, joined, visible_surface
 from sal_height.simulation.scenes import load_scene
 from sal_height.simulation.spotlight import draw_amplitudes, scatterer_amplitudes, simulate_dwell
 from sal_height.simulation.stripmap import cell_power, simulate_block
 
-TURN_BEAMWIDTHS = 0.5
-"""Ground before and behind what the pulses of a stripmap block light up, should the body turn a little; beamwidths."""
-
-ARM_STEP_S = 1e-3
-"""Half step of the central difference that gives the velocity of a turning lever arm, s: gusts last seconds."""
-
-GROUND, GUST = 0, 1
-"""Random numbers that do not belong to a dwell: keys of their streams."""
+TURN_BEAMWIDTHS = 0.5  # ground beyond what the pulses of a stripmap block light up, in case the body turns a little
+GROUND, GUST = 0, 1  # keys of the random streams that do not belong to a dwell
 
 
 @dataclass(frozen=True)
@@ -70,11 +64,13 @@ class SimulatedFlight:
         flight = self.preset.flight
         aim = sphere_point(0.0, 0.0, self.scene.reference_height)
         abeam = aim - flight.slant_range_m * look_direction(flight.look_angle_rad, 0.0, self.sensor.look_side)
-        start = -(self.dwells - 1) / 2 * self.preset.dwell_spacing_m - flight.speed_mps * self._middle_of_dwell
+        way = (self.dwells - 1) * self.preset.dwell_spacing_m
+        start = -way / 2 - flight.speed_mps * self._middle_of_dwell
         seconds = np.asarray(seconds, dtype=np.float64)
         along = start + flight.speed_mps * seconds
         straight = abeam + along[..., None] * np.array([1.0, 0.0, 0.0])
-        return straight + self._gust.displacement(seconds) - self._gust.displacement(self._middle_of_flight)
+        middle_of_flight = way / flight.speed_mps / 2 + self._middle_of_dwell
+        return straight + self._gust.displacement(seconds) - self._gust.displacement(middle_of_flight)
 
     def velocity(self, seconds: npt.ArrayLike) -> F64:
         """Antenna velocity (m/s, map) at times (s) after the start of the first dwell, shape (..., 3)."""
@@ -104,33 +100,24 @@ class SimulatedFlight:
     def _middle_of_dwell(self) -> float:
         return float(self.pulse_times[-1]) / 2
 
-    @property
-    def _middle_of_flight(self) -> float:
-        last_dwell = (self.dwells - 1) * self.preset.dwell_spacing_m / self.preset.flight.speed_mps
-        return last_dwell / 2 + self._middle_of_dwell
-
     def dwell_start_ns(self, dwell: int) -> int:
         """Start of a dwell after the start of the first, ns."""
         return round(dwell * self.preset.dwell_spacing_m / self.preset.flight.speed_mps * 1e9)
 
+    def _dwell_end_ns(self, dwell: int) -> int:
+        return self.dwell_start_ns(dwell) + round(float(self.pulse_times[-1]) * 1e9)
+
     def platform_states(self, dwell: int) -> list[PlatformState]:
-        """Odometry samples that a dwell adds, at the preset's rate, up to one past its end; stamps after the start."""
+        """Odometry samples that a dwell adds, at the preset's rate, up to two past its end; stamps after the start."""
         period_ns = round(1e9 / self.preset.flight.odometry_rate_hz)
-        margin = 2
-
-        def last_sample(number: int) -> int:
-            return (self.dwell_start_ns(number) + round(float(self.pulse_times[-1]) * 1e9)) // period_ns + margin
-
-        first = last_sample(dwell - 1) + 1 if dwell else -margin
-        stamps = [index * period_ns for index in range(first, last_sample(dwell) + 1)]
-        return [self._state(stamp_ns) for stamp_ns in stamps]
+        before, last = (self._dwell_end_ns(number) // period_ns + 2 for number in (dwell - 1, dwell))
+        return [self._state(number * period_ns) for number in range(before + 1 if dwell else -2, last + 1)]
 
     def track(self, dwell: int) -> Trajectory:
         """Odometry of a dwell: from the last sample before its first pulse to the first after its last."""
-        period_ns, start_ns = round(1e9 / self.preset.flight.odometry_rate_hz), self.dwell_start_ns(dwell)
-        end_ns = start_ns + round(float(self.pulse_times[-1]) * 1e9)
-        samples = range(start_ns // period_ns, -(-end_ns // period_ns) + 1)
-        return Trajectory([self._state(sample * period_ns) for sample in samples])
+        period_ns = round(1e9 / self.preset.flight.odometry_rate_hz)
+        numbers = range(self.dwell_start_ns(dwell) // period_ns, -(-self._dwell_end_ns(dwell) // period_ns) + 1)
+        return Trajectory([self._state(number * period_ns) for number in numbers])
 
     def _state(self, stamp_ns: int) -> PlatformState:
         """Odometry of base_link, to which the sensor is fixed by its mounting."""
@@ -138,15 +125,12 @@ class SimulatedFlight:
         attitude = self._gust.rotation(seconds)
         position, velocity = self.position(seconds), self.velocity(seconds)
         if not mounting.is_identity:
-            before, arm, after = (self._arm(seconds + shift) for shift in (-ARM_STEP_S, 0.0, ARM_STEP_S))
-            position, velocity = position - arm, velocity - (after - before) / (2 * ARM_STEP_S)
+            step = 1e-3  # s, of the central difference that gives the arm's velocity: gusts last seconds
+            turned = self._gust.rotation(seconds + step * np.array([-1, 0, 1])) * mounting.axes.inv()
+            before, arm, after = turned.apply(mounting.lever_arm)
+            position, velocity = position - arm, velocity - (after - before) / (2 * step)
             attitude *= mounting.axes.inv()
         return PlatformState(stamp_ns, position, attitude.as_quat(), velocity, np.zeros((6, 6)))
-
-    def _arm(self, seconds: float) -> F64:
-        """Vector from base_link to the antenna in map axes, m."""
-        mounting = self.sensor.mounting
-        return (self._gust.rotation(seconds) * mounting.axes.inv()).apply(mounting.lever_arm)
 
     def aperture(self, dwell: int) -> ApertureState:
         """State in the middle of a dwell; in stripmap of the aperture that slides with the ground abeam of it."""
@@ -174,21 +158,18 @@ class SimulatedFlight:
             UserError: there is no terrain.
         """
         if self.sensor.mode == "stripmap":
-            return _joined([self._ground(tile)[0].after(self._seconds(tile, dwell)) for tile in self._tiles(dwell)])
-        aperture = self.aperture(dwell)
-        half_width = (lit_angle(self.built.beams) + self._swing) * self.preset.flight.slant_range_m
+            start_ns = self.dwell_start_ns(dwell)
+            seconds = {tile: (start_ns - self.dwell_start_ns(tile)) * 1e-9 for tile in self._tiles(dwell)}
+            return joined([self._ground(tile)[0].after(since) for tile, since in seconds.items()])
+        aperture, swing = self.aperture(dwell), self.preset.impairments.antenna_swing.amplitude_rad
+        half_width = (lit_angle(self.built.beams) + swing) * self.preset.flight.slant_range_m
         return self._visible(aperture, (aperture.position[0] - half_width, aperture.position[0] + half_width))
-
-    @property
-    def _swing(self) -> float:
-        """Greatest angle by which the beams swing to each side along the flight, rad."""
-        return self.preset.impairments.antenna_swing.amplitude_rad
 
     def _tiles(self, dwell: int) -> range:
         """The tiles of ground that a stripmap block lights up; tile n is what lies abeam of block n without gusts."""
-        angle = lit_angle(self.built.beams) + self._swing + TURN_BEAMWIDTHS * self.sensor.beams.track_beamwidth
-        reach = angle * self.preset.flight.slant_range_m
-        neighbours = math.ceil(reach / self.preset.dwell_spacing_m)
+        swing = self.preset.impairments.antenna_swing.amplitude_rad
+        angle = lit_angle(self.built.beams) + swing + TURN_BEAMWIDTHS * self.sensor.beams.track_beamwidth
+        neighbours = math.ceil(angle * self.preset.flight.slant_range_m / self.preset.dwell_spacing_m)
         abeam = math.floor(self.aperture(dwell).position[0] / self.preset.dwell_spacing_m + self.dwells / 2)
         return range(abeam - neighbours, abeam + neighbours + 1)
 
@@ -202,12 +183,12 @@ class SimulatedFlight:
         ground = self._visible(self.aperture(tile), (float(edges[0]), float(edges[1])), strips_per_cell=1)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GROUND, abs(tile), int(tile < 0))))
         flight = self.preset.flight
-        power = cell_power(10 ** (self.preset.cnr_db / 10), self.spectrum, flight.slant_range_m, flight.speed_mps)
+        power = cell_power(self._cnr, self.spectrum, flight.slant_range_m, flight.speed_mps)
         return ground, scatterer_amplitudes(ground, power, rng)
 
-    def _seconds(self, earlier: int, later: int) -> float:
-        """Time from the middle of one dwell to that of another, s."""
-        return (self.dwell_start_ns(later) - self.dwell_start_ns(earlier)) * 1e-9
+    @property
+    def _cnr(self) -> float:
+        return float(10 ** (self.preset.cnr_db / 10))
 
     def _visible(
         self, aperture: ApertureState, east_extent: tuple[float, float], strips_per_cell: int = SAMPLES_PER_CELL
@@ -234,42 +215,26 @@ class SimulatedFlight:
         Raises:
             UserError: there is no terrain.
         """
-        rng = np.random.default_rng([self.seed, dwell])
-        start_ns = self.dwell_start_ns(dwell)
-        times = start_ns * 1e-9 + self.pulse_times
-        reference = np.full(self.sensor.pulse_count, self.preset.flight.slant_range_m)
-        simulated = self._block if self.sensor.mode == "stripmap" else self._spotlight
-        clean = through_receivers(simulated(dwell, times, reference, rng), self.sensor, self.preset.impairments)
+        rng, impairments = np.random.default_rng([self.seed, dwell]), self.preset.impairments
+        start_ns, reference = (
+            self.dwell_start_ns(dwell),
+            np.full(self.sensor.pulse_count, self.preset.flight.slant_range_m),
+        )
+        times, since = start_ns * 1e-9 + self.pulse_times, self.pulse_times - self._middle_of_dwell
+        pointing = impairments.antenna_swing.pointing(times)
+        sensor, surface, antenna = echo_sensor(self.built), self.surface(dwell), self.position(times)
+        if self.sensor.mode == "stripmap":
+            amplitudes = np.concatenate([self._ground(tile)[1] for tile in self._tiles(dwell)])
+            rotation = self._gust.rotation(times).as_matrix() @ pointing_rotation(pointing, self.sensor)
+            quartic = impairments.quartic_phase_rad
+            echoes = simulate_block(sensor, surface, amplitudes, antenna, rotation, reference, since, quartic)
+        else:
+            amplitudes = draw_amplitudes(surface, self._cnr, self.spectrum, rng)
+            echoes = simulate_dwell(sensor, surface, amplitudes, antenna, reference, since, pointing)
+            echoes = echoes * np.exp(1j * impairments.dwell_phase(len(times)))[:, None]
+        clean = through_receivers(echoes, self.sensor, impairments)
         samples = received(from_spectrum(clean, self.sensor), self.sensor, rng)
         return PhaseHistory(start_ns, self.pulse_times, reference, samples)
-
-    def _spotlight(self, dwell: int, times: F64, reference: F64, rng: np.random.Generator) -> Complex:
-        """Noise-free phase history of a spotlight dwell, whose speckle is drawn."""
-        surface, impairments = self.surface(dwell), self.preset.impairments
-        amplitudes = draw_amplitudes(surface, 10 ** (self.preset.cnr_db / 10), self.spectrum, rng)
-        since = self.pulse_times - self._middle_of_dwell
-        pointing = impairments.antenna_swing.pointing(times)
-        sensor, antenna = echo_sensor(self.built), self.position(times)
-        echoes = simulate_dwell(sensor, surface, amplitudes, antenna, reference, since, pointing)
-        return echoes * np.exp(1j * impairments.dwell_phase(len(times)))[:, None]
-
-    def _block(self, dwell: int, times: F64, reference: F64, _: np.random.Generator) -> Complex:
-        """Noise-free phase history of a stripmap block, whose speckle is that of the ground."""
-        impairments = self.preset.impairments
-        amplitudes = np.concatenate([self._ground(tile)[1] for tile in self._tiles(dwell)])
-        swing = pointing_rotation(impairments.antenna_swing.pointing(times), self.sensor)
-        rotation = self._gust.rotation(times).as_matrix() @ swing
-        sensor, since = echo_sensor(self.built), self.pulse_times - self._middle_of_dwell
-        return simulate_block(
-            sensor,
-            self.surface(dwell),
-            amplitudes,
-            self.position(times),
-            rotation,
-            reference,
-            since,
-            impairments.quartic_phase_rad,
-        )
 
 
 def flight_of(preset: Preset, seed: int) -> SimulatedFlight:
@@ -314,10 +279,3 @@ def _check_beams(preset: Preset, sensor: Sensor) -> None:
             f"Preset {preset.name}: impairments.antenna_swing.amplitude_rad is {swing:g}; it must be {most:g}, "
             f"{MOST_SWING_BEAMWIDTHS:g} beamwidths, or less."
         )
-
-
-def _joined(surfaces: list[VisibleSurface]) -> VisibleSurface:
-    """All scatterers of some surfaces."""
-    return VisibleSurface(
-        *(np.concatenate([getattr(surface, field.name) for surface in surfaces]) for field in fields(VisibleSurface))
-    )

@@ -16,23 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.numeric import F64
 
-SCALE_LENGTH = 533.4
-"""Scale of the turbulence in all axes above 2000 ft, m: 1750 ft."""
-
-RESPONSE_TIME = 0.5
-"""Lag with which the aircraft takes on the velocity of the air, s."""
-
-TRACK_BANDWIDTH = 0.3
-"""Natural frequency of the autopilot that holds the track, rad/s; damping 0.7."""
-
-DAMPING = 0.7
-
-MOUNT_RESIDUAL = 2e-4
-"""Share of the aircraft's turns that remains behind the stabilised mount of the antenna, whose axes are base_link."""
-
-SLOWEST, FASTEST = 0.02, 60.0
-"""Angular frequencies of the harmonics, rad/s: below, the autopilot leaves nothing; above, the airframe's inertia."""
-
+SCALE_LENGTH = 533.4  # m: 1750 ft, scale of the turbulence in all axes above 2000 ft
+RESPONSE_TIME = 0.5  # s, lag with which the aircraft takes on the velocity of the air
+TRACK_BANDWIDTH, DAMPING = 0.3, 0.7  # natural frequency (rad/s) and damping of the autopilot that holds the track
+MOUNT_RESIDUAL = 2e-4  # share of the aircraft's turns that the stabilised mount of the antenna lets through
+SLOWEST, FASTEST = 0.02, 60.0  # rad/s: below, the autopilot leaves nothing; above, the airframe's inertia
 HARMONICS = 150
 
 
@@ -51,7 +39,7 @@ def response(omega: F64) -> F64:
     return lag * held
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GustMotion:
     """Motion about the track, on top of level flight eastwards.
 
@@ -80,7 +68,7 @@ class GustMotion:
         return self._sum(seconds, 1, np.pi / 2)
 
     def rotation(self, seconds: npt.ArrayLike) -> Rotation:
-        """Attitude of base_link: level and eastwards, except for the share that the mount passes on.
+        """Attitude of the mount's axes: level and eastwards, except for the share of turns that the mount lets through.
 
         The aircraft banks by the acceleration to its right over g, and pitches and yaws with the direction of flight.
         """

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Self
 
@@ -40,7 +41,7 @@ class PointTarget:
     along_velocity: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A terrain of heights and radar brightness on a regular grid, with point targets.
 
@@ -66,7 +67,7 @@ class Scene:
     north: F64
     height: F64
     brightness: F64
-    points: tuple[PointTarget, ...] = field(default=())
+    points: tuple[PointTarget, ...] = ()
     extent: float = 0.0
 
     def __post_init__(self) -> None:
@@ -101,7 +102,7 @@ class Scene:
         return float(np.median(self.height))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class VisibleSurface:
     """Scatterers that an aperture sees, dense enough that each resolution cell holds several.
 
@@ -125,18 +126,19 @@ class VisibleSurface:
     deterministic: Bool
     velocity: F64
 
-    @cached_property
-    def moves(self) -> bool:
-        """Whether a scatterer moves."""
-        return bool(np.any(self.velocity))
-
-    def positions_after(self, seconds: float) -> F64:
-        """Positions (m, map) at a time (s) after `positions`, shape (scatterers, 3)."""
-        return self.positions + seconds * self.velocity if self.moves else self.positions
-
     def after(self, seconds: float) -> Self:
         """The surface with its positions at a time (s) after these; how it was seen stays."""
-        return replace(self, positions=self.positions_after(seconds)) if self.moves else self
+        return replace(self, positions=self.positions + seconds * self.velocity)
+
+    def where(self, chosen: Bool) -> Self:
+        """Some of the scatterers."""
+        return type(self)(*(getattr(self, entry.name)[chosen] for entry in fields(self)))
+
+
+def joined(surfaces: Sequence[VisibleSurface]) -> VisibleSurface:
+    """All scatterers of some surfaces."""
+    names = [entry.name for entry in fields(VisibleSurface)]
+    return VisibleSurface(*(np.concatenate([getattr(surface, name) for surface in surfaces]) for name in names))
 
 
 SAMPLES_PER_CELL = 2
@@ -146,15 +148,13 @@ One in azimuth does where time matters: amplitudes are Gaussian one by one, and 
 even with strips as far apart as its resolution.
 """
 
-
 LAYERS = 15
 """Layers of scatterers where they have an extent in height; odd, so that one is the terrain.
 
 They are closer than a quarter of a beam up to an extent of three and a half.
 """
 
-LONGEST_PIECE = 16
-"""Longest piece of a cut, in range cells, over which range is taken as linear."""
+LONGEST_PIECE = 16  # longest piece of a cut, in range cells, over which range is taken as linear
 
 
 def visible_surface(
@@ -183,60 +183,37 @@ def visible_surface(
     Raises:
         UserError: the scene has no terrain within the extents.
     """
-    terrain = _terrain_scatterers(scene, aperture, look_side, cell, east_extent, strips_per_cell)
-    points = np.array([[p.east, p.north, p.height, p.power] for p in scene.points]).reshape(-1, 4)
-    positions = np.concatenate([terrain.positions, sphere_point(points[:, 0], points[:, 1], points[:, 2])])
-    slant_range, elevation, squint = angles_of(positions, aperture_at(positions, aperture), look_side)
-    point = np.arange(len(positions)) >= len(terrain.positions)
-    seen = (slant_range >= range_extent[0]) & (slant_range <= range_extent[1])
-    on_terrain = elevation[~point].reshape(terrain.layers, -1)[terrain.layers // 2]
-    seen[~point] &= np.tile(_lit(on_terrain, terrain.strip), terrain.layers)
-    seen[point] &= (points[:, 0] >= east_extent[0]) & (points[:, 0] < east_extent[1])
-    if not np.any(seen & ~point):
+    ground, lit = _terrain_scatterers(scene, aperture, look_side, cell, east_extent, strips_per_cell)
+    targets = _targets(scene.points, aperture, look_side)
+    east = np.array([point.east for point in scene.points])
+    ground = ground.where(lit & _within(ground.slant_range, range_extent))
+    targets = targets.where(
+        _within(targets.slant_range, range_extent) & (east >= east_extent[0]) & (east < east_extent[1])
+    )
+    if not ground.power.size:
         raise UserError(
             f"Scene {scene.name} has no terrain at slant ranges {range_extent[0]:.1f} to {range_extent[1]:.1f} m and "
             f"{east_extent[0]:.1f} to {east_extent[1]:.1f} m east; fly where the scene is, or choose a larger scene."
         )
-    velocity = np.zeros_like(positions)
-    velocity[point], positions[point] = _motion(scene.points, positions[point], aperture)
-    return VisibleSurface(
-        positions=positions[seen],
-        heights=np.concatenate([terrain.heights, points[:, 2]])[seen],
-        power=np.concatenate([terrain.power, points[:, 3]])[seen],
-        slant_range=slant_range[seen],
-        elevation=elevation[seen],
-        squint=squint[seen],
-        deterministic=point[seen],
-        velocity=velocity[seen],
-    )
+    return joined([ground, targets])
 
 
-def _motion(points: tuple[PointTarget, ...], positions: F64, aperture: ApertureState) -> tuple[F64, F64]:
-    """Velocities (m/s) of point targets, and their positions (m) in the middle of the aperture's time: (points, 3).
+def _within(values: F64, extent: tuple[float, float]) -> Bool:
+    return (values >= extent[0]) & (values <= extent[1])
 
-    `positions` are those where a sliding aperture has come abeam of them.
-    """
-    seen_from = aperture_at(positions, aperture).position
-    sight = (positions - seen_from) / np.linalg.norm(positions - seen_from, axis=-1, keepdims=True)
-    radial, along = np.array([[p.radial_velocity, p.along_velocity] for p in points]).reshape(-1, 2, 1).swapaxes(0, 1)
-    velocity = radial * sight + along * aperture.direction
+
+def _targets(points: tuple[PointTarget, ...], aperture: ApertureState, look_side: int) -> VisibleSurface:
+    """Point targets, lit or not, with their positions in the middle of the aperture's time."""
+    numbers = [(p.east, p.north, p.height, p.power, p.radial_velocity, p.along_velocity) for p in points]
+    east, north, height, power, radial, along = np.array(numbers).reshape(-1, 6).T
+    abeam = sphere_point(east, north, height)  # positions when a sliding aperture has come abeam of them
+    seen_from = np.broadcast_to(aperture_at(abeam, aperture).position, abeam.shape)
+    sight = (abeam - seen_from) / np.linalg.norm(abeam - seen_from, axis=-1, keepdims=True)
+    velocity = radial[:, None] * sight + along[:, None] * aperture.direction
     seconds = (seen_from - aperture.position) @ aperture.velocity / (aperture.velocity @ aperture.velocity)
-    return velocity, positions - np.reshape(seconds, (-1, 1)) * velocity
-
-
-@dataclass(frozen=True)
-class _Scatterers:
-    """Terrain scatterers, layer after layer from the lowest to the highest, each strip after strip, ordered outwards.
-
-    The middle one of an odd number of layers is the terrain; `strip` is the number of the strip of each of its
-    scatterers.
-    """
-
-    positions: F64
-    heights: F64
-    power: F64
-    strip: npt.NDArray[np.int_]
-    layers: int
+    angles = angles_of(abeam, aperture_at(abeam, aperture), look_side)
+    positions = abeam - seconds[:, None] * velocity
+    return VisibleSurface(positions, height, power, *angles, np.ones(len(points), dtype=bool), velocity)
 
 
 def _terrain_scatterers(
@@ -246,11 +223,13 @@ def _terrain_scatterers(
     cell: tuple[float, float],
     east_extent: tuple[float, float],
     strips_per_cell: int,
-) -> _Scatterers:
-    """Scatterers along vertical cuts through the terrain, lit or not, SAMPLES_PER_CELL in each cell of a cut.
+) -> tuple[VisibleSurface, Bool]:
+    """Scatterers along vertical cuts through the terrain, SAMPLES_PER_CELL in each cell of a cut, and which are lit.
 
     Between two nodes of a cut, so many that neither range nor the arc across it steps by more than their spacing;
-    each has its share of the piece's extent in range, as brightness is power per slant range.
+    each has its share of the piece's extent in range, as brightness is power per slant range. They come layer after
+    layer from the lowest to the highest, each strip after strip, ordered outwards. The middle layer is the terrain,
+    which decides what of all layers is lit.
     """
     range_cell, azimuth_cell = cell
     strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * strips_per_cell))
@@ -279,13 +258,20 @@ def _terrain_scatterers(
     heights = along(height) + layers[:, None]
     range_share = np.abs(np.diff(node_range))[strip, node] / pieces[between] / range_cell
     power = along(scene.brightnesses(east[:, None], north)) * range_share * (strip_width / azimuth_cell)
-    return _Scatterers(
-        positions=sphere_point(east[strip], along(np.broadcast_to(north, height.shape)), heights).reshape(-1, 3),
+    positions = sphere_point(east[strip], along(np.broadcast_to(north, height.shape)), heights).reshape(-1, 3)
+    slant_range, elevation, squint = angles_of(positions, aperture_at(positions, aperture), look_side)
+    lit = _lit(elevation.reshape(heights.shape)[len(layers) // 2], strip)
+    surface = VisibleSurface(
+        positions=positions,
         heights=heights.ravel(),
         power=np.tile(power / len(layers), len(layers)),
-        strip=strip,
-        layers=len(layers),
+        slant_range=slant_range,
+        elevation=elevation,
+        squint=squint,
+        deterministic=np.zeros(heights.size, dtype=bool),
+        velocity=np.zeros_like(positions),
     )
+    return surface, np.tile(lit, len(layers))
 
 
 def _lit(elevation: F64, strip_of: npt.NDArray[np.int_]) -> Bool:

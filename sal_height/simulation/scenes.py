@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sal_height.errors import UserError
-from sal_height.simulation.dem import is_file, read_elevation_model
+from sal_height.simulation.dem import read_elevation_model
 from sal_height.simulation.scene import PointTarget, Scene
 
 
@@ -25,7 +26,7 @@ def load_scene(name_or_path: str, extent: float = 0.0) -> Scene:
     """
     if name_or_path in SCENES:
         return replace(SCENES[name_or_path](), extent=extent)
-    if not is_file(name_or_path):
+    if not os.path.isfile(name_or_path):  # noqa: PTH113 (Path raises for a name that no file can have)
         raise UserError(
             f"Scene {name_or_path!r} is neither a file nor one of {', '.join(SCENES)}; "
             "give an elevation model as .tif or .npz."

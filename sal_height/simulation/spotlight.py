@@ -65,7 +65,7 @@ def simulate_dwell(
         angle, pulses = part
         weighted = np.ascontiguousarray(sensor.beams.response(surface.elevation, surface.squint - angle).T) * amplitudes
         for pulse in pulses:
-            distance = np.linalg.norm(surface.positions_after(seconds[pulse]) - antenna[pulse], axis=-1)
+            distance = np.linalg.norm(surface.after(seconds[pulse]).positions - antenna[pulse], axis=-1)
             delay = distance - reference_range[pulse]
             strengths = weighted * np.exp(-1j * sensor.centre_wavenumber * delay)
             phase = sensor.wavenumber_step * delay

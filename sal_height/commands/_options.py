@@ -133,6 +133,18 @@ NodeParameters: TypeAlias = Annotated[
 ]
 
 
+Settings: TypeAlias = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--set",
+        metavar="NAME=VALUE",
+        consume_multiple=False,
+        show_default=False,
+        help="Change a setting of the measurement; may be repeated.",
+    ),
+]
+
+
 def _names(_type: type, tokens: Sequence[Token]) -> tuple[str, ...]:
     return tuple(name.strip() for name in tokens[0].value.split(","))
 
@@ -251,20 +263,36 @@ def node_parameters(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:
     Raises:
         UserError: an assignment has another form.
     """
-    import yaml
-
     values: dict[str, dict[str, Any]] = {}
     for text in assignments:
         match = re.fullmatch(r"(\w+)\.(\w+)=(.*)", text)
         if not match:
             raise UserError(f"Option --param is {text!r}; it must be of the form NODE.NAME=VALUE.")
         node, name, value = match.groups()
-        try:
-            parsed = yaml.safe_load(value)
-        except (yaml.YAMLError, ValueError):
-            parsed = value  # a text, which the node refuses unless it wants one
-        values.setdefault(node, {})[name] = parsed
+        values.setdefault(node, {})[name] = _value(value)
     return values
+
+
+def settings_values(assignments: Sequence[str]) -> dict[str, Any]:
+    """Values of NAME=VALUE by name; values are read as YAML.
+
+    Raises:
+        UserError: an assignment has another form.
+    """
+    for text in assignments:
+        if not re.fullmatch(r"\w+=.*", text):
+            raise UserError(f"Option --set is {text!r}; it must be of the form NAME=VALUE.")
+    return {name: _value(value) for name, value in (text.split("=", 1) for text in assignments)}
+
+
+def _value(text: str) -> Any:
+    """What a text says as YAML; the text itself, where it says nothing, is refused by whoever wants no text."""
+    import yaml
+
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError):
+        return text
 
 
 def bag_name(bag: Path) -> str:

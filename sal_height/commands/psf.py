@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from sal_height.commands._options import (
     DONE,
@@ -16,8 +17,10 @@ from sal_height.commands._options import (
     Images,
     OutputFolder,
     RangeByAzimuth,
+    Settings,
     command,
     output_folder,
+    settings_values,
 )
 
 EXAMPLES = """
@@ -44,6 +47,8 @@ def psf(
     dwell: Dwell = None,
     channel: Channel = None,
     azimuth_axis: AzimuthAxis = 1,
+    noise_power: Annotated[float | None, Parameter(metavar="P", validator=Number(gte=0))] = None,
+    settings: Settings = (),
     out: OutputFolder = None,
 ) -> int:
     """Estimate the complex point-spread function of each channel from all its images.
@@ -89,17 +94,29 @@ def psf(
       pointing, pointing_sigma  cycles per pixel, at column pointing_azimuth_px of
                                 image pointing_image
 
+    Settings, for option --set:
+      point_over_clutter_db  20     lowest power of a point target over clutter
+      point_isolation_db     20     what lies beside its cuts is so far below it
+      point_sidelobes_db     9      its sidelobes are so far below it
+      point_energy_ratio     1.25   largest energy over that of other targets
+      points_per_image       25     bright pixels examined in an image
+      speckle_significance   0.001  share of good tiles that each test rejects
+      speckle_over_noise_db  3      lowest power of a tile over a known noise power
+
     Args:
         images: Files or bags.
         chip: Size of the chips around targets in pixels, range x azimuth. Default: 64x64, or what the smallest image
             allows.
+        noise_power: Power of receiver noise in a pixel, in the unit of the pixels squared; 0: negligible. Default: what
+            a bag says. If it is unknown, tiles are not taken for speckle where neighbours in azimuth do not correlate.
         out: Output folder, new or empty. Default: out/psf, or the next free of out/psf_2, ….
     """
+    from sal_height.response import PsfSettings
     from sal_height.runs.psf import determined, psf_table
     from sal_height.runs.psf import psf as measure
 
-    folder = output_folder(out, "psf")
-    entries = measure(list(images), folder, chip, dwell, channel, azimuth_axis)
+    folder, chosen = output_folder(out, "psf"), PsfSettings(**settings_values(settings))
+    entries = measure(list(images), folder, chip, dwell, channel, azimuth_axis, chosen, noise_power)
     pictures = ", ".join(sorted(str(path) for path in folder.glob("psf*.png")))
     print(f"{psf_table(entries)}\nsee {folder}/psf.json and {pictures}")
     return DONE if determined(entries) else FAILED

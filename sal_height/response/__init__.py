@@ -2,7 +2,8 @@
 
 Read `impulse` first (width, PSLR and ISLR of a point), then `point_targets` (finding them), `transfer_function` and
 `point_spread` (what they say together), `speckle_tiles` and `speckle_spectra` (the same from pure speckle), `linearity`
-(whether both agree, as only a linear system's do) and `report` (all of it for the images of one detector).
+(whether both agree, as only a linear system's do), `doppler` (one band in azimuth for all columns) and `report` (all of
+it for the images of one receiver).
 """
 
 from sal_height.response.impulse import (
@@ -25,14 +26,15 @@ from sal_height.response.point_targets import (
     chip_at,
     find_targets,
 )
-from sal_height.response.report import LONG_CHIPS, ImagePointing, PsfReport, pointing_of_images, report_on
+from sal_height.response.report import LONG_CHIPS, NOISE_UNKNOWN, PsfReport, PsfSettings, report_on
 from sal_height.response.speckle_spectra import (
     AxisSpectrum,
+    Pointing,
     SpeckleSpectra,
     estimate_speckle_spectra,
     periodogram_covariance,
 )
-from sal_height.response.speckle_tiles import find_pure_speckle
+from sal_height.response.speckle_tiles import SpeckleSettings, find_pure_speckle
 from sal_height.response.transfer_function import FLOOR, TransferFunction, estimate_transfer_function, without_clutter
 
 __all__ = [
@@ -40,18 +42,21 @@ __all__ = [
     "FINENESS",
     "FLOOR",
     "LONG_CHIPS",
+    "NOISE_UNKNOWN",
     "OVERSAMPLING",
     "REACH",
     "AxisSpectrum",
     "Chip",
     "CutResponse",
-    "ImagePointing",
     "ImpulseResponse",
     "PointSpread",
     "PointTarget",
     "PointTargetSettings",
+    "Pointing",
     "PsfReport",
+    "PsfSettings",
     "Sidelobe",
+    "SpeckleSettings",
     "SpeckleSpectra",
     "TargetSurvey",
     "TransferFunction",
@@ -66,7 +71,6 @@ __all__ = [
     "measure_brightest",
     "measure_windows",
     "periodogram_covariance",
-    "pointing_of_images",
     "report_on",
     "superposition",
     "without_clutter",

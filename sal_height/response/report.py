@@ -14,11 +14,12 @@ import numpy as np
 
 from sal_height.errors import NotDetermined, UserError
 from sal_height.numeric import C64, F64, Complex
+from sal_height.response.doppler import steadied
 from sal_height.response.linearity import Superposition, superposition
 from sal_height.response.point_spread import PointSpread, estimate_point_spread
-from sal_height.response.point_targets import CHIP, PointTarget, TargetSurvey, find_targets
-from sal_height.response.speckle_spectra import SpeckleSpectra, estimate_speckle_spectra
-from sal_height.response.speckle_tiles import REASONS, TILE, SpeckleTiles, find_pure_speckle
+from sal_height.response.point_targets import CHIP, PointTarget, PointTargetSettings, TargetSurvey, find_targets
+from sal_height.response.speckle_spectra import Pointing, SpeckleSpectra, estimate_speckle_spectra
+from sal_height.response.speckle_tiles import REASONS, TILE, SpeckleSettings, SpeckleTiles, find_pure_speckle
 from sal_height.response.transfer_function import TransferFunction, estimate_transfer_function
 
 Part = TypeVar("Part")
@@ -26,8 +27,21 @@ Part = TypeVar("Part")
 LONG_CHIPS = (256, 128, 64)
 """Rows of the chips that are compared with speckle, the first that hold a target: long ones cut less off."""
 
+NOISE_UNKNOWN = (
+    "The power of receiver noise is not known: tiles pass for speckle because neighbours in azimuth correlate, which "
+    "those of noise do only where an azimuth filter is narrower than the sampling."
+)
+"""Remark on speckle that was found without knowing the noise."""
 
-@dataclass(frozen=True)
+
+class PsfSettings(PointTargetSettings, SpeckleSettings):
+    """Which pixels of an image are taken for point targets, and which tiles for speckle."""
+
+
+DEFAULTS = PsfSettings()
+
+
+@dataclass(frozen=True, eq=False)
 class PsfReport:
     """The response to a point as images show it; None stands for what they do not show.
 
@@ -38,6 +52,7 @@ class PsfReport:
         spread: the point-spread function they make.
         tiles: of the images side by side along azimuth, each cut to whole tiles.
         spectra: of the tiles of pure speckle.
+        pointing: where the antenna points along each image; empty where that is not known.
         linearity: comparison of the responses to targets and to speckle, that of tiles away from bright points.
         linearity_rows: of the chips of the targets compared; 0: none were.
         undetermined: for each part that is None ("targets", "speckle", "pointing", "superposition"), one sentence: why,
@@ -50,6 +65,7 @@ class PsfReport:
     spread: PointSpread | None
     tiles: SpeckleTiles | None
     spectra: SpeckleSpectra | None
+    pointing: tuple[Pointing, ...]
     linearity: Superposition | None
     linearity_rows: int
     undetermined: dict[str, str]
@@ -57,32 +73,25 @@ class PsfReport:
     @property
     def targets(self) -> tuple[PointTarget, ...]:
         """Of all images."""
-        return tuple(target for survey in self.surveys for target in survey.targets)
+        return TargetSurvey.pooled(self.surveys).targets
 
 
-@dataclass(frozen=True)
-class ImagePointing:
-    """Where the antenna points along the track of one image.
-
-    Attributes:
-        cols: middle columns of tiles of pure speckle, pixels from the first column.
-        displacement: Doppler centroid there, cycles per pixel.
-        sigma: its standard error, cycles per pixel.
-    """
-
-    cols: F64
-    displacement: F64
-    sigma: F64
-
-
-def report_on(images: Sequence[Complex], chip: tuple[int, int] | None = None) -> PsfReport:
+def report_on(
+    images: Sequence[Complex],
+    chip: tuple[int, int] | None = None,
+    settings: PsfSettings = DEFAULTS,
+    noise_powers: Sequence[float] | None = None,
+) -> PsfReport:
     """Measure the point-spread function on images of one receiver.
 
-    Targets and speckle of all images are pooled: what the images share is their response.
+    Targets and speckle of all images are pooled: what the images share is their response. Where the Doppler centroid
+    moves along the columns, the pixels are turned until it does not.
 
     Args:
         images: complex pixels, each of as many rows, of one spacing; shapes (rows, cols).
         chip: rows and columns around a target; None: 64 x 64 (PSF paper), or what the smallest image has.
+        settings: which pixels are taken for point targets, and which tiles for speckle.
+        noise_powers: E|n|^2 of the receiver noise in a pixel of each image; None: not known.
 
     Raises:
         UserError: there is no image, they are not complex matrices of as many rows, one has no phase, or the chip does
@@ -96,49 +105,36 @@ def report_on(images: Sequence[Complex], chip: tuple[int, int] | None = None) ->
     chip = chip or (min(CHIP[0], rows), min(CHIP[1], cols))
     tile = min(TILE[0], rows), min(TILE[1], cols)
     reasons: dict[str, str] = {}
-    surveys = tuple(find_targets(image, chip) for image in images)
-    transfer = _part("targets", reasons, lambda: estimate_transfer_function(_pooled(surveys).require()))
-    mosaic = side_by_side(images, tile[1])
-    tiles = _part("speckle", reasons, lambda: find_pure_speckle(mosaic, tile))
+    steady, displacements = steadied(images)
+    surveys = tuple(find_targets(image, chip, settings) for image in steady)
+    transfer = _part("targets", reasons, lambda: estimate_transfer_function(TargetSurvey.pooled(surveys).require()))
+    mosaic = _side_by_side(steady, tile[1], noise_powers)
+    noise = None if noise_powers is None else float(any(noise_powers))
+    tiles = _part("speckle", reasons, lambda: find_pure_speckle(mosaic, tile, settings, noise))
     spectra = estimate_speckle_spectra(mosaic, tiles) if tiles else None
-    if not (spectra and spectra.pointing):
-        reasons["pointing"] = _why_no_pointing(spectra)
+    if not spectra:
+        reasons["pointing"] = (
+            "The pointing of the antenna shows in pure speckle only; at least one tile of it is needed."
+        )
+    elif not spectra.pointing:
+        reasons["pointing"] = (
+            "The response along azimuth is too flat, or the pure speckle too little, to show where the antenna points; "
+            "neighbouring pixels that correlate are needed, or more speckle in a column of tiles."
+        )
     linearity, length = None, 0
     if transfer and tiles:
-        away = _away_from_candidates(images, surveys, tiles)
-        compared = _part("superposition", reasons, lambda: _compared(images, mosaic, away, chip[1]))
+        away = _away_from_candidates(steady, surveys, tiles)
+        compared = _part("superposition", reasons, lambda: _compared(steady, mosaic, away, chip[1], settings))
         linearity, length = compared or (None, 0)
     else:
         missing = " and ".join(what for what in ("targets", "speckle") if what in reasons)
         reasons["superposition"] = (
-            "Whether the system is linear is told by targets and speckle together; needed is also the response "
-            f"of {missing}."
+            f"Only targets and speckle together show whether the system is linear; the response of {missing} is also "
+            "needed."
         )
     spread = estimate_point_spread(transfer) if transfer else None
-    return PsfReport(chip, surveys, transfer, spread, tiles, spectra, linearity, length, reasons)
-
-
-def side_by_side(images: Sequence[Complex], width: int) -> C64:
-    """The images' whole tiles of `width` columns, beside each other; pixels too great for single precision infinite."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        parts = [image[:, : image.shape[1] // width * width].astype(np.complex64, copy=False) for image in images]
-    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-
-
-def pointing_of_images(report: PsfReport, images: Sequence[Complex]) -> list[ImagePointing]:
-    """The pointing along each of the images the report is on; nothing in it where they hold no pure speckle."""
-    pointing = report.spectra and report.spectra.pointing
-    if not pointing or not report.tiles:
-        return [ImagePointing(*np.zeros((3, 0))) for _ in images]
-    width = report.tiles.tile[1]
-    ends = np.cumsum([image.shape[1] // width * width for image in images])
-    own = np.searchsorted(ends, pointing.cols, side="right")
-    starts = np.concatenate([[0], ends])
-    return [
-        ImagePointing(pointing.cols[here] - starts[i], pointing.displacement[here], pointing.sigma[here])
-        for i in range(len(images))
-        for here in [own == i]
-    ]
+    pointing = _pointing_of_each(spectra, tile[1], displacements)
+    return PsfReport(chip, surveys, transfer, spread, tiles, spectra, pointing, linearity, length, reasons)
 
 
 def _common_shape(images: Sequence[Complex]) -> tuple[int, int]:
@@ -146,8 +142,8 @@ def _common_shape(images: Sequence[Complex]) -> tuple[int, int]:
     shapes = sorted({image.shape for image in images})
     if not shapes or any(len(shape) != 2 for shape in shapes) or len({shape[0] for shape in shapes}) > 1:
         raise UserError(
-            f"Images of the shapes {', '.join(map(str, shapes)) or 'none'} do not make one measurement; needed is one "
-            "at least, and all must have two axes and as many rows."
+            f"Images of the shapes {', '.join(map(str, shapes)) or 'none'} cannot be measured together; at least one "
+            "is needed, and all must have two axes and as many rows."
         )
     return shapes[0][0], shapes[0][1]
 
@@ -161,39 +157,57 @@ def _part(name: str, undetermined: dict[str, str], measure: Callable[[], Part]) 
         return None
 
 
-def _pooled(surveys: Sequence[TargetSurvey]) -> TargetSurvey:
-    return TargetSurvey(
-        tuple(candidate for survey in surveys for candidate in survey.candidates),
-        tuple(target for survey in surveys for target in survey.targets),
-    )
+def _side_by_side(images: Sequence[Complex], width: int, noise_powers: Sequence[float] | None) -> C64:
+    """The images' whole tiles of `width` columns, beside each other; pixels too great for single precision infinite.
+
+    Images of a known noise power are divided by its root, so that all have the noise power 1.
+    """
+    scales = [1 / np.sqrt(power) if power else 1.0 for power in noise_powers or np.ones(len(images))]
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.concatenate(
+            [
+                (image[:, : image.shape[1] // width * width] * scale).astype(np.complex64, copy=False)
+                for image, scale in zip(images, scales, strict=True)
+            ],
+            axis=1,
+        )
 
 
-def _why_no_pointing(spectra: SpeckleSpectra | None) -> str:
-    if spectra is None:
-        return "Where the antenna points is told by pure speckle, and none was found; needed is a tile of it."
-    return (
-        "The response along azimuth is too flat, or the pure speckle too little, to tell where the antenna points; "
-        "needed are neighbouring pixels that correlate, or more speckle in a column of tiles."
-    )
+def _pointing_of_each(spectra: SpeckleSpectra | None, width: int, displacements: Sequence[F64]) -> tuple[Pointing, ...]:
+    """The pointing along each image, from that of the whole mosaic and what was taken off the images' centroids."""
+    found = spectra.pointing if spectra else None
+    pointing, start = [], 0
+    for displacement in displacements:
+        end = start + (len(displacement) + 1) // width * width
+        own = (found.cols >= start) & (found.cols < end) if found else np.zeros(0, dtype=np.bool_)
+        cols, residual, sigma = (
+            (found.cols[own] - start, found.displacement[own], found.sigma[own]) if found else np.zeros((3, 0))
+        )
+        total = residual + displacement[cols.astype(int)]
+        pointing.append(Pointing(cols, total - np.round(total), sigma))
+        start = end
+    return tuple(pointing)
 
 
-def _compared(images: Sequence[Complex], mosaic: C64, tiles: SpeckleTiles, cols: int) -> tuple[Superposition, int]:
+def _compared(
+    images: Sequence[Complex], mosaic: C64, tiles: SpeckleTiles, cols: int, settings: PsfSettings
+) -> tuple[Superposition, int]:
     """Comparison of the targets' range response with that of speckle, and the rows of the chips it was made with."""
     least, rows = tiles.tile[0], images[0].shape[0]
     if not tiles.pure.any():
         raise NotDetermined(
-            f"Every tile of pure speckle is within {LONG_CHIPS[0] // 2} rows of a bright point, whose echoes are no "
-            "speckle; a comparison with targets needs one that is not."
+            f"Every tile of pure speckle is within {LONG_CHIPS[0] // 2} rows of a bright point, whose echoes are not "
+            "speckle; a comparison with targets needs one that is farther away."
         )
     for length in dict.fromkeys(min(rows, most) for most in LONG_CHIPS):
-        targets = _pooled([find_targets(image, (length, cols)) for image in images]).targets
+        targets = TargetSurvey.pooled([find_targets(image, (length, cols), settings) for image in images]).targets
         if targets and length >= least:
             transfer = estimate_transfer_function(targets)
             spectra = estimate_speckle_spectra(mosaic, tiles)
             return superposition(transfer.range_response, transfer.range_sigma, spectra), length
     raise NotDetermined(
-        f"No target is alone in a chip of {least} x {cols} pixels, as long as a sub-image of speckle; needed is one "
-        "for a comparison of the two."
+        f"No target is alone in a chip of {least} x {cols} pixels, as long as a sub-image of speckle; one is needed to "
+        "compare the two."
     )
 
 

@@ -24,26 +24,11 @@ import numpy as np
 import scipy.fft
 from scipy.linalg import toeplitz
 
-from sal_height.numeric import C64, C128, F64, Index, blocks, compiled, frequencies, in_parallel
+from sal_height.numeric import C64, C128, F32, F64, Index, blocks, frequencies, in_parallel
 from sal_height.response.speckle_tiles import SpeckleTiles, checked_image, sum_of_powers
 
-SPUR_ERRORS = 5.0
-"""Standard errors by which the bin at half a cycle per pixel stands out of its neighbours if it is a spur."""
-
-SPUR_EXCESS = 0.5
-"""Least power of a spur, of its neighbours': a response may have edges."""
-
-LAG_ERRORS = 2.0
-"""Standard errors up to which the covariance at a lag is taken for 0."""
-
-GREATEST_POINTING_ERROR = 0.1
-"""Standard error of a pointing, cycles per pixel, from which on the azimuth response is too flat to have a centre."""
-
-BLOCK = 2**15
-"""Pixels transformed at a time: they and their spectra stay in a processor's cache."""
-
-QUIETEST = 8
-"""The noise floor is the mean of this part of the frequencies: one in so many."""
+LAG_ERRORS = 2.0  # standard errors up to which the covariance at a lag is taken for 0
+BLOCK = 2**15  # pixels transformed at a time: they and their spectra stay in a processor's cache
 
 
 @dataclass(frozen=True)
@@ -134,14 +119,11 @@ class SpeckleSpectra:
     def noise_floor(self) -> float:
         """Power of white noise over the mean of the image: that of the quietest frequencies of the quieter axis.
 
-        A pedestal of the response looks the same, and a flat response all the more; the least of estimates that err
-        lies below what is true.
+        The quietest are one in eight. A pedestal of the response looks the same, and a flat response all the more; the
+        least of estimates that err lies below what is true.
         """
-        floors = []
-        for axis in (self.range, self.azimuth):
-            power, _ = axis.unfolded(len(axis.covariance))
-            floors.append(float(np.mean(np.sort(power)[: max(1, len(power) // QUIETEST)])))
-        return max(0.0, min(floors))
+        powers = [np.sort(axis.unfolded(len(axis.covariance))[0]) for axis in (self.range, self.azimuth)]
+        return max(0.0, min(float(np.mean(power[: max(1, len(power) // 8)])) for power in powers))
 
 
 def estimate_speckle_spectra(image: C64, tiles: SpeckleTiles) -> SpeckleSpectra:
@@ -157,9 +139,13 @@ def estimate_speckle_spectra(image: C64, tiles: SpeckleTiles) -> SpeckleSpectra:
     where, sums = np.argwhere(tiles.pure), _periodograms(checked_image(image), tiles)
     brightness = tiles.intensity[tiles.pure][:, None] * (tiles.tile[0] * tiles.tile[1])
     down, across, nyquist = (_covariance(power / brightness) for power in sums)
-    shares = [sum_of_powers(tiles.correlation, tiles.tile, 2, axis) for axis in (0, 1, None)]
+    # Lines that are neighbours correlate: as many are independent as the correlation along them has of that over all.
+    rho, (row, col) = tiles.correlation, (size // 2 for size in tiles.correlation.shape)
+    shares = [sum_of_powers(part, tiles.tile, 2) for part in (rho[:, [col]], rho[[row]])]
     lines = [len(where) * tiles.tile[1], len(where) * tiles.tile[0]]
-    independent = [count * share / shares[2] for count, share in zip(lines, shares[:2], strict=True)]
+    independent = [
+        count * share / sum_of_powers(rho, tiles.tile, 2) for count, share in zip(lines, shares, strict=True)
+    ]
     mean = down.mean(axis=0)
     spur = _nyquist_spur(mean, independent[0])
     if spur:
@@ -226,8 +212,9 @@ def _periodograms(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64, F64]:
             for some in blocks(len(chosen), max(1, BLOCK // (rows * cols))):
                 pixels = np.take(strip, chosen[some], axis=1)
                 own = slice(first[row] + some.start, first[row] + some.stop)
-                _add_down(scipy.fft.fft(pixels.reshape(rows, -1), 2 * rows, axis=0), down[own])
-                _add_across(scipy.fft.fft(pixels, 2 * cols, axis=2), across[own])
+                power = _energy(scipy.fft.fft(pixels.reshape(rows, -1), 2 * rows, axis=0))
+                down[own] = power.reshape(2 * rows, -1, cols).sum(axis=2).T
+                across[own] = _energy(scipy.fft.fft(pixels, 2 * cols, axis=2)).sum(axis=0)
                 line = scipy.fft.fft(pixels[::2].sum(axis=0) - pixels[1::2].sum(axis=0), 2 * cols)
                 nyquist[own] = np.abs(line) ** 2 / rows
 
@@ -235,26 +222,8 @@ def _periodograms(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64, F64]:
     return down, across, nyquist
 
 
-@compiled
-def _add_down(spectra: C64, power: F64) -> None:
-    """|spectra|^2, shape (frequencies, tiles x columns), summed over a tile's columns into (tiles, frequencies)."""
-    width = spectra.shape[1] // power.shape[0]
-    for k in range(spectra.shape[0]):
-        for tile in range(power.shape[0]):
-            total = np.float32(0)
-            for j in range(tile * width, (tile + 1) * width):
-                total += spectra[k, j].real ** 2 + spectra[k, j].imag ** 2
-            power[tile, k] += total
-
-
-@compiled
-def _add_across(spectra: C64, power: F64) -> None:
-    """|spectra|^2, shape (rows, tiles, frequencies), summed over rows into (tiles, frequencies)."""
-    for i in range(spectra.shape[0]):
-        for tile in range(power.shape[0]):
-            row, total = spectra[i, tile], power[tile]
-            for k in range(total.size):
-                total[k] += row[k].real ** 2 + row[k].imag ** 2
+def _energy(spectra: C64) -> F32:
+    return np.square(spectra.real) + np.square(spectra.imag)
 
 
 def _covariance(power: F64) -> C128:
@@ -264,14 +233,16 @@ def _covariance(power: F64) -> C128:
 
 
 def _nyquist_spur(covariance: C128, independent: float) -> float:
-    """Power of a line at half a cycle per pixel; 0 unless it stands out of the two neighbouring bins."""
+    """Power of a line at half a cycle per pixel; 0 unless it stands out of the two neighbouring bins.
+
+    It must stand out by 5 standard errors and by half of them: a response may have edges.
+    """
     size = len(covariance)
     triangle = 1 - np.arange(size) / size
     line, *beside = transform(covariance * triangle, 0.5 + np.array([0, -1, 1]) / size)
     level = float(np.mean(beside))
-    error = level * np.sqrt(1.5 / independent)
     excess = float(line) - level
-    return excess / size if excess > max(SPUR_ERRORS * error, SPUR_EXCESS * level) else 0.0
+    return excess / size if excess > level * max(5 * np.sqrt(1.5 / independent), 0.5) else 0.0
 
 
 def _aligned(covariance: C128, column: Index, tiles: SpeckleTiles) -> tuple[Pointing | None, C128]:
@@ -280,7 +251,7 @@ def _aligned(covariance: C128, column: Index, tiles: SpeckleTiles) -> tuple[Poin
     beat = np.zeros(len(columns), dtype=np.complex128)
     np.add.at(beat, group, covariance[:, 1])
     sigma = _pointing_error(np.abs(beat).sum() / len(covariance), tiles) / np.sqrt(np.bincount(group))
-    if not np.median(sigma) < GREATEST_POINTING_ERROR:
+    if not np.median(sigma) < 0.1:  # cycles per pixel: the azimuth response is too flat to have a centre
         return None, covariance
     turn = np.angle(beat * np.conj(beat.sum()))
     lags = np.arange(covariance.shape[1])

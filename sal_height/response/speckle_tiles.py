@@ -1,15 +1,17 @@
 """Regions of pure speckle: where an image holds nothing but a circular Gaussian field of even brightness.
 
-The PSF paper picks them by eye (section 3). Here every tile of the image takes two tests of its intensity I, beside
-those of its numbers. Both know how many of its pixels are independent, from the field's own correlation rho, which
-brightness does not change: the intensities of a circular Gaussian field at a distance l correlate by |rho(l)|^2, and
-their Laguerre polynomials of degree n by |rho(l)|^2n.
+The PSF paper picks them by eye (section 3). Here every tile of the image takes three tests, beside those of its
+numbers. Those of the intensity I know how many of its pixels are independent, from the field's own correlation rho,
+which brightness does not change: the intensities of a circular Gaussian field at a distance l correlate by |rho(l)|^2,
+and their Laguerre polynomials of degree n by |rho(l)|^2n.
 
+    noise     if the power of receiver noise is known: the tile is too little above it. If it is not known: pixels that
+              are neighbours in azimuth do not correlate. Receiver noise has passed the window over range frequency, but
+              no antenna, so that it is white in azimuth; so is speckle whose response fills all azimuth frequencies
+              evenly, and only the power of the noise tells the two apart.
     moment    <I^2> / <I>^2 is 2 (Rayleigh amplitude; contrast 0.5227). With degree 2, its variance over N pixels is
               4 sum |rho|^4 / N, its bias -2 sum |rho|^2 / N, and its skewness that of N_e = N / sum |rho|^4
               independent pixels, 10 / sqrt(N_e): Pearson's type III.
-    white     neighbouring pixels do not correlate: receiver noise, or a response that fills all frequencies evenly,
-              from which it cannot be told. Such tiles do not show the response.
     texture   the variance of the mean intensities of blocks: that of speckle is <I>^2 sum |rho|^2 / pixels, summed up
               within a block; more than that is intensity that correlates where the field does not. Chi-square, with
               the degrees of freedom that the kurtosis of gamma-distributed means leaves.
@@ -24,34 +26,40 @@ import scipy.fft
 from scipy.special import chdtrc, gammainc, gammaincc
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.numeric import C64, C128, F64, U8, WORKERS, Bool, Index, compiled, in_parallel
+from sal_height.numeric import C64, C128, F32, F64, U8, WORKERS, Bool, Index, in_parallel
+from sal_height.settings import Settings, setting
 
-TILE = (64, 64)
-"""Rows and columns of the sub-images of the PSF paper."""
+TILE = (64, 64)  # rows and columns of the sub-images of the PSF paper
+LEAST_TILE = 8  # fewer rows or columns than this make no tile
+REACH = 16  # greatest lag, in pixels, at which the field's correlation is measured
+SAMPLED_TILES = 64  # most tiles from which the field's correlation is measured
 
-LEAST_TILE = 8
-"""Fewer rows or columns than this make no tile."""
-
-REASONS = ("pure", "not finite", "zero", "real", "clipped", "white", "moment", "texture", "beside a bright point")
+REASONS = ("pure", "not finite", "zero", "real", "clipped", "like noise", "moment", "texture", "beside a bright point")
 """What may become of a tile, in the order of the tests; the last is for those who know where bright points are."""
 
-CLIPPED_SHARE = 1e-3
-"""Share of the real and imaginary parts at a tile's greatest one from which on it is clipped."""
 
-ZERO_SHARE = 5e-3
-"""Share of the pixels from which on zeros are missing data, and not small numbers of a coarse quantiser."""
+class SpeckleSettings(Settings):
+    """Which tiles of an image are taken for pure speckle."""
 
-REACH = 16
-"""Greatest lag, in pixels, at which the field's correlation is measured."""
+    speckle_significance: float = setting(
+        0.001,
+        "share of tiles of speckle that each test of intensity rejects, and of images of noise with a tile that passes",
+        minimum=1e-6,
+        maximum=0.5,
+    )
+    speckle_over_noise_db: float = setting(
+        3.0,
+        "lowest power of a tile of speckle, with its noise, over that of receiver noise, if the latter is known",
+        unit="dB",
+        minimum=0.1,
+        maximum=100.0,
+    )
 
-NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1))
-"""Lags in rows and columns at which speckle that is sampled more finely than its band correlates."""
 
-SAMPLED_TILES = 64
-"""Most tiles from which the field's correlation is measured."""
+DEFAULTS = SpeckleSettings()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SpeckleTiles:
     """Tiles of an image, side by side from its first pixel on, and what the tests say of them.
 
@@ -59,20 +67,14 @@ class SpeckleTiles:
         tile: rows and columns of each.
         verdict: indices into REASONS; shape (tiles down, tiles across).
         intensity: mean |g|^2 of each; the same shape.
-        moment: <I^2> / <I>^2 of each, of speckle 2; the same shape.
-        texture: variance of block means over that of speckle, of speckle 1; the same shape.
         correlation: rho of the field at lags up to REACH, or the tile less 1, lag (0, 0) in the middle, and the Doppler
             centroid taken out; 0 where it does not stand out of its error; shape (lags down, lags across).
-        significance: of each of the two tests: share of tiles of pure speckle that it loses.
     """
 
     tile: tuple[int, int]
     verdict: U8
     intensity: F64
-    moment: F64
-    texture: F64
     correlation: C128
-    significance: float
 
     @property
     def pure(self) -> Bool:
@@ -84,14 +86,20 @@ class SpeckleTiles:
         return {reason: int(np.sum(self.verdict == index)) for index, reason in enumerate(REASONS)}
 
 
-def find_pure_speckle(image: C64, tile: tuple[int, int] = TILE, significance: float = 0.001) -> SpeckleTiles:
+def find_pure_speckle(
+    image: C64,
+    tile: tuple[int, int] = TILE,
+    settings: SpeckleSettings = DEFAULTS,
+    noise_power: float | None = None,
+) -> SpeckleTiles:
     """Test every tile of an image; axis 0 is range, axis 1 azimuth.
 
     Args:
         image: complex pixels, shape (rows, cols).
         tile: rows and columns of a tile; the image's own where it has fewer. What is left beside whole tiles is not
             looked at.
-        significance: share of the tiles of pure speckle that each of the two tests may lose.
+        settings: how strict the tests are.
+        noise_power: E|n|^2 of the receiver noise in a pixel; None: not known.
 
     Raises:
         UserError: the image is not complex or not two-dimensional.
@@ -104,27 +112,54 @@ def find_pure_speckle(image: C64, tile: tuple[int, int] = TILE, significance: fl
             f"The image of {image.shape[0]} x {image.shape[1]} pixels, in tiles of {rows} x {cols}, shows no speckle; "
             f"tiles need {LEAST_TILE} pixels each way."
         )
+    down, across = image.shape[0] // rows, image.shape[1] // cols
     block = (max(4, rows // 8), max(4, cols // 8))
-    sums, means = _tile_sums(image, (rows, cols), block)
-    verdict = _unusable(sums, rows * cols)
-    intensity = sums[..., 1] / (rows * cols)
-    verdict[(verdict == 0) & (_white_tail(image, (rows, cols), intensity) >= significance)] = REASONS.index("white")
+    verdict = np.zeros((down, across), dtype=np.uint8)
+    intensity, moment, white = np.zeros((3, down, across))
+    means = np.zeros((down, across, (rows // block[0]) * (cols // block[1])))
+
+    def measure(part: slice) -> None:
+        for row in range(part.start, part.stop):
+            strip = image[row * rows : (row + 1) * rows, : across * cols].reshape(rows, across, cols)
+            verdict[row] = _unusable(strip)
+            with np.errstate(all="ignore"):  # of tiles that are not usable
+                power = np.square(strip.real) + np.square(strip.imag)
+                intensity[row] = power.mean(axis=(0, 2), dtype=np.float64)
+                power /= intensity[row, :, None].astype(np.float32)
+                moment[row] = np.mean(power**2, axis=(0, 2), dtype=np.float64)
+                means[row] = _block_means(power, block)
+                if noise_power is None:
+                    white[row] = _white_tail(strip)
+
+    in_parallel(measure, down)
+    if noise_power is None:  # as rare in the whole image as the settings say
+        noisy = white >= settings.speckle_significance / white.size
+    else:
+        noisy = intensity < noise_power * 10 ** (settings.speckle_over_noise_db / 10)
+    verdict[(verdict == 0) & noisy] = REASONS.index("like noise")
     correlation = _field_correlation(image, (rows, cols), np.argwhere(verdict == 0))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        moment = sums[..., 2] / (rows * cols) / intensity**2
-        texture, texture_tail = _texture(means / intensity[..., None], correlation, (rows, cols), block)
+    with np.errstate(all="ignore"):
         moment_tail = _moment_tail(moment, correlation, (rows, cols))
-    verdict[(verdict == 0) & (moment_tail < significance)] = REASONS.index("moment")
-    verdict[(verdict == 0) & (texture_tail < significance)] = REASONS.index("texture")
-    found = SpeckleTiles((rows, cols), verdict, intensity, moment, texture, correlation, significance)
+        texture_tail = _texture_tail(means, correlation, (rows, cols), block)
+    verdict[(verdict == 0) & (moment_tail < settings.speckle_significance)] = REASONS.index("moment")
+    verdict[(verdict == 0) & (texture_tail < settings.speckle_significance)] = REASONS.index("texture")
+    found = SpeckleTiles((rows, cols), verdict, intensity, correlation)
     if not found.pure.any():
-        failed = ", ".join(f"{count} {reason}" for reason, count in found.counts().items() if count)
-        raise NotDetermined(
-            f"None of the {verdict.size} tiles of {rows} x {cols} pixels is pure speckle ({failed}); needed is one "
-            f"whose intensity has the moment 2, and no texture, at a significance of {significance:g}, and whose "
-            "neighbouring pixels correlate: those of receiver noise (white) do not."
-        )
+        raise NotDetermined(_why_none(found, noise_power))
     return found
+
+
+def _why_none(tiles: SpeckleTiles, noise_power: float | None) -> str:
+    """A sentence on an image without pure speckle: what its tiles are, and what is needed."""
+    failed = ", ".join(f"{count} {reason}" for reason, count in tiles.counts().items() if count)
+    need = (
+        "at least one is needed, or the power of the receiver noise: where neighbours in azimuth do not correlate, "
+        "only that tells speckle from noise"
+        if noise_power is None and tiles.counts()["like noise"]
+        else "at least one is needed, of even brightness and well above the noise"
+    )
+    size = f"{tiles.tile[0]} x {tiles.tile[1]}"
+    return f"None of the {tiles.verdict.size} tiles of {size} pixels is pure speckle ({failed}); {need}."
 
 
 def checked_image(image: C64) -> C64:
@@ -134,63 +169,47 @@ def checked_image(image: C64) -> C64:
     return np.ascontiguousarray(image, dtype=np.complex64)
 
 
-def _tile_sums(image: C64, tile: tuple[int, int], block: tuple[int, int]) -> tuple[F64, F64]:
-    """Of every tile: finite (0 or 1), sums of I and I^2, zero pixels, imaginary parts other than 0, greatest parts.
-
-    Returns:
-        These six, shape (tiles down, tiles across, 6), and mean intensities of blocks, (.., .., blocks).
-    """
-    down, across = image.shape[0] // tile[0], image.shape[1] // tile[1]
-    sums = np.zeros((down, across, 6))
-    means = np.zeros((down, across, (tile[0] // block[0]) * (tile[1] // block[1])))
-
-    def measure(part: slice) -> None:
-        for row in range(part.start, part.stop):
-            strip = image[row * tile[0] : (row + 1) * tile[0], : across * tile[1]]
-            finite = np.isfinite(strip.view(np.float32)).all(axis=0).reshape(across, -1).all(axis=1)
-            _measure_strip(strip, tile[1], block, sums[row], means[row])
-            sums[row, :, 0] = finite
-
-    in_parallel(measure, down)
-    return sums, means
-
-
-@compiled
-def _measure_strip(strip: C64, width: int, block: tuple[int, int], sums: F64, means: F64) -> None:
-    down, across = strip.shape[0] // block[0], width // block[1]
-    for tile in range(sums.shape[0]):
-        pixels = strip[:, tile * width : (tile + 1) * width]
-        total, square, greatest = 0.0, 0.0, np.float32(0)
-        zeros, imaginary, top = 0, 0, 0
-        for i in range(pixels.shape[0]):
-            for j in range(width):
-                real, imag = pixels[i, j].real, pixels[i, j].imag
-                power = real * real + imag * imag
-                total += power
-                square += np.float64(power) * power
-                zeros += power == 0
-                imaginary += imag != 0
-                greatest = max(greatest, abs(real), abs(imag))
-        limit = greatest * np.float32(1 - 1e-6)
-        for i in range(pixels.shape[0]):
-            for j in range(width):
-                top += (abs(pixels[i, j].real) >= limit) + (abs(pixels[i, j].imag) >= limit)
-        for i in range(down):
-            for j in range(across):
-                mean = 0.0
-                for row in range(i * block[0], (i + 1) * block[0]):
-                    for col in range(j * block[1], (j + 1) * block[1]):
-                        mean += pixels[row, col].real ** 2 + pixels[row, col].imag ** 2
-                means[tile, i * across + j] = mean / (block[0] * block[1])
-        sums[tile, 1], sums[tile, 2], sums[tile, 3] = total, square, zeros
-        sums[tile, 4], sums[tile, 5] = imaginary, top
-
-
-def _unusable(sums: F64, pixels: int) -> U8:
-    """Verdict from the numbers alone, 0 where nothing is wrong with them."""
-    clipped = sums[..., 5] >= max(3, CLIPPED_SHARE * 2 * pixels)
-    wrong = [sums[..., 0] == 0, sums[..., 3] > ZERO_SHARE * pixels, sums[..., 4] == 0, clipped]
+def _unusable(strip: C64) -> U8:
+    """Verdict on tiles (rows, tiles, cols) from their numbers alone, 0 where nothing is wrong with them."""
+    parts = np.abs(np.stack([strip.real, strip.imag]))
+    greatest = parts.max(axis=(0, 1, 3))
+    at_greatest = np.count_nonzero(parts >= greatest[:, None] * np.float32(1 - 1e-6), axis=(0, 1, 3))
+    pixels = strip.shape[0] * strip.shape[2]
+    wrong = [
+        ~np.isfinite(greatest),
+        np.count_nonzero(strip == 0, axis=(0, 2)) > 5e-3 * pixels,  # fewer are small numbers of a coarse quantiser
+        ~parts[1].any(axis=(0, 2)),
+        at_greatest >= max(3, 1e-3 * 2 * pixels),
+    ]
     return np.select(wrong, [1, 2, 3, 4], 0).astype(np.uint8)
+
+
+def _block_means(power: F32, block: tuple[int, int]) -> F32:
+    """Mean intensities of the whole blocks in tiles (rows, tiles, cols), shape (tiles, blocks)."""
+    (rows, tiles, cols), (high, wide) = power.shape, block
+    inside = power[: rows // high * high, :, : cols // wide * wide]
+    return (
+        inside.reshape(rows // high, high, tiles, cols // wide, wide)
+        .mean(axis=(1, 4))
+        .swapaxes(0, 1)
+        .reshape(tiles, -1)
+    )
+
+
+def _white_tail(strip: C64) -> F64:
+    """Probability that neighbours in azimuth of noise that is white there correlate as much as in each tile, or more.
+
+    The correlation of n pairs of pixels is circular Gaussian of power sum |rho|^2 / n, summed over the lags in range,
+    which is the mean square of the spectrum along range over its squared mean (Parseval).
+
+    Args:
+        strip: tiles, shape (rows, tiles, cols).
+    """
+    rows, _, cols = strip.shape
+    spectrum = np.mean(np.abs(scipy.fft.fft(strip, axis=0)) ** 2, axis=2, dtype=np.float64)
+    intensity, pairs = spectrum.mean(axis=0) / rows, rows * (cols - 1)
+    rho = np.abs(np.einsum("itj,itj->t", strip[..., 1:], strip[..., :-1].conj())) / (pairs * intensity)
+    return np.exp(-pairs * (rho * rows * intensity) ** 2 / np.mean(spectrum**2, axis=0))
 
 
 def _field_correlation(image: C64, tile: tuple[int, int], usable: Index) -> C128:
@@ -218,39 +237,18 @@ def _field_correlation(image: C64, tile: tuple[int, int], usable: Index) -> C128
     return np.where(np.abs(rho) ** 2 > 9 * error, rho, 0)
 
 
-def _white_tail(image: C64, tile: tuple[int, int], intensity: F64) -> F64:
-    """Probability that neighbouring pixels of white noise correlate as much as those of each tile, or more.
-
-    The correlation of n pairs of pixels of a white circular Gaussian field is circular Gaussian of power 1 / n; the
-    sum of n |rho|^2 over the lags is a gamma variable. Shape (tiles down, tiles across); NaN where a tile has no power.
-    """
-    (down, across), (rows, cols) = intensity.shape, tile
-    tiles = image[: down * rows, : across * cols].reshape(down, rows, across, cols)
-    total = np.zeros(intensity.shape)
-    for step, aside in NEIGHBOURS:
-        here = tiles[:, : rows - step, :, max(0, -aside) : cols - max(0, aside)]
-        there = tiles[:, step:, :, max(0, aside) : cols - max(0, -aside)]
-        pairs = (rows - step) * (cols - abs(aside))
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            total += np.abs(np.einsum("irjc,irjc->ij", here, there.conj())) ** 2 / (pairs * intensity**2)
-    return gammaincc(len(NEIGHBOURS), total)
-
-
-def sum_of_powers(correlation: C128, size: tuple[int, int], exponent: float, along: int | None = None) -> float:
+def sum_of_powers(correlation: C128, size: tuple[int, int], exponent: float) -> float:
     """Sum over the lags of a rectangle of |rho|^exponent, each times the share of its pixels that are that far apart.
 
     Args:
-        correlation: rho, lag (0, 0) in the middle.
+        correlation: rho, lag (0, 0) in the middle; a single row or column of lags is that at lag 0.
         size: rows and columns of the rectangle.
         exponent: 2 for means of intensity, 4 for its second moment.
-        along: sum over the lags along this axis only; None: both.
     """
     down, across = (
         np.maximum(0, 1 - np.abs(np.arange(count) - count // 2) / side)
         for count, side in zip(correlation.shape, size, strict=True)
     )
-    if along is not None:
-        (across, down)[along][:] = np.arange(correlation.shape[1 - along]) == correlation.shape[1 - along] // 2
     return float(down @ np.abs(correlation) ** exponent @ across)
 
 
@@ -264,11 +262,10 @@ def _moment_tail(moment: F64, correlation: C128, tile: tuple[int, int]) -> F64:
     return np.minimum(1, 2 * np.minimum(gammainc(shape, gamma), gammaincc(shape, gamma)))
 
 
-def _texture(means: F64, correlation: C128, tile: tuple[int, int], block: tuple[int, int]) -> tuple[F64, F64]:
-    """Variance of the mean intensities of blocks, of tiles of mean 1, over that of speckle; probability of more."""
+def _texture_tail(means: F64, correlation: C128, tile: tuple[int, int], block: tuple[int, int]) -> F64:
+    """Probability that mean intensities of the blocks of speckle, in tiles of mean 1, vary as much or more."""
     count = means.shape[-1]
     of_block = sum_of_powers(correlation, block, 2) / (block[0] * block[1])
     of_tile = sum_of_powers(correlation, tile, 2) / (tile[0] * tile[1])
-    ratio = np.var(means, axis=-1) / (of_block - of_tile)
     freedom = 2 / (2 / (count - 1) + 6 * of_block / count)
-    return np.asarray(ratio), np.asarray(chdtrc(freedom, freedom * ratio))
+    return np.asarray(chdtrc(freedom, freedom * np.var(means, axis=-1) / (of_block - of_tile)))

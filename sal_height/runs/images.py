@@ -28,6 +28,7 @@ class Image:
         dwell: number of the dwell; None if not from a bag.
         channel: number of the channel; None if from an array of one image.
         grid: positions of the pixels; None if unknown.
+        noise_power: E|n|^2 of the receiver noise in a pixel; None if unknown.
     """
 
     pixels: Complex
@@ -37,6 +38,7 @@ class Image:
     dwell: int | None = None
     channel: int | None = None
     grid: Grid | None = None
+    noise_power: float | None = None
 
     @property
     def name(self) -> str:

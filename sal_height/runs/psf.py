@@ -15,11 +15,12 @@ from sal_height.io import check_new_folder, new_folder, or_null, write_text, wri
 from sal_height.numeric import Complex, frequencies
 from sal_height.response import (
     LONG_CHIPS,
+    NOISE_UNKNOWN,
     CutResponse,
-    ImagePointing,
+    Pointing,
     PsfReport,
+    PsfSettings,
     Sidelobe,
-    pointing_of_images,
     report_on,
     without_clutter,
 )
@@ -39,6 +40,8 @@ def psf(
     dwell: int | None = None,
     channel: int | None = None,
     azimuth_axis: int = 1,
+    settings: PsfSettings | None = None,
+    noise_power: float | None = None,
 ) -> list[Entry]:
     """Estimate the point-spread function of each channel from all its images; write psf.json, .npz and .png to `out`.
 
@@ -51,6 +54,8 @@ def psf(
         dwell: measure only the images of this dwell; None for all.
         channel: measure only the images of this channel; None for all.
         azimuth_axis: along-track axis (0 or 1) of arrays in .npy and .npz files; in bags it is 1.
+        settings: which pixels are taken for point targets, and which tiles for speckle; None for the defaults.
+        noise_power: E|n|^2 of the receiver noise in a pixel of all images; None for what bags say.
 
     Returns:
         The entries of psf.json, one per channel. What could not be estimated is None, and "undetermined" says why.
@@ -63,19 +68,26 @@ def psf(
     images = (image for path in paths for image in images_of(path, dwell, channel, azimuth_axis))
     for image in tqdm(images, desc="psf: reading", unit="image", delay=1, leave=False):
         groups.setdefault(image.channel, []).append(image)
-    reports = [_measured(group, chip) for group in tqdm(groups.values(), desc="psf", delay=1, leave=False)]
-    measured = zip(groups, groups.values(), reports, strict=True)
-    pointings = [_pointing(group, report) for group, report in zip(groups.values(), reports, strict=True)]
-    entries = [_entry(*one, pointing) for one, pointing in zip(measured, pointings, strict=True)]
+    settings = settings or PsfSettings()
+    entries, reports = [], []
+    for number, group in tqdm(groups.items(), desc="psf", delay=1, leave=False):
+        powers = [image.noise_power if noise_power is None else noise_power for image in group]
+        known = [power for power in powers if power is not None]
+        try:
+            report = report_on(list(map(_upright, group)), chip, settings, known if len(known) == len(group) else None)
+        except UserError as error:
+            raise UserError(f"{_title(group)}: {error}") from error
+        reports.append(report)
+        entries.append(_entry(number, group, report, noise_known=len(known) == len(group)))
     folder = new_folder(out)
     write_text(folder / "psf.json", json.dumps(entries, indent=2, allow_nan=False) + "\n")
-    for number, report, pointing, entry in zip(groups, reports, pointings, entries, strict=True):
+    for number, report, entry in zip(groups, reports, entries, strict=True):
         name = "psf" if len(groups) == 1 else f"psf_{number}"
         with writing(folder / f"{name}.npz"):
-            np.savez(folder / f"{name}.npz", allow_pickle=False, **_arrays(report, pointing))
+            np.savez(folder / f"{name}.npz", allow_pickle=False, **_arrays(report))
         reasons = list(entry["undetermined"].values())
         with writing(folder / f"{name}.png"):
-            draw_psf(report, pointing, _title(groups[number]), reasons, folder / f"{name}.png")
+            draw_psf(report, _title(groups[number]), reasons, folder / f"{name}.png")
     return entries
 
 
@@ -87,17 +99,6 @@ def determined(entries: list[Entry]) -> bool:
 def psf_table(entries: list[Entry]) -> str:
     """Format the entries of psf.json as a table; a dash stands for a quantity that could not be estimated."""
     return "\n\n".join("\n".join(_lines(entry)) for entry in entries)
-
-
-def _measured(group: list[Image], chip: tuple[int, int] | None) -> PsfReport:
-    try:
-        return report_on([_upright(image) for image in group], chip)
-    except UserError as error:
-        raise UserError(f"{_title(group)}: {error}") from error
-
-
-def _pointing(group: list[Image], report: PsfReport) -> list[ImagePointing]:
-    return pointing_of_images(report, [_upright(image) for image in group])
 
 
 def _upright(image: Image) -> Complex:
@@ -130,7 +131,7 @@ def _spacing(group: list[Image]) -> tuple[float, float]:
     return float(down), float(across)
 
 
-def _entry(number: int | None, group: list[Image], report: PsfReport, pointing: list[ImagePointing]) -> Entry:
+def _entry(number: int | None, group: list[Image], report: PsfReport, *, noise_known: bool) -> Entry:
     """The entry of psf.json."""
     spacing = _spacing(group)
     spread, transfer = report.spread, report.transfer
@@ -163,8 +164,8 @@ def _entry(number: int | None, group: list[Image], report: PsfReport, pointing: 
         }
         if transfer
         else None,
-        "speckle": _speckle_entry(report),
-        "pointing": _pointing_entries(pointing),
+        "speckle": _speckle_entry(report, None if noise_known else NOISE_UNKNOWN),
+        "pointing": _pointing_entries(report.pointing),
         "superposition": _linearity_entry(report),
         "undetermined": {**report.undetermined, **_missing_figures(figures, report), **_missing_metres(spacing)},
     }
@@ -208,7 +209,7 @@ def _verdicts(report: PsfReport) -> dict[str, int]:
     return counts
 
 
-def _speckle_entry(report: PsfReport) -> Entry | None:
+def _speckle_entry(report: PsfReport, remark: str | None) -> Entry | None:
     tiles, spectra = report.tiles, report.spectra
     if not tiles or not spectra:
         return None
@@ -218,10 +219,11 @@ def _speckle_entry(report: PsfReport) -> Entry | None:
         "verdicts": {reason: count for reason, count in tiles.counts().items() if count},
         "noise_floor": spectra.noise_floor,
         "nyquist_spur": spectra.range.spur,
+        "remark": remark,
     }
 
 
-def _pointing_entries(pointing: list[ImagePointing]) -> list[Entry] | None:
+def _pointing_entries(pointing: tuple[Pointing, ...]) -> list[Entry] | None:
     entries = [
         {"image": index, "azimuth_px": col, "displacement_cycles_per_px": displacement, "sigma": sigma}
         for index, one in enumerate(pointing)
@@ -269,7 +271,7 @@ def _missing_metres(spacing: tuple[float, float]) -> dict[str, str]:
     return {"metres": "Widths in metres need the pixel spacing, which an array file does not hold; measure a bag."}
 
 
-def _arrays(report: PsfReport, pointing: list[ImagePointing]) -> dict[str, npt.NDArray[Any]]:
+def _arrays(report: PsfReport) -> dict[str, npt.NDArray[Any]]:
     """The arrays of psf.npz: those that could be estimated."""
     rows, cols = report.chip
     arrays: dict[str, npt.NDArray[Any]] = {
@@ -290,6 +292,7 @@ def _arrays(report: PsfReport, pointing: list[ImagePointing]) -> dict[str, npt.N
     if report.spectra:
         for name, axis, count in (("R", report.spectra.range, rows), ("A", report.spectra.azimuth, cols)):
             arrays[f"speckle_{name}2"], arrays[f"speckle_{name}2_sigma"] = axis.unfolded(count)
+    pointing = report.pointing
     if any(len(one.cols) for one in pointing):
         arrays["pointing_image"] = np.repeat(np.arange(len(pointing)), [len(one.cols) for one in pointing])
         arrays["pointing_azimuth_px"] = np.concatenate([one.cols for one in pointing])
@@ -328,6 +331,7 @@ def _speckle_lines(entry: Entry) -> list[str]:
             f"tiles of speckle: {counted}; noise floor {one['noise_floor']:.3g}, spur {one['nyquist_spur']:.2g} of "
             "the mean power"
         )
+        lines += [one["remark"]] if one["remark"] else []
     if entry["pointing"]:
         places = [one["displacement_cycles_per_px"] for one in entry["pointing"]]
         sigma = float(np.median([one["sigma"] for one in entry["pointing"]]))

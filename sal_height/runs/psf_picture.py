@@ -15,7 +15,7 @@ from sal_height.numeric import C128, F64, frequencies
 from sal_height.response import (
     FINENESS,
     AxisSpectrum,
-    ImagePointing,
+    Pointing,
     PointSpread,
     PointTarget,
     PsfReport,
@@ -38,14 +38,11 @@ COLUMNS_OF_TEXT = 190
 """Characters in a line of the words below."""
 
 
-def draw_psf(
-    report: PsfReport, pointing: Sequence[ImagePointing], title: str, reasons: Sequence[str], path: Path
-) -> None:
+def draw_psf(report: PsfReport, title: str, reasons: Sequence[str], path: Path) -> None:
     """Write a PNG: chips, responses of targets and of speckle, the point-spread function, pointing, and words.
 
     Args:
         report: what is drawn.
-        pointing: of each image.
         title: of the page.
         reasons: a sentence for each thing that is not determined.
         path: of the picture.
@@ -60,7 +57,7 @@ def draw_psf(
     _draw_speckle(range_speckle, "R", report)
     _draw_speckle(azimuth_speckle, "A", report)
     _draw_spread(spread, report.spread)
-    _draw_pointing(swing, pointing)
+    _draw_pointing(swing, report.pointing)
     _write_words(figure.add_subplot(grid[3, :]), report, reasons)
     figure.suptitle(title)
     figure.savefig(path, dpi=80)
@@ -176,7 +173,7 @@ def _draw_spread(axes: Axes, spread: PointSpread | None) -> None:
     axes.figure.colorbar(shown, ax=axes)
 
 
-def _draw_pointing(axes: Axes, pointing: Sequence[ImagePointing]) -> None:
+def _draw_pointing(axes: Axes, pointing: Sequence[Pointing]) -> None:
     axes.set_title("pointing of the antenna")
     if not any(len(one.cols) for one in pointing):
         _leave_blank(axes, "not determined")

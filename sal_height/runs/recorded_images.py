@@ -21,7 +21,7 @@ SENSOR_TYPE = "sal_height_msgs/msg/SensorInfo"
 def bag_images(path: Path) -> Iterator[Image]:
     """Every ComplexImage of a bag as an image to be measured, in recorded order."""
     for topic, message, pixels, grid in recorded_slc(path):
-        yield Image(pixels, path, AXES, topic, message.dwell, message.channel, grid)
+        yield Image(pixels, path, AXES, topic, message.dwell, message.channel, grid, message.noise_power or None)
 
 
 def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, Complex, Grid]]:

@@ -1,7 +1,7 @@
 """Places and heights on the spherical earth that touches the origin of the map.
 
-Map axes are ENU (x east, y north, z up) with the origin on a sphere of radius EARTH_RADIUS; heights are
-above that sphere.
+Map axes are ENU (x east, y north, z up) with the origin on a sphere of radius EARTH_RADIUS; heights are above that
+sphere.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from sal_height.numeric import F64
 
-EARTH_RADIUS = 6_371_008.8
-"""Mean earth radius (IUGG), m."""
+EARTH_RADIUS = 6_371_008.8  # m, mean earth radius (IUGG)
 
 
 def sphere_point(east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLike) -> F64:

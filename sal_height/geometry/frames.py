@@ -1,8 +1,7 @@
 """Body and map axes, the state of the platform in mid-aperture, and the directions of elevation and squint.
 
-Map axes are ENU (x east, y north, z up) with the origin on a sphere of radius EARTH_RADIUS; heights are above that
-sphere. Body axes are FLU (REP-103). Elevation is the angle from nadir (-z) towards the look side, squint the angle
-towards the direction of flight; all angles in rad.
+Map axes are those of `earth`; body axes are FLU (REP-103). Elevation is the angle from nadir (-z) towards the look
+side, squint the angle towards the direction of flight; all angles in rad.
 """
 
 from __future__ import annotations
@@ -50,14 +49,8 @@ class ApertureState:
 def look_direction(elevation: npt.ArrayLike, squint: npt.ArrayLike, look_side: int) -> F64:
     """Return the unit vector in body axes towards `elevation` and `squint` (rad), shape (..., 3)."""
     elevation, squint = np.broadcast_arrays(elevation, squint)
-    return np.stack(
-        [
-            np.sin(squint),
-            -look_side * np.cos(squint) * np.sin(elevation),
-            -np.cos(squint) * np.cos(elevation),
-        ],
-        axis=-1,
-    )
+    level = np.cos(squint)
+    return np.stack([np.sin(squint), -look_side * level * np.sin(elevation), -level * np.cos(elevation)], axis=-1)
 
 
 def angles_of(points: F64, aperture: ApertureState, look_side: int) -> tuple[F64, F64, F64]:

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.errors import UserError
 
-FARTHEST_ARM = 1000.0
-"""Greatest component of a lever arm, m: no platform is larger, and millimetres given as metres are noticed."""
+FARTHEST_ARM = 1000.0  # m: no platform is larger, and millimetres given as metres are noticed
 
 
 @dataclass(frozen=True)
@@ -52,5 +51,4 @@ class Mounting:
         return Rotation.from_quat(self.rotation)
 
 
-AT_BASE_LINK = Mounting()
-"""A sensor whose frame is base_link: no lever arm, no rotation."""
+AT_BASE_LINK = Mounting()  # the sensor frame is base_link: no lever arm, no rotation

@@ -34,10 +34,6 @@ class PlatformState:
     covariance: F64
 
 
-ROUNDING_S = 1e-9
-"""Tolerance on times in s: stamps are rounded to whole nanoseconds, pulse times are not."""
-
-
 class Trajectory:
     """Platform states over time: positions by cubic Hermite splines, attitudes by spherical linear interpolation.
 
@@ -60,26 +56,21 @@ class Trajectory:
         if len(states) < 2:
             raise UserError(f"The odometry has {len(states)} samples; 2 or more are needed to interpolate.")
         self.states = states
+        self.mounting = mounting
         self.epoch_ns = states[0].stamp_ns
-        seconds = np.array([(s.stamp_ns - self.epoch_ns) * 1e-9 for s in states])
-        if not np.all(np.diff(seconds) > 0):
+        self._seconds = np.array([(s.stamp_ns - self.epoch_ns) * 1e-9 for s in states])
+        if not np.all(np.diff(self._seconds) > 0):
             raise UserError(
                 "The odometry's times do not increase; every sample needs a later stamp than the one before."
             )
-        _check_velocity(states, seconds)
-        self._seconds = seconds
-        self._position: PPoly = CubicHermiteSpline(
-            seconds, np.array([s.position for s in states]), np.array([s.velocity for s in states])
-        )
+        _check_velocity(states, self._seconds)
+        positions, velocities = np.array([s.position for s in states]), np.array([s.velocity for s in states])
+        self._position: PPoly = CubicHermiteSpline(self._seconds, positions, velocities)
         attitude = Rotation.from_quat(np.array([s.orientation for s in states]))
-        self._covariance = [s.covariance for s in states]
-        self.mounting = mounting
         if not mounting.is_identity:
-            arms = attitude.apply(mounting.lever_arm)
-            self._turning = RotationSpline(seconds, attitude)
-            self._covariance = [_moved_covariance(*pair) for pair in zip(self._covariance, arms, strict=True)]
+            self._turning = RotationSpline(self._seconds, attitude)
             attitude *= mounting.axes
-        self._attitude = Slerp(seconds, attitude)
+        self._attitude = Slerp(self._seconds, attitude)
 
     def between(self, start_ns: int, end_ns: int) -> Trajectory:
         """The track from the last state at or before `start_ns` to the first at or after `end_ns`, if it has them."""
@@ -96,40 +87,13 @@ class Trajectory:
         """The track of a sensor on this platform."""
         return self if mounting == self.mounting else Trajectory(self.states, mounting)
 
-    def _offsets(self, stamp_ns: int, seconds_after: F64) -> F64:
-        """Return times relative to the epoch, s.
-
-        Raises:
-            UserError: a time lies outside the track.
-        """
-        t = (stamp_ns - self.epoch_ns) * 1e-9 + seconds_after
-        if t[0] < self._seconds[0] - ROUNDING_S or t[-1] > self._seconds[-1] + ROUNDING_S:
-            raise UserError(
-                f"The odometry covers {self._seconds[0]:.6f} to {self._seconds[-1]:.6f} s, the aperture "
-                f"{t[0]:.6f} to {t[-1]:.6f} s of the same clock; the odometry must cover the whole aperture."
-            )
-        return t
-
     def positions(self, stamp_ns: int, seconds_after: F64) -> F64:
         """Return the positions (m) at `stamp_ns` + `seconds_after` (s, increasing), shape (times, 3).
 
         Raises:
             UserError: a time lies outside the track.
         """
-        return self._antenna(self._offsets(stamp_ns, seconds_after))
-
-    def _antenna(self, t: float | F64) -> F64:
-        """Position of the antenna (m, map) at times in s after the epoch, shape (..., 3)."""
-        if self.mounting.is_identity:
-            return self._position(t)
-        return self._position(t) + self._turning(t).apply(self.mounting.lever_arm)
-
-    def _antenna_velocity(self, t: float) -> F64:
-        """Velocity of the antenna (m/s, map): that of base_link, and w x arm with the angular velocity w."""
-        if self.mounting.is_identity:
-            return self._position(t, 1)
-        swept = np.cross(self._turning(t, 1), self.mounting.lever_arm)  # both in the axes of base_link
-        return self._position(t, 1) + self._turning(t).apply(swept)
+        return self._antenna(self._offsets(stamp_ns, seconds_after))[0]
 
     def aperture(self, stamp_ns: int, pulse_times: F64) -> ApertureState:
         """Return the state in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
@@ -141,54 +105,66 @@ class Trajectory:
         """
         t = self._offsets(stamp_ns, pulse_times)
         middle = float(np.clip((t[0] + t[-1]) / 2, self._seconds[0], self._seconds[-1]))
-        velocity = np.asarray(self._antenna_velocity(middle))
+        position, velocity = self._antenna(middle)
         speed = float(np.linalg.norm(velocity))
         if not speed > 0:
             raise UserError("The odometry's velocity is 0 in the aperture; a synthetic aperture needs motion.")
-        nearest = int(np.argmin(np.abs(self._seconds - middle)))
+        nearest = self.states[int(np.argmin(np.abs(self._seconds - middle)))]
         return ApertureState(
-            position=np.asarray(self._antenna(middle)),
+            position=position,
             velocity=velocity,
             rotation=self._attitude(middle).as_matrix(),
             length=speed * float(t[-1] - t[0]) * len(t) / (len(t) - 1),
-            covariance=self._covariance[nearest],
+            covariance=_antenna_covariance(nearest, self.mounting),
         )
 
+    def _offsets(self, stamp_ns: int, seconds_after: F64) -> F64:
+        """Times in s after the epoch; refused if one lies outside the track."""
+        t = (stamp_ns - self.epoch_ns) * 1e-9 + seconds_after
+        rounding = 1e-9  # s: stamps are rounded to whole nanoseconds, pulse times are not
+        if t[0] < self._seconds[0] - rounding or t[-1] > self._seconds[-1] + rounding:
+            raise UserError(
+                f"The odometry covers {self._seconds[0]:.6f} to {self._seconds[-1]:.6f} s, the aperture "
+                f"{t[0]:.6f} to {t[-1]:.6f} s of the same clock; the odometry must cover the whole aperture."
+            )
+        return t
 
-def _moved_covariance(covariance: F64, arm: F64) -> F64:
-    """Covariance of the pose of the antenna from that of base_link, shape (6, 6).
+    def _antenna(self, t: float | F64) -> tuple[F64, F64]:
+        """Position (m) and velocity (m/s) of the antenna in map at times in s after the epoch, shape (..., 3)."""
+        position, velocity = np.asarray(self._position(t)), np.asarray(self._position(t, 1))
+        if self.mounting.is_identity:
+            return position, velocity
+        turning, arm = self._turning(t), self.mounting.lever_arm
+        swept = np.cross(self._turning(t, 1), arm)  # angular velocity x arm, both in the axes of base_link
+        return position + turning.apply(arm), velocity + turning.apply(swept)
+
+
+def _antenna_covariance(state: PlatformState, mounting: Mounting) -> F64:
+    """Covariance of position (m^2) and rotation (rad^2) of the antenna from that of base_link, shape (6, 6).
 
     An error of the attitude by the small rotation e moves the antenna by e x arm, so that the covariance C becomes
     J C J^T with J = [[I, -[arm]x], [0, I]].
-
-    Args:
-        covariance: of position (m^2) and rotation (rad^2) of base_link, shape (6, 6).
-        arm: from base_link to the antenna in map axes, m.
     """
+    if mounting.is_identity:
+        return state.covariance
+    arm = Rotation.from_quat(state.orientation).apply(mounting.lever_arm)
     jacobian = np.eye(6)
     jacobian[:3, 3:] = np.cross(np.eye(3), arm).T  # columns are e_k x arm
-    return jacobian @ covariance @ jacobian.T
-
-
-VELOCITY_TOLERANCE = 0.1
-"""Allowed difference between the stated velocity and that of the positions, as a share of the speed."""
+    return jacobian @ state.covariance @ jacobian.T
 
 
 def _check_velocity(states: list[PlatformState], seconds: F64) -> None:
-    """Check that velocities agree with positions: they do not if they are zero or given in other axes.
+    """Refuse velocities that contradict the positions: those that are zero or given in other axes.
 
-    The mean velocity of two successive samples must be their distance over their time difference, within
-    VELOCITY_TOLERANCE and three standard deviations of the positions.
-
-    Raises:
-        UserError: they differ by more.
+    The mean velocity of two successive samples must be their distance over their time difference, within 10 % of the
+    speed and three standard deviations of the positions.
     """
     positions, velocities = np.array([s.position for s in states]), np.array([s.velocity for s in states])
     sigma = np.sqrt([np.trace(s.covariance[:3, :3]) for s in states])
     steps = np.diff(seconds)
     made = np.diff(positions, axis=0) / steps[:, None]
     stated = (velocities[1:] + velocities[:-1]) / 2
-    allowed = VELOCITY_TOLERANCE * np.linalg.norm(made, axis=-1) + 3 * (sigma[1:] + sigma[:-1]) / steps
+    allowed = 0.1 * np.linalg.norm(made, axis=-1) + 3 * (sigma[1:] + sigma[:-1]) / steps
     difference = np.linalg.norm(made - stated, axis=-1)
     if np.any(difference > allowed):
         worst = int(np.argmax(difference - allowed))

@@ -2,8 +2,8 @@
 
 What a receiver does to the echoes, before its own noise, is a response over fast-time frequency; what the antenna does
 is where its beams point and how wide they are; what the processing of a real radar leaves is a phase over the aperture
-(PSF paper, sections 1 and 3). None of this is part of `sensor.Sensor`, which is the description. Only
-the saturation of receivers is described there: `full_scale`.
+(PSF paper, sections 1 and 3). None of this is part of `sensor.Sensor`, which is the description; only the saturation of
+receivers is described there: `full_scale`.
 
 Fast-time frequencies are offsets from the carrier in cycles per range cell (c / 2 B of the images): the band is that
 from -1/2 to 1/2. With waveform "chirp" or "deramped" the receiver's response is that of a filter before the mixer, so
@@ -25,14 +25,8 @@ from sal_height.numeric import C128, F64, Complex
 from sal_height.sensor import Sensor, echo_sensor, spectrum_sensor
 from sal_height.simulation.settings import Angle, Decibels, Float, Int, StrictKeys
 
-TAPER_NODES = 4097
-"""Nodes of the tabulated Taylor weights, which are interpolated linearly between them."""
-
 MOST_SWING_BEAMWIDTHS = 0.5
 """Greatest swing of the antenna: the beams' middle stays within the band that a dwell may have (`imaging.checks`)."""
-
-FORWARD = np.array([1.0, 0.0, 0.0])
-"""Direction of flight in body axes."""
 
 
 @dataclass(frozen=True)
@@ -77,9 +71,9 @@ class RangeTaper(StrictKeys):
         """Amplitude at frequencies in cycles per range cell."""
         from scipy.signal import windows  # noqa: PLC0415 (brings scipy.stats, 0.4 s of every node's start)
 
-        edges = np.linspace(-self.band_share / 2, self.band_share / 2, TAPER_NODES)
-        weights = windows.taylor(TAPER_NODES, nbar=5, sll=self.sidelobe_db, norm=True)
-        return np.interp(frequency, edges, weights, left=0.0, right=0.0)
+        nodes = np.linspace(-self.band_share / 2, self.band_share / 2, 4097)
+        weights = windows.taylor(len(nodes), nbar=5, sll=self.sidelobe_db, norm=True)
+        return np.interp(frequency, nodes, weights, left=0.0, right=0.0)
 
 
 @dataclass(frozen=True)
@@ -102,9 +96,6 @@ class AntennaSwing(StrictKeys):
         """Angle (rad) by which the beams point ahead at times (s) after the start of the first dwell."""
         turn = 2 * np.pi * np.asarray(seconds, dtype=np.float64) / self.period_s + self.phase_rad
         return self.amplitude_rad * np.sin(turn)
-
-
-STEADY = AntennaSwing(amplitude_rad=0.0, period_s=1.0)
 
 
 @dataclass(frozen=True)
@@ -136,7 +127,7 @@ class Impairments(StrictKeys):
     undescribed_phases_rad: tuple[Angle, ...] = ()
     nyquist_spur_over_noise: Annotated[Float, Ge(0), Le(1e6)] = 0.0
     beam_width_factor: Annotated[Float, Ge(0.5), Le(2)] = 1.0
-    antenna_swing: AntennaSwing = STEADY
+    antenna_swing: AntennaSwing = AntennaSwing(amplitude_rad=0.0, period_s=1.0)
     quartic_phase_rad: Annotated[Float, Ge(-100), Le(100)] = 0.0
 
     def receiver_response(self, sensor: Sensor) -> C128:
@@ -149,7 +140,9 @@ class Impairments(StrictKeys):
             complex128, shape (receivers, frequencies), frequencies ascending: with waveform "spectrum" the first is at
             -1/2 cycle per range cell of the image. 1 where there is no impairment.
         """
-        frequency = _cycles_per_cell(sensor)
+        echo = echo_sensor(sensor)
+        offsets = (np.arange(echo.sample_count) - (echo.sample_count - 1) / 2) * echo.frequency_step
+        frequency = np.asarray(offsets / spectrum_sensor(sensor).bandwidth)
         gains = 10 ** (np.array(self.undescribed_gains_db or (0.0,)) / 20)
         phases = np.array(self.undescribed_phases_rad or (0.0,))
         response = np.ones((sensor.detector_count, len(frequency)), dtype=np.complex128)
@@ -160,12 +153,6 @@ class Impairments(StrictKeys):
             response[list(self.range_sawtooth.receivers) or slice(None)] *= self.range_sawtooth.response(frequency)
         return response
 
-    def spur(self, sensor: Sensor) -> C128:
-        """Signal of each receiver in every pulse besides echoes and noise, shape (receivers, frequencies)."""
-        spur = np.zeros((sensor.detector_count, echo_sensor(sensor).sample_count), dtype=np.complex128)
-        spur[:, 0] = self.nyquist_spur_over_noise * np.sqrt(sensor.noise_power)
-        return spur
-
     def dwell_phase(self, pulses: int) -> F64:
         """Quartic phase (rad) of the pulses of a spotlight dwell, shape (pulses,)."""
         along = (np.arange(pulses) - (pulses - 1) / 2) / (pulses / 2)
@@ -173,13 +160,6 @@ class Impairments(StrictKeys):
 
 
 UNIMPAIRED = Impairments()
-
-
-def _cycles_per_cell(sensor: Sensor) -> F64:
-    """Offsets from the carrier of the frequencies of `echo_sensor(sensor)`, cycles per range cell of the images."""
-    echo = echo_sensor(sensor)
-    offsets = (np.arange(echo.sample_count) - (echo.sample_count - 1) / 2) * echo.frequency_step
-    return np.asarray(offsets / spectrum_sensor(sensor).bandwidth)
 
 
 def through_receivers(clean: Complex, sensor: Sensor, impairments: Impairments) -> Complex:
@@ -198,7 +178,8 @@ def through_receivers(clean: Complex, sensor: Sensor, impairments: Impairments) 
     """
     matrix = sensor.mixing if sensor.matrix_in_antenna else np.eye(sensor.detector_count)
     arriving = np.tensordot(matrix, clean, axes=1)
-    change = (impairments.receiver_response(sensor) - 1)[:, None] * arriving + impairments.spur(sensor)[:, None]
+    change = (impairments.receiver_response(sensor) - 1)[:, None] * arriving
+    change[..., 0] += (impairments.nyquist_spur_over_noise * np.sqrt(sensor.noise_power))[:, None]
     return clean + np.tensordot(np.linalg.inv(matrix), change, axes=1)
 
 
@@ -209,4 +190,4 @@ def pointing_rotation(pointing: F64, sensor: Sensor) -> F64:
     squint y - pointing.
     """
     boresight = look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
-    return Rotation.from_rotvec(pointing[..., None] * np.cross(boresight, FORWARD)).as_matrix()
+    return Rotation.from_rotvec(pointing[..., None] * np.cross(boresight, [1.0, 0.0, 0.0])).as_matrix()

@@ -11,8 +11,9 @@ from sal_height.geometry import ApertureState, Grid, pixels_at
 from sal_height.numeric import F64, Bool
 from sal_height.simulation.scene import VisibleSurface
 
-SINGLE_SPREAD = 0.1
-"""Standard deviation of elevation about its regression on range, in beamwidths, up to which a scatterer is single."""
+SINGLE_SPREAD = (
+    0.1  # beamwidths: standard deviation of elevation about its regression on range, up to which it is single
+)
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.errors import Rejected
-from sal_height.geometry import ApertureState, Grid, look_direction
-from sal_height.imaging.pixels import aim_point
+from sal_height.geometry import ApertureState, Grid
+from sal_height.imaging.pixels import aim_point, line_of_sight
 from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor, look_ahead_angle
 
-COHERENT = 0.5
-"""Least share of the products of neighbouring pulses that must agree for the dwell to have one Doppler centroid."""
-
-ROUNDING = 1e-6
-"""Share by which a limit may be exceeded, so that a value at the limit that a sentence states is accepted."""
+COHERENT = 0.5  # least share of the products of neighbouring pulses that agree where there is one Doppler centroid
+ROUNDING = 1e-6  # by which a limit may be exceeded, so that a value at the limit that a sentence states is accepted
 
 TIMING_TOLERANCE = 0.1
 """Greatest relative difference between the mean pulse interval and that of the stated pulse repetition frequency.
@@ -82,13 +79,8 @@ def check_frames(sensor: Sensor, aperture: ApertureState, reference_range: float
 
 
 def check_pulse_times(sensor: Sensor, pulse_times: F64) -> None:
-    """Make sure that pulses come at the stated pulse repetition frequency, in the mean, up to TIMING_TOLERANCE.
-
-    Raises:
-        Rejected: they do not.
-    """
-    found = (len(pulse_times) - 1) / float(pulse_times[-1] - pulse_times[0])
-    stated = sensor.pulse_repetition_frequency
+    """Reject pulses that do not come at the stated pulse repetition frequency, in the mean, up to TIMING_TOLERANCE."""
+    found, stated = _pulse_rate(pulse_times), sensor.pulse_repetition_frequency
     if abs(stated / found - 1) > TIMING_TOLERANCE:
         raise Rejected(
             "pulse times",
@@ -104,8 +96,7 @@ def describe_unverified_squint(sensor: Sensor, aperture: ApertureState) -> str:
     to multiples of wavelength PRF / (2 speed). Beams within half of that about abeam, or within what gusts do to the
     direction of flight (WIDEST_CRAB), are not doubted; farther ahead or behind, a wrong yaw may look the same.
     """
-    sight = aperture.rotation @ look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
-    squint = float(np.arcsin(np.clip(sight @ aperture.direction, -1.0, 1.0)))
+    squint = float(np.arcsin(np.clip(line_of_sight(sensor, aperture) @ aperture.direction, -1.0, 1.0)))
     speed = float(np.linalg.norm(aperture.velocity))
     limit = max(WIDEST_CRAB, sensor.wavelength * sensor.pulse_repetition_frequency / (4 * speed))
     if abs(squint) <= limit:
@@ -119,11 +110,6 @@ def describe_unverified_squint(sensor: Sensor, aperture: ApertureState) -> str:
 
 def check_pulses(sensor: Sensor, antenna: F64, aperture: ApertureState) -> None:
     """Make sure that the pulses are close enough for the beams, and reach far enough to resolve more than they do.
-
-    Args:
-        sensor: wavelength and antenna.
-        antenna: position at each pulse, m, shape (pulses, 3).
-        aperture: state of the platform.
 
     Raises:
         Rejected: they alias what the beams light (a step above half the antenna), or there are too few.
@@ -147,14 +133,9 @@ def check_pulses(sensor: Sensor, antenna: F64, aperture: ApertureState) -> None:
 
 
 def check_range_window(sensor: Sensor, reference_range: float) -> None:
-    """Make sure that the frequencies tell apart all ranges at which the beams meet level ground.
+    """Reject frequencies that do not tell apart all ranges at which the beams meet level ground.
 
-    Args:
-        sensor: with waveform "spectrum": beams and frequencies.
-        reference_range: slant range of the middle of the beams, m.
-
-    Raises:
-        Rejected: they do not; echoes from beyond the window would appear within it.
+    Echoes from beyond the range window would appear within it.
     """
     first, last = sensor.beams.span
     lit = reference_range * (last - first) * np.tan((first + last) / 2)
@@ -170,22 +151,16 @@ def check_range_window(sensor: Sensor, reference_range: float) -> None:
 def check_doppler_centroid(
     history: PhaseHistory, antenna: F64, sensor: Sensor, aperture: ApertureState, grid: Grid
 ) -> None:
-    """Make sure that a spotlight dwell's Doppler centroid lies in the band that image or beam make up.
+    """Reject a spotlight dwell whose Doppler centroid is outside the band that image or beam make up.
 
     What lies outside was not lit where attitude and boresights say.
-
-    Raises:
-        Rejected: the centroid is outside.
     """
     aim = aim_point(sensor, aperture, float(np.mean(history.reference_range)))
     delay = np.linalg.norm(aim - antenna, axis=-1) - history.reference_range
     slant_range = float(np.linalg.norm(aim - aperture.position))
     speed = float(np.linalg.norm(aperture.velocity))
     width = max(grid.cols * grid.col_spacing / slant_range, sensor.beams.track_beamwidth)
-    found, allowed = (
-        _centroid_offset(history, np.diff(delay), sensor, antenna, speed),
-        speed * width / sensor.wavelength,
-    )
+    found, allowed = _centroid_offset(history, np.diff(delay), sensor), speed * width / sensor.wavelength
     if abs(found) > allowed:
         raise Rejected(
             "Doppler centroid outside the band",
@@ -200,11 +175,10 @@ def describe_strip_centroid(history: PhaseHistory, antenna: F64, sensor: Sensor,
     Level ground has its centroid there. A single target that outshines its surroundings has it wherever in the beam it
     stands, so that such a block is not refused.
     """
-    sight = aperture.rotation @ look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
-    steps = -np.diff(antenna, axis=0) @ sight - np.diff(history.reference_range)
+    steps = -np.diff(antenna, axis=0) @ line_of_sight(sensor, aperture) - np.diff(history.reference_range)
     speed = float(np.linalg.norm(aperture.velocity))
     width = sensor.beams.track_beamwidth + 2 * look_ahead_angle(sensor.beams)
-    found, expected = _centroid_offset(history, steps, sensor, antenna, speed), speed * width / sensor.wavelength
+    found, expected = _centroid_offset(history, steps, sensor), speed * width / sensor.wavelength
     if abs(found) <= expected:
         return ""
     return (
@@ -214,7 +188,7 @@ def describe_strip_centroid(history: PhaseHistory, antenna: F64, sensor: Sensor,
     )
 
 
-def _centroid_offset(history: PhaseHistory, steps: F64, sensor: Sensor, antenna: F64, speed: float) -> float:
+def _centroid_offset(history: PhaseHistory, steps: F64, sensor: Sensor) -> float:
     """Doppler centroid (Hz) relative to a point whose delay changes by `steps` (m); 0 where the data have none.
 
     The centroid is the phase from pulse to pulse, after dechirping to that point, averaged over everything (Madsen,
@@ -224,5 +198,9 @@ def _centroid_offset(history: PhaseHistory, steps: F64, sensor: Sensor, antenna:
     correlation = complex(np.sum(products * np.exp(1j * sensor.centre_wavenumber * steps)))
     if abs(correlation) <= COHERENT * float(np.sum(np.abs(products))):
         return 0.0
-    rate = speed * (len(antenna) - 1) / float(np.linalg.norm(antenna[-1] - antenna[0]))
-    return float(np.angle(correlation)) / (2 * np.pi) * rate
+    return float(np.angle(correlation)) / (2 * np.pi) * _pulse_rate(history.pulse_times)
+
+
+def _pulse_rate(pulse_times: F64) -> float:
+    """Mean pulse repetition frequency, Hz."""
+    return (len(pulse_times) - 1) / float(pulse_times[-1] - pulse_times[0])

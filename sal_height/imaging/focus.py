@@ -17,23 +17,7 @@ from sal_height.imaging.checks import (
 )
 from sal_height.imaging.formers.choice import FORMERS, choose_former
 from sal_height.imaging.pixels import ground_plane_grid, slant_plane_grid, slant_plane_size, slc_noise_power
-from sal_height.imaging.strip import (
-    GREATEST_DRIFT,
-    GREATEST_TURN,
-    Strip,
-    abeam_time,
-    begin_strip,
-    complete_columns,
-    drift,
-    extend_strip,
-    follows,
-    is_later,
-    lay_anew,
-    lay_lattice,
-    next_image,
-    starts_anew,
-    turn,
-)
+from sal_height.imaging.strip import CLOCK_STEP, WIDEST_GAP, Strip, lay_lattice
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import C64, F64, WINDOWS, broadening
 from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
@@ -164,7 +148,6 @@ class StripFocuser:
         self.shortfall = ""
         self._doubt = ""
         self._strip: Strip | None = None
-        self._track: Trajectory | None = None
         self._settings = ImageSettings()
 
     def focus_block(
@@ -191,55 +174,63 @@ class StripFocuser:
                 "set; stripmap allows only slant and false."
             )
         processing = Processing(settings.range_window, settings.azimuth_window, processed_angle(sensor))
-        track = self._track_with_held_pulses(history, track, sensor)
-        antenna_track = track.mounted(sensor.mounting)
-        antenna = antenna_track.positions(history.stamp_ns, history.pulse_times)
-        aperture = antenna_track.aperture(history.stamp_ns, history.pulse_times)
+        # The strip that the block continues, and a track from the first pulse that it holds.
+        continued = self._continued(history, sensor, settings)
+        if continued:
+            first_ns, last_ns = continued.history.stamp_ns, history.stamp_of_last_pulse_ns
+            track = continued.track.followed_by(track).between(first_ns, last_ns)
+        # The block alone: where the antenna was, whether it can be focused, and which pixels suit it.
+        mounted = track.mounted(sensor.mounting)
+        antenna = mounted.positions(history.stamp_ns, history.pulse_times)
+        aperture = mounted.aperture(history.stamp_ns, history.pulse_times)
         reference = float(history.reference_range[len(antenna) // 2])
         check_dwell(history, antenna, sensor, aperture)
         self._doubt = describe_strip_centroid(history, antenna, sensor, aperture) or self._doubt
-        shape = settings.rows, settings.cols
-        lattice = lay_lattice(sensor, processing, aperture, antenna, reference, shape)
-        strip = self._strip if self._strip and not starts_anew(history, self._strip) else None
-        if strip and not is_later(history, strip):
-            raise Rejected(
-                "out of order", "A block of the strip is not later than the last one; blocks must come in order."
-            )
-        goes_on = strip and settings.describes_pixels_of(self._settings) and follows(history, strip, sensor)
-        continued = strip if goes_on else None
+        lattice = lay_lattice(sensor, processing, aperture, antenna, reference, (settings.rows, settings.cols))
+        # The strip with the block, on the pixels that it had as long as the flight stays with them.
         if continued:
-            strip = extend_strip(continued, history, antenna)
+            strip = continued.followed_by(history, antenna, track)
         else:
-            strip = begin_strip(history, antenna, lattice, processing)
-        drifted = abs(drift(strip)) > GREATEST_DRIFT * sensor.range_window
-        if drifted or abs(turn(strip, sensor, aperture)) > GREATEST_TURN * sensor.beams.track_beamwidth:
-            strip = lay_anew(strip, lattice, processing)
-        self._strip, self._track, self._settings = strip, track, settings
-        complete = complete_columns(strip, processing)
-        # Without a stated width the first image has the columns that there are, so that a single block has an image.
+            strip = Strip.begun(history, antenna, track, lattice, processing.angle)
+        if strip.has_left_lattice(sensor, aperture):
+            strip = strip.on(lattice)
+        self._strip, self._settings = strip, settings
+        # Columns that are complete. Without a stated width the first image has all that there are, so that a single
+        # block has an image.
+        complete = strip.complete_columns()
         cols = complete if not (continued or settings.cols) else complete // lattice.cols * lattice.cols
         self.shortfall = "" if cols or continued else _describe_shortfall(strip, lattice, complete)
         if not cols:
             return None
-        grid, self._strip = next_image(strip, cols, processing)
+        self._strip = strip.after(cols)
+        # Their image, and the state of the platform abeam of its middle.
+        grid = replace(strip.lattice, cols=cols)
         former = choose_former(settings.former, strip.antenna, sensor, processing, grid)
         images = former(strip.history, strip.antenna, sensor, processing, grid)
-        around = abeam_time(strip, grid) + np.array([-0.5, 0.5]) / sensor.pulse_repetition_frequency
-        abeam = antenna_track.aperture(strip.history.stamp_ns, around)
+        around = strip.abeam_time(grid) + np.array([-0.5, 0.5]) / sensor.pulse_repetition_frequency
+        abeam = mounted.aperture(strip.history.stamp_ns, around)
         length = aperture_length(sensor, reference)
-        pulses = round(length * len(antenna) / aperture.length)
-        noise_power = slc_noise_power(sensor, processing, pulses)
+        noise_power = slc_noise_power(sensor, processing, round(length * len(antenna) / aperture.length))
         shares = strip.history.shares.max(axis=1)
         abeam = replace(abeam, length=length, sliding=True)
         doubt, self._doubt = describe_unverified_squint(sensor, aperture) or self._doubt, ""
         return Slc(images, grid, abeam, noise_power, shares, settings.azimuth_window, doubt=doubt)
 
-    def _track_with_held_pulses(self, history: PhaseHistory, track: Trajectory, sensor: Sensor) -> Trajectory:
-        """The track of a block, from the first pulse that the strip holds on if the block continues the strip."""
-        if self._strip is None or self._track is None or not follows(history, self._strip, sensor):
-            return track
-        first_ns = self._strip.history.stamp_ns
-        return self._track.followed_by(track).between(first_ns, history.stamp_of_last_pulse_ns)
+    def _continued(self, history: PhaseHistory, sensor: Sensor, settings: ImageSettings) -> Strip | None:
+        """The strip, if the block is its next and of the same image.
+
+        Raises:
+            Rejected: the block is not later than the last one.
+        """
+        strip = self._strip
+        if strip is None or (pause := strip.pause_before(history)) < -CLOCK_STEP:
+            return None
+        if pause <= 0:
+            raise Rejected(
+                "out of order", "A block of the strip is not later than the last one; blocks must come in order."
+            )
+        follows = pause * sensor.pulse_repetition_frequency < WIDEST_GAP
+        return strip if follows and settings.describes_pixels_of(self._settings) else None
 
 
 def _describe_shortfall(strip: Strip, lattice: Grid, complete: int) -> str:

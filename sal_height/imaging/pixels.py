@@ -10,8 +10,7 @@ from sal_height.imaging.weighting import Processing
 from sal_height.numeric import F64, noise_gain
 from sal_height.sensor import Sensor
 
-MAX_PIXELS = 2**24
-"""Greatest number of pixels of an image: 128 MB per channel as complex64."""
+MAX_PIXELS = 2**24  # of an image: 128 MB per channel as complex64
 
 
 def azimuth_resolution(sensor: Sensor, aperture: ApertureState, slant_range: float) -> float:
@@ -22,10 +21,7 @@ def azimuth_resolution(sensor: Sensor, aperture: ApertureState, slant_range: flo
 def slc_noise_power(sensor: Sensor, processing: Processing, pulses: int) -> F64:
     """E|n|^2 of an SLC pixel of each channel, shape (channels,): the mean of its samples' noise, raised by the windows.
 
-    Args:
-        sensor: noise powers and frequencies.
-        processing: windows.
-        pulses: that a pixel is made of.
+    A pixel is made of `pulses` pulses and all frequencies.
     """
     gain = noise_gain(processing.range_weights(sensor.sample_count)) * noise_gain(processing.azimuth_weights(pulses))
     return gain / (pulses * sensor.sample_count) * np.diag(sensor.noise_covariance).real
@@ -39,16 +35,20 @@ def slant_plane_size(
     return max(1, int(sensor.sample_count / range_broadening)), max(1, int(cells + 1e-6))
 
 
+def line_of_sight(sensor: Sensor, aperture: ApertureState) -> F64:
+    """Unit vector (map) in the middle of all beams."""
+    return aperture.rotation @ look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
+
+
 def aim_point(sensor: Sensor, aperture: ApertureState, reference_range: float) -> F64:
     """Point (m, map) in the middle of all beams at the reference range: the middle of the image."""
-    middle = np.mean(sensor.beams.span)
-    return aperture.position + reference_range * (aperture.rotation @ look_direction(middle, 0.0, sensor.look_side))
+    return aperture.position + reference_range * line_of_sight(sensor, aperture)
 
 
 def slant_plane_grid(
     sensor: Sensor, aperture: ApertureState, reference_range: float, rows: int, cols: int, range_broadening: float
 ) -> Grid:
-    """Image in the plane of flight and line of sight, pixels at the resolution.
+    """Image in the plane of flight and line of sight around the aim point, pixels at the resolution.
 
     So spaced, looks are nearly independent: the powers of neighbouring range looks correlate by .11 (Taylor window).
 
@@ -79,19 +79,25 @@ def strip_grid(
 ) -> Grid:
     """Stripmap image abeam of an aperture: as `slant_plane_grid`, but with columns along the body's forward axis.
 
-    The antenna is fixed to the body and looks abeam of that axis, whichever way the wind drifts the platform.
-
-    Args:
-        sensor: beams.
-        aperture: state of the platform.
-        reference_range: slant range of the middle of the image, m.
-        shape: pixels in range and azimuth.
-        spacing: of rows and of columns, m.
-
-    Raises:
-        UserError: too many pixels.
+    The antenna is fixed to the body and looks abeam of that axis, whichever way the wind drifts the platform. The
+    spacing of rows and columns is in m.
     """
     return _slant_plane(sensor, aperture, reference_range, aperture.forward, spacing, shape)
+
+
+def ground_plane_grid(
+    sensor: Sensor, aperture: ApertureState, reference_range: float, rows: int, cols: int, spacing: float
+) -> Grid:
+    """Image in the horizontal plane through the aim point, square pixels of `spacing` m, rows pointing away.
+
+    Raises:
+        UserError: a line of sight straight down, or too many pixels.
+    """
+    centre = aim_point(sensor, aperture, reference_range)
+    away = _unit((centre - aperture.position) * np.array([1.0, 1.0, 0.0]), "horizontal line of sight")
+    along = np.cross([0.0, 0.0, 1.0], away)
+    along *= np.sign(along @ aperture.direction) or 1.0
+    return _centred_grid(centre, away, along, (spacing, spacing), (rows, cols))
 
 
 def _slant_plane(
@@ -108,22 +114,6 @@ def _slant_plane(
     return _centred_grid(centre, sight, side, spacing, shape)
 
 
-def ground_plane_grid(
-    sensor: Sensor, aperture: ApertureState, reference_range: float, rows: int, cols: int, spacing: float
-) -> Grid:
-    """Image in the horizontal plane through the aim point, square pixels of `spacing` m, rows pointing away.
-
-    Raises:
-        UserError: a line of sight straight down, or too many pixels.
-    """
-    centre = aim_point(sensor, aperture, reference_range)
-    away = (centre - aperture.position) * np.array([1.0, 1.0, 0.0])
-    row_direction = _unit(away, "horizontal line of sight")
-    along = np.cross([0.0, 0.0, 1.0], row_direction)
-    along *= np.sign(along @ aperture.direction) or 1.0
-    return _centred_grid(centre, row_direction, along, (spacing, spacing), (rows, cols))
-
-
 def _centred_grid(
     centre: F64, row_direction: F64, col_direction: F64, spacing: tuple[float, float], shape: tuple[int, int]
 ) -> Grid:
@@ -131,7 +121,7 @@ def _centred_grid(
         raise UserError(f"An image of {shape[0]} x {shape[1]} pixels was asked for; at most {MAX_PIXELS} are allowed.")
     half = (np.array(shape) - 1) / 2 * spacing
     origin = centre - half[0] * row_direction - half[1] * col_direction
-    return Grid(origin, row_direction, col_direction, spacing[0], spacing[1], shape[0], shape[1])
+    return Grid(origin, row_direction, col_direction, *spacing, *shape)
 
 
 def _unit(vector: F64, what: str) -> F64:

@@ -50,7 +50,7 @@ def calibrated(flight: SimulatedFlight, slcs: Iterator[Slc] | list[Slc]) -> Any:
 def test_what_receivers_have_in_common_is_told_by_a_target() -> None:
     """A sawtooth of 10 % in all receivers; one target among speckle leaves 2 %."""
     sawtooth = Impairments(range_sawtooth=RangeSawtooth(depth=0.1, teeth=8))
-    target = TargetSettings(east_m=0.0, north_m=0.3, height_m=0.5, power_db=45.0)
+    target = TargetSettings(east_m=0.0, north_m=0.3, height_m=0.5, power_db=46.0)
     flight = flown(1, impairments=sawtooth, targets=(target,))
     (slc,) = images(flight)
     calibration, undetermined = calibrated(flight, [slc])

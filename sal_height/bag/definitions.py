@@ -24,9 +24,10 @@ _FIELD = re.compile(r"\s*([^\s#]+)\s+(\w+)\s*(=?)")
 class Definition:
     """What a bag stores about a message type.
 
-    text: the .msg text, then the texts of all types it contains, each under a line of 80 ``=`` and ``MSG: name``.
-    type_hash: ROS 2 type hash (``RIHS01_…``); empty where it is not known (bags older than ROS 2 Iron).
-    encoding: language of text, ``ros2msg`` or ``ros2idl``.
+    Attributes:
+        text: the .msg text, then the texts of all types it contains, each under a line of 80 ``=`` and ``MSG: name``.
+        type_hash: ROS 2 type hash (``RIHS01_…``); empty where it is not known (bags older than ROS 2 Iron).
+        encoding: language of the text, ``ros2msg`` or ``ros2idl``.
     """
 
     text: str
@@ -34,20 +35,28 @@ class Definition:
     encoding: str = "ros2msg"
 
     def same_layout(self, other: Definition) -> bool:
-        """Whether messages of the two definitions are the same bytes: by hash, or else field by field."""
+        """Whether equal messages have the same bytes by both definitions: decided by hash, or else field by field."""
         if self.type_hash and other.type_hash:
             return self.type_hash == other.type_hash
         return self.encoding == other.encoding and _fields(self.text) == _fields(other.text)
 
 
 def installed_definition(type_name: str) -> Definition:
-    """Text and hash of an installed message type such as ``std_msgs/msg/Header``; UserError where there is none."""
+    """Text and hash of an installed message type such as ``std_msgs/msg/Header``.
+
+    Raises:
+        UserError: it is not installed.
+    """
     # The installation is part of the key: a test or an overlay may add packages while the process runs.
     return _read_definition(type_name, _share_folders())
 
 
 def message_class(type_name: str) -> type[Any]:
-    """Python class of an installed message type such as ``std_msgs/msg/Header``; UserError where there is none."""
+    """Python class of an installed message type such as ``std_msgs/msg/Header``.
+
+    Raises:
+        UserError: it is not installed.
+    """
     package, name = _split(type_name)
     try:
         found: type[Any] = getattr(importlib.import_module(f"{package}.msg"), name)
@@ -86,15 +95,15 @@ def _find(type_name: str, suffix: str, folders: tuple[Path, ...]) -> Path:
 def _split(type_name: str) -> tuple[str, str]:
     match = re.fullmatch(r"(\w+)/msg/(\w+)", type_name)
     if match is None:
-        raise UserError(f"'{type_name}' is not the name of a message type, which has the form package/msg/Type")
+        raise UserError(f"{type_name!r} is not the name of a message type, which has the form package/msg/Type.")
     return match[1], match[2]
 
 
 def _not_installed(type_name: str) -> UserError:
     package, _ = _split(type_name)
     return UserError(
-        f"message type '{type_name}' is not installed in this environment; install or source a package '{package}' "
-        f"that has it"
+        f"Message type {type_name} is not installed in this environment; install or source a package {package} that "
+        "has it."
     )
 
 

@@ -104,9 +104,7 @@ class BagReader:
         try:
             return deserialize_message(cdr, message_class(type_name))
         except RuntimeError as error:
-            raise UserError(
-                f"a message of type '{type_name}' in bag '{self.path}' cannot be decoded: {error}"
-            ) from error
+            raise UserError(f"A message of type {type_name} in bag {self.path} cannot be decoded: {error}.") from error
 
     def _upgraded(self, message: BagMessage) -> BagMessage:
         topic = self.topics[message.topic]
@@ -116,8 +114,8 @@ class BagReader:
             cdr = upgraded(message.type_name, topic.definition, message.cdr)
         except Exception as error:  # rosbags reports damage by whatever its deserializer stumbles over
             raise UserError(
-                f"a message on topic '{topic.name}' of bag '{self.path}', recorded with an older definition of "
-                f"'{message.type_name}', cannot be decoded: {error}"
+                f"A message on topic {topic.name} of bag {self.path}, recorded with an older definition of "
+                f"{message.type_name}, cannot be decoded: {error}."
             ) from error
         return message._replace(type_name=topic.type_name, cdr=cdr)
 
@@ -138,9 +136,9 @@ class BagReader:
         for topic in self.topics.values():
             if topic.type_name == type_name and not (topic.is_old or topic.definition.same_layout(installed)):
                 raise UserError(
-                    f"topic '{topic.name}' of bag '{self.path}' was recorded with another definition of '{type_name}' "
+                    f"Topic {topic.name} of bag {self.path} was recorded with another definition of {type_name} "
                     f"({topic.definition.type_hash or 'no hash'}) than the installed one ({installed.type_hash}); "
-                    f"install the version of package '{type_name.partition('/')[0]}' it was recorded with"
+                    f"install the version of package {type_name.partition('/')[0]} it was recorded with."
                 )
 
 

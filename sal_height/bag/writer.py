@@ -149,7 +149,7 @@ class BagWriter:
     def _breaking(self) -> Iterator[None]:
         """After an OSError the file ends in half a record: nothing may be appended to it."""
         if self._broken:
-            raise OSError(f"bag '{self.directory}' was cut by an earlier write error")
+            raise OSError(f"an earlier write error has cut bag {self.directory}")
         try:
             yield
         except OSError:

@@ -155,14 +155,14 @@ class Recorder(Role, Node):
                     self._subscribe(name, types)
                 except UserError as error:
                     self._refused.add(name)
-                    self.get_logger().warning(f"topic '{name}' is not recorded: {error}")
+                    self.get_logger().warning(f"Topic {name} is not recorded. {error}")
 
     def _subscribe(self, name: str, types: list[str]) -> None:
         offered = [publisher.qos_profile for publisher in self.get_publishers_info_by_topic(name)]
         if not offered:
             return
         if len(types) != 1:
-            raise UserError(f"it has the types {', '.join(types)}; a topic must have one")
+            raise UserError(f"It has the types {', '.join(types)}; a topic must have one.")
         message_type = message_class(types[0])
         with self._lock:
             if self._closed:

@@ -15,7 +15,7 @@ from sal_height.io import new_folder, or_null, writing
 from sal_height.nodes.psf_calibration import MOST_DWELLS
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import CALIBRATOR, NodeParameters, check_parameters
-from sal_height.runs.picture import draw_calibration
+from sal_height.runs.picture import beam_width, draw_calibration
 from sal_height.runs.replay import contents, recorded_parameters
 from sal_height.runs.reporting import PARAMETERS, conclude, merged, reporting
 
@@ -85,11 +85,8 @@ def calibration_table(calibration: Calibration) -> str:
             zip(*(summary[key] for key in keys), strict=True)
         )
     ]
-    width = f"{calibration.width_factor:.4f} +- {calibration.width_sigma:.4f}"
-    width = width if np.isfinite(calibration.width_sigma) else "not determined"
-    return "\n".join(
-        [heading, *lines, f"width of the beams over that described: {width}", f"calibration {calibration.id}"]
-    )
+    width = f"beam width over that described: {beam_width(calibration)}"
+    return "\n".join([heading, *lines, width, f"calibration {calibration.id}"])
 
 
 def _sigma(value: float | None, digits: int) -> str:

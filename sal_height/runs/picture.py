@@ -59,7 +59,7 @@ def draw_heights(mosaics: Mapping[str, Mosaic], scene: Scene, preset: Preset, pa
 
 
 def draw_calibration(calibration: Calibration, sensor: str, path: Path) -> None:
-    """Write a PNG: amplitude and phase of each channel's response over the band."""
+    """Write a PNG: amplitude and phase of the response of each channel, relative to the description of the sensor."""
     channels, frequencies = calibration.response.shape
     place = (np.arange(frequencies) - (frequencies - 1) / 2) / frequencies
     figure = Figure(figsize=(9.6, 6.4), layout="constrained")
@@ -68,26 +68,34 @@ def draw_calibration(calibration: Calibration, sensor: str, path: Path) -> None:
         shade = mpl.colormaps["viridis"](channel / max(1, channels - 1))
         amplitude.plot(place, 20 * np.log10(np.maximum(np.abs(response), 1e-3)), color=shade, label=str(channel))
         phase.plot(place, np.degrees(np.angle(response)), color=shade)
-    amplitude.set(ylabel="amplitude over that described (dB)")
-    phase.set(ylabel="phase over that described (deg)", xlabel="fast-time frequency (bandwidths from the carrier)")
+    amplitude.set(ylabel="amplitude relative to the description (dB)")
+    phase.set(
+        ylabel="phase relative to the description (deg)", xlabel="fast-time frequency (bandwidths from the carrier)"
+    )
     amplitude.legend(title="channel", fontsize="x-small", ncols=8)
     for axes in (amplitude, phase):
         axes.grid(alpha=0.3)
-    width = f"beams {calibration.width_factor:.4f} ± {calibration.width_sigma:.4f} as wide as described"
-    width = width if calibration.width_sigma else "width of the beams not determined"
-    figure.suptitle(f"{sensor}: receivers, from {calibration.dwells} dwells; {width}")
+    width = beam_width(calibration)
+    figure.suptitle(f"{sensor}: receivers, from {calibration.dwells} dwells; beam width over that described: {width}")
     figure.savefig(path, dpi=110)
 
 
+def beam_width(calibration: Calibration) -> str:
+    """Width of the beams relative to the description, with its standard error, as text."""
+    if not np.isfinite(calibration.width_sigma):
+        return "not determined"
+    return f"{calibration.width_factor:.4f} +- {calibration.width_sigma:.4f}"
+
+
 def draw_image(image: C64, grid: Grid, title: str, path: Path) -> None:
-    """Write a PNG of the power of a focused image, 60 dB down from its peak, in the image plane's coordinates."""
+    """Write a PNG of the power of a focused image, down to 60 dB below its peak, in coordinates of the image plane."""
     power = np.abs(image) ** 2
     level = decibels(power / np.nanmax(power))
     figure = Figure(figsize=(8.5, 7.5), layout="constrained")
     axis = figure.subplots()
     high, wide = grid.rows * grid.row_spacing / 2, grid.cols * grid.col_spacing / 2
     shown = axis.imshow(level, extent=(-wide, wide, high, -high), vmin=-60, vmax=0, cmap="gray")
-    axis.set(title=title, xlabel="along the flight (m)", ylabel="away from the sensor (m)")
+    axis.set(title=title, xlabel="along-track (m)", ylabel="range (m)")
     figure.colorbar(shown, label="power (dB below the peak)")
     figure.savefig(path, dpi=110)
 
@@ -95,7 +103,7 @@ def draw_image(image: C64, grid: Grid, title: str, path: Path) -> None:
 def _show(axis: Axes, result: Mosaic, values: F64, limits: tuple[float, float], colours: str) -> AxesImage:
     """Draw one layer of a mosaic in ground coordinates."""
     unit, factor = ("km", 1e-3) if np.ptp(result.east) > 3000 else ("m", 1.0)
-    axis.set(xlabel=f"east, along the flight ({unit})", ylabel=f"north ({unit})", facecolor="0.85")
+    axis.set(xlabel=f"east, along-track ({unit})", ylabel=f"north ({unit})", facecolor="0.85")
     (west, east), (south, north) = _edges(result.east * factor), _edges(result.north * factor)
     return axis.imshow(
         values,
@@ -109,18 +117,18 @@ def _show(axis: Axes, result: Mosaic, values: F64, limits: tuple[float, float], 
 
 
 def _edges(centres: F64) -> tuple[float, float]:
-    """Outer edges of evenly spaced cells."""
+    """Outer edges of a row of evenly spaced cells."""
     half = (centres[-1] - centres[0]) / max(1, len(centres) - 1) / 2
     return float(centres[0] - half), float(centres[-1] + half)
 
 
 def _s68(error: F64) -> float:
-    """Half the width from 16 to 84 %."""
+    """Half the width from 16 to 84 %; 1 if there is no error at all, so that a colour scale exists."""
     return float(np.diff(np.nanpercentile(error, [16, 84]))[0] / 2) if np.any(np.isfinite(error)) else 1.0
 
 
 def _draw_geometry(axis: Axes, preset: Preset) -> None:
-    """The vertical cut across the flight: platform, line of sight, fan of beams."""
+    """Draw the vertical section across the flight: platform, line of sight and fan of beams."""
     flight, sensor = preset.flight, preset.sensor
     side = {"right": -1, "left": 1}[sensor.look_side]
     across, up = np.sin(flight.look_angle_rad), np.cos(flight.look_angle_rad)
@@ -137,7 +145,8 @@ def _draw_geometry(axis: Axes, preset: Preset) -> None:
     axis.annotate(
         f"slant range {flight.slant_range_m / 1e3:g} km\n"
         f"look angle {np.degrees(flight.look_angle_rad):.0f}° from nadir\n"
-        f"{sensor.detectors} beams span {span * 1e3:.3g} mrad\n= {span * flight.slant_range_m:.4g} m across the sight",
+        f"{sensor.detectors} beams span {span * 1e3:.3g} mrad\n"
+        f"= {span * flight.slant_range_m:.4g} m across the line of sight",
         (side * across / 2, up / 2),
         (0.08 if side < 0 else -0.08, up * 0.45),
         ha="left" if side < 0 else "right",

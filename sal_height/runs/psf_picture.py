@@ -1,4 +1,4 @@
-"""The picture of `sal-height psf`: the panels of the PSF paper on one page, and words for what is not determined."""
+"""The picture of `sal-height psf`: the panels of the PSF paper, and the reasons for what is not determined."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ mpl.use("Agg")
 
 
 CHIPS_SHOWN = 4
-"""Chips of targets in the picture, as many as the paper has."""
+"""Number of targets whose chips are drawn, as in the paper."""
 
 PHASE_KNOWN = 3.0
-"""Standard errors of a response from which on its phase is drawn."""
+"""The phase of a response is drawn where its modulus exceeds so many standard errors."""
 
 FAINTEST_DB = -50
-"""Of the point-spread function, as it is drawn."""
+"""Lowest level of chips and point-spread functions in the picture, dB of the peak."""
 
-COLUMNS_OF_TEXT = 190
-"""Characters in a line of the words below."""
+TEXT_WIDTH = 190
+"""Characters in a line of the text below the panels."""
 
 
 def draw_psf(report: PsfReport, title: str, reasons: Sequence[str], path: Path) -> None:
-    """Write a PNG: chips, responses of targets and of speckle, the point-spread function, pointing, and words.
+    """Write a PNG: chips, responses of targets and of speckle, point-spread function, pointing, and text.
 
     Args:
-        report: what is drawn.
-        title: of the page.
-        reasons: a sentence for each thing that is not determined.
-        path: of the picture.
+        report: what was measured.
+        title: title of the picture.
+        reasons: a sentence for each quantity that is not determined.
+        path: path of the picture.
     """
     figure = Figure(figsize=(17, 16), layout="constrained")
     grid = figure.add_gridspec(4, CHIPS_SHOWN, height_ratios=(1, 1, 1, 0.45))
@@ -53,18 +53,18 @@ def draw_psf(report: PsfReport, title: str, reasons: Sequence[str], path: Path) 
     for index, axes in enumerate(panels[0]):
         _draw_chip(axes, report.targets[index] if index < len(report.targets) else None, index)
     _draw_responses(panels[1], report)
-    range_speckle, azimuth_speckle, spread, swing = panels[2]
+    range_speckle, azimuth_speckle, spread_axes, pointing_axes = panels[2]
     _draw_speckle(range_speckle, "R", report)
     _draw_speckle(azimuth_speckle, "A", report)
-    _draw_spread(spread, report.spread)
-    _draw_pointing(swing, report.pointing)
-    _write_words(figure.add_subplot(grid[3, :]), report, reasons)
+    _draw_spread(spread_axes, report.spread)
+    _draw_pointing(pointing_axes, report.pointing)
+    _write_text(figure.add_subplot(grid[3, :]), report, reasons)
     figure.suptitle(title)
     figure.savefig(path, dpi=80)
 
 
 def _draw_chip(axes: Axes, target: PointTarget | None, index: int) -> None:
-    """Power around a target (figure 3)."""
+    """Draw the power around a target (figure 3)."""
     axes.set_title(f"target {index + 1}")
     if target is None:
         _leave_blank(axes, "no target" if index == 0 else "no more targets")
@@ -88,7 +88,7 @@ def _draw_chip(axes: Axes, target: PointTarget | None, index: int) -> None:
 
 
 def _draw_responses(panels: Sequence[Axes], report: PsfReport) -> None:
-    """Modulus and phase of R (figures 6 to 10) and of A (figures 11 to 15): of each target, and of all, with errors."""
+    """Draw modulus and phase of R (figures 6 to 10) and of A (figures 11 to 15), of each target and of all together."""
     transfer = report.transfer
     names = ("|R| of targets", "arg R of targets", "|A| of targets", "arg A of targets")
     for axes, name in zip(panels, names, strict=True):
@@ -106,7 +106,7 @@ def _draw_responses(panels: Sequence[Axes], report: PsfReport) -> None:
 
 
 def _draw_response(panels: Sequence[Axes], response: C128, sigma: F64, axis: str | None) -> None:
-    """A response, thin and without errors if it is of a single target (no axis)."""
+    """Draw a response: with its errors, or as a thin line if it is that of a single target (`axis` is None)."""
     modulus, phase = panels
     frequency, amplitude = frequencies(len(response)), np.abs(response)
     angle = np.where(amplitude > PHASE_KNOWN * sigma, np.angle(response), np.nan)
@@ -128,7 +128,7 @@ def _draw_response(panels: Sequence[Axes], response: C128, sigma: F64, axis: str
 
 
 def _draw_speckle(axes: Axes, name: str, report: PsfReport) -> None:
-    """Modulus that speckle shows (figure 24), with errors, beside that of targets; rms 1."""
+    """Draw the modulus from speckle (figure 24) with its errors, and that from targets, both with an rms of 1."""
     axes.set_title(f"|{name}| of speckle, and of targets")
     if report.spectra is None:
         _leave_blank(axes, "not determined")
@@ -150,7 +150,7 @@ def _draw_speckle(axes: Axes, name: str, report: PsfReport) -> None:
 
 
 def _draw_spread(axes: Axes, spread: PointSpread | None) -> None:
-    """The point-spread function (figure 26), its anomalous sidelobes marked."""
+    """Draw the point-spread function (figure 26) and mark its anomalous sidelobes."""
     axes.set_title("point-spread function (dB of the peak)")
     if spread is None:
         _leave_blank(axes, "not determined")
@@ -184,8 +184,8 @@ def _draw_pointing(axes: Axes, pointing: Sequence[Pointing]) -> None:
     axes.grid(alpha=0.3)
 
 
-def _write_words(axes: Axes, report: PsfReport, reasons: Sequence[str]) -> None:
-    """Superposition, and what is not determined."""
+def _write_text(axes: Axes, report: PsfReport, reasons: Sequence[str]) -> None:
+    """Write the result of the test of superposition, and the reasons for what is not determined."""
     axes.axis("off")
     lines = [f"Not determined: {reason}" for reason in reasons]
     if report.linearity:
@@ -195,7 +195,7 @@ def _write_words(axes: Axes, report: PsfReport, reasons: Sequence[str]) -> None:
             f"Superposition of targets and speckle: p = {found.p_value:.3g}, chi-square {found.chi_square:.1f} of "
             f"{found.freedom}, in chips of {report.linearity_rows} rows.",
         )
-    text = "\n".join(textwrap.fill(line, COLUMNS_OF_TEXT, subsequent_indent="    ") for line in lines)
+    text = "\n".join(textwrap.fill(line, TEXT_WIDTH, subsequent_indent="    ") for line in lines)
     axes.text(0.01, 0.98, text, va="top", ha="left", transform=axes.transAxes, fontsize=10)
 
 

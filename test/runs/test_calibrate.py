@@ -17,6 +17,7 @@ from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.runs.calibrate import CALIBRATION, calibrate
 from sal_height.runs.ensemble import HEIGHTS
+from sal_height.runs.picture import beam_width
 from sal_height.runs.replay import replay
 from sal_height.runs.report import statistics
 from sal_height.runs.simulate import read_mosaics, run
@@ -108,6 +109,7 @@ def test_what_tells_too_little_says_what_is_needed(recorded: Path, tmp_path: Pat
     for sentence in message.undetermined:
         assert_one_sentence(sentence)
     found = load_calibration(tmp_path / "out" / CALIBRATION)
+    assert beam_width(found) == "not determined"
     assert found.width_factor == 1.0
     assert np.isnan(found.width_sigma)
 

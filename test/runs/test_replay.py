@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import assert_one_sentence
+from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 
@@ -23,6 +24,8 @@ from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.player import Player
 from sal_height.runs.conductor import Execution
 from sal_height.runs.gotcha import import_gotcha
 from sal_height.runs.replay import recorded_parameters, replay
@@ -188,12 +191,7 @@ def test_a_replay_that_drops_everything_says_that_all_is_missing(
 
 def test_a_damaged_chunk_ends_the_replay_at_once_and_says_so(recorded: Path, tmp_path: Path) -> None:
     """What had been published of the dwell is counted, and no frame is published twice."""
-    bag = copy_of(recorded / "bag", tmp_path / "bag", BagReader(recorded / "bag").messages())
-    last = max(BagReader(bag).messages(["/phase_history"]), key=lambda message: message.log_time_ns)
-    (file,) = bag.glob("*.mcap")
-    content = bytearray(file.read_bytes())
-    content[content.index(last.cdr) + len(last.cdr) // 2] ^= 1
-    file.write_bytes(content)
+    bag = damaged_copy(recorded / "bag", tmp_path / "bag")
     began = time.monotonic()
     with pytest.raises(UserError, match=r"is damaged .*sal-height salvage"):
         replay(bag, tmp_path / "out", {})
@@ -203,6 +201,19 @@ def test_a_damaged_chunk_ends_the_replay_at_once_and_says_so(recorded: Path, tmp
     assert stages["player"]["dropped"] == {"cannot be processed": 1}
     frames = [message.cdr for message in BagReader(tmp_path / "out" / "bag").messages(["/phase_history"])]
     assert len(frames) == len(set(frames)) == 15
+
+
+def test_after_a_damaged_chunk_the_player_has_nothing_more_to_play(
+    recorded: Path, tmp_path: Path, graph: Graph
+) -> None:
+    bag = damaged_copy(recorded / "bag", tmp_path / "bag")
+    player = graph.add(Player(context=graph.context, parameter_overrides=[Parameter("bag", value=str(bag))]))
+    answers = []
+    for _ in range(4):
+        answers.append(player._step()[0])
+        assert graph.spin_until(lambda: not player.jobs, 20.0)
+    assert answers == [True, True, False, False]
+    assert player._outlets["/phase_history"].published == 15
 
 
 def test_a_failure_is_in_the_report(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -355,6 +366,17 @@ def copy_of(
         for message in messages:
             writer.write(message.topic, message.cdr, message.log_time_ns, message.log_time_ns)
             writer.flush()
+    return copy
+
+
+def damaged_copy(bag: Path, copy: Path) -> Path:
+    """A bag with one bit of its last frame turned."""
+    copy_of(bag, copy, BagReader(bag).messages())
+    last = max(BagReader(copy).messages(["/phase_history"]), key=lambda message: message.log_time_ns)
+    (file,) = copy.glob("*.mcap")
+    content = bytearray(file.read_bytes())
+    content[content.index(last.cdr) + len(last.cdr) // 2] ^= 1
+    file.write_bytes(content)
     return copy
 
 

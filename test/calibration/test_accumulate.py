@@ -48,16 +48,16 @@ def calibrated(flight: SimulatedFlight, slcs: Iterator[Slc] | list[Slc]) -> Any:
 
 
 def test_what_receivers_have_in_common_is_told_by_a_target() -> None:
-    """A sawtooth of 10 % in all receivers; one target among speckle leaves 2 %."""
+    """A sawtooth of 10 % in all receivers; one target among speckle leaves 0.25 of it, over eight seeds +- 0.03."""
     sawtooth = Impairments(range_sawtooth=RangeSawtooth(depth=0.1, teeth=8))
-    target = TargetSettings(east_m=0.0, north_m=0.3, height_m=0.5, power_db=46.0)
+    target = TargetSettings(east_m=0.0, north_m=0.3, height_m=0.5, power_db=50.0)
     flight = flown(1, impairments=sawtooth, targets=(target,))
     (slc,) = images(flight)
     calibration, undetermined = calibrated(flight, [slc])
     true = sawtooth.receiver_response(flight.sensor)[0]
     shape = calibration.response / calibration.response.mean(axis=1)[:, None]
     error = np.abs(shape.mean(axis=0) - true / true.mean())
-    assert np.sqrt(np.mean(error**2)) < 0.45 * np.std(true)
+    assert np.sqrt(np.mean(error**2)) < 0.35 * np.std(true)
     assert not any("common" in sentence for sentence in undetermined)
 
 

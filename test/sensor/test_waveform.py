@@ -286,14 +286,22 @@ def image() -> Callable[[str, str], np.ndarray]:
     return focus
 
 
-@pytest.mark.parametrize("window_name", ["rectangular", "taylor"])
-@pytest.mark.parametrize(("name", "alike", "louder"), [("deramped", 1e-8, 1e-5), ("chirp", 0.0125, 0.05)])
+@pytest.mark.parametrize(
+    ("name", "window_name", "alike", "louder"),
+    [
+        ("deramped", "rectangular", 1e-8, 1e-5),
+        ("deramped", "taylor", 1e-8, 1e-5),
+        ("chirp", "rectangular", 0.0125, 0.05),
+        ("chirp", "taylor", 0.0015, 0.05),
+    ],
+)
 def test_flight_with_raw_echoes_shows_the_same_image_over_its_noise(
     image: Callable[[str, str], np.ndarray], window_name: str, name: str, alike: float, louder: float
 ) -> None:
     """The band of a matched filter is the signal's own, so that it gains up to 5 % (0.2 dB) on white noise.
 
-    Without a window the edges of its band cost 1.0 to 1.2 % of the correlation, by the speckle.
+    Its edges are soft, which a window hides: over six seeds images differ by 0.0110 +- 0.0007, with Taylor weights by
+    0.0011 +- 0.0001.
     """
     expected, measured = image("spectrum", window_name), image(name, window_name)
     correlation = np.abs(np.vdot(measured, expected)) / np.linalg.norm(measured) / np.linalg.norm(expected)

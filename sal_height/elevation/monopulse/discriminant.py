@@ -23,23 +23,12 @@ Float64 holds mu to 4e-16, hence the elevation to 4e-11 beamwidths there. For Ga
 that is |mu| = 1 - 7.6e-6, 9.5 beamwidths from the middle.
 """
 
-LEAST_COHERENCE = 0.5
-"""Least |Sigma| / (|u| + |l|) in the domain. Real beams have 1 wherever |mu| <= 1."""
-
-LEAST_CLEARANCE = 1e-3
-"""Distance of the domain from a null of Sigma in beamwidths, estimated as |Sigma| over its slope."""
-
-LEAST_AMPLITUDE = 1e-250
-"""Least |u| + |l| in the domain: below it the ratio of Gaussian beams loses digits to underflow."""
-
-FARTHEST = 30.0
-"""Greatest distance from the crossing of the two beams at which an end of the domain is searched, beamwidths."""
-
-SEARCH_STEP = 0.1
-"""Step of that search in beamwidths; no pattern has details finer than about half a beamwidth."""
-
-ROUNDING = 1e-9
-"""Distance beyond an end of the domain at which a target still counts as at the end, beamwidths."""
+LEAST_COHERENCE = 0.5  # of |Sigma| / (|u| + |l|) in the domain; real beams have 1 wherever |mu| <= 1
+LEAST_CLEARANCE = 1e-3  # beamwidths from the domain to a null of Sigma, estimated as |Sigma| over its slope
+LEAST_AMPLITUDE = 1e-250  # of |u| + |l| in the domain: below, the ratio of Gaussian beams loses digits to underflow
+FARTHEST = 30.0  # beamwidths from the crossing of the two beams up to which an end of the domain is searched
+SEARCH_STEP = 0.1  # step of that search, beamwidths; patterns have no details finer than about half a beamwidth
+ROUNDING = 1e-9  # beamwidths beyond an end of the domain at which a target still counts as at the end
 
 
 def discriminant(pair: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:

@@ -277,11 +277,13 @@ def test_a_target_in_the_null_of_the_farther_beam_is_inside(pattern: str, turn: 
 
 
 def test_a_single_newton_step_is_not_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What holds the error below 1e-9 beamwidths are the steps, not the table alone."""
-    pair = turned_pair("gaussian", 0.0)
+    """What holds the error below 1e-9 beamwidths are the steps, not the tables of many squints alone."""
+    pair, squint = turned_pair("gaussian", 0.0), np.linspace(-0.1, 0.1, 400) * BEAMWIDTH
     elevation = np.linspace(*discriminant_domain(pair, 0.0), 400)
+    mu = discriminant(pair, elevation, squint)
+    np.testing.assert_allclose(offset_of(invert(pair, mu, squint).elevation), offset_of(elevation), rtol=0, atol=1e-9)
     monkeypatch.setattr(inversion, "MOST_STEPS", 1)
-    found = invert(pair, discriminant(pair, elevation, 0.0), 0.0).elevation
+    found = invert(pair, mu, squint).elevation
     assert 1e-9 < np.max(np.abs(offset_of(found) - offset_of(elevation))) < 1e-3
 
 

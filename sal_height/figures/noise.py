@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.elevation import DISCRIMINANTS
+from sal_height.elevation import DISCRIMINANTS, products
 from sal_height.figures.curve import Curve
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, std
 from sal_height.numeric import C128, F64, WORKERS
@@ -88,9 +88,7 @@ def _block(signal: Signal, cnr_sum: float, looks: int, seed: np.random.SeedSeque
 
 def _ratio(total: C128, difference: C128) -> F64:
     """Estimate as the node does from Sigma and Delta, shapes (trials, looks), in unit noise."""
-    sum_power, difference_power = (np.sum(np.abs(channel) ** 2, axis=-1) for channel in (total, difference))
-    cross_power = np.sum(difference * total.conj(), axis=-1)
-    return DISCRIMINANTS["ratio"](sum_power, difference_power, cross_power, float(total.shape[-1]))
+    return DISCRIMINANTS["ratio"](products(total, difference), 1.0)
 
 
 def _curve(quantity: str, case: str, colour: int, measured: list[Measured], closed_form: npt.ArrayLike) -> Curve:

@@ -17,7 +17,6 @@ from sal_height.elevation.looks import Looks
 from sal_height.errors import UserError
 from sal_height.numeric import C128, F64
 
-Estimator = Callable[[F64, F64, C128, float | F64], F64]
 NoisePowers = tuple[float, float]
 """E|n|^2 of one sample of Sigma and of Delta; the two noises are independent."""
 
@@ -78,7 +77,7 @@ def sum_and_difference(lower: F64, upper: F64, product: npt.NDArray[np.inexact[A
     return Products(both + coherent.real, both - coherent.real, upper - lower - 1j * coherent.imag, count)
 
 
-def ratio(sum_power: F64, _difference_power: F64, cross_power: C128, _noise_energy: float | F64) -> F64:
+def ratio(sums: Products, _noise_power: float) -> F64:
     """Estimate gamma by the power-weighted mean of Re(Delta / Sigma): Re sum Delta Sigma* / sum |Sigma|^2.
 
     SAL paper, section 3; the real part of the relief paper's eq. 17.
@@ -86,27 +85,31 @@ def ratio(sum_power: F64, _difference_power: F64, cross_power: C128, _noise_ener
     Biased towards the middle of the pair by the factor CNR / (CNR + 1) for a fluctuating target, however many looks
     (Kanter 1977).
     """
-    return np.real(cross_power) / sum_power
+    return np.real(sums.cross_power) / sums.sum_power
 
 
-def noise_subtraction(sum_power: F64, _difference_power: F64, cross_power: C128, noise_energy: float | F64) -> F64:
-    """Estimate gamma without the noise in the denominator: Re sum Delta Sigma* / (sum |Sigma|^2 - noise energy).
+def noise_subtraction(sums: Products, noise_power: float) -> F64:
+    """Estimate gamma without the noise in the denominator: Re sum Delta Sigma* / (sum |Sigma|^2 - K noise power).
 
     The bias of `ratio` vanishes as the number of looks grows. NaN where Sigma has no more power than noise.
     """
-    signal = sum_power - noise_energy
-    return np.where(signal > 0, np.real(cross_power) / np.where(signal > 0, signal, 1.0), np.nan)
+    signal = sums.sum_power - sums.count * noise_power
+    return np.where(signal > 0, np.real(sums.cross_power) / np.where(signal > 0, signal, 1.0), np.nan)
 
 
-def total_least_squares(sum_power: F64, difference_power: F64, cross_power: C128, _noise_energy: float | F64) -> F64:
+def total_least_squares(sums: Products, _noise_power: float) -> F64:
     """Estimate gamma by exact two-channel maximum likelihood, which accounts for the noise in Sigma.
 
     It is the ratio of the components of the principal eigenvector of the covariance of Sigma and Delta: its modulus is
     tan(1/2 atan2(2 |R_DS|, R_SS - R_DD)), its phase that of R_DS. The noise of Sigma and Delta must be equal; its value
     is not needed.
     """
-    modulus = np.tan(np.arctan2(2 * np.abs(cross_power), sum_power - difference_power) / 2)
-    return modulus * np.cos(np.angle(cross_power))
+    modulus = np.tan(np.arctan2(2 * np.abs(sums.cross_power), sums.sum_power - sums.difference_power) / 2)
+    return modulus * np.cos(np.angle(sums.cross_power))
+
+
+Estimator = Callable[[Products, float], F64]
+"""Function of the products of Sigma and Delta and of the noise power of Sigma that estimates gamma."""
 
 
 DISCRIMINANTS: dict[str, Estimator] = {
@@ -114,11 +117,7 @@ DISCRIMINANTS: dict[str, Estimator] = {
     "ratio": ratio,
     "noise_subtraction": noise_subtraction,
 }
-"""Estimators of gamma by name.
-
-Each takes the sums over looks of |Sigma|^2, |Delta|^2 and Delta Sigma*, and the mean energy K sigma^2 of the noise in
-Sigma.
-"""
+"""Estimators of gamma by name."""
 
 
 def discriminate(sums: Products, estimator: Estimator, noise_powers: NoisePowers) -> F64:
@@ -137,10 +136,7 @@ def discriminate(sums: Products, estimator: Estimator, noise_powers: NoisePowers
     """
     even, scale = whitened_products(sums, noise_powers)
     with np.errstate(divide="ignore", invalid="ignore"):
-        estimate = estimator(
-            even.sum_power, even.difference_power, even.cross_power.astype(np.complex128), sums.count * noise_powers[0]
-        )
-    return estimate / scale
+        return estimator(even, noise_powers[0]) / scale
 
 
 def whitened_products(sums: Products, noise_powers: NoisePowers) -> tuple[Products, float]:

@@ -28,8 +28,8 @@ from sal_height.simulation.preset import Preset
 from sal_height.simulation.receivers import received
 from sal_height.simulation.scene import SAMPLES_PER_CELL, PointTarget, Scene, VisibleSurface, joined, visible_surface
 from sal_height.simulation.scenes import load_scene
-from sal_height.simulation.spotlight import draw_amplitudes, scatterer_amplitudes, simulate_dwell
-from sal_height.simulation.stripmap import cell_power, simulate_block
+from sal_height.simulation.spotlight import cell_power, draw_amplitudes, simulate_dwell
+from sal_height.simulation.stripmap import mean_square_gain, simulate_block
 
 TURN_BEAMWIDTHS = 0.5  # ground beyond what the pulses of a stripmap block light up, in case the body turns a little
 GROUND, GUST = 0, 1  # keys of the random streams that do not belong to a dwell
@@ -182,9 +182,11 @@ class SimulatedFlight:
         edges = (tile - self.dwells / 2 + np.arange(2)) * self.preset.dwell_spacing_m
         ground = self._visible(self.aperture(tile), (float(edges[0]), float(edges[1])), strips_per_cell=1)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GROUND, abs(tile), int(tile < 0))))
-        flight = self.preset.flight
-        power = cell_power(self._cnr, self.spectrum, flight.slant_range_m, flight.speed_mps)
-        return ground, scatterer_amplitudes(ground, power, rng)
+        flight, sensor = self.preset.flight, self.spectrum
+        pulses = aperture_length(sensor, flight.slant_range_m) * sensor.pulse_repetition_frequency / flight.speed_mps
+        return ground, draw_amplitudes(
+            ground, cell_power(self._cnr, sensor, pulses, mean_square_gain(sensor.beams)), rng
+        )
 
     @property
     def _cnr(self) -> float:
@@ -229,7 +231,8 @@ class SimulatedFlight:
             quartic = impairments.quartic_phase_rad
             echoes = simulate_block(sensor, surface, amplitudes, antenna, rotation, reference, since, quartic)
         else:
-            amplitudes = draw_amplitudes(surface, self._cnr, self.spectrum, rng)
+            power = cell_power(self._cnr, self.spectrum, self.sensor.pulse_count)
+            amplitudes = draw_amplitudes(surface, power, rng)
             echoes = simulate_dwell(sensor, surface, amplitudes, antenna, reference, since, pointing)
             echoes = echoes * np.exp(1j * impairments.dwell_phase(len(times)))[:, None]
         clean = through_receivers(echoes, self.sensor, impairments)

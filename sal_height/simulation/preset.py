@@ -41,13 +41,7 @@ def _pattern_or_file(value: str) -> str:
 
 @dataclass(frozen=True)
 class HybridSettings(StrictKeys):
-    """A hybrid of two beams, the lower one first: Sigma = c (upper + lower) and Delta = c (upper - lower).
-
-    `coupling` is c: 1 / sqrt(2) without loss; 1 as if the whole signals of both beams could be added. `loss_db` comes
-    on top. In the antenna the hybrid stands before the receivers, and its loss lowers the signal against their noise.
-    Behind the receivers, noise passes it with the signal. `delta_gain_db` and `delta_phase_rad` are the gain and phase
-    of the Delta channel's receiver relative to Sigma's, for signal and noise alike.
-    """
+    """A hybrid of two beams, the lower one first: Sigma = c (upper + lower) and Delta = c (upper - lower)."""
 
     place: Literal["antenna", "receiver"]
     coupling: Annotated[Float, Gt(0), Le(1)] = 1 / np.sqrt(2)
@@ -58,11 +52,7 @@ class HybridSettings(StrictKeys):
 
 @dataclass(frozen=True)
 class MountingSettings(StrictKeys):
-    """Where the antenna is on the platform and how it is turned, in the axes of base_link (x forward, y left, z up).
-
-    `boresight_rad` are roll, pitch and yaw of the sensor's axes against those of base_link, turned in the order yaw,
-    pitch, roll.
-    """
+    """Where the antenna is on the platform and how it is turned, in the axes of base_link (x forward, y left, z up)."""
 
     frame_id: Annotated[str, MinLen(1)] = "sensor"
     lever_arm_m: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
@@ -71,22 +61,7 @@ class MountingSettings(StrictKeys):
 
 @dataclass(frozen=True)
 class SensorSettings(StrictKeys):
-    """The sensor as people describe it: an evenly spaced detector array around the look angle.
-
-    `aperture_m` is the diameter of the antenna along the detector axis, and across it too unless `azimuth_aperture_m`
-    is given. One beamwidth is the wavelength over the diameter in the same direction.
-
-    `pattern` is the name of an aperture, or the path of a .csv of measured beams: from the preset's folder or, if it is
-    not there, from the working directory. `detector_size_beamwidths` are widths along the detector axis and across it.
-
-    `detector_gains_db` and `detector_phases_rad` belong to the detectors' receivers, one each, and are described to
-    whoever processes the channels. The noise has the same gain, unless a hybrid in the antenna follows. Empty: 0.
-
-    `full_scale_over_noise_db` is the level at which receivers clip real and imaginary part, over the rms of the noise
-    in one of them. None: they never clip.
-
-    With waveform chirp or deramped, `sample_count` is that of the record: it holds the pulse and the range window.
-    """
+    """The sensor as people describe it: an evenly spaced detector array around the look angle."""
 
     look_side: Literal["left", "right"]
     wavelength_m: Annotated[Float, Ge(1e-9), Le(100)]
@@ -119,10 +94,7 @@ class SensorSettings(StrictKeys):
 
 @dataclass(frozen=True)
 class Flight(StrictKeys):
-    """A level track eastwards, with one dwell every `dwell_spacing_m`; in stripmap dwells follow without a gap.
-
-    It is straight except for the motion by gusts of `gust_mps` (rms, in each axis), see `gust`.
-    """
+    """A level track eastwards, straight but for gusts; in stripmap dwells follow each other without a gap."""
 
     slant_range_m: Annotated[Float, Ge(1), Le(1e7)]
     look_angle_rad: Annotated[Float, Gt(0), Lt(np.pi / 2)]
@@ -154,13 +126,7 @@ class TargetSettings(StrictKeys):
 
 @dataclass(frozen=True)
 class Preset(StrictKeys):
-    """What a run is made from. `cnr_db` is that of a detector looking straight at a cell of brightness 1 in the SLC.
-
-    In stripmap it looks straight at the cell in elevation; the loss of its beam over the aperture is compensated.
-    `scene_extent_m` spreads the scatterers in height about the scene's terrain (`Scene.extent`). `estimators` are the
-    names of the height estimators of a run; none: those that run by default and suit the sensor. `processing` holds
-    parameters of nodes by node and name; the option --param overrides them.
-    """
+    """What a run is made from."""
 
     name: Annotated[str, MinLen(1)]
     sensor: SensorSettings

@@ -13,19 +13,24 @@ from sal_height.sensor import NUFFT_TOLERANCE, Sensor
 from sal_height.simulation.scene import VisibleSurface
 
 
-def draw_amplitudes(surface: VisibleSurface, cnr: float, sensor: Sensor, rng: np.random.Generator) -> Complex:
-    """Complex amplitude of every scatterer: circular Gaussian (speckle), but constant for point targets.
+def cell_power(cnr: float, sensor: Sensor, pulses: float, gain: float = 1.0) -> float:
+    """Power of a resolution cell of brightness 1 so that it has the carrier-to-noise power ratio `cnr` in the image.
 
-    Scaled so that a resolution cell of brightness 1 in the focused image has the carrier-to-noise power ratio `cnr`
-    in a detector that looks straight at it (compression divides the noise power by the number of samples). That is of
-    a detector with a receiver right behind it: what a channel matrix takes or gives comes on top.
+    That is in the unweighted image of a detector that looks straight at the cell, with a receiver right behind it: what
+    a channel matrix takes or gives comes on top. Focusing divides the noise power by the number of samples.
+
+    Args:
+        cnr: power ratio.
+        sensor: frequencies and noise.
+        pulses: in the aperture.
+        gain: of the beam over the aperture, as a power, which is made good (`stripmap.mean_square_gain`).
     """
-    noise = float(np.mean(sensor.noise_power)) / (sensor.pulse_count * sensor.sample_count)
-    return scatterer_amplitudes(surface, cnr * noise, rng)
+    noise = float(np.mean(sensor.noise_power)) / (pulses * sensor.sample_count)
+    return cnr * noise / gain
 
 
-def scatterer_amplitudes(surface: VisibleSurface, cell_power: float, rng: np.random.Generator) -> Complex:
-    """Complex amplitude of every scatterer, where a resolution cell of brightness 1 has the power `cell_power`."""
+def draw_amplitudes(surface: VisibleSurface, cell_power: float, rng: np.random.Generator) -> Complex:
+    """Complex amplitude of every scatterer: circular Gaussian (speckle), but constant for point targets."""
     speckle = (rng.standard_normal(len(surface.power)) + 1j * rng.standard_normal(len(surface.power))) / np.sqrt(2)
     return np.sqrt(surface.power * cell_power) * np.where(surface.deterministic, 1.0, speckle)
 

@@ -23,7 +23,7 @@ from sal_height.numeric import (
     tap_weights,
     unit_phasors,
 )
-from sal_height.sensor import Sensor, aperture_length, lit_angle
+from sal_height.sensor import Sensor, lit_angle
 from sal_height.simulation._kernels import spread_echoes
 from sal_height.simulation.scene import VisibleSurface
 
@@ -39,23 +39,6 @@ def mean_square_gain(beams: Beams) -> float:
     along = math.sin(beams.rotation) * (beams.track_beamwidth / beams.beamwidth)
     beside = math.cos(beams.rotation) * (beams.track_beamwidth / beams.beamwidth_beside)
     return float(np.mean(np.abs(beams.patterns[0].amplitude(nodes * along, nodes * beside)) ** 2))
-
-
-def cell_power(cnr: float, sensor: Sensor, slant_range: float, speed: float) -> float:
-    """Power of a resolution cell of brightness 1 so that it has the carrier-to-noise ratio `cnr` in the image.
-
-    In the image of a detector that looks straight at its elevation, processed over one beamwidth without weights. The
-    pulses of the aperture, as many as are sent on its length, share the noise; the beam's gain over them is made good.
-
-    Args:
-        cnr: power ratio.
-        sensor: beams, noise and pulse repetition frequency.
-        slant_range: m.
-        speed: of the platform, m/s.
-    """
-    pulses = aperture_length(sensor, slant_range) * sensor.pulse_repetition_frequency / speed
-    noise = float(np.mean(sensor.noise_power)) / (pulses * sensor.sample_count)
-    return cnr * noise / mean_square_gain(sensor.beams)
 
 
 def simulate_block(

@@ -25,7 +25,7 @@ from sal_height.relief.heights import HeightField, height_field
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
-from sal_height.simulation.spotlight import draw_amplitudes, simulate_dwell
+from sal_height.simulation.spotlight import cell_power, draw_amplitudes, simulate_dwell
 
 TILTED = (0.11, -0.07, 0.23)
 
@@ -240,7 +240,8 @@ def chain() -> Chain:
         aperture, surface = flight.aperture(dwell), flight.surface(dwell)
         antenna = flight.position(flight.dwell_start_ns(dwell) * 1e-9 + flight.pulse_times)
         reference = np.full(sensor.pulse_count, preset.flight.slant_range_m)
-        samples = simulate_dwell(sensor, surface, draw_amplitudes(surface, CNR, sensor, rng), antenna, reference)
+        amplitudes = draw_amplitudes(surface, cell_power(CNR, sensor, len(antenna)), rng)
+        samples = simulate_dwell(sensor, surface, amplitudes, antenna, reference)
         history = PhaseHistory(0, flight.pulse_times, reference, samples.astype(np.complex64))
         grid = slant_plane_grid(sensor, aperture, 5000.0, preset.image.rows, preset.image.cols, broadening(weights))
         slc, coarse = backproject(history, antenna, sensor, Processing("taylor"), grid), look_grid(grid, *blocks(2, 2))

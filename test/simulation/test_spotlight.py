@@ -30,7 +30,7 @@ from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.receivers import receiver_noise
 from sal_height.simulation.scene import VisibleSurface, visible_surface
-from sal_height.simulation.spotlight import draw_amplitudes, simulate_dwell
+from sal_height.simulation.spotlight import cell_power, draw_amplitudes, simulate_dwell
 
 
 def scatterers(positions: np.ndarray, power: np.ndarray, deterministic: np.ndarray) -> VisibleSurface:
@@ -78,7 +78,7 @@ def test_speckle_fluctuates_and_point_targets_do_not() -> None:
     count = 20_000
     power = np.concatenate([np.full(count, 0.5), [9.0]])
     surface = scatterers(np.full((count + 1, 3), [0.0, -3000.0, 0.0]), power, np.arange(count + 1) == count)
-    amplitudes = draw_amplitudes(surface, 100.0, sensor, np.random.default_rng(7))
+    amplitudes = draw_amplitudes(surface, cell_power(100.0, sensor, 48), np.random.default_rng(7))
     unit = 100.0 * 2.0 / (48 * 64)  # CNR times the noise power of an unweighted image
     assert amplitudes[-1] == pytest.approx(np.sqrt(9 * unit), rel=1e-12)
     speckle = amplitudes[:-1] / np.sqrt(0.5 * unit)
@@ -126,7 +126,7 @@ def test_focused_level_ground_has_the_stated_cnr(name: str) -> None:
     rng = np.random.default_rng(8)
     powers = []
     for _ in range(dwells):
-        amplitudes = draw_amplitudes(surface, cnr, sensor, rng)
+        amplitudes = draw_amplitudes(surface, cell_power(cnr, sensor, sensor.pulse_count), rng)
         reference = np.full(sensor.pulse_count, 5000.0)
         samples = simulate_dwell(sensor, surface, amplitudes, straight_track(sensor), reference)
         powers.append(np.mean(np.abs(focused(sensor, samples, name)) ** 2))
@@ -257,9 +257,9 @@ def test_deep_ground_correlates_detectors_by_the_overlap_of_their_beams_over_its
     surface = visible_surface(scene, aperture, 1, cell, (-0.8, 0.8), (4999.4, 5000.6))
     grid = slant_plane_grid(sensor, aperture, 5000.0, rows, cols, 1.0)
     rng, reference = np.random.default_rng(17), np.full(sensor.pulse_count, 5000.0)
-    covariance, unit = np.zeros((5, 5), complex), sensor.pulse_count * sensor.sample_count
+    covariance = np.zeros((5, 5), complex)
     for _ in range(dwells):
-        amplitudes = draw_amplitudes(surface, unit, sensor, rng)  # a cell has the power 1
+        amplitudes = draw_amplitudes(surface, 1.0, rng)
         samples = simulate_dwell(sensor, surface, amplitudes, straight_track(sensor), reference)
         history = PhaseHistory(0, np.zeros(sensor.pulse_count), reference, samples.astype(np.complex64))
         slc = backproject(history, straight_track(sensor), sensor, Processing("rectangular"), grid).reshape(5, -1)

@@ -30,8 +30,8 @@ from sal_height.sensor.stripmap import aperture_length, processed_angle
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import VisibleSurface
-from sal_height.simulation.spotlight import scatterer_amplitudes
-from sal_height.simulation.stripmap import cell_power, mean_square_gain, simulate_block
+from sal_height.simulation.spotlight import cell_power, draw_amplitudes
+from sal_height.simulation.stripmap import mean_square_gain, simulate_block
 
 REACH, SPEED, PRF = 5000.0, 50.0, 20e3
 FORWARD = np.array([1.0, 0.0, 0.0])
@@ -138,7 +138,7 @@ def test_focused_level_ground_has_the_stated_cnr() -> None:
     expected = cnr * noise_power / (310 * 16)  # 0.775 m at 2.5 mm, 16 frequencies
     powers = []
     for _ in range(trials):
-        amplitudes = scatterer_amplitudes(surface, cell_power(cnr, sensor, REACH, SPEED), rng)
+        amplitudes = draw_amplitudes(surface, cell_power(cnr, sensor, 310, mean_square_gain(sensor.beams)), rng)
         image = focused(sensor, history_of(sensor, surface, amplitudes, antenna), antenna, pixels)
         powers.append(np.nanmean(np.abs(image) ** 2))
     # The beam's weights make neighbours a little dependent: 1.05 times as many cells as in an even aperture.

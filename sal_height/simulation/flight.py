@@ -37,7 +37,7 @@ GROUND, GUST = 0, 1  # keys of the random streams that do not belong to a dwell
 
 @dataclass(frozen=True)
 class SimulatedFlight:
-    """Everything a simulated run is made of; each dwell follows from it and a seed alone.
+    """Everything a simulated run is made of; each dwell follows from it alone.
 
     Positions, velocities and attitudes are those of the sensor: of the antenna, and of the axes of its stabilised
     mount. Odometry is that of base_link, from which the antenna is a lever arm away (`Sensor.mounting`). In spotlight
@@ -150,9 +150,9 @@ class SimulatedFlight:
     def surface(self, dwell: int) -> VisibleSurface:
         """Return what the dwell illuminates, in the range window; positions are those in the middle of the dwell.
 
-        In spotlight that is `lit_angle` along the flight to each side of the beams, however they swing. In
-        stripmap it is the ground abeam of the block, and `lit_angle` and TURN_BEAMWIDTHS before and behind it, each
-        scatterer as it is seen from abeam.
+        In spotlight that is the `lit_angle` along the flight to each side of the beams, however they swing. In stripmap
+        it is the ground abeam of the block, and `lit_angle` and TURN_BEAMWIDTHS before and behind it, each scatterer as
+        it is seen from abeam.
 
         Raises:
             UserError: there is no terrain.
@@ -161,21 +161,24 @@ class SimulatedFlight:
             start_ns = self.dwell_start_ns(dwell)
             seconds = {tile: (start_ns - self.dwell_start_ns(tile)) * 1e-9 for tile in self._tiles(dwell)}
             return joined([self._ground(tile)[0].after(since) for tile, since in seconds.items()])
-        aperture, swing = self.aperture(dwell), self.preset.impairments.antenna_swing.amplitude_rad
-        half_width = (lit_angle(self.built.beams) + swing) * self.preset.flight.slant_range_m
-        return self._visible(aperture, (aperture.position[0] - half_width, aperture.position[0] + half_width))
+        aperture, reach = self.aperture(dwell), self._swept_angle * self.preset.flight.slant_range_m
+        return self._visible(aperture, (aperture.position[0] - reach, aperture.position[0] + reach))
+
+    @property
+    def _swept_angle(self) -> float:
+        """Angle along the flight, to each side, that main lobes light up in any position of their swing, rad."""
+        return lit_angle(self.built.beams) + self.preset.impairments.antenna_swing.amplitude_rad
 
     def _tiles(self, dwell: int) -> range:
         """The tiles of ground that a stripmap block lights up; tile n is what lies abeam of block n without gusts."""
-        swing = self.preset.impairments.antenna_swing.amplitude_rad
-        angle = lit_angle(self.built.beams) + swing + TURN_BEAMWIDTHS * self.sensor.beams.track_beamwidth
+        angle = self._swept_angle + TURN_BEAMWIDTHS * self.sensor.beams.track_beamwidth
         neighbours = math.ceil(angle * self.preset.flight.slant_range_m / self.preset.dwell_spacing_m)
         abeam = math.floor(self.aperture(dwell).position[0] / self.preset.dwell_spacing_m + self.dwells / 2)
         return range(abeam - neighbours, abeam + neighbours + 1)
 
     @cached_property
     def _ground(self) -> Callable[[int], tuple[VisibleSurface, Complex]]:
-        """The tile of that number and its scatterers' amplitudes, the same for all blocks; a block's are held."""
+        """Surface and amplitudes of a tile by its number, the same for all blocks; those of one block are kept."""
         return lru_cache(len(self._tiles(0)))(self._make_ground)
 
     def _make_ground(self, tile: int) -> tuple[VisibleSurface, Complex]:
@@ -184,9 +187,8 @@ class SimulatedFlight:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GROUND, abs(tile), int(tile < 0))))
         flight, sensor = self.preset.flight, self.spectrum
         pulses = aperture_length(sensor, flight.slant_range_m) * sensor.pulse_repetition_frequency / flight.speed_mps
-        return ground, draw_amplitudes(
-            ground, cell_power(self._cnr, sensor, pulses, mean_square_gain(sensor.beams)), rng
-        )
+        power = cell_power(self._cnr, sensor, pulses, mean_square_gain(sensor.beams))
+        return ground, draw_amplitudes(ground, power, rng)
 
     @property
     def _cnr(self) -> float:
@@ -218,10 +220,8 @@ class SimulatedFlight:
             UserError: there is no terrain.
         """
         rng, impairments = np.random.default_rng([self.seed, dwell]), self.preset.impairments
-        start_ns, reference = (
-            self.dwell_start_ns(dwell),
-            np.full(self.sensor.pulse_count, self.preset.flight.slant_range_m),
-        )
+        start_ns = self.dwell_start_ns(dwell)
+        reference = np.full(self.sensor.pulse_count, self.preset.flight.slant_range_m)
         times, since = start_ns * 1e-9 + self.pulse_times, self.pulse_times - self._middle_of_dwell
         pointing = impairments.antenna_swing.pointing(times)
         sensor, surface, antenna = echo_sensor(self.built), self.surface(dwell), self.position(times)

@@ -18,17 +18,17 @@ from sal_height.numeric import F64, Bool
 
 @dataclass(frozen=True)
 class PointTarget:
-    """A single scatterer, at rest or on a straight way at constant speed.
+    """A single scatterer, at rest or on a straight path at constant speed.
 
-    It is where `east`, `north` and `height` say in the middle of every spotlight dwell, in stripmap when it is abeam
-    of the antenna. Its radial velocity is along the line of sight from there (SAL paper, section 4).
+    It is at `east`, `north` and `height` in the middle of every spotlight dwell; in stripmap, when it is abeam of the
+    antenna. Its radial velocity is along the line of sight from there (SAL paper, section 4).
 
     Attributes:
         east: arc distance from the map origin, m.
         north: arc distance from the map origin, m.
         height: above the sphere, m.
-        power: relative to a resolution cell of brightness 1 in an unweighted image; a range window raises the cell,
-            and the noise, by its `windows.noise_gain`, and leaves the point. Terrain does not shadow it.
+        power: relative to a resolution cell of brightness 1 in an unweighted image. A range window raises the power of
+            cell and noise by its `windows.noise_gain`, that of the point not at all. Terrain does not shadow it.
         radial_velocity: away from the antenna, m/s.
         along_velocity: in the direction of flight, m/s.
     """
@@ -55,8 +55,9 @@ class Scene:
         height: above the sphere, m, shape (n_north, n_east).
         brightness: relative radar brightness, shape (n_north, n_east).
         points: point targets.
-        extent: of the scatterers in height, m: even from half of it below the terrain to half above, as in vegetation
-            or on rough ground; 0: on the terrain. What the terrain hides is hidden from top to bottom, nothing else is.
+        extent: of the scatterers in height, m: spread evenly from half of it below the terrain to half above, as in
+            vegetation or on rough ground; 0: on the terrain. Where the terrain is hidden, so are all scatterers above
+            and below it, and only there.
 
     Raises:
         UserError: fewer than 2 x 2 nodes, nodes that do not increase, values that are not finite, or an extent below 0.
@@ -144,15 +145,12 @@ def joined(surfaces: Sequence[VisibleSurface]) -> VisibleSurface:
 SAMPLES_PER_CELL = 2
 """Scatterers per resolution cell in range and in azimuth, each: enough for fully developed speckle.
 
-One in azimuth does where time matters: amplitudes are Gaussian one by one, and the power of an unweighted image stays
-even with strips as far apart as its resolution.
+One in azimuth suffices where time matters: each amplitude is Gaussian, and the power of an unweighted image stays even
+with strips as far apart as its resolution.
 """
 
 LAYERS = 15
-"""Layers of scatterers where they have an extent in height; odd, so that one is the terrain.
-
-They are closer than a quarter of a beam up to an extent of three and a half.
-"""
+"""Layers of scatterers in height; odd, so that one is the terrain. An extent of 3.5 beams has 4 layers in a beam."""
 
 LONGEST_PIECE = 16  # longest piece of a cut, in range cells, over which range is taken as linear
 
@@ -226,10 +224,10 @@ def _terrain_scatterers(
 ) -> tuple[VisibleSurface, Bool]:
     """Scatterers along vertical cuts through the terrain, SAMPLES_PER_CELL in each cell of a cut, and which are lit.
 
-    Between two nodes of a cut, so many that neither range nor the arc across it steps by more than their spacing;
-    each has its share of the piece's extent in range, as brightness is power per slant range. They come layer after
-    layer from the lowest to the highest, each strip after strip, ordered outwards. The middle layer is the terrain,
-    which decides what of all layers is lit.
+    Between two nodes of a cut there are so many that neither range nor the arc across it steps by more than their
+    spacing. Each has its share of the piece's extent in range, as brightness is power per slant range. They come layer
+    after layer from the lowest to the highest, each strip after strip, ordered outwards. The middle layer is the
+    terrain; where it is lit, all layers are.
     """
     range_cell, azimuth_cell = cell
     strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * strips_per_cell))

@@ -61,7 +61,7 @@ def simulate_block(
     with the interpolator's kernel onto a dense profile, whose FFT is then divided by that of the kernel.
 
     Angles are measured from the middle of the beams, and phases reduced to a turn, in float64; what follows is float32,
-    which has as many digits as the samples need, and is several times faster.
+    which has as many digits as the samples need and is several times faster.
 
     Args:
         sensor: wavelength, frequencies and beams.

@@ -11,10 +11,6 @@ from sal_height.geometry import ApertureState, Grid, pixels_at
 from sal_height.numeric import F64, Bool
 from sal_height.simulation.scene import VisibleSurface
 
-SINGLE_SPREAD = (
-    0.1  # beamwidths: standard deviation of elevation about its regression on range, up to which it is single
-)
-
 
 @dataclass(frozen=True)
 class Truth:
@@ -26,8 +22,8 @@ class Truth:
         elevation: their mean elevation with the same weights, rad.
         power: of a scatterer at that elevation from which the array would receive as much, per resolution cell;
             1 for brightness 1.
-        single: True where they act as one scatterer: elevation is a function of range, up to SINGLE_SPREAD, as on
-            sloping ground, and unlike in layover.
+        single: True where they act as one scatterer: elevation is a function of range, as on sloping ground and unlike
+            in layover, with a standard deviation about its regression on range below 0.1 beamwidths.
     """
 
     height: F64
@@ -71,4 +67,4 @@ def truth_image(
         height = total(surface.heights[inside]) / power
         per_gain = power / (total(gain) / power)
     cells = grid.row_spacing * grid.col_spacing / resolution_cell
-    return Truth(height, elevation, per_gain / cells, spread < SINGLE_SPREAD * beams.beamwidth)
+    return Truth(height, elevation, per_gain / cells, spread < 0.1 * beams.beamwidth)

@@ -1,4 +1,4 @@
-"""Compiled loops of the searches: over elevation, over pairs of elevations, and along lines of pixels.
+"""Compiled loops of the searches: over elevation, and along lines of pixels.
 
 Each has a twin in plain NumPy in the tests. Positions are in steps of the table of weights, sums over detectors or
 nodes are vectorised. The compiler takes all numbers to be finite.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.elevation.bounds import Numbers
 from sal_height.numeric import F32, F64, Bool, Index, compiled, inlined
 
 GRID_STEP = 0.2
@@ -44,9 +43,6 @@ MAX_NEWTON_STEPS = 40
 
 TILE = 4
 """Pixels, and entries of their matrices, that are multiplied at a time."""
-
-LEAST_RESIDUE = 0.02
-"""Least share of |a|^2 perpendicular to another response a for which two nodes are tried as a pair."""
 
 FREE_NODES = 2
 """Nodes of the grid (0.2 beamwidths) by which elevation may change from pixel to pixel at no cost.
@@ -231,73 +227,6 @@ def fit_scatterer(matrices: F32, position: F64, pieces: F32, power: F32, complex
         found[0, i] = value / norm if norm > 0 else 0.0
         found[1, i] = power[node, 0] + t * (power[node, 1] + t * (power[node, 2] + t * power[node, 3]))
         found[2, i] = (square - (along * along + across * across) / norm) / norm if norm > 0 else 0.0
-
-
-@compiled
-def gains_beside(covariance: Numbers, one: Numbers, units: Numbers, gain: F32) -> None:
-    """Greatest power that a node explains beyond unit vectors `one` (pixels, M), the part of u_j along them removed."""
-    count = units.shape[1]
-    outputs = np.empty_like(units)
-    own = np.empty(count, np.float32)
-    cross, overlap = np.empty(count, units.dtype), np.empty(count, units.dtype)
-    for p in range(len(covariance)):
-        outputs_at_nodes(covariance[p], units, outputs, own)
-        cross[:] = 0
-        overlap[:] = 0
-        power = np.float32(0)
-        for m in range(len(units)):
-            weight = np.conj(one[p, m])
-            for n in range(len(units)):
-                power += (weight * covariance[p, m, n] * one[p, n]).real
-            for j in range(count):
-                cross[j] += weight * outputs[m, j]
-                overlap[j] += weight * units[m, j]
-        gain[p] = 0
-        for j in range(count):
-            along = overlap[j].real ** 2 + overlap[j].imag ** 2
-            if 1 - along > LEAST_RESIDUE:
-                beyond = own[j] - 2 * (np.conj(overlap[j]) * cross[j]).real + along * power
-                gain[p] = max(gain[p], beyond / (1 - along))
-
-
-@compiled
-def best_pairs(covariance: Numbers, units: Numbers, overlap: Numbers, weight: F32, place: Index) -> None:
-    """Nodes i < j of the greatest (c_ii + c_jj - 2 Re(overlap_ij^* c_ij)) weight_ij, c = u_i^H R u_j, per pixel."""
-    count = units.shape[1]
-    outputs, cross = np.empty_like(units), np.empty(count, units.dtype)
-    own, explained = np.empty(count, np.float32), np.empty(count, np.float32)
-    for p in range(len(covariance)):
-        outputs_at_nodes(covariance[p], units, outputs, own)
-        best = np.float32(-1)
-        for i in range(count):
-            cross[:] = 0
-            for m in range(len(units)):
-                left = np.conj(units[m, i])
-                for j in range(i + 1, count):
-                    cross[j] += left * outputs[m, j]
-            for j in range(i + 1, count):
-                both = own[i] + own[j] - np.float32(2) * (np.conj(overlap[i, j]) * cross[j]).real
-                explained[j] = both * weight[i, j]
-            highest = np.float32(-1)
-            for j in range(i + 1, count):
-                highest = max(highest, explained[j])
-            if highest > best:
-                best, place[p, 0], place[p, 1] = highest, i, i + 1 + np.argmax(explained[i + 1 :])
-
-
-@compiled
-def outputs_at_nodes(matrix: Numbers, units: Numbers, outputs: Numbers, own: F32) -> None:
-    """R u_j of every node, shape (M, nodes), and u_j^H R u_j."""
-    outputs[:] = 0
-    own[:] = 0
-    for m in range(len(units)):
-        output = outputs[m]
-        for n in range(len(units)):
-            factor = matrix[m, n]
-            for j in range(output.size):
-                output[j] += factor * units[n, j]
-        for j in range(output.size):
-            own[j] += (np.conj(units[m, j]) * output[j]).real
 
 
 @compiled

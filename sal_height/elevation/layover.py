@@ -14,54 +14,49 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
+from scipy.optimize import elementwise
 from scipy.special import gammaincc, gammaln
 
 from sal_height.beams import Beams
-from sal_height.elevation._kernels import GRID_STEP, LEAST_RESIDUE, best_pairs, gains_beside
+from sal_height.elevation._kernels import GRID_STEP
 from sal_height.elevation.bounds import Numbers, information, unit_vectors
 from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity, explained_power
 from sal_height.elevation.likelihood import GUARD
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.numeric import F32, F64, Bool, Index, in_parallel
 
-LEAST_SEPARATION = 0.1
-"""Least distance between the elevations of a pair, beamwidths: well below what can be resolved."""
-
-SUSPICIOUS = 10.0
-"""Pairs are tried for so many times the share of single scatterers that may be taken for two."""
-
-NEWTON_STEPS = 12
-"""Maximum number of Newton steps of the climb from the grid, each of half a step of the grid at most."""
-
-SETTLED = 1e-5
-"""Convergence threshold of the Newton iteration, beamwidths."""
-
-PIXELS_AT_ONCE = 1024
-"""Number of pixels whose beams are held at a time."""
+LEAST_SEPARATION = 0.1  # least distance between the elevations of a pair, beamwidths: well below what can be resolved
+SUSPICIOUS = 10.0  # pairs are tried for so many times the share of single scatterers that may be taken for two
+NEWTON_STEPS = 12  # maximum number of steps of the climb from the grid, each of half a step of the grid at most
+SETTLED = 1e-5  # convergence threshold of the climb, beamwidths
+PIXELS_AT_ONCE = 256  # pixels whose products of all pairs of nodes are held at a time, 5 MB
+LEAST_RESIDUE = 0.02  # least share of |a|^2 perpendicular to another response a for which two nodes are tried as a pair
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TwoScatterers:
     """The two scatterers of every pixel, the one closer to nadir first; NaN where two were not detected.
 
     Attributes:
-        detected: whether there are two, both within the span of the boresights, shape (rows, cols).
-        elevation: rad from nadir, shape (rows, cols, 2).
-        power: carrier-to-noise power ratio of one look in a detector looking straight at the scatterer, (rows, cols,
-            2).
-        sigma: standard deviation of elevation, rad, (rows, cols, 2): the Cramer-Rao bound for the amplitudes of these
+        elevation: rad from nadir, both within the span of the boresights, shape (rows, cols, 2).
+        power: carrier-to-noise power ratio of one look in a detector looking straight at the scatterer, same shape.
+        sigma: standard deviation of elevation, rad, same shape: the Cramer-Rao bound for the amplitudes of these
             looks, to first order in the ratio of noise power to theirs. Infinite where the looks do not determine it.
     """
 
-    detected: Bool
     elevation: F64
     power: F64
     sigma: F64
+
+    @property
+    def detected(self) -> Bool:
+        """Whether there are two, shape (rows, cols)."""
+        return np.isfinite(self.elevation[..., 0])
 
 
 def two_scatterers(looks: Looks, beams: Beams, single: F64, tried: Bool, false_alarm: float) -> TwoScatterers:
@@ -77,22 +72,32 @@ def two_scatterers(looks: Looks, beams: Beams, single: F64, tried: Bool, false_a
         tried: pixels that are looked at, shape (rows, cols).
         false_alarm: share of single scatterers that may be taken for two, above 0 and up to 0.1.
     """
-    found = np.full((*tried.shape, 3, 2), np.nan)
-    for squint in np.unique(looks.squint[tried.any(axis=0)]).tolist():
-        grid = _PairGrid.of(beams, squint)
-        row, col = np.nonzero(tried & (looks.squint == squint))
-        levels = _thresholds(beams, squint, looks.count[row, col], false_alarm)
+    found = np.full((3, *tried.shape, 2), np.nan)
+    row, col = np.nonzero(tried)
+    squints, squint_of = np.unique(looks.squint[col], return_inverse=True)
+    counts, count_of = np.unique(looks.count[row, col], return_inverse=True)
+    shares = np.array([SUSPICIOUS * false_alarm, false_alarm])[:, None, None]
+    thresholds = detection_threshold(beams, squints[:, None], counts, shares)[:, squint_of, count_of]
+    blocks = [
+        (squint, pixels)
+        for index, squint in enumerate(squints.tolist())
+        for pixels in _blocks(np.flatnonzero(squint_of == index))
+    ]
+    grid_at = cache(partial(_PairGrid.of, beams))
 
-        def work(part: slice, grid: _PairGrid = grid, row: Index = row, col: Index = col, levels: F64 = levels) -> None:
-            for first in range(part.start, part.stop, PIXELS_AT_ONCE):
-                block = slice(first, min(first + PIXELS_AT_ONCE, part.stop))
-                here = row[block], col[block]
-                pixels = looks.covariance[here] / looks.noise_power
-                pixels = pixels if beams.is_complex else pixels.real
-                found[here] = _pairs_of(pixels, grid, looks.count[here], single[here], levels[:, block])
+    def work(part: slice) -> None:
+        for squint, pixels in blocks[part]:
+            here = row[pixels], col[pixels]
+            covariance = looks.covariance[here] / looks.noise_power
+            known = looks.count[here], single[here], thresholds[:, pixels]
+            found[:, *here] = _pairs_of(covariance if beams.is_complex else covariance.real, grid_at(squint), *known)
 
-        in_parallel(work, row.size, PIXELS_AT_ONCE)
-    return TwoScatterers(np.isfinite(found[:, :, 0, 0]), found[:, :, 0], found[:, :, 1], found[:, :, 2])
+    in_parallel(work, len(blocks))
+    return TwoScatterers(*found)
+
+
+def _blocks(pixels: Index) -> list[Index]:
+    return np.split(pixels, range(PIXELS_AT_ONCE, len(pixels), PIXELS_AT_ONCE))
 
 
 def resolve_layover(
@@ -117,18 +122,7 @@ def resolve_layover(
     )
 
 
-def _thresholds(beams: Beams, squint: float, looks: F64, false_alarm: float) -> F64:
-    """Gains (in sigma^2) from which on pairs are tried, and from which on they are detected, shape (2, pixels).
-
-    `looks` are the numbers of looks of the pixels, shape (pixels,).
-    """
-    counts, which = np.unique(looks, return_inverse=True)
-    shares = (SUSPICIOUS * false_alarm, false_alarm)
-    levels = [[detection_threshold(beams, squint, count, share) for count in counts.tolist()] for share in shares]
-    return np.array(levels)[:, which]
-
-
-def detection_threshold(beams: Beams, squint: float, looks: float, false_alarm: float) -> float:
+def detection_threshold(beams: Beams, squint: npt.ArrayLike, looks: npt.ArrayLike, false_alarm: npt.ArrayLike) -> F64:
     """Gain in explained power, in sigma^2, that a second scatterer seems to bring with the probability `false_alarm`.
 
     If there is one scatterer only, the gain in a known direction is noise with a gamma distribution of order K. Its
@@ -141,19 +135,20 @@ def detection_threshold(beams: Beams, squint: float, looks: float, false_alarm: 
 
     Args:
         beams: of the array.
-        squint: rad.
+        squint: rad; broadcasts with `looks` and `false_alarm`.
         looks: K.
         false_alarm: wanted probability.
     """
     nodes = np.linspace(*beams.span, math.ceil(np.ptp(beams.span) / (GRID_STEP * beams.beamwidth)) + 1)
-    power = beams.power(nodes, squint)
-    length = float(np.trapezoid(np.sqrt(information(beams, nodes, squint) / power), nodes))
+    squint = np.asarray(squint)[..., None]
+    length = np.trapezoid(np.sqrt(information(beams, nodes, squint) / beams.power(nodes, squint)), nodes)
 
-    def excess(level: float) -> float:
-        density = math.exp((looks - 1) * math.log(level) - level - gammaln(looks))
-        return float(gammaincc(looks, level)) + length * math.sqrt(level / math.pi) * density - false_alarm
+    def excess(level: F64, looks: F64, length: F64, false_alarm: F64) -> F64:
+        density = np.exp((looks - 1) * np.log(level) - level - gammaln(looks))
+        return gammaincc(looks, level) + length * np.sqrt(level / np.pi) * density - false_alarm
 
-    return float(brentq(excess, looks, 10 * looks + 1000))
+    looks, length, false_alarm = np.broadcast_arrays(np.asarray(looks, np.float64), length, false_alarm)
+    return np.asarray(elementwise.find_root(excess, (looks, 10 * looks + 1000), args=(looks, length, false_alarm)).x)
 
 
 @dataclass(frozen=True)
@@ -255,19 +250,28 @@ class _PairGrid:
     def gain_beside(self, covariance: Covariance, first: F64) -> F32:
         """Greatest power that one more scatterer at a node explains beside those at `first` (rad), shape (pixels,)."""
         one = unit_vectors(self.beams.response(first, self.squint)).astype(self.units.dtype)
-        gain = np.empty(len(covariance), np.float32)
-        gains_beside(covariance, one, self.units, gain)
-        return gain
+        overlap = one.conj() @ self.units
+        along = np.abs(overlap) ** 2
+        outputs = covariance @ self.units
+        own = np.sum((self.units.conj() * outputs).real, axis=1)
+        cross = (one.conj()[:, None] @ outputs)[:, 0]
+        power = np.sum((one.conj()[:, None] @ covariance)[:, 0] * one, axis=1).real
+        # The part of u_j along the first one removed.
+        beyond = own - 2 * (overlap.conj() * cross).real + along * power[:, None]
+        apart = 1 - along > LEAST_RESIDUE
+        return np.divide(beyond, 1 - along, where=apart, out=np.zeros_like(beyond)).max(axis=1)
 
     def best(self, covariance: Covariance) -> F64:
         """Elevations (rad) of the two nodes that together explain most, shape (pixels, 2)."""
-        place = np.empty((len(covariance), 2), dtype=np.intp)
-        best_pairs(covariance, self.units, self.overlap, self.weight, place)
-        return self.nodes[place]
+        products = self.units.conj().T @ covariance @ self.units
+        own = np.diagonal(products, axis1=1, axis2=2).real
+        both = own[:, :, None] + own[:, None] - 2 * (self.overlap.conj() * products).real
+        best = np.argmax((both * self.weight).reshape(len(both), -1), axis=1)
+        return self.nodes[np.stack(np.divmod(best, len(self.nodes)), axis=1)]
 
 
 def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: F64, single: F64, levels: F64) -> F64:
-    """Elevations, powers and sigmas of the two scatterers in some pixels, (pixels, 3, 2); NaN where there are no two.
+    """Elevations, powers and sigmas of the two scatterers in some pixels, (3, pixels, 2); NaN where there are no two.
 
     Args:
         covariance: in units of the noise power, shape (pixels, M, M).
@@ -276,7 +280,7 @@ def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: F64, single: F64, 
         single: elevations of the single scatterers, rad, (pixels,).
         levels: gains from which on pairs are tried, and are detected, (2, pixels).
     """
-    found = np.full((len(covariance), 3, 2), np.nan)
+    found = np.full((3, len(covariance), 2), np.nan)
     covariance = covariance.astype(grid.units.dtype)
     suspicious = np.flatnonzero(grid.gain_beside(covariance, single) > levels[0])
     if not suspicious.size:
@@ -292,7 +296,7 @@ def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: F64, single: F64, 
     detected = (model.explained(fitted) - one > needed) & (pair[:, 0] >= first) & (pair[:, 1] <= last)
     signal = model.amplitudes(fitted) / looks[:, None, None] - model.gram
     powers = np.diagonal(signal, axis1=-2, axis2=-1).real
-    found[suspicious[detected]] = np.stack([pair, powers, model.bound(signal - model.gram, looks)], axis=1)[detected]
+    found[:, suspicious[detected]] = np.stack([pair, powers, model.bound(signal - model.gram, looks)])[:, detected]
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, circular, elevation_at, make_beams, target_slc
+from helpers import BEAMWIDTH, circular, make_beams, target_slc
 
 from sal_height.beams.array import Beams
 from sal_height.elevation import _kernels as kernels
@@ -125,36 +125,6 @@ def test_weighted_sum_adds_what_is_there() -> None:
     total = np.ones(11, np.float32)
     kernels.add_weighted(weights, values, total)
     np.testing.assert_allclose(total, 1 + weights @ values, rtol=1e-5, atol=1e-5)
-
-
-def unit_nodes(kind: str) -> tuple[Array, Array]:
-    """Unit responses (channels, nodes) of a type, and their overlaps."""
-    beams = make_beams("jinc", 5)
-    response = beams.response(elevation_at(np.linspace(-2, 2, 21)), 0.0)
-    if kind == "complex64":
-        response = response * np.exp(1j * np.random.default_rng(1).random(response.shape))
-    unit = response / np.linalg.norm(response, axis=1, keepdims=True)
-    return np.ascontiguousarray(unit.T.astype(kind)), (unit.conj() @ unit.T).astype(kind)
-
-
-@pytest.mark.parametrize("kind", ["float32", "complex64"])
-def test_best_pair_is_the_one_with_the_greatest_projection(kind: str) -> None:
-    units, overlap = unit_nodes(kind)
-    residue = 1 - np.abs(overlap.astype(complex)) ** 2
-    tried = np.triu(residue > kernels.LEAST_RESIDUE, 1)
-    weight = np.where(tried, 1 / np.where(tried, residue, 1), 0).astype(np.float32)
-    samples = circular(np.random.default_rng(RNG_SEED), (30, 4, 5))
-    matrices = np.einsum("pkm,pkn->pmn", samples, samples.conj())
-    matrices = (matrices if kind == "complex64" else matrices.real).astype(kind)
-    place = np.empty((30, 2), np.intp)
-    kernels.best_pairs(matrices, units, overlap, weight, place)
-    explained = np.full((30, *weight.shape), -np.inf)
-    for i, j in np.argwhere(tried):
-        pair = units[:, [i, j]].astype(complex)
-        projector = pair @ np.linalg.pinv(pair)
-        explained[:, i, j] = np.einsum("mn,pnm->p", projector, matrices).real
-    best = explained.reshape(30, -1).max(axis=1)
-    np.testing.assert_allclose(explained[np.arange(30), place[:, 0], place[:, 1]], best, rtol=1e-4)
 
 
 @pytest.mark.parametrize("free", [kernels.FREE_NODES])

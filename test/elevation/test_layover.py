@@ -302,6 +302,22 @@ def test_pixels_are_suspicious_by_what_a_second_one_beside_the_single_explains(n
         assert gain[pixel] == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.parametrize("name", ["sinc", "complex"])
+def test_the_climb_starts_from_the_two_nodes_that_explain_most(name: str) -> None:
+    """Against projectors of all pairs of nodes."""
+    beams, rng = beams_named(name), np.random.default_rng(60)
+    covariance = pixels_of(beams, rng.uniform(-3.5, 3.5, (10, 2)), (10.0, 3.0), 4, rng)[:, 0]
+    grid = layover._PairGrid.of(beams, 0.0)
+
+    def explained(elevations: np.ndarray) -> np.ndarray:
+        pair = np.swapaxes(beams.response(elevations, 0.0), -1, -2)
+        return np.trace(pair @ np.linalg.pinv(pair) @ covariance, axis1=-2, axis2=-1).real
+
+    pairs = grid.nodes[np.argwhere(grid.weight > 0)]
+    best = np.max([explained(pair) for pair in pairs], axis=0)
+    np.testing.assert_allclose(explained(grid.best(covariance)), best, rtol=1e-4)
+
+
 def test_a_second_one_outside_the_array_is_no_height() -> None:
     beams, rng = make_beams("sinc"), np.random.default_rng(57)
     covariance = pixels_of(beams, np.tile([1.0, 4.75], (500, 1)), (100.0, 100.0), 8, rng)

@@ -57,17 +57,17 @@ def against_fft() -> Iterator[Row]:
 
 def specan_passes(case: Case) -> list[Pass]:
     """Chirp z-transforms of pulses to rows, and of rows to columns: forward and backward each."""
-    factors = specan._factors(case.history, case.antenna, case.sensor, case.processing, case.grid)
+    by_range, by_azimuth = specan.transforms(case.history, case.antenna, case.sensor, case.processing, case.grid)
     detectors, pulses, _ = case.history.samples.shape
     return [
-        Pass((detectors, pulses, factors.range.length), 2, count=2),
-        Pass((detectors, case.grid.rows, factors.azimuth.length), 2, count=2),
+        Pass((detectors, pulses, by_range.length), 2, count=2),
+        Pass((detectors, case.grid.rows, by_azimuth.length), 2, count=2),
     ]
 
 
 def range_doppler_passes(case: Case) -> list[Pass]:
     """Pulses to Doppler; chirp z-transform of frequencies to rows, forward and backward; Doppler to columns."""
-    filters = range_doppler._filters(case.history, case.antenna, case.sensor, case.processing, case.grid)
+    filters = range_doppler.filters_of(case.history, case.antenna, case.sensor, case.processing, case.grid)
     detectors, _, frequencies = case.history.samples.shape
     length = filters.azimuth.shape[1]
     return [

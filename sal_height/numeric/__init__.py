@@ -5,18 +5,18 @@ Read `arrays` (types of arrays) and `jit` (how kernels are compiled and spread o
 rows) and `range_profiles` (interpolation of band-limited profiles). Nothing here knows of sensors or images.
 """
 
+from sal_height.numeric._kernels import cosine_and_sine, tap_weights
 from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, Complex, Index
 from sal_height.numeric.chirp_z import ChirpZ, chirp_z
 from sal_height.numeric.fft import blocks, fast_length, frequencies, rows_at_once
 from sal_height.numeric.jit import WORKERS, compiled, compiled_with_nan, in_parallel, inlined
-from sal_height.numeric.phasors import cosine_and_sine, distance_phasors, outer_phasors, unit_phasors
+from sal_height.numeric.phasors import unit_phasors
 from sal_height.numeric.range_profiles import (
     OVERSAMPLING,
     TAPS,
     dense_profiles,
     spectra_of_profiles,
     tap_polynomials,
-    tap_weights,
 )
 from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, window
 
@@ -43,13 +43,11 @@ __all__ = [
     "compiled_with_nan",
     "cosine_and_sine",
     "dense_profiles",
-    "distance_phasors",
     "fast_length",
     "frequencies",
     "in_parallel",
     "inlined",
     "noise_gain",
-    "outer_phasors",
     "rows_at_once",
     "spectra_of_profiles",
     "tap_polynomials",

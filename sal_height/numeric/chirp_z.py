@@ -10,7 +10,7 @@ import scipy.fft
 from sal_height.numeric.arrays import C64, F64
 from sal_height.numeric.fft import fast_length
 from sal_height.numeric.jit import WORKERS
-from sal_height.numeric.phasors import outer_phasors
+from sal_height.numeric.phasors import unit_phasors
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,9 @@ class ChirpZ:
         )
         spectra = scipy.fft.fft(values * before, self.length, overwrite_x=True)
         spectra *= spectrum
-        return scipy.fft.ifft(spectra, norm="forward", overwrite_x=True)[:, : after.shape[1]] * after
+        sums: C64 = scipy.fft.ifft(spectra, norm="forward", overwrite_x=True)[:, : after.shape[1]]
+        sums *= after
+        return sums
 
 
 def chirp_z(steps: F64, inputs: int, n0: float, outputs: int, m0: float) -> ChirpZ:
@@ -57,14 +59,14 @@ def chirp_z(steps: F64, inputs: int, n0: float, outputs: int, m0: float) -> Chir
         m0: index out that has no phase.
     """
     length = fast_length(inputs + outputs - 1)
-    half = steps / 2
+    half = steps[:, None] / 2
     index = np.arange(length, dtype=np.float64)
     index[outputs:] -= length
-    chirp = outer_phasors(-half, (index - m0 + n0) ** 2)
+    chirp = unit_phasors(-half * (index - m0 + n0) ** 2)
     spectrum = scipy.fft.fft(chirp, axis=-1, overwrite_x=True, workers=WORKERS)
     spectrum *= np.float32(1 / length)
     return ChirpZ(
-        outer_phasors(half, (np.arange(inputs, dtype=np.float64) - n0) ** 2),
+        unit_phasors(half * (np.arange(inputs) - n0) ** 2),
         spectrum,
-        outer_phasors(half, (np.arange(outputs, dtype=np.float64) - m0) ** 2),
+        unit_phasors(half * (np.arange(outputs) - m0) ** 2),
     )

@@ -11,7 +11,6 @@ import scipy.fft
 from scipy.special import i0
 
 from sal_height.numeric.arrays import C64, F32, F64
-from sal_height.numeric.jit import compiled
 
 OVERSAMPLING = 2
 """Dense samples per resolution cell of the unweighted band."""
@@ -94,16 +93,3 @@ def _deconvolution(count: int) -> F64:
     frequency = np.arange(count) - count // 2
     root = np.sqrt(_SHAPE**2 - (np.pi * TAPS * frequency / (OVERSAMPLING * count)) ** 2)
     return np.where(frequency % 2, -1, 1) * root / (TAPS * np.sinh(root))
-
-
-@compiled
-def tap_weights(fraction: F32, taps: F32) -> F32:
-    """Values of `tap_polynomials` at each fraction, shape (TAPS, fractions); written out so that it is vectorised."""
-    weights = np.empty((taps.shape[0], fraction.size), np.float32)
-    for j in range(taps.shape[0]):
-        p, weight = taps[j], weights[j]
-        for i in range(fraction.size):
-            t = fraction[i]
-            high = p[6] + t * (p[7] + t * (p[8] + t * (p[9] + t * p[10])))
-            weight[i] = p[0] + t * (p[1] + t * (p[2] + t * (p[3] + t * (p[4] + t * (p[5] + t * high)))))
-    return weights

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sal_height.numeric.phasors import SMALL, cosine_and_sine, unit_phasors
+from sal_height.numeric._kernels import cosine_and_sine
+from sal_height.numeric.phasors import SMALL, unit_phasors
 
 
 @pytest.mark.parametrize("largest", [np.pi, 1e3, 1e7])

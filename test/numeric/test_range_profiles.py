@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from helpers import circular
 
+from sal_height.numeric._kernels import tap_weights
 from sal_height.numeric.range_profiles import (
     OVERSAMPLING,
     TAPS,
     dense_profiles,
     spectra_of_profiles,
     tap_polynomials,
-    tap_weights,
 )
 
 
@@ -79,3 +79,9 @@ def test_polynomials_are_a_kernel_that_is_even() -> None:
     np.testing.assert_allclose(taps[:, 1], taps[::-1, 1], atol=1e-6 * scale)
     np.testing.assert_allclose(taps[:, 0], taps[::-1, 2], atol=1e-6 * scale)
     assert np.argmax(taps[:, 0]) == TAPS // 2 - 1
+
+
+def test_weights_of_the_taps_are_the_values_of_their_polynomials() -> None:
+    fraction = np.linspace(0, 1, 40, dtype=np.float32)
+    expected = np.polynomial.polynomial.polyval(fraction, tap_polynomials().T)
+    np.testing.assert_allclose(tap_weights(fraction, tap_polynomials()), expected, atol=1e-6 * expected.max())

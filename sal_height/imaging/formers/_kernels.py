@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from sal_height.numeric import C64, F32, F64, I32, I64, TAPS, Bool, compiled, cosine_and_sine, tap_weights
+from sal_height.numeric import F32, F64, I32, TAPS, Bool, compiled, cosine_and_sine, tap_weights
 
 
 @compiled
@@ -160,30 +160,3 @@ def _add_all(sample: I32, tap: F32, cosine: F32, sine: F32, profile: F32, image:
         for k in range(detectors):
             total[k] += value[k] * turn - value[detectors + k] * lift
             total[detectors + k] += value[k] * lift + value[detectors + k] * turn
-
-
-@compiled
-def multiply_transposed(data: C64, factor: C64, result: C64) -> None:
-    """The transpose of data * factor to the beginning of the rows of `result`."""
-    for first in range(0, data.shape[0], 8):
-        for j in range(data.shape[1]):
-            line = result[j]
-            for i in range(first, min(first + 8, data.shape[0])):
-                line[i] = data[i, j] * factor[i, j]
-
-
-@compiled
-def interpolate_pulses(
-    samples: F32,
-    first: I64,
-    weights: F32,
-    result: F32,
-) -> None:
-    for place in range(first.size):
-        a, b, c, d, e, f, g, h = weights[place]
-        start = first[place]
-        p, q, r, s = samples[start], samples[start + 1], samples[start + 2], samples[start + 3]
-        t, u, v, w = samples[start + 4], samples[start + 5], samples[start + 6], samples[start + 7]
-        out = result[place]
-        for i in range(out.size):
-            out[i] = a * p[i] + b * q[i] + c * r[i] + d * s[i] + e * t[i] + f * u[i] + g * v[i] + h * w[i]

@@ -8,19 +8,19 @@ inverse FFT.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
 from scipy.constants import speed_of_light
+from scipy.sparse import csr_array
 
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
 from sal_height.imaging.formers.accuracy import check_expected_error
 from sal_height.imaging.formers.backprojection import valid_pixels
-from sal_height.imaging.formers.straight_track import Resampling, StraightTrack, resampling, straight_track
+from sal_height.imaging.formers.straight_track import StraightTrack, resampling, straight_track
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import (
     C64,
@@ -30,26 +30,21 @@ from sal_height.numeric import (
     blocks,
     chirp_z,
     fast_length,
-    outer_phasors,
     rows_at_once,
     unit_phasors,
 )
 from sal_height.sensor import PhaseHistory, Sensor, processed_angle
 
-STRAY_CELLS = 0.2
-"""Migration, in range cells, beyond which strong sidelobes far along the track matter."""
-
+STRAY_CELLS = 0.2  # migration, in range cells, beyond which strong sidelobes far along the track matter
 WIDE_BAND = 0.05
 """Bandwidth over carrier up to which the low sidelobes of tapered windows do not matter.
 
 Measured against backprojection on targets that migrate by 0.5 to 6 cells: -42 to -48 dB at 0.03, -34 to -39 dB at 0.1.
 """
 
-EVEN_PHASE = 0.003
-"""Greatest phase (rad) that a pulse off its even place may make at the edge of the aperture, without resampling."""
-
-SMALL_PHASE = 0.001
-"""Greatest phase (rad) by which Dopplers may differ, in migration or in the scale of range, and be treated alike."""
+EVEN_PHASE = 0.003  # phase (rad) that a pulse off its even place may make at the edge of the aperture
+SMALL_PHASE = 0.001  # phase (rad) by which Dopplers may differ, in migration or scale of range, and be treated alike
+COARSER = 1.02  # greatest even step over the pulse spacing: what steps do not sample would appear as ambiguities
 
 WIDEST_SINE = 0.9
 """Sine of the angle off abeam up to which Dopplers are processed, at the lowest frequency of the band.
@@ -58,24 +53,21 @@ Beyond 1 waves are evanescent and migration has no real value. Pulses closer tha
 such Dopplers too; no antenna sends there, so their filters are 0.
 """
 
-COARSER = 1.02
-"""Greatest even step over the pulse spacing: what the pulses sample and steps do not would appear as ambiguities."""
-
 
 @dataclass(frozen=True)
-class _Filters:
-    """What is multiplied into the data of every detector alike.
+class Filters:
+    """What is done to the data of every detector alike.
 
     Attributes:
-        compensation: of motion, with the range window, (pulses, frequencies).
-        resampling: to even steps; None: they are even.
+        compensation: of motion, with the range window, a factor of shape (pulses, frequencies).
+        resampling: matrix from pulses to even steps; None: they are even.
         range: from frequency to rows, for each Doppler or one for all.
         azimuth: matched filter of each row over Doppler, (rows, length).
         fold: Doppler spectra that fall together where columns are that many steps apart.
     """
 
     compensation: C64
-    resampling: Resampling | None
+    resampling: csr_array | None
     range: ChirpZ
     azimuth: C64
     fold: int
@@ -89,34 +81,29 @@ def focus_stripmap(history: PhaseHistory, antenna: F64, sensor: Sensor, processi
             backprojection's by more than accuracy.ALLOWED_ERROR, by geometry.
     """
     check_expected_error("range_doppler", expected_error(antenna, sensor, grid))
-    filters = _filters(history, antenna, sensor, processing, grid)
+    filters = filters_of(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
     with ThreadPoolExecutor(WORKERS) as pool:
-        detectors = iter(range(len(image)))  # of which each worker takes the next
-        list(pool.map(lambda _: _focus(history.samples, filters, image, detectors), range(WORKERS)))
+        list(pool.map(lambda samples, made: _focus(samples, filters, made), history.samples, image))
     image[:, ~valid_pixels(history, antenna, sensor, processing.angle, grid)] = np.nan
     return image
 
 
-def _focus(samples: C64, filters: _Filters, image: C64, detectors: Iterator[int]) -> None:
-    """Focus some detectors, one after the other."""
-    rows, cols = image.shape[1:]
-    frequencies, length = samples.shape[2], filters.azimuth.shape[1]
-    width = length // filters.fold
+def _focus(samples: C64, filters: Filters, image: C64) -> None:
+    """Focus one detector."""
+    (rows, cols), frequencies, length = image.shape, samples.shape[1], filters.azimuth.shape[1]
     doppler = np.empty((length, frequencies), dtype=np.complex64)
     compressed = np.empty((rows, length), dtype=np.complex64)
-    for detector in detectors:
-        for block in blocks(frequencies, rows_at_once(length)):
-            pulses = samples[detector, :, block] * filters.compensation[:, block]
-            if filters.resampling:
-                pulses = filters.resampling.apply(pulses)
-            doppler[:, block] = scipy.fft.fft(pulses, length, axis=0)
-        for block in blocks(length, rows_at_once(filters.range.length)):
-            compressed[:, block] = filters.range.apply(doppler[block], block).T
-        for block in blocks(rows, rows_at_once(width)):
-            spectra = compressed[block] * filters.azimuth[block]
-            spectra = spectra.reshape(-1, filters.fold, width).sum(axis=1)
-            image[detector, block] = scipy.fft.ifft(spectra, norm="forward", overwrite_x=True)[:, :cols]
+    for block in blocks(frequencies, rows_at_once(length)):
+        pulses = samples[:, block] * filters.compensation[:, block]
+        if filters.resampling is not None:
+            pulses = (filters.resampling @ pulses.view(np.float32)).view(np.complex64)
+        doppler[:, block] = scipy.fft.fft(pulses, length, axis=0)
+    for block in blocks(length, rows_at_once(filters.range.length)):
+        compressed[:, block] = filters.range.apply(doppler[block], block).T
+    for block in blocks(rows, rows_at_once(length // filters.fold)):
+        spectra = (compressed[block] * filters.azimuth[block]).reshape(-1, filters.fold, length // filters.fold)
+        image[block] = scipy.fft.ifft(spectra.sum(axis=1), norm="forward", overwrite_x=True)[:, :cols]
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +141,7 @@ class _Layout:
         return self.track.places.min() + self.step * np.arange(self.steps)
 
 
-def _filters(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> _Filters:
+def filters_of(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> Filters:
     """Filters of all stages.
 
     Raises:
@@ -165,13 +152,12 @@ def _filters(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Pr
     wavenumber = sensor.centre_wavenumber + sensor.wavenumber_step * (np.arange(frequencies) - frequencies // 2)
     widest = WIDEST_SINE * wavenumber[0]
     doppler = np.clip(layout.doppler, -widest, widest)
-    to_rows = _range_transform(sensor, wavenumber, layout, doppler)
     azimuth = _azimuth_filters(sensor, processing, layout)
     azimuth[:, doppler != layout.doppler] = 0
-    return _Filters(
+    return Filters(
         compensation=_motion_compensation(history, antenna, processing, wavenumber, layout),
         resampling=None if _is_even(sensor, processing, layout) else resampling(layout.track.places, layout.places),
-        range=to_rows,
+        range=_range_transform(sensor, wavenumber, layout, doppler),
         azimuth=azimuth,
         fold=layout.fold,
     )
@@ -206,7 +192,7 @@ def _motion_compensation(
     abeam = layout.abeam / layout.distance[0] * layout.middle
     aim = track.middle + track.places[:, None] * track.direction + abeam
     delay = np.linalg.norm(aim - antenna, axis=-1) - history.reference_range
-    compensation = outer_phasors(delay, wavenumber)
+    compensation = unit_phasors(delay[:, None] * wavenumber)
     compensation *= (processing.range_weights(len(wavenumber)) / len(wavenumber)).astype(np.float32)
     return compensation
 

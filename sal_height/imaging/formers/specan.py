@@ -8,11 +8,10 @@ second into columns. What that leaves out is known before anything is computed: 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from sal_height.geometry import Grid
 from sal_height.imaging.formers.accuracy import check_expected_error
@@ -26,26 +25,10 @@ from sal_height.numeric import (
     ChirpZ,
     blocks,
     chirp_z,
-    distance_phasors,
-    outer_phasors,
     rows_at_once,
     unit_phasors,
 )
 from sal_height.sensor import PhaseHistory, Sensor
-
-
-@dataclass(frozen=True)
-class _Factors:
-    """What is multiplied into the data of every detector alike.
-
-    Attributes:
-        range: transform of the pulses, with `before` of shape (pulses, frequencies); what comes after is in `azimuth`.
-        azimuth: transform of the rows, with `before` of shape (rows, pulses) and `after` of shape (rows, cols), NaN
-            outside the range window.
-    """
-
-    range: ChirpZ
-    azimuth: ChirpZ
 
 
 def focus_spotlight(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> C64:
@@ -55,27 +38,27 @@ def focus_spotlight(history: PhaseHistory, antenna: F64, sensor: Sensor, process
         UserError: the image would differ from backprojection's by more than accuracy.ALLOWED_ERROR.
     """
     check_expected_error("specan", expected_error(antenna, sensor, grid))
-    factors = _factors(history, antenna, sensor, processing, grid)
+    by_range, by_azimuth = transforms(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
     with ThreadPoolExecutor(WORKERS) as pool:
-        detectors = iter(range(len(image)))  # of which each worker takes the next
-        list(pool.map(lambda _: _focus(history.samples, factors, image, detectors), range(WORKERS)))
+        list(pool.map(lambda samples, made: _focus(samples, by_range, by_azimuth, made), history.samples, image))
     image[:, ~valid_pixels(history, antenna, sensor, 0.0, grid)] = np.nan
     return image
 
 
-def _focus(samples: C64, factors: _Factors, image: C64, detectors: Iterator[int]) -> None:
-    """Focus some detectors, one after the other: range, corner turn, azimuth."""
-    rows, pulses = image.shape[1], samples.shape[1]
-    compressed = np.empty((rows, pulses), dtype=np.complex64)
-    for detector in detectors:
-        for block in blocks(pulses, rows_at_once(factors.range.length)):
-            compressed[:, block] = factors.range.apply(samples[detector, block], block).T
-        for block in blocks(rows, rows_at_once(factors.azimuth.length)):
-            image[detector, block] = factors.azimuth.apply(compressed[block], block)
+def _focus(samples: C64, by_range: ChirpZ, by_azimuth: ChirpZ, image: C64) -> None:
+    """Focus one detector: range, corner turn, azimuth."""
+    compressed = np.empty((len(image), len(samples)), dtype=np.complex64)
+    for block in blocks(len(samples), rows_at_once(by_range.length)):
+        compressed[:, block] = by_range.apply(samples[block], block).T
+    for block in blocks(len(image), rows_at_once(by_azimuth.length)):
+        image[block] = by_azimuth.apply(compressed[block], block)
 
 
-def _factors(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> _Factors:
+def transforms(
+    history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid
+) -> tuple[ChirpZ, ChirpZ]:
+    """Transforms of the pulses to rows and of the rows to columns, the same for all detectors."""
     pulses, frequencies = history.samples.shape[1:]
     middle = (grid.rows - 1) / 2, (grid.cols - 1) / 2
     centre = grid.points(*middle)
@@ -87,7 +70,7 @@ def _factors(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Pr
     row_range, scale = _rows(antenna, grid)
     step = (row_range[-1] - row_range[0]) / max(1, grid.rows - 1)
     by_range = chirp_z(np.array([sensor.wavenumber_step * step]), frequencies, frequencies // 2, grid.rows, middle[0])
-    dechirp = outer_phasors(delay, wavenumber)
+    dechirp = unit_phasors(delay[:, None] * wavenumber)
     dechirp *= by_range.before * processing.range_weights(frequencies).astype(np.float32)
     dechirp *= (processing.azimuth_weights(pulses) / (pulses * frequencies)).astype(np.float32)[:, None]
     # Azimuth: the middle of each row keeps its phase, then columns lie at even steps of the row's own scale.
@@ -100,24 +83,14 @@ def _factors(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Pr
         middle[1],
     )
     middles = grid.points(np.arange(grid.rows), np.full(grid.rows, middle[1]))
-    row_phase = distance_phasors(sensor.centre_wavenumber, middles, antenna, to_centre)
+    row_phase = unit_phasors(sensor.centre_wavenumber * (cdist(middles, antenna) - to_centre))
     row_phase *= by_azimuth.before
     # A row bows: over its columns, the range from the middle of the track is not that of its middle.
     row_middle = np.linalg.norm(middles - track.middle, axis=-1)
-    columns = _columns(grid)
-    after = distance_phasors(sensor.centre_wavenumber, middles, track.middle - columns, np.zeros(grid.cols))
-    after *= by_azimuth.after
-    after *= unit_phasors(-sensor.centre_wavenumber * row_middle)[:, None]
-    return _Factors(ChirpZ(dechirp, by_range.spectrum, by_range.after), ChirpZ(row_phase, by_azimuth.spectrum, after))
-
-
-def _distances(points: F64, antenna: F64) -> F64:
-    """Distances (m) of points (points, 3) from antenna positions (pulses, 3): (points, pulses)."""
-    x, y, z = (points[:, None, axis] - antenna[:, axis] for axis in range(3))
-    x *= x
-    x += y * y
-    x += z * z
-    return np.sqrt(x, out=x)
+    along = (np.arange(grid.cols) - middle[1])[:, None] * grid.col_spacing * grid.col_direction
+    bow = cdist(middles, track.middle - along) - row_middle[:, None]
+    after = by_azimuth.after * unit_phasors(sensor.centre_wavenumber * bow)
+    return ChirpZ(dechirp, by_range.spectrum, by_range.after), ChirpZ(row_phase, by_azimuth.spectrum, after)
 
 
 def _rows(antenna: F64, grid: Grid) -> tuple[F64, F64]:
@@ -135,35 +108,19 @@ def expected_error(antenna: F64, sensor: Sensor, grid: Grid) -> float:
     (pi x)^2 / 3.
     """
     rows, cols = (np.linspace(0, n - 1, 5) for n in grid.shape)
-    middle = (grid.cols - 1) / 2
+    middle = (grid.rows - 1) / 2, (grid.cols - 1) / 2
     track = straight_track(antenna, grid.col_direction)
-    _, scale = _rows(antenna, grid)
-    pixels = grid.points(rows[:, None], cols[None, :])
-    middles = grid.points(rows, np.full(5, middle))
+    scale = np.interp(rows, np.arange(grid.rows), _rows(antenna, grid)[1])
+    pixels, middles = grid.points(rows[:, None], cols), grid.points(rows, np.full(5, middle[1]))
     distance = np.linalg.norm(pixels[:, :, None] - antenna, axis=-1)
-    model = (
-        _distances(middles, antenna)[:, None]
-        + (np.linalg.norm(pixels - track.middle, axis=-1) - np.linalg.norm(middles - track.middle, axis=-1)[:, None])[
-            ..., None
-        ]
-        - (
-            np.interp(rows, np.arange(grid.rows), scale)[:, None, None]
-            * ((cols - middle) * grid.col_spacing)[:, None]
-            * track.even
-        )
-    )
+    # What the former takes for the distance: that of the row's middle, its bow, and a term linear in both places.
+    row_range = np.linalg.norm(middles - track.middle, axis=-1)
+    bow = np.linalg.norm(pixels - track.middle, axis=-1) - row_range[:, None]
+    places = scale[:, None] * (cols - middle[1]) * grid.col_spacing
+    model = cdist(middles, antenna)[:, None] + bow[..., None] - places[..., None] * track.even
     phase = sensor.centre_wavenumber * (distance - model)
-    row_range = np.linalg.norm(middles - track.middle, axis=-1) - np.linalg.norm(
-        grid.points((grid.rows - 1) / 2, middle) - track.middle
-    )
-    to_centre = np.linalg.norm(grid.points((grid.rows - 1) / 2, middle) - antenna, axis=-1)
-    migration = (distance - to_centre - row_range[:, None, None]) / sensor.range_resolution
+    # What it takes for the range: that of the scene's middle in every pulse, and even steps from row to row.
+    centre = grid.points(*middle)
+    nominal = np.linalg.norm(centre - antenna, axis=-1) - np.linalg.norm(centre - track.middle)
+    migration = (distance - nominal - row_range[:, None, None]) / sensor.range_resolution
     return float(np.max(np.mean(phase**2 + (np.pi * migration) ** 2 / 3, axis=-1)))
-
-
-def _columns(grid: Grid) -> F64:
-    """Displacement from the middle of a row to each column, m, (cols, 3).
-
-    A column is as far from a position as the middle of its row is from that position less this.
-    """
-    return (np.arange(grid.cols) - (grid.cols - 1) / 2)[:, None] * grid.col_spacing * grid.col_direction

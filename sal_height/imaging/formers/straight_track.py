@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
-from sal_height.imaging.formers._kernels import interpolate_pulses
-from sal_height.numeric import C64, F32, F64, I64
+from sal_height.numeric import F64
 
-TAPS = 8
-"""Pulses from which one at an even step is interpolated."""
-
-SHAPE = 6.2
-"""Of the Kaiser window over them: 60 dB over half of the band that the pulses sample."""
+TAPS = 8  # pulses from which one at an even step is interpolated
+SHAPE = 6.2  # of the Kaiser window over them: 60 dB over half of the band that the pulses sample
 
 
 @dataclass(frozen=True)
@@ -46,36 +43,22 @@ def straight_track(antenna: F64, direction: F64) -> StraightTrack:
     return StraightTrack(middle, direction, float(index @ places / (index @ index)), places)
 
 
-@dataclass(frozen=True)
-class Resampling:
-    """Interpolation between pulses, the same for all detectors and frequencies.
-
-    Attributes:
-        first: index of the first of TAPS pulses, for each place, shape (places,).
-        weights: of them, float32, shape (places, TAPS).
-    """
-
-    first: I64
-    weights: F32
-
-    def apply(self, samples: C64) -> C64:
-        """Samples of one detector at the pulses, (pulses, frequencies), at the places: (places, frequencies)."""
-        result = np.empty((len(self.first), samples.shape[1]), dtype=np.complex64)
-        interpolate_pulses(samples.view(np.float32), self.first, self.weights, result.view(np.float32))
-        return result
-
-
-def resampling(places: F64, wanted: F64) -> Resampling:
+def resampling(places: F64, wanted: F64) -> csr_array:
     """Interpolation from pulses at `places` (m, increasing) to `wanted` (m), by a sinc under a Kaiser window.
 
     Beyond the first and the last pulse there is nothing: the samples there are 0.
+
+    Returns:
+        Sparse matrix, float32, shape (wanted, places).
     """
     position = np.interp(wanted, places, np.arange(len(places), dtype=np.float64), left=-np.inf, right=np.inf)
-    beyond = ~np.isfinite(position)
-    position[beyond] = 0.0
-    first = np.clip(np.floor(position).astype(np.int64) - TAPS // 2 + 1, 0, max(0, len(places) - TAPS))
-    offset = position[:, None] - first[:, None] - np.arange(TAPS)
+    within = np.isfinite(position)
+    position[~within] = 0.0
+    taps = min(TAPS, len(places))
+    first = np.clip(np.floor(position).astype(np.int64) - TAPS // 2 + 1, 0, len(places) - taps)
+    pulses = first[:, None] + np.arange(taps)
+    offset = position[:, None] - pulses
     under = np.maximum(0.0, 1 - (offset / (TAPS / 2)) ** 2)
-    weights = np.sinc(offset) * np.i0(SHAPE * np.sqrt(under)) / np.i0(SHAPE) * (under > 0)
-    weights[beyond] = 0.0
-    return Resampling(first, weights.astype(np.float32))
+    weights = np.sinc(offset) * np.i0(SHAPE * np.sqrt(under)) / np.i0(SHAPE) * (under > 0) * within[:, None]
+    starts = taps * np.arange(len(wanted) + 1)
+    return csr_array((weights.astype(np.float32).ravel(), pulses.ravel(), starts), shape=(len(wanted), len(places)))

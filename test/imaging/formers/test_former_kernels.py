@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.imaging.formers._kernels import add_pulses, interpolate_pulses, keep_reached
+from sal_height.imaging.formers._kernels import add_pulses, keep_reached
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
 
@@ -66,12 +66,3 @@ def test_pulses_are_added_as_the_formula_of_backprojection_says(detectors: int, 
     reached = np.ones(points, bool)
     keep_reached(spots, spots[0].copy(), track[:, :5].copy(), WINDOW / 2, angle, SPACING, reached)
     np.testing.assert_array_equal(reached, valid)
-
-
-def test_pulses_are_interpolated_by_their_weights() -> None:
-    rng = np.random.default_rng(113)
-    samples, first = rng.standard_normal((30, 8)).astype(np.float32), np.array([0, 5, 22])
-    weights, result = rng.standard_normal((3, 8)).astype(np.float32), np.empty((3, 8), np.float32)
-    interpolate_pulses(samples, first, weights, result)
-    expected = np.einsum("pt,pti->pi", weights, samples[first[:, None] + np.arange(8)])
-    np.testing.assert_allclose(result, expected, atol=1e-5)

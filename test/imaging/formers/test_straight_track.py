@@ -44,7 +44,7 @@ def test_frequencies_of_half_the_band_are_resampled_to_60_db(drift: float) -> No
     wanted = 0.5 * (np.arange(10.0, 185.0) + 0.3)
     turns = np.linspace(-0.25, 0.25, 21) / 0.5 / (1 + drift)
     samples = wave(places, turns).astype(np.complex64)
-    error = resampling(places, wanted).apply(samples) - wave(wanted, turns)
+    error = resampling(places, wanted) @ samples - wave(wanted, turns)
     assert np.mean(np.abs(error) ** 2, axis=0).max() < 1.5e-6
 
 
@@ -52,7 +52,7 @@ def test_places_of_pulses_are_taken_as_they_are_and_beyond_them_is_nothing() -> 
     places = 0.5 * np.arange(20.0)
     samples = wave(places, np.array([0.3, -0.9])).astype(np.complex64)
     wanted = np.concatenate([[-0.5, -0.01], places, [9.51, 30.0]])
-    made = resampling(places, wanted).apply(samples)
+    made = resampling(places, wanted) @ samples
     np.testing.assert_allclose(made[2:-2], samples, atol=1e-6)
     np.testing.assert_array_equal(made[[0, 1, -2, -1]], 0)
 
@@ -61,8 +61,11 @@ def test_resampling_reads_only_pulses_that_there_are() -> None:
     """At both ends the first of TAPS pulses is moved inwards."""
     places = np.arange(float(TAPS))
     method = resampling(places, np.linspace(0.0, TAPS - 1.0, 50))
-    assert method.first.min() == method.first.max() == 0
-    samples = np.ones((TAPS, 1), np.complex64)
-    samples[3] = 5.0
-    made = method.apply(samples)[:, 0]
-    np.testing.assert_allclose(made, method.weights @ samples[:, 0], atol=1e-5)
+    assert method.shape == (50, TAPS)
+    assert method.nnz == 50 * TAPS
+    np.testing.assert_allclose(method.toarray()[[0, -1]], np.eye(TAPS)[[0, -1]], atol=1e-6)
+
+
+def test_fewer_pulses_than_taps_are_all_taken() -> None:
+    made = resampling(np.arange(3.0), np.arange(3.0)) @ np.eye(3, dtype=np.float32)
+    np.testing.assert_allclose(made, np.eye(3), atol=1e-6)

@@ -228,6 +228,7 @@ class DwellStage(Stage):
                 if dwell in self._assembler:
                     self._give_up(dwell, missing or self._incomplete(dwell, "before other sensors replaced theirs"))
         self._absences.pop(config_hash, None)
+        self._assembler.forget_finished(config_hash)
 
     def _on_message(self, message: Any) -> None:
         self.tally.receive()

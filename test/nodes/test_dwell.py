@@ -109,7 +109,10 @@ def test_forgetting_lets_finished_dwells_of_that_sensor_come_again(assembler: As
         assembler.take_in(other, 0)
 
 
-def test_memory_of_finished_dwells_is_bounded(assembler: Assembler) -> None:
+@pytest.mark.parametrize("anew", [False, True])
+def test_memory_of_finished_dwells_is_bounded(assembler: Assembler, anew: bool) -> None:
+    if anew:
+        assembler.forget_finished("hash")
     keys = [Key("hash", number, number) for number in range(FINISHED_KEPT + 1)]
     for key in keys:
         assembler.take_in(key, 0)

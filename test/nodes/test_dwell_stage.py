@@ -178,6 +178,16 @@ def test_descriptions_of_sensors_are_bounded(gate: Gate) -> None:
     gate.await_counts(**{"in": 6, "processed": 6, "out": 6})
 
 
+def test_nothing_is_held_of_sensors_that_are_forgotten(gate: Gate) -> None:
+    for number in range(3 * HELD_SENSORS):
+        gate.describe(other_sensor(number))
+        gate.hear(number, 0, 1, 2, sensor=other_sensor(number))
+        gate.hear(number + 100, 0, sensor=other_sensor(number))
+    assert len(gate._sensors) == HELD_SENSORS
+    assert set(gate._assembler._newest_ns) == set(gate._absences) == set(gate._sensors)
+    assert {dwell.key.config_hash for dwell in gate._assembler.held()} == set(gate._sensors)
+
+
 @pytest.mark.parametrize(("policy", "kept"), [("newest", [1, 2, 3]), ("oldest", [1, 4, 5])])
 def test_dwells_that_wait_for_processing_are_bounded(graph: Graph, policy: str, kept: list[int]) -> None:
     gate = Gate(graph, max_queued_dwells=2, queue_policy=policy)

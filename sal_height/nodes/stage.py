@@ -36,8 +36,9 @@ from sal_height.settings import Settings, setting
 FRAMES_QOS = QoSProfile(depth=256, reliability=ReliabilityPolicy.RELIABLE)
 """Phase histories and images: deep enough for the burst of messages that a dwell is."""
 
-ODOMETRY_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE)
-"""Platform states: small messages, but thousands of them may come with a dwell."""
+ODOMETRY_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+"""Platform states: small messages, but thousands of them may come with a dwell. Fast DDS holds 5000 at most; at a
+greater depth it loses the newest ones instead of the oldest."""
 
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Sensor info and the like: a late subscriber receives the last message."""

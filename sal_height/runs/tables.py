@@ -7,7 +7,7 @@ from typing import Any
 
 from sal_height.bag.compare import HeightComparison
 from sal_height.runs.conductor import Outcome
-from sal_height.runs.ensemble import HEIGHTS
+from sal_height.runs.ensemble import HEIGHTS, NODES
 
 ABSENT = "-"
 """Stands for a number that does not exist, such as the bias of an estimator without valid pixels."""
@@ -16,11 +16,13 @@ ABSENT = "-"
 def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -> str:
     """Height images, messages dropped and, where the truth is known, the errors of each estimator.
 
+    The bound is that of the looks of a pixel; it does not hold for heights to which neighbours contribute.
+
     Args:
         outcome: of the run.
         accuracy: statistics of each estimator (`report.statistics`) by prefix of its topics; empty: no truth is known.
     """
-    heading = ["estimator", "images", "dropped", "valid %", "bias m", "s68 m", "bound m", "within 1 sigma %"]
+    heading = ["estimator", "images", "inputs dropped", "valid %", "bias m", "s68 m", "bound m", "within 1 sigma %"]
     rows = []
     for node, prefix in HEIGHTS.items():
         if node in outcome.stages:
@@ -33,7 +35,7 @@ def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -
                     _number(errors.get("valid"), ".1f", 100.0),
                     _number(errors.get("bias_m"), "+.4g"),
                     _number(errors.get("s68_m"), ".4g"),
-                    _number(errors.get("crb_m"), ".4g"),
+                    ABSENT if NODES[node].takes_heights else _number(errors.get("crb_m"), ".4g"),
                     _number(errors.get("within_1_sigma"), ".1f", 100.0),
                 ]
             )

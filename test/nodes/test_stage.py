@@ -9,7 +9,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from helpers import make_sensor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -18,7 +18,7 @@ from sal_height.errors import UserError
 from sal_height.nodes import stage
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES, HELD_CALIBRATIONS
-from sal_height.nodes.stage import FRAMES_QOS, Stage
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage
 
 TIMEOUT_S = 20.0
 
@@ -109,17 +109,34 @@ def test_what_comes_while_the_node_ends_is_counted(listening: Listening) -> None
     assert listening.words == []
 
 
-def test_messages_that_wait_in_the_middleware_are_bounded(graph: Graph, listening: Listening) -> None:
+@pytest.mark.parametrize(("qos", "depth"), [(FRAMES_QOS, 256), (ODOMETRY_QOS, 5000)])
+def test_messages_that_wait_in_the_middleware_are_bounded(
+    graph: Graph, listening: Listening, qos: QoSProfile, depth: int
+) -> None:
     """What the node has not taken yet when more come than the depth of the queue is lost, the oldest first."""
+    heard: list[int] = []
+    listening.listen(String, "numbers", lambda message: heard.append(int(message.data)), qos)
     source = graph.add(Node("source", context=graph.context))
-    publisher = source.create_publisher(String, "words", FRAMES_QOS)
+    publisher = source.create_publisher(String, "numbers", qos)
     assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, TIMEOUT_S)
-    assert graph.spin_until(lambda: listening.count_publishers("words") == 1, TIMEOUT_S)
-    listening.set_parameters([Parameter("max_queued_dwells", value=1000)])
-    for number in range(400):
+    assert graph.spin_until(lambda: listening.count_publishers("numbers") == 1, TIMEOUT_S)
+    last = depth + 150
+    for number in range(last + 1):
         publisher.publish(String(data=str(number)))
-    assert graph.spin_until(lambda: listening.words[-1:] == ["399"], TIMEOUT_S)
-    assert len(listening.words) <= 256 + 1
+    assert graph.spin_until(lambda: heard[-1:] == [last], TIMEOUT_S)
+    assert len(heard) <= depth + 1
+
+
+def test_of_a_latched_topic_only_the_last_message_is_kept(graph: Graph, listening: Listening) -> None:
+    outlet = listening.offer(String, "state", LATCHED_QOS)
+    for number in range(3):
+        outlet.publish(String(data=str(number)))
+    heard: list[str] = []
+    late = graph.add(Node("late", context=graph.context))
+    deep = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    late.create_subscription(String, "state", lambda message: heard.append(message.data), deep)
+    assert graph.spin_until(lambda: heard[-1:] == ["2"], TIMEOUT_S)
+    assert heard == ["2"]
 
 
 def state(graph: Graph, node: Stage) -> Any:

@@ -85,6 +85,10 @@ def test_the_tables_say_what_came_out(recorded: Path, tmp_path: Path, capsys: py
     assert float(rows["monopulse"][5]) == pytest.approx(accuracy["crb_m"], rel=1e-3)
     assert float(rows["monopulse"][6]) == pytest.approx(100 * accuracy["within_1_sigma"], abs=0.05)
     assert rows["ml"] == ["2", "0", "0.0", "-", "-", "-", "-"]
+    assert (rows["tracked"][4] != "-", rows["tracked"][5]) == (
+        True,
+        "-",
+    )  # neighbours help, which the bound does not know
     assert rows["/monopulse/height"][:4] == ["2", "0", "0", "0"]
     pixels = int(rows["/monopulse/height"][6])
     assert rows["/monopulse/height"][4:] == ["0", "of", str(pixels), "0"]
@@ -214,6 +218,23 @@ def test_after_a_damaged_chunk_the_player_has_nothing_more_to_play(
         assert graph.spin_until(lambda: not player.jobs, 20.0)
     assert answers == [True, True, False, False]
     assert player._outlets["/phase_history"].published == 15
+
+
+def test_a_group_of_dwells_ends_even_if_each_lacks_a_frame(recorded: Path, tmp_path: Path, graph: Graph) -> None:
+    """Nine dwells of which the last channel is missing: a step plays the frames of four whole dwells at most."""
+    reader = BagReader(recorded / "bag")
+    others = list(reader.messages(["/sensor_info", "/platform/odometry"]))
+    frames = []
+    for dwell in range(9):
+        for recorded_frame in list(reader.messages(["/phase_history"]))[:7]:
+            frame = reader.decode(recorded_frame.type_name, recorded_frame.cdr)
+            frame.dwell = dwell
+            frames.append(recorded_frame._replace(cdr=serialize_message(frame), log_time_ns=2**62 + len(frames)))
+    bag = copy_of(recorded / "bag", tmp_path / "bag", [*others, *frames])
+    player = graph.add(Player(context=graph.context, parameter_overrides=[Parameter("bag", value=str(bag))]))
+    player._step()
+    assert graph.spin_until(lambda: not player.jobs, 20.0)
+    assert player._outlets["/phase_history"].published == 32
 
 
 def test_a_failure_is_in_the_report(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -146,22 +146,18 @@ def _known(pair: Beams, squint: F64) -> tuple[F64, F64]:
 def _ends(pair: Beams, squint: F64, crossing: F64, direction: F64) -> F64:
     """Find the end of the domain below (`direction` -1) or above (1) each crossing; NaN if that lies outside."""
     lowest, highest = _known(pair, squint)
-    # Begin where the crossing itself lies in the domain.
+    limit = np.where(direction < 0, lowest, highest)
+    inside, outside, phase = (np.full_like(squint, np.nan) for _ in range(3))
     going = np.flatnonzero((crossing >= lowest) & (crossing <= highest))
-    phase = np.zeros_like(squint)
     phase[going] = _sum_phase(pair, crossing[going], squint[going])
-    going = going[_margin(pair, crossing[going], squint[going], phase[going]) >= 0]
-    inside = np.full_like(squint, np.nan)
-    inside[going] = crossing[going]
-    outside = inside.copy()
-    # Step away from it until the first place outside.
-    for step in np.arange(SEARCH_STEP, FARTHEST, SEARCH_STEP) * pair.beamwidth:
+    # Step away from the crossing until the first place outside, which may be the crossing itself.
+    for step in np.arange(0.0, FARTHEST, SEARCH_STEP) * pair.beamwidth:
         there = np.clip(crossing[going] + step * direction[going], lowest[going], highest[going])
         outside[going] = there
         going = going[_margin(pair, there, squint[going], phase[going]) >= 0]
         inside[going] = outside[going]
         phase[going] = _sum_phase(pair, inside[going], squint[going])
-        going = going[(inside[going] > lowest[going]) & (inside[going] < highest[going])]
+        going = going[inside[going] != limit[going]]
         if not going.size:
             break
     # The end lies between the last place inside and the first outside.

@@ -33,7 +33,6 @@ from sal_height.elevation.monopulse.estimators import (
 from sal_height.elevation.monopulse.inversion import INVERSES, Reason
 from sal_height.elevation.monopulse.slope_table import SlopeTable, read_slope_table
 from sal_height.elevation.settings import HeightSettings
-from sal_height.errors import UserError
 from sal_height.numeric import F64
 from sal_height.settings import setting
 
@@ -89,17 +88,12 @@ def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceS
         settings: estimator of gamma, its inversion, and when a pixel is valid.
 
     Raises:
-        UserError: there are not two channels and two beams, or `discriminate` refuses the noise powers.
+        UserError: `discriminate` refuses the noise powers.
     """
-    if not looks.covariance.shape[-1] == pair.count == 2:
-        raise UserError(
-            f"There are {looks.covariance.shape[-1]} channels and {pair.count} beams; sum and difference need 2 of "
-            "each."
-        )
     sums, noise_powers = products_of_looks(looks), (float(looks.noise_powers[0]), float(looks.noise_powers[1]))
     gamma = discriminate(sums, DISCRIMINANTS[settings.discriminant], noise_powers)
     invert = _slope_table(settings.slope_table).invert if settings.slope_table else INVERSES[settings.inverse]
-    found = invert(pair, gamma, np.broadcast_to(looks.squint, gamma.shape))
+    found = invert(pair, gamma, looks.squint)
     sigma, cnr = accuracy(sums, pair.response(found.elevation, looks.squint), found.slope, noise_powers)
     explained, left = _eigenvalues(whitened_products(sums, noise_powers)[0]) / noise_powers[0]
     fit = Fit(explained, left, looks.count - 1, directions=2)  # K amplitudes and one complex gamma are estimated

@@ -15,7 +15,6 @@ from helpers import (
     elevation_at,
     make_beams,
     multilook,
-    noise_free_looks,
     offset_of,
     standard_error_of_rms,
 )
@@ -473,13 +472,3 @@ def test_unknown_noise_is_refused(powers: NoisePowers) -> None:
     with pytest.raises(UserError) as refused:
         discriminate(Products(np.ones(1), np.ones(1), np.ones(1), 1), ratio, powers)
     assert_one_sentence(str(refused.value), "noise powers", "greater than 0")
-
-
-def test_other_than_two_channels_and_beams_are_refused() -> None:
-    for pair, looks in (
-        (make_beams(count=3), noise_free_looks(make_beams(count=2), np.zeros(1))),
-        (make_beams(count=2), noise_free_looks(make_beams(count=3), np.zeros(1))),
-    ):
-        with pytest.raises(UserError) as refused:
-            estimate(looks, pair)
-        assert_one_sentence(str(refused.value), "3", "2 of each")

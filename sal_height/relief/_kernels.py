@@ -40,11 +40,15 @@ def filter_columns(
     (mean, relief_variance), (phi, noise) = prior, step
     rows, cols = height.shape
     predicted, spread = np.zeros(cols), np.full(cols, relief_variance)
+    innovations, weights = np.empty(cols), np.empty(cols)
     for i in range(rows):
         for c in range(cols):
             deviation, error = np.float64(height[i, c]) - mean, np.float64(sigma[i, c])
-            measured = np.isfinite(deviation) and np.isfinite(error) and error > LEAST_SIGMA
-            innovation, weight = (deviation - predicted[c], 1 / error**2) if measured else (0.0, 0.0)
+            measured = (abs(deviation) < np.inf) & (error < np.inf) & (error > LEAST_SIGMA)
+            innovations[c] = deviation - predicted[c] if measured else 0.0
+            weights[c] = 1 / error**2 if measured else 0.0
+        for c in range(cols):  # a loop of its own, which is compiled to vector instructions
+            innovation, weight = innovations[c], weights[c]
             outlier[i, c] = innovation**2 * weight > gate**2 * (1 + spread[c] * weight)
             weight = 0.0 if outlier[i, c] else weight
             variance[i, c] = spread[c] / (1 + spread[c] * weight)

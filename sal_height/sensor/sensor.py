@@ -32,69 +32,44 @@ class Sensor:
     Quantities derived from the fast-time frequencies (`frequency_step` to `range_window`) exist for waveform "spectrum"
     only, and are a ValueError for the others; `spectrum_sensor` gives the corresponding sensor.
 
-    Attributes:
-        name: shown to users.
-        look_side: +1 looking right of the flight direction, -1 left.
-        wavelength: of the carrier, m.
-        bandwidth: of the pulse; with waveform "spectrum", that spanned by the fast-time frequency samples, Hz.
-        sample_count: fast-time samples in a pulse.
-        pulse_count: pulses in a dwell.
-        pulse_repetition_frequency: Hz.
-        elevation_diameter: of the receive antenna along the detector axis, m.
-        azimuth_diameter: of the receive antenna beside the detector axis, m.
-        pattern: name of the beam pattern that the antenna gives, or "table".
-        elevation_boresights: rad from nadir of the sensor frame (`mounting`), increasing, one per detector.
-        noise_power: E|n|^2 of a phase-history sample, one per receiver; 0: unknown.
-        mode: one of MODES.
-        waveform: one of WAVEFORMS: what the fast-time samples are.
-        chirp_rate: of the linear FM, Hz/s, negative for a falling one; 0 for "spectrum".
-        pulse_duration: of the linear FM, s; 0 for "spectrum".
-        sampling_rate: of the fast-time samples, Hz; 0 for "spectrum".
-        detector_size: width of the detectors along their axis and beside it, beamwidths; 0: points.
-        beam_tables: with pattern "table", the measured beam of every detector, or the one common to all.
-        detector_rotation: by which the axis of the detectors is turned in the plane across the line of sight, rad:
-            from elevation (growing) towards the direction of flight. Boresights are angles along that axis.
-        channel_matrix: channels from detectors: complex, a row per channel, a column per detector; empty: identity. A
-            diagonal matrix holds the detectors' complex calibration constants; [[1, 1], [-1, 1]] / sqrt(2) is a
-            lossless sum-difference hybrid (relief paper, eqs. 2 and 3).
-        matrix_in_antenna: whether the channels are formed before the receivers, so that noise_power is of the channels;
-            else it is of the detectors, and the channels' noise is correlated (`noise_covariance`).
-        full_scale: magnitude at which the receivers clip the real and the imaginary part of a sample, in the unit of
-            the samples; 0: not known.
-        mounting: where the antenna is on the platform, and how it is turned.
-        calibration_id: calibration already applied by the sensor; empty: none.
-        config_hash: identity of this description; empty: the first 16 hexadecimal digits of the SHA-256 of the rest.
-
     Raises:
         UserError: a value is out of its range.
     """
 
-    name: str
-    look_side: int
-    wavelength: float
-    bandwidth: float
-    sample_count: int
-    pulse_count: int
-    pulse_repetition_frequency: float
-    elevation_diameter: float
-    azimuth_diameter: float
-    pattern: str
-    elevation_boresights: tuple[float, ...]
-    noise_power: tuple[float, ...]
-    mode: str = "spotlight"
-    waveform: str = "spectrum"
-    chirp_rate: float = 0.0
-    pulse_duration: float = 0.0
-    sampling_rate: float = 0.0
-    detector_size: tuple[float, float] = (0.0, 0.0)
+    name: str  # shown to users
+    look_side: int  # +1 looking right of the flight direction, -1 left
+    wavelength: float  # of the carrier, m
+    bandwidth: float  # of the pulse; with waveform "spectrum", that spanned by the frequency samples, Hz
+    sample_count: int  # fast-time samples in a pulse
+    pulse_count: int  # pulses in a dwell
+    pulse_repetition_frequency: float  # Hz
+    elevation_diameter: float  # of the receive antenna along the detector axis, m
+    azimuth_diameter: float  # of the receive antenna beside the detector axis, m
+    pattern: str  # name of the beam pattern that the antenna gives, or "table"
+    elevation_boresights: tuple[float, ...]  # rad from nadir of the sensor frame, increasing, one per detector
+    noise_power: tuple[float, ...]  # E|n|^2 of a phase-history sample, one per receiver; 0: unknown
+    mode: str = "spotlight"  # one of MODES
+    waveform: str = "spectrum"  # one of WAVEFORMS; the next three are 0 for "spectrum"
+    chirp_rate: float = 0.0  # of the linear FM, Hz/s, negative for a falling one
+    pulse_duration: float = 0.0  # of the linear FM, s
+    sampling_rate: float = 0.0  # of the fast-time samples, Hz
+    detector_size: tuple[float, float] = (0.0, 0.0)  # along the detector axis and beside it, beamwidths; 0: points
+    # Angle of the detector axis, along which boresights are measured, from elevation towards the direction of flight,
+    # in the plane across the line of sight, rad.
     detector_rotation: float = 0.0
+    # With pattern "table", the measured beam of every detector, or the one common to all.
     beam_tables: tuple[BeamTable, ...] = ()
+    # Channels from detectors: a row per channel, a column per detector; empty: identity. A diagonal matrix holds the
+    # detectors' complex calibration constants; [[1, 1], [-1, 1]] / sqrt(2) is a lossless sum-difference hybrid (relief
+    # paper, eqs. 2 and 3).
     channel_matrix: tuple[tuple[complex, ...], ...] = ()
+    # Whether the channels are formed before the receivers, so that noise_power is of the channels; else it is of the
+    # detectors, and the channels' noise is correlated (`noise_covariance`).
     matrix_in_antenna: bool = True
-    full_scale: float = 0.0
-    mounting: Mounting = AT_BASE_LINK
-    calibration_id: str = ""
-    config_hash: str = ""
+    full_scale: float = 0.0  # where receivers clip real and imaginary part, in the unit of the samples; 0: not known
+    mounting: Mounting = AT_BASE_LINK  # where the antenna is on the platform, and how it is turned
+    calibration_id: str = ""  # calibration already applied by the sensor; empty: none
+    config_hash: str = ""  # identity; empty: the first 16 hexadecimal digits of the SHA-256 of the rest
 
     def __post_init__(self) -> None:
         self._require(self.look_side in (-1, 1), "look_side", "allowed are +1 (right) and -1 (left)")

@@ -77,8 +77,10 @@ class Compressor:
         if sensor.mode == "spotlight":
             slc: Slc | None = focus_dwell(spectrum, track, sensor, settings)
         else:
-            strip = self._strip_for(sensor, calibration)
-            slc = strip.focus_block(spectrum, track, sensor, settings)
+            strip_of = (sensor.config_hash, calibration.id if calibration else "")
+            if strip_of != self._strip_of:
+                self._strip, self._strip_of = StripFocuser(), strip_of
+            slc = self._strip.focus_block(spectrum, track, sensor, settings)
         # The calibration has raised the noise of channels that were weak.
         if slc and calibration:
             slc = replace(slc, noise_power=calibration.noise_gains(settings.range_window) * slc.noise_power)
@@ -88,13 +90,6 @@ class Compressor:
     def shortfall(self) -> str:
         """Why the block that began a strip completed no image, a sentence; empty: it did, or was not the last one."""
         return self._strip.shortfall
-
-    def _strip_for(self, sensor: Sensor, calibration: Calibration | None) -> StripFocuser:
-        """The strip that a block continues; a new one if the sensor or the calibration is another."""
-        key = (sensor.config_hash, calibration.id if calibration else "")
-        if self._strip_of != key:
-            self._strip, self._strip_of = StripFocuser(), key
-        return self._strip
 
 
 def heights(

@@ -24,8 +24,7 @@ from pydantic.fields import FieldInfo
 
 from sal_height.errors import UserError
 
-KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
-"""What messages call the types of settings."""
+KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}  # as messages call types
 
 
 def setting(
@@ -88,19 +87,7 @@ class Settings(BaseModel):
 
 @dataclass(frozen=True)
 class Setting:
-    """One field of a `Settings` class, as tables and messages show it.
-
-    Attributes:
-        name: of the field.
-        kind: type of the value.
-        default: value if none is given.
-        description: what the setting does.
-        unit: of the value; empty if it has none.
-        minimum: least value allowed, if there is one.
-        maximum: greatest value allowed, if there is one.
-        choices: texts that are allowed; empty: no restriction.
-        read_only: whether a node takes the value only when it starts.
-    """
+    """One field of a `Settings` class, as tables and messages show it: its name, its type, and what `setting` says."""
 
     name: str
     kind: Any

@@ -11,8 +11,7 @@ from sal_height.beams import Beams
 from sal_height.imaging.weighting import Processing
 from sal_height.sensor import Sensor, processed_angle
 
-ASPECTS = 8
-"""Directions, of the Gauss-Legendre rule, in which beams are averaged over the processed angle."""
+ASPECTS = 8  # directions, of the Gauss-Legendre rule, in which beams are averaged over the processed angle
 
 
 def image_beams(sensor: Sensor, azimuth_window: str) -> Beams:

@@ -8,8 +8,7 @@ import numpy as np
 
 from sal_height.numeric import F32, F64, window
 
-TAPER_NODES = 1025
-"""Nodes of the tabulated azimuth window, which is interpolated linearly between them."""
+TAPER_NODES = 1025  # of the tabulated azimuth window, which is interpolated linearly between them
 
 
 @dataclass(frozen=True)

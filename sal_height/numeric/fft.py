@@ -7,8 +7,7 @@ import scipy.fft
 
 from sal_height.numeric.arrays import F64
 
-BUFFER = 2**16
-"""Numbers in a buffer: half a megabyte."""
+BUFFER = 2**16  # numbers that fit into a processor's cache: half a megabyte
 
 
 def fast_length(least: int) -> int:

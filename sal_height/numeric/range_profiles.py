@@ -12,14 +12,9 @@ from scipy.special import i0
 
 from sal_height.numeric.arrays import C64, F32, F64
 
-OVERSAMPLING = 2
-"""Dense samples per resolution cell of the unweighted band."""
-
-TAPS = 6
-"""Length of the kernel in dense samples: with OVERSAMPLING, aliases lie 105 dB below the profile."""
-
-DEGREE = 10
-"""Of the polynomials that stand for the kernel's taps; their error is that of float32."""
+OVERSAMPLING = 2  # dense samples per resolution cell of the unweighted band
+TAPS = 6  # length of the kernel in dense samples: with OVERSAMPLING, aliases lie 105 dB below the profile
+DEGREE = 10  # of the polynomials that stand for the kernel's taps; their error is that of float32
 
 _SHAPE = float(np.pi * np.sqrt((TAPS / OVERSAMPLING * (OVERSAMPLING - 0.5)) ** 2 - 0.8))
 

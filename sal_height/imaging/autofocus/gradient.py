@@ -144,12 +144,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
 
 
 def apply_phase(history: PhaseHistory, phase: F64) -> PhaseHistory:
-    """The history with exp(-j phase) on every pulse, the same for every detector and frequency.
-
-    Args:
-        history: of all detectors.
-        phase: rad, shape (pulses,).
-    """
+    """The history with exp(-j phase) on all samples of every pulse; phase in rad, shape (pulses,)."""
     turn = np.exp(-1j * phase).astype(np.complex64)
     return replace(history, samples=history.samples * turn[:, None])
 
@@ -183,8 +178,7 @@ def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights
 def phase_gradient(responses: C128) -> F64:
     """Phase error by the maximum-likelihood kernel of neighbouring pulses, integrated from 0, rad, shape (pulses,).
 
-    Args:
-        responses: of detectors and range cells, shape (..., pulses).
+    The responses of detectors and range cells have the shape (..., pulses).
     """
     flat = responses.reshape(-1, responses.shape[-1])
     products = np.einsum("gt,gt->t", flat[:, :-1].conj(), flat[:, 1:])
@@ -270,13 +264,7 @@ def patch_half_width(sensor: Sensor) -> int:
 def patch_centres(sensor: Sensor, aperture: ApertureState, grid: Grid) -> F64:
     """Points for `autofocus`: a row of patches for every range cell of an image, side by side across its columns.
 
-    Args:
-        sensor: wavelength and bandwidth.
-        aperture: state of the platform.
-        grid: the image.
-
-    Returns:
-        m, shape (rows, patches, 3).
+    They are in m, shape (rows, patches, 3).
     """
     sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
     slant_range = float(np.linalg.norm(sight))

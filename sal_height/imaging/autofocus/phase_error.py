@@ -10,8 +10,7 @@ import numpy as np
 
 from sal_height.numeric import F64
 
-SMOOTH_STEP = 1.0
-"""Greatest rms step from pulse to pulse, rad, at which a phase can be unwrapped: pi is then three times as much."""
+SMOOTH_STEP = 1.0  # rms step from pulse to pulse, rad, up to which a phase can be unwrapped: pi is three times as much
 
 
 def detrended(phase: F64) -> F64:

@@ -22,14 +22,9 @@ from sal_height.numeric import (
 )
 from sal_height.sensor import PhaseHistory, Sensor
 
-PULSES_AT_ONCE = 16
-"""Pulses whose dense profiles are held at a time: a few megabytes."""
-
-PIXELS_OF_IMAGE = 3 * 2**15
-"""Pixels that are summed up at a time, over all pulses: bounds the memory beside history and image."""
-
-PIXELS_AT_ONCE = 4096
-"""Pixels whose geometry is held at a time: what fits into a processor's cache."""
+PULSES_AT_ONCE = 16  # whose dense profiles are held: a few megabytes
+PIXELS_OF_IMAGE = 3 * 2**15  # that are summed up at a time, over all pulses: bounds the memory beside history and image
+PIXELS_AT_ONCE = 4096  # whose geometry is held: what fits into a processor's cache
 
 
 def backproject(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> C64:
@@ -104,7 +99,9 @@ def backproject_points(
     valid &= (weight > 0) & filled_apertures(points.T, antenna, direction, processing.angle)
     with np.errstate(divide="ignore", invalid="ignore"):
         image /= np.where(valid, weight * frequencies, np.nan)[:, None, None].astype(np.float32)
-    return _as_complex(image)
+    result = np.empty((detectors, points.shape[1]), dtype=np.complex64)
+    result.real, result.imag = image[:, 0].T, image[:, 1].T
+    return result
 
 
 def filled_apertures(points: F64, antenna: F64, direction: F64, angle: float) -> Bool:
@@ -141,10 +138,3 @@ def valid_pixels(history: PhaseHistory, antenna: F64, sensor: Sensor, angle: flo
                 break
             valid[row] &= reached
     return valid
-
-
-def _as_complex(image: F32) -> C64:
-    """(pixels, 2, detectors) reals to (detectors, pixels) complex."""
-    result = np.empty((image.shape[2], image.shape[0]), dtype=np.complex64)
-    result.real, result.imag = image[:, 0].T, image[:, 1].T
-    return result

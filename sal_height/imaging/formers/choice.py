@@ -16,8 +16,7 @@ from sal_height.sensor import MODES, PhaseHistory, Sensor
 FormImages = Callable[[PhaseHistory, F64, Sensor, Processing, Grid], C64]
 """From phase history, antenna positions, sensor, weights and pixels to the images of all detectors."""
 
-FEW_PIXELS = 10_000
-"""Pixels of an image that backprojection forms in about the same time as a fast former."""
+FEW_PIXELS = 10_000  # that backprojection forms in about the same time as a fast former
 
 
 @dataclass(frozen=True)

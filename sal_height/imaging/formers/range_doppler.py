@@ -117,7 +117,7 @@ class _Layout:
         abeam: vector from the track to the first row, square to the track, m, shape (3,).
         distance: of each row from the track, m, shape (rows,).
         first_column: place of the first column along the track, m.
-        steps: number of even steps that the track takes.
+        places: of the even steps along the track, m, shape (steps,).
         doppler: of a transform without wrap-around, in the order of an FFT, rad/m, shape (length,).
     """
 
@@ -127,18 +127,13 @@ class _Layout:
     abeam: F64
     distance: F64
     first_column: float
-    steps: int
+    places: F64
     doppler: F64
 
     @property
     def middle(self) -> float:
         """Distance (m) in the middle of the rows."""
         return float(self.distance[0] + self.distance[-1]) / 2
-
-    @property
-    def places(self) -> F64:
-        """Places of the even steps along the track, m."""
-        return self.track.places.min() + self.step * np.arange(self.steps)
 
 
 def filters_of(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> Filters:
@@ -178,10 +173,11 @@ def _lay_out(antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -
     across -= (across @ track.direction)[:, None] * track.direction
     distance = np.linalg.norm(across, axis=-1)
     steps = int(np.ceil((track.places.max() - track.places.min()) / step - 1e-6)) + 1
+    places = track.places.min() + step * np.arange(steps)
     half_aperture = processing.angle * float(distance.max()) / 2
     length = fold * fast_length(max(grid.cols, int(np.ceil((steps + half_aperture / step) / fold))))
     doppler = 2 * np.pi * scipy.fft.fftfreq(length, step)
-    return _Layout(track, step, fold, across[0], distance, first_column, steps, doppler)
+    return _Layout(track, step, fold, across[0], distance, first_column, places, doppler)
 
 
 def _motion_compensation(
@@ -199,10 +195,9 @@ def _motion_compensation(
 
 def _is_even(sensor: Sensor, processing: Processing, layout: _Layout) -> bool:
     """Whether pulses lie so near to even steps that they need not be resampled."""
-    if layout.steps != len(layout.track.places):
-        return False
-    off = np.abs(layout.places - layout.track.places).max()
-    return bool(off * sensor.centre_wavenumber * processing.angle / 2 < EVEN_PHASE)
+    pulses, steps = layout.track.places, layout.places
+    edge = sensor.centre_wavenumber * processing.angle / 2
+    return len(pulses) == len(steps) and bool(np.abs(steps - pulses).max() * edge < EVEN_PHASE)
 
 
 def _range_transform(sensor: Sensor, wavenumber: F64, layout: _Layout, doppler: F64) -> ChirpZ:

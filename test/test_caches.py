@@ -1,0 +1,53 @@
+"""What is kept for its next use is bounded: a node that meets ever new sensors, patterns or files does not grow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import BEAMWIDTH, make_beams, make_sensor
+
+from sal_height.beams.pattern import _averaged, pattern_named
+from sal_height.elevation import OBJECTIVES
+from sal_height.elevation.monopulse.sum_difference import _slope_table
+from sal_height.elevation.search import SEARCHES_HELD, PeakSearches
+from sal_height.sensor.waveform import _waveform
+
+
+def new_table(folder: Path, number: int) -> Any:
+    path = folder / f"{number}.csv"
+    path.write_text("angle_rad,gamma\n-0.5,-0.8\n0,0\n0.5,0.8\n")
+    return _slope_table(str(path))
+
+
+@pytest.mark.parametrize(
+    ("cache", "use"),
+    [
+        (_waveform, lambda number, _: _waveform(replace(make_sensor(), name=str(number), config_hash=""))),
+        (_averaged, lambda number, _: _averaged(pattern_named("gaussian"), (0.01 * (number + 1), 0.0))),
+        (_slope_table, lambda number, folder: new_table(folder, number)),
+    ],
+    ids=["waveforms", "patterns", "slope tables"],
+)
+def test_caches_are_bounded(cache: Any, use: Callable[[int, Path], Any], tmp_path: Path) -> None:
+    cache.cache_clear()
+    for number in range(17):
+        use(number, tmp_path)
+    info = cache.cache_info()
+    assert info.misses == 17
+    assert info.currsize < 17
+
+
+@pytest.mark.parametrize("columns", [SEARCHES_HELD // 8, 2 * SEARCHES_HELD])
+def test_searches_at_the_squints_of_columns_are_bounded(columns: int) -> None:
+    squint = np.linspace(-0.1, 0.1, columns) * BEAMWIDTH
+    searches = PeakSearches.over(make_beams(), squint, OBJECTIVES["normalised"], 0.0)
+    for one in squint:
+        searches.at(float(one))
+    at: Any = searches.at
+    info = at.cache_info()
+    assert (info.misses, info.currsize) == (columns, min(columns, SEARCHES_HELD))

@@ -9,7 +9,6 @@ by name).
 """
 
 from sal_height.elevation.bounds import conditional_crb, speckle_crb, stochastic_crb
-from sal_height.elevation.capon import capon_elevation
 from sal_height.elevation.estimate import (
     ElevationEstimate,
     Fit,
@@ -17,10 +16,9 @@ from sal_height.elevation.estimate import (
     is_one_scatterer,
     without_saturated,
 )
-from sal_height.elevation.layover import resolve_layover, two_scatterers
+from sal_height.elevation.layover import two_scatterers
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation, search_guard
 from sal_height.elevation.looks import (
-    LOOK_WINDOWS,
     Covariance,
     Looks,
     Window,
@@ -46,24 +44,16 @@ from sal_height.elevation.monopulse.estimators import (
     sum_and_difference,
     total_least_squares,
 )
-from sal_height.elevation.monopulse.inversion import INVERSES, invert
-from sal_height.elevation.monopulse.pairs import MonopulseSettings, monopulse_elevation
-from sal_height.elevation.monopulse.slope_table import read_slope_table
-from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings, sum_difference_elevation
-from sal_height.elevation.music import music_elevation
+from sal_height.elevation.monopulse.inversion import invert
 from sal_height.elevation.registry import ESTIMATORS, ElevationEstimator
 from sal_height.elevation.search import Objective, PeakSearch, PeakSearches
 from sal_height.elevation.settings import MISFIT_SHARE, HeightSettings
-from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH
 
 __all__ = [
     "DISCRIMINANTS",
     "ESTIMATORS",
-    "INVERSES",
-    "LOOK_WINDOWS",
     "MISFIT_SHARE",
     "OBJECTIVES",
-    "RECOMMENDED_STRENGTH",
     "Covariance",
     "ElevationEstimate",
     "ElevationEstimator",
@@ -72,14 +62,11 @@ __all__ = [
     "HeightSettings",
     "Looks",
     "MlSettings",
-    "MonopulseSettings",
     "Objective",
     "PeakSearch",
     "PeakSearches",
-    "SumDifferenceSettings",
     "Validity",
     "Window",
-    "capon_elevation",
     "conditional_crb",
     "covariance",
     "discriminant",
@@ -92,19 +79,14 @@ __all__ = [
     "live_detectors",
     "look_grid",
     "ml_elevation",
-    "monopulse_elevation",
     "moving_squint",
-    "music_elevation",
     "peak_elevation",
     "products",
     "ratio",
-    "read_slope_table",
-    "resolve_layover",
     "search_guard",
     "speckle_crb",
     "stochastic_crb",
     "sum_and_difference",
-    "sum_difference_elevation",
     "total_least_squares",
     "two_scatterers",
     "windowed_looks",

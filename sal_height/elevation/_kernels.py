@@ -10,11 +10,14 @@ import numpy as np
 
 from sal_height.numeric import F32, F64, Bool, Index, compiled, inlined
 
-GRID_STEP = 0.2
-"""Spacing of the coarse search over elevation, beamwidths: a fifth of the shortest period of the objective."""
-
-TABLE_STEPS = 6
-"""Steps of the table of weights in each step of the grid."""
+GRID_STEP = 0.2  # spacing of the coarse search, beamwidths: a fifth of the shortest period of the objective
+TABLE_STEPS = 6  # steps of the table of weights in each step of the grid
+TILE = 4  # pixels, and entries of their matrices, that are multiplied at a time
+ROUNDING = 1e-5  # share of its greatest value by which a positive objective may be negative: the error of float32 sums
+NO_PEAK = -1e300  # height of a peak that does not exist: less than any objective, and finite
+SETTLED = 0.1  # last Newton step of a climb, steps of the table: the next would be 1e-5 beamwidths at most
+MAX_NEWTON_STEPS = 40  # of one climb; 40 bisections exhaust float64
+LOWEST = np.float32(-1e30)  # less than any log-likelihood, and finite
 
 NEAR_HIGHEST = float(np.cos(1.5 * np.pi * GRID_STEP / 2) ** 2)
 """Peaks are climbed from nodes of the grid where the objective has this share of its greatest value there or more.
@@ -29,30 +32,12 @@ BETWEEN_NODES = 1 / (2 * NEAR_HIGHEST - 1)
 """Greatest range of an objective over its range on the grid: a function between 0 and 1 has values of NEAR_HIGHEST or
 more and of 1 - NEAR_HIGHEST or less at nodes. This bounds an objective that is negative somewhere from below."""
 
-ROUNDING = 1e-5
-"""Share of the greatest value by which a positive objective may be negative on the grid: the error of float32 sums."""
-
-NO_PEAK = -1e300
-"""Height of a peak that does not exist: less than any objective, and finite."""
-
-SETTLED = 0.1
-"""A Newton step of less ends a climb, steps of the table: the next would move the peak by 1e-5 beamwidths at most."""
-
-MAX_NEWTON_STEPS = 40
-"""Maximum number of Newton steps of one climb. 40 bisections exhaust float64."""
-
-TILE = 4
-"""Pixels, and entries of their matrices, that are multiplied at a time."""
-
 FREE_NODES = 2
 """Nodes of the grid (0.2 beamwidths) by which elevation may change from pixel to pixel at no cost.
 
 Level ground and slopes change it from row to row. Where it changes by 0.4 beamwidths a row, the looks of a pixel differ
 by as much and count as several scatterers (`estimate.is_one_scatterer`).
 """
-
-LOWEST = np.float32(-1e30)
-"""Less than any log-likelihood, and finite."""
 
 
 @compiled

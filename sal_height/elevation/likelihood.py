@@ -11,7 +11,7 @@ or w^H R w with the weights w = a / |a| or w = a.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -19,9 +19,9 @@ from sal_height.beams import Beams
 from sal_height.elevation.bounds import stochastic_deviation, unit_vectors
 from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
 from sal_height.elevation.looks import Covariance, Looks
-from sal_height.elevation.search import Objective, PeakSearch, PeakSearches
+from sal_height.elevation.search import Find, Objective, PeakSearch, PeakSearches
 from sal_height.elevation.settings import HeightSettings
-from sal_height.numeric import F64, Bool, Index
+from sal_height.numeric import F64, Index
 from sal_height.settings import setting
 
 GUARD = 3.0
@@ -30,7 +30,6 @@ GUARD = 3.0
 With two detectors the search stays inside: their one ratio is also that of some direction between them.
 """
 
-
 SPARE_LOOKS = 2
 """Number of looks whose noise power is subtracted from a pixel's power, in addition to its own, to compute sigma.
 
@@ -38,7 +37,6 @@ The highest peak is where noise adds power, and among the valid pixels weak ones
 than strong ones that it has lowered. From Monte Carlo trials: without this, 60 % and 89 % of the valid pixels at 0 dB
 with 2 or 4 looks lie within one and two sigma; with it 65 % and 93 %, and at 10 dB and above 68 to 72 % and 95 to 96 %.
 """
-
 
 AMBIGUOUS_RATIO = 100.0
 """Ratio of the likelihoods of the highest and the second peak below which a pixel is AMBIGUOUS.
@@ -49,9 +47,7 @@ beamwidth receive the same from several directions, which this ratio reveals. Tw
 never marked.
 """
 
-
-SAME_PEAK = 0.5
-"""Beamwidths between the peaks of two objectives up to which they belong to the same scatterer."""
+SAME_PEAK = 0.5  # beamwidths between the peaks of two objectives up to which they belong to the same scatterer
 
 Spectrum = Callable[[Covariance, F64], Covariance]
 """Gives from covariances R (pixels, M, M) and numbers of looks (pixels,) matrices S (pixels, M, M): what is searched
@@ -119,10 +115,10 @@ def estimate_at(elevation: F64, looks: Looks, beams: Beams, settings: ArraySetti
     """
 
     def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
-        return search.fit(pixels, elevation[rows, cols].reshape(-1))
+        found = elevation[rows, cols].reshape(-1)
+        return np.vstack([found, np.full_like(found, np.inf), search.fit(pixels, found)])
 
-    searches = PeakSearches.over(beams, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
-    return _estimate(elevation, searches.of_pixels(looks, 3, find), looks, beams, settings)
+    return _estimate(find, OBJECTIVES["normalised"], looks, beams, settings)
 
 
 def estimate_at_highest(objective: Objective, looks: Looks, beams: Beams, settings: ArraySettings) -> ElevationEstimate:
@@ -133,17 +129,14 @@ def estimate_at_highest(objective: Objective, looks: Looks, beams: Beams, settin
     Raises:
         UserError: a real covariance of complex beams.
     """
-    margin = settings.margin * looks.noise_power
 
     def find(search: PeakSearch, pixels: Covariance, *_: object) -> F64:
-        peaks = search.peaks(pixels, margin)
+        peaks = search.peaks(pixels, settings.margin * looks.noise_power)
         share = np.divide(peaks.second, peaks.height, where=peaks.height > 0, out=np.zeros_like(peaks.height))
         fit = search.fit(pixels, peaks.elevation)
         return np.vstack([peaks.elevation, (1 - share) * fit[0], fit])
 
-    searches = PeakSearches.over(beams, looks.squint, objective, search_guard(beams))
-    elevation, lead, *fit = searches.of_pixels(looks, 5, find)
-    return _without_ambiguous(_estimate(elevation, fit, looks, beams, settings), lead < margin, beams)
+    return _estimate(find, objective, looks, beams, settings)
 
 
 def estimate_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, settings: ArraySettings) -> ElevationEstimate:
@@ -152,45 +145,42 @@ def estimate_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, setting
     A pixel is AMBIGUOUS where its likelihood is less than `ambiguous_ratio` times that of another peak. Errors are
     those of `estimate_at_highest`.
     """
-    margin = settings.margin * looks.noise_power
 
     def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
         found = search.peaks(spectrum(pixels, looks.count[rows, cols].reshape(-1))).elevation
-        likely = search.peaks(pixels, margin)
+        likely = search.peaks(pixels, settings.margin * looks.noise_power)
         at_it = np.abs(likely.elevation - found) < SAME_PEAK * beams.beamwidth
         fit = search.fit(pixels, found)
         return np.vstack([found, fit[0] - np.where(at_it, likely.second, likely.height), fit])
 
-    searches = PeakSearches.over(beams, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
-    elevation, lead, *fit = searches.of_pixels(looks, 5, find)
-    return _without_ambiguous(_estimate(elevation, fit, looks, beams, settings), lead < margin, beams)
-
-
-def _without_ambiguous(estimate: ElevationEstimate, ambiguous: Bool, beams: Beams) -> ElevationEstimate:
-    """Mark valid pixels as AMBIGUOUS, but not with two detectors, which always are."""
-    if beams.count > 2:
-        estimate.validity[(estimate.validity == Validity.OK) & ambiguous] = Validity.AMBIGUOUS
-    return estimate
+    return _estimate(find, OBJECTIVES["normalised"], looks, beams, settings)
 
 
 def _estimate(
-    elevation: F64, fit: Sequence[F64] | F64, looks: Looks, beams: Beams, settings: ArraySettings
+    find: Find, objective: Objective, looks: Looks, beams: Beams, settings: ArraySettings
 ) -> ElevationEstimate:
-    """Sigma, CNR and validity from elevations and `PeakSearch.fit` there, all of the shape (rows, cols).
+    """Elevation, sigma, CNR and validity of every pixel.
 
     Sigma is `bounds.stochastic_crb` for the energy of these very looks, less the noise of SPARE_LOOKS more. It is that
     of errors about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB with 2 looks, and in fewer
     elsewhere, another peak is higher.
+
+    Args:
+        find: gives the elevation of each pixel, by how much the power explained there exceeds that of any other peak,
+            and `PeakSearch.fit` there.
+        objective: of the searches that it gets.
+        looks: covariance of M channels of equal noise in each pixel.
+        beams: of the M detectors.
+        settings: when a pixel is valid.
     """
-    explained, gain, turning = fit
+    searches = PeakSearches.over(beams, looks.squint, objective, search_guard(beams))
+    elevation, lead, explained, gain, turning = searches.of_pixels(looks, 5, find)
     explained = explained / looks.noise_power
     cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
-    first, last = beams.span
-    inside = (elevation >= first) & (elevation <= last)
-    strong = cnr >= settings.min_cnr
-    return ElevationEstimate(
-        elevation=elevation,
-        sigma=stochastic_deviation((explained - noise) / gain, noise, gain, turning * gain),
-        cnr=cnr,
-        validity=decide_validity(looks, array_fit(looks, explained), strong, inside, Validity.OUTSIDE_ARRAY, settings),
-    )
+    sigma = stochastic_deviation((explained - noise) / gain, noise, gain, turning * gain)
+    fit, (first, last) = array_fit(looks, explained), beams.span
+    strong, inside = cnr >= settings.min_cnr, (elevation >= first) & (elevation <= last)
+    validity = decide_validity(looks, fit, strong, inside, Validity.OUTSIDE_ARRAY, settings)
+    if beams.count > 2:
+        validity[(validity == Validity.OK) & (lead < settings.margin * looks.noise_power)] = Validity.AMBIGUOUS
+    return ElevationEstimate(elevation, sigma, cnr, validity)

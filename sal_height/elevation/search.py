@@ -32,17 +32,10 @@ from sal_height.numeric import F32, F64, Index, in_parallel
 Objective = Callable[[F64, F64], tuple[F64, F64]]
 """Gives the weights and their slope from response and slope of the beams, all real and of shape (..., detectors)."""
 
-PIXELS_OF_THREAD = 2048
-"""Number of pixels from which on another thread is worthwhile."""
-
-PIXELS_AT_ONCE = 2048
-"""Number of pixels whose covariance and objective are held at a time, so that they fit into a processor's cache."""
-
-SEARCHES_HELD = 64
-"""Number of squints whose search is held: several blocks of pixels have the same one."""
-
-SPARE_SQUINTS = 14
-"""Squints beyond pi per beamwidth from which all others are interpolated; this number leaves an error of 1e-9."""
+PIXELS_OF_THREAD = 2048  # number of pixels from which on another thread is worthwhile
+PIXELS_AT_ONCE = 2048  # pixels whose covariance and objective are held at a time: they fit into a processor's cache
+SEARCHES_HELD = 64  # squints whose search is held: several blocks of pixels have the same one
+SPARE_SQUINTS = 14  # squints beyond pi per beamwidth from which all others are interpolated, with an error of 1e-9
 
 
 class Peaks(NamedTuple):

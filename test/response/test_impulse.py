@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from helpers import assert_one_sentence, circular, direct_history, make_aperture, make_sensor
 from numpy.testing import assert_allclose
+from scipy.constants import speed_of_light
 from scipy.integrate import quad
+from scipy.io import loadmat
 from scipy.optimize import brentq, minimize_scalar
 
 from sal_height.errors import UserError
@@ -120,6 +122,57 @@ def test_clutter_does_not_move_a_band_that_nearly_fills_the_sampling(carrier: fl
     sigma = np.sqrt(3 / (2 * np.pi**2 * band**2 * contrast))
     assert np.sqrt(np.mean(np.square(errors))) < 1.5 * sigma
     assert np.median(levels) == pytest.approx(PSLR_DB, abs=0.7)
+
+
+def forest(shared_data: Callable[[str], Path]) -> tuple[np.ndarray, float]:
+    """ALOS PALSAR over rain forest, range-compressed: (range, azimuth), and the share of frequencies in the band."""
+    h5py = pytest.importorskip("h5py")
+    (path,) = shared_data("alos_palsar").glob("ALPSRP*.h5")
+    with h5py.File(path) as file:
+        swath = file["science/LSAR/RRSD/swaths/frequencyA/txH"]
+        table, codes = swath["rxH/BFPQLUT"][:], swath["rxH/HH"][:]
+        slope, duration = float(swath["chirpSlope"][()]), float(swath["chirpDuration"][()])
+        rate = speed_of_light / (2 * float(swath["slantRangeSpacing"][()]))
+    raw = (table[codes["r"]] + 1j * table[codes["i"]]).astype(np.complex64)
+    samples, size = round(duration * rate), raw.shape[1]
+    chirp = np.exp(1j * np.pi * slope * ((np.arange(samples) - (samples - 1) / 2) / rate) ** 2)
+    profiles = np.fft.ifft(np.fft.fft(raw, axis=1) * np.fft.fft(chirp, size).conj(), axis=1)
+    return profiles[:, : size - samples].T, abs(slope) * duration / rate
+
+
+def parking_lot(shared_data: Callable[[str], Path]) -> tuple[np.ndarray, float]:
+    """AFRL Gotcha: range profiles of all pulses, of 424 frequencies in 456."""
+    paths = sorted(shared_data("afrl_gotcha").glob("*.mat"))
+    history = np.concatenate([loadmat(path)["data"][0][0]["fp"] for path in paths], axis=1)
+    profiles = np.fft.fftshift(np.fft.ifft(history, 456, axis=0), axes=0)
+    return profiles * np.exp(-2j * np.pi * np.arange(456) * 211.5 / 456)[:, None], 424 / 456
+
+
+@pytest.mark.parametrize("scene", [forest, parking_lot])
+def test_a_point_in_real_clutter(
+    scene: Callable[..., tuple[np.ndarray, float]], shared_data: Callable[[str], Path]
+) -> None:
+    """33 dB over the clutter: rms of 40 places 0.0085 and 0.0094 pixels (bound 0.0100 and 0.0094), +- 11 %.
+
+    PSLR is -12.7 and -13.0 dB in the median. With the centre of gravity of the spectrum as the middle of the band, the
+    rms in the parking lot was 0.049 pixels, the largest error 0.128.
+    """
+    image, band = scene(shared_data)
+    frequency = np.fft.fftfreq(512)
+    waves = frequency[np.abs(frequency) < band / 2]
+    rng, errors, levels = np.random.default_rng(7), [], []
+    for _ in range(24):
+        row, col = (int(rng.integers(half, size - half)) for half, size in zip((128, 64), image.shape, strict=True))
+        part, place = image[row - 128 : row + 128, col - 64 : col + 64].astype(complex), rng.uniform(-0.5, 0.5)
+        around = np.mean(np.abs(part[96:160, 32:96]) ** 2)
+        down = np.exp(2j * np.pi * np.outer(np.arange(-128, 128) - place, waves)).mean(axis=1)
+        point = np.outer(down, np.sinc(np.arange(-64, 64) / 2.3)) * np.exp(2j * np.pi * rng.uniform())
+        found = measure_brightest(part + np.sqrt(2000 * around) * point, near=(128, 64))
+        errors.append(found.row - 128 - place)
+        levels.append(found.row_cut.pslr_db)
+    assert np.sqrt(np.mean(np.square(errors))) < 1.45 * np.sqrt(3 / (2 * np.pi**2 * band**2 * 2000))
+    assert np.max(np.abs(errors)) < 0.03
+    assert np.median(levels) == pytest.approx(PSLR_DB, abs=0.6)
 
 
 def test_positions_follow_a_point_in_small_steps() -> None:

@@ -25,7 +25,6 @@ from sal_height.response import (
     PointTargetSettings,
     estimate_transfer_function,
     find_targets,
-    without_clutter,
 )
 from sal_height.sensor import Channels, Sensor, spectrum_sensor, whitened_channels, with_powers
 
@@ -227,7 +226,7 @@ def common_response(targets: list[PointTarget], frequencies: int) -> C128:
             "dwell (parameter point_over_clutter_db)."
         )
     transfer = estimate_transfer_function(targets)
-    pixels = scipy.fft.ifft(scipy.fft.ifftshift(without_clutter(transfer.range_response, transfer.range_sigma)))
+    pixels = scipy.fft.ifft(scipy.fft.ifftshift(transfer.range.without_clutter()))
     near, half = np.zeros(frequencies, dtype=np.complex128), min(len(pixels), frequencies) // 2
     near[:half], near[-half:] = pixels[:half], pixels[-half:]
     return scipy.fft.fftshift(scipy.fft.fft(near))

@@ -85,7 +85,7 @@ def psf_azimuth(trials: int, seed: int) -> Iterator[Curve]:
     found = [_targets(RANGE, rng) for rng in generators(trials, seed, TARGET_TAPES)]
     other, truth = _truth(RANGE)
     variance = relative_variance(truth, other, _over_clutter(truth) * len(found), FLOOR)
-    average = np.mean([estimate_transfer_function(targets).azimuth_response for targets in found], axis=0)
+    average = np.mean([estimate_transfer_function(targets).azimuth.response for targets in found], axis=0)
     paper = np.mean([masked_transfer_function(targets)[1] for targets in found], axis=0)
     singles = [masked_transfer_function([target])[1] for target in found[0]]
     yield from _responses("A", singles, average, np.sqrt(variance / 2) * np.abs(truth), truth)
@@ -104,7 +104,7 @@ def psf_cut(trials: int, seed: int) -> Iterator[Curve]:
     for index, depth in enumerate(DEPTHS.tolist()):
         fault = RangeFault(sawtooth=depth)
         found = [_targets(fault, rng) for rng in generators(trials, seed, TARGET_TAPES)]
-        response = np.mean([estimate_transfer_function(targets).range_response for targets in found], axis=0)
+        response = np.mean([estimate_transfer_function(targets).range.response for targets in found], axis=0)
         cut = np.abs(cut_through(response, FINENESS))
         levels[:, index] = cut[[middle - echo, middle + echo]]
         errors[index] = np.sqrt(0.5 / (_over_clutter(_truth(fault)[1]) * len(found)))
@@ -185,7 +185,7 @@ def _squares(rng: np.random.Generator, truth: list[C128]) -> F64:
         target = Target(20, 30, level)
         tapes = (make_tape((COUNT, COUNT), rng, (target,), RANGE, AZIMUTH) for _ in PLACES)
         made = estimate_transfer_function([chip_at(tape, 20, 30, clutter=1.0) for tape in tapes])
-        estimates = (made.range_response, made.azimuth_response)
+        estimates = (made.range.response, made.azimuth.response)
         squares.append([_square_errors(one, true) for one, true in zip(estimates, truth, strict=True)])
     return np.array(squares)
 

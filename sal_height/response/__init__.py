@@ -17,12 +17,18 @@ from sal_height.response.impulse import (
     measure_windows,
 )
 from sal_height.response.linearity import superposition
-from sal_height.response.point_spread import FINENESS, PointSpread, Sidelobe, cut_through, estimate_point_spread
+from sal_height.response.point_spread import (
+    FINENESS,
+    AxisSpread,
+    PointSpread,
+    Sidelobe,
+    cut_through,
+    estimate_point_spread,
+)
 from sal_height.response.point_targets import (
     CHIP,
     PointTarget,
     PointTargetSettings,
-    TargetSurvey,
     chip_at,
     find_targets,
 )
@@ -34,8 +40,8 @@ from sal_height.response.speckle_spectra import (
     estimate_speckle_spectra,
     periodogram_covariance,
 )
-from sal_height.response.speckle_tiles import SpeckleSettings, find_pure_speckle
-from sal_height.response.transfer_function import FLOOR, TransferFunction, estimate_transfer_function, without_clutter
+from sal_height.response.speckle_tiles import find_pure_speckle
+from sal_height.response.transfer_function import FLOOR, AxisResponse, TransferFunction, estimate_transfer_function
 
 __all__ = [
     "CHIP",
@@ -45,7 +51,9 @@ __all__ = [
     "NOISE_UNKNOWN",
     "OVERSAMPLING",
     "REACH",
+    "AxisResponse",
     "AxisSpectrum",
+    "AxisSpread",
     "Chip",
     "CutResponse",
     "ImpulseResponse",
@@ -56,9 +64,7 @@ __all__ = [
     "PsfReport",
     "PsfSettings",
     "Sidelobe",
-    "SpeckleSettings",
     "SpeckleSpectra",
-    "TargetSurvey",
     "TransferFunction",
     "chip_around",
     "chip_at",
@@ -73,5 +79,4 @@ __all__ = [
     "periodogram_covariance",
     "report_on",
     "superposition",
-    "without_clutter",
 ]

@@ -24,18 +24,9 @@ import numpy as np
 from scipy.linalg import toeplitz
 from scipy.special import chdtrc
 
-from sal_height.errors import NotDetermined, UserError
+from sal_height.errors import NotDetermined
 from sal_height.numeric import C128, F64, frequencies
 from sal_height.response.speckle_spectra import SpeckleSpectra, cross_spectrum, fejer_power
-
-ITERATIONS = 4
-"""Of the fit, as the errors depend on what is fitted."""
-
-END = 4
-"""One part in so many at each end of a chip tells how strong the response is beyond it."""
-
-LEAST_VARIANCE = 0.05
-"""Directions whose variance is less than this share of a bin's own, neighbours being alike, are left out."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +39,6 @@ class Superposition:
         freedom: degrees of freedom of it.
         scale: c, power of the fitted response over the mean power of speckle.
         noise: n, power of white noise over the mean power of speckle.
-        residual: of the speckle's mean periodogram from the fit, over its standard error, at each frequency from -1/2
-            up; NaN where a spur has been left out; shape (M,).
     """
 
     p_value: float
@@ -57,7 +46,6 @@ class Superposition:
     freedom: int
     scale: float
     noise: float
-    residual: F64
 
 
 def superposition(target: C128, target_error: F64, speckle: SpeckleSpectra) -> Superposition:
@@ -71,52 +59,27 @@ def superposition(target: C128, target_error: F64, speckle: SpeckleSpectra) -> S
         speckle: spectra of speckle.
 
     Raises:
-        UserError: shapes do not agree, or numbers are not finite.
         NotDetermined: too few frequencies tell something.
     """
-    _check(target, target_error)
     axis, size = speckle.range, len(speckle.range.covariance)
-    _check_lengths(len(target), size)
     scale = np.sqrt(np.mean(np.abs(target) ** 2))
     forms, target_covariance = _target_covariance(target / scale, (target_error / scale) ** 2, size)
     shape = fejer_power(forms)
     kept = np.arange(size) != 0 if axis.spur else np.ones(size, dtype=bool)
     design = np.stack([shape, np.ones(size)], axis=1)[kept]
     amplitude, noise = 1.0 / shape.mean(), 0.0
-    for _ in range(ITERATIONS):
+    for _ in range(4):  # as the errors depend on what is fitted
         covariance = _speckle_covariance(amplitude * forms, noise, speckle) + amplitude**2 * target_covariance
-        whitener, error = _whitener(covariance[np.ix_(kept, kept)])
+        whitener = _whitener(covariance[np.ix_(kept, kept)])
         if len(whitener) < 4:
             raise NotDetermined(
-                f"Only {len(whitener)} independent frequencies of {size} tell of superposition; 4 are needed."
+                f"The test of superposition has {len(whitener)} independent frequencies of {size}; 4 are needed."
             )
         fit, *_ = np.linalg.lstsq(whitener @ design, whitener @ axis.power[kept], rcond=None)
         amplitude, noise = float(fit[0]), float(fit[1])
-    residual = np.full(size, np.nan)
-    residual[kept] = axis.power[kept] - design @ fit
-    chi_square = float(np.sum((whitener @ residual[kept]) ** 2))
-    residual[kept] /= error
+    chi_square = float(np.sum((whitener @ (axis.power[kept] - design @ fit)) ** 2))
     freedom = len(whitener) - 2
-    return Superposition(float(chdtrc(freedom, chi_square)), chi_square, freedom, amplitude, noise, residual)
-
-
-def _check(target: C128, target_error: F64) -> None:
-    if target.ndim != 1 or target.shape != target_error.shape:
-        raise UserError(
-            f"The response has the shape {target.shape}, its errors {target_error.shape}; both need one axis, as long."
-        )
-    if not (np.isfinite(target).all() and np.isfinite(target_error).all() and np.any(target)):
-        raise UserError(
-            "The response of the targets or its error is not finite, or all of it is 0; both must be given."
-        )
-
-
-def _check_lengths(bins: int, size: int) -> None:
-    if bins < size:
-        raise UserError(
-            f"The response of the targets has {bins} frequencies, fewer than the {size} pixels of a sub-image of "
-            "speckle; allowed are as many or more."
-        )
+    return Superposition(float(chdtrc(freedom, chi_square)), chi_square, freedom, amplitude, noise)
 
 
 def _target_covariance(target: C128, variance: F64, size: int) -> tuple[C128, F64]:
@@ -148,8 +111,8 @@ def _target_covariance(target: C128, variance: F64, size: int) -> tuple[C128, F6
 
 
 def _beyond(chip: C128, count: int) -> C128:
-    """Covariance of `count` pixels of the response beyond its chip: that of the chip's ends, as it fades slowly."""
-    length = len(chip) // END
+    """Covariance of `count` pixels of the response beyond its chip: that of a quarter of it at each end."""
+    length = len(chip) // 4
     ends = (chip[:length], chip[-length:])
     echo = np.mean([np.correlate(end, end, "full")[length - 1 :] / length for end in ends], axis=0)
     lags = np.pad(echo, (0, count))[:count]
@@ -169,9 +132,12 @@ def _speckle_covariance(signal: C128, noise: float, speckle: SpeckleSpectra) -> 
     return (own + alike * np.abs(spectrum) ** 2) / speckle.range.lines
 
 
-def _whitener(covariance: F64) -> tuple[F64, F64]:
-    """Matrix that makes errors of this covariance independent and of variance 1, and their standard errors."""
+def _whitener(covariance: F64) -> F64:
+    """Matrix that makes errors of this covariance independent and of variance 1.
+
+    Directions whose variance is less than 5 % of a bin's own, neighbours being alike, are left out.
+    """
     error = np.sqrt(np.diag(covariance))
     variance, direction = np.linalg.eigh(covariance / np.outer(error, error))
-    kept = variance > LEAST_VARIANCE
-    return np.asarray((direction[:, kept] / np.sqrt(variance[kept])).T / error), np.asarray(error)
+    kept = variance > 0.05
+    return np.asarray((direction[:, kept] / np.sqrt(variance[kept])).T / error)

@@ -9,16 +9,9 @@ import scipy.fft
 
 from sal_height.numeric import C128, F64, Index
 from sal_height.response.impulse import OVERSAMPLING, CutResponse, band_frequencies, cut_response
-from sal_height.response.transfer_function import TransferFunction
+from sal_height.response.transfer_function import AxisResponse, TransferFunction
 
-FINENESS = 4
-"""Samples per pixel of the function as it is drawn, those of the paper."""
-
-NEIGHBOURS = 3
-"""Sidelobes nearer to the peak whose median a sidelobe is compared with."""
-
-SIGNIFICANT = 3.5
-"""Standard errors by which an anomalous sidelobe stands above that."""
+FINENESS = 4  # samples per pixel of the function as it is drawn, those of the paper
 
 
 @dataclass(frozen=True)
@@ -39,36 +32,34 @@ class Sidelobe:
 
 
 @dataclass(frozen=True)
+class AxisSpread:
+    """The point-spread function along one axis: widths and sidelobes, and the anomalous sidelobes, greatest first."""
+
+    cut: CutResponse
+    sidelobes: tuple[Sidelobe, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class PointSpread:
-    """The response to a point.
+    """The response to a point, and its figures along range and azimuth.
 
     Attributes:
         pixels: complex128, FINENESS samples per pixel, 1 in the middle, at row rows * FINENESS / 2 and the column
             alike; shape (rows * FINENESS, cols * FINENESS).
-        range_cut: widths and sidelobes along range.
-        azimuth_cut: along azimuth.
-        range_sidelobes: the anomalous ones along range, from the greatest on.
-        azimuth_sidelobes: along azimuth.
+        range: along range.
+        azimuth: along azimuth.
     """
 
     pixels: C128
-    range_cut: CutResponse
-    azimuth_cut: CutResponse
-    range_sidelobes: tuple[Sidelobe, ...]
-    azimuth_sidelobes: tuple[Sidelobe, ...]
+    range: AxisSpread
+    azimuth: AxisSpread
 
 
 def estimate_point_spread(transfer: TransferFunction) -> PointSpread:
     """The point-spread function of a system with that transfer function, and its figures."""
-    down = cut_through(transfer.range_response, FINENESS)
-    across = cut_through(transfer.azimuth_response, FINENESS)
-    return PointSpread(
-        pixels=np.asarray(np.outer(down, across)),
-        range_cut=_measured(transfer.range_response),
-        azimuth_cut=_measured(transfer.azimuth_response),
-        range_sidelobes=anomalous_sidelobes(transfer.range_response, transfer.range_sigma),
-        azimuth_sidelobes=anomalous_sidelobes(transfer.azimuth_response, transfer.azimuth_sigma),
-    )
+    axes = transfer.range, transfer.azimuth
+    down, across = (cut_through(axis.response, FINENESS) for axis in axes)
+    return PointSpread(np.asarray(np.outer(down, across)), *map(_axis_spread, axes))
 
 
 def cut_through(response: C128, fineness: int) -> C128:
@@ -92,9 +83,9 @@ def anomalous_sidelobes(response: C128, sigma: F64) -> tuple[Sidelobe, ...]:
     """Sidelobes that stand above the ones nearer to the peak, from the greatest on.
 
     Those of a smooth response fall, or stay alike, from the peak outwards; what makes one rise above both its
-    neighbours, and above the median of the NEIGHBOURS before it by SIGNIFICANT standard errors, is a ripple of the
-    response. Both sides are searched together, in the root of their mean power. An echo adds to the sidelobes that are
-    there without it, so that its level and its place are those of the sum.
+    neighbours, and above the median of the three before it by 3.5 standard errors, is a ripple of the response. Both
+    sides are searched together, in the root of their mean power. An echo adds to the sidelobes that are there without
+    it, so that its level and its place are those of the sum.
 
     Args:
         response: as in `cut_through`.
@@ -102,23 +93,23 @@ def anomalous_sidelobes(response: C128, sigma: F64) -> tuple[Sidelobe, ...]:
     """
     fine = np.abs(cut_through(response, OVERSAMPLING))
     middle = len(fine) // 2
-    sides = np.stack([fine[middle:], fine[middle:0:-1]])
-    both = np.sqrt(np.mean(sides**2, axis=0))
+    sides = {1: fine[middle:], -1: fine[middle:0:-1]}
+    both = np.sqrt(np.mean(np.square(list(sides.values())), axis=0))
     error = float(np.sqrt(np.sum(sigma**2) / 2) / len(sigma))
     tops = np.concatenate([[0], _tops(both)])
-    levels = both[tops]
+    levels, half = both[tops], OVERSAMPLING // 2
     found = []
     for i in _tops(np.append(levels, 0.0)):
-        usual = float(np.quantile(levels[max(0, i - NEIGHBOURS) : i], 0.5, method="lower"))
+        usual = float(np.quantile(levels[max(0, i - 3) : i], 0.5, method="lower"))
         excess = float(levels[i] - usual)
-        if excess > SIGNIFICANT * error:
-            significance = excess / error if error else float("inf")
-            found += [
-                Sidelobe(sign * position / OVERSAMPLING, 20 * float(np.log10(side[position])), significance)
-                for sign, side in zip((1, -1), sides, strict=True)
-                for position in [_top_near(side, tops[i])]
-                if side[position] > usual
-            ]
+        if excess <= 3.5 * error:
+            continue
+        for sign, side in sides.items():
+            near = slice(max(0, tops[i] - half), tops[i] + half + 1)  # up to half a pixel from the mean of both
+            place = near.start + int(np.argmax(side[near]))
+            if side[place] > usual:
+                level = 20 * float(np.log10(side[place]))
+                found.append(Sidelobe(sign * place / OVERSAMPLING, level, excess / error if error else float("inf")))
     return tuple(sorted(found, key=lambda one: -one.level_db))
 
 
@@ -127,12 +118,6 @@ def _tops(amplitude: F64) -> Index:
     return np.flatnonzero((amplitude[1:-1] > amplitude[:-2]) & (amplitude[1:-1] >= amplitude[2:])) + 1
 
 
-def _top_near(amplitude: F64, index: int) -> int:
-    """Index of the greatest value up to half a pixel from an index."""
-    first = max(0, index - OVERSAMPLING // 2)
-    return int(first + np.argmax(amplitude[first : index + OVERSAMPLING // 2 + 1]))
-
-
-def _measured(response: C128) -> CutResponse:
-    power = np.abs(cut_through(response, OVERSAMPLING)) ** 2
-    return cut_response(power, len(power) // 2)
+def _axis_spread(axis: AxisResponse) -> AxisSpread:
+    power = np.abs(cut_through(axis.response, OVERSAMPLING)) ** 2
+    return AxisSpread(cut_response(power, len(power) // 2), anomalous_sidelobes(axis.response, axis.sigma))

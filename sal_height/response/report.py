@@ -204,7 +204,7 @@ def _compared(
         if targets and length >= least:
             transfer = estimate_transfer_function(targets)
             spectra = estimate_speckle_spectra(mosaic, tiles)
-            return superposition(transfer.range_response, transfer.range_sigma, spectra), length
+            return superposition(transfer.range.response, transfer.range.sigma, spectra), length
     raise NotDetermined(
         f"No target is alone in a chip of {least} x {cols} pixels, as long as a sub-image of speckle; one is needed to "
         "compare the two."

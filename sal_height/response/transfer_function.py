@@ -17,37 +17,47 @@ from sal_height.numeric import C128, F64
 from sal_height.response.impulse import band_frequencies, peak_offset
 from sal_height.response.point_targets import PointTarget
 
-FLOOR = 0.05
-"""Power of a response, over its greatest, up to which it is rather left out than divided by."""
+FLOOR = 0.05  # power of a response, over its greatest, up to which it is rather left out than divided by
 
 
-@dataclass(frozen=True)
-class TransferFunction:
-    """Responses of a system along range and azimuth.
+@dataclass(frozen=True, eq=False)
+class AxisResponse:
+    """The response of a system along one axis.
 
-    Each is scaled and turned so that the response to a point has its peak in pixel 0, and the value 1 there: the mean
-    of the response over its bins is 1. The phase therefore has no linear part.
+    It is scaled and turned so that the response to a point has its peak in pixel 0, and the value 1 there: the mean of
+    the response over its bins is 1. The phase therefore has no linear part.
 
     Attributes:
-        range_response: R, complex128, shape (rows,).
-        range_sigma: standard error of each of its bins (of the whole complex number), float64, shape (rows,).
-        azimuth_response: A, complex128, shape (cols,).
-        azimuth_sigma: of A.
-        range_disagreement: root of the mean square of the targets' deviations from R over what their clutter explains;
-            1 for targets that agree, NaN for fewer than two. Where it is greater, the sigma is greater by as much.
-        azimuth_disagreement: of A. An antenna that swings makes it greater than 1.
-        targets: number of targets.
-        over_clutter: power of the targets' peaks over the mean power of the clutter, sum over the targets.
+        response: R or A from -1/2 cycle per pixel on, complex128, shape (count,).
+        sigma: standard error of each of its bins (of the whole complex number), float64, shape (count,).
+        disagreement: root of the mean square of the targets' deviations over what their clutter explains; 1 for targets
+            that agree, NaN for fewer than two. Where it is greater, the sigma is greater by as much.
     """
 
-    range_response: C128
-    range_sigma: F64
-    azimuth_response: C128
-    azimuth_sigma: F64
-    range_disagreement: float
-    azimuth_disagreement: float
+    response: C128
+    sigma: F64
+    disagreement: float
+
+    def without_clutter(self) -> C128:
+        """The response less what clutter explains of its point-spread function, pixel by pixel; shape (count,).
+
+        Each pixel h counts by 1 - s^2 / |h|^2, or not at all where that is below 0, with s its standard error (Wiener's
+        filter, with the power that is there for that which is expected). It takes most of the error out of a response
+        that is short in pixels; what is left errs alike in neighbouring bins, and sidelobes below s are gone.
+        """
+        pixels = scipy.fft.ifft(self.response)
+        variance = np.sum(self.sigma**2) / len(self.sigma) ** 2
+        power = np.abs(pixels) ** 2
+        return centred(np.asarray(scipy.fft.fft(pixels * np.maximum(0, power - variance) / np.where(power, power, 1))))
+
+
+@dataclass(frozen=True, eq=False)
+class TransferFunction:
+    """Responses of a system along range and azimuth, from a number of `targets`."""
+
+    range: AxisResponse
+    azimuth: AxisResponse
     targets: int
-    over_clutter: float
 
 
 def estimate_transfer_function(targets: Sequence[PointTarget]) -> TransferFunction:
@@ -65,7 +75,10 @@ def estimate_transfer_function(targets: Sequence[PointTarget]) -> TransferFuncti
     Raises:
         NotDetermined: there is no target.
     """
-    spectra, shares = _stacked(targets)
+    if not targets:
+        raise NotDetermined("There is no point target; at least one is needed for the transfer function.")
+    over_clutter = np.array([target.over_clutter for target in targets])
+    spectra, shares = np.stack([target.spectrum for target in targets]), over_clutter / over_clutter.sum()
     mean = np.einsum("t,trc->rc", shares, spectra)
     in_range = _inverse(centred(mean.mean(axis=1)))
     in_azimuth = _inverse(centred(in_range @ mean))
@@ -76,35 +89,11 @@ def estimate_transfer_function(targets: Sequence[PointTarget]) -> TransferFuncti
     azimuth_response = centred(shares @ azimuths)
     rest = np.abs(spectra - range_response[:, None] * azimuth_response) ** 2
     left = np.einsum("t,trc->rc", shares, rest) / len(targets)
-    range_sigma, range_disagreement = _errors(left @ np.abs(in_azimuth) ** 2, ranges, shares, range_response)
-    azimuth_sigma, azimuth_disagreement = _errors(np.abs(in_range) ** 2 @ left, azimuths, shares, azimuth_response)
     return TransferFunction(
-        range_response,
-        range_sigma,
-        azimuth_response,
-        azimuth_sigma,
-        range_disagreement,
-        azimuth_disagreement,
-        targets=len(targets),
-        over_clutter=float(sum(target.over_clutter for target in targets)),
+        _axis_response(range_response, ranges, shares, left @ np.abs(in_azimuth) ** 2),
+        _axis_response(azimuth_response, azimuths, shares, np.abs(in_range) ** 2 @ left),
+        len(targets),
     )
-
-
-def without_clutter(response: C128, sigma: F64) -> C128:
-    """A response less what clutter explains of its point-spread function, pixel by pixel.
-
-    Each pixel h counts by 1 - s^2 / |h|^2, or not at all where that is below 0, with s its standard error (Wiener's
-    filter, with the power that is there for that which is expected). It takes most of the error out of a response that
-    is short in pixels; what is left errs alike in neighbouring bins, and sidelobes below s are gone.
-
-    Args:
-        response: shape (count,).
-        sigma: standard errors of its bins, shape (count,).
-    """
-    pixels = scipy.fft.ifft(response)
-    variance = np.sum(sigma**2) / len(sigma) ** 2
-    power = np.abs(pixels) ** 2
-    return centred(np.asarray(scipy.fft.fft(pixels * np.maximum(0, power - variance) / np.where(power, power, 1))))
 
 
 def centred(response: C128) -> C128:
@@ -122,14 +111,6 @@ def centred(response: C128) -> C128:
     return moved / np.mean(moved)
 
 
-def _stacked(targets: Sequence[PointTarget]) -> tuple[C128, F64]:
-    """The targets' spectra, shape (targets, rows, cols), and each one's share in a mean of them."""
-    if not targets:
-        raise NotDetermined("No point target is there to tell the transfer function; one at least is needed.")
-    over_clutter = np.array([target.over_clutter for target in targets])
-    return np.stack([target.spectrum for target in targets]), over_clutter / over_clutter.sum()
-
-
 def _inverse(response: C128) -> C128:
     """Weights of the bins of a spectrum that `response` is a factor of, for the mean of the other factor."""
     power = np.abs(response) ** 2
@@ -137,17 +118,17 @@ def _inverse(response: C128) -> C128:
     return weights / (weights @ response)
 
 
-def _errors(variance: F64, responses: C128, shares: F64, mean: C128) -> tuple[F64, float]:
-    """Standard errors of a mean response, and the targets' disagreement on it (the ratio of Birge 1932).
+def _axis_response(mean: C128, responses: C128, shares: F64, variance: F64) -> AxisResponse:
+    """A mean response with its standard errors, and the targets' disagreement on it (the ratio of Birge 1932).
 
     Args:
-        variance: of the bins of the mean that clutter explains, shape (bins,).
+        mean: shape (bins,).
         responses: of each target, shape (targets, bins).
         shares: of the targets in the mean.
-        mean: shape (bins,).
+        variance: of the bins of the mean that clutter explains, shape (bins,).
     """
     disagreement = float("nan")
     if len(responses) > 1:
         spread = shares @ np.abs(responses - mean) ** 2 / (len(responses) - 1)
         disagreement = float(np.sqrt(np.sum(spread) / np.sum(variance)))
-    return np.sqrt(variance) * np.fmax(disagreement, 1.0), disagreement
+    return AxisResponse(mean, np.sqrt(variance) * np.fmax(disagreement, 1.0), disagreement)

@@ -16,13 +16,11 @@ from sal_height.numeric import Complex, frequencies
 from sal_height.response import (
     LONG_CHIPS,
     NOISE_UNKNOWN,
-    CutResponse,
+    AxisSpread,
     Pointing,
     PsfReport,
     PsfSettings,
-    Sidelobe,
     report_on,
-    without_clutter,
 )
 from sal_height.runs.images import AXES, Image, images_of
 from sal_height.runs.psf_picture import draw_psf
@@ -135,20 +133,8 @@ def _entry(number: int | None, group: list[Image], report: PsfReport, *, noise_k
     """The entry of psf.json."""
     spacing = _spacing(group)
     spread, transfer = report.spread, report.transfer
-    figures = {
-        axis: _axis_entry(cut, sidelobes, metres)
-        for axis, cut, sidelobes, metres in (
-            zip(
-                AXES,
-                (spread.range_cut, spread.azimuth_cut),
-                (spread.range_sidelobes, spread.azimuth_sidelobes),
-                spacing,
-                strict=True,
-            )
-            if spread
-            else ()
-        )
-    }
+    measured = (spread.range, spread.azimuth) if spread else ()
+    figures = {axis: _axis_entry(one, metres) for axis, one, metres in zip(AXES, measured, spacing, strict=False)}
     return {
         "channel": number,
         "images": [{"image": str(one.path), "topic": one.topic, "dwell": one.dwell} for one in group],
@@ -159,8 +145,8 @@ def _entry(number: int | None, group: list[Image], report: PsfReport, *, noise_k
         "targets": _target_entries(group, report),
         "verdicts": _verdicts(report),
         "disagreement": {
-            "range": or_null(transfer.range_disagreement),
-            "azimuth": or_null(transfer.azimuth_disagreement),
+            "range": or_null(transfer.range.disagreement),
+            "azimuth": or_null(transfer.azimuth.disagreement),
         }
         if transfer
         else None,
@@ -171,7 +157,8 @@ def _entry(number: int | None, group: list[Image], report: PsfReport, *, noise_k
     }
 
 
-def _axis_entry(cut: CutResponse, sidelobes: tuple[Sidelobe, ...], spacing: float) -> Entry:
+def _axis_entry(one: AxisSpread, spacing: float) -> Entry:
+    cut = one.cut
     return {
         "width_px": or_null(cut.width),
         "width_m": or_null(cut.width * spacing),
@@ -179,12 +166,12 @@ def _axis_entry(cut: CutResponse, sidelobes: tuple[Sidelobe, ...], spacing: floa
         "islr_db": or_null(cut.islr_db),
         "anomalous_sidelobes": [
             {
-                "position_px": one.position,
-                "position_m": or_null(one.position * spacing),
-                "level_db": one.level_db,
-                "significance": or_null(one.significance),
+                "position_px": sidelobe.position,
+                "position_m": or_null(sidelobe.position * spacing),
+                "level_db": sidelobe.level_db,
+                "significance": or_null(sidelobe.significance),
             }
-            for one in sidelobes
+            for sidelobe in one.sidelobes
         ],
     }
 
@@ -281,12 +268,12 @@ def _arrays(report: PsfReport) -> dict[str, npt.NDArray[Any]]:
     if report.transfer and report.spread:
         one = report.transfer
         arrays |= {
-            "R": one.range_response,
-            "R_sigma": one.range_sigma,
-            "R_without_clutter": without_clutter(one.range_response, one.range_sigma),
-            "A": one.azimuth_response,
-            "A_sigma": one.azimuth_sigma,
-            "A_without_clutter": without_clutter(one.azimuth_response, one.azimuth_sigma),
+            "R": one.range.response,
+            "R_sigma": one.range.sigma,
+            "R_without_clutter": one.range.without_clutter(),
+            "A": one.azimuth.response,
+            "A_sigma": one.azimuth.sigma,
+            "A_without_clutter": one.azimuth.without_clutter(),
             "psf": report.spread.pixels,
         }
     if report.spectra:

@@ -99,10 +99,10 @@ def _draw_responses(panels: Sequence[Axes], report: PsfReport) -> None:
         return
     own = [estimate_transfer_function([target]) for target in report.targets[:CHIPS_SHOWN]]
     for one in own if len(report.targets) > 1 else []:
-        _draw_response(panels[:2], one.range_response, one.range_sigma, None)
-        _draw_response(panels[2:], one.azimuth_response, one.azimuth_sigma, None)
-    _draw_response(panels[:2], transfer.range_response, transfer.range_sigma, "range")
-    _draw_response(panels[2:], transfer.azimuth_response, transfer.azimuth_sigma, "azimuth")
+        _draw_response(panels[:2], one.range.response, one.range.sigma, None)
+        _draw_response(panels[2:], one.azimuth.response, one.azimuth.sigma, None)
+    _draw_response(panels[:2], transfer.range.response, transfer.range.sigma, "range")
+    _draw_response(panels[2:], transfer.azimuth.response, transfer.azimuth.sigma, "azimuth")
 
 
 def _draw_response(panels: Sequence[Axes], response: C128, sigma: F64, axis: str | None) -> None:
@@ -141,7 +141,7 @@ def _draw_speckle(axes: Axes, name: str, report: PsfReport) -> None:
     axes.plot(frequencies(count), middle, color="tab:orange", label="speckle")
     axes.fill_between(frequencies(count), low, high, alpha=0.3, color="tab:orange")
     if report.transfer:
-        response = report.transfer.range_response if along_range else report.transfer.azimuth_response
+        response = report.transfer.range.response if along_range else report.transfer.azimuth.response
         scale = np.sqrt(np.mean(np.abs(response) ** 2))
         axes.plot(frequencies(count), np.abs(response) / scale, color="tab:blue", lw=0.8, label="targets")
     axes.set(xlabel=f"{'range' if along_range else 'azimuth'} frequency (cycles per pixel)", ylim=(0, None))
@@ -165,9 +165,9 @@ def _draw_spread(axes: Axes, spread: PointSpread | None) -> None:
         cmap="magma",
         aspect="auto",
     )
-    for one in spread.range_sidelobes:
+    for one in spread.range.sidelobes:
         axes.plot(0, one.position, "o", mfc="none", mec="cyan", ms=12)
-    for one in spread.azimuth_sidelobes:
+    for one in spread.azimuth.sidelobes:
         axes.plot(one.position, 0, "o", mfc="none", mec="cyan", ms=12)
     axes.set(xlabel="azimuth (pixels)", ylabel="range (pixels)")
     axes.figure.colorbar(shown, ax=axes)

@@ -16,7 +16,7 @@ from sal_height.numeric.fft import frequencies
 from sal_height.response.impulse import measure_brightest
 from sal_height.response.point_spread import FINENESS, anomalous_sidelobes, cut_through, estimate_point_spread
 from sal_height.response.point_targets import find_targets
-from sal_height.response.transfer_function import TransferFunction, centred, estimate_transfer_function
+from sal_height.response.transfer_function import AxisResponse, TransferFunction, centred, estimate_transfer_function
 
 COUNT = 64
 TAYLOR = RangeFault(sawtooth=0.0).response(COUNT)
@@ -28,7 +28,7 @@ def transfer(range_response: np.ndarray, azimuth_response: np.ndarray, sigma: fl
     """A transfer function that is known well."""
     ranges, azimuths = centred(range_response), centred(azimuth_response)
     errors = np.full(len(ranges), sigma), np.full(len(azimuths), sigma)
-    return TransferFunction(ranges, errors[0], azimuths, errors[1], 1.0, 1.0, 4, 1e5)
+    return TransferFunction(AxisResponse(ranges, errors[0], 1.0), AxisResponse(azimuths, errors[1], 1.0), 4)
 
 
 def half_power_of_taylor() -> float:
@@ -39,12 +39,12 @@ def half_power_of_taylor() -> float:
 
 def test_a_flat_band_makes_a_sinc_and_taylor_weights_what_they_are_made_for() -> None:
     spread = estimate_point_spread(transfer(TAYLOR, np.ones(COUNT)))
-    assert spread.azimuth_cut.width == pytest.approx(0.8859, rel=0.002)
-    assert spread.azimuth_cut.pslr_db == pytest.approx(-13.26, abs=0.1)
-    assert spread.azimuth_cut.islr_db == pytest.approx(-10.2, abs=0.1)
-    assert spread.range_cut.pslr_db == pytest.approx(-35, abs=1)  # with 28 bins in the band
-    assert spread.range_cut.width == pytest.approx(2 * half_power_of_taylor(), rel=0.001)
-    assert not spread.azimuth_sidelobes
+    assert spread.azimuth.cut.width == pytest.approx(0.8859, rel=0.002)
+    assert spread.azimuth.cut.pslr_db == pytest.approx(-13.26, abs=0.1)
+    assert spread.azimuth.cut.islr_db == pytest.approx(-10.2, abs=0.1)
+    assert spread.range.cut.pslr_db == pytest.approx(-35, abs=1)  # with 28 bins in the band
+    assert spread.range.cut.width == pytest.approx(2 * half_power_of_taylor(), rel=0.001)
+    assert not spread.azimuth.sidelobes
 
 
 @pytest.mark.parametrize("shift", [0, 32])
@@ -52,7 +52,7 @@ def test_the_pixels_are_the_transform_of_the_product_interpolated(shift: int) ->
     given = transfer(np.roll(TAYLOR, shift), AzimuthFault().response(48))
     pixels = estimate_point_spread(given).pixels
     assert pixels.shape == (FINENESS * COUNT, FINENESS * 48)
-    product = np.outer(given.range_response, given.azimuth_response)
+    product = np.outer(given.range.response, given.azimuth.response)
     coarse = np.fft.fftshift(np.fft.ifft2(np.fft.ifftshift(product)))
     assert_allclose(pixels[::FINENESS, ::FINENESS], coarse, atol=1e-12)
     assert pixels[2 * COUNT, 2 * 48] == pytest.approx(1)
@@ -121,10 +121,10 @@ def test_the_echoes_of_a_sawtooth_on_a_tape() -> None:
     for sign in (-1, 1):
         middle = 32 * 32 + sign * 16 * 32
         expected = 20 * np.log10(fine[middle - 48 : middle + 49].max() / fine.max())
-        (echo,) = (one for one in spread.range_sidelobes if abs(one.position - sign * 16) < 1.5)
+        (echo,) = (one for one in spread.range.sidelobes if abs(one.position - sign * 16) < 1.5)
         assert echo.level_db == pytest.approx(expected, abs=1.3)
         assert expected == pytest.approx(-29.9, abs=0.3)
-    assert not spread.azimuth_sidelobes
+    assert not spread.azimuth.sidelobes
 
 
 def test_a_real_corner_reflector(shared_data: Callable[[str], Path]) -> None:
@@ -138,8 +138,8 @@ def test_a_real_corner_reflector(shared_data: Callable[[str], Path]) -> None:
     assert len(survey.candidates) == 1
     spread, whole = estimate_point_spread(estimate_transfer_function(survey.require())), measure_brightest(image)
     for cut, irf, width, pslr in (
-        (spread.range_cut, whole.row_cut, 1.07, -12.6),
-        (spread.azimuth_cut, whole.col_cut, 1.30, -14.8),
+        (spread.range.cut, whole.row_cut, 1.07, -12.6),
+        (spread.azimuth.cut, whole.col_cut, 1.30, -14.8),
     ):
         assert cut.width == pytest.approx(width, rel=0.03)
         assert cut.width == pytest.approx(irf.width, rel=0.01)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from sal_height.figures.synthetic_tape import (
     make_tape,
 )
 from sal_height.response.point_targets import PointTarget, chip_at, find_targets
-from sal_height.response.transfer_function import centred, estimate_transfer_function, without_clutter
+from sal_height.response.transfer_function import AxisResponse, centred, estimate_transfer_function
 
 COUNT = 64
 RANGE, EVEN, COSINE = RangeFault(), AzimuthFault(taper=0.0), AzimuthFault(taper=1.0)
@@ -53,15 +53,20 @@ def without_noise(range_response: np.ndarray, azimuth_response: np.ndarray) -> P
     return PointTarget(0, 0, 1e4, np.outer(range_response, azimuth_response))
 
 
+def ratio(targets: Sequence[PointTarget]) -> float:
+    """Power of the peaks over that of the clutter, of all targets together."""
+    return sum(target.over_clutter for target in targets)
+
+
 @pytest.mark.parametrize("azimuth", [EVEN, replace(COSINE, quartic=1.5)])
 def test_without_clutter_the_responses_come_back(azimuth: AzimuthFault) -> None:
     # Down to where they are 0, where nothing but rounding is divided.
     expected = centred(RANGE.response(COUNT)), centred(azimuth.response(COUNT))
     made = estimate_transfer_function([without_noise(*expected), without_noise(*expected)])
-    assert_allclose(made.range_response, expected[0], atol=1e-9)
-    assert_allclose(made.azimuth_response, expected[1], atol=1e-9)
-    assert made.range_sigma.max() < 1e-9
-    assert (made.targets, made.over_clutter) == (2, 2e4)
+    assert_allclose(made.range.response, expected[0], atol=1e-9)
+    assert_allclose(made.azimuth.response, expected[1], atol=1e-9)
+    assert made.range.sigma.max() < 1e-9
+    assert made.targets == 2
 
 
 def test_the_accuracy_promised() -> None:
@@ -76,7 +81,7 @@ def test_the_accuracy_promised() -> None:
         targets = tuple(Target(*(np.array(place) + rng.uniform(-1, 1, 2)), 40.0) for place in PLACES)
         made = estimate_transfer_function(find_targets(make_tape((512, 512), rng, targets, RANGE, COSINE)).require())
         assert made.targets == 4
-        found.append([*errors(made.range_response, expected[0]), *errors(made.azimuth_response, expected[1])])
+        found.append([*errors(made.range.response, expected[0]), *errors(made.azimuth.response, expected[1])])
     assert np.all(np.sqrt(np.mean(np.square(found), axis=0)) < [0.014, 0.02, 0.021, 0.028])
 
 
@@ -85,17 +90,17 @@ def test_the_errors_are_those_of_clutter_through_the_system() -> None:
     rng = np.random.default_rng(12)
     expected = centred(RANGE.response(COUNT))
     band = np.abs(expected) > 0.1 * np.abs(expected).max()
-    made = [estimate_transfer_function(cyclic(rng, 40.0)) for _ in range(200)]
-    over_clutter = np.mean([one.over_clutter for one in made])
+    trials = [cyclic(rng, 40.0) for _ in range(200)]
+    made, over_clutter = [estimate_transfer_function(targets) for targets in trials], np.mean(list(map(ratio, trials)))
     power = np.abs(expected) ** 2
     theory = COUNT * power / (np.mean(power) * over_clutter)
-    variance = np.mean([np.abs(one.range_response - expected) ** 2 for one in made], axis=0)
+    variance = np.mean([np.abs(one.range.response - expected) ** 2 for one in made], axis=0)
     assert np.mean(variance[band] / theory[band]) == pytest.approx(1, abs=0.06)
-    assert np.mean([one.range_sigma**2 for one in made], axis=0)[band] / theory[band] == pytest.approx(1, abs=0.15)
-    azimuth_error = np.mean([np.abs(one.azimuth_response - 1) ** 2 for one in made], axis=0)
-    sigma = np.mean([one.azimuth_sigma**2 for one in made], axis=0)
+    assert np.mean([one.range.sigma**2 for one in made], axis=0)[band] / theory[band] == pytest.approx(1, abs=0.15)
+    azimuth_error = np.mean([np.abs(one.azimuth.response - 1) ** 2 for one in made], axis=0)
+    sigma = np.mean([one.azimuth.sigma**2 for one in made], axis=0)
     assert np.mean(azimuth_error / sigma) == pytest.approx(1, abs=0.06)
-    assert np.median([one.range_disagreement for one in made]) == pytest.approx(1, abs=0.05)
+    assert np.median([one.range.disagreement for one in made]) == pytest.approx(1, abs=0.05)
 
 
 def test_phases_cost_nothing() -> None:
@@ -106,9 +111,10 @@ def test_phases_cost_nothing() -> None:
     rng = np.random.default_rng(19)
     expected = centred(RANGE.response(COUNT))
     bent = centred(replace(EVEN, quartic=3.0).response(COUNT))
-    made = [estimate_transfer_function(cyclic(rng, 40.0, replace(EVEN, quartic=3.0))) for _ in range(60)]
-    over_clutter = np.mean([one.over_clutter for one in made]) * np.mean(np.abs(bent) ** 2)
-    square = mean_square([one.range_response for one in made], expected)
+    trials = [cyclic(rng, 40.0, replace(EVEN, quartic=3.0)) for _ in range(60)]
+    made = [estimate_transfer_function(targets) for targets in trials]
+    over_clutter = np.mean(list(map(ratio, trials))) * np.mean(np.abs(bent) ** 2)
+    square = mean_square([one.range.response for one in made], expected)
     assert square == pytest.approx(COUNT / over_clutter, rel=0.1)
 
 
@@ -117,7 +123,7 @@ def test_a_full_band_between_the_pixels(fraction: float) -> None:
     """Power over half of the peak's lies on both sides, and falls off so slowly that the chip's context cuts some."""
     image = make_tape((512, 512), np.random.default_rng(20), (Target(200.3, 250 + fraction, 70.0),), RANGE, EVEN)
     made = estimate_transfer_function(find_targets(image).require())
-    assert np.sqrt(np.mean(np.abs(made.azimuth_response - 1) ** 2)) < 0.045
+    assert np.sqrt(np.mean(np.abs(made.azimuth.response - 1) ** 2)) < 0.045
 
 
 def test_outside_of_the_band_the_error_is_that_of_noise() -> None:
@@ -126,8 +132,8 @@ def test_outside_of_the_band_the_error_is_that_of_noise() -> None:
     images = [make_tape((COUNT, COUNT), rng, (Target(20, 30, 40.0),), RANGE, EVEN, noise=0.5) for _ in range(40)]
     made = estimate_transfer_function([chip_at(image, 20, 30, clutter=1.25) for image in images])
     outside = np.abs(RANGE.response(COUNT)) == 0
-    square = np.mean(np.abs(made.range_response[outside]) ** 2)
-    assert square == pytest.approx(np.mean(made.range_sigma[outside] ** 2), rel=0.5)
+    square = np.mean(np.abs(made.range.response[outside]) ** 2)
+    assert square == pytest.approx(np.mean(made.range.sigma[outside] ** 2), rel=0.5)
     assert square > 1e-6
 
 
@@ -137,9 +143,10 @@ def test_a_faint_target_counts_by_its_ratio_to_clutter() -> None:
     expected = centred(RANGE.response(COUNT))
     square, sigma = [], []
     for _ in range(150):
-        made = estimate_transfer_function([*cyclic(rng, 40.0, count=1), *cyclic(rng, 30.0, count=1)])
-        square.append(np.sum(np.abs(made.range_response - expected) ** 2))
-        sigma.append(COUNT**2 / made.over_clutter)
+        targets = [*cyclic(rng, 40.0, count=1), *cyclic(rng, 30.0, count=1)]
+        made = estimate_transfer_function(targets)
+        square.append(np.sum(np.abs(made.range.response - expected) ** 2))
+        sigma.append(COUNT**2 / ratio(targets))
     assert np.mean(square) == pytest.approx(np.mean(sigma), rel=0.1)
 
 
@@ -155,11 +162,11 @@ def test_targets_that_disagree_are_told_and_the_error_is_theirs() -> None:
         for made in ([beams[1]] * 3, beams)
     )
     agreed, told = estimate_transfer_function(steady), estimate_transfer_function(swinging)
-    assert agreed.azimuth_disagreement < 1.2
-    assert told.azimuth_disagreement > 3
-    assert np.mean(told.azimuth_sigma) > 2.5 * np.mean(agreed.azimuth_sigma)
-    assert told.range_disagreement < 1.3
-    assert np.isnan(estimate_transfer_function(steady[:1]).range_disagreement)
+    assert agreed.azimuth.disagreement < 1.2
+    assert told.azimuth.disagreement > 3
+    assert np.mean(told.azimuth.sigma) > 2.5 * np.mean(agreed.azimuth.sigma)
+    assert told.range.disagreement < 1.3
+    assert np.isnan(estimate_transfer_function(steady[:1]).range.disagreement)
 
 
 def test_the_papers_cross_has_no_effect_on_the_range_response() -> None:
@@ -205,9 +212,9 @@ def test_dividing_errs_less_than_the_papers_means_and_without_clutter_much_less(
         target = Target(*(128 + rng.uniform(-1, 1, 2)), 40.0)
         found = find_targets(make_tape((256, 256), rng, (target,), RANGE, COSINE)).require()
         made = estimate_transfer_function(found)
-        ours.append(made.azimuth_response)
+        ours.append(made.azimuth.response)
         masked.append(masked_transfer_function(found)[1])
-        cleaned.append(without_clutter(made.azimuth_response, made.azimuth_sigma))
+        cleaned.append(made.azimuth.without_clutter())
     assert mean_square(ours, expected) < 0.93 * mean_square(masked, expected)
     assert mean_square(cleaned, expected) < 0.5 * mean_square(ours, expected)
 
@@ -230,9 +237,10 @@ def test_a_band_across_the_ends_of_the_frequencies_is_centred_too() -> None:
 
 def test_what_clutter_explains_is_taken_out() -> None:
     response = centred(RANGE.response(COUNT))
-    assert_allclose(without_clutter(response, np.zeros(COUNT)), response, atol=1e-12)
+    assert_allclose(AxisResponse(response, np.zeros(COUNT), 1.0).without_clutter(), response, atol=1e-12)
     faint = np.fft.fft(np.where(np.arange(COUNT) == 5, 0.01, np.arange(COUNT) == 0))
-    assert_allclose(without_clutter(faint, np.full(COUNT, 0.011 * np.sqrt(COUNT))), np.ones(COUNT), atol=1e-12)
+    noisy = AxisResponse(faint, np.full(COUNT, 0.011 * np.sqrt(COUNT)), 1.0)
+    assert_allclose(noisy.without_clutter(), np.ones(COUNT), atol=1e-12)
 
 
 def test_no_target_is_not_enough() -> None:

@@ -450,9 +450,9 @@ def test_a_band_that_moves_with_the_column_is_followed(rate: float) -> None:
     truth = in_the_middle(fault.response(64))
     found = [report_on([image]) for image in (tape(3), moving_band(tape(3), rate))]
     assert [len(one.targets) for one in found] == [4, 4]
-    errors = [rms(in_the_middle(one.transfer.azimuth_response) - truth) / truth.max() for one in found]
+    errors = [rms(in_the_middle(one.transfer.azimuth.response) - truth) / truth.max() for one in found]
     assert errors[1] == pytest.approx(errors[0], abs=0.01)
-    assert found[1].transfer.azimuth_disagreement < 1.5
+    assert found[1].transfer.azimuth.disagreement < 1.5
     assert found[1].tiles.pure.sum() >= 0.9 * found[0].tiles.pure.sum()
     powers = [in_the_middle(one.spectra.azimuth.unfolded(64)[0]) for one in found]
     assert rms(powers[1] - powers[0]) < 0.05

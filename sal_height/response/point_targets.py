@@ -1,6 +1,6 @@
 """Point targets in an image: those whose surroundings show the system's response, and little else.
 
-An image is surveyed at a low resolution, and what stands out is looked at in chips (PSF paper, section 3, figures 1 to
+An image is surveyed at a low resolution, and what stands out is examined in chips (PSF paper, section 3, figures 1 to
 3). Axis 0 of images and chips is range, axis 1 azimuth.
 """
 

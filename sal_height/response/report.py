@@ -162,29 +162,26 @@ def _side_by_side(images: Sequence[Complex], width: int, noise_powers: Sequence[
 
     Images of a known noise power are divided by its root, so that all have the noise power 1.
     """
-    scales = [1 / np.sqrt(power) if power else 1.0 for power in noise_powers or np.ones(len(images))]
+    scales = [float(power) ** -0.5 if power else 1.0 for power in noise_powers or np.ones(len(images))]
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.concatenate(
-            [
-                (image[:, : image.shape[1] // width * width] * scale).astype(np.complex64, copy=False)
-                for image, scale in zip(images, scales, strict=True)
-            ],
-            axis=1,
-        )
+        whole = [
+            image[:, : image.shape[1] // width * width] * scale for image, scale in zip(images, scales, strict=True)
+        ]
+        return np.concatenate(whole, axis=1).astype(np.complex64, copy=False)
 
 
 def _pointing_of_each(spectra: SpeckleSpectra | None, width: int, displacements: Sequence[F64]) -> tuple[Pointing, ...]:
     """The pointing along each image, from that of the whole mosaic and what was taken off the images' centroids."""
     found = spectra.pointing if spectra else None
+    if not found:
+        return tuple(Pointing(*np.zeros((3, 0))) for _ in displacements)
     pointing, start = [], 0
     for displacement in displacements:
         end = start + (len(displacement) + 1) // width * width
-        own = (found.cols >= start) & (found.cols < end) if found else np.zeros(0, dtype=np.bool_)
-        cols, residual, sigma = (
-            (found.cols[own] - start, found.displacement[own], found.sigma[own]) if found else np.zeros((3, 0))
-        )
-        total = residual + displacement[cols.astype(int)]
-        pointing.append(Pointing(cols, total - np.round(total), sigma))
+        own = (found.cols >= start) & (found.cols < end)
+        cols = found.cols[own] - start
+        total = found.displacement[own] + displacement[cols.astype(int)]
+        pointing.append(Pointing(cols, total - np.round(total), found.sigma[own]))
         start = end
     return tuple(pointing)
 

@@ -131,7 +131,7 @@ def estimate_speckle_spectra(image: C64, tiles: SpeckleTiles) -> SpeckleSpectra:
 
     Args:
         image: complex pixels, shape (rows, cols), range along axis 0.
-        tiles: of this image, as `pure_speckle.find_pure_speckle` finds them.
+        tiles: of this image, as `find_pure_speckle` finds them.
 
     Raises:
         UserError: the image is not complex or not two-dimensional.

@@ -96,8 +96,8 @@ def find_pure_speckle(
 
     Args:
         image: complex pixels, shape (rows, cols).
-        tile: rows and columns of a tile; the image's own where it has fewer. What is left beside whole tiles is not
-            looked at.
+        tile: rows and columns of a tile; the image's own where it has fewer. What is left beside whole tiles does not
+            count.
         settings: how strict the tests are.
         noise_power: E|n|^2 of the receiver noise in a pixel; None: not known.
 

@@ -17,7 +17,7 @@ from sal_height.numeric import C128, F64
 from sal_height.response.impulse import band_frequencies, peak_offset
 from sal_height.response.point_targets import PointTarget
 
-FLOOR = 0.05  # power of a response, over its greatest, up to which it is rather left out than divided by
+FLOOR = 0.05  # power of a response, over its greatest, below which bins hardly count in a division by it
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,7 +79,7 @@ def simulate_block(
     """
     order = np.argsort(surface.positions[:, 0], kind="stable")
     positions, strengths = surface.positions[order], amplitudes[order].astype(np.complex64)
-    velocity = surface.velocity[order]
+    velocity, moving = surface.velocity[order], bool(np.any(surface.velocity))
     east = positions[:, 0].copy()
     middle = float(np.mean(sensor.beams.span))
     beams = replace(sensor.beams, boresights=(sensor.beams.boresights - middle).astype(np.float32), middle=0.0)
@@ -92,7 +92,7 @@ def simulate_block(
         reach = lit_angle(sensor.beams) * reference
         aim = position[0] + reference * (rotation @ boresight)[0]
         lit = slice(*np.searchsorted(east, (aim - reach, aim + reach)))
-        there = positions[lit] + second * velocity[lit]
+        there = positions[lit] + second * velocity[lit] if moving else positions[lit]
         sight = np.einsum("si,ij->js", there - position, rotation @ axes)  # no BLAS: its threads would wait
         distance = np.sqrt(np.einsum("is,is->s", sight, sight))
         delay = distance - reference

@@ -1,7 +1,8 @@
 """Least standard deviation of an elevation estimate from the detectors of an array.
 
 A target at elevation theta gives detector m the amplitude A_k a_m(theta) in look k, plus noise of variance sigma^2.
-The part of a' = da/dtheta along a cannot be told from another amplitude; only the rest holds information on theta:
+A change of the amplitude moves the samples along a. Only the part of a' = da/dtheta that is perpendicular to a holds
+information on theta:
 
     D = a'^H (I - a a^H / |a|^2) a'
 
@@ -24,31 +25,31 @@ Numbers = npt.NDArray[Any]
 
 
 def information(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
-    """D in 1/rad^2, for targets at `elevation` and `squint` (rad, shapes that broadcast)."""
+    """Compute D (1/rad^2) for targets at `elevation` and `squint` (rad), which broadcast."""
     return information_of(beams.response(elevation, squint), beams.slope(elevation, squint))
 
 
 def information_of(response: F64, slope: F64) -> F64:
-    """D of responses a and slopes a' of shape (..., detectors), 1/rad^2 if the slopes are per rad."""
+    """Compute D from responses a and slopes a' of shape (..., detectors); 1/rad^2 if the slopes are per rad."""
     overlap = np.abs(np.sum(response.conj() * slope, axis=-1)) ** 2
     return np.sum(np.abs(slope) ** 2, axis=-1) - overlap / beam_power(response)
 
 
 def unit_vectors(response: Numbers) -> Numbers:
-    """The vectors a / |a| of responses a of shape (..., detectors); 0 where no detector sees anything."""
+    """Divide responses a, shape (..., detectors), by |a|; the result is 0 where |a| is."""
     norm = np.linalg.norm(response, axis=-1, keepdims=True)
     return response * np.divide(1.0, norm, where=norm > 0, out=np.zeros_like(norm))
 
 
 def beam_power(response: F64) -> F64:
-    """|a|^2 of responses of shape (..., detectors), real or complex."""
+    """Compute |a|^2 of responses a, shape (..., detectors), real or complex."""
     return np.sum(np.abs(response) ** 2, axis=-1)
 
 
 def conditional_crb(
     beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int
 ) -> F64:
-    """Standard deviation, rad, if the looks together have the energy K C: 1 / sqrt(2 K C D).
+    """Least standard deviation (rad) for looks whose energies have the known sum K C: 1 / sqrt(2 K C D).
 
     Args:
         beams: of the array.
@@ -63,9 +64,10 @@ def conditional_crb(
 def stochastic_crb(
     beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int
 ) -> F64:
-    """Standard deviation, rad, if the amplitudes are Gaussian of unknown power: conditional, less 1 + 1 / (C |a|^2).
+    """Least standard deviation (rad) for Gaussian amplitudes of unknown power: sqrt((1 + 1 / (C |a|^2)) / (2 K C D)).
 
-    Many looks approach it above the threshold; `speckle_crb` is nearer for a few. Arguments as of `conditional_crb`.
+    With many looks, estimates approach it at high CNR; with a few, `speckle_crb` is nearer. Arguments as of
+    `conditional_crb`.
     """
     response = beams.response(elevation, squint)
     determined = information_of(response, beams.slope(elevation, squint))
@@ -73,22 +75,22 @@ def stochastic_crb(
 
 
 def stochastic_deviation(energy: F64, looks: npt.ArrayLike, power: F64, determined: F64) -> F64:
-    """`stochastic_crb` from the energy E = K C of the looks, |a|^2 and D; infinite where E is not positive."""
+    """Compute `stochastic_crb` from the energy E = K C, K, |a|^2 and D; infinite where E is not positive."""
     positive = np.maximum(energy, 0.0)
     return _deviation(positive**2 / (positive + np.asarray(looks) / power), determined)
 
 
 def speckle_crb(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int) -> F64:
-    """Standard deviation, rad, by the mean of the conditional variance over Gaussian amplitudes.
+    """Least standard deviation (rad) for Gaussian amplitudes: the root of the mean of the conditional variance.
 
-    The mean of 1 over their energy is 1 / ((K - 1) C): infinite for one look, which may be dark. Arguments as of
+    The mean of the inverse of their energy is 1 / ((K - 1) C), which is infinite for one look. Arguments as of
     `conditional_crb`.
     """
     return conditional_crb(beams, elevation, squint, cnr, looks - 1)
 
 
 def _deviation(energy: npt.ArrayLike, information: F64) -> F64:
-    """1 / sqrt(2 E D), infinite where the energy or D is not positive."""
+    """Compute 1 / sqrt(2 E D); infinite where E or D is not positive."""
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = 1 / (2 * np.asarray(energy) * information)
     return np.sqrt(np.where((np.asarray(energy) > 0) & (information > 0), variance, np.inf))

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import lru_cache, partial
 from typing import Self
 
 import numpy as np
@@ -28,6 +28,7 @@ from sal_height.elevation.bounds import Numbers, information, unit_vectors
 from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity, explained_power
 from sal_height.elevation.likelihood import GUARD
 from sal_height.elevation.looks import Covariance, Looks
+from sal_height.elevation.search import SEARCHES_HELD
 from sal_height.numeric import F32, F64, Bool, Index, in_parallel
 
 LEAST_SEPARATION = 0.1  # least distance between the elevations of a pair, beamwidths: well below what can be resolved
@@ -83,7 +84,7 @@ def two_scatterers(looks: Looks, beams: Beams, single: F64, tried: Bool, false_a
         for index, squint in enumerate(squints.tolist())
         for pixels in _blocks(np.flatnonzero(squint_of == index))
     ]
-    grid_at = cache(partial(_PairGrid.of, beams))
+    grid_at = lru_cache(SEARCHES_HELD)(partial(_PairGrid.of, beams))
 
     def work(part: slice) -> None:
         for squint, pixels in blocks[part]:

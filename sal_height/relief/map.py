@@ -30,9 +30,6 @@ TILE = 256
 SMOOTH = 1e-3
 """Ground distance, as a share of the flight height, over which the variance caused by the pose hardly changes."""
 
-HEIGHT, WEIGHT, CHI_SQUARE, COUNT = range(4)
-"""Layers of a tile: mean height (m), 1 / its variance (1/m^2), chi-square, number of dwells."""
-
 
 @dataclass(frozen=True, eq=False)
 class Relief:
@@ -75,6 +72,7 @@ class ReliefMap:
         self.cell_size = cell_size
         self.max_cells = max_cells
         self._corners: I64 | None = None  # row and column of the first and of the last cell of that rectangle
+        # Of each cell: mean height (m), 1 / its variance (1/m^2), chi-square and number of dwells.
         self._tiles: dict[tuple[int, int], F64] = {}
 
     def add(self, surface: Surface, aperture: ApertureState) -> None:
@@ -103,39 +101,43 @@ class ReliefMap:
 
     def _enter(self, row: I64, col: I64, height: F64, weight: F64) -> None:
         """Enter a dwell's mean heights (m) in some cells, in the order of rows, with `weight` 1 / variance (1/m^2)."""
+        index, tile_cols = row % TILE * TILE + col % TILE, col // TILE
         for tile_row in range(row[0] // TILE, row[-1] // TILE + 1):
-            line = slice(*np.searchsorted(row, [TILE * tile_row, TILE * (tile_row + 1)]))
-            tile_cols = col[line] // TILE
-            for tile_col in np.unique(tile_cols).tolist():
-                here = line.start + np.flatnonzero(tile_cols == tile_col)
-                tile = self._tiles.setdefault((tile_row, tile_col), np.zeros((4, TILE, TILE)))
-                there = np.s_[:, row[here] % TILE, col[here] % TILE]
-                tile[there] = _updated(tile[there], height[here], weight[here])
+            first, end = np.searchsorted(row, [TILE * tile_row, TILE * (tile_row + 1)])
+            for tile_col in range(tile_cols.min(), tile_cols.max() + 1):
+                here = first + np.flatnonzero(tile_cols[first:end] == tile_col)
+                if here.size:
+                    tile = self._tiles.setdefault((tile_row, tile_col), np.zeros((TILE * TILE, 4)))
+                    tile[index[here]] = _updated(tile[index[here]], height[here], weight[here])
 
     def relief(self) -> Relief | None:
         """Return the map as it stands; None if nothing was seen yet."""
         if self._corners is None:
             return None
-        south, west = self._corners[0].tolist()
-        shape = tuple((self._corners[1] - self._corners[0] + 1).tolist())
-        height, sigma, disagreement = (np.full(shape, np.nan, np.float32) for _ in range(3))
-        count = np.zeros(shape, np.uint32)
-        for (tile_row, tile_col), tile in self._tiles.items():
-            row, col = np.nonzero(tile[COUNT])
-            there = row + TILE * tile_row - south, col + TILE * tile_col - west
-            mean, weight, chi_square, dwells = tile[:, row, col]
-            height[there], sigma[there], count[there] = mean, 1 / np.sqrt(weight), dwells
-            with np.errstate(invalid="ignore"):
-                disagreement[there] = np.sqrt(chi_square / np.where(dwells > 1, dwells - 1, np.nan))
+        first, last = self._corners
+        origin = first // TILE * TILE  # of the tile that holds the first cell
+        whole = tuple((last // TILE * TILE + TILE - origin).tolist())
+        height, sigma, disagreement = (np.full(whole, np.nan, np.float32) for _ in range(3))
+        count = np.zeros(whole, np.uint32)
+        for place, tile in self._tiles.items():
+            south, west = (TILE * np.array(place) - origin).tolist()
+            there = np.s_[south : south + TILE, west : west + TILE]
+            mean, weight, chi_square, dwells = tile.T.reshape(4, TILE, TILE)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                height[there] = np.where(dwells > 0, mean, np.nan)
+                sigma[there] = np.where(dwells > 0, 1 / np.sqrt(weight), np.nan)
+                disagreement[there] = np.where(dwells > 1, np.sqrt(chi_square / (dwells - 1)), np.nan)
+            count[there] = dwells
+        seen = tuple(slice(start, end) for start, end in zip(first - origin, last + 1 - origin, strict=True))
         centre = self.cell_size / 2
         return Relief(
-            east=west * self.cell_size + centre,
-            north=south * self.cell_size + centre,
+            east=float(first[1]) * self.cell_size + centre,
+            north=float(first[0]) * self.cell_size + centre,
             cell_size=self.cell_size,
-            height=height,
-            sigma=sigma,
-            disagreement=disagreement,
-            count=count,
+            height=height[seen],
+            sigma=sigma[seen],
+            disagreement=disagreement[seen],
+            count=count[seen],
         )
 
 
@@ -196,12 +198,12 @@ def _averaged(
 
 
 def _updated(cells: F64, height: F64, weight: F64) -> F64:
-    """Update the layers of cells, shape (4, n), with measurements of `weight` 1 / variance.
+    """Update the numbers of cells, shape (n, 4), with measurements of `weight` 1 / variance.
 
     Chi-square grows by the squared difference from the mean so far, over the variance of that difference. That gives
     the sum of w (h - mean)^2 over all measurements without the cancellation of large squares.
     """
-    mean, known, chi_square, count = cells
+    mean, known, chi_square, count = cells.T
     gain = weight / (known + weight)
     step = gain * (height - mean)
-    return np.stack([mean + step, known + weight, chi_square + step**2 * known / gain, count + 1])
+    return np.stack([mean + step, known + weight, chi_square + step**2 * known / gain, count + 1], axis=-1)

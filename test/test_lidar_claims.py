@@ -30,7 +30,7 @@ from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import Preset, load_preset
 from sal_height.simulation.receivers import receiver_noise
-from sal_height.simulation.scene import PointTarget, VisibleSurface
+from sal_height.simulation.scene import PointScatterer, VisibleSurface
 from sal_height.simulation.truth import truth_image
 
 Array = npt.NDArray[np.float64]
@@ -174,7 +174,7 @@ def mover_flight() -> SimulatedFlight:
     ahead = SHOWN_AT + REACH * RADIAL / SPEED
     place = flight.aperture(0).position + REACH * look_direction(np.pi / 4 + OFFSET * BEAMWIDTH, ahead / REACH, 1)
     east, north, height = (float(value) for value in sphere_coordinates(place))
-    target = PointTarget(east, north, height, 1.0, radial_velocity=RADIAL)
+    target = PointScatterer(east, north, height, 1.0, radial_velocity=RADIAL)
     dark = replace(flight.scene, brightness=np.zeros_like(flight.scene.brightness), points=(target,))
     return replace(flight, scene=dark)
 
@@ -230,7 +230,7 @@ def strip_flight() -> SimulatedFlight:
     abeam = flight.aperture(2).position * np.array([0.0, 1.0, 1.0])
     place = abeam + REACH * look_direction(np.pi / 4 + OFFSET * BEAMWIDTH, 0.0, 1)
     east, north, height = (float(value) for value in sphere_coordinates(place))
-    target = PointTarget(east, north, height, 1.0, radial_velocity=RADIAL)
+    target = PointScatterer(east, north, height, 1.0, radial_velocity=RADIAL)
     dark = replace(flight.scene, brightness=np.zeros_like(flight.scene.brightness), points=(target,))
     return replace(flight, scene=dark)
 

@@ -26,7 +26,7 @@ from sal_height.simulation.gust import GustMotion, gust_motion
 from sal_height.simulation.impairments import MOST_SWING_BEAMWIDTHS, pointing_rotation, through_receivers
 from sal_height.simulation.preset import Preset
 from sal_height.simulation.receivers import received
-from sal_height.simulation.scene import SAMPLES_PER_CELL, PointTarget, Scene, VisibleSurface, joined, visible_surface
+from sal_height.simulation.scene import SAMPLES_PER_CELL, PointScatterer, Scene, VisibleSurface, joined, visible_surface
 from sal_height.simulation.scenes import load_scene
 from sal_height.simulation.spotlight import cell_power, draw_amplitudes, simulate_dwell
 from sal_height.simulation.stripmap import mean_square_gain, simulate_block
@@ -251,7 +251,7 @@ def flight_of(preset: Preset, seed: int) -> SimulatedFlight:
     _check_beams(preset, sensor)
     scene = load_scene(preset.scene, preset.scene_extent_m)
     targets = tuple(
-        PointTarget(
+        PointScatterer(
             t.east_m, t.north_m, t.height_m, 10 ** (t.power_db / 10), t.radial_velocity_mps, t.along_velocity_mps
         )
         for t in preset.targets

@@ -114,7 +114,7 @@ class ImageSize(StrictKeys):
 
 @dataclass(frozen=True)
 class TargetSettings(StrictKeys):
-    """A point target (`PointTarget`) in addition to those of the scene; its power over a cell of brightness 1."""
+    """A point target (`PointScatterer`) in addition to those of the scene; its power over a cell of brightness 1."""
 
     east_m: Annotated[Float, Ge(-1e7), Le(1e7)]
     north_m: Annotated[Float, Ge(-1e7), Le(1e7)]

@@ -17,7 +17,7 @@ from sal_height.numeric import F64, Bool
 
 
 @dataclass(frozen=True)
-class PointTarget:
+class PointScatterer:
     """A single scatterer, at rest or on a straight path at constant speed.
 
     It is at `east`, `north` and `height` in the middle of every spotlight dwell; in stripmap, when it is abeam of the
@@ -68,7 +68,7 @@ class Scene:
     north: F64
     height: F64
     brightness: F64
-    points: tuple[PointTarget, ...] = ()
+    points: tuple[PointScatterer, ...] = ()
     extent: float = 0.0
 
     def __post_init__(self) -> None:
@@ -200,7 +200,7 @@ def _within(values: F64, extent: tuple[float, float]) -> Bool:
     return (values >= extent[0]) & (values <= extent[1])
 
 
-def _targets(points: tuple[PointTarget, ...], aperture: ApertureState, look_side: int) -> VisibleSurface:
+def _targets(points: tuple[PointScatterer, ...], aperture: ApertureState, look_side: int) -> VisibleSurface:
     """Point targets, lit or not, with their positions in the middle of the aperture's time."""
     numbers = [(p.east, p.north, p.height, p.power, p.radial_velocity, p.along_velocity) for p in points]
     east, north, height, power, radial, along = np.array(numbers).reshape(-1, 6).T

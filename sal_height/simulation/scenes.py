@@ -11,7 +11,7 @@ import numpy as np
 
 from sal_height.errors import UserError
 from sal_height.simulation.dem import read_elevation_model
-from sal_height.simulation.scene import PointTarget, Scene
+from sal_height.simulation.scene import PointScatterer, Scene
 
 
 def load_scene(name_or_path: str, extent: float = 0.0) -> Scene:
@@ -59,7 +59,7 @@ def street(length: float = 60.0) -> Scene:
     for start in np.arange(-length / 2 + 1.0, length / 2 - 5.0, 7.5):  # parked cars: bonnet, roof, boot
         block(start, start + 4.2, -2.2, -0.5, 0.85, 2.0)
         block(start + 1.0, start + 3.3, -2.05, -0.65, 1.45, 2.0)
-    posts = tuple(PointTarget(float(e), 3.0, 1.0, 30.0) for e in np.arange(-length / 2 + 4.0, length / 2, 7.5))
+    posts = tuple(PointScatterer(float(e), 3.0, 1.0, 30.0) for e in np.arange(-length / 2 + 4.0, length / 2, 7.5))
     return Scene("street", east, north, height, brightness, posts)
 
 

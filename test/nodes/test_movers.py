@@ -20,7 +20,7 @@ from sal_height.sensor.sensor import Sensor
 from sal_height.sensor.stripmap import processed_angle
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
-from sal_height.simulation.scene import PointTarget, Scene, VisibleSurface, visible_surface
+from sal_height.simulation.scene import PointScatterer, Scene, VisibleSurface, visible_surface
 from sal_height.simulation.spotlight import simulate_dwell
 from sal_height.simulation.stripmap import simulate_block
 
@@ -29,21 +29,21 @@ NORTH = -REACH * np.sqrt(0.5)
 Array = npt.NDArray[np.float64]
 
 
-def scene_of(*points: PointTarget, north: float = NORTH) -> Scene:
+def scene_of(*points: PointScatterer, north: float = NORTH) -> Scene:
     """Point targets on dark ground."""
     ground = flat_scene(north=north, half=5.0)
     return replace(ground, brightness=np.zeros_like(ground.brightness), points=points)
 
 
-def movers(aperture: ApertureState, *points: PointTarget) -> VisibleSurface:
+def movers(aperture: ApertureState, *points: PointScatterer) -> VisibleSurface:
     """Point targets, seen by the aperture."""
     surface = visible_surface(scene_of(*points), aperture, 1, (0.075, 0.05), (-2.0, 2.0), (4998.0, 5002.0))
     kept = surface.deterministic
     return VisibleSurface(*(getattr(surface, name)[kept] for name in surface.__dataclass_fields__))
 
 
-def mover(radial: float = 0.0, along: float = 0.0, east: float = 0.0) -> PointTarget:
-    return PointTarget(east, NORTH, 0.0, 1.0, radial_velocity=radial, along_velocity=along)
+def mover(radial: float = 0.0, along: float = 0.0, east: float = 0.0) -> PointScatterer:
+    return PointScatterer(east, NORTH, 0.0, 1.0, radial_velocity=radial, along_velocity=along)
 
 
 def timed_track(sensor: Sensor, pulses: int) -> tuple[Array, Array]:
@@ -52,7 +52,7 @@ def timed_track(sensor: Sensor, pulses: int) -> tuple[Array, Array]:
     return seconds, make_aperture().position + SPEED * seconds[:, None] * np.array([1.0, 0.0, 0.0])
 
 
-def spotlight_profile(sensor: Sensor, point: PointTarget, along: Array) -> npt.NDArray[np.complex128]:
+def spotlight_profile(sensor: Sensor, point: PointScatterer, along: Array) -> npt.NDArray[np.complex128]:
     """Focused image of a target in a spotlight dwell at places (m) along the flight, its beam taken off."""
     seconds, antenna = timed_track(sensor, sensor.pulse_count)
     surface = movers(make_aperture(), point)
@@ -129,7 +129,7 @@ def strip_sensor() -> Sensor:
     return make_sensor(mode="stripmap", pattern="sinc", pulse_repetition_frequency=20e3, sample_count=32)
 
 
-def strip_profile(sensor: Sensor, point: PointTarget, along: Array) -> npt.NDArray[np.complex128]:
+def strip_profile(sensor: Sensor, point: PointScatterer, along: Array) -> npt.NDArray[np.complex128]:
     """Focused stripmap image of a target at places (m) along the flight."""
     seconds, antenna = timed_track(sensor, 1000)
     surface = movers(replace(make_aperture(), sliding=True), point)
@@ -169,7 +169,7 @@ def test_receding_target_appears_behind_its_place_in_stripmap(radial: float, eas
 def test_way_of_a_target_is_one_over_all_blocks_of_a_strip() -> None:
     """Cut into blocks of another length, the same flight has the same echoes."""
     preset = load_preset("sal_stripmap")
-    point = PointTarget(0.1, 0.0, 0.0, 1.0, radial_velocity=0.02, along_velocity=1.5)
+    point = PointScatterer(0.1, 0.0, 0.0, 1.0, radial_velocity=0.02, along_velocity=1.5)
     histories = []
     for pulses, dwells in ((64, 8), (128, 4)):
         sensor = replace(preset.sensor, pulse_count=pulses, sample_count=16, detectors=2)

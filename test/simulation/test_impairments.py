@@ -34,7 +34,7 @@ from sal_height.simulation.impairments import (
 )
 from sal_height.simulation.preset import HybridSettings, load_preset
 from sal_height.simulation.receivers import form_channels
-from sal_height.simulation.scene import PointTarget, Scene
+from sal_height.simulation.scene import PointScatterer, Scene
 
 REFERENCE = Path(__file__).parents[2] / "bags" / "version_1"
 
@@ -57,7 +57,7 @@ def point_flight(impairments: Impairments, name: str = "small", east: float = 0.
     preset = load_preset(name)
     preset = replace(preset, sensor=replace(preset.sensor, **sensor), cnr_db=100.0, dwells=3, impairments=impairments)
     ground = flat_scene()
-    point = PointTarget(east, 0.0, 0.0, 1e6)
+    point = PointScatterer(east, 0.0, 0.0, 1e6)
     scene = replace(ground, brightness=np.zeros_like(ground.brightness), points=(point,))
     return SimulatedFlight(preset, preset.make_sensor(), scene, 3, seed=9)
 

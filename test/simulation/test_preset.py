@@ -24,7 +24,7 @@ from sal_height.sensor.waveform import spectrum_sensor
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import UNIMPAIRED, RangeSawtooth, RangeTaper
 from sal_height.simulation.preset import load_preset, parse_preset, preset_names
-from sal_height.simulation.scene import PointTarget
+from sal_height.simulation.scene import PointScatterer
 from sal_height.simulation.scenes import load_scene
 
 SMALL = Path(__file__).parents[2] / "sal_height" / "presets" / "small.yaml"
@@ -117,8 +117,8 @@ def test_targets_join_those_of_the_scene() -> None:
     points, known = flight_of(preset, seed=1).scene.points, load_scene(preset.scene).points
     assert points[: len(known)] == known
     assert points[len(known) :] == (
-        PointTarget(1.0, -2.0, 0.5, 100.0, -0.001),
-        PointTarget(1.0, -2.0, 0.5, 100.0, -0.001, 3.0),
+        PointScatterer(1.0, -2.0, 0.5, 100.0, -0.001),
+        PointScatterer(1.0, -2.0, 0.5, 100.0, -0.001, 3.0),
     )
 
 

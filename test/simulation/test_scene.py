@@ -11,7 +11,7 @@ from helpers import assert_one_sentence, flat_scene, make_aperture
 from sal_height.errors import UserError
 from sal_height.geometry.earth import EARTH_RADIUS, height_of, sphere_coordinates, sphere_point
 from sal_height.geometry.frames import angles_of
-from sal_height.simulation.scene import LAYERS, PointTarget, Scene, VisibleSurface, visible_surface
+from sal_height.simulation.scene import LAYERS, PointScatterer, Scene, VisibleSurface, visible_surface
 
 PLATFORM_HEIGHT = 5000 * np.sqrt(0.5)
 DISTANCE = PLATFORM_HEIGHT  # on the ground, seen at 45 degrees
@@ -27,7 +27,7 @@ WAYS = pytest.mark.parametrize(
 )
 
 
-def profile_scene(heights: np.ndarray, distances: np.ndarray, outwards: int, *points: PointTarget) -> Scene:
+def profile_scene(heights: np.ndarray, distances: np.ndarray, outwards: int, *points: PointScatterer) -> Scene:
     """Ground that varies across the flight only; `distances` grow away from the platform."""
     height = np.repeat(heights[::outwards, None], 2, axis=1)
     return Scene(
@@ -136,9 +136,9 @@ def test_brightness_scales_the_power() -> None:
 
 def test_point_target_is_added_with_its_own_power_if_it_is_lit() -> None:
     distances = DISTANCE + np.array([-40.0, 40.0])
-    post = PointTarget(east=1.0, north=-DISTANCE, height=2.0, power=30.0)
-    beside = PointTarget(east=5.1, north=-DISTANCE, height=2.0, power=30.0)  # would alias in azimuth
-    beyond = PointTarget(east=1.0, north=-DISTANCE - 25.0, height=0.0, power=30.0)  # would alias in range
+    post = PointScatterer(east=1.0, north=-DISTANCE, height=2.0, power=30.0)
+    beside = PointScatterer(east=5.1, north=-DISTANCE, height=2.0, power=30.0)  # would alias in azimuth
+    beyond = PointScatterer(east=1.0, north=-DISTANCE - 25.0, height=0.0, power=30.0)  # would alias in range
     surface, _ = see(profile_scene(np.zeros(2), distances, -1, beside, post, beyond))
     (index,) = np.flatnonzero(surface.deterministic)
     coordinates = np.array(sphere_coordinates(surface.positions[index]))

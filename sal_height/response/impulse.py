@@ -94,7 +94,7 @@ class Chip:
 
     def values(self, rows: npt.ArrayLike, cols: npt.ArrayLike) -> C128:
         """Amplitude at each of `rows` and each of `cols`, fractional pixels of the image; shape (rows, cols)."""
-        return np.linalg.multi_dot([self._waves(0, rows), self.spectrum, self._waves(1, cols).T])
+        return np.linalg.multi_dot([self.waves(0, rows), self.spectrum, self.waves(1, cols).T])
 
     def power(self, rows: npt.ArrayLike, cols: npt.ArrayLike) -> F64:
         """Square of the modulus of `values`."""
@@ -105,13 +105,15 @@ class Chip:
         pixel, peak = (row, col), [float(row), float(col)]
         for axis in (0, 1, 0, 1):  # the second time for what the step along the other axis has changed
             spectrum = (self.spectrum, self.spectrum.T)[axis]
-            line = self._waves(axis, peak[axis])[0] * (spectrum @ self._waves(1 - axis, peak[1 - axis])[0])
+            across = self.waves(1 - axis, peak[1 - axis])[0]
+            # einsum: threads of a BLAS cost more than so small a product
+            line = self.waves(axis, peak[axis])[0] * np.einsum("ij,j", spectrum, across)
             first, last = self.finite[axis]
             limits = max(first, pixel[axis] - 1), min(last, pixel[axis] + 1)
             peak[axis] = float(np.clip(peak[axis] + peak_offset(line, self.frequencies[axis]), *limits))
         return peak[0], peak[1]
 
-    def _waves(self, axis: int, positions: npt.ArrayLike) -> C128:
+    def waves(self, axis: int, positions: npt.ArrayLike) -> C128:
         """Each bin's wave at positions along an axis, shape (positions, bins)."""
         pixels = np.atleast_1d(np.asarray(positions, dtype=np.float64)) - self.start[axis]
         return np.exp(2j * np.pi * np.outer(pixels, self.frequencies[axis])) / self.spectrum.shape[axis]

@@ -218,8 +218,10 @@ def chip_at(image: Complex, row: int, col: int, clutter: float, shape: tuple[int
     window = chip_around(image, row, col, (2 * shape[0], 2 * shape[1]))
     peak_row, peak_col = window.peak(row, col)
     down, across = (scipy.fft.ifftshift(np.arange(size) - size // 2) for size in shape)
-    pixels = window.values(peak_row + down, peak_col + across)
-    gain = pixels[0, 0] / window.values(row, col)[0, 0]
+    moved = scipy.fft.ifft2(window.spectrum * window.waves(0, peak_row).T * window.waves(1, peak_col))
+    pixels = moved[np.ix_(down, across)]
+    here = np.einsum("i,ij,j", window.waves(0, row)[0], window.spectrum, window.waves(1, col)[0])
+    gain = moved[0, 0] * moved.size / here
     power = float(np.abs(gain * np.complex128(image[row, col])) ** 2)
     spectrum = np.asarray(scipy.fft.fftshift(scipy.fft.fft2(pixels / pixels[0, 0])))
     return PointTarget(peak_row, peak_col, power / clutter, spectrum)

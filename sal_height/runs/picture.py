@@ -29,18 +29,18 @@ def draw_heights(mosaics: Mapping[str, Mosaic], scene: Scene, preset: Preset, pa
     """
     first = next(iter(mosaics.values()))
     terrain = scene.heights(first.east, first.north[:, None])
-    low, high = np.nanpercentile(terrain, [0.5, 99.5])
     spread = {name: _s68(m.error[m.single]) for name, m in mosaics.items()}
     worst = 4 * max(spread.values())
+    limits = height_limits(terrain, worst)
     shape = np.ptp(first.north) / np.ptp(first.east)
     figure = Figure(figsize=(5.4 * (len(mosaics) + 1), 2.0 + 2 * max(3.2, 5.0 * shape)), layout="constrained")
     axes = figure.subplots(2, len(mosaics) + 1, squeeze=False)
 
-    truth = _show(axes[0, 0], first, terrain, (low, high), "terrain")
+    truth = _show(axes[0, 0], first, terrain, limits, "terrain")
     axes[0, 0].set_title("truth: the terrain")
     for column, (name, result) in enumerate(mosaics.items(), start=1):
         title = ESTIMATORS[name].title if name in ESTIMATORS else name
-        _show(axes[0, column], result, result.height, (low, high), "terrain")
+        _show(axes[0, column], result, result.height, limits, "terrain")
         axes[0, column].set_title(f"height, {title}")
         error = _show(axes[1, column], result, result.error, (-worst, worst), "RdBu_r")
         axes[1, column].set_title(f"error, {title}\nhalf the 16-84 % width {spread[name]:.3g} m")
@@ -98,6 +98,16 @@ def draw_image(image: C64, grid: Grid, title: str, path: Path) -> None:
     axis.set(title=title, xlabel="along-track (m)", ylabel="range (m)")
     figure.colorbar(shown, label="power (dB below the peak)")
     figure.savefig(path, dpi=110)
+
+
+def height_limits(terrain: F64, worst: float) -> tuple[float, float]:
+    """Lowest and highest height of the colour scale, m: those of the terrain, and at least its middle +- `worst`.
+
+    On flat ground the colours thus show errors of the heights, instead of one colour.
+    """
+    low, high = np.nanpercentile(terrain, [0.5, 99.5])
+    middle = (low + high) / 2
+    return float(min(low, middle - worst)), float(max(high, middle + worst))
 
 
 def _show(axis: Axes, result: Mosaic, values: F64, limits: tuple[float, float], colours: str) -> AxesImage:

@@ -7,7 +7,7 @@ from setuptools import find_packages, setup
 
 version = re.search(r'__version__ = "(.+)"', Path("sal_height/__init__.py").read_text(encoding="utf-8"))[1]
 estimators = Path("sal_height/elevation/registry.py").read_text(encoding="utf-8")
-height_nodes = re.findall(r'^ +node="(\w+)",$', estimators, re.MULTILINE)
+height_nodes = re.findall(r'\bnode="(\w+)"', estimators)
 
 setup(
     name="sal_height",

@@ -74,7 +74,7 @@ class ElevationEstimator:
     estimate: Estimate
     suits: Callable[[Sensor], bool] = has_several_detectors
     channels: MakeChannels = whitened_channels
-    by_default: bool = True
+    by_default: bool = False
 
 
 def _sum_and_difference(noise_covariance: C128, channel_matrix: C128) -> Channels:
@@ -93,6 +93,7 @@ _ENTRIES = (
         settings=MonopulseSettings,
         estimate=monopulse_elevation,
         suits=has_separate_detectors,
+        by_default=True,
     ),
     ElevationEstimator(
         name="ml",
@@ -100,6 +101,7 @@ _ENTRIES = (
         title="array maximum likelihood",
         settings=MlSettings,
         estimate=ml_elevation,
+        by_default=True,
     ),
     ElevationEstimator(
         name="sum_difference",
@@ -109,6 +111,7 @@ _ENTRIES = (
         estimate=sum_difference_elevation,
         suits=has_sum_and_difference,
         channels=_sum_and_difference,
+        by_default=True,
     ),
     ElevationEstimator(
         name="capon",
@@ -116,7 +119,6 @@ _ENTRIES = (
         title="Capon",
         settings=CaponSettings,
         estimate=capon_elevation,
-        by_default=False,
     ),
     ElevationEstimator(
         name="music",
@@ -124,7 +126,6 @@ _ENTRIES = (
         title="MUSIC",
         settings=MusicSettings,
         estimate=music_elevation,
-        by_default=False,
     ),
 )
 

@@ -56,7 +56,11 @@ class Scenario:
     """Options that pairs and arrays share."""
 
     pattern: Annotated[
-        str, Parameter(metavar="NAME|FILE", help="Beams: sinc, jinc, gaussian, or a CSV file of measured beams.")
+        str,
+        Parameter(
+            metavar="NAME|FILE",
+            help="Beams: sinc, jinc or another pattern of presets, or a CSV file of measured beams.",
+        ),
     ] = "sinc"
     pitch: Annotated[float, Parameter(help="Detector spacing in beamwidths.")] = 0.5
     size: Annotated[

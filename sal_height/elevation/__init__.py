@@ -1,14 +1,15 @@
 """Elevation angle of the scatterer in each pixel, from the amplitude ratios between channels.
 
 Every estimator is a function `estimate(looks, beams, settings)` that returns an `ElevationEstimate`. Read `looks` first
-(what the channels have observed in each pixel), then `estimate` (the result and the reasons for none), `likelihood`
-with `search` (one scatterer, by the whole array), `spatial_prior` (help from neighbours), `layover` (two scatterers in
-a pixel) and `maximum_likelihood`, which joins these; `capon` and `music` (the two spectra known from tomography, on the
-same search), `monopulse` (pairs; sum and difference), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators
-by name).
+(what the channels have observed in each pixel; `cell_response`: what of that belongs to its neighbours), then
+`estimate` (the result and the reasons for none), `likelihood` with `search` (one scatterer, by the whole array),
+`spatial_prior` (help from neighbours), `layover` (two scatterers in a pixel) and `maximum_likelihood`, which joins
+these; `capon` and `music` (the two spectra known from tomography, on the same search), `monopulse` (pairs; sum and
+difference), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators by name).
 """
 
 from sal_height.elevation.bounds import conditional_crb, speckle_crb, stochastic_crb
+from sal_height.elevation.cell_response import AxisResponse, CellResponse
 from sal_height.elevation.estimate import (
     ElevationEstimate,
     Fit,
@@ -54,6 +55,8 @@ __all__ = [
     "ESTIMATORS",
     "MISFIT_SHARE",
     "OBJECTIVES",
+    "AxisResponse",
+    "CellResponse",
     "Covariance",
     "ElevationEstimate",
     "ElevationEstimator",

@@ -48,7 +48,7 @@ def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> Elev
     """
 
     def spectrum(covariance: Covariance, count: F64) -> Covariance:
-        mean = covariance / (count * looks.noise_power)[:, None, None]
+        mean = covariance / (count * looks.receiver_noise)[:, None, None]
         return -np.linalg.inv(mean + (settings.loading * np.eye(beams.count)).astype(covariance.dtype))
 
     estimate = estimate_by_spectrum(spectrum, looks, beams, settings)

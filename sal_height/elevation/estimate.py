@@ -65,7 +65,7 @@ class ElevationEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """How well one scatterer explains each pixel; arrays (rows, cols), powers in units of the noise power.
+    """How well one scatterer explains each pixel; arrays (rows, cols), powers in units of the receivers' noise power.
 
     Attributes:
         explained: power that the scatterer explains, sum over looks, its share of the noise included.
@@ -73,12 +73,14 @@ class Fit:
         degrees: order of the gamma distribution of `left` if nothing but noise is left: half the number of real
             dimensions of noise in K looks of M channels, less those that the scatterer's parameters have taken.
         directions: number of independent directions among which the strongest was chosen.
+        leaked: expected power of the sidelobes of scatterers in other pixels, sum over looks.
     """
 
     explained: F64
     left: F64
     degrees: F64
     directions: int
+    leaked: F64 | float = 0.0
 
 
 def array_fit(looks: Looks, explained: F64) -> Fit:
@@ -88,10 +90,11 @@ def array_fit(looks: Looks, explained: F64) -> Fit:
 
     Args:
         looks: covariance of M channels in each pixel.
-        explained: a^H R a / |a|^2 over the noise power, shape (rows, cols).
+        explained: a^H R a / |a|^2 over the receivers' noise power, shape (rows, cols).
     """
     channels = looks.covariance.shape[-1]
-    return Fit(explained, looks.power / looks.noise_power - explained, (channels - 1) * looks.count - 0.5, channels)
+    left, degrees = looks.power / looks.receiver_noise - explained, (channels - 1) * looks.count - 0.5
+    return Fit(explained, left, degrees, channels, looks.leaked)
 
 
 def noise_limit(degrees: F64, rate: float) -> F64:
@@ -103,6 +106,27 @@ def noise_limit(degrees: F64, rate: float) -> F64:
     return np.where(orders > 0, gammainccinv(np.maximum(orders, 0.5), rate), 0.0)[which]
 
 
+def sidelobe_limit(leaked: F64 | float, rate: float) -> F64:
+    """Power of other pixels' sidelobes that is exceeded with the probability `rate`; `leaked` is its expectation.
+
+    All looks of a pixel see nearly the same wave, as the sidelobes of one scatterer change little over a few pixels:
+    their power is that of one look of speckle, which is exponentially distributed.
+    """
+    return -np.log(rate) * np.asarray(leaked)
+
+
+def detection_limit(looks: Looks, directions: int, settings: HeightSettings) -> F64:
+    """Least power, in units of the receivers' noise power, of what is neither noise nor other pixels' sidelobes.
+
+    Args:
+        looks: whose power is looked at, sum over looks.
+        directions: number of independent directions among which the strongest was chosen.
+        settings: rates of false alarms.
+    """
+    noise = noise_limit(looks.count, settings.false_alarm_rate / directions)
+    return noise + sidelobe_limit(looks.leaked, settings.sidelobe_rate)
+
+
 def is_one_scatterer(fit: Fit, settings: HeightSettings) -> Bool:
     """Whether what a scatterer leaves of a pixel is noise, or a small share of what it explains.
 
@@ -111,9 +135,10 @@ def is_one_scatterer(fit: Fit, settings: HeightSettings) -> Bool:
 
     Args:
         fit: of one scatterer to every pixel.
-        settings: rate of false alarms, and share of the explained power that may be left beyond the mean of the noise.
+        settings: rates of false alarms, and share of the explained power that may be left beyond the mean of the noise.
     """
-    noise = fit.left <= noise_limit(fit.degrees, settings.false_alarm_rate)
+    limit = noise_limit(fit.degrees, settings.false_alarm_rate) + sidelobe_limit(fit.leaked, settings.sidelobe_rate)
+    noise = fit.left <= limit
     return noise | (fit.left - fit.degrees <= settings.misfit_share * fit.explained)
 
 
@@ -130,7 +155,7 @@ def decide_validity(
         outside: reason to give elsewhere.
         settings: when a scatterer is detected, and is the only one.
     """
-    detected = fit.explained >= noise_limit(looks.count, settings.false_alarm_rate / fit.directions)
+    detected = fit.explained >= detection_limit(looks, fit.directions, settings)
     return np.select(
         [~looks.finite, ~(detected & strong), ~inside, ~is_one_scatterer(fit, settings)],
         [Validity.MISSING_DATA, Validity.LOW_CNR, outside, Validity.NOT_ONE_SCATTERER],

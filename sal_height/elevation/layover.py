@@ -89,7 +89,8 @@ def two_scatterers(looks: Looks, beams: Beams, single: F64, tried: Bool, false_a
     def work(part: slice) -> None:
         for squint, pixels in blocks[part]:
             here = row[pixels], col[pixels]
-            covariance = looks.covariance[here] / looks.noise_power
+            noise_power = looks.noise_power[here].astype(np.float32)
+            covariance: Covariance = looks.covariance[here] / noise_power[:, None, None]
             known = looks.count[here], single[here], thresholds[:, pixels]
             found[:, *here] = _pairs_of(covariance if beams.is_complex else covariance.real, grid_at(squint), *known)
 

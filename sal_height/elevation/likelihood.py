@@ -131,7 +131,7 @@ def estimate_at_highest(objective: Objective, looks: Looks, beams: Beams, settin
     """
 
     def find(search: PeakSearch, pixels: Covariance, *_: object) -> F64:
-        peaks = search.peaks(pixels, settings.margin * looks.noise_power)
+        peaks = search.peaks(pixels, settings.margin * looks.receiver_noise)
         share = np.divide(peaks.second, peaks.height, where=peaks.height > 0, out=np.zeros_like(peaks.height))
         fit = search.fit(pixels, peaks.elevation)
         return np.vstack([peaks.elevation, (1 - share) * fit[0], fit])
@@ -148,7 +148,7 @@ def estimate_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, setting
 
     def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
         found = search.peaks(spectrum(pixels, looks.count[rows, cols].reshape(-1))).elevation
-        likely = search.peaks(pixels, settings.margin * looks.noise_power)
+        likely = search.peaks(pixels, settings.margin * looks.receiver_noise)
         at_it = np.abs(likely.elevation - found) < SAME_PEAK * beams.beamwidth
         fit = search.fit(pixels, found)
         return np.vstack([found, fit[0] - np.where(at_it, likely.second, likely.height), fit])
@@ -175,12 +175,12 @@ def _estimate(
     """
     searches = PeakSearches.over(beams, looks.squint, objective, search_guard(beams))
     elevation, lead, explained, gain, turning = searches.of_pixels(looks, 5, find)
-    explained = explained / looks.noise_power
+    explained = explained / looks.receiver_noise
     cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
     sigma = stochastic_deviation((explained - noise) / gain, noise, gain, turning * gain)
     fit, (first, last) = array_fit(looks, explained), beams.span
     strong, inside = cnr >= settings.min_cnr, (elevation >= first) & (elevation <= last)
     validity = decide_validity(looks, fit, strong, inside, Validity.OUTSIDE_ARRAY, settings)
     if beams.count > 2:
-        validity[(validity == Validity.OK) & (lead < settings.margin * looks.noise_power)] = Validity.AMBIGUOUS
+        validity[(validity == Validity.OK) & (lead < settings.margin * looks.receiver_noise)] = Validity.AMBIGUOUS
     return ElevationEstimate(elevation, sigma, cnr, validity)

@@ -8,9 +8,10 @@ from typing import Protocol, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, diags_array
 
 from sal_height.elevation._look_kernels import sum_covariances, sum_powers, sum_samples
+from sal_height.elevation.cell_response import AxisResponse, CellResponse
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid
 from sal_height.numeric import C64, F32, F64, Bool, Index, in_parallel
@@ -80,6 +81,22 @@ class Window:
         places = pixel[inside], sample[inside]
         return csr_array((self.weights[look[inside]], places), shape=(self.pixels(samples), samples))
 
+    def squares(self, samples: int, response: AxisResponse | None) -> F64:
+        """Sum over the looks i and j of a pixel of w_i w_j |rho_ij|^2: sum w^2 if looks are independent; (pixels,).
+
+        Args:
+            samples: along the axis.
+            response: by which samples are alike; None: they are independent.
+        """
+        weights = self.matrix(samples)
+        if response is None:
+            return np.asarray(weights.power(2).sum(axis=1))
+        near = min(len(self.weights), samples)
+        likeness = response.likeness(near)
+        offsets = range(1 - near, near)
+        pairs = diags_array([likeness[abs(n)] for n in offsets], offsets=offsets, shape=(samples, samples))
+        return np.asarray((weights @ pairs).multiply(weights).sum(axis=1))
+
 
 @dataclass(frozen=True, eq=False)
 class Looks:
@@ -89,9 +106,12 @@ class Looks:
         covariance: sum_k w_k g_k g_k^H, shape (rows, cols, channels, channels): complex64, or its real part as float32.
             Real beams need no more (a^T R a = a^T Re(R) a for any real a).
         squint: of each column, rad, shape (cols,).
-        noise_powers: E|n|^2 of one look in each channel, shape (channels,).
-        count: number of looks K, shape (rows, cols). For weighted looks (sum w)^2 / sum w^2, and the weights are scaled
-            to have that sum: mean and variance of the noise are then those of K looks.
+        noise_powers: E|n|^2 of the receivers' noise of one look in each channel, shape (channels,).
+        floor: factor by which the sidelobes of scatterers in other pixels raise the noise power of a pixel, 1 or more,
+            shape (rows, cols). All their power counts, as it may come from one elevation.
+        count: effective number of looks K = (sum w)^2 / sum w_i w_j |rho_ij|^2, shape (rows, cols), rho the correlation
+            of the noise, and of the speckle, of two looks; sum w^2 below if they are independent. The weights w are
+            scaled to have the sum K: mean and variance of the noise are then those of K independent looks.
         row: power-weighted mean row of the looks, in SLC pixels, shape (rows, cols); the middle if there is no power.
         col: power-weighted mean column.
         power: trace of the covariance, shape (rows, cols).
@@ -101,6 +121,7 @@ class Looks:
     covariance: Covariances
     squint: F64
     noise_powers: F64
+    floor: F64
     count: F64
     row: F64
     col: F64
@@ -121,6 +142,7 @@ class Looks:
             covariance,
             squint=np.full(cols, squint, np.float64),
             noise_powers=np.full(channels, noise_power, np.float64),
+            floor=np.ones((rows, cols)),
             count=np.full((rows, cols), count, np.float64),
             row=row,
             col=col,
@@ -129,9 +151,19 @@ class Looks:
         )
 
     @property
-    def noise_power(self) -> float:
-        """E|n|^2 of one look in every channel, if their noise is equal (`whitened_channels`)."""
+    def receiver_noise(self) -> float:
+        """E|n|^2 of the receivers' noise of one look in every channel, if it is equal (`whitened_channels`)."""
         return float(self.noise_powers[0])
+
+    @property
+    def noise_power(self) -> F64:
+        """E|n|^2 of one look in every channel with what sidelobes bring of other pixels, shape (rows, cols)."""
+        return self.receiver_noise * self.floor
+
+    @property
+    def leaked(self) -> F64:
+        """Expected power of other pixels' sidelobes over the receivers' noise power, sum over looks, (rows, cols)."""
+        return (self.floor - 1) * self.count
 
 
 @dataclass(frozen=True)
@@ -211,7 +243,14 @@ def live_detectors(slc: C64) -> Index:
     return np.array(live)
 
 
-def windowed_looks(slc: C64, windows: tuple[Window, Window], squint: F64, channels: Channels, hermitian: bool) -> Looks:
+def windowed_looks(
+    slc: C64,
+    windows: tuple[Window, Window],
+    squint: F64,
+    channels: Channels,
+    hermitian: bool,
+    response: CellResponse | None = None,
+) -> Looks:
     """Sum up the looks of every pixel of the height image.
 
     On sloping ground the looks of a pixel come from different ranges and elevations; the power-weighted centre is the
@@ -224,6 +263,8 @@ def windowed_looks(slc: C64, windows: tuple[Window, Window], squint: F64, channe
         squint: of each column of the height image, rad, shape (cols,).
         channels: that the estimator takes, from those of the images.
         hermitian: whether the covariance is complex, as complex beams need it (`Beams.is_complex`).
+        response: of the images, by which samples are alike and sidelobes reach other pixels; None: samples are
+            independent, and there are no sidelobes.
 
     Raises:
         UserError: more looks than the image has pixels.
@@ -241,7 +282,9 @@ def windowed_looks(slc: C64, windows: tuple[Window, Window], squint: F64, channe
     in_parallel(lambda part: sum_powers(numbers, np.abs(gains) ** 2, part.start, sample_power[part]), rows)
     # Sums over the looks of each pixel, first along the columns, then along the rows.
     by_row, by_col = down.matrix(rows), across.matrix(cols)
-    sums, squares = (np.multiply.outer(by_row.power(n).sum(axis=1), by_col.power(n).sum(axis=1)) for n in (1, 2))
+    sums = np.multiply.outer(by_row.sum(axis=1), by_col.sum(axis=1))
+    alike = (response.down, response.across) if response else (None, None)
+    squares = np.multiply.outer(down.squares(rows, alike[0]), across.squares(cols, alike[1]))
     finite = by_row @ (by_col @ (sample_power < 0).T).T == 0
     seen = np.maximum(sample_power, 0).astype(np.float64)
     along = (by_col @ seen.T).T
@@ -252,10 +295,15 @@ def windowed_looks(slc: C64, windows: tuple[Window, Window], squint: F64, channe
         row = np.where(power > 0, row_of @ along / power, (row_of.sum(axis=1) / by_row.sum(axis=1))[:, None])
         col = np.where(power > 0, by_row @ (col_of @ seen.T).T / power, col_of.sum(axis=1) / by_col.sum(axis=1))
     scale = np.where(finite, sums / squares, 0.0)
+    floor = np.ones_like(sums)
+    if response and np.all(channels.noise_powers > 0):
+        leaked = response.leaked(np.maximum(seen - channels.noise_powers.sum(), 0.0))
+        floor += by_row @ (by_col @ leaked.T).T / sums / channels.noise_powers.min()
     return Looks(
         covariance=SlcCovariance(numbers, down, across, gains, scale.astype(np.float32), hermitian),
         squint=squint,
         noise_powers=channels.noise_powers,
+        floor=floor,
         count=sums**2 / squares,
         row=row,
         col=col,

@@ -19,6 +19,16 @@ The latter is that of the strongest of M independent directions. The search sees
 outside the array: of pixels of noise alone 0.1 to 1.7 times this share are valid, without any least CNR.
 """
 
+SIDELOBE_RATE = 0.01
+"""Share of pixels in which the sidelobes of others pass for a scatterer, at most.
+
+Behind bright ground their power is that of one look of speckle however many looks a pixel has, so that each factor of
+10 less costs 2.3 times their mean power: with the rectangular window 10 % of the ground's brightness.
+"""
+
+NO_LIMIT_DB = -60.0
+"""Least CNR that no pixel with a detected scatterer falls below."""
+
 
 class HeightSettings(Settings):
     """What a height image is made with, whichever estimator makes it."""
@@ -28,6 +38,12 @@ class HeightSettings(Settings):
         "share of single scatterers that are rejected because of noise, and of pixels of noise that pass for one",
         minimum=1e-12,
         maximum=0.1,
+    )
+    sidelobe_rate: float = setting(
+        SIDELOBE_RATE,
+        "share of pixels of shadow in which sidelobes of scatterers elsewhere pass for one",
+        minimum=1e-12,
+        maximum=0.5,
     )
     misfit_share: float = setting(
         MISFIT_SHARE,
@@ -53,7 +69,13 @@ class HeightSettings(Settings):
     look_window: str = setting(
         "boxcar", "weights of the pixels that are averaged, in range and azimuth", choices=tuple(LOOK_WINDOWS)
     )
-    min_cnr_db: float = setting(5.0, "lowest CNR of a valid pixel", unit="dB", minimum=-60.0, maximum=100.0)
+    min_cnr_db: float = setting(
+        NO_LIMIT_DB,
+        "lowest CNR of one look of a valid pixel, whatever the number of looks; -60: none but that of detection",
+        unit="dB",
+        minimum=NO_LIMIT_DB,
+        maximum=100.0,
+    )
     radial_velocity_mps: float = setting(
         0.0,
         "radial velocity of the targets of interest, positive if they recede; heights and places are right for "

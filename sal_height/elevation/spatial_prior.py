@@ -110,7 +110,8 @@ def _log_likelihood(looks: Looks, tile: _Tile, searches: PeakSearches) -> tuple[
         has_data[some, columns] = np.any(np.diagonal(pixels, axis1=-2, axis2=-1) != 0, axis=-1)
         values = search.on_grid(pixels.reshape(-1, *pixels.shape[2:]))
         order = count.reshape(-1, 1).astype(np.float32)
-        q = np.maximum(values / (order * np.float32(looks.noise_power)), np.float32(1))
+        noise = looks.noise_power[here].reshape(-1, 1).astype(np.float32)
+        q = np.maximum(values / (order * noise), np.float32(1))
         own[some, columns] = (order * (q - 1 - np.log(q))).reshape(*count.shape, -1)
 
     searches.each(angles, len(tile.rows), work)

@@ -122,7 +122,7 @@ def test_beams_are_told_by_images_of_white_noise_power(monkeypatch: pytest.Monke
     given: list[Any] = []
 
     def remember(looks: Looks, _beams: Beams, _settings: CalibrationSettings) -> BeamCalibration:
-        given.append(looks.power.sum() / looks.count.sum() / looks.covariance.shape[-1] / looks.noise_power)
+        given.append(looks.power.sum() / looks.count.sum() / looks.covariance.shape[-1] / looks.receiver_noise)
         return BeamCalibration.none(8)
 
     monkeypatch.setattr("sal_height.calibration.accumulate.calibrate_beams", remember)

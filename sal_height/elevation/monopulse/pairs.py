@@ -64,7 +64,7 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
 
     pair, lower, upper, real, imaginary, best, best_explained = searches.of_pixels(looks, 7, strongest)
     sums = sum_and_difference(lower, upper, real + 1j * imaginary, looks.count)
-    noise_powers = (2 * looks.noise_power, 2 * looks.noise_power)
+    noise_powers = (2 * looks.receiver_noise, 2 * looks.receiver_noise)
     mu = discriminate(sums, DISCRIMINANTS[settings.discriminant], noise_powers)
     found, response = _invert_pairs(beams, pair.astype(np.intp), mu, np.broadcast_to(looks.squint, mu.shape))
     sigma, cnr = accuracy(sums, response, found.slope, noise_powers)
@@ -72,12 +72,12 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
     def at_found(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
         return search.fit(pixels, found.elevation[rows, cols].reshape(-1))[:1]
 
-    (explained,) = searches.of_pixels(looks, 1, at_found) / looks.noise_power
+    (explained,) = searches.of_pixels(looks, 1, at_found) / looks.receiver_noise
     first, last = beams.span
     inside = (found.elevation >= first) & (found.elevation <= last)
     fit, strong = array_fit(looks, explained), cnr >= settings.min_cnr
     validity = decide_validity(looks, fit, strong, inside, Validity.OUTSIDE_ARRAY, settings)
-    outside = ((best < first) | (best > last)) & (best_explained / looks.noise_power - explained > OUTSIDE_MARGIN)
+    outside = ((best < first) | (best > last)) & (best_explained / looks.receiver_noise - explained > OUTSIDE_MARGIN)
     validity = np.where((validity == Validity.OK) & outside, Validity.OUTSIDE_ARRAY, validity)
     unpaired = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN]) & looks.finite
     validity = np.where(unpaired, Validity.OUTSIDE_PAIR, validity).astype(np.uint8)

@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import field_validator
 
 from sal_height.beams import Beams
-from sal_height.elevation.estimate import ElevationEstimate, Fit, Validity, decide_validity
+from sal_height.elevation.estimate import ElevationEstimate, Fit, Validity, decide_validity, detection_limit
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.monopulse.estimators import (
     DISCRIMINANTS,
@@ -77,7 +77,8 @@ def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceS
 
     The standard deviation and the CNR are those of `estimators.accuracy`.
 
-    LOW_CNR: the part that both channels have in common is not detected above noise, or is below `min_cnr`.
+    LOW_CNR: the part that both channels have in common, or Sigma alone, is not detected above noise, or is below
+    `min_cnr`.
     OUTSIDE_PAIR: gamma has no elevation, for example because there is a signal in Delta and none in Sigma.
     NOT_ONE_SCATTERER: one scatterer in two whitened channels leaves K - 1 noise powers on average, and more is left
     (`estimate.is_one_scatterer`).
@@ -96,9 +97,11 @@ def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceS
     found = invert(pair, gamma, looks.squint)
     sigma, cnr = accuracy(sums, pair.response(found.elevation, looks.squint), found.slope, noise_powers)
     explained, left = _eigenvalues(whitened_products(sums, noise_powers)[0]) / noise_powers[0]
-    fit = Fit(explained, left, looks.count - 1, directions=2)  # K amplitudes and one complex gamma are estimated
+    # K amplitudes and one complex gamma are estimated.
+    fit = Fit(explained, left, looks.count - 1, directions=2, leaked=looks.leaked)
     outside = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN])
-    strong = (cnr >= settings.min_cnr) | outside
+    in_sum = sums.sum_power / noise_powers[0] >= detection_limit(looks, 1, settings)
+    strong = in_sum & (cnr >= settings.min_cnr) | outside
     validity = decide_validity(looks, fit, strong, ~outside, Validity.OUTSIDE_PAIR, settings)
     return ElevationEstimate(found.elevation, sigma, cnr, validity)
 

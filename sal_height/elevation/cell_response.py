@@ -1,0 +1,107 @@
+"""What a pixel holds of the scatterers around it: the impulse response of an image along range and along azimuth.
+
+A window w over the band gives a scatterer x cells off the response h(x), the Fourier transform of w. Neighbouring
+pixels share noise and speckle by the Fourier transform of w^2; beyond its main lobe h has sidelobes, by which bright
+ground shows in shadow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.fft
+
+from sal_height.numeric import F64, WORKERS, window
+
+NODES = 1024
+"""Samples of the band that the windows are evaluated at; their number hardly matters to so near a response."""
+
+REACH = 64
+"""Pixels to each side up to which sidelobes are counted; those of the rectangular window hold 0.2 % beyond."""
+
+STEPS = 8
+"""Samples of the response per pixel, over which a scatterer's position in its pixel is averaged."""
+
+
+@dataclass(frozen=True)
+class AxisResponse:
+    """The response along one axis of an image.
+
+    Attributes:
+        window: over the band, a name of `numeric.WINDOWS`.
+        spacing: of pixels, in cells of the unweighted resolution.
+    """
+
+    window: str
+    spacing: float
+
+    def likeness(self, count: int) -> F64:
+        """|rho|^2 of the noise, and of the speckle, of two pixels that are 0, 1, ... count - 1 pixels apart."""
+        squares = window(self.window, NODES) ** 2
+        return _transform(squares / squares.sum(), self.spacing * np.arange(count, dtype=np.float64)) ** 2
+
+    def shares(self) -> tuple[F64, F64]:
+        """Share of a scatterer's energy in each pixel from -REACH to REACH, and the part of it in the main lobe.
+
+        The scatterer is anywhere in pixel 0. The shares of all pixels together are 1.
+        """
+        return _shares(self.window, self.spacing)
+
+
+@dataclass(frozen=True)
+class CellResponse:
+    """The response of an image: the product of those along its two axes.
+
+    Attributes:
+        down: along range.
+        across: along azimuth.
+    """
+
+    down: AxisResponse
+    across: AxisResponse
+
+    def leaked(self, power: F64) -> F64:
+        """Power that each pixel is expected to hold of the scatterers of others, beyond their main lobes.
+
+        A pixel's own power counts as that of its scatterers. What lies beyond the edge is taken to be as bright as the
+        edge.
+
+        Args:
+            power: of each pixel less its noise, 0 or more, shape (rows, cols).
+        """
+        (rows, rows_near), (cols, cols_near) = self.down.shares(), self.across.shares()
+        near = _convolved(_convolved(power, rows_near, 0), cols_near, 1)
+        return np.maximum(_convolved(_convolved(power, rows, 0), cols, 1) - near, 0.0)
+
+
+@lru_cache(maxsize=64)
+def _shares(name: str, spacing: float) -> tuple[F64, F64]:
+    # The response at STEPS points per pixel, midway between its edges.
+    steps = np.arange(-REACH * STEPS, (REACH + 1) * STEPS) + 0.5
+    offset = np.abs(steps / STEPS - 0.5) * spacing
+    amplitude = _transform(window(name, NODES) / NODES, offset)
+    energy = amplitude**2
+    # The main lobe ends where the response is 0 for the first time.
+    first_null = offset[(amplitude <= 0)].min(initial=offset.max())
+    parts = np.stack([energy, np.where(offset < first_null, energy, 0.0)])
+    whole, main_lobe = parts.reshape(2, -1, STEPS).sum(axis=-1) / energy.sum()
+    return whole, main_lobe
+
+
+def _transform(weights: F64, cells: F64) -> F64:
+    """Fourier transform of symmetric weights over the band at distances in cells."""
+    position = (np.arange(len(weights)) - (len(weights) - 1) / 2) / len(weights)
+    return np.cos(2 * np.pi * np.multiply.outer(cells, position)) @ weights
+
+
+def _convolved(power: F64, shares: F64, axis: int) -> F64:
+    """Convolve with 2 REACH + 1 shares along an axis, beyond whose ends the values there go on."""
+    count = power.shape[axis]
+    padded = np.pad(power, [(REACH, REACH) if n == axis else (0, 0) for n in range(2)], mode="edge")
+    length = scipy.fft.next_fast_len(padded.shape[axis], real=True)
+    spectrum = scipy.fft.rfft(padded, length, axis=axis, workers=WORKERS)
+    spectrum *= np.expand_dims(scipy.fft.rfft(shares, length), 1 - axis)
+    wrapped = scipy.fft.irfft(spectrum, length, axis=axis, workers=WORKERS)
+    return np.asarray(wrapped.take(range(2 * REACH, 2 * REACH + count), axis=axis))

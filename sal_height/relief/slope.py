@@ -1,0 +1,91 @@
+"""Slope of the ground at each pixel of a height image, from the pixels around it.
+
+Positions are averaged, not only heights, because errors of elevation move a point to the side as much as upwards: a
+plane fitted to heights over displaced places would be too flat or too steep. The mean of points of a plane lies on the
+plane, whichever of them are missing, so that the differences of a few means fix its slope.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from sal_height.numeric import F64
+from sal_height.relief.position_error import variance_at_place
+
+SLOPE_ERROR = 0.03
+"""Standard deviation of slopes (m/m) that windows are made wide enough for; sigma at a place is then good to 3 %."""
+
+KNOWN = 0.2
+"""Greatest standard deviation (m/m) of a slope that is used; beyond it the ground's slope counts as not known."""
+
+MISFIT = 2.5
+"""Greatest spread of pixels about their plane, over what their errors let expect; beyond it there is no plane."""
+
+LEAST_SHARE = 0.25
+"""Least share of the pixels of a window that must have a height; a window in a corner of the image has 4 of 9."""
+
+WIDEST = 32
+"""Greatest half-width of a window in pixels."""
+
+
+def ground_slope(points: F64, covariance: F64, spacing: float) -> F64:
+    """Slope of the ground (m/m) towards east and north at each pixel, shape (rows, cols, 2); NaN where not known.
+
+    Points are averaged in square windows; the slope is that of the plane through the means half a window before and
+    behind, left and right of the pixel. At a step, on rubble and beside a false height the pixels spread about their
+    planes by more than their errors (MISFIT), and the slope is not known. All windows of an image are equal, as narrow
+    as gives slopes of SLOPE_ERROR on level ground where the errors are those of the median pixel.
+
+    Args:
+        points: east, north and height of the scatterers, m, shape (rows, cols, 3); NaN where there is none.
+        covariance: of their own errors, m^2, shape (rows, cols, 3, 3).
+        spacing: of pixels on the ground, the smaller of both axes, m.
+    """
+    seen = np.isfinite(points).all(axis=-1) & np.isfinite(covariance[..., 2, 2])
+    if not seen.any():
+        return np.full((*seen.shape, 2), np.nan)
+    half = _half_width(float(np.sqrt(np.median(covariance[seen, 2, 2]))), spacing)
+    from_middle = np.where(seen[..., None], points - points[seen].mean(axis=0), 0.0)
+    share = _window_mean(seen.astype(np.float64), half)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = _window_mean(from_middle, half) / share[..., None]
+        down, across = _step(mean, half, axis=0), _step(mean, half, axis=1)
+        # The slope g fulfils step_up = g step_horizontal for both steps: Cramer's rule.
+        area = down[..., 0] * across[..., 1] - down[..., 1] * across[..., 0]
+        east = (down[..., 2] * across[..., 1] - down[..., 1] * across[..., 2]) / area
+        north = (down[..., 0] * across[..., 2] - down[..., 2] * across[..., 0]) / area
+        slope = np.stack([east, north], axis=-1)
+        count = share * (2 * half + 1) ** 2
+        beside = from_middle - mean
+        deviation = np.where(seen, beside[..., 2] - east * beside[..., 0] - north * beside[..., 1], 0.0)
+        spread = _window_mean(np.nan_to_num(deviation**2), half) / share * count / (count - 1)
+        variance = variance_at_place(covariance, slope)
+        # Each of the two steps has twice the variance of a mean, at most.
+        error = 2 * variance / count * np.sum(down[..., :2] ** 2 + across[..., :2] ** 2, axis=-1) / area**2
+        known = seen & (share >= LEAST_SHARE) & (error <= KNOWN**2) & (spread <= MISFIT**2 * variance)
+    return np.where(known[..., None], slope, np.nan)
+
+
+def _half_width(sigma: float, spacing: float) -> int:
+    """Half-width k in pixels of the windows of an image, from the sigma of its heights (m) and the spacing of pixels.
+
+    The difference of means k pixels before and behind, over their distance, has the variance
+    sigma^2 / (k (2 k + 1)^3 spacing^2).
+    """
+    half = np.arange(1, WIDEST + 1)
+    error = sigma / spacing / np.sqrt(half * (2.0 * half + 1) ** 3)
+    wide_enough = half[error <= SLOPE_ERROR]
+    return int(wide_enough[0]) if wide_enough.size else WIDEST
+
+
+def _window_mean(values: F64, half: int) -> F64:
+    """Mean over the window around each pixel, over the first two axes; 0 beyond the edge."""
+    return uniform_filter(values, 2 * half + 1, mode="constant", axes=(0, 1))
+
+
+def _step(values: F64, half: int, axis: int) -> F64:
+    """Difference of values `half` pixels behind and before each pixel along an axis, at the edges of fewer pixels."""
+    index = np.arange(values.shape[axis])
+    behind, before = np.minimum(index + half, index[-1]), np.maximum(index - half, 0)
+    return np.take(values, behind, axis) - np.take(values, before, axis)

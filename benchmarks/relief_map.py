@@ -74,8 +74,8 @@ def _height_image() -> HeightImage:
     height = np.random.default_rng(1).normal(0.1, 0.1, ground.shape)
     positions = ground.pixels()
     positions[..., 2] = above_place(positions[..., 0], positions[..., 1], height)[..., 2]
-    surface = Surface(height, np.full(ground.shape, 0.15), np.full(ground.shape, 20.0), positions)
-    field = HeightField(ground, np.zeros(ground.shape, np.uint8), surface, None)
+    surface = Surface.at(positions, height, np.full(ground.shape, 0.15), np.full(ground.shape, 20.0))
+    field = HeightField(ground, np.zeros(ground.shape, np.uint8), (surface,))
     slc = ComplexImage(header=Header(frame_id=messages.MAP_FRAME))
     return messages.height_to_message(field, aperture, (2, 2), "ml", slc, Provenance())
 

@@ -17,8 +17,8 @@ from sal_height.bag.reader import BagReader
 
 HEIGHT_IMAGE = "sal_height_msgs/msg/HeightImage"
 
-ORDERS = 4
-"""Numbers per pixel in HeightImage.order_probability: for 0 to 3 scatterers."""
+NUMBERS = {"order_probability": 5, "covariance": 6, "common_covariance": 6}
+"""Fields with several numbers per pixel, and how many: for each order, and of the upper triangle of a covariance."""
 
 # Height images by topic: a bag, or messages at hand.
 Heights: TypeAlias = Path | Mapping[str, Iterable[HeightImage]]
@@ -155,13 +155,18 @@ def _looks(image: HeightImage) -> tuple[int, int]:
 
 def _arrays(image: HeightImage) -> dict[str, NDArray[np.generic]]:
     """Every array of the message that has a number per pixel, by name; only those that are not empty."""
-    arrays = {"validity": np.asarray(image.validity)}
-    for order in range(ORDERS):
-        arrays[f"order_probability[{order}]"] = np.asarray(image.order_probability)[order::ORDERS]
+    fields = {"validity": image.validity, "order_probability": image.order_probability}
     for number, surface in enumerate(image.surfaces):
-        for name in surface.get_fields_and_field_types():
-            arrays[f"surfaces[{number}].{name}"] = np.asarray(getattr(surface, name))
-    return {name: values for name, values in arrays.items() if values.size}
+        names = surface.get_fields_and_field_types()
+        fields |= {f"surfaces[{number}].{name}": getattr(surface, name) for name in names}
+    return {name: values for field, numbers in fields.items() for name, values in _layers(field, np.asarray(numbers))}
+
+
+def _layers(field: str, numbers: NDArray[np.generic]) -> Iterator[tuple[str, NDArray[np.generic]]]:
+    """The arrays with a number per pixel that a field has in turn; none if it is empty."""
+    each = NUMBERS.get(field.rpartition(".")[2], 1)
+    for index in range(each if numbers.size else 0):
+        yield f"{field}[{index}]" if each > 1 else field, numbers[index::each]
 
 
 def _numbers(value: Any) -> NDArray[np.float64]:

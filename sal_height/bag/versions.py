@@ -3,6 +3,8 @@
 Version 0 is what was recorded before messages had a SensorInfo.contract_version. It lacks some fields of version 1,
 which get these values: no mounting (the sensor frame is "base_link"), both antenna diameters are the single one that is
 given, samples are "complex_float32", and every other field is as in an empty message.
+
+Version 1 lacks some fields of version 2, which are as in an empty message.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from rclpy.parameter import Parameter
 from sal_height_msgs import msg as current
 
 from sal_height.bag.codec import serialized, typestore
-from sal_height.bag.definitions import Definition, installed_definition
+from sal_height.bag.definitions import Definition, installed_definition, message_class
 
 PACKAGE = "sal_height_msgs/msg/"
 
@@ -37,7 +39,7 @@ def needs_upgrade(type_name: str, definition: Definition) -> bool:
 
 
 def upgraded(type_name: str, definition: Definition, cdr: bytes) -> bytes:
-    """The CDR bytes of today's message that says what an older one said.
+    """The CDR bytes of today's message that says what an older one of version 0 or 1 said.
 
     Args:
         type_name: as recorded.
@@ -48,12 +50,26 @@ def upgraded(type_name: str, definition: Definition, cdr: bytes) -> bytes:
         ValueError, AttributeError: the bytes or the definition are not of a version that is known.
     """
     old = typestore(type_name, definition).deserialize_cdr(cdr, type_name)
-    return serialized(UPGRADES[current_name(type_name)](old))
+    name = current_name(type_name)
+    new = UPGRADES[name](old) if _is_of_version_0(name, old) else _copied(old, message_class(name))
+    if isinstance(new, current.SensorInfo):
+        new.contract_version = current.SensorInfo.CONTRACT_VERSION
+    return serialized(new)
+
+
+def _is_of_version_0(name: str, old: Any) -> bool:
+    """Whether a message, whose type has that name today, lacks what version 1 brought."""
+    if name == f"{PACKAGE}SensorInfo":
+        return not hasattr(old, "contract_version")
+    if name == f"{PACKAGE}ChannelFrame":
+        return hasattr(old, "detector")
+    if name == f"{PACKAGE}Calibration":
+        return hasattr(old, "response_real")
+    return isinstance(old.provenance.parameters, str)
 
 
 def _sensor_info(old: Any) -> current.SensorInfo:
     new = _copied(old, current.SensorInfo)
-    new.contract_version = current.SensorInfo.CONTRACT_VERSION
     new.waveform = _copied(old, current.Waveform)
     new.waveform.kind = old.waveform
     new.beams = _copied(old, current.BeamModel)
@@ -151,6 +167,8 @@ def _copied(old: Any, message_type: type[Any]) -> Any:
             setattr(new, name, _array(value, default.typecode))
         elif hasattr(default, "get_fields_and_field_types") and hasattr(value, "__msgtype__"):
             setattr(new, name, _copied(value, type(default)))
+        elif isinstance(value, list) and value and hasattr(value[0], "__msgtype__"):
+            setattr(new, name, [_copied(one, message_class(one.__msgtype__)) for one in value])
         elif type(value) is type(default) and not isinstance(value, list):
             setattr(new, name, value)
     return new

@@ -11,8 +11,13 @@ difference), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators by
 from sal_height.elevation.bounds import conditional_crb, speckle_crb, stochastic_crb
 from sal_height.elevation.cell_response import AxisResponse, CellResponse
 from sal_height.elevation.estimate import (
+    MEASURED,
+    ORDERS,
+    SCATTERERS,
+    USABLE,
     ElevationEstimate,
     Fit,
+    Scatterer,
     Validity,
     is_one_scatterer,
     without_saturated,
@@ -53,8 +58,12 @@ from sal_height.elevation.settings import MISFIT_SHARE, HeightSettings
 __all__ = [
     "DISCRIMINANTS",
     "ESTIMATORS",
+    "MEASURED",
     "MISFIT_SHARE",
     "OBJECTIVES",
+    "ORDERS",
+    "SCATTERERS",
+    "USABLE",
     "AxisResponse",
     "CellResponse",
     "Covariance",
@@ -68,6 +77,7 @@ __all__ = [
     "Objective",
     "PeakSearch",
     "PeakSearches",
+    "Scatterer",
     "Validity",
     "Window",
     "conditional_crb",

@@ -11,8 +11,6 @@ Trans. AES 24, 1988). Much loading gives maximum likelihood, little a noisier es
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from sal_height.beams import Beams
@@ -52,7 +50,7 @@ def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> Elev
         return -np.linalg.inv(mean + (settings.loading * np.eye(beams.count)).astype(covariance.dtype))
 
     estimate = estimate_by_spectrum(spectrum, looks, beams, settings)
-    return replace(estimate, sigma=estimate.sigma * deviation_factor(looks.count, beams, settings.loading))
+    return estimate.with_sigma(estimate.sigma * deviation_factor(looks.count, beams, settings.loading))
 
 
 def deviation_factor(count: F64, beams: Beams, loading: float) -> F64:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from typing import Self
 
 import numpy as np
 from scipy.special import gammainccinv
@@ -27,40 +28,91 @@ class Validity(IntEnum):
     AMBIGUOUS = 7
     SATURATED = 8
     INTERPOLATED = 9
+    THREE_SCATTERERS = 10
+    EXTENDED = 11
+    NO_SIGNAL = 12
+    IMPRECISE = 13
+
+
+SCATTERERS = {Validity.OK: 1, Validity.EXTENDED: 1, Validity.TWO_SCATTERERS: 2, Validity.THREE_SCATTERERS: 3}
+"""How many scatterers a pixel has whose measurement can be used, by its validity."""
+
+MEASURED = tuple(SCATTERERS)
+"""Validities of the pixels whose measurement can be used."""
+
+USABLE = (*MEASURED, Validity.INTERPOLATED)
+"""Validities of the pixels that have a height."""
+
+ORDERS = 5
+"""Number of answers to what a pixel holds: 0, 1, 2 or 3 scatterers, or one extended surface."""
 
 
 @dataclass(frozen=True)
-class SecondScatterer:
-    """The weaker scatterer of pixels that hold two; arrays (rows, cols), NaN elsewhere.
+class Scatterer:
+    """One scatterer of every pixel; arrays of the shape (rows, cols) of the looks, NaN where there is none.
 
     Attributes:
-        elevation: rad from nadir in body axes.
-        sigma: standard deviation of elevation, rad.
-        cnr: carrier-to-noise power ratio of one look in a detector looking straight at it.
+        elevation: rad from nadir in body axes; of the middle of an extended surface.
+        sigma: standard deviation of elevation, rad; infinite where there is no signal.
+        cnr: carrier-to-noise power ratio of one look in a hypothetical detector looking straight at the scatterer.
+        spread: standard deviation of elevation within an extended surface, rad; 0: a single point.
     """
 
     elevation: F64
     sigma: F64
     cnr: F64
+    spread: F64
+
+    def where(self, there: Bool, other: Scatterer | None = None) -> Scatterer:
+        """This scatterer `there`, and the other, or none, elsewhere."""
+        values = ((getattr(self, f.name), getattr(other, f.name) if other else np.nan) for f in fields(self))
+        return Scatterer(*(np.where(there, mine, theirs) for mine, theirs in values))
 
 
 @dataclass(frozen=True)
 class ElevationEstimate:
-    """Elevation of the dominant scatterer in every pixel; all arrays have the shape (rows, cols) of the looks.
+    """Elevations of the scatterers in every pixel.
 
     Attributes:
-        elevation: rad from nadir in body axes.
-        sigma: standard deviation of elevation, rad; infinite where there is no signal.
-        cnr: carrier-to-noise power ratio of one look in a hypothetical detector looking straight at the scatterer.
-        validity: `Validity` of each pixel, uint8; where it is TWO_SCATTERERS, the rest is of the stronger one.
-        second: the weaker one there; None: not looked for.
+        scatterers: the strongest of every pixel, and as many weaker ones as were looked for; the first has numbers in
+            all pixels with a signal, valid or not.
+        validity: `Validity` of each pixel, uint8, shape (rows, cols).
+        order_probability: of 0, 1, 2 and 3 scatterers and of one extended surface, shape (rows, cols, ORDERS), with the
+            sum 1; NaN where it was not estimated. None: nowhere.
     """
 
-    elevation: F64
-    sigma: F64
-    cnr: F64
+    scatterers: tuple[Scatterer, ...]
     validity: U8
-    second: SecondScatterer | None = None
+    order_probability: F64 | None = None
+
+    @classmethod
+    def of_one(cls, elevation: F64, sigma: F64, cnr: F64, validity: U8) -> Self:
+        """The estimate of a single scatterer in each pixel, without extent."""
+        return cls((Scatterer(elevation, sigma, cnr, np.zeros_like(elevation)),), validity)
+
+    @property
+    def first(self) -> Scatterer:
+        """The strongest scatterer."""
+        return self.scatterers[0]
+
+    @property
+    def elevation(self) -> F64:
+        """Of the strongest scatterer, rad."""
+        return self.first.elevation
+
+    @property
+    def sigma(self) -> F64:
+        """Of the strongest scatterer, rad."""
+        return self.first.sigma
+
+    @property
+    def cnr(self) -> F64:
+        """Of the strongest scatterer, power ratio."""
+        return self.first.cnr
+
+    def with_sigma(self, sigma: F64) -> Self:
+        """The estimate with another standard deviation of the strongest scatterer, rad."""
+        return replace(self, scatterers=(replace(self.first, sigma=sigma), *self.scatterers[1:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,11 +227,6 @@ def explained_power(covariance: Covariance, response: F64) -> F64:
 
 
 def without_saturated(estimate: ElevationEstimate) -> ElevationEstimate:
-    """The estimate of a dwell whose samples are clipped: what would be usable is SATURATED, and without a second."""
-    usable = np.isin(estimate.validity, (Validity.OK, Validity.TWO_SCATTERERS))
-    nowhere = np.full(estimate.elevation.shape, np.nan)
-    return replace(
-        estimate,
-        validity=np.where(usable, Validity.SATURATED, estimate.validity).astype(np.uint8),
-        second=SecondScatterer(nowhere, nowhere, nowhere) if estimate.second else None,
-    )
+    """The estimate of a dwell whose samples are clipped: what would be usable is SATURATED, and has one scatterer."""
+    validity = np.where(np.isin(estimate.validity, MEASURED), Validity.SATURATED, estimate.validity).astype(np.uint8)
+    return replace(estimate, scatterers=estimate.scatterers[:1], validity=validity)

@@ -25,7 +25,7 @@ from scipy.special import gammaincc, gammaln
 from sal_height.beams import Beams
 from sal_height.elevation._kernels import GRID_STEP
 from sal_height.elevation.bounds import Numbers, information, unit_vectors
-from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity, explained_power
+from sal_height.elevation.estimate import ElevationEstimate, Scatterer, Validity, explained_power
 from sal_height.elevation.likelihood import GUARD
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.elevation.search import SEARCHES_HELD
@@ -115,12 +115,12 @@ def resolve_layover(
     resolved = two.detected & (two.power >= min_cnr).all(axis=-1)
     order = np.argsort(-two.power, axis=-1)
     elevation, sigma, cnr = (np.take_along_axis(f, order, axis=-1) for f in (two.elevation, two.sigma, two.power))
+    strong, weak = (
+        Scatterer(elevation[..., n], sigma[..., n], cnr[..., n], np.zeros_like(cnr[..., n])) for n in (0, 1)
+    )
     return ElevationEstimate(
-        elevation=np.where(resolved, elevation[..., 0], estimate.elevation),
-        sigma=np.where(resolved, sigma[..., 0], estimate.sigma),
-        cnr=np.where(resolved, cnr[..., 0], estimate.cnr),
+        scatterers=(strong.where(resolved, estimate.first), weak.where(resolved)),
         validity=np.where(resolved, Validity.TWO_SCATTERERS, estimate.validity).astype(np.uint8),
-        second=SecondScatterer(*(np.where(resolved, part[..., 1], np.nan) for part in (elevation, sigma, cnr))),
     )
 
 

@@ -183,4 +183,4 @@ def _estimate(
     validity = decide_validity(looks, fit, strong, inside, Validity.OUTSIDE_ARRAY, settings)
     if beams.count > 2:
         validity[(validity == Validity.OK) & (lead < settings.margin * looks.receiver_noise)] = Validity.AMBIGUOUS
-    return ElevationEstimate(elevation, sigma, cnr, validity)
+    return ElevationEstimate.of_one(elevation, sigma, cnr, validity)

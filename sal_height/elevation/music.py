@@ -8,8 +8,6 @@ Acoustics, Speech and Signal Processing 37, 1989, eq. 3.12 for one source), as i
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from sal_height.beams import Beams
@@ -49,4 +47,4 @@ def music_elevation(looks: Looks, beams: Beams, settings: MusicSettings) -> Elev
         return signal @ np.swapaxes(signal.conj(), 1, 2)
 
     estimate = estimate_by_spectrum(spectrum, looks, beams, settings)
-    return replace(estimate, sigma=estimate.sigma / np.sqrt(1 - (order - 1) / (count - 1)))
+    return estimate.with_sigma(estimate.sigma / np.sqrt(1 - (order - 1) / (count - 1)))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import array
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from sal_height_msgs import msg as messages
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from sal_height.elevation import Validity
+from sal_height.elevation import ORDERS, USABLE, Validity
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, above_place
 from sal_height.messages.basics import (
@@ -23,14 +24,17 @@ from sal_height.messages.basics import (
     to_bytes,
     to_floats,
 )
-from sal_height.numeric import F32
-from sal_height.relief import HeightField, Surface
+from sal_height.numeric import F32, F64
+from sal_height.relief import HeightField, Surface, scatterer_count
 
 LAYERS = ("height", "sigma", "cnr_db", "east", "north")
-"""Names of the fields of a Surface message."""
+"""Names of the fields of a Surface message that have a number per pixel, always."""
 
-USABLE = (Validity.OK, Validity.TWO_SCATTERERS, Validity.INTERPOLATED)
-"""Validities of the pixels that have a height."""
+OPTIONAL = {"spread": 1, "covariance": 6, "common_covariance": 6}
+"""Its other fields, with their numbers per pixel; they may be empty."""
+
+TRIANGLE = np.triu_indices(3)
+"""Rows and columns of the six numbers of a covariance, in the order of the message."""
 
 
 def height_to_message(
@@ -53,21 +57,28 @@ def height_to_message(
         validity=to_bytes(field.validity),
         provenance=provenance,
     )
-    image.surfaces = [_surface_to_message(surface, field.grid) for surface in (field.first, field.second) if surface]
+    image.surfaces = [_surface_to_message(surface, field.grid) for surface in field.surfaces]
+    if field.order_probability is not None:
+        image.order_probability = to_floats(field.order_probability)
     return image
 
 
 def _surface_to_message(surface: Surface, grid: Grid) -> messages.Surface:
     offset = surface.positions - grid.origin
     values = (surface.height, surface.sigma, surface.cnr_db, offset[..., 0], offset[..., 1])
-    return messages.Surface(**{name: to_floats(numbers) for name, numbers in zip(LAYERS, values, strict=True)})
+    message = messages.Surface(**{name: to_floats(numbers) for name, numbers in zip(LAYERS, values, strict=True)})
+    message.spread = to_floats(surface.spread)
+    message.covariance = to_floats(surface.own_covariance[..., *TRIANGLE])
+    if surface.common_covariance is not None:
+        message.common_covariance = to_floats(surface.common_covariance[..., *TRIANGLE])
+    return message
 
 
 def field_from_message(image: messages.HeightImage) -> HeightField:
-    """Return the heights of the first surface of a HeightImage.
+    """Return the surfaces of a HeightImage.
 
-    A pixel that is usable by its validity but whose height, sigma, east or north is not finite, or whose sigma is not
-    greater than 0, gets the validity MISSING_DATA; `bad_pixels` counts them.
+    A pixel that is usable by its validity but one of whose scatterers has no finite height, sigma, east or north, or a
+    sigma that is not greater than 0, gets the validity MISSING_DATA; `bad_pixels` counts them.
 
     Raises:
         Rejected: the image cannot be used; the sentence names the field, its value and what is allowed.
@@ -77,28 +88,71 @@ def field_from_message(image: messages.HeightImage) -> HeightField:
         raise Rejected("wrong frames", f"{where} is in {image.header.frame_id!r}; it must be in {MAP_FRAME!r}.")
     if not image.surfaces:
         raise Rejected("wrong size", f"{where} has no surface; it must have at least one.")
-    grid, first = grid_from_message(image.grid), image.surfaces[0]
+    grid = grid_from_message(image.grid)
+    _check_sizes(image, grid, where)
+    check_geometry(image.grid, image.aperture, where)
+    validity = np.array(image.validity, dtype=np.uint8).reshape(grid.shape)
+    held = np.where(validity == Validity.INTERPOLATED, 1, scatterer_count(validity))
+    surfaces = [_surface_from_message(surface, grid) for surface in image.surfaces]
+    sound = held <= len(surfaces)
+    for number, surface in enumerate(surfaces):
+        sound &= surface.is_determined | (held <= number)
+    validity[~sound] = Validity.MISSING_DATA
+    held[~sound] = 0
+    probability = float_view(image.order_probability, (*grid.shape, ORDERS)) if image.order_probability else None
+    return HeightField(
+        grid,
+        validity,
+        tuple(surface.where(held > number) for number, surface in enumerate(surfaces)),
+        None if probability is None else probability.astype(np.float64),
+    )
+
+
+def _check_sizes(image: messages.HeightImage, grid: Grid, where: str) -> None:
+    """Every array has as many entries as the grid needs.
+
+    Raises:
+        Rejected: one has not.
+    """
     count = grid.rows * grid.cols
-    sizes = {"validity": len(image.validity)} | {f"surfaces[0].{name}": len(getattr(first, name)) for name in LAYERS}
-    for name, size in sizes.items():
-        if size != count or count == 0:
+    sizes = {"validity": (len(image.validity), count)}
+    if image.order_probability:
+        sizes["order_probability"] = len(image.order_probability), ORDERS * count
+    for number, surface in enumerate(image.surfaces):
+        for name in LAYERS:
+            sizes[f"surfaces[{number}].{name}"] = len(getattr(surface, name)), count
+        for name, each in OPTIONAL.items():
+            if size := len(getattr(surface, name)):
+                sizes[f"surfaces[{number}].{name}"] = size, each * count
+    for name, (size, needed) in sizes.items():
+        if size != needed or count == 0:
             raise Rejected(
                 "wrong size",
-                f"{where}: {name} has {size} entries, {grid.rows} x {grid.cols} pixels need {count} (at least 1).",
+                f"{where}: {name} has {size} entries, {grid.rows} x {grid.cols} pixels need {needed} (at least 1).",
             )
-    check_geometry(image.grid, image.aperture, where)
+
+
+def _surface_from_message(message: messages.Surface, grid: Grid) -> Surface:
+    """A surface; what is not told is 0 (spread), NaN (covariance) or None."""
     height, sigma, cnr_db, east, north = (
-        float_view(getattr(first, name), grid.shape).astype(np.float64) for name in LAYERS
+        float_view(getattr(message, name), grid.shape).astype(np.float64) for name in LAYERS
     )
-    validity = np.array(image.validity, dtype=np.uint8).reshape(grid.shape)
-    usable = np.isin(validity, USABLE)
-    sound = np.isfinite(height) & (sigma > 0) & np.isfinite(sigma + east + north)
-    validity[usable & ~sound] = Validity.MISSING_DATA
-    usable &= sound
-    positions = above_place(grid.origin[0] + east, grid.origin[1] + north, height)
-    positions[~usable] = np.nan
-    height, sigma = (np.where(usable, values, np.nan) for values in (height, sigma))
-    return HeightField(grid, validity, Surface(height, sigma, cnr_db, positions), None)
+    surface = Surface.at(above_place(grid.origin[0] + east, grid.origin[1] + north, height), height, sigma, cnr_db)
+    if message.spread:
+        surface = replace(surface, spread=float_view(message.spread, grid.shape).astype(np.float64))
+    if message.covariance:
+        surface = replace(surface, own_covariance=_covariance(message.covariance, grid))
+    if message.common_covariance:
+        surface = replace(surface, common_covariance=_covariance(message.common_covariance, grid))
+    return surface
+
+
+def _covariance(numbers: Sequence[float], grid: Grid) -> F64:
+    """Symmetric matrices, shape (rows, cols, 3, 3), from their upper triangles."""
+    triangle = float_view(numbers, (*grid.shape, len(TRIANGLE[0])))
+    matrices = np.empty((*grid.shape, 3, 3))
+    matrices[..., *TRIANGLE] = matrices[..., *TRIANGLE[::-1]] = triangle
+    return matrices
 
 
 def bad_pixels(image: messages.HeightImage, field: HeightField) -> int:
@@ -129,7 +183,7 @@ def float_picture(values: F32, header: Header) -> Image:
 
 def height_points(field: HeightField, image: messages.HeightImage) -> PointCloud2:
     """Return all scatterers as a cloud of points x, y, z (m, map) with height, sigma (m) and cnr_db for viewers."""
-    points = np.concatenate([_points(surface) for surface in (field.first, field.second) if surface])
+    points = np.concatenate([_points(surface) for surface in field.surfaces])
     return point_cloud(points, ("x", "y", "z", "height", "sigma", "cnr_db"), image.header)
 
 

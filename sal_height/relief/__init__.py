@@ -7,7 +7,7 @@ smoothed heights, placed), `map` (all dwells in one grid) and `geotiff` (that gr
 
 from sal_height.relief.field_tracking import smoothed_field
 from sal_height.relief.geotiff import check_geotiff, write_geotiff
-from sal_height.relief.heights import HeightField, Surface, height_field
+from sal_height.relief.heights import HeightField, Surface, height_field, scatterer_count
 from sal_height.relief.map import Relief, ReliefMap
 from sal_height.relief.range_tracking import (
     MeasuredHeights,
@@ -32,6 +32,7 @@ __all__ = [
     "check_geotiff",
     "filtered",
     "height_field",
+    "scatterer_count",
     "smoothed",
     "smoothed_field",
     "steady_sigmas",

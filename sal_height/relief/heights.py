@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
-from sal_height.elevation import ElevationEstimate, Looks, Validity
+from sal_height.elevation import SCATTERERS, ElevationEstimate, Looks, Scatterer, Validity
 from sal_height.geometry import (
     EARTH_RADIUS,
     ApertureState,
@@ -35,12 +37,23 @@ class Surface:
         sigma: standard deviation of height, m, including that from the platform's pose.
         cnr_db: carrier-to-noise ratio of one look, dB.
         positions: in map, m, shape (rows, cols, 3).
+        spread: standard deviation of the surface's own heights within the pixel, m; 0: a single point.
+        own_covariance: of the position without the error of the platform's pose, m^2, shape (rows, cols, 3, 3).
+        common_covariance: what the pose adds, an error that all pixels of a dwell share; None: not known.
     """
 
     height: F64
     sigma: F64
     cnr_db: F64
     positions: F64
+    spread: F64
+    own_covariance: F64
+    common_covariance: F64 | None = None
+
+    @classmethod
+    def at(cls, positions: F64, height: F64, sigma: F64, cnr_db: F64) -> Self:
+        """A surface of single points, whose covariance is not known."""
+        return cls(height, sigma, cnr_db, positions, np.zeros_like(height), np.full((*height.shape, 3, 3), np.nan))
 
     @property
     def is_determined(self) -> Bool:
@@ -50,9 +63,17 @@ class Surface:
         return np.isfinite(self.positions).all(axis=-1) & np.isfinite(sigma) & (sigma > 0)
 
     def where(self, there: Bool) -> Surface:
-        """The surface with heights and positions only `there`, and NaN elsewhere; the CNR stays."""
-        height, sigma = (np.where(there, values, np.nan) for values in (self.height, self.sigma))
-        return Surface(height, sigma, self.cnr_db, np.where(there[..., None], self.positions, np.nan))
+        """The surface only `there`, and NaN elsewhere; the CNR stays."""
+        common, matrices = self.common_covariance, there[..., None, None]
+        return Surface(
+            height=np.where(there, self.height, np.nan),
+            sigma=np.where(there, self.sigma, np.nan),
+            cnr_db=self.cnr_db,
+            positions=np.where(there[..., None], self.positions, np.nan),
+            spread=np.where(there, self.spread, np.nan),
+            own_covariance=np.where(matrices, self.own_covariance, np.nan),
+            common_covariance=None if common is None else np.where(matrices, common, np.nan),
+        )
 
 
 @dataclass(frozen=True)
@@ -62,15 +83,20 @@ class HeightField:
     Attributes:
         grid: pixels of the height image.
         validity: `Validity` of each pixel, uint8, shape (rows, cols).
-        first: the only or the stronger scatterer of the pixels with OK, TWO_SCATTERERS or INTERPOLATED; `cnr_db` of
-            all pixels that have a signal.
-        second: the weaker one of the pixels with TWO_SCATTERERS; None: not looked for.
+        surfaces: the strongest scatterer of the pixels that have a height, with the `cnr_db` of all pixels that have a
+            signal; then as many weaker ones as were looked for.
+        order_probability: as in `ElevationEstimate`; None: not estimated.
     """
 
     grid: Grid
     validity: U8
-    first: Surface
-    second: Surface | None
+    surfaces: tuple[Surface, ...]
+    order_probability: F64 | None = None
+
+    @property
+    def first(self) -> Surface:
+        """The surface of the strongest scatterers."""
+        return self.surfaces[0]
 
 
 def height_field(
@@ -107,26 +133,34 @@ def height_field(
     range_step = slc_grid.row_spacing
     range_sigma = range_step * np.abs(sight @ slc_grid.row_direction) / slant_range / np.sqrt(12 * looks.count)
 
-    def surface(elevation: F64, sigma: F64, cnr: F64) -> Surface:
+    def surface(scatterer: Scatterer) -> Surface:
         """Height and position of scatterers; NaN where there is no such direction."""
+        elevation, cnr = scatterer.elevation, scatterer.cnr
         positions = locate_at_elevation(elevation, slant_range, along, aperture, look_side)
         height = height_of(positions)
         farther = locate_at_elevation(elevation, slant_range + range_step, along, aperture, look_side)
         depth = (height_of(farther) - height) / range_step
         slope = _height_slope(elevation, slant_range, along, aperture, look_side)
-        variance = (sigma * slope) ** 2 + (range_sigma * depth) ** 2
+        variance = (scatterer.sigma * slope) ** 2 + (range_sigma * depth) ** 2
         variance += pose_variance(elevation, slope, positions, aperture, look_side)
         with np.errstate(divide="ignore", invalid="ignore"):
             cnr_db = 10 * np.log10(np.where(cnr > 0, cnr, np.nan))
-        return Surface(height, np.sqrt(variance), cnr_db, positions)
+        placed = Surface.at(positions, height, np.sqrt(variance), cnr_db)
+        return replace(placed, spread=np.abs(scatterer.spread * slope))
 
-    first, other = surface(estimate.elevation, estimate.sigma, estimate.cnr), estimate.second
-    second = surface(other.elevation, other.sigma, other.cnr) if other else None
-    validity = _checked_validity(estimate.validity, first, second)
-    usable, two = np.isin(validity, (Validity.OK, Validity.TWO_SCATTERERS)), validity == Validity.TWO_SCATTERERS
-    if second:
-        second = replace(second.where(two), cnr_db=np.where(two, second.cnr_db, np.nan))
-    return HeightField(grid, validity, first.where(usable), second)
+    surfaces = [surface(scatterer) for scatterer in estimate.scatterers]
+    validity = _checked_validity(estimate.validity, surfaces)
+    held = scatterer_count(validity)
+    first, *others = (one.where(held > number) for number, one in enumerate(surfaces))
+    others = [replace(one, cnr_db=np.where(np.isfinite(one.height), one.cnr_db, np.nan)) for one in others]
+    return HeightField(grid, validity, (first, *others), estimate.order_probability)
+
+
+def scatterer_count(validity: U8) -> U8:
+    """Number of scatterers with a height in each pixel, by its `Validity`; same shape."""
+    table = np.zeros(256, np.uint8)
+    table[list(SCATTERERS)] = list(SCATTERERS.values())
+    return table[validity]
 
 
 def _height_slope(elevation: F64, slant_range: F64, along: F64, aperture: ApertureState, look_side: int) -> F64:
@@ -138,18 +172,17 @@ def _height_slope(elevation: F64, slant_range: F64, along: F64, aperture: Apertu
     return (above - below) / (2 * SLOPE_STEP)
 
 
-def _checked_validity(validity: U8, first: Surface, second: Surface | None) -> U8:
-    """The validity with a reason in the place of OK and TWO_SCATTERERS where a height or its sigma is not determined.
+def _checked_validity(validity: U8, surfaces: Sequence[Surface]) -> U8:
+    """The validity with a reason where measurements could be used, but a height or its sigma is not determined.
 
     OUTSIDE_ARRAY: no place on the ground has that range, Doppler and elevation. LOW_CNR: sigma is infinite, as without
-    a signal. NOT_ONE_SCATTERER: of two scatterers one or both are not determined.
+    a signal. NOT_ONE_SCATTERER: one or more of several scatterers are not determined.
     """
-    two = validity == Validity.TWO_SCATTERERS
-    told_apart = first.is_determined & (second.is_determined if second else np.False_)
-    placed = np.isfinite(first.positions).all(axis=-1)
-    doubtful = np.where(two, ~told_apart, (validity == Validity.OK) & ~first.is_determined)
-    reason = np.select([two, placed], [Validity.NOT_ONE_SCATTERER, Validity.LOW_CNR], Validity.OUTSIDE_ARRAY)
-    return np.where(doubtful, reason, validity).astype(np.uint8)
+    held = scatterer_count(validity)
+    determined = sum(one.is_determined & (held > number) for number, one in enumerate(surfaces))
+    placed = np.isfinite(surfaces[0].positions).all(axis=-1)
+    reason = np.select([held > 1, placed], [Validity.NOT_ONE_SCATTERER, Validity.LOW_CNR], Validity.OUTSIDE_ARRAY)
+    return np.where(determined < held, reason, validity).astype(np.uint8)
 
 
 def pose_variance(elevation: F64, slope: F64, positions: F64, aperture: ApertureState, look_side: int) -> F64:

@@ -86,5 +86,5 @@ def tracked_field(
         field.validity,
     ).astype(np.uint8)
     sigma = np.sqrt(relief.sigma**2 + shared_variance(positions, aperture))
-    surface = Surface(relief.height.astype(np.float64), sigma, field.first.cnr_db, positions).where(known)
-    return HeightField(field.grid, validity, surface, None)
+    surface = Surface.at(positions, relief.height.astype(np.float64), sigma, field.first.cnr_db).where(known)
+    return HeightField(field.grid, validity, (surface,))

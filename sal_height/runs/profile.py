@@ -74,7 +74,7 @@ def _heights(bag: Path, prefix: str) -> dict[int, HeightImage]:
 def _line(surface: Surface, col: int) -> Surface:
     """The pixels of a column that have a height."""
     there = np.isfinite(surface.height[:, col])
-    return Surface(*(getattr(surface, name)[there, col] for name in ("height", "sigma", "cnr_db", "positions")))
+    return Surface.at(*(getattr(surface, name)[there, col] for name in ("positions", "height", "sigma", "cnr_db")))
 
 
 def _ground(line: Surface) -> F64:

@@ -45,7 +45,10 @@ RENAMED = {
 
 DEFAULTS = {
     "/sensor_info": {
-        "contract_version": 1,
+        "contract_version": 2,
+        "beam_uncertainty": 0.0,
+        "channels.blanked_channels": [],
+        "channels.blanked_ranges": [],
         "beams.tables": [],
         "channels.matrix": [],
         "mounting.frame_id": "base_link",
@@ -122,6 +125,42 @@ def test_layers_are_those_recorded(topic: str, count: int) -> None:
         for name in ("height", "sigma", "cnr_db", "east", "north"):
             assert len(getattr(surface, name)) == old.grid.rows * old.grid.cols
             np.testing.assert_array_equal(getattr(surface, name), getattr(old, prefix + name))
+
+
+def test_messages_of_version_1_keep_every_value() -> None:
+    """All fields that version 1 had, lists of messages included; of the others each is as in an empty message."""
+    bag = BAG.parent / "version_1"
+    reader = BagReader(bag)
+    read = ((message.topic, message.cdr) for message in reader.messages(list(VERSION_1)))
+    with (bag / "bag_0.mcap").open("rb") as stream:
+        for (schema, channel, record), (topic, cdr) in zip(
+            make_reader(stream).iter_messages(list(VERSION_1)), read, strict=True
+        ):
+            assert schema
+            assert channel.topic == topic
+            old = typestore(schema.name, reader.topics[topic].definition).deserialize_cdr(record.data, schema.name)
+            new = reader.decode(schema.name, cdr)
+            assert_holds(new, old, VERSION_1[topic])
+
+
+def assert_holds(new: Any, old: Any, changed: set[str]) -> None:
+    """Every field of the old message has its value in the new one, but for those that changed on purpose."""
+    for name in (name for name in old.__dataclass_fields__ if name[0].islower()):
+        before, after = getattr(old, name), getattr(new, name)
+        if name in changed:
+            continue
+        if isinstance(before, list):
+            assert len(before) == len(after)
+            for one, other in zip(before, after, strict=True):
+                assert_holds(other, one, changed)
+        elif hasattr(before, "__dataclass_fields__"):
+            assert_holds(after, before, changed)
+        else:
+            np.testing.assert_array_equal(after, before, err_msg=name)
+
+
+VERSION_1 = {"/sensor_info": {"contract_version"}, "/ml/height": set[str](), "/monopulse/height": set[str]()}
+"""Topics of which some messages are read, and the fields whose values are others today."""
 
 
 def test_parameters_are_listed_by_node_and_name() -> None:

@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from sal_height import messages
 from sal_height.beams import PATTERNS
 from sal_height.calibration import Calibration
-from sal_height.elevation.estimate import Validity
+from sal_height.elevation.estimate import ORDERS, Validity
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry.earth import EARTH_RADIUS, sphere_point
 from sal_height.geometry.frames import ApertureState
@@ -67,10 +67,10 @@ def test_the_mounting_and_both_diameters_survive_their_message(sensor: Sensor) -
     assert messages.sensor_from_message(through_the_wire(messages.sensor_to_message(mounted, STAMP))) == mounted
 
 
-@pytest.mark.parametrize("version", [0, 2])
+@pytest.mark.parametrize("version", [0, 1, 3])
 def test_another_version_of_the_contract_is_refused(sensor: Sensor, version: int) -> None:
     message = messages.sensor_to_message(sensor, STAMP)
-    assert message.contract_version == SensorInfo.CONTRACT_VERSION == 1
+    assert message.contract_version == SensorInfo.CONTRACT_VERSION == 2
     message.contract_version = version
     with pytest.raises(UserError, match=f"contract_version {version}"):
         messages.sensor_from_message(message)
@@ -245,7 +245,7 @@ def test_a_bad_pixel_is_masked_and_its_neighbours_stay(layer: str, value: float)
     two = np.full((2, 2), Validity.TWO_SCATTERERS, np.uint8)
     ones = np.ones((2, 2))
     slc = ComplexImage(header=Header(frame_id="map"))
-    field = HeightField(grid, two, Surface(ones, ones, ones, grid.pixels()), None)
+    field = HeightField(grid, two, 2 * (Surface.at(grid.pixels(), ones, ones, ones),))
     message = messages.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance())
     assert messages.bad_pixels(message, messages.field_from_message(message)) == 0
     getattr(message.surfaces[0], layer)[2] = value
@@ -263,12 +263,13 @@ def test_a_height_field_survives_its_message(layover: bool) -> None:
     height = np.array([[1.0, np.nan], [2.0, 3.0]])
     validity = np.array([[0, 1], [0, 0]], dtype=np.uint8)
     positions = np.where(validity[..., None] == 0, grid.pixels() + np.array([0.25, -0.5, 0.0]), np.nan)
-    second = None
+    surfaces = [Surface.at(positions, height, height / 10, height * 5)]
     if layover:
         validity[1, 0] = Validity.TWO_SCATTERERS
         alone = np.where(validity == Validity.TWO_SCATTERERS, 7.0, np.nan)
-        second = Surface(alone, alone / 10, alone * 5, positions + np.where(np.isnan(alone), np.nan, 1.0)[..., None])
-    field = HeightField(grid, validity, Surface(height, height / 10, height * 5, positions), second)
+        shifted = positions + np.where(np.isnan(alone), np.nan, 1.0)[..., None]
+        surfaces.append(Surface.at(shifted, alone, alone / 10, alone * 5))
+    field = HeightField(grid, validity, tuple(surfaces))
     message = messages.height_to_message(field, aperture, (2, 3), "ml", ComplexImage(dwell=4), Provenance())
     message = through_the_wire(message)
     assert np.array_equal(np.array(message.surfaces[0].height), height.ravel(), equal_nan=True)
@@ -294,6 +295,38 @@ def test_a_height_field_survives_its_message(layover: bool) -> None:
     np.testing.assert_array_equal(points[:, 3], heights)
     if layover:
         np.testing.assert_allclose(points[3], [11.25, 19.5, 1.0, 7, 0.7, 35], rtol=1e-6)
+
+
+def test_what_is_known_of_a_surface_survives_its_message(rng: np.random.Generator) -> None:
+    """Spread, covariances and probabilities of the order, of one scatterer up to three."""
+    grid = Grid(np.array([10.0, 20.0, 0.0]), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, 2, 2)
+    aperture = ApertureState(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
+    validity = np.array([[Validity.THREE_SCATTERERS, Validity.EXTENDED], [Validity.TWO_SCATTERERS, Validity.NO_SIGNAL]])
+    held = np.array([[3, 1], [2, 0]])
+    surfaces = []
+    for number in range(3):
+        root = rng.standard_normal((2, 2, 3, 3))
+        own = root @ np.swapaxes(root, -1, -2)
+        height = rng.uniform(1, 2, (2, 2))
+        surface = Surface.at(grid.pixels() + height[..., None] * [0, 0, 1], height, height / 10, height)
+        surface = replace(surface, spread=height / 3, own_covariance=own, common_covariance=2 * own)
+        surfaces.append(surface.where(held > number))
+    probability = rng.dirichlet(np.ones(ORDERS), (2, 2))
+    field = HeightField(grid, validity.astype(np.uint8), tuple(surfaces), probability)
+    slc = ComplexImage(header=Header(frame_id="map"))
+    message = through_the_wire(messages.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance()))
+    read = messages.field_from_message(message)
+    assert messages.bad_pixels(message, read) == 0
+    np.testing.assert_array_equal(read.validity, validity)
+    np.testing.assert_allclose(read.order_probability, probability, rtol=1e-6)
+    for ours, theirs in zip(read.surfaces, surfaces, strict=True):
+        for name in ("height", "sigma", "spread", "own_covariance", "common_covariance"):
+            np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-6, err_msg=name)
+    message.surfaces.pop()
+    assert messages.field_from_message(message).validity[0, 0] == Validity.MISSING_DATA
+    message.surfaces[1].covariance.pop()
+    with pytest.raises(Rejected, match=r"surfaces\[1\].covariance has 23 entries"):
+        messages.field_from_message(message)
 
 
 def test_validity_values_are_those_of_the_message() -> None:
@@ -324,7 +357,7 @@ def test_the_scatterers_of_a_height_image_are_where_they_were(rng: np.random.Gen
     aperture = ApertureState(np.array([0.0, 0.0, 5e3]), np.array([50.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
     validity = np.full(shape, Validity.OK, np.uint8)
     validity[1], validity[2, 2] = Validity.TWO_SCATTERERS, Validity.LOW_CNR
-    field = HeightField(grid, validity, Surface(height, height / 10 + 1, height, positions), None)
+    field = HeightField(grid, validity, 2 * (Surface.at(positions, height, height / 10 + 1, height),))
     slc = ComplexImage(header=Header(frame_id="map"))
     message = through_the_wire(messages.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance()))
     surface = messages.field_from_message(message).first

@@ -60,10 +60,8 @@ def height_image(dwell: int = 0) -> HeightImage:
     positions = locate_at_height(height, np.linalg.norm(sight, axis=-1), sight[..., 0], APERTURE, 1)
     sigma, cnr_db = np.where(np.isfinite(height), NOISE, np.nan), np.full(SHAPE, 12.0)
     two = validity == HeightImage.TWO_SCATTERERS
-    other = Surface(
-        *(np.where(two, v, np.nan) for v in (height, sigma, cnr_db)), np.where(two[..., None], positions, np.nan)
-    )
-    field = HeightField(GRID, validity, Surface(height, sigma, cnr_db, positions), other)
+    surface = Surface.at(positions, height, sigma, cnr_db)
+    field = HeightField(GRID, validity, (surface, surface.where(two)))
     source = HeightImage(dwell=dwell)
     source.header.stamp = messages.to_stamp(1_700_000_000_000_000_000 + dwell)
     source.header.frame_id = "map"

@@ -73,7 +73,7 @@ def test_exact_elevations_give_the_positions_of_the_targets_in_a_strip() -> None
     row, col = range_and_doppler(targets, aperture, grid)
     points = grid.points(row, col)
     _, elevation, _ = angles_of(targets, aperture_at(points, aperture), 1)
-    estimate = ElevationEstimate(
+    estimate = ElevationEstimate.of_one(
         elevation, np.full(row.shape, 1e-5), np.full(row.shape, 50.0), np.full(row.shape, Validity.OK, np.uint8)
     )
     looks = replace(Looks.of(np.zeros((*row.shape, 2, 2)), 4), row=row, col=col)

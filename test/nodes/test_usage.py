@@ -25,7 +25,7 @@ from sal_height.nodes.stage import FRAMES_QOS, Stage
 from sal_height.nodes.usage import check_arguments, check_overrides, usage
 from sal_height.settings import settings_of
 
-BAG = str(Path(__file__).parents[2] / "bags" / "version_1")
+BAG = str(Path(__file__).parents[2] / "bags" / "version_2")
 
 NODES: dict[type[Any], dict[str, Any]] = {
     **{node: {} for node in HEIGHT_NODES.values()},

@@ -10,7 +10,7 @@ from helpers import BEAMWIDTH, blocks, flat_scene, make_aperture, make_beams, ma
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams.array import column_squint
-from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity
+from sal_height.elevation.estimate import ElevationEstimate, Scatterer, Validity
 from sal_height.elevation.looks import Looks, Window, look_grid
 from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.geometry.earth import EARTH_RADIUS, height_of, sphere_point
@@ -41,7 +41,14 @@ def looks_at(row: np.ndarray, col: np.ndarray) -> Looks:
 
 def estimate_of(elevation: np.ndarray, sigma: float = 1e-5, validity: int = Validity.OK) -> ElevationEstimate:
     shape = elevation.shape
-    return ElevationEstimate(elevation, np.full(shape, sigma), np.full(shape, 50.0), np.full(shape, validity, np.uint8))
+    validities = np.full(shape, validity, np.uint8)
+    return ElevationEstimate.of_one(elevation, np.full(shape, sigma), np.full(shape, 50.0), validities)
+
+
+def with_second(estimate: ElevationEstimate, elevation: np.ndarray, sigma: float, cnr: float) -> ElevationEstimate:
+    """The estimate with a weaker scatterer at `elevation`, NaN where there is none."""
+    values = (np.where(np.isnan(elevation), np.nan, value) for value in (sigma, cnr, 0.0))
+    return replace(estimate, scatterers=(estimate.first, Scatterer(elevation, *values)))
 
 
 @pytest.mark.parametrize("side", [1, -1], ids=["right", "left"])
@@ -297,17 +304,17 @@ def test_height_is_that_above_the_sphere() -> None:
 def test_second_scatterer_lies_on_the_circle_of_the_first() -> None:
     grid, aperture = slant_grid(make_aperture()), make_aperture()
     there, lower = np.full((1, 2), 5.0), np.pi / 4 - 3 * BEAMWIDTH
-    second = SecondScatterer(*(np.array([[value, np.nan]]) for value in (lower, 2e-6, 40.0)))
-    estimate = replace(estimate_of(np.full((1, 2), np.pi / 4)), second=second)
+    estimate = with_second(estimate_of(np.full((1, 2), np.pi / 4)), np.array([[lower, np.nan]]), 2e-6, 40.0)
     estimate.validity[0, 0] = Validity.TWO_SCATTERERS
     field = height_field(estimate, looks_at(there, there), grid, grid, aperture, 1)
     alone = height_field(estimate_of(np.full((1, 2), lower)), looks_at(there, there), grid, grid, aperture, 1)
     assert np.isfinite(field.first.height).all()
-    assert field.second.height[0, 0] == pytest.approx(alone.first.height[0, 0], abs=1e-9)
-    assert field.second.cnr_db[0, 0] == pytest.approx(10 * np.log10(40))
-    distances = [np.linalg.norm(s.positions[0, 0] - aperture.position) for s in (field.first, field.second)]
+    second = field.surfaces[1]
+    assert second.height[0, 0] == pytest.approx(alone.first.height[0, 0], abs=1e-9)
+    assert second.cnr_db[0, 0] == pytest.approx(10 * np.log10(40))
+    distances = [np.linalg.norm(s.positions[0, 0] - aperture.position) for s in field.surfaces]
     assert distances[0] == pytest.approx(distances[1], abs=1e-6)
-    for values in (field.second.height, field.second.sigma, field.second.cnr_db, field.second.positions[..., 1]):
+    for values in (second.height, second.sigma, second.cnr_db, second.positions[..., 1]):
         np.testing.assert_array_equal(np.isnan(values), [[False, True]])
 
 
@@ -315,10 +322,8 @@ def layover_of(sigmas: tuple[float, float], shape: tuple[int, int] = (1, 1)) -> 
     """Two scatterers in every pixel, whose elevations are known to `sigmas`, rad."""
     aperture = make_aperture()
     elevation = np.full(shape, np.pi / 4)
-    estimate = replace(
-        estimate_of(elevation, sigmas[0], Validity.TWO_SCATTERERS),
-        second=SecondScatterer(elevation - BEAMWIDTH, np.full(shape, sigmas[1]), np.full(shape, 20.0)),
-    )
+    first = estimate_of(elevation, sigmas[0], Validity.TWO_SCATTERERS)
+    estimate = with_second(first, elevation - BEAMWIDTH, sigmas[1], 20.0)
     grid = slant_grid(aperture)
     looks = looks_at(np.full(shape, 14.5), np.full(shape, 9.5))
     return height_field(estimate, looks, grid, replace(grid, rows=shape[0], cols=shape[1]), aperture, 1)
@@ -329,18 +334,16 @@ def test_two_scatterers_of_which_one_is_not_determined_have_no_heights(sigmas: t
     """1e40 is infinite as a message holds it, in single precision."""
     field = layover_of(sigmas)
     assert (field.validity == Validity.NOT_ONE_SCATTERER).all()
-    assert field.second
-    for surface in (field.first, field.second):
+    for surface in field.surfaces:
         assert not np.isfinite(np.stack([surface.height, surface.sigma, *np.moveaxis(surface.positions, -1, 0)])).any()
-    assert not np.isfinite(field.second.cnr_db).any()
+    assert not np.isfinite(field.surfaces[1].cnr_db).any()
 
 
 def test_two_scatterers_that_are_determined_keep_their_heights() -> None:
     field = layover_of((1e-5, 2e-5))
     assert (field.validity == Validity.TWO_SCATTERERS).all()
-    assert field.second
     assert np.isfinite(field.first.height).all()
-    assert field.second.height < field.first.height
+    assert field.surfaces[1].height < field.first.height
 
 
 @pytest.mark.parametrize(

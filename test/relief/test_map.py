@@ -34,7 +34,7 @@ def surface_at(east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLike,
     east, north, height, sigma = (
         np.atleast_2d(values).astype(float) for values in np.broadcast_arrays(east, north, height, sigma)
     )
-    return Surface(height, sigma, np.full(height.shape, 20.0), sphere_point(east, north, height))
+    return Surface.at(sphere_point(east, north, height), height, sigma, np.full(height.shape, 20.0))
 
 
 def relief_of(*surfaces: Surface, aperture: ApertureState = UNKNOWN_POSE, cell_size: float = 1.0) -> Relief:
@@ -104,7 +104,7 @@ def test_the_common_part_is_what_the_pose_adds_to_the_sigma_of_heights(side: int
     elevation = np.full(row.shape, np.pi / 4 + 1e-3)
     certain = replace(Looks.of(np.zeros((30, 20, 2, 2)), 1e12), row=row, col=col)
     zero = np.zeros(row.shape)
-    estimate = ElevationEstimate(elevation, zero, zero + 50, zero.astype(np.uint8))
+    estimate = ElevationEstimate.of_one(elevation, zero, zero + 50, zero.astype(np.uint8))
     field = height_field(estimate, certain, grid, grid, aperture, side)
     common = shared_variance(field.first.positions.reshape(-1, 3), aperture)
     np.testing.assert_allclose(np.sqrt(common), field.first.sigma.ravel(), rtol=1e-5)
@@ -148,7 +148,7 @@ def simulated_dwell(true: ApertureState, known: ApertureState, rng: np.random.Ge
     sight = grid.points(row, col) - known.position
     slant_range = np.linalg.norm(sight, axis=-1) + grid.row_spacing / np.sqrt(12 * looks) * rng.standard_normal(shape)
     elevation = level_elevation(slant_range, sight @ known.direction, true) + sigma * rng.standard_normal(shape)
-    estimate = ElevationEstimate(
+    estimate = ElevationEstimate.of_one(
         elevation, np.full(shape, sigma), np.full(shape, 50.0), np.full(shape, Validity.OK, np.uint8)
     )
     centres = replace(Looks.of(np.zeros((*shape, 2, 2)), looks), row=row, col=col)

@@ -89,8 +89,8 @@ def field_of(grid: Grid, aperture: ApertureState, look_side: int, height: Array,
     positions = locate_at_height(height, slant_range, sight @ aperture.direction, there, look_side)
     seen = np.isfinite(height)
     validity = np.where(seen, Validity.OK, Validity.OUTSIDE_ARRAY).astype(np.uint8)
-    surface = Surface(height, np.where(seen, sigma, np.nan), np.full(grid.shape, 10.0), positions)
-    return HeightField(grid, validity, surface, None)
+    surface = Surface.at(positions, height, np.where(seen, sigma, np.nan), np.full(grid.shape, 10.0))
+    return HeightField(grid, validity, (surface,))
 
 
 @pytest.mark.parametrize("look_side", [1, -1])
@@ -134,7 +134,7 @@ def test_validity_says_where_a_height_comes_from() -> None:
     usable = np.isin(result.validity, (Validity.OK, Validity.INTERPOLATED))
     for values in (result.first.height, result.first.sigma, result.first.positions[..., 0]):
         np.testing.assert_array_equal(np.isfinite(values), usable)
-    assert result.second is None
+    assert len(result.surfaces) == 1
     unsure = tracked_field(field, TrackedRelief(np.ones((7, 1)), sigma * 10, outlier), aperture, vague)
     assert unsure.validity[2, 0] == Validity.LOW_CNR
     nowhere = TrackedRelief(np.full((7, 1), 2 * EARTH_RADIUS), sigma, outlier)
@@ -152,7 +152,7 @@ def test_what_the_pose_leaves_open_is_not_averaged() -> None:
     slope = np.linalg.norm(x[..., 1:], axis=-1) * np.sin(elevation)
     shared = pose_variance(elevation, slope, alone.first.positions, aperture, 1)
     assert np.all(shared > 0.03)
-    field = replace(alone, first=replace(alone.first, sigma=np.sqrt(0.7**2 + shared)))
+    field = replace(alone, surfaces=(replace(alone.first, sigma=np.sqrt(0.7**2 + shared)),))
     np.testing.assert_allclose(own_sigma(field, aperture), 0.7, rtol=1e-2)
     np.testing.assert_allclose(own_sigma(alone, flown), 0.7, rtol=1e-12)
     relief = TrackedRelief(field.first.height, np.full(grid.shape, 0.2), np.zeros(grid.shape, np.bool_))

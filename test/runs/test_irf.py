@@ -21,7 +21,7 @@ from sal_height.geometry.grid import Grid
 from sal_height.imaging.focus import Slc
 from sal_height.runs import irf as irf_module
 
-REFERENCE = Path(__file__).parents[2] / "bags" / "version_1"
+REFERENCE = Path(__file__).parents[2] / "bags" / "version_2"
 
 ROWS, COLS = 60, 80
 CELLS = (1.6, 2.2)

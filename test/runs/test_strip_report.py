@@ -47,8 +47,8 @@ def exact_image(flight: SimulatedFlight, dwell: int, error: float) -> HeightImag
     positions = locate_at_elevation(truth.elevation, slant_range, sight @ there.direction, there, sensor.look_side)
     height, sigma = np.where(seen, truth.height + error, np.nan), np.where(seen, 0.01, np.nan)
     positions = np.where(seen[..., None], positions, np.nan)
-    surface = Surface(height, sigma, 0 * sigma, positions)
-    field = HeightField(grid, np.where(seen, 0, 1).astype(np.uint8), surface, None)
+    surface = Surface.at(positions, height, sigma, 0 * sigma)
+    field = HeightField(grid, np.where(seen, 0, 1).astype(np.uint8), (surface,))
     slc = ComplexImage(dwell=dwell)
     return messages.height_to_message(field, aperture, preset.looks, "ml", slc, Provenance())
 

@@ -9,7 +9,7 @@ import pytest
 from helpers import circular, make_sensor
 from scipy.stats import norm
 
-from sal_height.elevation.estimate import ElevationEstimate, SecondScatterer, Validity, without_saturated
+from sal_height.elevation.estimate import MEASURED, ElevationEstimate, Scatterer, Validity, without_saturated
 from sal_height.sensor.receivers import MAX_SHARE, clipped, saturated_shares
 from sal_height.simulation.receivers import received
 
@@ -88,10 +88,9 @@ def test_the_simulators_receivers_clip_where_they_are(in_antenna: bool) -> None:
 def test_only_what_was_usable_becomes_saturated() -> None:
     validity = np.array([[v for v in Validity if v is not Validity.SATURATED]], np.uint8)
     values = np.ones(validity.shape)
-    second = SecondScatterer(values, values, values)
-    result = without_saturated(ElevationEstimate(values, values, values, validity, second))
-    usable = np.isin(validity, (Validity.OK, Validity.TWO_SCATTERERS))
+    one = Scatterer(values, values, values, values)
+    result = without_saturated(ElevationEstimate((one, one), validity))
+    usable = np.isin(validity, MEASURED)
     assert np.all(result.validity[usable] == Validity.SATURATED)
     np.testing.assert_array_equal(result.validity[~usable], validity[~usable])
-    assert result.second is not None
-    assert np.all(np.isnan(result.second.elevation))
+    assert len(result.scatterers) == 1

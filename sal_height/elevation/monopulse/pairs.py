@@ -81,7 +81,7 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
     validity = np.where((validity == Validity.OK) & outside, Validity.OUTSIDE_ARRAY, validity)
     unpaired = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN]) & looks.finite
     validity = np.where(unpaired, Validity.OUTSIDE_PAIR, validity).astype(np.uint8)
-    return ElevationEstimate(found.elevation, sigma, cnr, validity)
+    return ElevationEstimate.of_one(found.elevation, sigma, cnr, validity)
 
 
 def _strongest_pair(covariance: Covariance) -> tuple[F64, F64, F64, F64, F64]:

@@ -103,7 +103,7 @@ def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceS
     in_sum = sums.sum_power / noise_powers[0] >= detection_limit(looks, 1, settings)
     strong = in_sum & (cnr >= settings.min_cnr) | outside
     validity = decide_validity(looks, fit, strong, ~outside, Validity.OUTSIDE_PAIR, settings)
-    return ElevationEstimate(found.elevation, sigma, cnr, validity)
+    return ElevationEstimate.of_one(found.elevation, sigma, cnr, validity)
 
 
 def _eigenvalues(sums: Products) -> F64:

@@ -12,8 +12,9 @@ import numpy.typing as npt
 from scipy.interpolate import RegularGridInterpolator
 
 from sal_height.errors import UserError
-from sal_height.geometry import ApertureState, angles_of, aperture_at, sphere_point
+from sal_height.geometry import ApertureState, angles_of, aperture_at, sphere_coordinates, sphere_point
 from sal_height.numeric import F64, Bool
+from sal_height.simulation.canopy import Canopy
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,8 @@ class PointScatterer:
         north: arc distance from the map origin, m.
         height: above the sphere, m.
         power: relative to a resolution cell of brightness 1 in an unweighted image. A range window raises the power of
-            cell and noise by its `windows.noise_gain`, that of the point not at all. Terrain does not shadow it.
+            cell and noise by its `windows.noise_gain`, that of the point not at all. Neither terrain nor canopy
+            shadows it.
         radial_velocity: away from the antenna, m/s.
         along_velocity: in the direction of flight, m/s.
     """
@@ -58,9 +60,11 @@ class Scene:
         extent: of the scatterers in height, m: spread evenly from half of it below the terrain to half above, as in
             vegetation or on rough ground; 0: on the terrain. Where the terrain is hidden, so are all scatterers above
             and below it, and only there.
+        canopy: vegetation above the terrain, hidden where the terrain under it is; None: there is none.
 
     Raises:
-        UserError: fewer than 2 x 2 nodes, nodes that do not increase, values that are not finite, or an extent below 0.
+        UserError: fewer than 2 x 2 nodes, nodes that do not increase, values that are not finite, an extent below 0, or
+            a canopy that is not on the nodes of the scene or has a number below 0.
     """
 
     name: str
@@ -70,6 +74,7 @@ class Scene:
     brightness: F64
     points: tuple[PointScatterer, ...] = ()
     extent: float = 0.0
+    canopy: Canopy | None = None
 
     def __post_init__(self) -> None:
         shape = (len(self.north), len(self.east))
@@ -85,6 +90,15 @@ class Scene:
         if not (np.isfinite(self.extent) and self.extent >= 0):
             raise UserError(f"Scene {self.name}: extent is {self.extent} m; it must be finite and 0 or more.")
 
+        if self.canopy and self.canopy.top.shape != shape:
+            raise UserError(
+                f"Scene {self.name}: the canopy's top {self.canopy.top.shape} must be (north, east) = {shape}."
+            )
+        if self.canopy and not self.canopy.is_possible:
+            raise UserError(
+                f"Scene {self.name}: top, base, extinction and reflectivity of the canopy must be finite and 0 or more."
+            )
+
     def heights(self, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
         """Terrain height (m) at arc distances `east`, `north` (m); NaN outside the terrain."""
         return self._interpolate(self.height, east, north)
@@ -99,8 +113,30 @@ class Scene:
 
     @cached_property
     def reference_height(self) -> float:
-        """Median terrain height, m: what a flight aims at."""
-        return float(np.median(self.height))
+        """Median terrain height and half the greatest height of the canopy, m: what a flight aims at."""
+        return float(np.median(self.height)) + (self.canopy.top.max() / 2 if self.canopy else 0.0)
+
+    def canopy_tops(self, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
+        """Height of the canopy's top above the terrain (m) at arc distances `east`, `north` (m); 0 without a canopy."""
+        return self._interpolate(self.canopy.top if self.canopy else np.zeros_like(self.height), east, north)
+
+    def transmission(self, positions: F64, antenna: F64) -> F64:
+        """Share of power that scatterers return through the canopy on the way to the antenna and back, (scatterers,).
+
+        Args:
+            positions: in map, m, shape (scatterers, 3).
+            antenna: from where each is seen, in map, m, broadcasts with the positions.
+        """
+        if not self.canopy:
+            return np.ones(len(positions))
+        sight = (antenna - positions) / np.linalg.norm(antenna - positions, axis=-1, keepdims=True)
+        points = np.stack(sphere_coordinates(positions), axis=-1)
+        ceiling = float(np.max(self.height + self.canopy.top))
+
+        def ground_and_top(east: F64, north: F64) -> tuple[F64, F64]:
+            return self.heights(east, north), self.canopy_tops(east, north)
+
+        return np.exp(-2 * self.canopy.optical_depth(ground_and_top, points, sight, ceiling))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,9 +261,10 @@ def _terrain_scatterers(
     """Scatterers along vertical cuts through the terrain, SAMPLES_PER_CELL in each cell of a cut, and which are lit.
 
     Between two nodes of a cut there are so many that neither range nor the arc across it steps by more than their
-    spacing. Each has its share of the piece's extent in range, as brightness is power per slant range. They come layer
-    after layer from the lowest to the highest, each strip after strip, ordered outwards. The middle layer is the
-    terrain; where it is lit, all layers are.
+    spacing. Each has its share of the piece's extent in range, as brightness is power per slant range; in the canopy,
+    which is a volume, of the range that level ground would extend over. They come layer after layer from the lowest to
+    the highest, each strip after strip, ordered outwards, those of the canopy last. Where the terrain, the middle layer
+    of the others, is lit, all layers are.
     """
     range_cell, azimuth_cell = cell
     strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * strips_per_cell))
@@ -252,24 +289,32 @@ def _terrain_scatterers(
         start, end = values[strip, node], values[strip, node + 1]
         return start + (end - start) * fraction
 
+    place = east[strip], along(np.broadcast_to(north, height.shape)), along(height)
+
+    def raised(heights: F64, power: F64) -> VisibleSurface:
+        """Scatterers above the points of the cuts: heights above the terrain, m, and powers, both (layers, points)."""
+        positions = sphere_point(*place[:2], place[2] + heights).reshape(-1, 3)
+        angles = angles_of(positions, aperture_at(positions, aperture), look_side)
+        fluctuating, at_rest = np.zeros(heights.size, dtype=bool), np.zeros_like(positions)
+        return VisibleSurface(positions, (place[2] + heights).ravel(), power.ravel(), *angles, fluctuating, at_rest)
+
     layers = scene.extent * ((np.arange(LAYERS) + 0.5) / LAYERS - 0.5) if scene.extent else np.zeros(1)
-    heights = along(height) + layers[:, None]
-    range_share = np.abs(np.diff(node_range))[strip, node] / pieces[between] / range_cell
-    power = along(scene.brightnesses(east[:, None], north)) * range_share * (strip_width / azimuth_cell)
-    positions = sphere_point(east[strip], along(np.broadcast_to(north, height.shape)), heights).reshape(-1, 3)
-    slant_range, elevation, squint = angles_of(positions, aperture_at(positions, aperture), look_side)
-    lit = _lit(elevation.reshape(heights.shape)[len(layers) // 2], strip)
-    surface = VisibleSurface(
-        positions=positions,
-        heights=heights.ravel(),
-        power=np.tile(power / len(layers), len(layers)),
-        slant_range=slant_range,
-        elevation=elevation,
-        squint=squint,
-        deterministic=np.zeros(heights.size, dtype=bool),
-        velocity=np.zeros_like(positions),
-    )
-    return surface, np.tile(lit, len(layers))
+    cells = strip_width / azimuth_cell / pieces[between] / range_cell  # of a cut of unit length
+    power = along(scene.brightnesses(east[:, None], north)) * np.abs(np.diff(node_range))[strip, node] * cells
+    ground = raised(np.tile(layers[:, None], len(power)), np.tile(power / len(layers), (len(layers), 1)))
+    terrain_elevation = ground.elevation.reshape(len(layers), -1)[len(layers) // 2]
+    lit = _lit(terrain_elevation, strip)
+    if not scene.canopy:
+        return ground, np.tile(lit, len(layers))
+
+    heights, thickness = scene.canopy.layers(scene.canopy_tops(*place[:2]))
+    level = np.abs(np.diff(north))[node] * np.sin(terrain_elevation) * cells
+    volume = raised(heights, scene.canopy.reflectivity * thickness * level)
+    chosen = np.concatenate([np.ones(len(ground.power), dtype=bool), volume.power > 0])
+    surface = joined([ground, volume]).where(chosen)
+    through = scene.transmission(surface.positions, aperture_at(surface.positions, aperture).position)
+    lit_layers = np.tile(lit, len(layers) + len(heights))[chosen]
+    return replace(surface, power=surface.power * through), lit_layers
 
 
 def _lit(elevation: F64, strip_of: npt.NDArray[np.int_]) -> Bool:

@@ -106,7 +106,7 @@ def test_street_holds_what_it_says() -> None:
 def test_name_that_is_no_scene_is_refused_with_those_allowed() -> None:
     with pytest.raises(UserError) as refusal:
         load_scene("no_such_scene")
-    assert_one_sentence(str(refusal.value), "'no_such_scene'", "street, jacksboro_fault", ".tif or .npz")
+    assert_one_sentence(str(refusal.value), "'no_such_scene'", "street, woods, jacksboro_fault", ".tif or .npz")
 
 
 def test_other_suffixes_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,86 @@
+"""Vegetation above the ground of a scene: a random volume over ground, lit through its own extinction.
+
+The volume holds scatterers evenly. Intensity falls as exp(-kappa s) along a path of length s inside it, so that a
+scatterer returns exp(-2 kappa s) of its power, and so does the ground beneath (the random volume over ground of
+Treuhaft and Siqueira, Radio Science 35, 2000).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sal_height.numeric import F64
+
+CANOPY_LAYERS = 24
+"""Layers of scatterers from base to top: 4 in a beamwidth for a canopy of 6 beamwidths."""
+
+CANOPY_THINNING = 4
+"""How many times fewer scatterers a layer has than the terrain: one in a resolution cell instead of 2 x 2."""
+
+PATH_STEPS = 16
+"""Steps, equal in height, in which a path through the canopy is followed; in a level canopy their sum is exact."""
+
+
+@dataclass(frozen=True, eq=False)
+class Canopy:
+    """A volume of scatterers above the terrain, with gaps.
+
+    Attributes:
+        top: height above the terrain, m, on the nodes of the scene, shape (n_north, n_east); 0 in gaps.
+        base: height above the terrain at which it begins, m; there is none where `top` is lower.
+        extinction: kappa of intensity, one way, 1/m.
+        reflectivity: radar brightness per metre of height if nothing attenuated it, 1/m.
+    """
+
+    top: F64
+    base: float
+    extinction: float
+    reflectivity: float
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether all its numbers are finite and 0 or more."""
+        numbers = np.concatenate([self.top.ravel(), [self.base, self.extinction, self.reflectivity]])
+        return bool(np.all(np.isfinite(numbers) & (numbers >= 0)))
+
+    def layers(self, top: F64) -> tuple[F64, F64]:
+        """Heights above the terrain (m) and thickness (m) of the layers under `top` (m, shape (points,)).
+
+        Both have the shape (CANOPY_LAYERS, points). In each layer one point in CANOPY_THINNING stands for all, so that
+        the thickness of the others is 0, as it is where there is no canopy.
+        """
+        layer, point = np.ogrid[:CANOPY_LAYERS, : len(top)]
+        depth = np.maximum(top - self.base, 0.0)
+        thickness = depth * CANOPY_THINNING / CANOPY_LAYERS * ((layer + point) % CANOPY_THINNING == 0)
+        return self.base + (layer + 0.5) / CANOPY_LAYERS * depth, thickness
+
+    def optical_depth(
+        self, ground_and_top: Callable[[F64, F64], tuple[F64, F64]], points: F64, sight: F64, ceiling: float
+    ) -> F64:
+        """Optical depth kappa s, one way, between points and the edge of the canopy, shape (points,).
+
+        Args:
+            ground_and_top: heights of the terrain and of the canopy's top above it, m, at arc distances east and
+                north, m; NaN outside the scene, where there is no canopy.
+            points: arc distances east and north, and height, m, shape (points, 3).
+            sight: unit vectors from the points to the antenna, east, north and up, shape (points, 3).
+            ceiling: height above which there is no canopy, m.
+        """
+        slope = sight[:, :2] / sight[:, 2:]
+        step = np.maximum(ceiling - points[:, 2], 0.0) / PATH_STEPS
+        inside = np.zeros(len(points))
+        for number in range(PATH_STEPS):
+            climb = (number + 0.5) * step
+            east, north = (points[:, :2] + slope * climb[:, None]).T
+            ground, top = np.nan_to_num(ground_and_top(east, north))
+            height = points[:, 2] + climb - ground
+            inside += np.maximum(_share_below(top, height, step) - _share_below(self.base, height, step), 0.0) * step
+        return self.extinction * inside / sight[:, 2]
+
+
+def _share_below(level: F64 | float, middle: F64, step: F64) -> F64:
+    """Share of a step about the height `middle` that lies below a level, m."""
+    return np.clip((level - middle) / np.where(step > 0, step, 1.0) + 0.5, 0.0, 1.0)

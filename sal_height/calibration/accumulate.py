@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -18,7 +17,7 @@ from sal_height.calibration.settings import DEFAULTS, CalibrationSettings
 from sal_height.elevation import Window, windowed_looks
 from sal_height.errors import NotDetermined, Rejected, UserError
 from sal_height.imaging import Slc, image_beams
-from sal_height.numeric import C64, C128, F64, WORKERS, noise_gain, window
+from sal_height.numeric import C64, C128, F64, WORKERS, window
 from sal_height.response import (
     CHIP,
     PointTarget,
@@ -177,14 +176,7 @@ class Calibrator:
         squint = np.round(np.array(self._squints) / step) * step
         windows = Window.named("boxcar", 1), Window.named("boxcar", self._settings.azimuth_looks)
         looks = windowed_looks(images, windows, squint, channels, hermitian=True)
-        found = calibrate_beams(looks, self._beams.combined(channels.matrix), self._settings)
-        alike = np.sqrt(noise_gain(taper**2)) / noise_gain(taper)  # speckle of rows that are neighbours
-        return replace(
-            found,
-            width_sigma=found.width_sigma * alike,
-            gain_sigmas=found.gain_sigmas * alike,
-            phase_sigmas=found.phase_sigmas * alike,
-        )
+        return calibrate_beams(looks, self._beams.combined(channels.matrix), self._settings)
 
     def _whitened_channels(self, noise_powers: F64) -> Channels:
         """Return channels of equal noise from those of the sensor, whose pixels have these noise powers."""

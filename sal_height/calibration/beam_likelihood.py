@@ -15,14 +15,15 @@ Sums are those of einsum, not of BLAS, whose threads would wait for each other b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation import Covariance
-from sal_height.numeric import C128, F64
+from sal_height.numeric import C128, F64, Index
 
 DIFFERENCE = 1e-3  # half step of differences, in beamwidths and relative widths: derivatives are right within 1e-5
 
@@ -31,16 +32,48 @@ class Normal(NamedTuple):
     """Sums over pixels that a step needs; parameters in the order ln w, ln |g_m|, arg g_m.
 
     Attributes:
-        score: derivatives of the log-likelihood, mean 0 at the truth, shape (parameters,).
-        information: minus the mean of its second derivatives, (parameters, parameters).
-        variance: covariance of the score.
-        pixels: number of them.
+        scores: derivatives of each pixel's log-likelihood, mean 0 at the truth, shape (pixels, parameters).
+        information: minus the mean of the second derivatives of their sum, (parameters, parameters).
+        variance: covariance of the sum of the scores, if nothing but the noise of each pixel makes them differ.
+        between: the same as the scores themselves show it (`variance_between`); None: not looked at.
     """
 
-    score: F64
+    scores: F64
     information: F64
     variance: F64
-    pixels: int
+    between: F64 | None = None
+
+    @classmethod
+    def joined(cls, parts: Sequence[Normal]) -> Self:
+        """The sums over the pixels of several parts."""
+        scores, information, variance, _ = zip(*parts, strict=True)
+        return cls(np.concatenate(scores), np.sum(information, axis=0), np.sum(variance, axis=0))
+
+    @property
+    def pixels(self) -> int:
+        """Number of pixels."""
+        return len(self.scores)
+
+    @property
+    def score(self) -> F64:
+        """Sum of the scores, shape (parameters,)."""
+        return np.sum(self.scores, axis=0)
+
+
+def variance_between(scores: F64, group: Index) -> F64:
+    """Covariance of the sum of scores that are independent between groups, whatever they have in common within one.
+
+    With s_c the sum over group c of C it is C / (C - 1) sum_c s_c s_c^T (Liang and Zeger, Biometrika 73, 1986): errors
+    of the model, such as power from neighbouring pixels and layover, count as they are. 0 for a single group.
+
+    Args:
+        scores: of the pixels, with the mean 0, shape (pixels, parameters).
+        group: number of the group of each pixel, shape (pixels,).
+    """
+    groups, of_pixel = np.unique(group, return_inverse=True)
+    sums = np.zeros((len(groups), scores.shape[1]))
+    np.add.at(sums, of_pixel, scores)
+    return np.einsum("ci,cj->ij", sums, sums) * (len(groups) / max(1, len(groups) - 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +121,7 @@ def with_known_angles(curve: Curve, pixels: Covariance, count: F64) -> Normal:
     """Sum over pixels of known elevation (covariance over noise power, (pixels, M, M), of `count` looks)."""
     explained, left = _residual(curve, pixels)
     geometry = _gram(curve, explained), _gram(curve, explained - count)
-    return Normal(_score(curve, 2 * left), 2 * geometry[1], 2 * geometry[0], len(pixels))
+    return Normal(_products(2 * left, curve).real, 2 * geometry[1], 2 * geometry[0])
 
 
 def with_unknown_angles(curve: Curve, pixels: Covariance, count: F64) -> Normal:
@@ -99,7 +132,7 @@ def with_unknown_angles(curve: Curve, pixels: Covariance, count: F64) -> Normal:
     variance, information = (
         2 * (_gram(curve, weight) - _square(along, weight)) for weight in (explained, explained - count)
     )
-    return Normal(_score(curve, 2 * left + curve.curvature / 2), information, variance, len(pixels))
+    return Normal(_products(2 * left + curve.curvature / 2, curve).real, information, variance)
 
 
 def _residual(curve: Curve, pixels: Covariance) -> tuple[F64, C128]:
@@ -109,13 +142,11 @@ def _residual(curve: Curve, pixels: Covariance) -> tuple[F64, C128]:
     return explained[:, 0], output - explained * curve.unit
 
 
-def _score(curve: Curve, direction: C128) -> F64:
-    """Return the sum over pixels of Re(direction^H de) for each parameter; `direction` is orthogonal to e."""
-    return np.sum(_products(direction, curve).real, axis=0)
-
-
 def _products(direction: C128, curve: Curve) -> C128:
-    """Return direction^H db/|b| for each parameter, shape (pixels, parameters)."""
+    """Return direction^H db/|b| for each parameter, shape (pixels, parameters).
+
+    With a `direction` orthogonal to e its real part is Re(direction^H de).
+    """
     each = direction.conj() * curve.unit
     return np.concatenate([np.sum(direction.conj() * curve.wider, axis=-1, keepdims=True), each, 1j * each], axis=-1)
 

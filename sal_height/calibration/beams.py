@@ -21,7 +21,13 @@ from typing import Self
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.calibration.beam_likelihood import Normal, curve_of, with_known_angles, with_unknown_angles
+from sal_height.calibration.beam_likelihood import (
+    Normal,
+    curve_of,
+    variance_between,
+    with_known_angles,
+    with_unknown_angles,
+)
 from sal_height.calibration.settings import DEFAULTS, CalibrationSettings
 from sal_height.elevation import (
     OBJECTIVES,
@@ -39,7 +45,7 @@ from sal_height.numeric import C64, C128, F64, Index
 
 @dataclass(frozen=True, eq=False)
 class BeamCalibration:
-    """What the description of the beams has to be changed by; standard deviations are those of noise alone.
+    """What the description of the beams has to be changed by, with standard deviations.
 
     Attributes:
         width_factor: w, by which all beams are wider than described, in elevation and azimuth.
@@ -76,8 +82,9 @@ def calibrate_beams(looks: Looks, beams: Beams, settings: CalibrationSettings = 
     Fisher scoring with the corrected derivatives of the likelihood, at elevations that are searched anew in each step.
     It starts from the beams as described, and converges from phases that are 30 degrees and amplitudes that are 2 dB
     wrong. Looks that differ in elevation count as one scatterer as long as they fit: on slopes they should lie in
-    azimuth. Pixels must not share looks, or the standard deviations are too small. Of two detectors only the phases
-    are estimated.
+    azimuth. Rows may share speckle, by the response in range or by layover: standard deviations are the greater of
+    those of independent pixels and those that differences between columns show. Columns must not share looks, or the
+    standard deviations are too small. Of two detectors only the phases are estimated.
 
     Args:
         looks: complex covariance of single detectors with equal noise (`windowed_looks` with `hermitian`).
@@ -138,8 +145,7 @@ def _settle(sums: Sums, start: BeamCalibration, basis: F64, settings: Calibratio
     found, channels, most_steps = start, len(start.gains), 25
     for step in range(1, most_steps + 1):
         normal = sums(found)
-        change, covariance = _solve(normal, basis, settings.max_uncertainty)
-        sigma = np.sqrt(np.diag(covariance))
+        change, sigma = _solve(normal, basis, settings.max_uncertainty)
         settled = step > 2 and np.all(np.abs(change) <= 0.05 * sigma)
         sigma = np.where(sigma > 0, sigma, np.nan)  # of parameters that are not free
         width = found.width_factor * float(np.exp(change[0]))
@@ -161,7 +167,7 @@ def _settle(sums: Sums, start: BeamCalibration, basis: F64, settings: Calibratio
 
 
 def _solve(normal: Normal, basis: F64, max_uncertainty: float) -> tuple[F64, F64]:
-    """Return the change of the parameters, and its covariance.
+    """Return the change of the parameters, and its standard deviations.
 
     Raises:
         NotDetermined: a combination of parameters remains unknown.
@@ -175,7 +181,9 @@ def _solve(normal: Normal, basis: F64, max_uncertainty: float) -> tuple[F64, F64
             "other elevations, or a bright target at several known elevations, are needed."
         )
     inverse = basis @ ((vectors / values) @ vectors.T) @ basis.T
-    return inverse @ normal.score, inverse @ normal.variance @ inverse
+    between = normal.variance if normal.between is None else normal.between
+    variances = [np.diag(inverse @ variance @ inverse) for variance in (normal.variance, between)]
+    return inverse @ normal.score, np.sqrt(np.maximum(*variances))
 
 
 def _all_parameters(channels: int) -> F64:
@@ -207,7 +215,7 @@ def _sum_over_scene(found: BeamCalibration, looks: Looks, beams: Beams, settings
     searches = PeakSearches.over(wide.scaled(amplitudes), squint, OBJECTIVES["normalised"], search_guard(beams))
     rules = HeightSettings(misfit_share=settings.misfit_share if found.steps > 1 else settings.first_misfit_share)
     (first, last), channels = beams.span, beams.count
-    of_blocks: dict[tuple[int, int], Normal] = {}
+    of_blocks: dict[tuple[int, int], tuple[Normal, Index]] = {}
 
     def work(search: PeakSearch, rows: slice, cols: Index) -> None:
         pixels = looks.covariance[rows, cols].reshape(-1, channels, channels) * undone
@@ -219,19 +227,20 @@ def _sum_over_scene(found: BeamCalibration, looks: Looks, beams: Beams, settings
         usable = finite & is_one_scatterer(Fit(explained, left, (channels - 1) * count - 0.5, channels), rules)
         usable &= (explained - count >= settings.min_energy) & (elevation >= first) & (elevation <= last)
         curve = curve_of(wide, amplitudes, elevation[usable], across[usable])
-        block = (rows.start, int(cols[0]))
-        of_blocks[block] = with_unknown_angles(curve, pixels[usable], count[usable])
+        column = np.broadcast_to(cols, looks.count[rows, cols].shape).reshape(-1)[usable]
+        of_blocks[rows.start, int(cols[0])] = with_unknown_angles(curve, pixels[usable], count[usable]), column
 
     searches.each(squint, looks.covariance.shape[0], work)
     # Floating-point sums depend on their order, so that it must not be the one in which threads finish.
-    total = Normal(*(sum(parts) for parts in zip(*(of_blocks[block] for block in sorted(of_blocks)), strict=True)))
+    parts, columns = zip(*(of_blocks[block] for block in sorted(of_blocks)), strict=True)
+    total = Normal.joined(parts)
     needed = settings.pixels_per_parameter * (2 * channels + 1)
     if total.pixels < needed:
         raise NotDetermined(
             f"{total.pixels} pixels show one scatterer between the boresights with an energy of "
             f"{settings.min_energy:g} noise powers or more; {needed} are needed."
         )
-    return total
+    return total._replace(between=variance_between(total.scores, np.concatenate(columns)))
 
 
 def _first_gains(covariance: C64, response: F64) -> C128:

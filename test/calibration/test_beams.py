@@ -14,7 +14,12 @@ from helpers import BEAMWIDTH, circular, elevation_at, make_beams, make_sensor, 
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import Pattern, pattern_named
-from sal_height.calibration.beam_likelihood import curve_of, with_known_angles, with_unknown_angles
+from sal_height.calibration.beam_likelihood import (
+    curve_of,
+    variance_between,
+    with_known_angles,
+    with_unknown_angles,
+)
 from sal_height.calibration.beams import BeamCalibration, calibrate_beams, calibrate_on_target
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation
 from sal_height.elevation.looks import Looks, covariance
@@ -90,6 +95,34 @@ def test_errors_are_as_large_as_stated() -> None:
     """15 free parameters in 20 trials: the standard error of their rms is 4 % (independent) to 16 % (all alike)."""
     error, sigma = trials()
     assert np.sqrt(np.mean((error / sigma) ** 2)) == pytest.approx(1, abs=0.12)
+
+
+def test_stated_errors_know_what_rows_have_in_common() -> None:
+    """Every pixel four times in its column, as where layover or sidelobes fill neighbours: errors are twice as great.
+
+    The rms of 16 trials as above; taken for independent pixels, it would be 2.
+    """
+    ratios = []
+    for seed in range(16):
+        rng, beams = np.random.default_rng([1, seed]), make_beams("jinc", 8)
+        truth = draw_truth(rng, 8)
+        first, last = beams.span
+        samples = draw_samples(
+            rng, beams_with(beams, truth), rng.uniform(first, last, 2000), np.zeros(2000), 10.0, looks=4
+        )
+        columns = covariance(samples, True).reshape(20, 100, 8, 8).repeat(4, axis=0)
+        found = calibrate_beams(Looks.of(columns, 4), beams)
+        ratios.append(errors(found, truth) / sigmas(found))
+    assert np.sqrt(np.mean(np.array(ratios) ** 2)) == pytest.approx(1, abs=0.14)
+
+
+def test_variance_between_groups_is_that_of_their_sums() -> None:
+    """40 000 groups of three scores, one of them common to the group: 1 + 2^2, within 2 %."""
+    rng = np.random.default_rng(2)
+    common = rng.standard_normal((40_000, 2))
+    scores = np.concatenate([rng.standard_normal((40_000, 2)), common, common])
+    found = variance_between(scores, np.tile(np.arange(40_000), 3)) / 40_000
+    assert found == pytest.approx(np.diag([5.0, 5.0]), abs=0.1)
 
 
 def test_unknown_angles_do_not_bias_the_width() -> None:

@@ -38,6 +38,8 @@ class Beams:
         matrix: channels from detectors, shape (channels, detectors), square; None: the channels are the detectors
             (`combined`).
         azimuth_beamwidth: wavelength / antenna diameter beside the detector axis, rad; None: as `beamwidth`.
+        uncertainty: standard deviation of the error of a channel's complex amplitude, over the greatest amplitude of a
+            beam, root mean square over channels; 0: the beams are known.
     """
 
     patterns: tuple[Pattern, ...]
@@ -49,6 +51,7 @@ class Beams:
     middle: float | None = None
     matrix: F64 | C128 | None = None
     azimuth_beamwidth: float | None = None
+    uncertainty: float = 0.0
 
     def response(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
         """Return the amplitude of every channel for targets at `elevation` and `squint` (rad): shape (..., channels).

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sal_height.beams import Beams
 from sal_height.errors import UserError
 from sal_height.io import write_whole
 from sal_height.numeric import C64, C128, F64, window
@@ -91,6 +92,22 @@ class Calibration:
         weight = weakest / (weakest + 0.1**4)
         safe = np.where(self.response == 0, 1, self.response)
         return np.asarray(weight / safe, dtype=np.complex64)
+
+    def beam_uncertainty(self, beams: Beams) -> float:
+        """Root mean square error that the calibration leaves to the beams' amplitudes, as of `Beams.uncertainty`.
+
+        A relative error of a gain is one of the beam's greatest amplitude; an error of the width changes the amplitude
+        by dh / d ln w, whose mean square is that over all directions between the boresights. What was not measured adds
+        nothing: it stays as uncertain as the sensor's description says.
+
+        Args:
+            beams: of the sensor, as described.
+        """
+        gains = np.nan_to_num(self.gain_sigma) ** 2 + np.nan_to_num(self.phase_sigma) ** 2
+        step, directions = 1e-3, np.linspace(*beams.span, 8 * beams.count)
+        narrow, wide = (beams.widened(factor).response(directions, 0.0) for factor in (1 - step, 1 + step))
+        change = np.abs(wide - narrow) / (2 * step) * np.nan_to_num(self.width_sigma) / self.width_factor
+        return float(np.sqrt(np.mean(gains) + np.mean(change**2)))
 
     def check(self, sensor: Sensor) -> None:
         """Check that it is of this sensor, whose waveform is "spectrum".

@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 from scipy.special import gammainccinv
 
+from sal_height.elevation.beam_error import PowerLaw
 from sal_height.elevation.bounds import beam_power
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.elevation.settings import HeightSettings
@@ -126,6 +127,8 @@ class Fit:
             dimensions of noise in K looks of M channels, less those that the scatterer's parameters have taken.
         directions: number of independent directions among which the strongest was chosen.
         leaked: expected power of the sidelobes of scatterers in other pixels, sum over looks.
+        coherent: part of the degrees in which errors of the beams show as well (`beam_error.PowerLaw`).
+        beam_error: power of these errors in a channel.
     """
 
     explained: F64
@@ -133,20 +136,32 @@ class Fit:
     degrees: F64
     directions: int
     leaked: F64 | float = 0.0
+    coherent: float = 0.0
+    beam_error: F64 | float = 0.0
 
 
-def array_fit(looks: Looks, explained: F64) -> Fit:
+def array_fit(looks: Looks, explained: F64, gain: F64, uncertainty: float) -> Fit:
     """Fit of a scatterer with the response of real beams to M channels of equal noise.
 
-    K complex amplitudes and one elevation leave M K - K - 1/2 complex dimensions of noise.
+    K complex amplitudes and one elevation leave M K - K - 1/2 complex dimensions of noise, M - 3/2 of them in the
+    direction of the amplitudes.
 
     Args:
         looks: covariance of M channels in each pixel.
         explained: a^H R a / |a|^2 over the receivers' noise power, shape (rows, cols).
+        gain: |a|^2.
+        uncertainty: of the beams.
     """
     channels = looks.covariance.shape[-1]
-    left, degrees = looks.power / looks.receiver_noise - explained, (channels - 1) * looks.count - 0.5
-    return Fit(explained, left, degrees, channels, looks.leaked)
+    return Fit(
+        explained,
+        left=looks.power / looks.receiver_noise - explained,
+        degrees=(channels - 1) * looks.count - 0.5,
+        directions=channels,
+        leaked=looks.leaked,
+        coherent=channels - 1.5,
+        beam_error=uncertainty**2 * np.maximum(explained - looks.count, 0.0) / gain,
+    )
 
 
 def noise_limit(degrees: F64, rate: float) -> F64:
@@ -180,7 +195,7 @@ def detection_limit(looks: Looks, directions: int, settings: HeightSettings) -> 
 
 
 def is_one_scatterer(fit: Fit, settings: HeightSettings) -> Bool:
-    """Whether what a scatterer leaves of a pixel is noise, or a small share of what it explains.
+    """Whether what a scatterer leaves of a pixel is noise and error of the beams, or a small share of what it explains.
 
     Two scatterers closer than about half a beamwidth cannot be told from one. Looks in range on sloping ground differ
     in elevation; from about 0.3 beamwidths on they count as several scatterers.
@@ -189,8 +204,9 @@ def is_one_scatterer(fit: Fit, settings: HeightSettings) -> Bool:
         fit: of one scatterer to every pixel.
         settings: rates of false alarms, and share of the explained power that may be left beyond the mean of the noise.
     """
-    limit = noise_limit(fit.degrees, settings.false_alarm_rate) + sidelobe_limit(fit.leaked, settings.sidelobe_rate)
-    noise = fit.left <= limit
+    law = PowerLaw.of(fit.degrees, fit.coherent, fit.beam_error)
+    limit = law.level(noise_limit(law.order, settings.false_alarm_rate))
+    noise = fit.left <= limit + sidelobe_limit(fit.leaked, settings.sidelobe_rate)
     return noise | (fit.left - fit.degrees <= settings.misfit_share * fit.explained)
 
 

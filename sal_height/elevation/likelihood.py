@@ -16,6 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sal_height.beams import Beams
+from sal_height.elevation.beam_error import beam_deviation
 from sal_height.elevation.bounds import stochastic_deviation, unit_vectors
 from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
 from sal_height.elevation.looks import Covariance, Looks
@@ -161,8 +162,8 @@ def _estimate(
 ) -> ElevationEstimate:
     """Elevation, sigma, CNR and validity of every pixel.
 
-    Sigma is `bounds.stochastic_crb` for the energy of these very looks, less the noise of SPARE_LOOKS more. It is that
-    of errors about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB with 2 looks, and in fewer
+    Sigma is `bounds.stochastic_crb` for the energy of these very looks, less the noise of SPARE_LOOKS more, and
+    `beam_error.beam_deviation`. It is that of errors about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB with 2 looks, and in fewer
     elsewhere, another peak is higher.
 
     Args:
@@ -178,7 +179,8 @@ def _estimate(
     explained = explained / looks.receiver_noise
     cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
     sigma = stochastic_deviation((explained - noise) / gain, noise, gain, turning * gain)
-    fit, (first, last) = array_fit(looks, explained), beams.span
+    sigma = np.hypot(sigma, beam_deviation(turning * gain, beams.uncertainty))
+    fit, (first, last) = array_fit(looks, explained, gain, beams.uncertainty), beams.span
     strong, inside = cnr >= settings.min_cnr, (elevation >= first) & (elevation <= last)
     validity = decide_validity(looks, fit, strong, inside, Validity.OUTSIDE_ARRAY, settings)
     if beams.count > 2:

@@ -151,10 +151,14 @@ def whitened_products(sums: Products, noise_powers: NoisePowers) -> tuple[Produc
     return scaled, scale
 
 
-def accuracy(sums: Products, response: F64, slope: F64, noise_powers: NoisePowers) -> tuple[F64, F64]:
+def accuracy(
+    sums: Products, response: F64, slope: F64, noise_powers: NoisePowers, uncertainty: float
+) -> tuple[F64, F64]:
     """Return the standard deviation of elevation (rad) and the CNR of one look, from the energy of these looks.
 
-    The deviation is that of gamma (`products_variance`) over the discriminant's slope. The CNR is that of a detector
+    The deviation is that of gamma (`products_variance`) over the discriminant's slope. Errors of the beams, of variance
+    u^2 in each, add noise of power 2 u^2 |A|^2 to Sigma and Delta that looks do not average: to the variance of gamma
+    (1 + gamma^2) u^2 / |upper + lower|^2 (`discriminator_variance`; see `elevation.beam_error`). The CNR is that of a detector
     which looks straight at the scatterer and has the noise 1 / (1/N_Sigma + 1/N_Delta): that of each of two detectors
     whose sum and difference have equal noise.
 
@@ -163,6 +167,7 @@ def accuracy(sums: Products, response: F64, slope: F64, noise_powers: NoisePower
         response: of the lower and the upper beam where the scatterer is, in its unit, shape (..., 2).
         slope: of gamma over elevation there, 1/rad.
         noise_powers: of Sigma and Delta.
+        uncertainty: u (`Beams.uncertainty`).
     """
     total_gain = np.abs(response[..., 1] + response[..., 0]) ** 2
     difference_gain = np.abs(response[..., 1] - response[..., 0]) ** 2
@@ -170,7 +175,8 @@ def accuracy(sums: Products, response: F64, slope: F64, noise_powers: NoisePower
     detector_noise = 1 / (1 / noise_powers[0] + 1 / noise_powers[1])
     with np.errstate(divide="ignore", invalid="ignore"):
         modulus = np.sqrt(difference_gain / total_gain)
-        variance = products_variance(modulus, energy, sums.count, noise_powers) / slope**2
+        variance = products_variance(modulus, energy, sums.count, noise_powers)
+        variance = (variance + (1 + modulus**2) * uncertainty**2 / total_gain) / slope**2
         cnr = energy / total_gain / sums.count / detector_noise
     return np.sqrt(np.where(energy > 0, variance, np.inf)), np.asarray(cnr)
 

@@ -67,15 +67,16 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
     noise_powers = (2 * looks.receiver_noise, 2 * looks.receiver_noise)
     mu = discriminate(sums, DISCRIMINANTS[settings.discriminant], noise_powers)
     found, response = _invert_pairs(beams, pair.astype(np.intp), mu, np.broadcast_to(looks.squint, mu.shape))
-    sigma, cnr = accuracy(sums, response, found.slope, noise_powers)
+    sigma, cnr = accuracy(sums, response, found.slope, noise_powers, beams.uncertainty)
 
     def at_found(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
-        return search.fit(pixels, found.elevation[rows, cols].reshape(-1))[:1]
+        return search.fit(pixels, found.elevation[rows, cols].reshape(-1))[:2]
 
-    (explained,) = searches.of_pixels(looks, 1, at_found) / looks.receiver_noise
+    explained, gain = searches.of_pixels(looks, 2, at_found)
+    explained = explained / looks.receiver_noise
     first, last = beams.span
     inside = (found.elevation >= first) & (found.elevation <= last)
-    fit, strong = array_fit(looks, explained), cnr >= settings.min_cnr
+    fit, strong = array_fit(looks, explained, gain, beams.uncertainty), cnr >= settings.min_cnr
     validity = decide_validity(looks, fit, strong, inside, Validity.OUTSIDE_ARRAY, settings)
     outside = ((best < first) | (best > last)) & (best_explained / looks.receiver_noise - explained > OUTSIDE_MARGIN)
     validity = np.where((validity == Validity.OK) & outside, Validity.OUTSIDE_ARRAY, validity)

@@ -95,7 +95,8 @@ def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceS
     gamma = discriminate(sums, DISCRIMINANTS[settings.discriminant], noise_powers)
     invert = _slope_table(settings.slope_table).invert if settings.slope_table else INVERSES[settings.inverse]
     found = invert(pair, gamma, looks.squint)
-    sigma, cnr = accuracy(sums, pair.response(found.elevation, looks.squint), found.slope, noise_powers)
+    response = pair.response(found.elevation, looks.squint)
+    sigma, cnr = accuracy(sums, response, found.slope, noise_powers, pair.uncertainty)
     explained, left = _eigenvalues(whitened_products(sums, noise_powers)[0]) / noise_powers[0]
     # K amplitudes and one complex gamma are estimated.
     fit = Fit(explained, left, looks.count - 1, directions=2, leaked=looks.leaked)

@@ -1,10 +1,10 @@
 """What beams that are not exactly known do to elevations and to the test of fit.
 
 A scatterer has the amplitude A_k (a_m + e_m) in channel m and look k, with errors e_m of the beams that are circular,
-independent between channels and of variance u^2 (`Beams.uncertainty`, relative to the beams' maximum). They act as noise,
-but as noise proportional to the signal: with the energy S = sum_k |A_k|^2 over the noise power it has the power u^2 S in
-the one direction of the looks that is that of the amplitudes, and none in the K - 1 others. So looks do not average it,
-and no energy overcomes it. A first-order change of the likelihood's peak gives (as in `bounds`, with D defined there)
+independent between channels and of variance u^2 (`Beams.uncertainty`, relative to the beams' maximum). They act as
+noise, but as noise proportional to the signal: with the energy S = sum_k |A_k|^2 over the noise power it has the power
+u^2 S in the one direction of the looks that is that of the amplitudes, and none in the K - 1 others. So looks do not
+average it, and no energy overcomes it. To first order the likelihood's peak moves by (D as in `bounds`)
 
     d theta = Re(a'_perp^H e) / D,    variance = u^2 / (2 D)
 
@@ -57,7 +57,7 @@ class PowerLaw(NamedTuple):
     shift: F64
 
     @classmethod
-    def of(cls, order: npt.ArrayLike, coherent: npt.ArrayLike, error: npt.ArrayLike) -> Self:
+    def of(cls, order: F64, coherent: F64 | float, error: F64 | float) -> Self:
         """Distribution of what noise and errors of the beams leave of a pixel, by its first three moments.
 
         Of the complex dimensions that a scatterer leaves, `coherent` lie in the direction of the amplitudes of the
@@ -70,8 +70,8 @@ class PowerLaw(NamedTuple):
             coherent: number of those in the direction of the amplitudes.
             error: u^2 S.
         """
-        rest = np.asarray(order, dtype=np.float64) - coherent
-        mean, variance, third = (coherent * (1 + np.asarray(error)) ** n + rest for n in (1, 2, 3))
+        rest = order - coherent
+        mean, variance, third = (coherent * (1 + error) ** n + rest for n in (1, 2, 3))
         some = variance > 0
         scale = np.divide(third, variance, out=np.ones_like(variance), where=some)
         fitted = np.divide(variance, scale**2, out=np.zeros_like(variance), where=some)

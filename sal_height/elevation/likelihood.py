@@ -163,8 +163,8 @@ def _estimate(
     """Elevation, sigma, CNR and validity of every pixel.
 
     Sigma is `bounds.stochastic_crb` for the energy of these very looks, less the noise of SPARE_LOOKS more, and
-    `beam_error.beam_deviation`. It is that of errors about the scatterer's own peak: in some 1 % of the valid pixels at 0 dB with 2 looks, and in fewer
-    elsewhere, another peak is higher.
+    `beam_error.beam_deviation`. It is that of errors about the scatterer's own peak: in some 1 % of the valid pixels at
+    0 dB with 2 looks, and in fewer elsewhere, another peak is higher.
 
     Args:
         find: gives the elevation of each pixel, by how much the power explained there exceeds that of any other peak,

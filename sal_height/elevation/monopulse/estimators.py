@@ -158,9 +158,9 @@ def accuracy(
 
     The deviation is that of gamma (`products_variance`) over the discriminant's slope. Errors of the beams, of variance
     u^2 in each, add noise of power 2 u^2 |A|^2 to Sigma and Delta that looks do not average: to the variance of gamma
-    (1 + gamma^2) u^2 / |upper + lower|^2 (`discriminator_variance`; see `elevation.beam_error`). The CNR is that of a detector
-    which looks straight at the scatterer and has the noise 1 / (1/N_Sigma + 1/N_Delta): that of each of two detectors
-    whose sum and difference have equal noise.
+    (1 + gamma^2) u^2 / |upper + lower|^2 (`discriminator_variance`; see `elevation.beam_error`). The CNR is that of a
+    detector which looks straight at the scatterer and has the noise 1 / (1/N_Sigma + 1/N_Delta): that of each of two
+    detectors whose sum and difference have equal noise.
 
     Args:
         sums: of Sigma and Delta.

@@ -2,12 +2,15 @@
 
 Read `heights` first (elevation, range and Doppler to height, place and sigma), then `range_tracking` and
 `field_tracking` (Gauss-Markov smoothing along range, and along the track too, with the `settings`), `tracked` (the
-smoothed heights, placed), `map` (all dwells in one grid) and `geotiff` (that grid as a file).
+smoothed heights, placed), `ground` (the ground from all surfaces of all dwells, with `layers`, `membrane` and
+`visibility`), `map` (all dwells in one grid) and `geotiff` (that grid as a file).
 """
 
 from sal_height.relief.field_tracking import smoothed_field
 from sal_height.relief.geotiff import check_geotiff, write_geotiff
+from sal_height.relief.ground import GroundEstimate, GroundGrid, GroundKind, estimated_ground
 from sal_height.relief.heights import HeightField, Surface, height_field, scatterer_count
+from sal_height.relief.layers import Layers, layers_of, merged
 from sal_height.relief.map import Relief, ReliefMap
 from sal_height.relief.range_tracking import (
     MeasuredHeights,
@@ -17,11 +20,16 @@ from sal_height.relief.range_tracking import (
     smoothed,
     steady_sigmas,
 )
-from sal_height.relief.settings import TrackingSettings
+from sal_height.relief.settings import GroundSettings, TrackingSettings
 from sal_height.relief.tracked import track
 
 __all__ = [
+    "GroundEstimate",
+    "GroundGrid",
+    "GroundKind",
+    "GroundSettings",
     "HeightField",
+    "Layers",
     "MeasuredHeights",
     "Relief",
     "ReliefMap",
@@ -30,8 +38,11 @@ __all__ = [
     "TrackedRelief",
     "TrackingSettings",
     "check_geotiff",
+    "estimated_ground",
     "filtered",
     "height_field",
+    "layers_of",
+    "merged",
     "scatterer_count",
     "smoothed",
     "smoothed_field",

@@ -58,3 +58,34 @@ class TrackingSettings(Settings):
 
 
 DEFAULT_TRACKING = TrackingSettings()
+
+
+class GroundSettings(Settings):
+    """How the ground is estimated from the surfaces of all pixels."""
+
+    gate: float = setting(
+        3.0,
+        "heights that differ by more are not those of the same piece of ground",
+        unit="standard deviations",
+        minimum=1.0,
+        maximum=1000.0,
+    )
+    least_pixels: int = setting(
+        4,
+        "pixels that must hang together to be a surface, where others are around them; fewer are ghosts",
+        minimum=1,
+        maximum=1000,
+    )
+    reach_pixels: float = setting(
+        1.6, "distance up to which pixels hang together", unit="pixels", minimum=1.0, maximum=100.0
+    )
+    interpolation_pixels: float = setting(
+        4.0,
+        "distance from measured ground on both sides up to which a gap is interpolated; 0: nothing is interpolated",
+        unit="pixels",
+        minimum=0.0,
+        maximum=100.0,
+    )
+
+
+DEFAULT_GROUND = GroundSettings()

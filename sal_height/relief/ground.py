@@ -1,0 +1,263 @@
+"""The ground from all surfaces that dwells have measured: one height per cell, its sigma, and how it is known.
+
+The surfaces of all pixels are points with the covariance of their place, most of them on the ground, some on walls, and
+a few that do not exist. From them follows the highest surface of each cell of a grid on the ground:
+
+1. Points of the same piece of surface are merged (`layers`), which is all that is kept of dwells.
+2. Points that hang together with hardly any others, although there are others around them, are ghosts; so is what could
+   not have been seen behind what stands in front of it, unless it is what stands in front that contradicts more.
+3. Points with others steeply above and below them are on walls.
+4. The highest that is left in each cell is its measured height. The ground between them is a membrane that tears at
+   steps (`membrane`), to which every measurement is taken along its slope to the middle of its cell.
+5. A cell within the footprint of a measurement is MEASURED. Another one is SHADOW if the ground in front hides it,
+   INTERPOLATED if it lies in a small gap of ground that is the same on both sides, and else has no height.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt, uniform_filter
+
+from sal_height.numeric import F64, I64, U8, Bool
+from sal_height.relief.layers import Layers, neighbours, on_walls, supported
+from sal_height.relief.membrane import Membrane, fitted_membrane, footprint
+from sal_height.relief.settings import GroundSettings
+from sal_height.relief.visibility import blocking_cells, contradicted
+
+
+class GroundKind(IntEnum):
+    """How the height of a cell is known; the values are those of ReliefMap.msg."""
+
+    NONE = 0
+    MEASURED = 1
+    INTERPOLATED = 2
+    SHADOW = 3
+
+
+@dataclass(frozen=True, eq=False)
+class GroundEstimate:
+    """Heights of the highest surface of the cells of a grid; arrays of shape (rows, cols), row 0 the southernmost.
+
+    Attributes:
+        east: arc distance of the centre of cell (0, 0) from the map's origin, m.
+        north: the same, m.
+        cell_size: m.
+        height: above the sphere, m; NaN where the kind is NONE or SHADOW.
+        sigma: standard deviation of that height at the centre of the cell, m; NaN there.
+        kind: `GroundKind` of each cell, uint8.
+    """
+
+    east: float
+    north: float
+    cell_size: float
+    height: F64
+    sigma: F64
+    kind: U8
+
+
+@dataclass(frozen=True)
+class GroundGrid:
+    """Cells of a rectangle of ground.
+
+    Attributes:
+        first: row (north) and column (east) of the first cell, counted from the map's origin.
+        shape: number of rows and columns.
+        cell_size: m.
+        spacing: of the pixels that are measured, on level ground, m: the greater of along range and along track.
+    """
+
+    first: tuple[int, int]
+    shape: tuple[int, int]
+    cell_size: float
+    spacing: float
+
+    def places(self, layers: Layers) -> F64:
+        """Row and column of layers in cells of this grid, shape (n, 2); whole numbers are middles of cells."""
+        return layers.place[:, 1::-1] / self.cell_size - 0.5 - np.array(self.first)
+
+    def numbers(self, layers: Layers) -> I64:
+        """Flat numbers of the cells in which layers lie, shape (n,)."""
+        row, col = np.rint(self.places(layers)).astype(np.int64).T
+        return row * self.shape[1] + col
+
+
+def estimated_ground(layers: Layers, grid: GroundGrid, settings: GroundSettings) -> GroundEstimate:
+    """Estimate the ground in all cells of `grid` from the layers that lie in them."""
+    east, north = ((index + 0.5) * grid.cell_size for index in grid.first[::-1])
+    tops = highest_surfaces(layers, grid, settings)
+    if not len(tops):
+        nowhere = np.full(grid.shape, np.nan)
+        return GroundEstimate(east, north, grid.cell_size, nowhere, nowhere, np.zeros(grid.shape, np.uint8))
+    number = grid.numbers(tops)
+    measured = np.zeros(grid.shape, dtype=bool)
+    measured.ravel()[number] = True
+    nearest = distance_transform_edt(~measured, return_distances=False, return_indices=True)
+    membrane, variance = _settled(tops, number, grid, settings)
+    covered = membrane.covered
+    level, half = _between_sides(membrane.height, covered, grid, settings)
+    towards = np.broadcast_to(tops.towards.mean(axis=0), (grid.shape[0] * grid.shape[1], 2))
+    hidden = _hidden(membrane.height, covered, towards, grid)
+    jump = np.where(measured, 0.0, _jumps_beside(membrane))
+    sure = covered & (jump == 0)
+    kind = np.select(
+        [sure, hidden, level | covered],
+        [GroundKind.MEASURED, GroundKind.SHADOW, GroundKind.INTERPOLATED],
+        GroundKind.NONE,
+    ).astype(np.uint8)
+    known = np.isin(kind, (GroundKind.MEASURED, GroundKind.INTERPOLATED))
+    common = np.zeros(grid.shape)
+    common.ravel()[number] = variance
+    total = membrane.sigma**2 + common[tuple(nearest)] + np.where(covered, jump**2 / 4, half**2)
+    return GroundEstimate(
+        east,
+        north,
+        grid.cell_size,
+        np.where(known, membrane.height, np.nan),
+        np.where(known, np.sqrt(total), np.nan),
+        kind,
+    )
+
+
+def highest_surfaces(layers: Layers, grid: GroundGrid, settings: GroundSettings) -> Layers:
+    """The highest layer of each cell, without ghosts and without the pieces of walls between their foot and top."""
+    if not len(layers):
+        return layers
+    reach = settings.reach_pixels * grid.spacing
+    pairs = neighbours(layers, reach, settings.gate)
+    layers = layers.where(supported(layers, pairs, reach, settings.least_pixels))
+    layers = layers.where(~_contradicted(layers, grid))
+    pairs = neighbours(layers, reach, settings.gate)
+    layers = layers.where(~on_walls(layers, pairs, grid.spacing / 2 + grid.cell_size / 2))
+    return layers.where(_highest(layers, grid))
+
+
+def _contradicted(layers: Layers, grid: GroundGrid) -> Bool:
+    """Layers that could not have been seen behind others, or that hide more than they could, shape (n,)."""
+    highest = _highest(layers, grid)
+    number, size = grid.numbers(layers), grid.shape[0] * grid.shape[1]
+    top = np.full(grid.shape, np.nan)
+    top.ravel()[number[highest]] = layers.place[highest, 2]
+    distance, nearest = distance_transform_edt(np.isnan(top), return_indices=True)
+    owner = np.ravel_multi_index(tuple(nearest), grid.shape).ravel()
+    footprints = np.where(
+        distance <= footprint(grid.spacing / grid.cell_size), top.ravel()[owner].reshape(grid.shape), np.nan
+    )
+    lines, cells = blocking_cells(grid.places(layers), layers.place[:, 2], layers.towards, footprints, grid.cell_size)
+    surface_wrong, point_wrong = contradicted(lines, owner[cells], len(layers), size)
+    is_top = np.zeros(len(layers), dtype=bool)
+    is_top[highest] = True
+    return point_wrong | (is_top & surface_wrong[number])
+
+
+def _highest(layers: Layers, grid: GroundGrid) -> I64:
+    """Number of the highest layer in each cell that has one."""
+    order = np.lexsort((-layers.place[:, 2], grid.numbers(layers)))
+    _, first = np.unique(grid.numbers(layers)[order], return_index=True)
+    return order[first]
+
+
+def _settled(tops: Layers, number: I64, grid: GroundGrid, settings: GroundSettings) -> tuple[Membrane, F64]:
+    """The membrane through the tops, taken along its own slopes to the middles of their cells.
+
+    A plane of the slope g turns an error e of a place into one of height at a given place, (-g, 1) e. Returns the
+    membrane and the variance (m^2) of that height from the common errors of each top.
+    """
+    offset = grid.places(tops) - np.rint(grid.places(tops))
+    slope, steepest = np.zeros((*grid.shape, 2)), grid.cell_size  # m per cell; 45 degrees, until slopes are known
+    for _ in range(PASSES):
+        there = slope.reshape(-1, 2)[number]
+        normal = np.column_stack([-there[:, ::-1] / grid.cell_size, np.ones(len(tops))])
+        own, common = (np.einsum("ni,nij,nj->n", normal, part, normal) for part in (tops.own, tops.common))
+        height, sigma = np.full(grid.shape, np.nan), np.full(grid.shape, np.nan)
+        height.ravel()[number] = tops.place[:, 2] - np.sum(there * offset, axis=1)
+        sigma.ravel()[number] = np.sqrt(np.maximum(own, LEAST_VARIANCE_SHARE * tops.own[:, 2, 2]))
+        membrane = fitted_membrane(height, sigma, grid.spacing / grid.cell_size, settings.gate, slope, steepest)
+        slope, steepest = _slopes(membrane), 0.0
+    return membrane, common
+
+
+PASSES = 3
+"""Number of fits: with unknown slopes, with slopes that steps may have spoilt, and with those of whole ground."""
+
+LEAST_VARIANCE_SHARE = 0.1
+"""Least variance of a height at a place over that of the height itself, on slopes along which the errors go."""
+
+SLOPE_CELLS = 5
+"""Side in cells of the square in which slopes are averaged."""
+
+
+def _slopes(membrane: Membrane) -> F64:
+    """Slope of the membrane along rows and columns, m per cell, shape (rows, cols, 2); steps are not part of it."""
+    slopes = []
+    for axis, joint in enumerate(membrane.joined):
+        rise = np.where(joint, np.diff(membrane.height, axis=axis), 0.0)
+        before, after = [(0, 0), (0, 0)], [(0, 0), (0, 0)]
+        before[axis], after[axis] = (1, 0), (0, 1)
+        total, count = (
+            uniform_filter(np.pad(values, before) + np.pad(values, after), SLOPE_CELLS)
+            for values in (rise, joint.astype(np.float64))
+        )
+        slopes.append(total / np.maximum(count, 0.5))
+    return np.stack(slopes, axis=-1)
+
+
+def _jumps_beside(membrane: Membrane) -> F64:
+    """Greatest step between each cell and the four beside it where the membrane is torn, m; 0 where it is whole."""
+    jump = np.zeros(membrane.height.shape)
+    for axis, joint in enumerate(membrane.joined):
+        step = np.where(joint, 0.0, np.abs(np.diff(membrane.height, axis=axis)))
+        before, after = [(0, 0), (0, 0)], [(0, 0), (0, 0)]
+        before[axis], after[axis] = (1, 0), (0, 1)
+        jump = np.maximum(jump, np.maximum(np.pad(step, before), np.pad(step, after)))
+    return jump
+
+
+def _between_sides(height: F64, covered: Bool, grid: GroundGrid, settings: GroundSettings) -> tuple[Bool, F64]:
+    """Cells in a gap whose nearest measured cells on both sides have the same height, and half their difference, m.
+
+    The gap is looked at along rows and along columns, each up to `interpolation_pixels` away; one must show the same
+    height on both sides, and none a step.
+    """
+    reach = settings.interpolation_pixels * grid.spacing / grid.cell_size
+    same, step, half = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool), np.full(grid.shape, np.inf)
+    for axis in (0, 1):
+        (before, lower), (after, upper) = _sides(height, covered, axis)
+        near = (before <= reach) & (after <= reach)
+        difference = np.abs(upper - lower)
+        level = near & (difference <= STEEPEST_GAP * (before + after) * grid.cell_size)
+        same, step = same | level, step | (near & ~level)
+        half = np.where(level, np.minimum(half, difference / 2), half)
+    return same & ~step, half
+
+
+STEEPEST_GAP = 0.6
+"""Greatest slope across a gap that is interpolated, 30 degrees."""
+
+
+def _sides(height: F64, covered: Bool, axis: int) -> tuple[tuple[F64, F64], tuple[F64, F64]]:
+    """Distance in cells and height of the last covered cell before each along an axis, and of the first after it."""
+    length = height.shape[axis]
+    place = np.expand_dims(np.arange(length), 1 - axis) * np.ones(height.shape, np.int64)
+    before = np.maximum.accumulate(np.where(covered, place, -1), axis=axis)
+    after = np.flip(np.minimum.accumulate(np.flip(np.where(covered, place, length), axis), axis=axis), axis)
+    sides = []
+    for side, exists in ((before, before >= 0), (after, after < length)):
+        there = np.take_along_axis(height, np.clip(side, 0, length - 1), axis)
+        sides.append((np.where(exists, np.abs(side - place), np.inf), np.where(exists, there, np.nan)))
+    return sides[0], sides[1]
+
+
+def _hidden(height: F64, covered: Bool, towards: F64, grid: GroundGrid) -> Bool:
+    """Cells that the covered ones hide from the sensor, if they are as high as the lowest that is nearest to them."""
+    sides = [side for axis in (0, 1) for _, side in _sides(height, covered, axis)]
+    floor = np.fmin.reduce(sides)
+    top = np.where(covered, height, np.nan)
+    place = np.moveaxis(np.indices(grid.shape), 0, -1).reshape(-1, 2).astype(np.float64)
+    open_cells = np.flatnonzero(~covered & np.isfinite(floor))
+    lines, _ = blocking_cells(place[open_cells], floor.ravel()[open_cells], towards[open_cells], top, grid.cell_size)
+    hidden = np.zeros(grid.shape, dtype=bool)
+    hidden.ravel()[open_cells[lines]] = True
+    return hidden

@@ -1,0 +1,179 @@
+"""Layers: the pieces of surface that dwells have measured, each in one cell of a grid on the ground.
+
+A cell has several layers where surfaces lie above each other, as at a wall. What dwells measure of the same piece is
+merged with the weights of its errors, so that the memory of a map grows with the ground that was seen, not with the
+dwells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import reduce
+from typing import Self
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from sal_height.geometry import ApertureState, aperture_at, sphere_coordinates
+from sal_height.numeric import F64, I64, Bool, Index
+from sal_height.relief.heights import HeightField, Surface
+
+STEEPEST_GROUND = 1.7
+"""Greatest slope of ground; what rises more steeply, 60 degrees, is a wall."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """Pieces of surface, one entry each; distances in m.
+
+    Attributes:
+        place: arc distances east and north from the map's origin, and height above the sphere, shape (n, 3).
+        own: covariance of their errors that no other layer shares, m^2, shape (n, 3, 3).
+        common: covariance of those that all pixels of a dwell share, shape (n, 3, 3).
+        towards: how far east and north the line of sight goes towards the sensor per metre that it rises, shape (n, 2).
+        pixels: number of pixels merged, shape (n,).
+    """
+
+    place: F64
+    own: F64
+    common: F64
+    towards: F64
+    pixels: F64
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+    @property
+    def sigma(self) -> F64:
+        """Standard deviation of height but for the common errors, m, shape (n,)."""
+        return np.sqrt(self.own[:, 2, 2])
+
+    def cells(self, cell_size: float) -> I64:
+        """Row (north) and column (east) of the cell that each lies in, shape (n, 2)."""
+        return np.floor(self.place[:, 1::-1] / cell_size).astype(np.int64)
+
+    def where(self, chosen: Bool | Index) -> Self:
+        """Some of the layers."""
+        return type(self)(*(getattr(self, entry.name)[chosen] for entry in fields(self)))
+
+    def and_those(self, others: Layers) -> Self:
+        """All layers of both."""
+        return type(self)(
+            *(np.concatenate([getattr(self, entry.name), getattr(others, entry.name)]) for entry in fields(self))
+        )
+
+
+def layers_of(field: HeightField, aperture: ApertureState) -> Layers:
+    """All surfaces of all pixels of a dwell seen from `aperture`."""
+    first, *others = (_layers_of_surface(surface, aperture) for surface in field.surfaces)
+    return reduce(Layers.and_those, others, first)
+
+
+def _layers_of_surface(surface: Surface, aperture: ApertureState) -> Layers:
+    """One layer for each pixel; without a covariance, its error is one of elevation alone, along its circle."""
+    seen = surface.is_determined & np.isfinite(surface.height)
+    points = surface.positions[seen]
+    sight = points - aperture_at(points, aperture).position
+    circle = np.cross(sight, aperture.direction)
+    circle *= surface.sigma[seen][:, None] / circle[:, 2:]
+    own = surface.own_covariance[seen]
+    own = np.where(np.isfinite(own).all(axis=(1, 2), keepdims=True), own, circle[:, :, None] * circle[:, None, :])
+    common = np.zeros_like(own) if surface.common_covariance is None else surface.common_covariance[seen]
+    return Layers(
+        place=np.stack(sphere_coordinates(points), axis=-1),
+        own=own,
+        common=np.nan_to_num(common),
+        towards=sight[:, :2] / sight[:, 2:],
+        pixels=np.ones(len(points)),
+    )
+
+
+def merged(layers: Layers, cell_size: float, gate: float, *, same_dwell: bool) -> Layers:
+    """Merge layers of the same cell that do not differ by more than `gate` standard deviations and one cell in height.
+
+    With the weights w = 1 / variance of height, own errors average, sum w^2 C / (sum w)^2, and so do the common errors
+    of different dwells; those of the same dwell remain, sum w C / sum w.
+
+    Args:
+        layers: in any order.
+        cell_size: m.
+        gate: standard deviations.
+        same_dwell: whether all layers are of one dwell, or of several.
+    """
+    if not len(layers):
+        return layers
+    cells = layers.cells(cell_size)
+    order = np.lexsort((layers.place[:, 2], cells[:, 1], cells[:, 0]))
+    layers, cells = layers.where(order), cells[order]
+    variance = (layers.own + layers.common)[:, 2, 2]
+    apart = np.diff(layers.place[:, 2]) ** 2 > gate**2 * (variance[1:] + variance[:-1]) + cell_size**2
+    begins = np.flatnonzero(np.r_[True, apart | (np.diff(cells, axis=0) != 0).any(axis=1)])
+    if len(begins) == len(layers):
+        return layers
+    weight = 1 / variance
+    total = np.add.reduceat(weight, begins)
+
+    def mean(values: F64, weights: F64, sums: F64) -> F64:
+        shape = (-1,) + (1,) * (values.ndim - 1)
+        return np.add.reduceat(values * weights.reshape(shape), begins) / sums.reshape(shape)
+
+    common = mean(layers.common, weight, total) if same_dwell else mean(layers.common, weight**2, total**2)
+    return Layers(
+        place=mean(layers.place, weight, total),
+        own=mean(layers.own, weight**2, total**2),
+        common=common,
+        towards=mean(layers.towards, weight, total),
+        pixels=np.add.reduceat(layers.pixels, begins),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbours:
+    """Pairs of layers whose places on the ground are near each other.
+
+    Attributes:
+        first: number of the first layer of each pair, shape (pairs,).
+        second: of the second.
+        distance: on the ground, m.
+        rise: height of the second less that of the first, m.
+        error: `gate` standard deviations of that, m.
+    """
+
+    first: Index
+    second: Index
+    distance: F64
+    rise: F64
+    error: F64
+
+
+def neighbours(layers: Layers, reach: float, gate: float) -> Neighbours:
+    """All pairs of layers at most `reach` (m) from each other on the ground."""
+    first, second = cKDTree(layers.place[:, :2]).query_pairs(reach, output_type="ndarray").T
+    offset = layers.place[second] - layers.place[first]
+    error = gate * np.hypot(layers.sigma[first], layers.sigma[second])
+    return Neighbours(first, second, np.hypot(offset[:, 0], offset[:, 1]), offset[:, 2], error)
+
+
+def supported(layers: Layers, pairs: Neighbours, reach: float, least: int) -> Bool:
+    """Layers that hang together with `least` or more in space, shape (n,): surfaces, and not ghosts among surfaces.
+
+    Two layers hang together if their distance, but for their errors, is at most `reach` (m). What has fewer than
+    `least` layers around it on the ground has nothing that speaks against it, and counts as supported.
+    """
+    beyond = np.maximum(np.abs(pairs.rise) - pairs.error, 0.0)
+    together = pairs.distance**2 + beyond**2 <= reach**2
+    ends = pairs.first[together], pairs.second[together]
+    graph = coo_array((np.ones(len(ends[0]), dtype=bool), ends), (len(layers), len(layers)))
+    _, piece = connected_components(graph, directed=False)
+    around = np.bincount(np.concatenate([pairs.first, pairs.second]), minlength=len(layers))
+    return (np.bincount(piece)[piece] >= least) | (around < least)
+
+
+def on_walls(layers: Layers, pairs: Neighbours, reach: float) -> Bool:
+    """Layers with another one within `reach` (m) steeply above them, and another one steeply below, shape (n,)."""
+    steep = (np.abs(pairs.rise) > np.maximum(STEEPEST_GROUND * pairs.distance, pairs.error)) & (pairs.distance < reach)
+    lower = np.where(pairs.rise > 0, pairs.first, pairs.second)[steep]
+    upper = np.where(pairs.rise > 0, pairs.second, pairs.first)[steep]
+    return (np.bincount(lower, minlength=len(layers)) > 0) & (np.bincount(upper, minlength=len(layers)) > 0)

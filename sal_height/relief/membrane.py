@@ -1,0 +1,209 @@
+"""The ground as a membrane that may tear: heights of cells from measurements in some of them, with honest sigma.
+
+The heights h minimise the energy of the weak membrane (Blake and Zisserman, Visual Reconstruction, 1987),
+
+    sum over covered cells of w (h - z)^2  +  sum over neighbours i, j of k_ij min((h_i - h_j)^2, limit_ij^2),
+
+so that neighbours that differ by more than the limit are on two sides of a step and do not pull at each other. A slope
+is no step: the limit is for differences from the slope of the ground, where it is known, or else the limit is wider. A
+measurement z of the variance s^2 covers the n cells of its footprint, each with the weight w = 1 / (n s^2). Given which
+neighbours are joined, the posterior is Gaussian with the precision A = W + L, where W has the weights on its diagonal
+and L is the Laplacian of the stiffnesses k. It is found by Gaussian belief propagation: cells send their height and its
+precision to their neighbours until nothing changes. Its means are then those of A exactly; its variances are those of
+the tree of messages (Weiss and Freeman, Neural Computation 13, 2001), a few per cent too small.
+
+The stiffness is a choice and not a property of the ground, so the posterior's variance is not the one to state. If the
+ground's steps have kappa times the variance 1 / k of the prior, the variance of h is
+
+    kappa diag(A^-1) + (1 - kappa) diag(A^-1 W A^-1):
+
+on level ground that of the averaged noise alone. kappa is estimated around each cell from how far measurements are from
+the line between their neighbours. Where nothing was measured, the variance of a step is added for each cell from there
+to the nearest footprint: the tree says less.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt, uniform_filter
+
+from sal_height.numeric import F64, Bool
+
+FREEDOM = 2.0
+"""Standard deviation of the prior's steps between neighbours, over that of the better measured of the two.
+
+Softer than most ground, so that a step below the gate moves a height by little more than its sigma.
+"""
+
+ROUNDS = 2
+"""Number of times that heights are found and the joints decided anew from them; more change next to none."""
+
+MESSAGES = 12
+"""Number of messages along each direction in a round: heights travel as many cells."""
+
+WEIGHT_STEP = 1e-3
+"""Relative change of the weights for the derivative of the variances, -diag(A^-1 W A^-1)."""
+
+NEIGHBOURHOOD = 25
+"""Side in cells of the square in which kappa is estimated: some two hundred pixels."""
+
+CLIP = 2.0
+"""Standard deviations at which the bend of three measurements is clipped: a step does not look like roughness."""
+
+CLIPPED_SQUARE = 0.9205
+"""Mean square of a standard normal variable clipped at CLIP."""
+
+GREATEST_ROUGHNESS = 25.0
+"""Greatest kappa: the ground's steps are five times as large as those of the prior."""
+
+LEAST_PRECISION = 1e-12
+"""Precision of a height that no measurement reaches, 1/m^2: its sigma is 1000 km."""
+
+Joints = tuple[Bool, Bool]
+"""Whether each cell and the next along rows are joined, shape (rows - 1, cols), and along columns, (rows, cols - 1)."""
+
+Links = tuple[F64, F64]
+"""Numbers of the same pairs of neighbours."""
+
+
+@dataclass(frozen=True, eq=False)
+class Membrane:
+    """Heights of all cells; arrays of shape (rows, cols).
+
+    Attributes:
+        height: m; NaN where no measurement reaches.
+        sigma: standard deviation, m; infinite there.
+        joined: which neighbours are on the same side of all steps.
+        covered: cells in the footprint of a measurement.
+    """
+
+    height: F64
+    sigma: F64
+    joined: Joints
+    covered: Bool
+
+
+def footprint(spacing: float) -> float:
+    """How far the footprint of a measurement reaches, cells, at this spacing of measurements in cells.
+
+    It is half a diagonal of their square, and a quarter of a cell, because measurements are not evenly spaced.
+    """
+    return spacing / np.sqrt(2) + 0.25
+
+
+def fitted_membrane(
+    measured: F64, sigma: F64, spacing: float, gate: float, slope: F64 | None = None, steepest: float = 0.0
+) -> Membrane:
+    """Fit the membrane to measured heights, of which there must be one at least.
+
+    Args:
+        measured: heights z, m, shape (rows, cols); NaN where there is none.
+        sigma: their standard deviations s, m, same shape.
+        spacing: of the measurements, in cells. Above 3 cells sigma becomes too small, because cells of one footprint
+            share their error.
+        gate: neighbours that differ by more than this many standard deviations of their difference are not joined.
+        slope: of the ground along rows and along columns, m per cell, shape (rows, cols, 2); None: level.
+        steepest: slope that is not a step where `slope` does not tell it, m per cell.
+    """
+    slope = np.zeros((*measured.shape, 2)) if slope is None else slope
+    distance, nearest = distance_transform_edt(np.isnan(measured), return_indices=True)
+    beyond = np.maximum(distance - footprint(spacing), 0.0)
+    covered = beyond == 0
+    at = tuple(nearest)
+    noise = sigma[at]
+    offset = np.moveaxis(np.indices(measured.shape) - nearest, 0, -1)
+    filled = measured[at] + np.where(covered, np.sum(slope[at] * offset, axis=-1), 0.0)
+    number = np.ravel_multi_index(at, measured.shape)
+    cells = np.bincount(number[covered], minlength=measured.size)[number]
+    weight = np.where(covered, 1 / (np.maximum(cells, 1) * noise**2), 0.0)
+    steps = [FREEDOM**2 * np.minimum(first, second) ** 2 for first, second in _pairs(noise)]
+    rises = [(first + second) / 2 for axis in (0, 1) for first, second in [_pairs(slope[..., axis])[axis]]]
+    limits = [
+        gate**2 * (step + a**2 + b**2) + (steepest * spacing) ** 2
+        for step, (a, b) in zip(steps, _pairs(noise), strict=True)
+    ]
+    height = filled
+    for _ in range(ROUNDS):
+        joined = _joints(height, rises, limits)
+        stiffness = _stiffness(joined, steps)
+        precision, height = _beliefs(weight, filled, stiffness)
+    posterior = 1 / precision
+    averaged = (posterior - 1 / _beliefs((1 + WEIGHT_STEP) * weight, filled, stiffness)[0]) / WEIGHT_STEP
+    roughness = _roughness(filled, noise, covered, max(1, round(spacing)))
+    variance = averaged + roughness * (posterior - averaged) + beyond * (FREEDOM * noise) ** 2
+    return Membrane(height, np.sqrt(variance), joined, covered)
+
+
+def _pairs(values: F64) -> list[tuple[F64, F64]]:
+    """Values of each cell and of the next along rows; and along columns."""
+    return [(values[:-1], values[1:]), (values[:, :-1], values[:, 1:])]
+
+
+def _joints(height: F64, rises: list[F64], limits: list[F64]) -> Joints:
+    """Neighbours whose difference, less the rise of the slope, is within the square root of the limit (m^2)."""
+    down, across = (
+        (after - before - rise) ** 2 < limit
+        for (before, after), rise, limit in zip(_pairs(height), rises, limits, strict=True)
+    )
+    return down, across
+
+
+def _stiffness(joined: Joints, steps: list[F64]) -> Links:
+    down, across = (np.where(joint, 1 / step, 0.0) for joint, step in zip(joined, steps, strict=True))
+    return down, across
+
+
+def _beliefs(weight: F64, measured: F64, stiffness: Links) -> tuple[F64, F64]:
+    """Precision (1/m^2) and mean (m) of each cell after MESSAGES messages along each of the four directions.
+
+    A cell that knows its height with the precision p, but for what the receiver sent, sends through a link of the
+    stiffness k the precision k p / (k + p), as of conductors in series.
+    """
+    down, across = stiffness
+    ways = [
+        (np.s_[:-1], np.s_[1:], down),
+        (np.s_[1:], np.s_[:-1], down),
+        (np.s_[:, :-1], np.s_[:, 1:], across),
+        (np.s_[:, 1:], np.s_[:, :-1], across),
+    ]  # sender, receiver, link; each way is followed by the way back
+    messages, moments = np.zeros((4, *weight.shape)), np.zeros((4, *weight.shape))  # precision, and that times height
+    own = weight * measured
+    for _ in range(MESSAGES):
+        total, sums = weight + messages.sum(axis=0), own + moments.sum(axis=0)
+        sent = []
+        for way, (sender, _, link) in enumerate(ways):
+            back = way ^ 1
+            precision = total[sender] - messages[back][sender]
+            passed = link / np.maximum(link + precision, LEAST_PRECISION)
+            sent.append((passed * precision, passed * (sums[sender] - moments[back][sender])))
+        for way, (_, receiver, _) in enumerate(ways):
+            messages[way][receiver], moments[way][receiver] = sent[way]
+    total = np.maximum(weight + messages.sum(axis=0), LEAST_PRECISION)
+    return total, (own + moments.sum(axis=0)) / total
+
+
+def _roughness(height: F64, noise: F64, covered: Bool, lag: int) -> F64:
+    """Estimate kappa around each cell from measured heights (m) with the sigma `noise` (m) and those `lag` cells away.
+
+    The bend a - 2 b + c of three measurements in a line has the variance s_a^2 + 4 s_b^2 + s_c^2 from noise, and twice
+    that of a step of the ground. A slope has none.
+    """
+    excess, count = np.zeros(height.shape), np.zeros(height.shape)
+    for axis in (0, 1):
+        length = height.shape[axis] - 2 * lag
+        if length <= 0:
+            continue
+        first, middle, last = (
+            tuple(slice(start, start + length) if way == axis else slice(None) for way in (0, 1))
+            for start in (0, lag, 2 * lag)
+        )
+        bend = (height[first] - 2 * height[middle] + height[last]) ** 2
+        variance = noise[first] ** 2 + 4 * noise[middle] ** 2 + noise[last] ** 2
+        known = covered[first] & covered[middle] & covered[last]
+        ratio = np.minimum(bend / variance, CLIP**2) / CLIPPED_SQUARE
+        excess[middle] += np.where(known, (ratio - 1) * variance / (2 * FREEDOM**2 * noise[middle] ** 2), 0.0)
+        count[middle] += known
+    mean, share = (uniform_filter(values, NEIGHBOURHOOD) for values in (excess, count))
+    return np.clip(mean / np.maximum(share, 1e-6), 0.0, GREATEST_ROUGHNESS)

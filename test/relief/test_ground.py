@@ -1,0 +1,130 @@
+"""The ground from layers: steps, walls, ghosts, shadow and gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from sal_height.numeric import F64, Bool
+from sal_height.relief import GroundEstimate, GroundGrid, GroundKind, GroundSettings, Layers, estimated_ground, merged
+
+CELL, SPACING, SIGMA, SIDE = 0.05, 0.09, 0.01, 80
+SETTINGS = GroundSettings()
+CIRCLE = np.array([0.0, -1.0, 1.0])  # direction of an error: south and up, seen from the north at 45 degrees
+
+
+def layers_at(places: F64) -> Layers:
+    """Layers with errors of SIGMA along the circle, seen from the north at 45 degrees."""
+    count = len(places)
+    own = np.broadcast_to(SIGMA**2 * np.outer(CIRCLE, CIRCLE), (count, 3, 3))
+    return Layers(places, own, np.zeros((count, 3, 3)), np.tile([0.0, 1.0], (count, 1)), np.ones(count))
+
+
+def seen(terrain: Callable[[F64], F64], rng: np.random.Generator) -> F64:
+    """Places on a terrain over north (m) with their errors, one per pixel, where the sensor in the north sees it."""
+    east, north = np.meshgrid(np.arange(0.03, SIDE * CELL, SPACING), np.arange(0.02, SIDE * CELL, SPACING))
+    fine = np.arange(0.0, SIDE * CELL + 3, 0.01)
+    skyline = np.maximum.accumulate((terrain(fine) - fine)[::-1])[::-1]  # of the line of sight, which rises by 1 in 1
+    height = terrain(north)
+    lit = height - north >= np.interp(north, fine, skyline) - 1e-3
+    places = np.stack([east[lit], north[lit], height[lit]], axis=-1)
+    return places + rng.normal(0.0, SIGMA, (len(places), 1)) * CIRCLE
+
+
+def is_inside(places: F64) -> Bool:
+    return np.asarray(((places[:, :2] > 0) & (places[:, :2] < SIDE * CELL)).all(axis=1))
+
+
+def ground_of(places: F64) -> GroundEstimate:
+    layers = merged(layers_at(places[is_inside(places)]), CELL, SETTINGS.gate, same_dwell=True)
+    return estimated_ground(layers, GroundGrid((0, 0), (SIDE, SIDE), CELL, SPACING), SETTINGS)
+
+
+CENTRES = (np.arange(SIDE) + 0.5) * CELL
+
+
+def test_level_ground_is_measured_everywhere_with_its_sigma() -> None:
+    ground = ground_of(seen(lambda north: 0 * north, np.random.default_rng(1)))
+    inner = np.s_[5:-5, 5:-5]
+    assert np.mean(ground.kind[inner] == GroundKind.MEASURED) > 0.9
+    assert np.isfinite(ground.height[inner]).all()
+    z = (ground.height / ground.sigma)[inner]
+    assert 0.75 < np.sqrt(np.mean(z**2)) < 1.02  # some 700 independent heights: the standard error is 3 %
+
+
+def test_a_slope_away_has_the_sigma_of_height_at_a_place() -> None:
+    """An error along the circle moves a point of a slope of 1 in 2 away from the sensor 1.5 times as far from it."""
+    rng = np.random.default_rng(2)
+    level, towards = (ground_of(seen(terrain, rng)) for terrain in (lambda north: 0 * north, lambda north: -north / 2))
+    slope = ground_of(seen(lambda north: north / 2, rng))
+    inner = np.s_[8:-8, 8:-8]
+    assert np.isclose(np.nanmedian(towards.sigma[inner]) / np.median(level.sigma[inner]), 0.5, atol=0.06)
+    assert np.isclose(np.nanmedian(slope.sigma[inner]) / np.median(level.sigma[inner]), 1.5, atol=0.12)
+    error = (slope.height - CENTRES[:, None] / 2)[inner]
+    assert abs(np.nanmean(error)) < 0.3 * SIGMA
+
+
+def test_a_step_up_keeps_both_levels_and_no_ramp() -> None:
+    """A wall of 0.6 m at 2 m north that faces the sensor, which sees ground, wall and roof."""
+    rng = np.random.default_rng(3)
+    ground = seen(lambda north: np.where(north < 2.0, 0.6, 0.0), rng)
+    east, height = np.meshgrid(np.arange(0.03, SIDE * CELL, SPACING), np.arange(0.03, 0.6, SPACING))
+    wall = np.stack([east.ravel(), np.full(east.size, 2.0), height.ravel()], axis=-1)
+    estimate = ground_of(np.concatenate([ground, wall + rng.normal(0.0, SIGMA, (len(wall), 1)) * CIRCLE]))
+    truth = np.where(CENTRES < 2.0, 0.6, 0.0)[:, None]
+    away = np.abs(CENTRES - 2.0) > SPACING  # a cell beside the wall may show either level
+    assert np.isfinite(estimate.height[5:-5][away[5:-5], 5:-5]).all()
+    assert np.nanmax(np.abs(estimate.height - truth)[away]) < 5 * SIGMA
+
+
+def test_what_a_wall_hides_is_shadow_and_ghosts_there_give_way() -> None:
+    def terrain(north: F64) -> F64:
+        return np.where((north > 2.0) & (north < 2.6), 1.0, 0.0)
+
+    rng = np.random.default_rng(4)
+    places = seen(terrain, rng)
+    ghosts = np.column_stack([rng.uniform(0.2, 3.8, 40), rng.uniform(1.2, 1.8, 40), np.zeros(40)])
+    for estimate in (ground_of(places), ground_of(np.concatenate([places, ghosts]))):
+        dark = (CENTRES > 1.15) & (CENTRES < 1.9)
+        assert np.mean(estimate.kind[dark] == GroundKind.SHADOW) > 0.9
+        assert np.isnan(estimate.height[estimate.kind == GroundKind.SHADOW]).all()
+
+
+def test_a_ghost_above_the_ground_does_not_hide_what_is_seen_behind_it() -> None:
+    rng = np.random.default_rng(5)
+    places = seen(lambda north: 0 * north, rng)
+    east, north = np.meshgrid(2.0 + 0.09 * np.arange(3), 3.0 + 0.09 * np.arange(2))
+    flock = np.stack([east.ravel(), north.ravel(), np.full(6, 1.5)], axis=-1)  # 6 that hang together: not few
+    estimate = ground_of(np.concatenate([places, flock]))
+    assert np.nanmax(estimate.height) < 0.1
+    assert np.isfinite(estimate.height[5:-5, 5:-5]).all()
+
+
+def test_a_small_gap_is_interpolated_and_a_large_one_is_not() -> None:
+    places = seen(lambda north: 0 * north, np.random.default_rng(6))
+    small = (np.abs(places[:, 0] - 1.0) < 0.15) & (np.abs(places[:, 1] - 1.0) < 0.15)
+    large = (np.abs(places[:, 0] - 2.5) < 0.8) & (np.abs(places[:, 1] - 2.5) < 0.8)
+    ground = ground_of(places[~small & ~large])
+    assert ground.kind[20, 20] == GroundKind.INTERPOLATED
+    assert ground.sigma[20, 20] > 1.5 * np.nanmedian(ground.sigma)
+    assert ground.kind[50, 50] == GroundKind.NONE
+    assert np.isnan(ground.height[50, 50])
+
+
+def test_common_errors_of_a_dwell_do_not_average_out() -> None:
+    places = seen(lambda north: 0 * north, np.random.default_rng(7))
+    layers = layers_at(places)
+    common = np.zeros((len(layers), 3, 3))
+    common[:, 2, 2] = 0.05**2
+    layers = Layers(layers.place, layers.own, common, layers.towards, layers.pixels)
+    ground = estimated_ground(
+        layers.where(is_inside(places)), GroundGrid((0, 0), (SIDE, SIDE), CELL, SPACING), SETTINGS
+    )
+    assert np.allclose(ground.sigma[5:-5, 5:-5], 0.05, rtol=0.1)
+
+
+def test_nothing_measured_gives_no_heights() -> None:
+    ground = ground_of(np.empty((0, 3)))
+    assert (ground.kind == GroundKind.NONE).all()
+    assert np.isnan(ground.height).all()

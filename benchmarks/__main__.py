@@ -29,6 +29,7 @@ GROUPS = {
     "calibration-node": "calibration_node:beside_compression",
     "accuracy-calibration": "calibration_accuracy:left_of_errors",
     "layover": "layover:throughput",
+    "honest": "honest:coverage",
     "psf-targets": "psf:target_route",
     "psf-both": "psf:both_routes",
     "relief-map": "relief_map:throughput",

@@ -1,0 +1,164 @@
+"""Images of a scene straight from its scatterers, without pulses: wide ones in seconds.
+
+The aperture of a dwell is so short that the spectrum of an image is that of its scatterers at their range and Doppler
+(a two-dimensional non-uniform FFT), times the windows: `test_honest.py` holds it against phase history and
+backprojection. The beams are stretched along the flight, so that one dwell covers as many columns as wanted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import finufft
+import numpy as np
+
+from sal_height.geometry import ApertureState, Grid, look_direction, pixels_at, sphere_point
+from sal_height.imaging import Processing, Slc, azimuth_resolution
+from sal_height.imaging.pixels import slant_plane_grid, slc_noise_power
+from sal_height.numeric import C64, I64, Complex, broadening
+from sal_height.sensor import Sensor
+from sal_height.simulation import Scene, VisibleSurface, load_preset
+from sal_height.simulation.scene import visible_surface
+from sal_height.simulation.spotlight import cell_power, draw_amplitudes
+
+SLANT_RANGE = 5000.0
+LOOK_ANGLE = np.pi / 4
+MARGIN = 8
+"""Columns of ground that are simulated beside the image, at each side."""
+
+BEAM_COLUMNS = 4 / 3
+"""Columns in a beamwidth along the flight over those of the image, as in preset sal_spotlight."""
+
+
+@dataclass(frozen=True, eq=False)
+class DirectImages:
+    """Images of a scene in unit noise, for any CNR.
+
+    Attributes:
+        sensor: that saw it.
+        surface: lit scatterers.
+        aperture: state of the platform.
+        grid: pixels.
+        processing: windows over band and aperture.
+        echoes: images at a CNR of 0 dB without noise, complex64, shape (detectors, rows, cols).
+        noise: of the receivers, same shape.
+    """
+
+    sensor: Sensor
+    surface: VisibleSurface
+    aperture: ApertureState
+    grid: Grid
+    processing: Processing
+    echoes: C64
+    noise: C64
+
+    @property
+    def cell(self) -> tuple[float, float]:
+        """Unweighted resolution in range and azimuth, m."""
+        return self.sensor.range_resolution, azimuth_resolution(self.sensor, self.aperture, SLANT_RANGE)
+
+    def slc(self, cnr_db: float) -> Slc:
+        """The images at a CNR (dB)."""
+        images = (np.float32(10 ** (cnr_db / 20)) * self.echoes + self.noise).astype(np.complex64)
+        noise_power = slc_noise_power(self.sensor, self.processing, self.sensor.pulse_count)
+        clipped = np.zeros(len(images))
+        return Slc(images, self.grid, self.aperture, noise_power, clipped, self.processing.azimuth_window)
+
+
+def lidar(
+    cols: int, pattern: str = "jinc", detectors: int = 16, detector_size: tuple[float, float] = (0.0, 0.0)
+) -> Sensor:
+    """The lidar of preset sal_spotlight with beams that cover `cols` columns in azimuth, and as many pulses."""
+    preset = load_preset("sal_spotlight")
+    length = preset.flight.speed_mps * preset.sensor.pulse_count / preset.sensor.pulse_repetition_frequency_hz
+    beamwidth = BEAM_COLUMNS * cols * preset.sensor.wavelength_m / (2 * length)
+    described = replace(
+        preset.sensor,
+        pattern=pattern,
+        detectors=detectors,
+        detector_size_beamwidths=detector_size,
+        azimuth_aperture_m=preset.sensor.wavelength_m / beamwidth,
+        pulse_count=cols + 2 * MARGIN,
+    )
+    return replace(preset, sensor=described).make_sensor()
+
+
+def direct_images(
+    scene: Scene, sensor: Sensor, shape: tuple[int, int], processing: Processing, rng: np.random.Generator
+) -> DirectImages:
+    """Images of a scene seen from the south-looking flight of preset sal_spotlight.
+
+    Args:
+        scene: centred on the map origin.
+        sensor: of `lidar` for so many columns.
+        shape: rows and columns of the images.
+        processing: windows.
+        rng: of speckle and noise.
+    """
+    preset = load_preset("sal_spotlight")
+    length = preset.flight.speed_mps * preset.sensor.pulse_count / preset.sensor.pulse_repetition_frequency_hz
+    aim = sphere_point(0.0, 0.0, scene.reference_height)
+    aperture = ApertureState(
+        position=aim - SLANT_RANGE * look_direction(LOOK_ANGLE, 0.0, sensor.look_side),
+        velocity=np.array([preset.flight.speed_mps, 0.0, 0.0]),
+        rotation=np.eye(3),
+        length=length,
+        covariance=np.zeros((6, 6)),
+        sliding=False,
+    )
+    broadened = broadening(processing.range_weights(sensor.sample_count))
+    grid = slant_plane_grid(sensor, aperture, SLANT_RANGE, *shape, broadened)
+    cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, SLANT_RANGE)
+    half = (shape[1] / 2 * grid.col_spacing) + (MARGIN - 1) * cell[1]
+    reach = sensor.range_window / 2
+    ranges = SLANT_RANGE - reach, SLANT_RANGE + reach
+    surface = visible_surface(scene, aperture, sensor.look_side, cell, (-half, half), ranges)
+    amplitudes = draw_amplitudes(surface, cell_power(1.0, sensor, sensor.pulse_count), rng)
+    echoes = image_of(spectrum_of(surface, amplitudes, sensor, aperture, grid), sensor, aperture, grid, processing)
+    samples = (sensor.detector_count, sensor.sample_count, sensor.pulse_count, 2)
+    noise = np.sqrt(0.5) * rng.standard_normal(samples, dtype=np.float32).view(np.complex64)[..., 0]
+    return DirectImages(
+        sensor, surface, aperture, grid, processing, echoes, image_of(noise, sensor, aperture, grid, processing)
+    )
+
+
+def spectrum_of(
+    surface: VisibleSurface, amplitudes: Complex, sensor: Sensor, aperture: ApertureState, grid: Grid
+) -> C64:
+    """Sum of the scatterers at every range and azimuth frequency, shape (detectors, frequencies, pulses)."""
+    sight = surface.positions - aperture.position
+    along = sight @ aperture.direction
+    row, col = pixels_at(np.sqrt(np.sum(sight**2, axis=-1) - along**2), along, aperture, grid)
+    phases = [
+        2 * np.pi * (index - (count - 1) / 2) * spacing / window
+        for index, count, spacing, window in zip(
+            (row, col), grid.shape, (grid.row_spacing, grid.col_spacing), _windows(sensor, aperture), strict=True
+        )
+    ]
+    weighted = sensor.beams.response(surface.elevation, surface.squint).T * amplitudes
+    size = sensor.sample_count, sensor.pulse_count
+    x, y = (phase.astype(np.float32) for phase in phases)
+    return finufft.nufft2d1(x, y, np.ascontiguousarray(weighted, dtype=np.complex64), size, isign=-1, eps=1e-5)
+
+
+def image_of(spectrum: C64, sensor: Sensor, aperture: ApertureState, grid: Grid, processing: Processing) -> C64:
+    """Pixels of a spectrum of shape (detectors, frequencies, pulses), weighted by the windows."""
+    weights = processing.range_weights(sensor.sample_count), processing.azimuth_weights(sensor.pulse_count)
+    down, beside = (
+        np.exp(2j * np.pi * np.outer((np.arange(pixels) - (pixels - 1) / 2) * spacing / window, _orders(len(weight))))
+        * (weight / len(weight))
+        for pixels, spacing, window, weight in zip(
+            grid.shape, (grid.row_spacing, grid.col_spacing), _windows(sensor, aperture), weights, strict=True
+        )
+    )
+    return (down.astype(np.complex64) @ spectrum @ beside.T.astype(np.complex64)).astype(np.complex64)
+
+
+def _orders(count: int) -> I64:
+    """Frequency numbers in the order of finufft."""
+    return np.arange(count) - count // 2
+
+
+def _windows(sensor: Sensor, aperture: ApertureState) -> tuple[float, float]:
+    """Extent that the samples cover without ambiguity in range and azimuth, m."""
+    return sensor.range_window, azimuth_resolution(sensor, aperture, SLANT_RANGE) * sensor.pulse_count

@@ -1,0 +1,275 @@
+"""Whether published heights keep what their sigma promises: scenes with layover and shadow against their lit surfaces.
+
+Every surface of every pixel that is published as valid is compared with the nearest true surface of its pixel. All
+scenes go through the core of the pipeline, from images to heights, at the geometry of preset sal_spotlight.
+
+    python -m benchmarks honest                           every case as rows with targets, into bench.json
+    python -m benchmarks.honest                           every case as a line of a table, for people
+    python -m benchmarks.honest 'step*' 'level 20*'       some cases; --estimator monopulse: of another estimator
+    python -m benchmarks.honest 'step +1.0*' --confusion  with the table of what pixels hold against what was found
+
+From other code: `compared(case_named("step +1.0"), "ml")` is a `runs.comparison.Comparison`, whose `errors` hold
+every published surface; `measured(case, "ml")` is the height image, the truth and the images themselves.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import lru_cache, partial
+from typing import Annotated, Any
+
+import numpy as np
+from cyclopts import App, Parameter
+
+from benchmarks import honest_scenes as scenes
+from benchmarks.direct_images import DirectImages, direct_images, lidar
+from benchmarks.row import Row, sized
+from sal_height.elevation import ESTIMATORS
+from sal_height.imaging import ImageSettings, Processing
+from sal_height.pipeline import heights
+from sal_height.relief import HeightField
+from sal_height.runs.comparison import FOUND_ORDERS, TRUE_ORDERS, Comparison, compare
+from sal_height.simulation import Scene
+from sal_height.simulation.lit_surfaces import CONNECTED, LitSurfaces, lit_surfaces
+from sal_height.simulation.scene import LAYERS
+
+ROWS = 184
+"""Of an image before looks are averaged: the range window, as in preset sal_spotlight."""
+
+PIXELS = sized(40_000, 1_000)
+"""Height pixels of a case; fewer with so many looks that its image would be longer than MOST_COLS."""
+
+MOST_COLS = sized(1740, 80)
+
+SEED = 4
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene and how it is seen.
+
+    Attributes:
+        name: for people; begins with that of the scene.
+        scene: makes the ground.
+        cnr_db: of a detector that looks straight at a cell, dB.
+        looks: averaged in range and azimuth.
+        range_window: over the bandwidth.
+        pattern: of the beams.
+        detectors: of the array.
+        size: of a detector along and beside the axis of the array, beamwidths.
+    """
+
+    name: str
+    scene: Callable[[], Scene]
+    cnr_db: float = 20.0
+    looks: tuple[int, int] = (2, 2)
+    range_window: str = "taylor"
+    pattern: str = "jinc"
+    detectors: int = 16
+    size: tuple[float, float] = (0.0, 0.0)
+
+    def cols(self, pixels: int) -> int:
+        """Columns, before looks are averaged, of an image with about so many height pixels."""
+        per_pixel = self.looks[0] * self.looks[1]
+        return min(MOST_COLS, pixels * per_pixel // ROWS) // self.looks[1] * self.looks[1]
+
+
+def _level_cases() -> Iterator[Case]:
+    """Level ground: looks, CNR, windows, patterns and detectors. Those that share images follow each other."""
+    level = scenes.level
+    for looks in ((1, 1), (2, 2), (4, 4), (4, 12)):
+        for cnr in (3, 10, 20, 30, 40):
+            yield Case(f"level {cnr} dB K {looks[0] * looks[1]}", level, cnr, looks)
+    for cnr in (20, 30, 40):
+        yield Case(f"level {cnr} dB rectangular range window", level, cnr, range_window="rectangular")
+    yield from (Case(f"level {pattern}", level, pattern=pattern) for pattern in ("gaussian", "sinc"))
+    yield Case("level finite detectors", level, size=(0.5, 0.5))
+    yield from (Case(f"level {detectors} detectors", level, detectors=detectors) for detectors in (8, 32))
+
+
+def _relief_cases() -> Iterator[Case]:
+    """Slopes, rough ground, layover and shadow."""
+    for angle in (-40, -30, -20, -10, 10, 20, 30, 40):
+        yield Case(f"slope {angle:+d} deg", partial(scenes.slope, np.radians(angle)))
+    yield from (Case(name, scenes.SCENES[name]) for name in ("roofs", "rubble", "forest", "canopy"))
+    for size in (0.3, 0.5, 1.0, 2.0, 3.0, -0.3, -0.5, -1.0, -2.0, -3.0):
+        scene = partial(scenes.step, size)
+        for cnr in (10, 20, 30) if abs(size) == 1 else (20,):
+            yield Case(f"step {size:+.1f} beamwidths {cnr} dB", scene, cnr)
+    for detectors in (8, 32):
+        yield Case(f"step +1.0 beamwidths {detectors} detectors", partial(scenes.step, 1.0), detectors=detectors)
+    yield from (Case(f"fence {cnr} dB", scenes.fence, cnr) for cnr in (20, 30, 40))
+
+
+CASES = (*_level_cases(), *_relief_cases())
+"""All cases. A new scene is a function in honest_scenes.py and a line in `_relief_cases`."""
+
+
+def case_named(pattern: str) -> Case:
+    """The first case whose name matches (`*` stands for any text), or begins so."""
+    return next(case for case in CASES if fnmatchcase(case.name, pattern + "*"))
+
+
+def compared(case: Case, estimator: str = "ml", pixels: int = PIXELS, **settings: Any) -> Comparison:
+    """A case of so many height pixels against its truth; `settings` are those of the estimator."""
+    field, truth, images = measured(case, estimator, pixels, **settings)
+    return compare(field, truth, images.sensor.beamwidth)
+
+
+def measured(
+    case: Case, estimator: str = "ml", pixels: int = PIXELS, **settings: Any
+) -> tuple[HeightField, LitSurfaces, DirectImages]:
+    """Height image of a case, what it should show, and the images that it was made of."""
+    images = _images(case.scene, case.cols(pixels), case.range_window, case.pattern, case.detectors, case.size)
+    entry = ESTIMATORS[estimator]
+    chosen = entry.settings(**{"range_looks": case.looks[0], "azimuth_looks": case.looks[1], **settings})
+    field = heights(images.slc(case.cnr_db), images.sensor, entry, chosen)
+    scene = case.scene()
+    layers = 1.5 * scene.extent / LAYERS / scenes.STEP_OF_A_BEAMWIDTH
+    connected = max(CONNECTED, layers)
+    truth = lit_surfaces(images.surface, images.aperture, field.grid, images.cell, images.sensor.beams, connected)
+    return field, truth, images
+
+
+@lru_cache(maxsize=1)
+def _images(
+    scene: Callable[[], Scene],
+    cols: int,
+    range_window: str,
+    pattern: str,
+    detectors: int,
+    size: tuple[float, float],
+) -> DirectImages:
+    sensor = lidar(cols, pattern, detectors, size)
+    processing = Processing(range_window, ImageSettings().azimuth_window)
+    return direct_images(scene(), sensor, (ROWS, cols), processing, np.random.default_rng(SEED))
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a comparison says, shares from 0 to 1; NaN where there is nothing to count.
+
+    Attributes:
+        pixels: lit pixels inside the array.
+        valid: share of them with a height.
+        published: surfaces.
+        within_1: share of the published surfaces within 1 sigma of the nearest true one.
+        within_2: within 2 sigma.
+        beyond_5: beyond 5 sigma.
+        own_beyond_5: beyond 5 sigma of the one it should be, or without any left.
+        missed: share of the lit surfaces for which none is published.
+        ghosts: share of the pixels in shadow that have a height.
+        right_order: share of the pixels with a height in which as many surfaces were found as there are.
+    """
+
+    pixels: int
+    valid: float
+    published: int
+    within_1: float
+    within_2: float
+    beyond_5: float
+    own_beyond_5: float
+    missed: float
+    ghosts: float
+    right_order: float
+
+    @classmethod
+    def of(cls, result: Comparison) -> Summary:
+        """Summary of a comparison."""
+        errors = result.errors.where(np.isfinite(result.errors.nearest))
+        off, own = np.abs(errors.nearest) / errors.sigma, np.abs(errors.own) / errors.sigma
+        found = result.confusion[1:, 2:6]
+        return cls(
+            pixels=result.pixels,
+            valid=_share(result.valid, result.pixels),
+            published=len(result.errors.sigma),
+            within_1=_mean(off < 1),
+            within_2=_mean(off < 2),
+            beyond_5=_mean(off > 5),
+            own_beyond_5=_mean(~(own <= 5)),
+            missed=_share(result.missed, result.surfaces),
+            ghosts=_share(result.ghosts, result.shadow),
+            right_order=_share(int(np.trace(found)), int(found.sum())),
+        )
+
+    def as_line(self) -> str:
+        """The shares in percent."""
+        return (
+            f"{self.pixels:6d} {100 * self.valid:6.1f} {self.published:6d} {100 * self.within_1:6.1f} "
+            f"{100 * self.within_2:6.1f} {100 * self.beyond_5:7.2f} {100 * self.own_beyond_5:7.2f} "
+            f"{100 * self.missed:6.1f} {100 * self.ghosts:6.1f} {100 * self.right_order:6.1f}"
+        )
+
+
+HEADING = "pixels  valid  publ.     c1     c2      o5  own o5 missed ghosts  order"
+
+
+def _mean(chosen: np.ndarray) -> float:
+    return float(np.mean(chosen)) if chosen.size else np.nan
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else np.nan
+
+
+def coverage() -> Iterator[Row]:
+    """Rows of the group: of every case the deviation of c1 and of c2, o5, and ghosts where there is shadow."""
+    for case in CASES:
+        result = Summary.of(compared(case))
+        text = f"{HEADING} (%)\n    {result.as_line()}"
+        for name, value, nominal in (("c1", result.within_1, 68.27), ("c2", result.within_2, 95.45)):
+            deviation = abs(100 * value - nominal) if result.published else 0.0
+            yield Row(f"{case.name}: {name} off {nominal} %", deviation, "points", "<= 4", text)
+        yield Row(f"{case.name}: o5", 100 * result.beyond_5 if result.published else 0.0, "%", "<= 0.2", text)
+        if result.ghosts >= 0:
+            yield Row(f"{case.name}: ghosts in shadow", 100 * result.ghosts, "%", "<= 1", text)
+
+
+app = App(name="python -m benchmarks.honest", help_format="plaintext", default_parameter=Parameter(negative=()))
+
+
+@app.default
+def table(
+    names: Annotated[tuple[str, ...], Parameter(name="CASE", show_default=False)] = (),
+    /,
+    *,
+    estimator: str = "ml",
+    pixels: int = PIXELS,
+    confusion: Annotated[bool, Parameter(show_default=False)] = False,
+) -> int:
+    """Print a line for each case: shares in percent, over every surface that is published.
+
+    Args:
+        names: Cases; * stands for any text. Default: all.
+        estimator: Whose heights.
+        pixels: Height pixels of a case, about; fewer are quicker.
+        confusion: Print what the pixels hold against what was found, too.
+    """
+    chosen = [case for case in CASES if not names or any(fnmatchcase(case.name, name) for name in names)]
+    _print(f"{'':40} {HEADING}")
+    for case in chosen:
+        result = compared(case, estimator, pixels)
+        _print(f"{case.name:40} {Summary.of(result).as_line()}")
+        if confusion:
+            _print(confusion_table(result))
+    return 0 if chosen else 2
+
+
+def confusion_table(result: Comparison) -> str:
+    """Lit pixels inside the array and pixels in shadow: what they hold (rows) against what was found (columns)."""
+    lines = [" " * 18 + "".join(f"{name:>13}" for name in FOUND_ORDERS)]
+    for name, counts in zip(TRUE_ORDERS, result.confusion, strict=True):
+        lines.append(f"    {name:14}" + "".join(f"{count:13d}" for count in counts))
+    return "\n".join(lines)
+
+
+def _print(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(app(result_action="return_value"))

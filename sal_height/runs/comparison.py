@@ -1,0 +1,184 @@
+"""Published heights against the lit surfaces of a simulated scene: every surface of every pixel is counted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from sal_height.elevation import Validity
+from sal_height.numeric import F64, I64, U8, Bool, Index
+from sal_height.relief import HeightField
+from sal_height.simulation.lit_surfaces import LitSurfaces
+
+WIDE = 0.1
+"""Standard deviation of the elevations of a single surface from which on it is an extended one, beamwidths."""
+
+TRUE_ORDERS = ("shadow", "one", "two", "three or more", "extended")
+"""What a pixel truly holds: rows of the confusion table."""
+
+FOUND_ORDERS = ("no signal", "refused", "one", "two", "three", "extended", "interpolated")
+"""What a height image says it holds: columns of the confusion table."""
+
+_FOUND = {
+    Validity.LOW_CNR: 0,
+    Validity.NO_SIGNAL: 0,
+    Validity.OK: 2,
+    Validity.TWO_SCATTERERS: 3,
+    Validity.THREE_SCATTERERS: 4,
+    Validity.EXTENDED: 5,
+    Validity.INTERPOLATED: 6,
+}
+_REFUSED = 1
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedErrors:
+    """Published surfaces of height images, one entry each.
+
+    Attributes:
+        validity: of its pixel.
+        sigma: predicted standard deviation, m.
+        nearest: height minus that of the nearest true surface in the pixel, m; in a pixel without scatterers, of the
+            surfaces in the eight pixels around it; NaN where there is none either. An extended surface stands for all
+            that the pixel holds: its height minus the mean of all surfaces, weighted by their power.
+        own: height minus that of the true surface it should be, m: the strongest chooses the nearest, the others the
+            nearest of what is left; NaN where nothing is left.
+        ghost: True where neither the pixel nor a neighbour holds a lit surface.
+        true_order: number in TRUE_ORDERS of what the pixel holds; -1: a pixel without scatterers beside one with some.
+    """
+
+    validity: U8
+    sigma: F64
+    nearest: F64
+    own: F64
+    ghost: Bool
+    true_order: I64
+
+    def where(self, chosen: Bool) -> PublishedErrors:
+        """Some of the surfaces."""
+        return PublishedErrors(*(getattr(self, entry.name)[chosen] for entry in fields(self)))
+
+
+def joined_errors(parts: Sequence[PublishedErrors]) -> PublishedErrors:
+    """The surfaces of several images."""
+    names = [entry.name for entry in fields(PublishedErrors)]
+    return PublishedErrors(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Height images against the lit surfaces.
+
+    Attributes:
+        errors: of every published surface.
+        pixels: pixels that hold a lit surface inside the array.
+        valid: those of them with a height.
+        surfaces: lit surfaces inside the array that are not weak.
+        missed: those of them that no published surface is for.
+        shadow: pixels in shadow.
+        ghosts: those of them with a height.
+        confusion: pixels by TRUE_ORDERS (rows) and FOUND_ORDERS (columns); lit pixels inside the array only.
+    """
+
+    errors: PublishedErrors
+    pixels: int
+    valid: int
+    surfaces: int
+    missed: int
+    shadow: int
+    ghosts: int
+    confusion: I64
+
+
+def joined_comparisons(parts: Sequence[Comparison]) -> Comparison:
+    """The comparisons of several images as one."""
+    errors = joined_errors([part.errors for part in parts])
+    sums = (sum(getattr(part, entry.name) for part in parts) for entry in fields(Comparison)[1:])
+    return Comparison(errors, *sums)
+
+
+def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Comparison:
+    """Compare every surface that a height image publishes with the lit surfaces of its pixels.
+
+    Args:
+        field: height image of shape (rows, cols).
+        truth: of its pixels.
+        beamwidth: of the detectors, rad.
+    """
+    order, shadow = true_order(truth, beamwidth), truth.shadow
+    # An extended surface has one option, the mean; it takes all surfaces of the pixel.
+    whole = (field.validity == Validity.EXTENDED) & np.isfinite(truth.height[0])
+    heights = np.where(whole, np.nan, truth.height)
+    heights[0] = np.where(whole, truth.mean_height, heights[0])
+    candidates, free = _candidates(heights), heights
+    parts = []
+    for surface in field.surfaces:
+        there = np.isfinite(surface.height)
+        parts.append(
+            PublishedErrors(
+                validity=field.validity[there],
+                sigma=surface.sigma[there],
+                nearest=_nearest(candidates, surface.height)[1][there],
+                own=_nearest(free, surface.height)[1][there],
+                ghost=shadow[there],
+                true_order=order[there],
+            )
+        )
+        free = _without_nearest(free, surface.height)
+
+    valid = np.isfinite(field.first.height)
+    lit = truth.count > 0
+    return Comparison(
+        errors=joined_errors(parts),
+        pixels=int(np.count_nonzero(lit)),
+        valid=int(np.count_nonzero(lit & valid)),
+        surfaces=int(np.count_nonzero(truth.counted)),
+        missed=int(np.count_nonzero(truth.counted & np.isfinite(free))),
+        shadow=int(np.count_nonzero(shadow)),
+        ghosts=int(np.count_nonzero(shadow & valid)),
+        confusion=_confusion(order[lit | shadow], field.validity[lit | shadow]),
+    )
+
+
+def true_order(truth: LitSurfaces, beamwidth: float) -> I64:
+    """Number in TRUE_ORDERS of what each pixel holds, -1 for a pixel without scatterers that is not in shadow."""
+    one, three = TRUE_ORDERS.index("one"), TRUE_ORDERS.index("three or more")
+    several = np.minimum(truth.count - 1 + one, three)
+    wide = (truth.count == 1) & (truth.spread[0] >= WIDE * beamwidth)
+    return np.select(
+        [truth.shadow, wide, truth.count > 0], [TRUE_ORDERS.index("shadow"), TRUE_ORDERS.index("extended"), several], -1
+    ).astype(np.int64)
+
+
+def _confusion(order: I64, validity: U8) -> I64:
+    """Pixels by what they hold and what was found."""
+    found = np.array([_FOUND.get(value, _REFUSED) for value in Validity])[validity]
+    shape = len(TRUE_ORDERS), len(FOUND_ORDERS)
+    return np.bincount(order * shape[1] + found, minlength=shape[0] * shape[1]).reshape(shape).astype(np.int64)
+
+
+def _candidates(heights: F64) -> F64:
+    """Heights of the surfaces in each pixel; in an empty one, of those in its neighbours: (candidates, rows, cols)."""
+    padded = np.pad(heights, ((0, 0), (1, 1), (1, 1)), constant_values=np.nan)
+    rows, cols = heights.shape[1:]
+    around = [padded[:, r : r + rows, c : c + cols] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
+    empty = ~np.isfinite(heights[0])
+    return np.concatenate([heights, np.where(empty, np.concatenate(around), np.nan)])
+
+
+def _nearest(options: F64, height: F64) -> tuple[Index, F64]:
+    """Index of the option nearest to each height, and the height minus it (m); NaN without any option."""
+    error = height - options
+    index = np.argmin(np.where(np.isfinite(error), np.abs(error), np.inf), axis=0)[None]
+    return index, np.take_along_axis(error, index, axis=0)[0]
+
+
+def _without_nearest(options: F64, height: F64) -> F64:
+    """The options without those that the heights have taken."""
+    left = options.copy()
+    index, error = _nearest(options, height)
+    kept = np.take_along_axis(options, index, axis=0)[0]
+    np.put_along_axis(left, index, np.where(np.isfinite(error), np.nan, kept)[None], axis=0)
+    return left

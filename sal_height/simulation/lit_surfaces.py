@@ -1,0 +1,170 @@
+"""The lit surfaces in each pixel of an image: what a height image of a scene should show, layover and shadow included.
+
+Independent of the estimators: scatterers of the lit terrain are sorted into pixels by range and Doppler, and those of a
+pixel into surfaces by their elevation. Scatterers lie so densely along the terrain that a gap between two elevations
+means two surfaces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from sal_height.beams import Beams
+from sal_height.geometry import ApertureState, Grid, pixels_at
+from sal_height.numeric import F64, Bool, Index
+from sal_height.simulation.scene import VisibleSurface
+
+CONNECTED = 0.1
+"""Widest gap between the elevations of scatterers of one surface, in beamwidths: a quarter of what can be told apart.
+
+Scatterers on terrain are at most half a range cell apart across the line of sight.
+"""
+
+NEIGHBOUR_SHARE = 0.1
+"""Power with which a scatterer counts in a pixel that it misses by less than half a resolution cell.
+
+Between -4 dB at the edge of a pixel and the first null of its response half a cell farther.
+"""
+
+WEAK = 0.1
+"""Power of a surface over that of the strongest in its pixel below which it does not count as one: 10 dB."""
+
+
+@dataclass(frozen=True, eq=False)
+class LitSurfaces:
+    """The lit surfaces in each pixel, that with the most received power first; NaN where there are no more.
+
+    Attributes:
+        height: mean height of the scatterers of the surface in the pixel, weighted by their power, m, shape (surfaces,
+            rows, cols).
+        elevation: their mean elevation with the same weights, rad, same shape.
+        spread: standard deviation of their elevations with the same weights, rad, same shape.
+        power: of its scatterers, per resolution cell; 1 for brightness 1; same shape.
+        received: power that the array receives of it over that of the strongest surface in the pixel, same shape.
+        inside: True where the elevation is between the first boresight of the array and the last, same shape.
+    """
+
+    height: F64
+    elevation: F64
+    spread: F64
+    power: F64
+    received: F64
+    inside: Bool
+
+    @property
+    def counted(self) -> Bool:
+        """Which surfaces are inside the array and not WEAK, shape (surfaces, rows, cols)."""
+        return (self.received >= WEAK) & self.inside
+
+    @property
+    def count(self) -> Index:
+        """Number of these in each pixel, shape (rows, cols)."""
+        return np.count_nonzero(self.counted, axis=0)
+
+    @property
+    def mean_height(self) -> F64:
+        """Mean height of all surfaces in the pixel, weighted by the power received of them, m, shape (rows, cols)."""
+        with np.errstate(invalid="ignore"):
+            return np.nansum(self.received * self.height, axis=0) / np.nansum(self.received, axis=0)
+
+    @property
+    def shadow(self) -> Bool:
+        """Where neither the pixel nor one of its eight neighbours holds a scatterer, shape (rows, cols)."""
+        return ~maximum_filter(np.isfinite(self.height[0]), size=3, mode="nearest")
+
+
+def lit_surfaces(
+    surface: VisibleSurface,
+    aperture: ApertureState,
+    grid: Grid,
+    cell: tuple[float, float],
+    beams: Beams,
+    connected: float = CONNECTED,
+) -> LitSurfaces:
+    """Surfaces in the pixels of a height image.
+
+    Args:
+        surface: lit scatterers.
+        aperture: from which range and Doppler are measured.
+        grid: pixels of the height image, in the slant plane.
+        cell: unweighted resolution in range and azimuth, m.
+        beams: of the detectors; what lies outside them is not seen.
+        connected: widest gap between the elevations of scatterers of one surface, beamwidths; wider than the spacing of
+            the layers of a scene with an extent.
+    """
+    pixel, scatterer, share = _members(surface, aperture, grid, cell)
+    # Scatterers of a pixel in the order of their elevations; a new surface begins after each gap.
+    order = np.lexsort((surface.elevation[scatterer], pixel))
+    pixel, scatterer, share = pixel[order], scatterer[order], share[order]
+    weight, elevation = share * surface.power[scatterer], surface.elevation[scatterer]
+    begins = (np.diff(pixel, prepend=-1) > 0) | (np.diff(elevation, prepend=0.0) > connected * beams.beamwidth)
+    label = np.cumsum(begins) - 1
+
+    def total(values: F64) -> F64:
+        return np.bincount(label, values, np.count_nonzero(begins)).astype(np.float64)
+
+    power = total(weight)
+    mean = total(weight * elevation) / power
+    spread = np.sqrt(total(weight * (elevation - mean[label]) ** 2) / power)
+    height = total(weight * surface.heights[scatterer]) / power
+    received = power * beams.power(mean, total(weight * surface.squint[scatterer]) / power)
+    inside = (mean >= beams.span[0]) & (mean <= beams.span[1])
+    # Surfaces of a pixel in the order of the power received of them.
+    of_pixel = pixel[begins]
+    order = np.lexsort((-received, of_pixel))
+    first = np.flatnonzero(np.diff(of_pixel[order], prepend=-1) > 0)
+    rank = np.arange(len(order)) - np.repeat(first, np.diff(first, append=len(order)))
+    shape = max(1, int(rank.max(initial=0)) + 1), grid.rows * grid.cols
+
+    def placed(values: F64) -> F64:
+        result = np.full(shape, np.nan)
+        result[rank, of_pixel[order]] = values[order]
+        return result.reshape(-1, *grid.shape)
+
+    strength = placed(received)
+    return LitSurfaces(
+        height=placed(height),
+        elevation=placed(mean),
+        spread=placed(spread),
+        power=placed(power) / _cells(grid, cell),
+        received=strength / strength[0],
+        inside=placed(inside.astype(np.float64)) == 1,
+    )
+
+
+def _members(
+    surface: VisibleSurface, aperture: ApertureState, grid: Grid, cell: tuple[float, float]
+) -> tuple[Index, Index, F64]:
+    """Pixels and scatterers that belong together: number of the pixel, of the scatterer, and share of its power.
+
+    A scatterer has its whole power in the pixel that it lies in, and NEIGHBOUR_SHARE of it in those that it misses by
+    less than half a resolution cell.
+    """
+    sight = surface.positions - aperture.position
+    along = sight @ aperture.direction
+    across = np.sqrt(np.maximum(np.sum(sight**2, axis=-1) - along**2, 0.0))
+    row, col = pixels_at(across, along, aperture, grid)
+    near_row, near_col = np.rint(row), np.rint(col)
+    reach = 0.5 + np.array(cell) / 2 / (grid.row_spacing, grid.col_spacing)
+    parts = []
+    for down in (-1, 0, 1):
+        for beside in (-1, 0, 1):
+            at_row, at_col = near_row + down, near_col + beside
+            belongs = (np.abs(row - at_row) <= reach[0]) & (np.abs(col - at_col) <= reach[1])
+            belongs &= (at_row >= 0) & (at_row < grid.rows) & (at_col >= 0) & (at_col < grid.cols)
+            which = np.flatnonzero(belongs)
+            number = (at_row[which] * grid.cols + at_col[which]).astype(np.intp)
+            share = 1.0 if down == beside == 0 else NEIGHBOUR_SHARE
+            parts.append((number, which, np.full(len(which), share)))
+    pixel, scatterer, shares = (np.concatenate(entries) for entries in zip(*parts, strict=True))
+    return pixel, scatterer, shares
+
+
+def _cells(grid: Grid, cell: tuple[float, float]) -> float:
+    """Resolution cells from which a pixel has power, those beside it by their share."""
+    own = grid.row_spacing * grid.col_spacing
+    reached = (grid.row_spacing + cell[0]) * (grid.col_spacing + cell[1])
+    return (own + NEIGHBOUR_SHARE * (reached - own)) / (cell[0] * cell[1])

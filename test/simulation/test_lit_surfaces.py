@@ -1,0 +1,106 @@
+"""Lit surfaces of scenes whose layover and shadow are known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import flat_scene, make_aperture, make_beams, make_sensor
+
+from sal_height.geometry.earth import sphere_point
+from sal_height.geometry.grid import Grid
+from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
+from sal_height.numeric.arrays import F64
+from sal_height.simulation.lit_surfaces import LitSurfaces, lit_surfaces
+from sal_height.simulation.scene import Scene, visible_surface
+
+SENSOR = make_sensor()
+CELL = SENSOR.range_resolution, azimuth_resolution(SENSOR, make_aperture(), 5000.0)
+BEAMS = make_beams("jinc", count=16)
+AIM = -5000 * np.sqrt(0.5)
+"""North of the ground that is 5000 m away at 45 degrees, but for the earth's curvature, m."""
+
+DROP = float(-sphere_point(0.0, AIM, 0.0)[2])
+"""By which the ground there lies below the tangent plane of the map, m."""
+
+
+def truth_of(scene: Scene, rows: int = 90) -> tuple[LitSurfaces, Grid, F64]:
+    """Lit surfaces, grid, and slant range of each row in mid-image."""
+    half = 9 * CELL[1]
+    surface = visible_surface(scene, make_aperture(), 1, CELL, (-half, half), (4994.0, 5006.0))
+    grid = slant_plane_grid(SENSOR, make_aperture(), 5000.0, rows, 12, 1.2)
+    ranges = np.linalg.norm(grid.points(np.arange(rows), 5.5) - make_aperture().position, axis=-1)
+    return lit_surfaces(surface, make_aperture(), grid, CELL, BEAMS), grid, ranges
+
+
+def profile(north: list[float], height: list[float]) -> Scene:
+    """Terrain along north (m, from AIM), the same at every east."""
+    values = np.repeat(np.array(height)[:, None], 2, axis=1)
+    return Scene("profile", np.array([-10.0, 10.0]), AIM + np.array(north), values, np.ones(values.shape))
+
+
+def range_of(north: float, height: float) -> float:
+    """Slant range of a point beside the track, m."""
+    return float(np.linalg.norm(sphere_point(0.0, AIM + north, height) - make_aperture().position))
+
+
+def test_level_ground_is_one_surface_of_power_one() -> None:
+    truth, _, _ = truth_of(flat_scene(2.5, north=AIM))
+    inside = truth.inside[0]
+    assert np.count_nonzero(inside) > 100
+    np.testing.assert_array_equal(truth.count[inside], 1)
+    np.testing.assert_allclose(truth.height[0], 2.5, atol=1e-9)
+    assert np.mean(truth.power[0]) == pytest.approx(1, rel=0.02)
+    assert not truth.shadow.any()
+
+
+@pytest.mark.parametrize("height", [0.8, 1.2, 2.0])
+def test_wall_lays_three_surfaces_over_each_other_from_the_range_of_its_top_to_that_of_its_foot(height: float) -> None:
+    """Their heights at a range in between follow from the geometry of a plane: ground, face and roof."""
+    truth, grid, ranges = truth_of(profile([-40.0, -0.01, 0.0, 40.0], [height, height, 0.0, 0.0]))
+    top, foot, clear = range_of(-0.01, height), range_of(0.0, 0.0), 1.5 * grid.row_spacing
+    laid_over = (ranges > top + clear) & (ranges < foot - clear)
+    assert np.count_nonzero(laid_over) >= 2
+    number = np.isfinite(truth.height[:, :, 5]).sum(axis=0)
+    np.testing.assert_array_equal(number[laid_over], 3)
+    np.testing.assert_array_equal(number[(ranges < top - clear) | (ranges > foot + clear)], 1)
+    # The face, at a range r, is where its distance from the track is r.
+    face = 5000 * np.sqrt(0.5) + DROP - np.sqrt(ranges[laid_over] ** 2 - AIM**2)
+    found = np.sort(truth.height[:, laid_over, 5], axis=0)
+    np.testing.assert_allclose(found[0], 0, atol=0.01)
+    np.testing.assert_allclose(found[1], face, atol=0.02)
+    np.testing.assert_allclose(found[2], height, atol=0.01)
+
+
+@pytest.mark.parametrize("height", [0.8, 1.5])
+def test_shadow_of_a_fence_reaches_its_height_times_the_tangent_of_the_look_angle(height: float) -> None:
+    north = [-40.0, -0.03, -0.02, -0.01, 0.0, 40.0]
+    truth, grid, ranges = truth_of(profile(north, [0.0, 0.0, height, height, 0.0, 0.0]))
+    tangent = (5000 * np.sqrt(0.5) + 0.02) / (5000 * np.sqrt(0.5) + DROP - height)
+    begin, end = range_of(-0.03, 0.0), range_of(-0.02 - height * tangent, 0.0)
+    clear = 1.5 * grid.row_spacing
+    dark = (ranges > begin + clear) & (ranges < end - clear)
+    empty = ~np.isfinite(truth.height[0, :, 5])
+    assert np.count_nonzero(dark) >= 3
+    assert empty[dark].all()
+    assert not empty[(ranges < begin - clear) | (ranges > end + clear)].any()
+    inner = (ranges > begin + 2 * clear) & (ranges < end - 2 * clear)
+    assert truth.shadow[inner, 5].all()
+    assert truth.shadow.sum(axis=0)[5] <= empty.sum() - 2
+
+
+def test_slope_is_one_surface_as_wide_as_its_elevations_within_a_pixel() -> None:
+    """A plane seen at incidence i spans 1 / tan i across the line of sight of a span of range."""
+    incidence = np.radians(20.0)
+    rise = np.tan(np.pi / 4 - incidence)
+    truth, grid, _ = truth_of(profile([-40.0, 40.0], [40.0 * rise, -40.0 * rise]))
+    inside = truth.inside[0]
+    assert np.count_nonzero(inside) > 20
+    np.testing.assert_array_equal(truth.count[inside], 1)
+    pixel, margin = grid.row_spacing, CELL[0] / 2
+    # Evenly spread over the pixel, and with a tenth of the density over half a cell on each side.
+    places = np.linspace(-pixel / 2 - margin, pixel / 2 + margin, 20001)
+    weight = np.where(
+        np.abs(places) < pixel / 2, 1 + 0.1 * CELL[1] / grid.col_spacing, 0.1 * (1 + CELL[1] / grid.col_spacing)
+    )
+    spread = np.sqrt(np.average(places**2, weights=weight)) / np.tan(incidence) / 5000
+    assert np.median(truth.spread[0][inside]) == pytest.approx(spread, rel=0.03)

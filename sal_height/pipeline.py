@@ -17,6 +17,7 @@ from sal_height.elevation import (
     ElevationEstimator,
     HeightSettings,
     Looks,
+    Window,
     live_detectors,
     look_grid,
     moving_squint,
@@ -24,10 +25,10 @@ from sal_height.elevation import (
     without_saturated,
 )
 from sal_height.errors import Rejected
-from sal_height.geometry import Grid, Trajectory
+from sal_height.geometry import Grid, Trajectory, aperture_at
 from sal_height.imaging import ImageSettings, Slc, StripFocuser, focus_dwell, image_beams
-from sal_height.numeric import C64, Index
-from sal_height.relief import HeightField, height_field
+from sal_height.numeric import C64, Bool, Index
+from sal_height.relief import HeightField, height_field, joined_rows
 from sal_height.sensor import PhaseHistory, Sensor, count_saturated, range_compressed, with_powers
 
 
@@ -101,12 +102,16 @@ def heights(
 ) -> HeightField:
     """Height, its standard deviation and a place, or the reason why there is none, for every pixel of a dwell.
 
-    Arguments and errors as of `elevations`.
+    Where receivers are blanked, every row of pixels is estimated from the channels that receive all of it, and is
+    MISSING_DATA if these are too few. Arguments and errors as of `elevations`.
     """
-    estimate, looks, grid = elevations(slc, sensor, estimator, settings, calibration)
-    # Range, Doppler and elevation give the place on the ground.
-    side, velocity = sensor.look_side, settings.radial_velocity_mps
-    return height_field(estimate, looks, slc.grid, grid, slc.aperture, side, velocity)
+    parts = []
+    for channels, rows in channel_sets(slc, sensor, settings.windows[0]):
+        estimate, looks, grid = elevations(slc, sensor, estimator, settings, calibration, channels)
+        # Range, Doppler and elevation give the place on the ground.
+        side, velocity = sensor.look_side, settings.radial_velocity_mps
+        parts.append((rows, height_field(estimate, looks, slc.grid, grid, slc.aperture, side, velocity)))
+    return joined_rows(parts)
 
 
 def elevations(
@@ -115,6 +120,7 @@ def elevations(
     estimator: ElevationEstimator,
     settings: HeightSettings,
     calibration: Calibration | None = None,
+    channels_used: Index | None = None,
 ) -> tuple[ElevationEstimate, Looks, Grid]:
     """Elevation of every height pixel, the looks that it was estimated from, and the grid of the pixels.
 
@@ -124,19 +130,23 @@ def elevations(
         estimator: one of `elevation.ESTIMATORS`.
         settings: of the estimator, an object of its class `estimator.settings`.
         calibration: that the images were made with; None: the beams are as the sensor describes them.
+        channels_used: numbers of the channels to estimate from; None: all that are not dead.
 
     Raises:
         Rejected: too few channels have a signal, or they are not those that the estimator needs.
         UserError: looks that do not fit in the image, or noise powers that are not known.
     """
     # Channels without any signal are left out.
-    live = live_channels(slc.images, sensor)
+    live = live_channels(slc.images, sensor) if channels_used is None else channels_used
     images = slc.images if len(live) == len(slc.images) else slc.images[live]
     # The channels that the estimator takes: of equal noise, or sum and difference.
     noise = with_powers(sensor.noise_covariance, slc.noise_power)[np.ix_(live, live)]
     channels = estimator.channels(noise, sensor.mixing[np.ix_(live, live)])
-    # Their beams, as the images have them and as wide as the calibration has found them.
-    beams = image_beams(sensor, slc.azimuth_window).widened(calibration.width_factor if calibration else 1.0)
+    # Their beams, as the images have them, and as wide and as well known as the calibration has found them.
+    beams = image_beams(sensor, slc.azimuth_window)
+    if calibration:
+        uncertainty = np.hypot(beams.uncertainty, calibration.beam_uncertainty(beams))
+        beams = replace(beams.widened(calibration.width_factor), uncertainty=float(uncertainty))
     beams = beams.detectors(live).combined(channels.matrix)
     # The height pixels, and the squint of each column; a target that moves is seen at another one than its pixel says.
     grid = look_grid(slc.grid, *settings.windows)
@@ -149,6 +159,41 @@ def elevations(
     if slc.saturated_share[live].max() > settings.max_saturated_share:
         estimate = without_saturated(estimate)
     return estimate, looks, grid
+
+
+def channel_sets(slc: Slc, sensor: Sensor, down: Window) -> list[tuple[Index, Bool]]:
+    """Sets of channels to estimate heights from, and the rows of height pixels that each is for, (rows,).
+
+    A channel is left out of a row if it is dead, or blanked in one of the looks or less than the spacing of the pixels
+    from it, where the response of a scatterer is cut off. Sets of fewer than two channels are none, nor are parts of
+    channels that are mixtures of detectors.
+
+    Args:
+        slc: images of all channels.
+        sensor: that took them.
+        down: looks in range.
+
+    Raises:
+        Rejected: no row has enough channels.
+    """
+    live, grid = live_channels(slc.images, sensor), slc.grid
+    if not sensor.blanked_ranges:
+        return [(live, np.ones(down.pixels(grid.rows), np.bool_))]
+    points = grid.points(np.arange(grid.rows)[:, None], np.array([0, grid.cols // 2, grid.cols - 1]))
+    slant_range = np.linalg.norm(points - aperture_at(points, slc.aperture).position, axis=-1)
+    spacing = grid.row_spacing
+    received = sensor.receives(slant_range.min(axis=1) - spacing, slant_range.max(axis=1) + spacing)[live]
+    sees = down.matrix(grid.rows) @ ~received.T == 0
+    sets, of_row = np.unique(sees, axis=0, return_inverse=True)
+    least = len(live) if sensor.is_mixed else 2
+    found = [(live[one], of_row == number) for number, one in enumerate(sets) if np.count_nonzero(one) >= least]
+    if not found:
+        raise Rejected(
+            "blanked channels",
+            f"No row of the images is received by {least} channels or more; SensorInfo channels.blanked_ranges leaves "
+            "too few to tell elevations.",
+        )
+    return found
 
 
 def live_channels(images: C64, sensor: Sensor) -> Index:

@@ -56,7 +56,10 @@ def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
             matrix_in_antenna=sensor.matrix_in_antenna,
             noise_power=list(sensor.noise_power),
             full_scale=sensor.full_scale,
+            blanked_channels=[channel for channel, *_ in sensor.blanked_ranges],
+            blanked_ranges=[edge for _, *edges in sensor.blanked_ranges for edge in edges],
         ),
+        beam_uncertainty=sensor.beam_uncertainty,
         mounting=messages.Mounting(
             frame_id=sensor.mounting.frame_id,
             lever_arm=Vector3(x=x, y=y, z=z),
@@ -106,6 +109,8 @@ def sensor_from_message(message: messages.SensorInfo) -> Sensor:
         matrix_in_antenna=channels.matrix_in_antenna,
         full_scale=channels.full_scale,
         mounting=_mounting_from_message(message.mounting),
+        beam_uncertainty=message.beam_uncertainty,
+        blanked_ranges=_blanked_ranges_from_message(message),
         calibration_id=message.calibration_id,
         config_hash=message.config_hash,
     )
@@ -122,6 +127,16 @@ def _matrix_from_message(message: messages.SensorInfo) -> tuple[tuple[complex, .
     entries = from_complex_pairs(message.channels.matrix, f"SensorInfo {message.name!r}: channels.matrix").tolist()
     width = max(1, len(message.beams.elevation_boresights))
     return tuple(tuple(entries[first : first + width]) for first in range(0, len(entries), width))
+
+
+def _blanked_ranges_from_message(message: messages.SensorInfo) -> tuple[tuple[int, float, float], ...]:
+    channels, edges = message.channels.blanked_channels, message.channels.blanked_ranges
+    if len(edges) != 2 * len(channels):
+        raise UserError(
+            f"SensorInfo {message.name!r} has {len(edges)} channels.blanked_ranges for {len(channels)} "
+            "channels.blanked_channels; there must be two ranges, the first and the last, for each of them."
+        )
+    return tuple(zip(map(int, channels), edges[::2], edges[1::2], strict=True))
 
 
 def _mounting_from_message(message: messages.Mounting) -> Mounting:

@@ -1,9 +1,9 @@
 """From elevation to heights on the ground, tracked over pixels and gathered from many dwells.
 
-Read `heights` first (elevation, range and Doppler to height, place and sigma), then `range_tracking` and
-`field_tracking` (Gauss-Markov smoothing along range, and along the track too, with the `settings`), `tracked` (the
-smoothed heights, placed), `ground` (the ground from all surfaces of all dwells, with `layers`, `membrane` and
-`visibility`), `map` (all dwells in one grid) and `geotiff` (that grid as a file).
+Read `heights` first (elevation, range and Doppler to height, place and sigma) with `rows` (those estimated apart), then
+`range_tracking` and `field_tracking` (Gauss-Markov smoothing along range, and along the track too, with the
+`settings`), `tracked` (the smoothed heights, placed), `ground` (the ground from all surfaces of all dwells, with
+`layers`, `membrane` and `visibility`), `map` (all dwells in one grid) and `geotiff` (that grid as a file).
 """
 
 from sal_height.relief.field_tracking import smoothed_field
@@ -20,6 +20,7 @@ from sal_height.relief.range_tracking import (
     smoothed,
     steady_sigmas,
 )
+from sal_height.relief.rows import joined_rows
 from sal_height.relief.settings import GroundSettings, TrackingSettings
 from sal_height.relief.tracked import track
 
@@ -41,6 +42,7 @@ __all__ = [
     "estimated_ground",
     "filtered",
     "height_field",
+    "joined_rows",
     "layers_of",
     "merged",
     "scatterer_count",

@@ -13,7 +13,7 @@ from scipy.constants import speed_of_light
 from sal_height.beams import Beams, BeamTable, detector_pattern, tabulated_pattern
 from sal_height.errors import UserError
 from sal_height.geometry import AT_BASE_LINK, Mounting
-from sal_height.numeric import C128
+from sal_height.numeric import C128, F64, Bool
 
 MAX_DETECTORS = 128
 """Greatest number of detectors: estimators hold M x M numbers per pixel and direction."""
@@ -68,6 +68,11 @@ class Sensor:
     matrix_in_antenna: bool = True
     full_scale: float = 0.0  # where receivers clip real and imaginary part, in the unit of the samples; 0: not known
     mounting: Mounting = AT_BASE_LINK  # where the antenna is on the platform, and how it is turned
+    # How well the beams are known: rms error of the complex amplitude of each beam over its greatest one; 0: perfectly,
+    # but for what a calibration says.
+    beam_uncertainty: float = 0.0
+    # Slant ranges (m) over which a channel does not receive: (channel, first range, last range).
+    blanked_ranges: tuple[tuple[int, float, float], ...] = ()
     calibration_id: str = ""  # calibration already applied by the sensor; empty: none
     config_hash: str = ""  # identity; empty: the first 16 hexadecimal digits of the SHA-256 of the rest
 
@@ -82,9 +87,11 @@ class Sensor:
         for name in ("sample_count", "pulse_count"):
             self._require(getattr(self, name) >= 2, name, "it must be 2 or more")
         self._require(0 <= self.full_scale < np.inf, "full_scale", "it must be finite and 0 or more")
+        self._require(0 <= self.beam_uncertainty < 1, "beam_uncertainty", "it must be 0 or more and less than 1")
         self._check_detectors()
         self._check_beams()
         self._check_channels()
+        self._check_blanked_ranges()
         self._check_waveform()
         if not self.config_hash:
             text = json.dumps(asdict(self), sort_keys=True, default=lambda value: (value.real, value.imag))
@@ -143,6 +150,14 @@ class Sensor:
                 f"Sensor channel_matrix has the condition number {condition:.3g}; to be inverted it must have 1e+06 or "
                 "less."
             )
+
+    def _check_blanked_ranges(self) -> None:
+        for channel, first, last in self.blanked_ranges:
+            if not (0 <= channel < self.detector_count and 0 <= first <= last < np.inf):
+                raise UserError(
+                    f"Sensor blanked_ranges has channel {channel} from {first:g} to {last:g} m; allowed are channels 0 "
+                    f"to {self.detector_count - 1} and finite ranges of 0 or more in increasing order."
+                )
 
     def _check_waveform(self) -> None:
         keys = ("chirp_rate", "pulse_duration", "sampling_rate")
@@ -239,6 +254,7 @@ class Sensor:
             self.beamwidth,
             self.detector_rotation,
             azimuth_beamwidth=self.azimuth_beamwidth,
+            uncertainty=self.beam_uncertainty,
         )
 
     def widened(self, factor: float) -> Sensor:
@@ -270,6 +286,13 @@ class Sensor:
         """Whether a channel mixes several detectors."""
         matrix = self.mixing
         return bool(np.any(matrix != np.diag(np.diag(matrix))))
+
+    def receives(self, nearest: F64, farthest: F64) -> Bool:
+        """Whether each channel receives all of some intervals of slant range (m, (n,)): shape (channels, n)."""
+        received = np.ones((self.detector_count, len(nearest)), np.bool_)
+        for channel, first, last in self.blanked_ranges:
+            received[channel] &= (farthest < first) | (nearest > last)
+        return received
 
     @property
     def noise_covariance(self) -> C128:

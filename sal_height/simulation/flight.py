@@ -25,7 +25,7 @@ from sal_height.sensor import (
 from sal_height.simulation.gust import GustMotion, gust_motion
 from sal_height.simulation.impairments import MOST_SWING_BEAMWIDTHS, pointing_rotation, through_receivers
 from sal_height.simulation.preset import Preset
-from sal_height.simulation.receivers import received
+from sal_height.simulation.receivers import blanked, received
 from sal_height.simulation.scene import SAMPLES_PER_CELL, PointScatterer, Scene, VisibleSurface, joined, visible_surface
 from sal_height.simulation.scenes import load_scene
 from sal_height.simulation.spotlight import cell_power, draw_amplitudes, simulate_dwell
@@ -237,6 +237,7 @@ class SimulatedFlight:
             echoes = echoes * np.exp(1j * impairments.dwell_phase(len(times)))[:, None]
         clean = through_receivers(echoes, self.sensor, impairments)
         samples = received(from_spectrum(clean, self.sensor), self.sensor, rng)
+        samples = blanked(samples, self.sensor, self.preset.flight.slant_range_m)
         return PhaseHistory(start_ns, self.pulse_times, reference, samples)
 
 

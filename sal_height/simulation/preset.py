@@ -60,6 +60,15 @@ class MountingSettings(StrictKeys):
 
 
 @dataclass(frozen=True)
+class BlankedRange(StrictKeys):
+    """Slant ranges over which a channel (from 0) does not receive."""
+
+    channel: Annotated[Int, Ge(0), Lt(MAX_DETECTORS)]
+    first_m: Annotated[Float, Ge(0), Le(1e7)]
+    last_m: Annotated[Float, Ge(0), Le(1e7)]
+
+
+@dataclass(frozen=True)
 class SensorSettings(StrictKeys):
     """The sensor as people describe it: an evenly spaced detector array around the look angle."""
 
@@ -85,6 +94,8 @@ class SensorSettings(StrictKeys):
     full_scale_over_noise_db: Annotated[Float, Ge(-60), Le(300)] | None = None
     azimuth_aperture_m: Annotated[Float, Ge(1e-6), Le(1e4)] | None = None
     mounting: MountingSettings = MountingSettings()
+    beam_uncertainty_db: Annotated[Float, Ge(-200), Lt(0)] | None = None
+    blanked_ranges: tuple[BlankedRange, ...] = ()
 
     @property
     def beamwidth_rad(self) -> float:
@@ -191,6 +202,8 @@ class Preset(StrictKeys):
             detector_size=s.detector_size_beamwidths,
             detector_rotation=s.detector_rotation_rad,
             beam_tables=tables,
+            beam_uncertainty=0.0 if s.beam_uncertainty_db is None else 10 ** (s.beam_uncertainty_db / 20),
+            blanked_ranges=tuple((one.channel, one.first_m, one.last_m) for one in s.blanked_ranges),
         )
 
 
@@ -268,7 +281,12 @@ def parse_preset(content: Any, source: str) -> Preset:
         preset = TypeAdapter(Preset).validate_python(content)
     except ValidationError as error:
         raise UserError(f"Preset {source}: {_refusal(error)}.") from error
-    for contradiction in (*_channel_misfits(preset), *_impairment_misfits(preset), *_spacing_misfits(preset)):
+    for contradiction in (
+        *_channel_misfits(preset),
+        *_blanking_misfits(preset),
+        *_impairment_misfits(preset),
+        *_spacing_misfits(preset),
+    ):
         raise UserError(f"Preset {source}: {contradiction}.")
     return preset
 
@@ -314,6 +332,21 @@ def _channel_misfits(preset: Preset) -> Iterator[str]:
     }.items():
         if len(values) not in (0, sensor.detectors):
             yield f"{key} has {len(values)} entries; it must have {sensor.detectors}, one per detector, or none"
+
+
+def _blanking_misfits(preset: Preset) -> Iterator[str]:
+    """Of blanked ranges and the channels and samples that exist."""
+    sensor = preset.sensor
+    for one in sensor.blanked_ranges:
+        if one.channel >= sensor.detectors:
+            yield (
+                f"sensor.blanked_ranges names channel {one.channel}; channels are numbered from 0 to "
+                f"{sensor.detectors - 1}"
+            )
+        if one.last_m < one.first_m:
+            yield f"sensor.blanked_ranges has last_m {one.last_m:g}; it must be first_m, {one.first_m:g}, or more"
+    if sensor.blanked_ranges and sensor.waveform != "spectrum":
+        yield f"sensor.blanked_ranges is given with sensor.waveform {sensor.waveform!r}; it goes with 'spectrum' only"
 
 
 def _impairment_misfits(preset: Preset) -> Iterator[str]:

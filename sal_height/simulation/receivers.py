@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy.fft
 
 from sal_height.numeric import C64
 from sal_height.sensor import Sensor, clipped
@@ -20,6 +21,22 @@ def received(samples: C64, sensor: Sensor, rng: np.random.Generator) -> C64:
     if sensor.matrix_in_antenna:
         return clipped(form_channels(samples, sensor) + noise, sensor.full_scale)
     return form_channels(clipped(samples + noise, sensor.full_scale), sensor)
+
+
+def blanked(samples: C64, sensor: Sensor, reference_range: float) -> C64:
+    """The samples without the range cells in which their channels are blanked, noise included; of waveform "spectrum".
+
+    Args:
+        samples: shape (channels, pulses, frequencies); not changed.
+        sensor: its `blanked_ranges`.
+        reference_range: slant range of the echo without delay, m.
+    """
+    if not sensor.blanked_ranges:
+        return samples
+    count = sensor.sample_count
+    cells = reference_range + sensor.range_resolution * scipy.fft.ifftshift(np.arange(count) - count // 2)
+    profiles = scipy.fft.ifft(samples, axis=-1) * sensor.receives(cells, cells)[:, None]
+    return np.asarray(scipy.fft.fft(profiles, axis=-1), dtype=np.complex64)
 
 
 def form_channels(samples: C64, sensor: Sensor) -> C64:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion
+from helpers import assert_one_sentence
 from rclpy.serialization import deserialize_message, serialize_message
 from sal_height_msgs.msg import BeamModel, ChannelFrame, ComplexImage, HeightImage, Provenance, SensorInfo, Waveform
 from std_msgs.msg import Header
@@ -65,6 +66,26 @@ def test_the_mounting_and_both_diameters_survive_their_message(sensor: Sensor) -
     mounting = Mounting("lidar", (0.5, -1.0, 0.25), (0.0, 0.6, 0.0, 0.8))
     mounted = replace(sensor, mounting=mounting, azimuth_diameter=0.02, config_hash="")
     assert messages.sensor_from_message(through_the_wire(messages.sensor_to_message(mounted, STAMP))) == mounted
+
+
+def test_uncertain_beams_and_blanked_ranges_survive_their_message(sensor: Sensor) -> None:
+    ranges = ((0, 10.0, 20.0), (3, 4990.5, 5000.25), (3, 6000.0, 7000.0))
+    known = replace(sensor, beam_uncertainty=0.056, blanked_ranges=ranges, config_hash="")
+    assert messages.sensor_from_message(through_the_wire(messages.sensor_to_message(known, STAMP))) == known
+
+
+@pytest.mark.parametrize(
+    ("channels", "edges", "complaint"),
+    [([1], [10.0], "1 channels.blanked_ranges for 1"), ([8], [1.0, 2.0], "channel 8"), ([0], [2.0, 1.0], "increasing")],
+)
+def test_blanked_ranges_that_make_no_sense_are_refused(
+    sensor: Sensor, channels: list[int], edges: list[float], complaint: str
+) -> None:
+    message = messages.sensor_to_message(sensor, STAMP)
+    message.channels.blanked_channels, message.channels.blanked_ranges = channels, edges
+    with pytest.raises(UserError) as refused:
+        messages.sensor_from_message(message)
+    assert_one_sentence(str(refused.value), complaint)
 
 
 @pytest.mark.parametrize("version", [0, 1, 3])

@@ -323,12 +323,26 @@ def test_sensor_of_a_preset_has_its_beams_evenly_around_the_look_angle() -> None
         ({"hybrid": {"place": "antenna", "magic": 4}}, "sensor.hybrid.magic is not a known key"),
         ({"detector_gains_db": [0, 70]}, "sensor.detector_gains_db.1 is 70; it must be less than"),
         ({"detector_phases_rad": [0, "x"]}, "sensor.detector_phases_rad.1 is 'x'; it must be a number"),
+        ({"beam_uncertainty_db": 0}, "sensor.beam_uncertainty_db is 0; it must be less than 0"),
+        ({"blanked_ranges": [{"channel": 2, "first_m": 1, "last_m": 2}]}, "names channel 2; channels are numbered"),
+        ({"blanked_ranges": [{"channel": 1, "first_m": 3, "last_m": 2}]}, "last_m 2; it must be first_m, 3, or more"),
+        ({"blanked_ranges": [{"channel": 1, "first_m": 3}]}, "sensor.blanked_ranges.0.last_m is missing"),
+        (
+            {"blanked_ranges": [{"channel": 0, "first_m": 1, "last_m": 2}], "waveform": "chirp"},
+            "sensor.blanked_ranges is given with sensor.waveform 'chirp'",
+        ),
     ],
 )
 def test_a_wrong_value_of_the_channels_is_refused(changes: dict[str, Any], complaint: str) -> None:
     with pytest.raises(UserError) as refusal:
         sensor_with(**changes)
     assert_one_sentence(str(refusal.value), complaint)
+
+
+def test_a_preset_states_how_well_beams_are_known_and_where_channels_are_blanked() -> None:
+    sensor = sensor_with(beam_uncertainty_db=-26, blanked_ranges=[{"channel": 1, "first_m": 4999, "last_m": 5000.5}])
+    assert sensor.beam_uncertainty == sensor.beams.uncertainty == pytest.approx(0.0501, abs=1e-4)
+    assert sensor.blanked_ranges == ((1, 4999.0, 5000.5),)
 
 
 def sensor_with(**changes: Any) -> Sensor:

@@ -5,7 +5,8 @@ Every estimator is a function `estimate(looks, beams, settings)` that returns an
 `estimate` (the result and the reasons for none), `likelihood` with `search` (one scatterer, by the whole array),
 `spatial_prior` (help from neighbours), `layover` (two scatterers in a pixel) and `maximum_likelihood`, which joins
 these; `capon` and `music` (the two spectra known from tomography, on the same search), `monopulse` (pairs; sum and
-difference), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators by name).
+difference), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators by name). `profile` tells the reflectivity
+at all elevations of a pixel instead, as tomography of vegetation needs it.
 """
 
 from sal_height.elevation.bounds import conditional_crb, speckle_crb, stochastic_crb
@@ -51,6 +52,7 @@ from sal_height.elevation.monopulse.estimators import (
     total_least_squares,
 )
 from sal_height.elevation.monopulse.inversion import invert
+from sal_height.elevation.profile import PROFILES, ElevationProfile
 from sal_height.elevation.registry import ESTIMATORS, ElevationEstimator
 from sal_height.elevation.search import Objective, PeakSearch, PeakSearches
 from sal_height.elevation.settings import MISFIT_SHARE, HeightSettings
@@ -62,6 +64,7 @@ __all__ = [
     "MISFIT_SHARE",
     "OBJECTIVES",
     "ORDERS",
+    "PROFILES",
     "SCATTERERS",
     "USABLE",
     "AxisResponse",
@@ -69,6 +72,7 @@ __all__ = [
     "Covariance",
     "ElevationEstimate",
     "ElevationEstimator",
+    "ElevationProfile",
     "Estimator",
     "Fit",
     "HeightSettings",

@@ -55,6 +55,7 @@ setup(
             "recorder = sal_height.nodes.recorder:main",
             "psf_calibration = sal_height.nodes.psf_calibration:main",
             "relief_mapper = sal_height.nodes.relief_mapper:main",
+            "ground_mapper = sal_height.nodes.ground_mapper:main",
         ],
     },
 )

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from sal_height.elevation import HeightSettings
 from sal_height.nodes.dwell_stage import DwellParameters
+from sal_height.nodes.ground_mapper import GroundMapper
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.player import Player
 from sal_height.nodes.psf_calibration import PsfCalibration
@@ -45,6 +46,7 @@ NODES: Mapping[str, type[Settings]] = {
     **{name: node.parameters for name, node in HEIGHT_NODES.items()},
     "relief_tracker": ReliefTracker.parameters,
     "relief_mapper": ReliefMapper.parameters,
+    "ground_mapper": GroundMapper.parameters,
     "psf_calibration": PsfCalibration.parameters,
     "recorder": Recorder.parameters,
 }

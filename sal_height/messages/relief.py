@@ -30,6 +30,7 @@ def relief_to_message(relief: Relief, images: int, last: HeightImage, provenance
         height=to_floats(relief.height),
         sigma=to_floats(relief.sigma),
         disagreement=to_floats(relief.disagreement),
+        kind=array.array("B", b"" if relief.kind is None else relief.kind.tobytes()),
         count=array.array("I", relief.count.tobytes()),
         provenance=provenance,
     )

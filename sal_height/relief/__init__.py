@@ -3,12 +3,14 @@
 Read `heights` first (elevation, range and Doppler to height, place and sigma) with `rows` (those estimated apart), then
 `range_tracking` and `field_tracking` (Gauss-Markov smoothing along range, and along the track too, with the
 `settings`), `tracked` (the smoothed heights, placed), `ground` (the ground from all surfaces of all dwells, with
-`layers`, `membrane` and `visibility`), `map` (all dwells in one grid) and `geotiff` (that grid as a file).
+`layers`, `membrane` and `visibility`), `ground_map` (that estimate, brought up to date with each dwell), `map` (the
+average of all dwells in one grid) and `geotiff` (a map as a file).
 """
 
 from sal_height.relief.field_tracking import smoothed_field
 from sal_height.relief.geotiff import check_geotiff, write_geotiff
 from sal_height.relief.ground import GroundEstimate, GroundGrid, GroundKind, estimated_ground
+from sal_height.relief.ground_map import GroundMap, fine_cell_size
 from sal_height.relief.heights import HeightField, Surface, height_field, scatterer_count
 from sal_height.relief.layers import Layers, layers_of, merged
 from sal_height.relief.map import Relief, ReliefMap
@@ -22,12 +24,13 @@ from sal_height.relief.range_tracking import (
 )
 from sal_height.relief.rows import joined_rows
 from sal_height.relief.settings import GroundSettings, TrackingSettings
-from sal_height.relief.tracked import track
+from sal_height.relief.tracked import ground_spacings, track
 
 __all__ = [
     "GroundEstimate",
     "GroundGrid",
     "GroundKind",
+    "GroundMap",
     "GroundSettings",
     "HeightField",
     "Layers",
@@ -41,6 +44,8 @@ __all__ = [
     "check_geotiff",
     "estimated_ground",
     "filtered",
+    "fine_cell_size",
+    "ground_spacings",
     "height_field",
     "joined_rows",
     "layers_of",

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from sal_height.numeric import F64, I64, U8, Bool
@@ -31,10 +32,10 @@ from sal_height.relief.visibility import blocking_cells, contradicted
 class GroundKind(IntEnum):
     """How the height of a cell is known; the values are those of ReliefMap.msg."""
 
-    NONE = 0
-    MEASURED = 1
-    INTERPOLATED = 2
-    SHADOW = 3
+    MEASURED = 0
+    INTERPOLATED = 1
+    SHADOW = 2
+    UNSEEN = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +46,10 @@ class GroundEstimate:
         east: arc distance of the centre of cell (0, 0) from the map's origin, m.
         north: the same, m.
         cell_size: m.
-        height: above the sphere, m; NaN where the kind is NONE or SHADOW.
+        height: above the sphere, m; NaN where the kind is UNSEEN or SHADOW.
         sigma: standard deviation of that height at the centre of the cell, m; NaN there.
         kind: `GroundKind` of each cell, uint8.
+        count: number of dwells that have measured the height, uint32; 0 where it is not measured.
     """
 
     east: float
@@ -56,6 +58,7 @@ class GroundEstimate:
     height: F64
     sigma: F64
     kind: U8
+    count: npt.NDArray[np.uint32]
 
 
 @dataclass(frozen=True)
@@ -84,13 +87,19 @@ class GroundGrid:
         return row * self.shape[1] + col
 
 
+def unseen(east: float, north: float, cell_size: float, shape: tuple[int, int]) -> GroundEstimate:
+    """An estimate of ground of which nothing was seen."""
+    height, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
+    kind = np.full(shape, GroundKind.UNSEEN, np.uint8)
+    return GroundEstimate(east, north, cell_size, height, sigma, kind, np.zeros(shape, np.uint32))
+
+
 def estimated_ground(layers: Layers, grid: GroundGrid, settings: GroundSettings) -> GroundEstimate:
     """Estimate the ground in all cells of `grid` from the layers that lie in them."""
     east, north = ((index + 0.5) * grid.cell_size for index in grid.first[::-1])
     tops = highest_surfaces(layers, grid, settings)
     if not len(tops):
-        nowhere = np.full(grid.shape, np.nan)
-        return GroundEstimate(east, north, grid.cell_size, nowhere, nowhere, np.zeros(grid.shape, np.uint8))
+        return unseen(east, north, grid.cell_size, grid.shape)
     number = grid.numbers(tops)
     measured = np.zeros(grid.shape, dtype=bool)
     measured.ravel()[number] = True
@@ -105,11 +114,11 @@ def estimated_ground(layers: Layers, grid: GroundGrid, settings: GroundSettings)
     kind = np.select(
         [sure, hidden, level | covered],
         [GroundKind.MEASURED, GroundKind.SHADOW, GroundKind.INTERPOLATED],
-        GroundKind.NONE,
+        GroundKind.UNSEEN,
     ).astype(np.uint8)
     known = np.isin(kind, (GroundKind.MEASURED, GroundKind.INTERPOLATED))
-    common = np.zeros(grid.shape)
-    common.ravel()[number] = variance
+    common, count = np.zeros(grid.shape), np.zeros(grid.shape, np.int64)
+    common.ravel()[number], count.ravel()[number] = variance, tops.dwells
     total = membrane.sigma**2 + common[tuple(nearest)] + np.where(covered, jump**2 / 4, half**2)
     return GroundEstimate(
         east,
@@ -118,6 +127,7 @@ def estimated_ground(layers: Layers, grid: GroundGrid, settings: GroundSettings)
         np.where(known, membrane.height, np.nan),
         np.where(known, np.sqrt(total), np.nan),
         kind,
+        np.where(kind == GroundKind.MEASURED, count[tuple(nearest)], 0).astype(np.uint32),
     )
 
 
@@ -127,10 +137,11 @@ def highest_surfaces(layers: Layers, grid: GroundGrid, settings: GroundSettings)
         return layers
     reach = settings.reach_pixels * grid.spacing
     pairs = neighbours(layers, reach, settings.gate)
-    layers = layers.where(supported(layers, pairs, reach, settings.least_pixels))
-    layers = layers.where(~_contradicted(layers, grid))
-    pairs = neighbours(layers, reach, settings.gate)
-    layers = layers.where(~on_walls(layers, pairs, grid.spacing / 2 + grid.cell_size / 2))
+    real = supported(layers, pairs, reach, settings.least_pixels)
+    layers, pairs = layers.where(real), pairs.among(real)
+    ghosts = _contradicted(layers, grid)
+    inner = on_walls(layers, pairs, grid.spacing / 2 + grid.cell_size / 2)
+    layers = layers.where(~(ghosts | inner))
     return layers.where(_highest(layers, grid))
 
 
@@ -179,7 +190,7 @@ def _settled(tops: Layers, number: I64, grid: GroundGrid, settings: GroundSettin
     return membrane, common
 
 
-PASSES = 3
+PASSES = 2
 """Number of fits: with unknown slopes, with slopes that steps may have spoilt, and with those of whole ground."""
 
 LEAST_VARIANCE_SHARE = 0.1

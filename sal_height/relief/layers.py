@@ -33,14 +33,14 @@ class Layers:
         own: covariance of their errors that no other layer shares, m^2, shape (n, 3, 3).
         common: covariance of those that all pixels of a dwell share, shape (n, 3, 3).
         towards: how far east and north the line of sight goes towards the sensor per metre that it rises, shape (n, 2).
-        pixels: number of pixels merged, shape (n,).
+        dwells: number of dwells that have measured them, shape (n,).
     """
 
     place: F64
     own: F64
     common: F64
     towards: F64
-    pixels: F64
+    dwells: I64
 
     def __len__(self) -> int:
         return len(self.place)
@@ -86,7 +86,7 @@ def _layers_of_surface(surface: Surface, aperture: ApertureState) -> Layers:
         own=own,
         common=np.nan_to_num(common),
         towards=sight[:, :2] / sight[:, 2:],
-        pixels=np.ones(len(points)),
+        dwells=np.ones(len(points), dtype=np.int64),
     )
 
 
@@ -125,7 +125,7 @@ def merged(layers: Layers, cell_size: float, gate: float, *, same_dwell: bool) -
         own=mean(layers.own, weight**2, total**2),
         common=common,
         towards=mean(layers.towards, weight, total),
-        pixels=np.add.reduceat(layers.pixels, begins),
+        dwells=(np.maximum if same_dwell else np.add).reduceat(layers.dwells, begins),
     )
 
 
@@ -146,6 +146,13 @@ class Neighbours:
     distance: F64
     rise: F64
     error: F64
+
+    def among(self, chosen: Bool) -> Self:
+        """The pairs of which both layers are chosen, numbered as in `Layers.where`."""
+        number = np.cumsum(chosen) - 1
+        both = chosen[self.first] & chosen[self.second]
+        first, second = number[self.first[both]], number[self.second[both]]
+        return type(self)(first, second, self.distance[both], self.rise[both], self.error[both])
 
 
 def neighbours(layers: Layers, reach: float, gate: float) -> Neighbours:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, height_of, sphere_coordinates, sphere_point
-from sal_height.numeric import F32, F64, I64
+from sal_height.numeric import F32, F64, I64, U8
 from sal_height.relief.heights import Surface, shared_variance
 
 TILE = 256
@@ -45,6 +45,7 @@ class Relief:
             degree of freedom (Birge ratio, Phys. Rev. 40, 1932, p. 207). Near 1 if sigma is right; greater where
             something moved, or the ground within the cell is steep. NaN where fewer than two dwells saw the cell.
         count: number of dwells that saw the cell.
+        kind: what each height rests on (`GroundKind`), uint8; None: on measurements, wherever it is not NaN.
     """
 
     east: float
@@ -54,6 +55,7 @@ class Relief:
     sigma: F32
     disagreement: F32
     count: npt.NDArray[np.uint32]
+    kind: U8 | None = None
 
 
 class ReliefMap:

@@ -30,6 +30,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from sal_height.numeric import F64, Bool
+from sal_height.relief import _kernels as kernels
 
 FREEDOM = 2.0
 """Standard deviation of the prior's steps between neighbours, over that of the better measured of the two.
@@ -40,8 +41,8 @@ Softer than most ground, so that a step below the gate moves a height by little 
 ROUNDS = 2
 """Number of times that heights are found and the joints decided anew from them; more change next to none."""
 
-MESSAGES = 12
-"""Number of messages along each direction in a round: heights travel as many cells."""
+SWEEPS = 4
+"""Number of sweeps of messages: heights are those of the minimum to a thousandth of their sigma."""
 
 WEIGHT_STEP = 1e-3
 """Relative change of the weights for the derivative of the variances, -diag(A^-1 W A^-1)."""
@@ -57,9 +58,6 @@ CLIPPED_SQUARE = 0.9205
 
 GREATEST_ROUGHNESS = 25.0
 """Greatest kappa: the ground's steps are five times as large as those of the prior."""
-
-LEAST_PRECISION = 1e-12
-"""Precision of a height that no measurement reaches, 1/m^2: its sigma is 1000 km."""
 
 Joints = tuple[Bool, Bool]
 """Whether each cell and the next along rows are joined, shape (rows - 1, cols), and along columns, (rows, cols - 1)."""
@@ -156,32 +154,15 @@ def _stiffness(joined: Joints, steps: list[F64]) -> Links:
 
 
 def _beliefs(weight: F64, measured: F64, stiffness: Links) -> tuple[F64, F64]:
-    """Precision (1/m^2) and mean (m) of each cell after MESSAGES messages along each of the four directions.
+    """Precision (1/m^2) and mean (m) of each cell after the messages of SWEEPS sweeps.
 
     A cell that knows its height with the precision p, but for what the receiver sent, sends through a link of the
     stiffness k the precision k p / (k + p), as of conductors in series.
     """
-    down, across = stiffness
-    ways = [
-        (np.s_[:-1], np.s_[1:], down),
-        (np.s_[1:], np.s_[:-1], down),
-        (np.s_[:, :-1], np.s_[:, 1:], across),
-        (np.s_[:, 1:], np.s_[:, :-1], across),
-    ]  # sender, receiver, link; each way is followed by the way back
-    messages, moments = np.zeros((4, *weight.shape)), np.zeros((4, *weight.shape))  # precision, and that times height
-    own = weight * measured
-    for _ in range(MESSAGES):
-        total, sums = weight + messages.sum(axis=0), own + moments.sum(axis=0)
-        sent = []
-        for way, (sender, _, link) in enumerate(ways):
-            back = way ^ 1
-            precision = total[sender] - messages[back][sender]
-            passed = link / np.maximum(link + precision, LEAST_PRECISION)
-            sent.append((passed * precision, passed * (sums[sender] - moments[back][sender])))
-        for way, (_, receiver, _) in enumerate(ways):
-            messages[way][receiver], moments[way][receiver] = sent[way]
-    total = np.maximum(weight + messages.sum(axis=0), LEAST_PRECISION)
-    return total, (own + moments.sum(axis=0)) / total
+    precision, moment = np.zeros((4, *weight.shape)), np.zeros((4, *weight.shape))
+    kernels.propagate(weight, weight * measured, *stiffness, SWEEPS, precision, moment)
+    total = np.maximum(weight + precision.sum(axis=0), kernels.LEAST_PRECISION)
+    return total, (weight * measured + moment.sum(axis=0)) / total
 
 
 def _roughness(height: F64, noise: F64, covered: Bool, lag: int) -> F64:

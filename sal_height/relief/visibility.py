@@ -10,8 +10,11 @@ import numpy as np
 
 from sal_height.numeric import F64, Bool, Index
 
-FIRST_CELL = 2
-"""Cells of a line of sight that are not asked: a wall is as uncertain in its place as the cells beside it."""
+STRIDE = 2
+"""Distance in cells from one place of a line of sight to the next, and to the first.
+
+Footprints are wider, and the cells beside a wall are as uncertain in their place as the wall.
+"""
 
 
 def blocking_cells(place: F64, height: F64, towards: F64, top: F64, cell_size: float) -> tuple[Index, Index]:
@@ -35,7 +38,7 @@ def blocking_cells(place: F64, height: F64, towards: F64, top: F64, cell_size: f
     lines = np.flatnonzero(height < highest)
     walls = np.nan_to_num(top, nan=-np.inf) - cell_size
     found_lines, found_cells = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    step = FIRST_CELL
+    step = STRIDE
     while True:
         lines = lines[height[lines] + step * rise[lines] < highest]
         if not lines.size:
@@ -46,7 +49,7 @@ def blocking_cells(place: F64, height: F64, towards: F64, top: F64, cell_size: f
         blocked = walls.ravel()[cell] > height[lines] + step * rise[lines]
         found_lines.append(lines[blocked])
         found_cells.append(cell[blocked])
-        step += 1
+        step += STRIDE
 
 
 def contradicted(lines: Index, cells: Index, measured: int, size: int) -> tuple[Bool, Bool]:

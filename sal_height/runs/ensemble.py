@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.ground_mapper import GroundMapper
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.player import Player
 from sal_height.nodes.program import run_node
@@ -37,6 +38,7 @@ NODES: dict[str, type[Any]] = {
     **HEIGHT_NODES,
     "psf_calibration": PsfCalibration,
     "relief_mapper": ReliefMapper,
+    "ground_mapper": GroundMapper,
     "relief_tracker": ReliefTracker,
     "recorder": Recorder,
 }
@@ -109,7 +111,7 @@ def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:
     """
     if not estimators or ESTIMATORS["ml"].node in estimators:
         return {}
-    return {name: {"estimator": HEIGHTS[estimators[0]]} for name in (TRACKER, "relief_mapper")}
+    return {name: {"estimator": HEIGHTS[estimators[0]]} for name in (TRACKER, "relief_mapper", "ground_mapper")}
 
 
 def recorded_topics(stages: list[str], parameters: NodeParameters) -> list[str]:

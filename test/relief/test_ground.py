@@ -18,7 +18,7 @@ def layers_at(places: F64) -> Layers:
     """Layers with errors of SIGMA along the circle, seen from the north at 45 degrees."""
     count = len(places)
     own = np.broadcast_to(SIGMA**2 * np.outer(CIRCLE, CIRCLE), (count, 3, 3))
-    return Layers(places, own, np.zeros((count, 3, 3)), np.tile([0.0, 1.0], (count, 1)), np.ones(count))
+    return Layers(places, own, np.zeros((count, 3, 3)), np.tile([0.0, 1.0], (count, 1)), np.ones(count, dtype=np.int64))
 
 
 def seen(terrain: Callable[[F64], F64], rng: np.random.Generator) -> F64:
@@ -108,7 +108,7 @@ def test_a_small_gap_is_interpolated_and_a_large_one_is_not() -> None:
     ground = ground_of(places[~small & ~large])
     assert ground.kind[20, 20] == GroundKind.INTERPOLATED
     assert ground.sigma[20, 20] > 1.5 * np.nanmedian(ground.sigma)
-    assert ground.kind[50, 50] == GroundKind.NONE
+    assert ground.kind[50, 50] == GroundKind.UNSEEN
     assert np.isnan(ground.height[50, 50])
 
 
@@ -117,7 +117,7 @@ def test_common_errors_of_a_dwell_do_not_average_out() -> None:
     layers = layers_at(places)
     common = np.zeros((len(layers), 3, 3))
     common[:, 2, 2] = 0.05**2
-    layers = Layers(layers.place, layers.own, common, layers.towards, layers.pixels)
+    layers = Layers(layers.place, layers.own, common, layers.towards, layers.dwells)
     ground = estimated_ground(
         layers.where(is_inside(places)), GroundGrid((0, 0), (SIDE, SIDE), CELL, SPACING), SETTINGS
     )
@@ -126,5 +126,5 @@ def test_common_errors_of_a_dwell_do_not_average_out() -> None:
 
 def test_nothing_measured_gives_no_heights() -> None:
     ground = ground_of(np.empty((0, 3)))
-    assert (ground.kind == GroundKind.NONE).all()
+    assert (ground.kind == GroundKind.UNSEEN).all()
     assert np.isnan(ground.height).all()

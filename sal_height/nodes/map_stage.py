@@ -1,0 +1,218 @@
+"""Base of the nodes that enter the heights of all dwells into one map, published and written as GeoTIFF at the end."""
+
+from __future__ import annotations
+
+import json
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.duration import Duration
+from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
+from sensor_msgs.msg import Image, PointCloud2
+
+from sal_height import messages
+from sal_height.elevation import ESTIMATORS
+from sal_height.errors import Rejected, UserError
+from sal_height.geometry import ApertureState
+from sal_height.nodes.relief_tracker import PREFIX as TRACKED
+from sal_height.nodes.role import Topics
+from sal_height.nodes.stage import LATCHED_QOS, Stage, StageParameters, payload_bytes
+from sal_height.relief import HeightField, Relief, check_geotiff, write_geotiff
+from sal_height.settings import setting
+
+LAST_WORDS_S = 2.0
+"""Longest wait at the end of the node for subscribers to receive the last map."""
+
+
+class MapParameters(StageParameters):
+    """Parameters of every node that makes a map."""
+
+    estimator: str = setting(
+        "ml",
+        "estimator whose heights enter the map; they come on topic <estimator>/height",
+        choices=(*ESTIMATORS, TRACKED),
+        read_only=True,
+    )
+    max_cells: int = setting(
+        4_000_000,
+        "greatest number of cells of the map; heights that would need more are left out",
+        minimum=1,
+        maximum=1_000_000_000,
+        read_only=True,
+    )
+    period_s: float = setting(
+        2.0, "shortest time between two maps published", unit="s", minimum=0.1, maximum=3600.0, read_only=True
+    )
+    file: str = setting(
+        "",
+        "path of the GeoTIFF that the map is written to when the node ends; an existing file is replaced; empty: none",
+        read_only=True,
+    )
+    origin_latitude_deg: float = setting(
+        0.0,
+        "latitude of the map's origin, for the GeoTIFF; if it and the longitude are 0, the origin is not known and the "
+        "file has local coordinates",
+        unit="deg",
+        minimum=-90.0,
+        maximum=90.0,
+        read_only=True,
+    )
+    origin_longitude_deg: float = setting(
+        0.0,
+        "longitude of the map's origin, for the GeoTIFF",
+        unit="deg",
+        minimum=-180.0,
+        maximum=180.0,
+        read_only=True,
+    )
+
+
+def map_topics(prefix: str) -> Topics:
+    """What a node that makes a map publishes."""
+    return {
+        f"{prefix}/relief": "map of heights and of their standard deviations, latched",
+        f"{prefix}/image": "picture of the map, latched",
+        f"{prefix}/points": "the map as points, latched, made while somebody listens",
+    }
+
+
+class GrowingMap(Protocol):
+    """A map that grows with what is seen."""
+
+    def relief(self) -> Relief | None:
+        """Return the map as it stands; None if nothing was seen yet."""
+
+
+class MapStage(Stage):
+    """Enters height images into one map, publishes it, and writes it when the node or its context ends.
+
+    Map and image reach those who come late; points are made only while somebody listens.
+    """
+
+    inputs: ClassVar[Topics] = {"<estimator>/height": "heights of the estimator that the parameter names"}
+    takes_heights = True
+    settable = True
+    completes_file = True
+
+    def __init__(self, name: str, prefix: str, **node_arguments: Any) -> None:
+        """Make the node `name`, whose topics begin with `prefix`; `node_arguments` go to rclpy's Node.
+
+        Raises:
+            UserError: a parameter has a value that is not allowed, or the file could not be written at the end.
+        """
+        super().__init__(name, **node_arguments)
+        self._settings = self.current_parameters()
+        if self._settings.file:
+            check_geotiff(Path(self._settings.file))
+        self.failure = ""
+        """Why the file could not be written, as a sentence; empty if there was no failure."""
+        self._map: GrowingMap | None = None
+        self._images = 0
+        self._last: HeightImage | None = None
+        self._unpublished = False
+        self._ended = False
+        self._ending = threading.Lock()  # the context may be shut down in another thread than the executor's
+        self._relief = self.offer(ReliefMap, f"{prefix}/relief", LATCHED_QOS)
+        self._image = self.offer(Image, f"{prefix}/image", LATCHED_QOS)
+        self._points = self.offer(PointCloud2, f"{prefix}/points", LATCHED_QOS)
+        self.listen(HeightImage, f"{self._settings.estimator}/height", self._on_height)
+        self.every(self._settings.period_s, self._publish_when_changed)
+        self.context.on_shutdown(self.conclude)
+
+    def entered(self, field: HeightField, aperture: ApertureState) -> GrowingMap:
+        """Enter a height image seen from `aperture` into the map, or into an empty one, and return that.
+
+        Raises:
+            Rejected: the map cannot take it, and has not changed.
+        """
+        raise NotImplementedError
+
+    def settle(self) -> None:
+        """Make the map final; all height images have been entered."""
+
+    def conclude(self) -> None:
+        """Enter the height images that wait, publish the map and write the file. May be called twice."""
+        with self._ending:
+            if self._ended:
+                return
+            self._ended = True
+            self.finish()
+            self.settle()
+            self._publish()
+            with suppress(RCLError):
+                self._relief.publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
+            if self._settings.file:
+                self._write(Path(self._settings.file))
+
+    def destroy_node(self) -> None:
+        """Publish and write the map, then end the node."""
+        self.conclude()
+        super().destroy_node()
+
+    def _on_height(self, image: HeightImage) -> None:
+        self.tally.receive()
+        if self._ended:
+            self.reject(1, Rejected("ended", "The map is written; heights that come later are left out."))
+        else:
+            self.submit(1, lambda: self._enter(image), payload_bytes(image))
+
+    def _enter(self, image: HeightImage) -> int:
+        """Enter a height image into the map; a rejected image leaves the map unchanged."""
+        field = messages.field_from_message(image)
+        if bad := messages.bad_pixels(image, field):
+            self.ignore("bad pixels", messages.bad_pixel_warning(image, bad))
+        aperture = messages.aperture_from_message(image.aperture)
+        grown = self.entered(field, aperture)
+        self._map, self._last = grown, image
+        self._images += 1
+        self._unpublished = True
+        return 0
+
+    def _publish_when_changed(self) -> None:
+        if self._unpublished and self.jobs <= self.current_parameters().max_queued_dwells:
+            self._unpublished = False
+            self.submit(0, self._publish)
+
+    def _publish(self) -> int:
+        """Publish the current map; returns the number of maps published."""
+        relief, last = self._map.relief() if self._map else None, self._last
+        if relief is None or last is None:
+            return 0
+        message = messages.relief_to_message(relief, self._images, last, self._provenance(last))
+        with suppress(RCLError):  # the context may have ended: nobody is left to publish to
+            self._image.publish(messages.relief_picture(relief, last))
+            self._points.publish_if_heard(lambda: messages.relief_points(relief, last))  # a second for millions
+            self._relief.publish(message)
+        return 1
+
+    def _provenance(self, last: HeightImage) -> Provenance:
+        """Provenance of the last height image, with the parameters of this node added."""
+        return messages.derived(last.provenance, self.get_name(), self._settings)
+
+    def _write(self, path: Path) -> None:
+        relief = self._map.relief() if self._map else None
+        if relief is None or self._last is None:
+            self.get_logger().warning(f"No height was seen: there is no map to write to {path}.")
+            return
+        provenance = self._provenance(self._last)
+        tags = {
+            "estimator": self._last.estimator,
+            "images": str(self._images),
+            **{key: getattr(provenance, key) for key in ("code_version", "config_hash", "calibration_id")},
+            "parameters": json.dumps(messages.stages_of(provenance.parameters), sort_keys=True),
+        }
+        origin = self._settings.origin_latitude_deg, self._settings.origin_longitude_deg
+        try:
+            write_geotiff(path, relief, origin if any(origin) else None, tags)
+        except UserError as error:
+            self.failure = str(error)
+            self.get_logger().error(self.failure)
+            return
+        if not any(origin):
+            self.get_logger().warning(
+                f"{path} has local coordinates; set origin_latitude_deg and origin_longitude_deg to place it on the "
+                "earth."
+            )

@@ -1,0 +1,174 @@
+"""Map of the ground: what dwells have measured of it so far, and the estimate that follows.
+
+What is kept of the dwells are merged layers (`layers`), in square tiles. A new dwell changes the estimate on the ground
+that it has seen and a little around it, which is estimated anew; `settle` estimates all of it at once.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+
+import numpy as np
+
+from sal_height.errors import Rejected
+from sal_height.geometry import ApertureState, Grid
+from sal_height.numeric import I64
+from sal_height.relief.ground import GroundEstimate, GroundGrid, estimated_ground, unseen
+from sal_height.relief.heights import HeightField
+from sal_height.relief.layers import Layers, layers_of, merged
+from sal_height.relief.map import Relief
+from sal_height.relief.settings import DEFAULT_GROUND, GroundSettings
+from sal_height.relief.tracked import ground_spacings
+
+TILE = 128
+"""Side of a tile in cells."""
+
+MARGIN = 6
+"""Cells around what a dwell has seen in which the estimate may change, and as many more that are taken into account."""
+
+ARRAYS = ("height", "sigma", "kind", "count")
+"""Names of the arrays of an estimate."""
+
+
+def fine_cell_size(grid: Grid) -> float:
+    """Return the greatest 1, 2 or 5 times a power of ten (m) that is at most 3/4 of a pixel of `grid` on the ground."""
+    most = 0.75 * max(ground_spacings(grid))
+    decade = 10.0 ** np.floor(np.log10(most))
+    return float(next(step * decade for step in (5, 2, 1) if step * decade <= most * (1 + 1e-9)))
+
+
+class GroundMap:
+    """The estimate of all ground that was seen, brought up to date with each dwell.
+
+    Its memory is proportional to the area, not to the number of dwells.
+    """
+
+    def __init__(
+        self, cell_size: float, spacing: float, max_cells: int, settings: GroundSettings = DEFAULT_GROUND
+    ) -> None:
+        """An empty map.
+
+        Args:
+            cell_size: m.
+            spacing: of pixels on level ground, m: the greater of along range and along track.
+            max_cells: greatest number of cells of the rectangle around all that was seen.
+            settings: of the estimate.
+        """
+        self.cell_size = cell_size
+        self.spacing = spacing
+        self.max_cells = max_cells
+        self.settings = settings
+        self._tiles: dict[tuple[int, int], Layers] = {}
+        self._estimate: GroundEstimate | None = None  # of whole tiles
+        self._corners = np.zeros((2, 2), dtype=np.int64)  # row and column of the first and of the last cell seen
+
+    def add(self, field: HeightField, aperture: ApertureState) -> None:
+        """Enter all surfaces that a dwell saw from `aperture`; if they are refused, the map does not change.
+
+        Raises:
+            Rejected: the map would have more than `max_cells` cells.
+        """
+        layers = merged(layers_of(field, aperture), self.cell_size, self.settings.gate, same_dwell=True)
+        if not len(layers):
+            return
+        cells = layers.cells(self.cell_size)
+        seen = np.stack([cells.min(axis=0), cells.max(axis=0)])
+        self._grow(seen)
+        for tile in np.unique(cells // TILE, axis=0):
+            new, place = layers.where((cells // TILE == tile).all(axis=1)), (int(tile[0]), int(tile[1]))
+            if place in self._tiles:
+                new = self._tiles[place].and_those(new)
+                new = merged(new, self.cell_size, self.settings.gate, same_dwell=False)
+            self._tiles[place] = new
+        self._renew(seen + MARGIN * np.array([[-1], [1]]))
+
+    def settle(self) -> None:
+        """Estimate all ground at once."""
+        if self._estimate is not None:
+            self._renew(self._corners)
+
+    def estimate(self) -> GroundEstimate | None:
+        """Return the estimate as it stands; None if nothing was seen yet."""
+        if self._estimate is None:
+            return None
+        return _part(self._estimate, self._corners)
+
+    def relief(self) -> Relief | None:
+        """Return the estimate as a map that can be published; None if nothing was seen yet."""
+        ground = self.estimate()
+        if ground is None:
+            return None
+        height, sigma = ground.height.astype(np.float32), ground.sigma.astype(np.float32)
+        disagreement = np.full_like(height, np.nan)  # merging does not keep it
+        return Relief(
+            ground.east,
+            ground.north,
+            ground.cell_size,
+            height,
+            sigma,
+            disagreement,
+            ground.count.copy(),
+            ground.kind.copy(),
+        )
+
+    def _grow(self, seen: I64) -> None:
+        """Make the estimate large enough for cells from seen[0] to seen[1]."""
+        known = seen if self._estimate is None else self._corners
+        corners = np.stack([np.minimum(seen[0], known[0]), np.maximum(seen[1], known[1])])
+        rows, cols = (corners[1] - corners[0] + 1).tolist()
+        if rows * cols > self.max_cells:
+            raise Rejected(
+                "map full",
+                f"With these heights the map would have {rows} x {cols} cells of {self.cell_size:g} m, more than the "
+                f"{self.max_cells} that max_cells allows.",
+            )
+        whole = np.stack([corners[0] // TILE * TILE, corners[1] // TILE * TILE + TILE - 1])
+        old, self._corners = self._estimate, corners
+        if old is not None and (whole == _corners_of(old)).all():
+            return
+        rows, cols = (whole[1] - whole[0] + 1).tolist()
+        north, east = ((whole[0] + 0.5) * self.cell_size).tolist()
+        self._estimate = unseen(east, north, self.cell_size, (rows, cols))
+        if old is not None:
+            _paste(old, self._estimate)
+
+    def _renew(self, corners: I64) -> None:
+        """Estimate the cells from corners[0] to corners[1] anew, as far as they have been seen."""
+        inner = np.stack([np.maximum(corners[0], self._corners[0]), np.minimum(corners[1], self._corners[1])])
+        outer = np.stack(
+            [np.maximum(inner[0] - MARGIN, self._corners[0]), np.minimum(inner[1] + MARGIN, self._corners[1])]
+        )
+        rows, cols = (outer[1] - outer[0] + 1).tolist()
+        grid = GroundGrid((int(outer[0, 0]), int(outer[0, 1])), (rows, cols), self.cell_size, self.spacing)
+        assert self._estimate is not None  # noqa: S101 (`_grow` made it)
+        _paste(_part(estimated_ground(self._within(outer), grid, self.settings), inner), self._estimate)
+
+    def _within(self, corners: I64) -> Layers:
+        """All layers in the cells from corners[0] to corners[1]."""
+        first, last = corners // TILE
+        places = [(row, col) for row in range(first[0], last[0] + 1) for col in range(first[1], last[1] + 1)]
+        tiles = [self._tiles[place] for place in places if place in self._tiles]
+        layers = reduce(Layers.and_those, tiles[1:], tiles[0])
+        cells = layers.cells(self.cell_size)
+        return layers.where(((cells >= corners[0]) & (cells <= corners[1])).all(axis=1))
+
+
+def _corners_of(estimate: GroundEstimate) -> I64:
+    """Row and column, counted from the map's origin, of the first and of the last cell."""
+    first = np.floor(np.array([estimate.north, estimate.east]) / estimate.cell_size).astype(np.int64)
+    return np.stack([first, first + np.array(estimate.height.shape) - 1])
+
+
+def _part(estimate: GroundEstimate, corners: I64) -> GroundEstimate:
+    """The cells from corners[0] to corners[1] of an estimate, as views."""
+    (row, col), (end_row, end_col) = corners - _corners_of(estimate)[0] + np.array([[0], [1]])
+    there = np.s_[row:end_row, col:end_col]
+    north, east = ((corners[0] + 0.5) * estimate.cell_size).tolist()
+    return GroundEstimate(east, north, estimate.cell_size, *(getattr(estimate, name)[there] for name in ARRAYS))
+
+
+def _paste(part: GroundEstimate, whole: GroundEstimate) -> None:
+    """Copy the cells of a part into an estimate that holds them all."""
+    there = _part(whole, _corners_of(part))
+    for name in ARRAYS:
+        getattr(there, name)[...] = getattr(part, name)

@@ -1,0 +1,60 @@
+"""The ground mapper among real publishers: it publishes the ground with its kinds, and writes it when it ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from helpers import make_aperture
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, ReliefMap
+from std_msgs.msg import Header
+
+from sal_height import messages
+from sal_height.elevation.estimate import Validity
+from sal_height.geometry.earth import sphere_point
+from sal_height.geometry.grid import Grid
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.ground_mapper import GroundMapper
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
+from sal_height.relief.heights import HeightField, Surface
+
+TIMEOUT_S = 20.0
+WEST, SOUTH, SPACING, ROWS, COLS = -4.0, -3503.0, 0.09, 30, 20
+
+
+def height_image() -> HeightImage:
+    """Level ground at 2 m with a hole of nine pixels."""
+    east, north = np.meshgrid(WEST + SPACING * np.arange(COLS), SOUTH + SPACING * np.arange(ROWS))
+    height, sigma = np.full(east.shape, 2.0), np.full(east.shape, 0.01)
+    height[14:17, 9:12] = np.nan
+    validity = np.where(np.isfinite(height), Validity.OK, Validity.NO_SIGNAL).astype(np.uint8)
+    axes = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    grid = Grid(sphere_point(WEST, SOUTH, 0.0), *axes, SPACING, SPACING, ROWS, COLS)
+    field = HeightField(grid, validity, (Surface.at(sphere_point(east, north, height), height, sigma, sigma),))
+    slc = ComplexImage(dwell=0, header=Header(frame_id="map", stamp=messages.to_stamp(1_000_000_000)))
+    return messages.height_to_message(field, make_aperture(), (2, 2), "ml", slc, Provenance())
+
+
+def test_the_ground_is_published_with_its_kinds_and_written(graph: Graph, tmp_path: Path) -> None:
+    overrides = [Parameter("period_s", value=0.1), Parameter("file", value=str(tmp_path / "ground.tif"))]
+    mapper = graph.add(GroundMapper(context=graph.context, parameter_overrides=overrides))
+    maps: list[ReliefMap] = []
+    node = graph.add(Node("feeder", context=graph.context))
+    node.create_subscription(ReliefMap, "ground/relief", maps.append, LATCHED_QOS)
+    publisher = node.create_publisher(HeightImage, "ml/height", FRAMES_QOS)
+    assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, TIMEOUT_S)
+    publisher.publish(height_image())
+    assert graph.spin_until(lambda: bool(maps), TIMEOUT_S)
+    found = maps[-1]
+    height, kind = (np.asarray(values).reshape(found.rows, found.cols) for values in (found.height, found.kind))
+    assert np.isclose(found.cell_size, 0.05)
+    assert np.mean(kind == ReliefMap.MEASURED) > 0.85
+    assert kind[round(15 * SPACING / 0.05), round(10 * SPACING / 0.05)] == ReliefMap.INTERPOLATED
+    assert np.nanmax(np.abs(height - 2.0)) < 1e-3
+    mapper.conclude()
+    with rasterio.open(tmp_path / "ground.tif") as file:
+        assert (file.height, file.width) == kind.shape
+        assert np.isclose(np.nanmedian(file.read(1)), 2.0)

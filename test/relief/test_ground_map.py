@@ -1,0 +1,98 @@
+"""The map of the ground: dwell after dwell it becomes what all dwells together give."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sal_height.elevation import Validity
+from sal_height.errors import Rejected
+from sal_height.geometry import ApertureState, Grid, sphere_point
+from sal_height.numeric import F64
+from sal_height.relief import GroundEstimate, GroundKind, GroundMap, HeightField, Surface, fine_cell_size
+
+SPACING, SIGMA, ROWS, COLS = 0.09, 0.01, 40, 12
+APERTURE = ApertureState(np.array([0.0, 1000.0, 1000.0]), np.array([50.0, 0, 0]), np.eye(3), 0.1, np.zeros((6, 6)))
+
+
+def dwell(number: int, rng: np.random.Generator, *, lift: float = 0.0) -> HeightField:
+    """Level ground with a step of 0.4 m in its middle, seen from the north; dwells lie beside each other along east."""
+    east, north = np.meshgrid((np.arange(COLS) + number * COLS) * SPACING + 0.02, np.arange(ROWS) * SPACING + 0.02)
+    error = rng.normal(0.0, SIGMA, east.shape)
+    height = np.where(north < SPACING * ROWS / 2, 0.4, 0.0) + lift + error
+    positions = sphere_point(east, north - error, height)  # an error moves a point along its circle
+    sigma = np.full(east.shape, SIGMA)
+    surface = Surface.at(positions, height, sigma, np.full(east.shape, 20.0))
+    grid = Grid(np.zeros(3), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), SPACING, SPACING, ROWS, COLS)
+    return HeightField(grid, np.full(east.shape, Validity.OK, np.uint8), (surface,))
+
+
+def mapped(fields: list[HeightField], max_cells: int = 100_000) -> GroundMap:
+    ground = GroundMap(fine_cell_size(fields[0].grid), SPACING, max_cells)
+    for field in fields:
+        ground.add(field, APERTURE)
+    return ground
+
+
+def estimate_of(ground: GroundMap) -> GroundEstimate:
+    found = ground.estimate()
+    assert found is not None
+    return found
+
+
+def truth_of(found: GroundEstimate) -> F64:
+    north = found.north + found.cell_size * np.arange(found.height.shape[0])
+    return np.where(north < SPACING * ROWS / 2, 0.4, 0.0)[:, None]
+
+
+def test_the_live_estimate_is_that_of_all_dwells_at_once() -> None:
+    rng = np.random.default_rng(1)
+    ground = mapped([dwell(number, rng) for number in range(5)])
+    live = estimate_of(ground)
+    heights, kinds = live.height.copy(), live.kind.copy()
+    ground.settle()
+    final = estimate_of(ground)
+    assert np.mean(kinds == final.kind) > 0.99
+    both = np.isfinite(heights) & np.isfinite(final.height)
+    assert np.quantile(np.abs(heights - final.height)[both], 0.99) < 0.5 * SIGMA
+
+
+def test_dwells_over_the_same_ground_average() -> None:
+    rng = np.random.default_rng(2)
+    one, four = (estimate_of(mapped([dwell(0, rng) for _ in range(count)])) for count in (1, 4))
+    inner = np.s_[8:30, 4:-4]
+    assert np.isclose(np.nanmedian(four.sigma[inner]) / np.nanmedian(one.sigma[inner]), 0.5, atol=0.1)
+    assert np.nanmax(np.abs(four.height - truth_of(four))[inner]) < 0.03
+    assert four.count.max() == 4
+
+
+def test_the_step_is_kept() -> None:
+    found = estimate_of(mapped([dwell(number, np.random.default_rng(3)) for number in range(3)]))
+    north = found.north + found.cell_size * np.arange(found.height.shape[0])
+    away = np.abs(north - SPACING * ROWS / 2) > SPACING
+    assert np.nanmax(np.abs(found.height - truth_of(found))[away]) < 5 * SIGMA
+    assert np.mean(found.kind == GroundKind.MEASURED) > 0.9
+
+
+def test_a_refused_dwell_changes_nothing() -> None:
+    rng = np.random.default_rng(4)
+    ground = mapped([dwell(0, rng)], max_cells=3000)
+    before = estimate_of(ground)
+    with pytest.raises(Rejected, match="more than the 3000 that max_cells allows"):
+        ground.add(dwell(5, rng), APERTURE)
+    after = estimate_of(ground)
+    assert after.height.shape == before.height.shape
+    assert np.array_equal(after.height, before.height, equal_nan=True)
+
+
+def test_without_any_dwell_there_is_no_map() -> None:
+    ground = GroundMap(0.05, SPACING, 1000)
+    ground.settle()
+    assert ground.estimate() is None
+    assert ground.relief() is None
+
+
+def test_the_cell_size_suits_the_pixels() -> None:
+    for spacing, cell_size in ((0.09, 0.05), (0.14, 0.1), (30.0, 20.0)):
+        grid = Grid(np.zeros(3), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), spacing, spacing / 2, 4, 4)
+        assert np.isclose(fine_cell_size(grid), cell_size)

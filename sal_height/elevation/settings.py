@@ -9,7 +9,8 @@ from sal_height.settings import Settings, setting
 MISFIT_SHARE = 0.03
 """Share of a pixel's explained power that may be left beyond the noise before it counts as more than one scatterer.
 
-What errors of the beams leave grows with the power of the scatterer, and would reject every bright pixel.
+It is for the extent of the ground in a pixel: looks, and parts of a range cell, that differ in elevation leave a share
+of the power that does not depend on the CNR. Errors of the beams are counted apart (`beam_error`).
 """
 
 FALSE_ALARM_RATE = 1e-4

@@ -29,6 +29,19 @@ def any_response(seed: int = 1) -> np.ndarray:
     return 1 + 0.2 * (parts[0] + 1j * parts[1])
 
 
+def test_standard_errors_are_an_uncertainty_of_the_beams() -> None:
+    """Gains and phases count as they are, an error of the width by x h'(x); what was not measured adds nothing."""
+    beams, response = SENSOR.beams, np.ones(SHAPE)
+    gains = made(response, gain_sigma=np.array([0.03, np.nan, 0.0]), phase_sigma=np.array([0.04, np.nan, 0.05]))
+    assert gains.beam_uncertainty(beams) == pytest.approx(np.sqrt(0.05**2 * 2 / 3))
+    width = made(response, width_sigma=0.01).beam_uncertainty(beams)
+    directions = np.linspace(*beams.span, 1001)
+    offsets = directions[:, None] - np.array(SENSOR.elevation_boresights)
+    expected = 0.01 * np.sqrt(np.mean((offsets * beams.slope(directions, 0.0)) ** 2))
+    assert width == pytest.approx(expected, rel=0.05)
+    assert made(response).beam_uncertainty(beams) == 0
+
+
 def test_equalised_channels_have_one_response() -> None:
     response = any_response()
     samples = np.repeat(response[:, None], 4, axis=1).astype(np.complex64)

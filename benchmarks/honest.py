@@ -34,7 +34,6 @@ from sal_height.relief import HeightField
 from sal_height.runs.comparison import FOUND_ORDERS, TRUE_ORDERS, Comparison, compare
 from sal_height.simulation import Scene
 from sal_height.simulation.lit_surfaces import CONNECTED, LitSurfaces, lit_surfaces
-from sal_height.simulation.scene import LAYERS
 
 ROWS = 184
 """Of an image before looks are averaged: the range window, as in preset sal_spotlight."""
@@ -127,8 +126,7 @@ def measured(
     entry = ESTIMATORS[estimator]
     chosen = entry.settings(**{"range_looks": case.looks[0], "azimuth_looks": case.looks[1], **settings})
     field = heights(images.slc(case.cnr_db), images.sensor, entry, chosen)
-    scene = case.scene()
-    layers = 1.5 * scene.extent / LAYERS / scenes.STEP_OF_A_BEAMWIDTH
+    layers = 1.5 * case.scene().layer_spacing / scenes.STEP_OF_A_BEAMWIDTH
     connected = max(CONNECTED, layers)
     truth = lit_surfaces(images.surface, images.aperture, field.grid, images.cell, images.sensor.beams, connected)
     return field, truth, images

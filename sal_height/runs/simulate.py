@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.reader import BagReader
 from sal_height.io import new_folder, write_text, writing
@@ -29,6 +30,7 @@ from sal_height.runs.picture import draw_heights
 from sal_height.runs.profile import draw_profile
 from sal_height.runs.report import Mosaic, mosaic, statistics
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
+from sal_height.runs.surface_report import compared, surface_statistics
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
 RELIEF_MAP = "relief_map.tif"
@@ -90,8 +92,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         outcome = perform(plan, execution)
         conclude(outcome, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
-        mosaics = read_mosaics(bag, flight)
-        accuracy = accuracies(mosaics, stages)
+        mosaics, accuracy = read_accuracy(bag, flight, stages)
         report["estimators"] = accuracy
     if mosaics:
         with writing(folder / "height.png"):
@@ -101,19 +102,36 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     return Run(outcome, accuracy)
 
 
-def accuracies(mosaics: Mapping[str, Mosaic], stages: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Errors of each height node among `stages`, by prefix of its topics."""
+def read_accuracy(
+    bag: Path, flight: SimulatedFlight, stages: Sequence[str]
+) -> tuple[dict[str, Mosaic], dict[str, dict[str, Any]]]:
+    """Mosaic and errors of each height node among `stages`, by prefix of its topics; no mosaic without single surfaces.
+
+    Args:
+        bag: of a run or replay of the flight.
+        flight: the flight.
+        stages: names of nodes.
+    """
+    images = read_images(bag)
+    surfaces = {dwell: flight.surface(dwell) for dwell in {one.dwell for found in images.values() for one in found}}
+    mosaics = {name: mosaic(found, flight, surfaces) for name, found in images.items() if _has_single_surfaces(found)}
     prefixes = [HEIGHTS[name] for name in stages if name in HEIGHTS]
-    return {prefix: statistics(mosaics.get(prefix)) for prefix in prefixes}
+    accuracy = {prefix: statistics(mosaics.get(prefix)) for prefix in prefixes}
+    for prefix in set(prefixes) & images.keys():
+        accuracy[prefix]["surfaces"] = surface_statistics(*compared(images[prefix], flight, surfaces))
+    return mosaics, accuracy
 
 
-def read_mosaics(bag: Path, flight: SimulatedFlight) -> dict[str, Mosaic]:
-    """Combine the height images of each estimator in a bag; estimators without any valid pixel are left out."""
+def read_images(bag: Path) -> dict[str, list[HeightImage]]:
+    """The height images in a bag by the prefix of their estimator's topics; estimators without any are left out."""
     reader = BagReader(bag)
-    images: dict[str, list[Any]] = {prefix: [] for prefix in HEIGHTS.values()}
-    for message in reader.messages([f"/{prefix}/height" for prefix in images]):
+    images: dict[str, list[HeightImage]] = {}
+    for message in reader.messages([f"/{prefix}/height" for prefix in HEIGHTS.values()]):
         image = reader.decode(message.type_name, message.cdr)
-        images[image.estimator].append(image)
-    usable = {name: [i for i in found if 0 in i.validity] for name, found in images.items()}
-    surfaces = {dwell: flight.surface(dwell) for dwell in {image.dwell for found in images.values() for image in found}}
-    return {name: mosaic(images[name], flight, surfaces) for name, found in usable.items() if found}
+        images.setdefault(image.estimator, []).append(image)
+    return {prefix: images[prefix] for prefix in HEIGHTS.values() if prefix in images}
+
+
+def _has_single_surfaces(images: Sequence[HeightImage]) -> bool:
+    """Whether any pixel has the height of a single scatterer, of which mosaics are made."""
+    return any(HeightImage.OK in image.validity for image in images)

@@ -14,7 +14,7 @@ from scipy.interpolate import RegularGridInterpolator
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, angles_of, aperture_at, sphere_coordinates, sphere_point
 from sal_height.numeric import F64, Bool
-from sal_height.simulation.canopy import Canopy
+from sal_height.simulation.canopy import CANOPY_LAYERS, Canopy
 
 
 @dataclass(frozen=True)
@@ -115,6 +115,11 @@ class Scene:
     def reference_height(self) -> float:
         """Median terrain height and half the greatest height of the canopy, m: what a flight aims at."""
         return float(np.median(self.height)) + (self.canopy.top.max() / 2 if self.canopy else 0.0)
+
+    @property
+    def layer_spacing(self) -> float:
+        """Greatest spacing in height of the layers of scatterers at a place, m; 0: all are on the terrain."""
+        return max(self.extent / LAYERS, float(self.canopy.top.max()) / CANOPY_LAYERS if self.canopy else 0.0)
 
     def canopy_tops(self, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
         """Height of the canopy's top above the terrain (m) at arc distances `east`, `north` (m); 0 without a canopy."""

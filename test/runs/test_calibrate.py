@@ -19,8 +19,7 @@ from sal_height.runs.calibrate import CALIBRATION, calibrate
 from sal_height.runs.ensemble import HEIGHTS
 from sal_height.runs.picture import beam_width
 from sal_height.runs.replay import replay
-from sal_height.runs.report import statistics
-from sal_height.runs.simulate import read_mosaics, run
+from sal_height.runs.simulate import read_accuracy, run
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.preset import Preset, load_preset
@@ -77,7 +76,10 @@ def test_heights_are_better_with_it(impaired: Preset, flown: Path, calibrated: P
     replay(flown / "bag", tmp_path / "again", applied)
     flight = flight_of(impaired, 1)
     before, after = (
-        {name: statistics(one)["rms_m"] for name, one in read_mosaics(folder / "bag", flight).items()}
+        {
+            name: one["rms_m"]
+            for name, one in read_accuracy(folder / "bag", flight, ["monopulse", "ml_height"])[1].items()
+        }
         for folder in (flown, tmp_path / "again")
     )
     assert after["monopulse"] < 0.65 * before["monopulse"]

@@ -68,6 +68,22 @@ def test_the_report_has_the_errors_of_each_estimator(report: Any) -> None:
         assert 0 < numbers["crb_m"] < numbers["sigma_m"] * 2
 
 
+def test_the_report_leaves_no_published_surface_uncounted(report: Any, recorded: Path) -> None:
+    reader = BagReader(recorded / "bag")
+    for name in ("monopulse", "ml", "tracked"):
+        published = sum(
+            np.count_nonzero(np.isfinite(surface.height))
+            for message in reader.messages([f"/{name}/height"])
+            for surface in reader.decode(message.type_name, message.cdr).surfaces
+        )
+        numbers = report["estimators"][name]["surfaces"]
+        assert numbers["all"]["surfaces"] == published > 100
+        kinds = ("OK", "TWO_SCATTERERS", "THREE_SCATTERERS", "EXTENDED", "INTERPOLATED")
+        assert sum(numbers[kind]["surfaces"] for kind in kinds) == published
+        assert np.sum(numbers["confusion"]["pixels"]) > 100
+        assert 0.5 < numbers["lit_ground"]["right"] <= 1
+
+
 def test_tracked_heights_have_less_noise_than_those_they_were_tracked_from(report: Any) -> None:
     tracked, ml = report["estimators"]["tracked"], report["estimators"]["ml"]
     assert tracked["cells"] > 0.8 * ml["cells"]

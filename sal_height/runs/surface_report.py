@@ -1,0 +1,163 @@
+"""What report.json says of published surfaces: their errors by kind of pixel, ghosts, confusion, and the lit ground.
+
+Nothing that is published remains uncounted: each surface of each pixel with a height is in one of the kinds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from sal_height_msgs.msg import HeightImage
+
+from sal_height import messages
+from sal_height.elevation import USABLE, Validity
+from sal_height.imaging import azimuth_resolution, image_beams
+from sal_height.io import or_null
+from sal_height.numeric import F64, Bool
+from sal_height.relief import HeightField
+from sal_height.runs.comparison import (
+    FOUND_ORDERS,
+    TRUE_ORDERS,
+    Comparison,
+    PublishedErrors,
+    compare,
+    joined_comparisons,
+)
+from sal_height.simulation import SimulatedFlight, VisibleSurface
+from sal_height.simulation.lit_ground import GroundCells, ground_cells
+from sal_height.simulation.lit_surfaces import CONNECTED, lit_surfaces
+
+TOLERANCE_BEAMWIDTHS = 0.11
+"""Error, across the line of sight, up to which a height is called right: 6 cm of height in sal_spotlight."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroundCoverage:
+    """Cells of the ground that the images of a run reach by range and Doppler.
+
+    Attributes:
+        size: of a cell, m.
+        tolerance: error of a height up to which it is right, m.
+        lit: share of the cells that are lit and inside the array in some image.
+        shadow: share of the others that are inside the array in some image.
+        right: share of the lit cells for which a surface is published whose height is right: in the cell's pixel, or
+            in that before or behind it in range.
+    """
+
+    size: float
+    tolerance: float
+    lit: float
+    shadow: float
+    right: float
+
+
+def compared(
+    images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]
+) -> tuple[Comparison, GroundCoverage]:
+    """Compare all height images of one estimator with what their dwells saw.
+
+    Args:
+        images: of a simulated flight.
+        flight: the flight.
+        surfaces: what was lit in each dwell.
+    """
+    sensor, track = flight.sensor, flight.preset.flight
+    across = sensor.beamwidth * track.slant_range_m * np.sin(track.look_angle_rad)
+    layers = 1.5 * flight.scene.layer_spacing / across
+    spacing = images[0].grid
+    size = float(max(spacing.row_spacing / np.sin(track.look_angle_rad), spacing.col_spacing))
+    tolerance = float(TOLERANCE_BEAMWIDTHS * across)
+    comparisons, seen = [], []
+    for image in images:
+        field, aperture = messages.field_from_message(image), messages.aperture_from_message(image.aperture)
+        beams = image_beams(sensor, messages.recorded_azimuth_window(image.provenance))
+        cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, track.slant_range_m)
+        surface = surfaces[image.dwell]
+        truth = lit_surfaces(surface, aperture, field.grid, cell, beams, max(CONNECTED, layers))
+        comparisons.append(compare(field, truth, sensor.beamwidth))
+        cells = ground_cells(flight.scene, surface, aperture, field.grid, beams, sensor.look_side, size)
+        seen.append((cells, _is_right(field, cells, tolerance)))
+    return joined_comparisons(comparisons), _coverage(seen, size, tolerance)
+
+
+def _is_right(field: HeightField, cells: GroundCells, tolerance: float) -> Bool:
+    """Whether a surface of the pixel of each cell, or of the pixels next to it in range, has the cell's height."""
+    right = np.zeros(len(cells.height), dtype=bool)
+    for step in (-1, 0, 1):
+        row = np.clip(cells.pixel[:, 0] + step, 0, field.grid.rows - 1)
+        for surface in field.surfaces:
+            right |= np.abs(surface.height[row, cells.pixel[:, 1]] - cells.height) < tolerance
+    return right
+
+
+def _coverage(seen: Sequence[tuple[GroundCells, Bool]], size: float, tolerance: float) -> GroundCoverage:
+    """Coverage by all images together: a cell counts as lit, inside or right if it is so in one of them."""
+    numbers = np.concatenate([cells.number for cells, _ in seen])
+    _, which = np.unique(numbers, axis=0, return_inverse=True)
+
+    def anywhere(parts: Sequence[Bool]) -> Bool:
+        return np.bincount(which.ravel(), np.concatenate(parts).astype(np.float64)) > 0
+
+    inside = anywhere([cells.inside for cells, _ in seen])
+    lit = anywhere([cells.inside & cells.lit for cells, _ in seen])
+    right = anywhere([cells.inside & cells.lit & true for cells, true in seen])
+    shares = np.mean(lit), np.mean(inside & ~lit), np.mean(right) / max(np.mean(lit), np.finfo(float).tiny)
+    return GroundCoverage(size, tolerance, *(float(share) for share in shares))
+
+
+def surface_statistics(result: Comparison, coverage: GroundCoverage) -> dict[str, Any]:
+    """Part `surfaces` of an estimator's report: errors of all published surfaces and of each kind, and the lit ground.
+
+    `valid`: share of the lit pixels inside the array with a height; `missed`: share of the lit surfaces for which none
+    is published; `ghosts_in_shadow`: share of the pixels in shadow with a height; `confusion`: pixels by what they
+    hold (rows) and what was found; `lit_ground`: `GroundCoverage`.
+    """
+    kinds = {value.name: result.errors.where(result.errors.validity == value) for value in map(Validity, USABLE)}
+    return {
+        "valid": _share(result.valid, result.pixels),
+        "missed": _share(result.missed, result.surfaces),
+        "ghosts_in_shadow": _share(result.ghosts, result.shadow),
+        "all": error_statistics(result.errors),
+        **{name: error_statistics(errors) for name, errors in kinds.items()},
+        "confusion": {"true": list(TRUE_ORDERS), "found": list(FOUND_ORDERS), "pixels": result.confusion.tolist()},
+        "lit_ground": {
+            "cell_m": coverage.size,
+            "tolerance_m": coverage.tolerance,
+            "lit": coverage.lit,
+            "shadow": coverage.shadow,
+            "right": coverage.right,
+        },
+    }
+
+
+def error_statistics(errors: PublishedErrors) -> dict[str, Any]:
+    """Number of surfaces, number of those in shadow, and errors of the others from the nearest true surface.
+
+    `own_beyond_5_sigma` is the share that is farther than 5 sigma from the surface it should be, or has none.
+    """
+    near = errors.where(np.isfinite(errors.nearest))
+    off, own = np.abs(near.nearest) / near.sigma, np.abs(near.own) / near.sigma
+    low, middle, high = np.percentile(near.nearest, [16, 50, 84]) if len(off) else (np.nan,) * 3
+    return {
+        "surfaces": len(errors.sigma),
+        "in_shadow": int(np.count_nonzero(errors.ghost)),
+        "bias_m": _mean(near.nearest),
+        "median_m": or_null(float(middle)),
+        "s68_m": or_null(float(high - low) / 2),
+        "sigma_m": _mean(near.sigma),
+        "within_1_sigma": _mean(off < 1),
+        "within_2_sigma": _mean(off < 2),
+        "beyond_5_sigma": _mean(off > 5),
+        "own_beyond_5_sigma": _mean(~(own <= 5)),
+    }
+
+
+def _mean(values: F64 | Bool) -> float | None:
+    return float(np.mean(values)) if values.size else None
+
+
+def _share(part: int, whole: int) -> float | None:
+    return part / whole if whole else None

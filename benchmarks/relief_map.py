@@ -16,7 +16,7 @@ from benchmarks.memory import resident
 from benchmarks.row import Row, medians, sized
 from sal_height import messages
 from sal_height.geometry import ApertureState, above_place
-from sal_height.relief import HeightField, ReliefMap, Surface
+from sal_height.relief import HeightField, ReliefMap, Surface, circle_covariance
 
 SIDE = sized(512, 32)
 DWELLS, WARM_UP = sized((1000, 50), (3, 1))
@@ -57,7 +57,7 @@ def throughput() -> Iterator[Row]:
 
 def _enter(relief_map: ReliefMap, image: HeightImage) -> None:
     """What the node does with a message."""
-    relief_map.add(messages.field_from_message(image).first, messages.aperture_from_message(image.aperture))
+    relief_map.add(messages.field_from_message(image))
 
 
 def _height_image() -> HeightImage:
@@ -74,7 +74,8 @@ def _height_image() -> HeightImage:
     height = np.random.default_rng(1).normal(0.1, 0.1, ground.shape)
     positions = ground.pixels()
     positions[..., 2] = above_place(positions[..., 0], positions[..., 1], height)[..., 2]
-    surface = Surface.at(positions, height, np.full(ground.shape, 0.15), np.full(ground.shape, 20.0))
+    own = circle_covariance(np.full(ground.shape, 0.1), positions, aperture)
+    surface = Surface.seen_from(aperture, positions, own, np.full(ground.shape, 20.0))
     field = HeightField(ground, np.zeros(ground.shape, np.uint8), (surface,))
     slc = ComplexImage(header=Header(frame_id=messages.MAP_FRAME))
     return messages.height_to_message(field, aperture, (2, 2), "ml", slc, Provenance())

@@ -26,6 +26,7 @@ from sal_height.messages.frames import (
     state_to_message,
 )
 from sal_height.messages.heights import (
+    POINT_FIELDS,
     bad_pixel_warning,
     bad_pixels,
     field_from_message,
@@ -41,6 +42,7 @@ from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 __all__ = [
     "LONGEST_DWELL",
     "MAP_FRAME",
+    "POINT_FIELDS",
     "aperture_from_message",
     "bad_pixel_warning",
     "bad_pixels",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import array
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from sal_height_msgs import msg as messages
@@ -16,6 +15,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, above_place
 from sal_height.messages.basics import (
     MAP_FRAME,
+    aperture_from_message,
     aperture_to_message,
     check_geometry,
     float_view,
@@ -24,8 +24,8 @@ from sal_height.messages.basics import (
     to_bytes,
     to_floats,
 )
-from sal_height.numeric import F32, F64
-from sal_height.relief import HeightField, Surface, scatterer_count
+from sal_height.numeric import F32, F64, Bool
+from sal_height.relief import HeightField, Surface, covariances_from_sigma, is_covariance, scatterer_count
 
 LAYERS = ("height", "sigma", "cnr_db", "east", "north")
 """Names of the fields of a Surface message that have a number per pixel, always."""
@@ -35,6 +35,13 @@ OPTIONAL = {"spread": 1, "covariance": 6, "common_covariance": 6}
 
 TRIANGLE = np.triu_indices(3)
 """Rows and columns of the six numbers of a covariance, in the order of the message."""
+
+POINT_FIELDS = (
+    *("x", "y", "z", "height", "sigma", "cnr_db", "spread", "surface"),
+    *("cov_ee", "cov_en", "cov_eu", "cov_nn", "cov_nu", "cov_uu"),
+)
+"""Fields of the points of a height image: place in map (m), the layers of Surface, the number of the surface, strongest
+first, and the covariance of the place with that from the pose, m^2."""
 
 
 def height_to_message(
@@ -68,7 +75,8 @@ def _surface_to_message(surface: Surface, grid: Grid) -> messages.Surface:
     values = (surface.height, surface.sigma, surface.cnr_db, offset[..., 0], offset[..., 1])
     message = messages.Surface(**{name: to_floats(numbers) for name, numbers in zip(LAYERS, values, strict=True)})
     message.spread = to_floats(surface.spread)
-    message.covariance = to_floats(surface.own_covariance[..., *TRIANGLE])
+    if np.isfinite(surface.own_covariance[..., 0, 0]).any():
+        message.covariance = to_floats(surface.own_covariance[..., *TRIANGLE])
     if surface.common_covariance is not None:
         message.common_covariance = to_floats(surface.common_covariance[..., *TRIANGLE])
     return message
@@ -77,8 +85,9 @@ def _surface_to_message(surface: Surface, grid: Grid) -> messages.Surface:
 def field_from_message(image: messages.HeightImage) -> HeightField:
     """Return the surfaces of a HeightImage.
 
-    A pixel that is usable by its validity but one of whose scatterers has no finite height, sigma, east or north, or a
-    sigma that is not greater than 0, gets the validity MISSING_DATA; `bad_pixels` counts them.
+    A pixel that is usable by its validity but one of whose scatterers has no finite height, sigma, east or north, a
+    sigma that is not greater than 0, or a matrix that is no covariance, gets the validity MISSING_DATA; `bad_pixels`
+    counts them. Images of older versions tell no covariance: it then follows from sigma and the pose.
 
     Raises:
         Rejected: the image cannot be used; the sentence names the field, its value and what is allowed.
@@ -93,10 +102,11 @@ def field_from_message(image: messages.HeightImage) -> HeightField:
     check_geometry(image.grid, image.aperture, where)
     validity = np.array(image.validity, dtype=np.uint8).reshape(grid.shape)
     held = np.where(validity == Validity.INTERPOLATED, 1, scatterer_count(validity))
-    surfaces = [_surface_from_message(surface, grid) for surface in image.surfaces]
+    aperture = aperture_from_message(image.aperture)
+    surfaces = [_surface_from_message(surface, grid, aperture) for surface in image.surfaces]
     sound = held <= len(surfaces)
     for number, surface in enumerate(surfaces):
-        sound &= surface.is_determined | (held <= number)
+        sound &= _is_sound(surface) | (held <= number)
     validity[~sound] = Validity.MISSING_DATA
     held[~sound] = 0
     probability = float_view(image.order_probability, (*grid.shape, ORDERS)) if image.order_probability else None
@@ -132,19 +142,25 @@ def _check_sizes(image: messages.HeightImage, grid: Grid, where: str) -> None:
             )
 
 
-def _surface_from_message(message: messages.Surface, grid: Grid) -> Surface:
-    """A surface; what is not told is 0 (spread), NaN (covariance) or None."""
+def _surface_from_message(message: messages.Surface, grid: Grid, aperture: ApertureState) -> Surface:
+    """A surface seen from `aperture`; spread that is not told is 0, covariance that is not told follows from sigma."""
     height, sigma, cnr_db, east, north = (
         float_view(getattr(message, name), grid.shape).astype(np.float64) for name in LAYERS
     )
-    surface = Surface.at(above_place(grid.origin[0] + east, grid.origin[1] + north, height), height, sigma, cnr_db)
-    if message.spread:
-        surface = replace(surface, spread=float_view(message.spread, grid.shape).astype(np.float64))
+    positions = above_place(grid.origin[0] + east, grid.origin[1] + north, height)
+    spread = float_view(message.spread, grid.shape).astype(np.float64) if message.spread else np.zeros(grid.shape)
     if message.covariance:
-        surface = replace(surface, own_covariance=_covariance(message.covariance, grid))
-    if message.common_covariance:
-        surface = replace(surface, common_covariance=_covariance(message.common_covariance, grid))
-    return surface
+        own = _covariance(message.covariance, grid)
+        common = _covariance(message.common_covariance, grid) if message.common_covariance else None
+    else:
+        own, common = covariances_from_sigma(sigma, positions, aperture)
+    return Surface(height, sigma, cnr_db, positions, spread, own, common)
+
+
+def _is_sound(surface: Surface) -> Bool:
+    """Where a surface can be used: place, height, sigma and the covariances are possible values, (rows, cols)."""
+    sound = surface.is_determined & is_covariance(surface.own_covariance)
+    return sound if surface.common_covariance is None else sound & is_covariance(surface.common_covariance)
 
 
 def _covariance(numbers: Sequence[float], grid: Grid) -> F64:
@@ -165,7 +181,8 @@ def bad_pixel_warning(image: messages.HeightImage, count: int) -> UserError:
     """Return the warning that says how many pixels of a height image were masked."""
     return UserError(
         f"HeightImage of dwell {image.dwell}: {count} of {len(image.validity)} pixels are usable by their validity, "
-        "but their height, sigma, east or north is not finite, or sigma is not greater than 0; they are left out."
+        "but their height, sigma, east, north or covariance is not finite, sigma is not greater than 0, or a "
+        "covariance is not positive semidefinite; they are left out."
     )
 
 
@@ -182,9 +199,9 @@ def float_picture(values: F32, header: Header) -> Image:
 
 
 def height_points(field: HeightField, image: messages.HeightImage) -> PointCloud2:
-    """Return all scatterers as a cloud of points x, y, z (m, map) with height, sigma (m) and cnr_db for viewers."""
-    points = np.concatenate([_points(surface) for surface in field.surfaces])
-    return point_cloud(points, ("x", "y", "z", "height", "sigma", "cnr_db"), image.header)
+    """Return all scatterers as a cloud of points for viewers, with the fields POINT_FIELDS."""
+    points = np.concatenate([_points(surface, number) for number, surface in enumerate(field.surfaces)])
+    return point_cloud(points, POINT_FIELDS, image.header)
 
 
 def point_cloud(points: F32, names: Sequence[str], header: Header) -> PointCloud2:
@@ -201,8 +218,11 @@ def point_cloud(points: F32, names: Sequence[str], header: Header) -> PointCloud
     )
 
 
-def _points(surface: Surface) -> F32:
-    """Return position, height, sigma and CNR of the scatterers of a surface, shape (scatterers, 6)."""
+def _points(surface: Surface, number: int) -> F32:
+    """Return the scatterers of a surface as points, shape (scatterers, POINT_FIELDS)."""
     seen = np.isfinite(surface.height)
-    columns = [*surface.positions[seen].T, surface.height[seen], surface.sigma[seen], surface.cnr_db[seen]]
-    return np.ascontiguousarray(np.stack(columns, axis=-1), dtype=np.float32)
+    layers = (surface.height, surface.sigma, surface.cnr_db, surface.spread)
+    columns = [*surface.positions[seen].T, *(layer[seen] for layer in layers)]
+    covariance = surface.covariance[seen][:, *TRIANGLE]
+    which = np.full(len(covariance), number)
+    return np.ascontiguousarray(np.column_stack([*columns, which, covariance]), dtype=np.float32)

@@ -45,13 +45,13 @@ class ReliefMapper(MapStage):
         self._map: relief_map.ReliefMap | None = None
 
     def entered(self, field: HeightField, aperture: ApertureState) -> relief_map.ReliefMap:
-        """Enter the first surface of each pixel; the cells of the map hold a pixel of the first height image."""
+        """Enter the scatterers of each pixel; the cells of the map hold a pixel of the first height image."""
         if self._map is None:
             cell_size = self._settings.cell_size_m or relief_map.fitting_cell_size(field.grid, aperture)
             grown = relief_map.ReliefMap(cell_size, self._settings.max_cells)
         else:
             grown = self._map
-        grown.add(field.first, aperture)
+        grown.add(field)
         return grown
 
 

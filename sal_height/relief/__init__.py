@@ -1,6 +1,7 @@
 """From elevation to heights on the ground, tracked over pixels and gathered from many dwells.
 
-Read `heights` first (elevation, range and Doppler to height, place and sigma) with `rows` (those estimated apart), then
+Read `heights` first (elevation, range and Doppler to height, place and sigma) with `position_error` (covariance of the
+place; error of height at a place), `slope` (of the ground, from neighbours) and `rows` (those estimated apart), then
 `range_tracking` and `field_tracking` (Gauss-Markov smoothing along range, and along the track too, with the
 `settings`), `tracked` (the smoothed heights, placed), `ground` (the ground from all surfaces of all dwells, with
 `layers`, `membrane` and `visibility`), `ground_map` (that estimate, brought up to date with each dwell), `map` (the
@@ -14,6 +15,13 @@ from sal_height.relief.ground_map import GroundMap, fine_cell_size
 from sal_height.relief.heights import HeightField, Surface, height_field, scatterer_count
 from sal_height.relief.layers import Layers, layers_of, merged
 from sal_height.relief.map import Relief, ReliefMap
+from sal_height.relief.position_error import (
+    circle_covariance,
+    covariances_from_sigma,
+    height_variance,
+    is_covariance,
+    variance_at_place,
+)
 from sal_height.relief.range_tracking import (
     MeasuredHeights,
     ReliefPrior,
@@ -24,6 +32,7 @@ from sal_height.relief.range_tracking import (
 )
 from sal_height.relief.rows import joined_rows
 from sal_height.relief.settings import GroundSettings, TrackingSettings
+from sal_height.relief.slope import ground_slope
 from sal_height.relief.tracked import ground_spacings, track
 
 __all__ = [
@@ -42,11 +51,16 @@ __all__ = [
     "TrackedRelief",
     "TrackingSettings",
     "check_geotiff",
+    "circle_covariance",
+    "covariances_from_sigma",
     "estimated_ground",
     "filtered",
     "fine_cell_size",
+    "ground_slope",
     "ground_spacings",
     "height_field",
+    "height_variance",
+    "is_covariance",
     "joined_rows",
     "layers_of",
     "merged",
@@ -55,5 +69,6 @@ __all__ = [
     "smoothed_field",
     "steady_sigmas",
     "track",
+    "variance_at_place",
     "write_geotiff",
 ]

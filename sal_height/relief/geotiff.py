@@ -13,8 +13,8 @@ from sal_height.io import write_whole
 from sal_height.relief.map import Relief
 
 BANDS = {
-    "height": "mean height above the sphere of 6371008.8 m that touches the earth at the map's origin, m",
-    "sigma": "standard deviation of the mean height, m",
+    "height": "height at the cell's centre, above the sphere of 6371008.8 m that touches the earth at the origin, m",
+    "sigma": "standard deviation of the height at that place, m",
     "disagreement": "spread of the dwells' heights over that expected from sigma (Birge ratio)",
     "count": "number of height images that saw the cell",
 }

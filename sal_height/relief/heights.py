@@ -9,23 +9,15 @@ from typing import Self
 import numpy as np
 
 from sal_height.elevation import SCATTERERS, ElevationEstimate, Looks, Scatterer, Validity
-from sal_height.geometry import (
-    EARTH_RADIUS,
-    ApertureState,
-    Grid,
-    angles_of,
-    aperture_at,
-    height_of,
-    locate_at_elevation,
-    look_direction,
-)
+from sal_height.geometry import ApertureState, Grid, aperture_at, height_of, locate_at_elevation
 from sal_height.numeric import F64, U8, Bool
-
-RIGHT = 1
-"""Look side for which elevations on both sides are computed; those on the left are then negative."""
-
-SLOPE_STEP = 1e-6
-"""Half step of the central difference for the derivative of height by elevation, rad."""
+from sal_height.relief.position_error import (
+    covariance_of,
+    height_variance,
+    pose_covariance,
+    position_jacobian,
+    vertical,
+)
 
 
 @dataclass(frozen=True)
@@ -54,6 +46,25 @@ class Surface:
     def at(cls, positions: F64, height: F64, sigma: F64, cnr_db: F64) -> Self:
         """A surface of single points, whose covariance is not known."""
         return cls(height, sigma, cnr_db, positions, np.zeros_like(height), np.full((*height.shape, 3, 3), np.nan))
+
+    @classmethod
+    def seen_from(
+        cls, aperture: ApertureState, positions: F64, own_covariance: F64, cnr_db: F64, spread: F64 | None = None
+    ) -> Self:
+        """A surface with what the pose of the aperture adds to its covariance; arguments as the attributes.
+
+        Spread None: a surface of single points.
+        """
+        common = pose_covariance(positions, aperture)
+        variance = height_variance(own_covariance if common is None else own_covariance + common, positions)
+        height = height_of(positions)
+        spread = np.zeros_like(height) if spread is None else spread
+        return cls(height, np.sqrt(variance), cnr_db, positions, spread, own_covariance, common)
+
+    @property
+    def covariance(self) -> F64:
+        """Covariance of the position with that from the pose, as far as it is known, m^2, shape (rows, cols, 3, 3)."""
+        return self.own_covariance if self.common_covariance is None else self.own_covariance + self.common_covariance
 
     @property
     def is_determined(self) -> Bool:
@@ -111,9 +122,10 @@ def height_field(
     """Compute height, its standard deviation and the ground position of every pixel.
 
     Range and Doppler are those of the looks' power-weighted centre; the elevation selects the point on their circle.
-    The variance of height is the sum of that from elevation, times (d height / d elevation)^2; that from range, times
-    (d height / d range)^2, because the centre of the speckle within its range cell is unknown, which limits the height
-    at high CNR; and that from the platform's pose (`pose_variance`), which all pixels of the dwell share.
+    The errors of elevation, of range and of Doppler are independent (`position_error.covariance_of`); those of range
+    and Doppler are there because the centre of the speckle within its cell is unknown, which limits the height at high
+    CNR. What the platform's pose adds (`position_error.pose_covariance`) is common to all pixels of the dwell. The
+    variance of height is that of both parts along the vertical.
 
     Args:
         estimate: elevations.
@@ -130,23 +142,20 @@ def height_field(
     sight = points - aperture.position
     slant_range = np.linalg.norm(sight, axis=-1)
     along = sight @ aperture.direction + slant_range * radial_velocity / np.linalg.norm(aperture.velocity)
-    range_step = slc_grid.row_spacing
-    range_sigma = range_step * np.abs(sight @ slc_grid.row_direction) / slant_range / np.sqrt(12 * looks.count)
+    # The centre of the speckle is somewhere in its cell, in each look at another place.
+    depth = slc_grid.row_spacing * np.abs(sight @ slc_grid.row_direction) / slant_range
+    width = slc_grid.col_spacing * np.abs(slc_grid.col_direction @ aperture.direction)
+    range_sigma, along_sigma = (side / np.sqrt(12 * looks.count) for side in (depth, width))
 
     def surface(scatterer: Scatterer) -> Surface:
         """Height and position of scatterers; NaN where there is no such direction."""
-        elevation, cnr = scatterer.elevation, scatterer.cnr
-        positions = locate_at_elevation(elevation, slant_range, along, aperture, look_side)
-        height = height_of(positions)
-        farther = locate_at_elevation(elevation, slant_range + range_step, along, aperture, look_side)
-        depth = (height_of(farther) - height) / range_step
-        slope = _height_slope(elevation, slant_range, along, aperture, look_side)
-        variance = (scatterer.sigma * slope) ** 2 + (range_sigma * depth) ** 2
-        variance += pose_variance(elevation, slope, positions, aperture, look_side)
+        positions = locate_at_elevation(scatterer.elevation, slant_range, along, aperture, look_side)
+        jacobian = position_jacobian(positions, aperture)
+        own = covariance_of(jacobian, np.stack([scatterer.sigma, range_sigma, along_sigma], axis=-1))
         with np.errstate(divide="ignore", invalid="ignore"):
-            cnr_db = 10 * np.log10(np.where(cnr > 0, cnr, np.nan))
-        placed = Surface.at(positions, height, np.sqrt(variance), cnr_db)
-        return replace(placed, spread=np.abs(scatterer.spread * slope))
+            cnr_db = 10 * np.log10(np.where(scatterer.cnr > 0, scatterer.cnr, np.nan))
+        spread = scatterer.spread * np.abs(np.sum(jacobian[..., 0] * vertical(positions), axis=-1))
+        return Surface.seen_from(aperture, positions, own, cnr_db, spread)
 
     surfaces = [surface(scatterer) for scatterer in estimate.scatterers]
     validity = _checked_validity(estimate.validity, surfaces)
@@ -163,15 +172,6 @@ def scatterer_count(validity: U8) -> U8:
     return table[validity]
 
 
-def _height_slope(elevation: F64, slant_range: F64, along: F64, aperture: ApertureState, look_side: int) -> F64:
-    """Derivative of height by elevation on the circles of range and Doppler, m/rad, by central differences."""
-    below, above = (
-        height_of(locate_at_elevation(elevation + step, slant_range, along, aperture, look_side))
-        for step in (-SLOPE_STEP, SLOPE_STEP)
-    )
-    return (above - below) / (2 * SLOPE_STEP)
-
-
 def _checked_validity(validity: U8, surfaces: Sequence[Surface]) -> U8:
     """The validity with a reason where measurements could be used, but a height or its sigma is not determined.
 
@@ -183,46 +183,3 @@ def _checked_validity(validity: U8, surfaces: Sequence[Surface]) -> U8:
     placed = np.isfinite(surfaces[0].positions).all(axis=-1)
     reason = np.select([held > 1, placed], [Validity.NOT_ONE_SCATTERER, Validity.LOW_CNR], Validity.OUTSIDE_ARRAY)
     return np.where(determined < held, reason, validity).astype(np.uint8)
-
-
-def pose_variance(elevation: F64, slope: F64, positions: F64, aperture: ApertureState, look_side: int) -> F64:
-    """Variance of height (m^2) that results from the covariance of the platform's pose, shape (rows, cols).
-
-    An error of the platform's position displaces the scatterer by as much. A small error of the body's rotation turns
-    the plane of its elevation, and the scatterer moves on its circle of range and Doppler, which are measured: to first
-    order as if the elevation changed by the rotation about the body's x axis (but for the squint). A covariance that
-    is 0 or not finite counts as unknown and adds nothing.
-
-    Args:
-        elevation: rad, shape (rows, cols).
-        slope: of height over elevation, m/rad.
-        positions: of the scatterers in map, m, shape (rows, cols, 3).
-        aperture: state of the platform, not sliding (`geometry.aperture_at`); its covariance is of position and of
-            rotation about the axes of map, as in nav_msgs/Odometry.
-        look_side: +1 right, -1 left.
-    """
-    if not (np.all(np.isfinite(aperture.covariance)) and np.any(aperture.covariance)):
-        return np.zeros(elevation.shape)
-    sight = positions - aperture.position
-    ahead = look_direction(elevation, 0.0, look_side) @ aperture.rotation.T
-    across = look_direction(elevation + np.pi / 2, 0.0, look_side) @ aperture.rotation.T
-    turned = np.cross(sight, across) / np.sum(sight * ahead, axis=-1, keepdims=True)
-    centre = positions + np.array([0.0, 0.0, EARTH_RADIUS])
-    up = centre / np.linalg.norm(centre, axis=-1, keepdims=True)
-    gradient = np.concatenate([up, slope[..., None] * turned], axis=-1)
-    return np.maximum(np.sum(gradient @ aperture.covariance * gradient, axis=-1), 0.0)
-
-
-def shared_variance(positions: F64, aperture: ApertureState) -> F64:
-    """Variance of height (m^2) from the pose, of scatterers at `positions` in map (m, shape (..., 3)).
-
-    It is `pose_variance` on their circles of range and Doppler, an error that all pixels of a dwell share; NaN where a
-    position is NaN.
-    """
-    if not np.any(aperture.covariance):
-        return np.zeros(positions.shape[:-1])
-    aperture = aperture_at(positions, aperture)
-    sight = positions - aperture.position
-    slant_range, elevation, _ = angles_of(positions, aperture, RIGHT)
-    slope = _height_slope(elevation, slant_range, sight @ aperture.direction, aperture, RIGHT)
-    return pose_variance(elevation, slope, positions, aperture, RIGHT)

@@ -3,10 +3,16 @@
 The grid lies along the arc distances east and north of `geometry.sphere_coordinates`; the edges of its cells are at
 multiples of the cell size, so that maps of different flights fit.
 
-The map takes the only or the stronger scatterer of each pixel. The weaker one has a position, too, but it may be a
-false alarm, and a map used for navigation must not hold obstacles that do not exist; it stays in the points of dwells.
+The map takes the strongest scatterer of each pixel, and a weaker one if it is all but certain to be there
+(LEAST_SUPPORT): a map used for navigation must not hold obstacles that do not exist, so a false alarm of the order of a
+pixel must stay out; and it must not miss a kerb or a car whose brighter neighbour in layover is the road. Estimators
+that state no probability give their strongest scatterers only; the others stay in the points of dwells.
 
-Sigma is the standard deviation of the mean height of what was seen of a cell, not the spread of the ground within it.
+The height of a cell is that of the ground at its centre: heights are moved there along the slope of the ground
+(`slope.ground_slope`). Sigma is that of a height at a fixed place, on ground of that slope
+(`position_error.variance_at_place`). Where the slope is not known, heights are not moved, sigma is that of the worst
+slope up to STEEPEST, and what such a slope makes of the distance to the centre is added.
+
 Within a dwell the errors of the pixels are independent, except for the part caused by the platform's pose: all pixels
 share it, and averaging does not reduce it. Errors of different dwells are assumed independent; sigma is too small if a
 slowly drifting pose errs in the same way for several dwells, or if a spatial prior couples neighbouring pixels.
@@ -14,21 +20,28 @@ slowly drifting pose errs in the same way for several dwells, or if a spatial pr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.elevation import ORDERS
 from sal_height.errors import Rejected
-from sal_height.geometry import ApertureState, Grid, height_of, sphere_coordinates, sphere_point
-from sal_height.numeric import F32, F64, I64, U8
-from sal_height.relief.heights import Surface, shared_variance
+from sal_height.geometry import ApertureState, Grid, sphere_coordinates
+from sal_height.numeric import F32, F64, I64, U8, Bool
+from sal_height.relief.heights import HeightField, Surface
+from sal_height.relief.position_error import STEEPEST, variance_at_place
+from sal_height.relief.slope import ground_slope
+from sal_height.relief.tracked import ground_spacings
 
 TILE = 256
 """Side in cells of the square tiles by which the memory of a map grows."""
 
-SMOOTH = 1e-3
-"""Ground distance, as a share of the flight height, over which the variance caused by the pose hardly changes."""
+LEAST_SUPPORT = 0.99
+"""Least probability that a pixel holds a weaker scatterer, with which that enters a map."""
+
+STEP = 2.5
+"""Spread of heights in a cell, over what their errors let expect, beyond which the cell holds a step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +52,11 @@ class Relief:
         east: arc distance of the centre of cell (0, 0) from the map's origin, m.
         north: the same, m.
         cell_size: m.
-        height: mean height above the sphere, m; NaN where nothing was seen.
-        sigma: standard deviation of that mean, m; NaN where nothing was seen.
+        height: of the ground at the centre of the cell, above the sphere, m; NaN where nothing was seen.
+        sigma: standard deviation of that height, m; NaN where nothing was seen.
         disagreement: spread of the dwells' heights over that expected from sigma: the square root of chi-square per
             degree of freedom (Birge ratio, Phys. Rev. 40, 1932, p. 207). Near 1 if sigma is right; greater where
-            something moved, or the ground within the cell is steep. NaN where fewer than two dwells saw the cell.
+            something moved. NaN where fewer than two dwells saw the cell.
         count: number of dwells that saw the cell.
         kind: what each height rests on (`GroundKind`), uint8; None: on measurements, wherever it is not NaN.
     """
@@ -77,18 +90,20 @@ class ReliefMap:
         # Of each cell: mean height (m), 1 / its variance (1/m^2), chi-square and number of dwells.
         self._tiles: dict[tuple[int, int], F64] = {}
 
-    def add(self, surface: Surface, aperture: ApertureState) -> None:
-        """Enter the heights that a dwell saw from `aperture`; if they are refused, the map does not change.
+    def add(self, field: HeightField) -> None:
+        """Enter the heights of a dwell; if they are refused, the map does not change.
 
         Raises:
             Rejected: the map would have more than `max_cells` cells.
         """
-        seen = np.isfinite(surface.height + surface.sigma + surface.positions.sum(axis=-1))
-        if not seen.any():
+        spacing = min(ground_spacings(field.grid))
+        pixels = _joined(
+            [_pixels(surface, there, spacing) for surface, there in zip(field.surfaces, _supported(field), strict=True)]
+        )
+        if not pixels.height.size:
             return
-        east, north, _ = sphere_coordinates(surface.positions[seen])
-        cells = np.floor(np.stack([north, east]) / self.cell_size).astype(np.int64)
-        corners = np.stack([cells.min(axis=1), cells.max(axis=1)])
+        cells = np.floor(pixels.place / self.cell_size).astype(np.int64)[:, ::-1]
+        corners = np.stack([cells.min(axis=0), cells.max(axis=0)])
         if self._corners is not None:
             corners = np.stack([np.minimum(corners[0], self._corners[0]), np.maximum(corners[1], self._corners[1])])
         rows, cols = (corners[1] - corners[0] + 1).tolist()
@@ -98,7 +113,7 @@ class ReliefMap:
                 f"With these heights the map would have {rows} x {cols} cells of {self.cell_size:g} m, more than the "
                 f"{self.max_cells} that max_cells allows.",
             )
-        self._enter(*_averaged(cells, surface.height[seen], surface.sigma[seen], self.cell_size, aperture))
+        self._enter(*_averaged(pixels, cells, self.cell_size))
         self._corners = corners
 
     def _enter(self, row: I64, col: I64, height: F64, weight: F64) -> None:
@@ -159,44 +174,95 @@ def fitting_cell_size(grid: Grid, aperture: ApertureState) -> float:
     return float(next(step * decade for step in (1, 2, 5, 10) if step * decade >= pixel * (1 - 1e-9)))
 
 
-def _averaged(
-    cells: I64, height: F64, sigma: F64, cell_size: float, aperture: ApertureState
-) -> tuple[I64, I64, F64, F64]:
-    """Average the pixels in each cell with the weights w = 1 / sigma^2.
+@dataclass(frozen=True, eq=False)
+class _Pixels:
+    """Heights of a dwell for a map, one for each scatterer.
 
-    If a part c of the variances is common to all pixels, the variance of the mean is
-    sum w^2 (sigma^2 - c) / (sum w)^2 + c = 1 / sum w + c (1 - sum w^2 / (sum w)^2).
+    Attributes:
+        place: arc distances east and north of the map's origin, m, shape (pixels, 2).
+        height: m, shape (pixels,).
+        slope: of the ground towards east and north, m/m, shape (pixels, 2); 0 where it is not known.
+        known: whether the slope is known, shape (pixels,).
+        own: variance of the height at that place, m^2, shape (pixels,).
+        common: its part that the pixels of the dwell share, m^2.
+    """
+
+    place: F64
+    height: F64
+    slope: F64
+    known: Bool
+    own: F64
+    common: F64
+
+
+def _supported(field: HeightField) -> list[Bool]:
+    """Which pixels of each surface enter a map."""
+    always, never = np.ones(field.grid.shape, np.bool_), np.zeros(field.grid.shape, np.bool_)
+    probability = field.order_probability
+    if probability is None:
+        return [always] + [never] * (len(field.surfaces) - 1)
+    points = probability[..., : ORDERS - 1]  # of 0, 1, 2, 3 scatterers
+    weaker = [points[..., number + 1 :].sum(axis=-1) >= LEAST_SUPPORT for number in range(1, len(field.surfaces))]
+    return [always, *weaker]
+
+
+def _pixels(surface: Surface, there: Bool, spacing: float) -> _Pixels:
+    """The scatterers of a surface that enter a map; `spacing` of pixels on the ground, m."""
+    points = np.stack(sphere_coordinates(surface.positions), axis=-1)
+    slope = ground_slope(points, surface.own_covariance, spacing)
+    own = variance_at_place(surface.own_covariance, slope)
+    common = np.zeros_like(own)
+    if surface.common_covariance is not None:
+        common = variance_at_place(surface.common_covariance, slope)
+    seen = there & np.isfinite(points).all(axis=-1) & np.isfinite(own + common) & (own > 0)
+    known = np.isfinite(slope[..., 0])
+    slope = np.where(known[..., None], slope, 0.0)
+    return _Pixels(points[seen][:, :2], points[seen][:, 2], slope[seen], known[seen], own[seen], common[seen])
+
+
+def _joined(parts: list[_Pixels]) -> _Pixels:
+    return _Pixels(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(_Pixels)))
+
+
+def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, F64, F64]:
+    """Height at the centre of each cell that was seen: the mean of its pixels, moved along their mean slope.
+
+    The weights are w = 1 / variance; own parts add up to sum w^2 own / (sum w)^2, and of the common part, which is one
+    error, the mean sigma is taken. Where slopes are not known, what ground of STEEPEST makes of the distance to the
+    centre is added; and where the heights in the cell spread by more than STEP times their errors, that spread: the
+    cell holds a step, and its centre lies on either side.
 
     Args:
-        cells: row and column of each pixel's cell, shape (2, pixels).
-        height: m, shape (pixels,).
-        sigma: m, shape (pixels,).
+        pixels: of a dwell.
+        cells: row and column of each pixel's cell, shape (pixels, 2).
         cell_size: m.
-        aperture: from which they were seen.
 
     Returns:
-        Row and column of the cells that were seen, in the order of rows, and their mean height (m) and 1 / its variance
-        (1/m^2).
+        Row and column of the cells, in the order of rows, their heights (m) and 1 / their variances (1/m^2).
     """
-    first = cells.min(axis=1)
-    shape = tuple(cells.max(axis=1) - first + 1)
-    index = np.ravel_multi_index(tuple(cells - first[:, None]), shape)
-    weight = 1 / sigma**2
+    first = cells.min(axis=0)
+    shape = tuple(cells.max(axis=0) - first + 1)
+    index = np.ravel_multi_index(tuple((cells - first).T), shape)
+    weight = 1 / (pixels.own + pixels.common)
     total = np.bincount(index, weight)
     seen = np.flatnonzero(total)
+    index = np.searchsorted(seen, index)
+    total = total[seen]
+
+    def mean(values: F64) -> F64:
+        return np.bincount(index, weight * values) / total
+
+    offset = cell_size * (cells[:, ::-1] + 0.5) - pixels.place
+    slope = np.stack([mean(axis) for axis in pixels.slope.T], axis=-1)
+    at_centre = pixels.height + np.sum(slope[index] * offset, axis=-1)
+    height = mean(at_centre)
+    doubt = mean(np.where(pixels.known, 0.0, STEEPEST * np.hypot(*offset.T)))
+    spread, expected = mean((at_centre - height[index]) ** 2), mean(pixels.own)
+    step = np.where(spread > STEP**2 * expected, spread, 0.0)
+    own = np.bincount(index, weight**2 * pixels.own) / total**2
+    variance = own + mean(np.sqrt(pixels.common)) ** 2 + doubt**2 + step
     row, col = np.unravel_index(seen, shape)
-    sums = total[seen]
-    mean = np.bincount(index, weight * height)[seen] / sums
-    # The common variance changes by parts of the range: it is computed for one cell in each square.
-    side = max(1, int(SMOOTH * height_of(aperture.position) / cell_size))
-    square = row // side * (shape[1] // side + 1) + col // side
-    chosen = np.zeros(square.max() + 1, dtype=np.int64)
-    chosen[square] = np.arange(len(seen))
-    row, col = row + first[0], col + first[1]
-    places = sphere_point(cell_size * (col[chosen] + 0.5), cell_size * (row[chosen] + 0.5), mean[chosen])
-    common = shared_variance(places, aperture)[square]
-    variance = 1 / sums + common * (1 - np.bincount(index, weight**2)[seen] / sums**2)
-    return row, col, mean, 1 / variance
+    return row + first[0], col + first[1], height, 1 / variance
 
 
 def _updated(cells: F64, height: F64, weight: F64) -> F64:

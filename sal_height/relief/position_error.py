@@ -17,10 +17,17 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.geometry import EARTH_RADIUS, ApertureState, aperture_at
-from sal_height.numeric import F64
+from sal_height.numeric import F64, Bool
 
 STEEPEST = 1.0
 """Steepest slope (height over distance) of ground whose slope is not known: 45 degrees, about the repose of rubble."""
+
+
+LEAST_OWN_SHARE = 0.01
+"""Least share of a height's variance that is not due to the pose; sigma may have been rounded to float32."""
+
+ROUNDING = 1e-5
+"""How far a determinant may be below 0, over that of the variances: float32 rounds each number by up to 1e-7."""
 
 
 def position_jacobian(positions: F64, aperture: ApertureState) -> F64:
@@ -52,13 +59,43 @@ def covariance_of(jacobian: F64, sigmas: F64) -> F64:
         sigmas: standard deviation of elevation (rad), slant range and distance along the flight (m), shape (..., 3).
 
     Returns:
-        In map axes, shape (..., 3, 3).
+        In map axes, shape (..., 3, 3); not finite where a sigma is not.
     """
-    scaled = jacobian * sigmas[..., None, :]
+    with np.errstate(invalid="ignore"):  # an infinite sigma times 0
+        scaled = jacobian * sigmas[..., None, :]
     return scaled @ np.swapaxes(scaled, -1, -2)
 
 
-def pose_covariance(positions: F64, aperture: ApertureState) -> F64:
+def circle_covariance(height_sigma: F64, positions: F64, aperture: ApertureState) -> F64:
+    """Covariance (m^2) of positions that are off only along their circles of range and Doppler.
+
+    Args:
+        height_sigma: standard deviation of their heights, m, shape (...).
+        positions: in map, m, shape (..., 3).
+        aperture: from which they were seen.
+
+    Returns:
+        In map axes, shape (..., 3, 3).
+    """
+    circle = position_jacobian(positions, aperture)[..., 0]
+    circle *= (height_sigma / _dot(circle, vertical(positions)))[..., None]
+    return _outer(circle, circle)
+
+
+def covariances_from_sigma(height_sigma: F64, positions: F64, aperture: ApertureState) -> tuple[F64, F64 | None]:
+    """Own and common covariance (m^2) of positions of which only the standard deviation of height is known.
+
+    The common part is that of the pose; the rest of the variance of height, at least LEAST_OWN_SHARE of it, is taken to
+    come from errors of elevation. Arguments as of `circle_covariance`, results as of it and of `pose_covariance`.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite stays so
+        common = pose_covariance(positions, aperture)
+        variance = height_sigma**2
+        own = variance if common is None else variance - height_variance(common, positions)
+        return circle_covariance(np.sqrt(np.maximum(own, LEAST_OWN_SHARE * variance)), positions, aperture), common
+
+
+def pose_covariance(positions: F64, aperture: ApertureState) -> F64 | None:
     """Covariance (m^2) of positions from that of the platform's pose, which all pixels of a dwell share.
 
     An error of the platform's position p displaces the scatterer by as much. A small error e of the body's rotation,
@@ -67,18 +104,17 @@ def pose_covariance(positions: F64, aperture: ApertureState) -> F64:
 
         C = C_pp + (C_pe w) c^T + c (C_pe w)^T + (w C_ee w) c c^T.
 
-    A covariance that is 0 or not finite counts as unknown and adds nothing.
-
     Args:
         positions: of scatterers in map, m, shape (..., 3).
         aperture: from which they were seen; its covariance is of position and of rotation about the axes of map, as in
             nav_msgs/Odometry.
 
     Returns:
-        In map axes, shape (..., 3, 3); NaN where a position is NaN.
+        In map axes, shape (..., 3, 3); NaN where a position is NaN. None: the covariance of the pose is 0 or not
+        finite, that is, not known.
     """
     if not (np.all(np.isfinite(aperture.covariance)) and np.any(aperture.covariance)):
-        return np.where(np.isfinite(positions[..., :1, None]), np.zeros((3, 3)), np.nan)
+        return None
     place, mixed, turn = aperture.covariance[:3, :3], aperture.covariance[:3, 3:], aperture.covariance[3:, 3:]
     sight, normal = _sight_and_normal(positions, aperture)
     turned = np.cross(sight, normal) / _dot(normal, normal)[..., None]
@@ -95,9 +131,33 @@ def height_variance(covariance: F64, positions: F64) -> F64:
         covariance: m^2, in map axes, shape (..., 3, 3).
         positions: m, in map, shape (..., 3).
     """
-    upright = positions + np.array([0.0, 0.0, EARTH_RADIUS])
-    upright /= np.linalg.norm(upright, axis=-1, keepdims=True)
+    upright = vertical(positions)
     return _dot((covariance @ upright[..., None])[..., 0], upright)
+
+
+def is_covariance(matrices: F64) -> Bool:
+    """Where symmetric matrices, shape (..., 3, 3), are finite and positive semidefinite but for rounding in float32.
+
+    All principal minors must be 0 or greater (Sylvester).
+    """
+    a, b, c = (matrices[..., i, i] for i in range(3))
+    ab, ac, bc = matrices[..., 0, 1], matrices[..., 0, 2], matrices[..., 1, 2]
+    with np.errstate(invalid="ignore", over="ignore"):
+        finite = (a >= 0) & (b >= 0) & (c >= 0) & (a + b + c < np.inf)
+        pairs = ((ab**2, a * b), (ac**2, a * c), (bc**2, b * c))
+        product = a * b * c
+        whole = product + 2 * ab * ac * bc - a * bc**2 - b * ac**2 - c * ab**2
+        return (
+            finite
+            & np.all([one <= (1 + ROUNDING) * two for one, two in pairs], axis=0)
+            & (whole >= -ROUNDING * product)
+        )
+
+
+def vertical(positions: F64) -> F64:
+    """Unit vector away from the centre of the earth at positions in map (m), shape (..., 3)."""
+    upright = positions + np.array([0.0, 0.0, EARTH_RADIUS])
+    return np.asarray(upright / np.linalg.norm(upright, axis=-1, keepdims=True))
 
 
 def variance_at_place(covariance: F64, slope: F64) -> F64:

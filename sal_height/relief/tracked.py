@@ -8,12 +8,10 @@ from sal_height.elevation import Validity
 from sal_height.geometry import ApertureState, Grid, locate_at_height
 from sal_height.numeric import F64
 from sal_height.relief.field_tracking import estimated_field_prior, smoothed_field
-from sal_height.relief.heights import HeightField, Surface, shared_variance
+from sal_height.relief.heights import HeightField, Surface
+from sal_height.relief.position_error import circle_covariance, height_variance
 from sal_height.relief.range_tracking import MeasuredHeights, ReliefPrior, TrackedRelief, estimated_prior, smoothed
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
-
-LEAST_OWN_VARIANCE = 0.01
-"""Least share of a height's variance that is not due to the pose; in messages sigma is rounded to float32."""
 
 
 def ground_spacings(grid: Grid) -> tuple[float, float]:
@@ -27,13 +25,12 @@ def look_side_of(grid: Grid, aperture: ApertureState) -> int:
     return 1 if np.cross(aperture.direction, [0.0, 0.0, 1.0]) @ sight > 0 else -1
 
 
-def own_sigma(field: HeightField, aperture: ApertureState) -> F64:
+def own_sigma(surface: Surface) -> F64:
     """Standard deviation of height without the error of the platform's pose, m, shape (rows, cols).
 
     All pixels of a dwell share the error of the pose, so that averaging over neighbours does not reduce it.
     """
-    shared = shared_variance(field.first.positions, aperture)
-    return np.sqrt(np.maximum(field.first.sigma**2 - shared, LEAST_OWN_VARIANCE * field.first.sigma**2))
+    return np.sqrt(height_variance(surface.own_covariance, surface.positions))
 
 
 def track(
@@ -44,7 +41,7 @@ def track(
     Raises:
         UserError: no prior can be estimated (`range_tracking.estimated_prior`).
     """
-    measured = MeasuredHeights(field.first.height, own_sigma(field, aperture), ground_spacings(field.grid))
+    measured = MeasuredHeights(field.first.height, own_sigma(field.first), ground_spacings(field.grid))
     if settings.along_track:
         prior = estimated_field_prior(measured, settings)
         relief = smoothed_field(measured, prior, settings)
@@ -85,6 +82,6 @@ def tracked_field(
         [Validity.OK, Validity.INTERPOLATED, Validity.OUTSIDE_ARRAY, Validity.LOW_CNR],
         field.validity,
     ).astype(np.uint8)
-    sigma = np.sqrt(relief.sigma**2 + shared_variance(positions, aperture))
-    surface = Surface.at(positions, relief.height.astype(np.float64), sigma, field.first.cnr_db).where(known)
+    own = circle_covariance(relief.sigma.astype(np.float64), positions, aperture)
+    surface = Surface.seen_from(aperture, positions, own, field.first.cnr_db).where(known)
     return HeightField(field.grid, validity, (surface,))

@@ -311,11 +311,12 @@ def test_a_height_field_survives_its_message(layover: bool) -> None:
             np.testing.assert_allclose(np.array(getattr(message.surfaces[1], name)), values, rtol=1e-6)
     assert len(message.surfaces) == 1 + layover
     cloud = messages.height_points(field, message)
-    points = np.frombuffer(cloud.data, np.float32).reshape(cloud.width, 6)
+    assert [field.name for field in cloud.fields] == list(messages.POINT_FIELDS)
+    points = np.frombuffer(cloud.data, np.float32).reshape(cloud.width, len(messages.POINT_FIELDS))
     heights = [1, 2, 3, 7] if layover else [1, 2, 3]
     np.testing.assert_array_equal(points[:, 3], heights)
     if layover:
-        np.testing.assert_allclose(points[3], [11.25, 19.5, 1.0, 7, 0.7, 35], rtol=1e-6)
+        np.testing.assert_allclose(points[3, :8], [11.25, 19.5, 1.0, 7, 0.7, 35, 0, 1], rtol=1e-6)
 
 
 def test_what_is_known_of_a_surface_survives_its_message(rng: np.random.Generator) -> None:
@@ -343,11 +344,67 @@ def test_what_is_known_of_a_surface_survives_its_message(rng: np.random.Generato
     for ours, theirs in zip(read.surfaces, surfaces, strict=True):
         for name in ("height", "sigma", "spread", "own_covariance", "common_covariance"):
             np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-6, err_msg=name)
+    points = np.frombuffer(messages.height_points(read, message).data, np.float32)
+    points = points.reshape(-1, len(messages.POINT_FIELDS))
+    np.testing.assert_array_equal(points[:, messages.POINT_FIELDS.index("surface")], [0, 0, 0, 1, 1, 2])
+    third = 3 * surfaces[2].own_covariance[0, 0]
+    np.testing.assert_allclose(points[5, -6:], third[np.triu_indices(3)], rtol=1e-6)
     message.surfaces.pop()
     assert messages.field_from_message(message).validity[0, 0] == Validity.MISSING_DATA
     message.surfaces[1].covariance.pop()
     with pytest.raises(Rejected, match=r"surfaces\[1\].covariance has 23 entries"):
         messages.field_from_message(message)
+
+
+@pytest.mark.parametrize("name", ["covariance", "common_covariance"])
+@pytest.mark.parametrize(
+    "triangle",
+    [
+        (1.0, 0.0, 0.0, -1.0, 0.0, 1.0),
+        (1.0, 2.0, 0.0, 1.0, 0.0, 1.0),
+        (1.0, 0.9, 0.9, 1.0, -0.9, 1.0),
+        (1.0, 0.0, 0.1, 1.0, 0.0, 0.0),
+        (1.0, 0.0, 0.0, 1.0, np.nan, 1.0),
+        (np.inf, 0.0, 0.0, 1.0, 0.0, 1.0),
+    ],
+    ids=["variance below 0", "correlation above 1", "determinant below 0", "correlated with 0", "NaN", "infinite"],
+)
+def test_a_pixel_whose_covariance_is_impossible_is_masked(name: str, triangle: tuple[float, ...]) -> None:
+    grid = Grid(np.array([10.0, 20.0, 0.0]), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, 1, 2)
+    aperture = ApertureState(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.eye(3), 1.0, np.zeros((6, 6)))
+    ones, circle = np.ones((1, 2)), np.array([0.3, -0.5, 0.7])
+    certain = np.broadcast_to(np.outer(circle, circle), (1, 2, 3, 3))  # an error in one direction only is possible
+    surface = replace(
+        Surface.at(grid.pixels(), ones, ones, ones), own_covariance=certain, common_covariance=0 * certain
+    )
+    slc = ComplexImage(header=Header(frame_id="map"))
+    field = HeightField(grid, np.zeros((1, 2), np.uint8), (surface,))
+    message = messages.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance())
+    assert messages.bad_pixels(message, messages.field_from_message(message)) == 0
+    numbers = np.array(getattr(message.surfaces[0], name))
+    numbers[6:] = triangle
+    setattr(message.surfaces[0], name, numbers)
+    masked = messages.field_from_message(message)
+    assert masked.validity.tolist() == [[Validity.OK, Validity.MISSING_DATA]]
+    assert messages.bad_pixels(message, masked) == 1
+
+
+def test_where_no_covariance_is_told_it_follows_from_sigma_and_the_pose() -> None:
+    """As in bags of older versions: sigma is that of the whole, and errors lie along the circle but for the pose."""
+    grid = Grid(np.array([10.0, -3500.0, 0.0]), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, 1, 2)
+    aperture = ApertureState(
+        np.array([0.0, 0.0, 3500.0]), np.array([50.0, 0.0, 0.0]), np.eye(3), 1.0, np.diag([0.01] * 3 + [1e-12] * 3)
+    )
+    ones, sigma = np.ones((1, 2)), np.full((1, 2), 0.5)
+    slc = ComplexImage(header=Header(frame_id="map"))
+    field = HeightField(grid, np.zeros((1, 2), np.uint8), (Surface.at(grid.pixels(), ones, sigma, ones),))
+    message = messages.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance())
+    assert not message.surfaces[0].covariance
+    surface = messages.field_from_message(message).first
+    assert surface.common_covariance is not None
+    np.testing.assert_allclose(surface.common_covariance[..., 2, 2], 0.01, rtol=1e-2)
+    np.testing.assert_allclose(surface.covariance[..., 2, 2], 0.25, rtol=2e-3)
+    np.testing.assert_allclose(surface.own_covariance[..., 1, 2], -0.24, rtol=1e-2)  # up and towards the flight
 
 
 def test_validity_values_are_those_of_the_message() -> None:

@@ -52,7 +52,7 @@ def height_image(dwell: int, shift: int = 0, level: float = 2.0) -> HeightImage:
     )
     height = level + 0.1 * east
     height[-1, 0] = np.nan
-    sigma = np.full(height.shape, 0.5)
+    sigma = np.full(height.shape, 0.05)
     validity = np.where(np.isfinite(height), Validity.OK, Validity.LOW_CNR).astype(np.uint8)
     axes = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
     grid = Grid(sphere_point(WEST + shift + 0.5, SOUTH + 0.5, 0.0), *axes, 1.0, 1.0, ROWS, COLS)
@@ -139,7 +139,7 @@ def test_dwells_become_one_map(mapped: Mapped) -> None:
     np.testing.assert_array_equal(layer(message, "count"), count)
     seen = count > 0
     np.testing.assert_allclose(layer(message, "height")[seen], expected_height(0, 2)[seen], rtol=1e-5)
-    np.testing.assert_allclose(layer(message, "sigma")[seen], 0.5 / np.sqrt(count[seen]), rtol=1e-5)
+    np.testing.assert_allclose(layer(message, "sigma")[seen], 0.05 / np.sqrt(count[seen]), rtol=2e-3)
     assert np.isnan(layer(message, "height")[~seen]).all()
     assert np.isnan(layer(message, "sigma")[~seen]).all()
     assert np.array_equal(np.isfinite(layer(message, "disagreement")), count > 1)

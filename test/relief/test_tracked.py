@@ -14,7 +14,8 @@ from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphe
 from sal_height.geometry.frames import ApertureState, aperture_at
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.locate import locate_at_elevation, locate_at_height
-from sal_height.relief.heights import HeightField, Surface, pose_variance
+from sal_height.relief.heights import HeightField, Surface
+from sal_height.relief.position_error import circle_covariance, height_variance, pose_covariance
 from sal_height.relief.range_tracking import TrackedRelief
 from sal_height.relief.tracked import (
     ground_spacings,
@@ -89,7 +90,8 @@ def field_of(grid: Grid, aperture: ApertureState, look_side: int, height: Array,
     positions = locate_at_height(height, slant_range, sight @ aperture.direction, there, look_side)
     seen = np.isfinite(height)
     validity = np.where(seen, Validity.OK, Validity.OUTSIDE_ARRAY).astype(np.uint8)
-    surface = Surface.at(positions, height, np.where(seen, sigma, np.nan), np.full(grid.shape, 10.0))
+    own = circle_covariance(np.where(seen, sigma, np.nan), positions, aperture)
+    surface = Surface.seen_from(aperture, positions, own, np.full(grid.shape, 10.0))
     return HeightField(grid, validity, (surface,))
 
 
@@ -105,7 +107,7 @@ def test_a_tracked_scatterer_stays_on_its_circle(look_side: int, sliding: bool) 
     result = tracked_field(field, relief, aperture, 1.4)
     assert np.all(result.validity == Validity.OK)
     np.testing.assert_allclose(height_of(result.first.positions), height + 3.0, atol=1e-6)
-    np.testing.assert_array_equal(result.first.height, height + 3.0)
+    np.testing.assert_allclose(result.first.height, height + 3.0, atol=1e-9)
     np.testing.assert_allclose(result.first.sigma, 0.5)
     before, after = field.first.positions - aperture.position, result.first.positions - aperture.position
     np.testing.assert_allclose(after @ aperture.direction, before @ aperture.direction, atol=1e-6)
@@ -142,19 +144,16 @@ def test_validity_says_where_a_height_comes_from() -> None:
 
 
 def test_what_the_pose_leaves_open_is_not_averaged() -> None:
-    """Its variance is taken off before, and is on top of the tracked one again, as `pose_variance` has it."""
-    flown = make_aperture()
-    aperture = replace(flown, covariance=np.diag([0.1, 0.1, 0.2, 1e-5, 1e-5, 1e-5]) ** 2)
+    """It is not in the sigma that is tracked, and is on top of the tracked one again."""
+    aperture = replace(make_aperture(), covariance=np.diag([0.1, 0.1, 0.2, 1e-5, 1e-5, 1e-5]) ** 2)
     grid = make_grid(aperture, 1)
-    alone = field_of(grid, flown, 1, np.zeros(grid.shape), 0.7)
-    x = (alone.first.positions - aperture.position) @ aperture.rotation
-    elevation = np.arctan2(-x[..., 1], -x[..., 2])
-    slope = np.linalg.norm(x[..., 1:], axis=-1) * np.sin(elevation)
-    shared = pose_variance(elevation, slope, alone.first.positions, aperture, 1)
+    field = field_of(grid, aperture, 1, np.zeros(grid.shape), 0.7)
+    common = pose_covariance(field.first.positions, aperture)
+    assert common is not None
+    shared = height_variance(common, field.first.positions)
     assert np.all(shared > 0.03)
-    field = replace(alone, surfaces=(replace(alone.first, sigma=np.sqrt(0.7**2 + shared)),))
-    np.testing.assert_allclose(own_sigma(field, aperture), 0.7, rtol=1e-2)
-    np.testing.assert_allclose(own_sigma(alone, flown), 0.7, rtol=1e-12)
+    np.testing.assert_allclose(field.first.sigma, np.sqrt(0.7**2 + shared), rtol=1e-9)
+    np.testing.assert_allclose(own_sigma(field.first), 0.7, rtol=1e-9)
     relief = TrackedRelief(field.first.height, np.full(grid.shape, 0.2), np.zeros(grid.shape, np.bool_))
     tracked = tracked_field(field, relief, aperture, 1.4)
-    np.testing.assert_allclose(tracked.first.sigma, np.sqrt(0.2**2 + shared), rtol=1e-2)
+    np.testing.assert_allclose(tracked.first.sigma, np.sqrt(0.2**2 + shared), rtol=1e-6)

@@ -205,7 +205,7 @@ def test_the_relief_map_holds_all_dwells(recorded: Path, report: Any) -> None:
     reader = BagReader(recorded / "bag")
     for message in reader.messages(["/ml/height"]):
         image = reader.decode(message.type_name, message.cdr)
-        relief_map.add(messages.field_from_message(image).first, messages.aperture_from_message(image.aperture))
+        relief_map.add(messages.field_from_message(image))
     relief = relief_map.relief()
     assert relief is not None
     np.testing.assert_array_equal(height, relief.height)

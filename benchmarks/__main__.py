@@ -32,6 +32,8 @@ GROUPS = {
     "honest": "honest:coverage",
     "psf-targets": "psf:target_route",
     "psf-both": "psf:both_routes",
+    "accuracy-superposition": "superposition:false_alarms",
+    "superposition-power": "superposition:power",
     "relief-map": "relief_map:throughput",
     "relief-tracking": "relief_tracking:throughput",
     "figures": "figures:all_figures",

@@ -74,7 +74,9 @@ def psf(
       both         a test of superposition: the probability that a linear system
                    shows a difference between its responses to targets and to
                    speckle as large as this one, or larger. A small probability is
-                   evidence against linearity. Speckle within 128 range pixels of
+                   evidence against linearity. Receiver noise may have passed any
+                   weights over range, but must be white along azimuth, unless a
+                   bag tells how it was weighted. Speckle within 128 range pixels of
                    a bright point is excluded, because it contains the point's
                    echoes
 

@@ -17,7 +17,7 @@ from sal_height.figures.psf_estimators import depth_and_pedestal, mean_modulus
 from sal_height.figures.psf_tapes import COUNT, FREQUENCY, generators, held, in_band, shown
 from sal_height.figures.psf_theory import chip_transform, cosine_beam, swung_modulus, through_fejer
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
-from sal_height.numeric import C64, C128, F64, Bool, frequencies
+from sal_height.numeric import C64, C128, F64, Bool, frequencies, window
 from sal_height.response import (
     SpeckleSpectra,
     estimate_speckle_spectra,
@@ -60,6 +60,9 @@ LEVELS = np.array([8.0, 12.0, 16.0, 24.0])
 """Levels of the limiter, over the rms of the signal where targets are spread out."""
 
 SIGNIFICANCE = 0.05
+
+NOISE_WINDOWS = {"white": None, "Taylor": "taylor", "Hamming": "hamming"}
+"""Weights over the band that noise has passed, by name; the response itself has Taylor weights."""
 
 LINEAR = 3.0
 """Linear tapes over the usual number: p-values need many."""
@@ -150,9 +153,13 @@ def psf_superposition(trials: int, seed: int) -> Iterator[Curve]:
     }
     yield from _powers(tapes[SHOWN_NOISE])
     yield from _readings(tapes, np.random.default_rng((seed, READINGS)))
-    linear = [_compared(rng, SHOWN_NOISE).p_value for rng in generators(trials, seed, LINEAR_TAPES, LINEAR)]
-    below = np.array(linear)[:, None] < P_VALUES
-    yield _share("share of linear tapes", "p-value below", P_VALUES, below, P_VALUES)
+    for name, window_name in NOISE_WINDOWS.items():
+        linear = [
+            _compared(rng, SHOWN_NOISE, noise_window=window_name).p_value
+            for rng in generators(trials, seed, LINEAR_TAPES, LINEAR)
+        ]
+        below = np.array(linear)[:, None] < P_VALUES
+        yield _share("share of linear tapes", f"p-value below, {name} noise", P_VALUES, below, P_VALUES)
     limited = [
         [_compared(rng, SHOWN_NOISE, level).p_value < SIGNIFICANCE for level in LEVELS.tolist()]
         for rng in generators(trials, seed, LIMITED_TAPES)
@@ -161,19 +168,22 @@ def psf_superposition(trials: int, seed: int) -> Iterator[Curve]:
     yield _share("share of limited tapes", "p-value below 0.05", LEVELS, np.array(limited), none)
 
 
-def _compared(rng: np.random.Generator, noise: float, level: float | None = None) -> Comparison:
+def _compared(
+    rng: np.random.Generator, noise: float, level: float | None = None, noise_window: str | None = None
+) -> Comparison:
     """A new tape with targets to one side, and what it tells.
 
     Args:
         rng: of the tape.
         noise: rms over that of the speckle.
         level: of a limiter, over the rms; None: the system is linear.
+        noise_window: weights over the band that the noise has passed; None: it is white.
     """
     cols = [SPECKLE_COLS + 96 + COUNT * number for number in range(TARGETS)]
     targets = tuple(Target(ROWS // 2, col, OVER_CLUTTER_DB) for col in cols)
     limiter = Saturation(level) if level else None
     shape = ROWS, SPECKLE_COLS + COUNT * (TARGETS + 1)
-    tape = make_tape(shape, rng, targets, RANGE, AzimuthFault(), noise, saturation=limiter)
+    tape = make_tape(shape, rng, targets, RANGE, AzimuthFault(), noise, 0.0, limiter, noise_weights(noise_window))
     clutter = tape[:, :SPECKLE_COLS]
     speckle = estimate_speckle_spectra(clutter, find_pure_speckle(clutter))
     chips = tape[(ROWS - BINS) // 2 :][:BINS, cols]
@@ -183,6 +193,16 @@ def _compared(rng: np.random.Generator, noise: float, level: float | None = None
     power = np.interp(frequencies(BINS), FREQUENCY, speckle.range.power, period=1)
     error = np.sqrt(BINS * power / over_clutter)
     return Comparison(response, error, speckle)
+
+
+def noise_weights(name: str | None) -> F64 | None:
+    """Weights of noise at ROWS frequencies: a window over the band of the tape, nothing beside it; None: white."""
+    if name is None:
+        return None
+    band = np.flatnonzero(np.abs(frequencies(ROWS)) < RANGE.support / 2)
+    weights = np.zeros(ROWS)
+    weights[band] = window(name, len(band))
+    return weights
 
 
 def _truth() -> C128:

@@ -101,6 +101,7 @@ def make_tape(
     noise: float = 0.0,
     nyquist_spur: float = 0.0,
     saturation: Saturation | None = None,
+    noise_response: F64 | None = None,
 ) -> C64:
     """An image of range rows and azimuth columns; speckle has the mean power 1, and phases of targets are random.
 
@@ -110,9 +111,11 @@ def make_tape(
         targets: beside the speckle.
         range_fault: range response; None: a flat band.
         azimuth_fault: azimuth response; None: a flat band.
-        noise: rms of white noise, over that of the speckle.
+        noise: rms of the noise, over that of the speckle.
         nyquist_spur: amplitude of a wave of half a cycle per row, over the rms of the speckle.
         saturation: None: the system is linear.
+        noise_response: weights of the processor that the noise has passed, at `rows` frequencies from -1/2 cycles per
+            pixel; None: it is white.
 
     Returns:
         complex64, shape `shape`.
@@ -124,7 +127,7 @@ def make_tape(
     if saturation:
         spectrum = _limited(spectrum, saturation)
     image = _through_beam(spectrum, beam)
-    image += noise * _circular(shape, rng)
+    image += noise * _noise(shape, rng, noise_response)
     if nyquist_spur:
         image += nyquist_spur * np.exp(1j * (np.pi * np.arange(rows) + rng.uniform(0, 2 * np.pi)))[:, None]
     return image.astype(np.complex64)
@@ -173,6 +176,15 @@ def _through_beam(spectrum: C128, beam: AzimuthFault) -> C128:
         response = beam.response(cols, float(beam.pointing(knot)))
         image += share * scipy.fft.ifft2(scipy.fft.ifftshift(spectrum * response))
     return image
+
+
+def _noise(shape: tuple[int, int], rng: np.random.Generator, response: F64 | None) -> C128:
+    """Noise of mean power 1 behind a range response, white along azimuth."""
+    white = _circular(shape, rng)
+    if response is None:
+        return white
+    weights = scipy.fft.ifftshift(response / np.sqrt(np.mean(response**2)))
+    return np.asarray(scipy.fft.ifft(scipy.fft.fft(white, axis=0) * weights[:, None], axis=0))
 
 
 def _circular(shape: tuple[int, int], rng: np.random.Generator) -> C128:

@@ -16,7 +16,7 @@ from sal_height.response.impulse import (
     measure_brightest,
     measure_windows,
 )
-from sal_height.response.linearity import superposition
+from sal_height.response.linearity import KnownNoise, ShapedNoise, superposition
 from sal_height.response.point_spread import (
     FINENESS,
     AxisSpread,
@@ -57,12 +57,14 @@ __all__ = [
     "Chip",
     "CutResponse",
     "ImpulseResponse",
+    "KnownNoise",
     "PointSpread",
     "PointTarget",
     "PointTargetSettings",
     "Pointing",
     "PsfReport",
     "PsfSettings",
+    "ShapedNoise",
     "Sidelobe",
     "SpeckleSpectra",
     "TransferFunction",

@@ -15,7 +15,7 @@ import numpy as np
 from sal_height.errors import NotDetermined, UserError
 from sal_height.numeric import C64, F64, Complex
 from sal_height.response.doppler import steadied
-from sal_height.response.linearity import Superposition, superposition
+from sal_height.response.linearity import KnownNoise, ShapedNoise, Superposition, superposition
 from sal_height.response.point_spread import PointSpread, estimate_point_spread
 from sal_height.response.point_targets import CHIP, PointTarget, PointTargetSettings, TargetSurvey, find_targets
 from sal_height.response.speckle_spectra import Pointing, SpeckleSpectra, estimate_speckle_spectra
@@ -81,6 +81,7 @@ def report_on(
     chip: tuple[int, int] | None = None,
     settings: PsfSettings = DEFAULTS,
     noise_powers: Sequence[float] | None = None,
+    noise_shape: ShapedNoise | None = None,
 ) -> PsfReport:
     """Measure the point-spread function on images of one receiver.
 
@@ -92,6 +93,7 @@ def report_on(
         chip: rows and columns around a target; None: 64 x 64 (PSF paper), or what the smallest image has.
         settings: which pixels are taken for point targets, and which tiles for speckle.
         noise_powers: E|n|^2 of the receiver noise in a pixel of each image; None: not known.
+        noise_shape: how the processor has shaped it; None: not known, but white along azimuth.
 
     Raises:
         UserError: there is no image, they are not complex matrices of as many rows, one has no phase, or the chip does
@@ -124,7 +126,8 @@ def report_on(
     linearity, length = None, 0
     if transfer and tiles:
         away = _away_from_candidates(steady, surveys, tiles)
-        compared = _part("superposition", reasons, lambda: _compared(steady, mosaic, away, chip[1], settings))
+        shape = noise_shape if noise else None
+        compared = _part("superposition", reasons, lambda: _compared(steady, mosaic, away, chip[1], settings, shape))
         linearity, length = compared or (None, 0)
     else:
         missing = " and ".join(what for what in ("targets", "speckle") if what in reasons)
@@ -187,9 +190,23 @@ def _pointing_of_each(spectra: SpeckleSpectra | None, width: int, displacements:
 
 
 def _compared(
-    images: Sequence[Complex], mosaic: C64, tiles: SpeckleTiles, cols: int, settings: PsfSettings
+    images: Sequence[Complex],
+    mosaic: C64,
+    tiles: SpeckleTiles,
+    cols: int,
+    settings: PsfSettings,
+    noise: ShapedNoise | None,
 ) -> tuple[Superposition, int]:
-    """Comparison of the targets' range response with that of speckle, and the rows of the chips it was made with."""
+    """Comparison of the targets' range response with that of speckle, and the rows of the chips it was made with.
+
+    Args:
+        images: as `report_on` has them.
+        mosaic: the same side by side, of the noise power 1 if the noise's shape is known.
+        tiles: of the mosaic, those not pure that a bright point touches.
+        cols: of a chip.
+        settings: which pixels are taken for point targets.
+        noise: how the processor has shaped it; None: not known.
+    """
     least, rows = tiles.tile[0], images[0].shape[0]
     if not tiles.pure.any():
         raise NotDetermined(
@@ -201,7 +218,8 @@ def _compared(
         if targets and length >= least:
             transfer = estimate_transfer_function(targets)
             spectra = estimate_speckle_spectra(mosaic, tiles)
-            return superposition(transfer.range.response, transfer.range.sigma, spectra), length
+            known = KnownNoise(noise, float(np.mean(1 / tiles.intensity[tiles.pure]))) if noise else None
+            return superposition(transfer.range.response, transfer.range.sigma, spectra, known), length
     raise NotDetermined(
         f"No target is alone in a chip of {least} x {cols} pixels, as long as a sub-image of speckle; one is needed to "
         "compare the two."

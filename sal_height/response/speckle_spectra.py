@@ -107,11 +107,15 @@ class SpeckleSpectra:
 
     Attributes:
         range: along axis 0, of |R|^2.
+        neighbours: covariance at lags 0 to M - 1 in range between pixels of neighbouring columns, in units of the mean
+            power, the Doppler centroid taken out: that of |R|^2 alone, as noise that is white along azimuth averages
+            out; a spur remains. M is the number of pixels of a sub-image.
         azimuth: along axis 1, of |A|^2, averaged after the pointing's changes along the track have been taken out.
         pointing: None if the azimuth response is too flat to have a centre.
     """
 
     range: AxisSpectrum
+    neighbours: C128
     azimuth: AxisSpectrum
     pointing: Pointing | None
 
@@ -138,7 +142,8 @@ def estimate_speckle_spectra(image: C64, tiles: SpeckleTiles) -> SpeckleSpectra:
     """
     where, sums = np.argwhere(tiles.pure), _periodograms(checked_image(image), tiles)
     brightness = tiles.intensity[tiles.pure][:, None] * (tiles.tile[0] * tiles.tile[1])
-    down, across, nyquist = (_covariance(power / brightness) for power in sums)
+    down, across, nyquist = (_covariance(power / brightness) for power in sums[:3])
+    beside = sums[3] / brightness / (1 - 1 / tiles.tile[1])
     # Lines that are neighbours correlate: as many are independent as the correlation along them has of that over all.
     rho, (row, col) = tiles.correlation, (size // 2 for size in tiles.correlation.shape)
     shares = [sum_of_powers(part, tiles.tile, 2) for part in (rho[:, [col]], rho[[row]])]
@@ -151,10 +156,12 @@ def estimate_speckle_spectra(image: C64, tiles: SpeckleTiles) -> SpeckleSpectra:
     if spur:
         mean = mean - spur * (-1.0) ** np.arange(len(mean))
         across = across - nyquist
-    pointing, across = _aligned(across, where[:, 1], tiles)
-    azimuth = across.mean(axis=0)
+    pointing, turn = _pointing(across, where[:, 1], tiles)
+    azimuth = np.mean(across * np.exp(-1j * turn[:, None] * np.arange(across.shape[1])), axis=0)
+    aligned = np.mean(beside * np.exp(-1j * turn)[:, None], axis=0) * np.exp(-1j * np.angle(azimuth[1]))
     return SpeckleSpectra(
         range=AxisSpectrum(mean / mean[0].real, lines[0], independent[0], spur),
+        neighbours=_covariance(aligned.real) / mean[0].real,
         azimuth=AxisSpectrum(azimuth / azimuth[0].real, lines[1], independent[1]),
         pointing=pointing,
     )
@@ -192,18 +199,20 @@ def cross_spectrum(covariance: C128, count: int) -> C128:
     return waves @ toeplitz(covariance, covariance.conj()) @ waves.conj().T / size
 
 
-def _periodograms(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64, F64]:
+def _periodograms(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64, F64, C128]:
     """Energy spectra of every pure tile at twice as many frequencies as pixels, in the order of an FFT.
 
     Returns:
-        Summed over columns, shape (pure tiles, 2 rows of a tile); summed over rows, (.., 2 columns); and the part of
-        the latter that is at half a cycle per row.
+        Summed over columns, shape (pure tiles, 2 rows of a tile); summed over rows, (.., 2 columns); the part of the
+        latter that is at half a cycle per row; and the spectrum over range of each column times the conjugate of its
+        neighbour's, summed over columns, (pure tiles, 2 rows).
     """
     rows, cols = tiles.tile
     count = tiles.pure.sum(axis=1)
     first = np.cumsum(count) - count
     down = np.zeros((count.sum(), 2 * rows))
     across, nyquist = (np.zeros((count.sum(), 2 * cols)) for _ in range(2))
+    beside = np.zeros((count.sum(), 2 * rows), dtype=np.complex128)
 
     def measure(part: slice) -> None:
         for row in range(part.start, part.stop):
@@ -212,14 +221,15 @@ def _periodograms(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64, F64]:
             for some in blocks(len(chosen), max(1, BLOCK // (rows * cols))):
                 pixels = np.take(strip, chosen[some], axis=1)
                 own = slice(first[row] + some.start, first[row] + some.stop)
-                power = _energy(scipy.fft.fft(pixels.reshape(rows, -1), 2 * rows, axis=0))
-                down[own] = power.reshape(2 * rows, -1, cols).sum(axis=2).T
+                spectra = scipy.fft.fft(pixels.reshape(rows, -1), 2 * rows, axis=0).reshape(2 * rows, -1, cols)
+                down[own] = _energy(spectra).sum(axis=2).T
+                beside[own] = np.einsum("ftc,ftc->tf", spectra[..., 1:], spectra[..., :-1].conj())
                 across[own] = _energy(scipy.fft.fft(pixels, 2 * cols, axis=2)).sum(axis=0)
                 line = scipy.fft.fft(pixels[::2].sum(axis=0) - pixels[1::2].sum(axis=0), 2 * cols)
                 nyquist[own] = np.abs(line) ** 2 / rows
 
     in_parallel(measure, len(count))
-    return down, across, nyquist
+    return down, across, nyquist, beside
 
 
 def _energy(spectra: C64) -> F32:
@@ -229,7 +239,7 @@ def _energy(spectra: C64) -> F32:
 def _covariance(power: F64) -> C128:
     """Covariance at lags 0 to M - 1 of each row of spectra at 2 M frequencies: divided by the triangle."""
     size = power.shape[-1] // 2
-    return scipy.fft.ifft(power, axis=-1)[:, :size] / (1 - np.arange(size) / size)
+    return scipy.fft.ifft(power, axis=-1)[..., :size] / (1 - np.arange(size) / size)
 
 
 def _nyquist_spur(covariance: C128, independent: float) -> float:
@@ -245,20 +255,19 @@ def _nyquist_spur(covariance: C128, independent: float) -> float:
     return excess / size if excess > level * max(5 * np.sqrt(1.5 / independent), 0.5) else 0.0
 
 
-def _aligned(covariance: C128, column: Index, tiles: SpeckleTiles) -> tuple[Pointing | None, C128]:
-    """Pointing of each column of tiles, and the tiles' azimuth covariances as if all pointed as in the mean."""
+def _pointing(covariance: C128, column: Index, tiles: SpeckleTiles) -> tuple[Pointing | None, F64]:
+    """Pointing of each column of tiles, and of each tile how far it turns neighbours more than in the mean, rad."""
     columns, group = np.unique(column, return_inverse=True)
     beat = np.zeros(len(columns), dtype=np.complex128)
     np.add.at(beat, group, covariance[:, 1])
     sigma = _pointing_error(np.abs(beat).sum() / len(covariance), tiles) / np.sqrt(np.bincount(group))
     if not np.median(sigma) < 0.1:  # cycles per pixel: the azimuth response is too flat to have a centre
-        return None, covariance
+        return None, np.zeros(len(covariance))
     turn = np.angle(beat * np.conj(beat.sum()))
-    lags = np.arange(covariance.shape[1])
     middle = np.asarray((columns + 0.5) * tiles.tile[1] - 0.5, dtype=np.float64)
     displacement = np.asarray(np.angle(beat) / (2 * np.pi), dtype=np.float64)
     pointing = Pointing(middle, displacement, np.asarray(sigma, dtype=np.float64))
-    return pointing, np.asarray(covariance * np.exp(-1j * turn[group][:, None] * lags))
+    return pointing, np.asarray(turn[group], dtype=np.float64)
 
 
 def _pointing_error(coherence: float, tiles: SpeckleTiles) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
 from sal_height.numeric import Complex
+from sal_height.response import ShapedNoise
 
 AXES = ("range", "azimuth")
 """Directions of rows and columns."""
@@ -29,6 +30,7 @@ class Image:
         channel: number of the channel; None if from an array of one image.
         grid: positions of the pixels; None if unknown.
         noise_power: E|n|^2 of the receiver noise in a pixel; None if unknown.
+        noise_shape: how the processor has shaped that noise; None if unknown.
     """
 
     pixels: Complex
@@ -39,6 +41,7 @@ class Image:
     channel: int | None = None
     grid: Grid | None = None
     noise_power: float | None = None
+    noise_shape: ShapedNoise | None = None
 
     @property
     def name(self) -> str:

@@ -20,6 +20,7 @@ from sal_height.response import (
     Pointing,
     PsfReport,
     PsfSettings,
+    ShapedNoise,
     report_on,
 )
 from sal_height.runs.images import AXES, Image, images_of
@@ -72,7 +73,13 @@ def psf(
         powers = [image.noise_power if noise_power is None else noise_power for image in group]
         known = [power for power in powers if power is not None]
         try:
-            report = report_on(list(map(_upright, group)), chip, settings, known if len(known) == len(group) else None)
+            report = report_on(
+                list(map(_upright, group)),
+                chip,
+                settings,
+                known if len(known) == len(group) else None,
+                _noise_shape(group),
+            )
         except UserError as error:
             raise UserError(f"{_title(group)}: {error}") from error
         reports.append(report)
@@ -102,6 +109,12 @@ def psf_table(entries: list[Entry]) -> str:
 def _upright(image: Image) -> Complex:
     """Pixels with range along axis 0."""
     return image.pixels if image.axes == AXES else image.pixels.T
+
+
+def _noise_shape(group: list[Image]) -> ShapedNoise | None:
+    """Shape of the receiver noise, if that of all images is known."""
+    shapes = [image.noise_shape for image in group if image.noise_shape]
+    return ShapedNoise.pooled(shapes) if len(shapes) == len(group) else None
 
 
 def _title(group: list[Image]) -> str:
@@ -230,8 +243,7 @@ def _linearity_entry(report: PsfReport) -> Entry | None:
         "p_value": found.p_value,
         "chi_square": found.chi_square,
         "freedom": found.freedom,
-        "scale": found.scale,
-        "noise": found.noise,
+        "share": found.share,
         "chip_rows": rows,
         "remark": f"{cut}{LONG_CHIPS[0]} rows would include more." if rows < LONG_CHIPS[0] else None,
     }

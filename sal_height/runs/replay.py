@@ -138,7 +138,7 @@ def replay(
 def _measure_images(folder: Path) -> list[dict[str, Any]]:
     """Draw each image recorded in `folder`/bag and measure its brightest target."""
     measured = []
-    for _, message, image, grid in recorded_slc(folder / "bag"):
+    for _, message, image, grid, _ in recorded_slc(folder / "bag"):
         response = measure_brightest(image)
         title = f"dwell {message.dwell}: peak {response.peak_over_median_db:.1f} dB above the median"
         with writing(folder / f"image_{message.dwell}.png"):

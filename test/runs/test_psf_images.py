@@ -23,12 +23,15 @@ from sal_height.figures.psf_estimators import depth_and_pedestal
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
 from sal_height.geometry.grid import Grid
 from sal_height.imaging.focus import Slc
+from sal_height.imaging.pixels import azimuth_resolution
 from sal_height.numeric.fft import frequencies
+from sal_height.numeric.windows import window
 from sal_height.response.impulse import measure_brightest
 from sal_height.response.report import PsfSettings, report_on
 from sal_height.response.transfer_function import centred
 from sal_height.runs import psf as psf_module
 from sal_height.runs.psf_picture import draw_psf
+from sal_height.runs.recorded_images import bag_images
 
 SIDE, TAPES, NOISE, SPUR = 768, 2, 0.2, 0.3
 RANGE, SWINGING = RangeFault(), AzimuthFault(swing=0.03, swing_period=2 * SIDE)
@@ -127,7 +130,7 @@ def test_a_linear_tape_keeps_superposition(tapes: Path) -> None:
         assert entry["superposition"]["p_value"] > 0.01
         assert entry["superposition"]["chip_rows"] == 256
         assert entry["superposition"]["remark"] is None
-        assert entry["superposition"]["noise"] == pytest.approx(NOISE**2 / (1 + NOISE**2), abs=0.01)
+        assert entry["superposition"]["share"] == pytest.approx(0.5 / (1 + NOISE**2), abs=0.02)
 
 
 def test_what_speckle_tells_beside(tapes: Path) -> None:
@@ -236,8 +239,15 @@ def test_images_of_one_detector_are_pooled(tmp_path: Path, capsys: pytest.Captur
 GRID = Grid(np.array([3.0, -3500.0, 1.0]), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 0.05, 0.02, 128, 70)
 
 
-def write_bag(path: Path, dwells: int = 2, stretched: float = 1.0) -> Path:
-    """A bag of tapes of three detectors with the phase of range; the columns of the last dwell are `stretched`."""
+def write_bag(path: Path, dwells: int = 2, stretched: float = 1.0, made: dict[str, Any] | None = None) -> Path:
+    """A bag of tapes of three detectors with the phase of range; the columns of the last dwell are `stretched`.
+
+    Args:
+        path: of the bag.
+        dwells: number of them.
+        stretched: factor on the spacing of the last dwell's columns.
+        made: parameters of the compression, as the provenance names them.
+    """
     sensor, aperture = make_sensor(), make_aperture()
     with BagWriter(path) as bag:
         bag.add_topic("/sensor_info", "sal_height_msgs/msg/SensorInfo")
@@ -250,6 +260,7 @@ def write_bag(path: Path, dwells: int = 2, stretched: float = 1.0) -> Path:
             wound = np.exp(4j * np.pi / sensor.wavelength * distance)
             slc = np.array([tape(3 * dwell + m, GRID.shape, ((64, 35),), noise=NOISE) for m in range(3)]) * wound
             frame, provenance = ChannelFrame(dwell=dwell), Provenance(config_hash=sensor.config_hash)
+            provenance.parameters = messages.with_stage([], "sar_compression", made or {})
             image = Slc(slc.astype(np.complex64), grid, aperture, np.zeros(3), np.zeros(3))
             for message in messages.slc_to_messages(image, frame, provenance):
                 bag.write("/slc", serialize_message(message), dwell + 1, dwell + 1)
@@ -274,6 +285,24 @@ def test_a_bag_gives_metres_and_places(tmp_path: Path, capsys: pytest.CaptureFix
     assert f"{entry['range']['width_m']:.3f}" in capsys.readouterr().out
     _, alone = psf(bag, tmp_path / "alone", "--channel", "1", "--dwell", "1")
     assert [image["dwell"] for image in alone["images"]] == [1]
+
+
+def test_a_bag_tells_how_noise_was_shaped(tmp_path: Path) -> None:
+    """Neighbours at the resolution: white behind no window, and by .33 alike where a window's spacing is broadened."""
+    stated = {"range_window": "rectangular", "azimuth_window": "taylor"}
+    image = next(bag_images(write_bag(tmp_path / "bag", 1, made=stated)))
+    sensor, aperture = make_sensor(), make_aperture()
+    assert image.noise_shape is not None
+    steps = (
+        GRID.row_spacing / sensor.range_resolution,
+        GRID.col_spacing / azimuth_resolution(sensor, aperture, float(np.linalg.norm(GRID.origin - aperture.position))),
+    )
+    weights = window("taylor", 4001)
+    expected = [np.sinc(steps[0]), np.mean(weights**2 * np.cos(np.pi * np.linspace(-1, 1, 4001) * steps[1]))]
+    expected[1] /= np.mean(weights**2)
+    assert image.noise_shape.range[1] == pytest.approx(expected[0], abs=0.002)
+    assert image.noise_shape.azimuth[1] == pytest.approx(expected[1], abs=0.002)
+    assert next(bag_images(write_bag(tmp_path / "silent", 1))).noise_shape is None
 
 
 def test_images_of_different_spacing_are_not_pooled(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

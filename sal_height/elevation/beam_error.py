@@ -18,6 +18,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import gammaincc
 
 from sal_height.beams import Beams
 from sal_height.elevation.bounds import information
@@ -77,6 +78,8 @@ class PowerLaw(NamedTuple):
         fitted = np.divide(variance, scale**2, out=np.zeros_like(variance), where=some)
         return cls(fitted, scale, mean - fitted * scale)
 
-    def level(self, of_gamma: F64) -> F64:
-        """The power that corresponds to a value of the gamma distribution of this order."""
-        return self.shift + self.scale * of_gamma
+    def exceeded(self, power: F64) -> F64:
+        """Probability that the power is greater than `power`, in noise powers; without any dimension it is 0."""
+        some = self.order > 0
+        beyond = np.maximum((power - self.shift) / self.scale, 0.0)
+        return np.where(some, gammaincc(np.where(some, self.order, 1.0), beyond), power <= 0)

@@ -205,8 +205,8 @@ def is_one_scatterer(fit: Fit, settings: HeightSettings) -> Bool:
         settings: rates of false alarms, and share of the explained power that may be left beyond the mean of the noise.
     """
     law = PowerLaw.of(fit.degrees, fit.coherent, fit.beam_error)
-    limit = law.level(noise_limit(law.order, settings.false_alarm_rate))
-    noise = fit.left <= limit + sidelobe_limit(fit.leaked, settings.sidelobe_rate)
+    left = fit.left - sidelobe_limit(fit.leaked, settings.sidelobe_rate)
+    noise = law.exceeded(left) >= settings.false_alarm_rate
     return noise | (fit.left - fit.degrees <= settings.misfit_share * fit.explained)
 
 

@@ -16,6 +16,7 @@ from sal_height.elevation.estimate import ElevationEstimate, Validity
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.monopulse.pairs import MonopulseSettings, monopulse_elevation
+from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings, sum_difference_elevation
 
 TRIALS = 2500
 """Pixels of a case: a share of 68.3 % has a standard error of 0.9 %."""
@@ -70,6 +71,18 @@ def test_sigma_of_pairs_is_right_with_perturbed_beams(looks: int) -> None:
     assert share_within_sigma(result, elevation) == pytest.approx(0.683, abs=0.04)
 
 
+@pytest.mark.parametrize("looks", [1, 16])
+def test_sigma_of_sum_and_difference_is_right_with_perturbed_beams(looks: int) -> None:
+    rng, beams = np.random.default_rng([84, looks]), replace(make_beams("gaussian", 2), uncertainty=10 ** (-30 / 20))
+    elevation = elevation_at(rng.uniform(-0.2, 0.2, TRIALS))
+    response = beams.response(elevation, 0.0) + beams.uncertainty * circular(rng, (TRIALS, 2))
+    lower, upper = np.einsum("pm,pk->mpk", response * 10 ** (45 / 20), circular(rng, (TRIALS, looks)))
+    slc = np.stack([upper + lower, upper - lower]) + circular(rng, (2, TRIALS, looks))
+    seen = multilook(slc.astype(np.complex64), 1, looks, hermitian=True)
+    result = sum_difference_elevation(seen, beams, SumDifferenceSettings())
+    assert share_within_sigma(result, elevation) == pytest.approx(0.683, abs=0.04)
+
+
 @pytest.mark.parametrize("looks", [1, 4, 48])
 def test_pixels_are_rejected_at_the_stated_rate(looks: int) -> None:
     """1 % of single scatterers, 25 of them with a standard error of 5, for beams good to -25 dB at 50 dB."""
@@ -105,11 +118,14 @@ def test_power_law_has_the_quantiles_of_the_sum(order: float, coherent: float, e
     """A share of 1 % within a factor of 1.2, over 400 000 draws of the two gamma distributions."""
     rng, law = np.random.default_rng(83), PowerLaw.of(order, coherent, error)
     drawn = (1 + error) * rng.gamma(coherent, size=400_000) + rng.gamma(max(order - coherent, 1e-12), size=400_000)
-    above = np.mean(drawn > law.level(stats.gamma(law.order).isf(0.01)))
-    assert 0.0095 < above < 0.012
+    rare = law.exceeded(drawn) < 0.01
+    assert 0.0095 < np.mean(rare) < 0.012
+    assert drawn[rare].min() > drawn[~rare].max()
 
 
 def test_power_law_without_error_is_the_gamma_distribution() -> None:
     order = np.array([0.0, 0.5, 27.5])
     law = PowerLaw.of(order, np.minimum(order, 0.5), 0.0)
     np.testing.assert_allclose(law, (order, np.ones(3), np.zeros(3)), atol=1e-14)
+    np.testing.assert_allclose(law.exceeded(np.array([0.1, 1.0, 30.0]))[1:], stats.gamma(order[1:]).sf([1.0, 30.0]))
+    np.testing.assert_array_equal(law.exceeded(np.array([0.1, 0.0, -1.0])), [0.0, 1.0, 1.0])

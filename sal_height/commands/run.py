@@ -61,8 +61,8 @@ def run(
 ) -> int:
     """Simulate a flight, process it with the graph of nodes, and compare the heights with the truth.
 
-    The output folder holds the recorded bag, report.json, height.png, profile.png
-    and relief_map.tif. At the end stand the errors of each estimator: bias, s68
+    The output folder holds the recorded bag, report.json, height.png, scene3d.png,
+    profile.png and relief_map.tif. At the end stand the errors of each estimator: bias, s68
     (half the width between 16 % and 84 % of the errors), the Cramer-Rao bound and
     the share of errors within 1 sigma.
 
@@ -87,7 +87,11 @@ def run(
     result = simulate(changed, seed, folder, node_parameters(param), graph.execution(processes))
     outcome = result.outcome
     print(results_table(outcome, result.accuracy))
-    files = [str(folder / name) for name in ("height.png", RELIEF_MAP, "report.json") if (folder / name).is_file()]
+    files = [
+        str(folder / name)
+        for name in ("height.png", "scene3d.png", RELIEF_MAP, "report.json")
+        if (folder / name).is_file()
+    ]
     interrupted = " (interrupted)" if outcome.interrupted else ""
     print(f"{outcome.dwells} dwells{interrupted}; see {', '.join(files)} and {folder}/bag")
     if outcome.interrupted:

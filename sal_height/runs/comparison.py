@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from sal_height.elevation import Validity
+from sal_height.geometry import sphere_coordinates
 from sal_height.numeric import F64, I64, U8, Bool, Index
 from sal_height.relief import HeightField
 from sal_height.simulation.lit_surfaces import LitSurfaces
@@ -38,8 +39,9 @@ class PublishedErrors:
     """Published surfaces of height images, one entry each.
 
     Attributes:
+        place: arc distances east and north from the map's origin and height above the sphere, m, shape (surfaces, 3).
         validity: of its pixel.
-        sigma: predicted standard deviation, m.
+        sigma: predicted standard deviation of height, m.
         nearest: height minus that of the nearest true surface in the pixel, m; in a pixel without scatterers, of the
             surfaces in the eight pixels around it; NaN where there is none either. An extended surface stands for all
             that the pixel holds: its height minus the mean of all surfaces, weighted by their power.
@@ -49,6 +51,7 @@ class PublishedErrors:
         true_order: number in TRUE_ORDERS of what the pixel holds; -1: a pixel without scatterers beside one with some.
     """
 
+    place: F64
     validity: U8
     sigma: F64
     nearest: F64
@@ -118,6 +121,7 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Compari
         there = np.isfinite(surface.height)
         parts.append(
             PublishedErrors(
+                place=np.stack(sphere_coordinates(surface.positions[there]), axis=-1),
                 validity=field.validity[there],
                 sigma=surface.sigma[there],
                 nearest=_nearest(candidates, surface.height)[1][there],

@@ -15,6 +15,7 @@ from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.reader import BagReader
 from sal_height.io import new_folder, write_text, writing
+from sal_height.runs.cloud_picture import cloud_of, draw_cloud
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import (
     HEIGHTS,
@@ -26,11 +27,11 @@ from sal_height.runs.ensemble import (
     recorded_topics,
     suited,
 )
-from sal_height.runs.picture import draw_heights
+from sal_height.runs.height_picture import draw_heights
 from sal_height.runs.profile import draw_profile
-from sal_height.runs.report import Mosaic, mosaic, statistics
+from sal_height.runs.report import mosaic, statistics
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
-from sal_height.runs.surface_report import compared, surface_statistics
+from sal_height.runs.surface_report import Judged, judged, surface_statistics
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
 RELIEF_MAP = "relief_map.tif"
@@ -92,11 +93,13 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         outcome = perform(plan, execution)
         conclude(outcome, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
-        mosaics, accuracy = read_accuracy(bag, flight, stages)
+        judgements, accuracy = read_accuracy(bag, flight, stages)
         report["estimators"] = accuracy
-    if mosaics:
+    if judgements:
         with writing(folder / "height.png"):
-            draw_heights(mosaics, flight.scene, preset, folder / "height.png")
+            draw_heights(judgements, preset, folder / "height.png")
+        with writing(folder / "scene3d.png"):
+            draw_cloud(*cloud_of(judgements), preset, folder / "scene3d.png")
         with writing(folder / "profile.png"):
             draw_profile(bag, HEIGHTS[height_sources(stages, values)[TRACKER]], flight.scene, folder / "profile.png")
     return Run(outcome, accuracy)
@@ -104,8 +107,10 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
 
 def read_accuracy(
     bag: Path, flight: SimulatedFlight, stages: Sequence[str]
-) -> tuple[dict[str, Mosaic], dict[str, dict[str, Any]]]:
-    """Mosaic and errors of each height node among `stages`, by prefix of its topics; no mosaic without single surfaces.
+) -> tuple[dict[str, Judged], dict[str, dict[str, Any]]]:
+    """Height images beside the truth, of estimators with any height, and errors of each height node among `stages`.
+
+    Both by prefix of the topics.
 
     Args:
         bag: of a run or replay of the flight.
@@ -114,12 +119,14 @@ def read_accuracy(
     """
     images = read_images(bag)
     surfaces = {dwell: flight.surface(dwell) for dwell in {one.dwell for found in images.values() for one in found}}
-    mosaics = {name: mosaic(found, flight, surfaces) for name, found in images.items() if _has_single_surfaces(found)}
-    prefixes = [HEIGHTS[name] for name in stages if name in HEIGHTS]
-    accuracy = {prefix: statistics(mosaics.get(prefix)) for prefix in prefixes}
-    for prefix in set(prefixes) & images.keys():
-        accuracy[prefix]["surfaces"] = surface_statistics(*compared(images[prefix], flight, surfaces))
-    return mosaics, accuracy
+    judgements = {prefix: judged(found, flight, surfaces) for prefix, found in images.items()}
+    accuracy = {}
+    for prefix in (HEIGHTS[name] for name in stages if name in HEIGHTS):
+        single = HeightImage.OK in {value for image in images.get(prefix, ()) for value in image.validity}
+        accuracy[prefix] = statistics(mosaic(images[prefix], flight, surfaces) if single else None)
+        if prefix in judgements:
+            accuracy[prefix]["surfaces"] = surface_statistics(judgements[prefix])
+    return {name: found for name, found in judgements.items() if len(found.comparison.errors.sigma)}, accuracy
 
 
 def read_images(bag: Path) -> dict[str, list[HeightImage]]:
@@ -130,8 +137,3 @@ def read_images(bag: Path) -> dict[str, list[HeightImage]]:
         image = reader.decode(message.type_name, message.cdr)
         images.setdefault(image.estimator, []).append(image)
     return {prefix: images[prefix] for prefix in HEIGHTS.values() if prefix in images}
-
-
-def _has_single_surfaces(images: Sequence[HeightImage]) -> bool:
-    """Whether any pixel has the height of a single scatterer, of which mosaics are made."""
-    return any(HeightImage.OK in image.validity for image in images)

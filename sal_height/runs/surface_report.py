@@ -16,7 +16,7 @@ from sal_height import messages
 from sal_height.elevation import USABLE, Validity
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import or_null
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, Bool, Index
 from sal_height.relief import HeightField
 from sal_height.runs.comparison import (
     FOUND_ORDERS,
@@ -34,29 +34,57 @@ TOLERANCE_BEAMWIDTHS = 0.11
 """Error, across the line of sight, up to which a height is called right: 6 cm of height in sal_spotlight."""
 
 
+CELL_PIXELS = 0.5
+"""Side of a cell of the ground in pixels of the height image on level ground."""
+
+
 @dataclass(frozen=True, eq=False)
 class GroundCoverage:
-    """Cells of the ground that the images of a run reach by range and Doppler.
+    """Cells of the ground that the images of a run reach by range and Doppler; arrays of shape (cells,).
 
     Attributes:
         size: of a cell, m.
         tolerance: error of a height up to which it is right, m.
-        lit: share of the cells that are lit and inside the array in some image.
-        shadow: share of the others that are inside the array in some image.
-        right: share of the lit cells for which a surface is published whose height is right: in the cell's pixel, or
-            in that before or behind it in range.
+        number: row (north) and column (east) of the cell, counted from the map's origin, shape (cells, 2); its centre
+            is at (number + 0.5) sizes.
+        terrain: height of the ground in the middle of the cell, m.
+        inside: True where the cell is inside the array in some image.
+        lit: True where it is lit as well in such an image.
+        right: True where a surface is published whose height is right: in the cell's pixel, or in that before or behind
+            it in range.
+        silent: True where nothing was found in its pixels but noise.
     """
 
     size: float
     tolerance: float
-    lit: float
-    shadow: float
-    right: float
+    number: Index
+    terrain: F64
+    inside: Bool
+    lit: Bool
+    right: Bool
+    silent: Bool
+
+    @property
+    def shares(self) -> dict[str, float | None]:
+        """Of the cells inside the array, the lit ones and the others; of the lit ones, those that are right."""
+        inside, lit, right = (int(np.count_nonzero(chosen)) for chosen in (self.inside, self.lit, self.right))
+        return {"lit": _share(lit, inside), "shadow": _share(inside - lit, inside), "right": _share(right, lit)}
 
 
-def compared(
-    images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]
-) -> tuple[Comparison, GroundCoverage]:
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """The height images of one estimator beside the truth.
+
+    Attributes:
+        comparison: of pixels and published surfaces.
+        ground: what of the ground was seen.
+    """
+
+    comparison: Comparison
+    ground: GroundCoverage
+
+
+def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Judged:
     """Compare all height images of one estimator with what their dwells saw.
 
     Args:
@@ -66,9 +94,9 @@ def compared(
     """
     sensor, track = flight.sensor, flight.preset.flight
     across = sensor.beamwidth * track.slant_range_m * np.sin(track.look_angle_rad)
-    layers = 1.5 * flight.scene.layer_spacing / across
+    connected = max(CONNECTED, 1.5 * flight.scene.layer_spacing / across)
     spacing = images[0].grid
-    size = float(max(spacing.row_spacing / np.sin(track.look_angle_rad), spacing.col_spacing))
+    size = float(max(spacing.row_spacing / np.sin(track.look_angle_rad), spacing.col_spacing)) * CELL_PIXELS
     tolerance = float(TOLERANCE_BEAMWIDTHS * across)
     comparisons, seen = [], []
     for image in images:
@@ -76,11 +104,12 @@ def compared(
         beams = image_beams(sensor, messages.recorded_azimuth_window(image.provenance))
         cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, track.slant_range_m)
         surface = surfaces[image.dwell]
-        truth = lit_surfaces(surface, aperture, field.grid, cell, beams, max(CONNECTED, layers))
+        truth = lit_surfaces(surface, aperture, field.grid, cell, beams, connected)
         comparisons.append(compare(field, truth, sensor.beamwidth))
         cells = ground_cells(flight.scene, surface, aperture, field.grid, beams, sensor.look_side, size)
-        seen.append((cells, _is_right(field, cells, tolerance)))
-    return joined_comparisons(comparisons), _coverage(seen, size, tolerance)
+        silent = np.isin(field.validity, (Validity.NO_SIGNAL, Validity.LOW_CNR))[*cells.pixel.T]
+        seen.append((cells, _is_right(field, cells, tolerance), silent))
+    return Judged(joined_comparisons(comparisons), _coverage(seen, size, tolerance))
 
 
 def _is_right(field: HeightField, cells: GroundCells, tolerance: float) -> Bool:
@@ -93,28 +122,35 @@ def _is_right(field: HeightField, cells: GroundCells, tolerance: float) -> Bool:
     return right
 
 
-def _coverage(seen: Sequence[tuple[GroundCells, Bool]], size: float, tolerance: float) -> GroundCoverage:
-    """Coverage by all images together: a cell counts as lit, inside or right if it is so in one of them."""
-    numbers = np.concatenate([cells.number for cells, _ in seen])
-    _, which = np.unique(numbers, axis=0, return_inverse=True)
+def _coverage(seen: Sequence[tuple[GroundCells, Bool, Bool]], size: float, tolerance: float) -> GroundCoverage:
+    """Coverage by all images together: a cell is inside, lit or right if it is so in one, silent if in all of them."""
+    images, right, silent = zip(*seen, strict=True)
+    numbers = np.concatenate([cells.number for cells in images])
+    number, first, which = np.unique(numbers, axis=0, return_index=True, return_inverse=True)
 
     def anywhere(parts: Sequence[Bool]) -> Bool:
         return np.bincount(which.ravel(), np.concatenate(parts).astype(np.float64)) > 0
 
-    inside = anywhere([cells.inside for cells, _ in seen])
-    lit = anywhere([cells.inside & cells.lit for cells, _ in seen])
-    right = anywhere([cells.inside & cells.lit & true for cells, true in seen])
-    shares = np.mean(lit), np.mean(inside & ~lit), np.mean(right) / max(np.mean(lit), np.finfo(float).tiny)
-    return GroundCoverage(size, tolerance, *(float(share) for share in shares))
+    return GroundCoverage(
+        size=size,
+        tolerance=tolerance,
+        number=number,
+        terrain=np.concatenate([cells.height for cells in images])[first],
+        inside=anywhere([cells.inside for cells in images]),
+        lit=anywhere([cells.inside & cells.lit for cells in images]),
+        right=anywhere([cells.inside & cells.lit & true for cells, true in zip(images, right, strict=True)]),
+        silent=~anywhere([~quiet for quiet in silent]),
+    )
 
 
-def surface_statistics(result: Comparison, coverage: GroundCoverage) -> dict[str, Any]:
+def surface_statistics(judgement: Judged) -> dict[str, Any]:
     """Part `surfaces` of an estimator's report: errors of all published surfaces and of each kind, and the lit ground.
 
     `valid`: share of the lit pixels inside the array with a height; `missed`: share of the lit surfaces for which none
     is published; `ghosts_in_shadow`: share of the pixels in shadow with a height; `confusion`: pixels by what they
-    hold (rows) and what was found; `lit_ground`: `GroundCoverage`.
+    hold (rows) and what was found; `ground`: `GroundCoverage.shares`.
     """
+    result, ground = judgement.comparison, judgement.ground
     kinds = {value.name: result.errors.where(result.errors.validity == value) for value in map(Validity, USABLE)}
     return {
         "valid": _share(result.valid, result.pixels),
@@ -123,13 +159,7 @@ def surface_statistics(result: Comparison, coverage: GroundCoverage) -> dict[str
         "all": error_statistics(result.errors),
         **{name: error_statistics(errors) for name, errors in kinds.items()},
         "confusion": {"true": list(TRUE_ORDERS), "found": list(FOUND_ORDERS), "pixels": result.confusion.tolist()},
-        "lit_ground": {
-            "cell_m": coverage.size,
-            "tolerance_m": coverage.tolerance,
-            "lit": coverage.lit,
-            "shadow": coverage.shadow,
-            "right": coverage.right,
-        },
+        "ground": {"cell_m": ground.size, "tolerance_m": ground.tolerance, **ground.shares},
     }
 
 

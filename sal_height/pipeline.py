@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sal_height.beams import column_squint
+from sal_height.beams import Beams, column_squint
 from sal_height.calibration import Calibration
 from sal_height.elevation import (
     ElevationEstimate,
@@ -107,10 +107,10 @@ def heights(
     """
     parts = []
     for channels, rows in channel_sets(slc, sensor, settings.windows[0]):
-        estimate, looks, grid = elevations(slc, sensor, estimator, settings, calibration, channels)
+        estimate, looks, grid, beams = elevations(slc, sensor, estimator, settings, calibration, channels)
         # Range, Doppler and elevation give the place on the ground.
         side, velocity = sensor.look_side, settings.radial_velocity_mps
-        parts.append((rows, height_field(estimate, looks, slc.grid, grid, slc.aperture, side, velocity)))
+        parts.append((rows, height_field(estimate, looks, slc.grid, grid, slc.aperture, side, velocity, beams)))
     return joined_rows(parts)
 
 
@@ -121,8 +121,8 @@ def elevations(
     settings: HeightSettings,
     calibration: Calibration | None = None,
     channels_used: Index | None = None,
-) -> tuple[ElevationEstimate, Looks, Grid]:
-    """Elevation of every height pixel, the looks that it was estimated from, and the grid of the pixels.
+) -> tuple[ElevationEstimate, Looks, Grid, Beams]:
+    """Elevation of every height pixel, the looks that it was estimated from, the grid of the pixels, and the beams.
 
     Args:
         slc: images of all channels.
@@ -158,7 +158,7 @@ def elevations(
     estimate = estimator.estimate(looks, beams, settings)
     if slc.saturated_share[live].max() > settings.max_saturated_share:
         estimate = without_saturated(estimate)
-    return estimate, looks, grid
+    return estimate, looks, grid, beams
 
 
 def channel_sets(slc: Slc, sensor: Sensor, down: Window) -> list[tuple[Index, Bool]]:

@@ -13,7 +13,7 @@ from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS, ElevationEstimate, MlSettings, Validity
 from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings, Slc
-from sal_height.pipeline import Compressor, elevations
+from sal_height.pipeline import Compressor, elevations, heights
 from sal_height.sensor import Sensor
 from sal_height.simulation import flight_of, load_preset
 
@@ -73,6 +73,25 @@ def test_pixels_stay_valid_with_a_sigma_that_is_right(level: tuple[Sensor, Slc])
     assert np.sqrt(np.mean(np.concatenate(unaware) ** 2)) > 8
     assert min(shares) > 0.9
     assert np.sqrt(np.mean(np.concatenate(ratios) ** 2)) == pytest.approx(1, abs=0.25)
+
+
+def test_the_uncertainty_of_the_beams_is_common_to_pixels(level: tuple[Sensor, Slc]) -> None:
+    """Own covariances stay those of known beams; both parts make up sigma."""
+    sensor, slc = level
+    estimator = ESTIMATORS["ml"]
+    fields = [
+        heights(slc, one, estimator, estimator.settings())
+        for one in (sensor, replace(sensor, beam_uncertainty=UNCERTAINTY, config_hash=""))
+    ]
+    known, stated = (field.first for field in fields)
+    assert known.common_covariance is None
+    assert stated.common_covariance is not None
+    seen = np.all([field.validity == Validity.OK for field in fields], axis=0)
+    assert seen.mean() > 0.5
+    np.testing.assert_allclose(stated.own_covariance[seen], known.own_covariance[seen], rtol=1e-4, atol=1e-9)
+    up = (stated.own_covariance + stated.common_covariance)[seen][:, 2, 2]
+    np.testing.assert_allclose(np.sqrt(up), stated.sigma[seen], rtol=1e-4)
+    assert np.median(stated.common_covariance[seen][:, 2, 2] / up) > 0.5
 
 
 def test_the_standard_errors_of_a_calibration_count(level: tuple[Sensor, Slc]) -> None:

@@ -9,6 +9,7 @@ difference), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators by
 at all elevations of a pixel instead, as tomography of vegetation needs it.
 """
 
+from sal_height.elevation.beam_error import common_deviation
 from sal_height.elevation.bounds import conditional_crb, speckle_crb, stochastic_crb
 from sal_height.elevation.cell_response import AxisResponse, CellResponse
 from sal_height.elevation.estimate import (
@@ -84,6 +85,7 @@ __all__ = [
     "Scatterer",
     "Validity",
     "Window",
+    "common_deviation",
     "conditional_crb",
     "covariance",
     "discriminant",

@@ -8,7 +8,8 @@ from typing import Self
 
 import numpy as np
 
-from sal_height.elevation import SCATTERERS, ElevationEstimate, Looks, Scatterer, Validity
+from sal_height.beams import Beams
+from sal_height.elevation import SCATTERERS, ElevationEstimate, Looks, Scatterer, Validity, common_deviation
 from sal_height.geometry import ApertureState, Grid, aperture_at, height_of, locate_at_elevation
 from sal_height.numeric import F64, U8, Bool
 from sal_height.relief.position_error import (
@@ -30,8 +31,9 @@ class Surface:
         cnr_db: carrier-to-noise ratio of one look, dB.
         positions: in map, m, shape (rows, cols, 3).
         spread: standard deviation of the surface's own heights within the pixel, m; 0: a single point.
-        own_covariance: of the position without the error of the platform's pose, m^2, shape (rows, cols, 3, 3).
-        common_covariance: what the pose adds, an error that all pixels of a dwell share; None: not known.
+        own_covariance: of the position without the errors that pixels share, m^2, shape (rows, cols, 3, 3).
+        common_covariance: what the platform's pose adds, an error that all pixels of a dwell share, and what beams add
+            that are not exactly known, which those of one elevation share; None: neither is known.
     """
 
     height: F64
@@ -49,13 +51,20 @@ class Surface:
 
     @classmethod
     def seen_from(
-        cls, aperture: ApertureState, positions: F64, own_covariance: F64, cnr_db: F64, spread: F64 | None = None
+        cls,
+        aperture: ApertureState,
+        positions: F64,
+        own_covariance: F64,
+        cnr_db: F64,
+        spread: F64 | None = None,
+        beam_covariance: F64 | None = None,
     ) -> Self:
         """A surface with what the pose of the aperture adds to its covariance; arguments as the attributes.
 
-        Spread None: a surface of single points.
+        Spread None: a surface of single points. Beam covariance None: the beams are known.
         """
-        common = pose_covariance(positions, aperture)
+        known = [part for part in (pose_covariance(positions, aperture), beam_covariance) if part is not None]
+        common = np.sum(known, axis=0) if known else None
         variance = height_variance(own_covariance if common is None else own_covariance + common, positions)
         height = height_of(positions)
         spread = np.zeros_like(height) if spread is None else spread
@@ -118,14 +127,16 @@ def height_field(
     aperture: ApertureState,
     look_side: int,
     radial_velocity: float = 0.0,
+    beams: Beams | None = None,
 ) -> HeightField:
     """Compute height, its standard deviation and the ground position of every pixel.
 
     Range and Doppler are those of the looks' power-weighted centre; the elevation selects the point on their circle.
     The errors of elevation, of range and of Doppler are independent (`position_error.covariance_of`); those of range
     and Doppler are there because the centre of the speckle within its cell is unknown, which limits the height at high
-    CNR. What the platform's pose adds (`position_error.pose_covariance`) is common to all pixels of the dwell. The
-    variance of height is that of both parts along the vertical.
+    CNR. What the platform's pose adds (`position_error.pose_covariance`) is common to all pixels of the dwell, and what
+    uncertain beams add (`beam_error.common_deviation`) to those of one elevation. The variance of height is that of
+    both parts along the vertical.
 
     Args:
         estimate: elevations.
@@ -136,6 +147,7 @@ def height_field(
         look_side: +1 right, -1 left.
         radial_velocity: v_r of the targets, m/s, positive if they recede. It displaces them in the image by
             -range v_r / speed along-track (SAL paper, section 4), which is corrected.
+        beams: whose uncertainty is in the estimate's sigmas, and becomes common; None: they are known.
     """
     points = slc_grid.points(looks.row, looks.col)
     aperture = aperture_at(points, aperture)
@@ -151,11 +163,17 @@ def height_field(
         """Height and position of scatterers; NaN where there is no such direction."""
         positions = locate_at_elevation(scatterer.elevation, slant_range, along, aperture, look_side)
         jacobian = position_jacobian(positions, aperture)
-        own = covariance_of(jacobian, np.stack([scatterer.sigma, range_sigma, along_sigma], axis=-1))
+        sigma, by_beams = scatterer.sigma, None
+        if beams and beams.uncertainty:
+            shared = np.minimum(common_deviation(beams, scatterer.elevation, looks.squint), sigma)
+            with np.errstate(invalid="ignore"):
+                sigma = np.where(np.isfinite(sigma), np.sqrt(sigma**2 - shared**2), sigma)
+            by_beams = covariance_of(jacobian, shared[..., None] * np.array([1.0, 0.0, 0.0]))
+        own = covariance_of(jacobian, np.stack([sigma, range_sigma, along_sigma], axis=-1))
         with np.errstate(divide="ignore", invalid="ignore"):
             cnr_db = 10 * np.log10(np.where(scatterer.cnr > 0, scatterer.cnr, np.nan))
         spread = scatterer.spread * np.abs(np.sum(jacobian[..., 0] * vertical(positions), axis=-1))
-        return Surface.seen_from(aperture, positions, own, cnr_db, spread)
+        return Surface.seen_from(aperture, positions, own, cnr_db, spread, by_beams)
 
     surfaces = [surface(scatterer) for scatterer in estimate.scatterers]
     validity = _checked_validity(estimate.validity, surfaces)

@@ -20,6 +20,9 @@ BANDS = {
 }
 """Bands in their order, layers of `Relief`, and how the file describes them."""
 
+KIND = {"kind": "what the height rests on: 0 measured, 1 interpolated, 2 shadow, 3 unseen"}
+"""Another band, of a map that says so."""
+
 PLACED = "+proj=aeqd +lat_0={!r} +lon_0={!r} +datum=WGS84 +units=m +no_defs"
 """Coordinate system about a known origin (latitude, longitude in degrees): azimuthal equidistant on the ellipsoid."""
 
@@ -61,6 +64,7 @@ def write_geotiff(path: Path, relief: Relief, origin: tuple[float, float] | None
         UserError: rasterio is not installed, or the file cannot be written.
     """
     rasterio = _rasterio(path)
+    bands = BANDS if relief.kind is None else BANDS | KIND
     rows, cols = relief.height.shape
     west = relief.east - relief.cell_size / 2
     north = relief.north + (rows - 0.5) * relief.cell_size
@@ -69,7 +73,7 @@ def write_geotiff(path: Path, relief: Relief, origin: tuple[float, float] | None
             driver="GTiff",
             width=cols,
             height=rows,
-            count=len(BANDS),
+            count=len(bands),
             dtype="float32",
             nodata=np.nan,
             crs=PLACED.format(*origin) if origin else UNPLACED,
@@ -82,7 +86,7 @@ def write_geotiff(path: Path, relief: Relief, origin: tuple[float, float] | None
             bigtiff="if_safer",
         ) as file:
             file.update_tags(**tags)
-            for band, (layer, description) in enumerate(BANDS.items(), start=1):
+            for band, (layer, description) in enumerate(bands.items(), start=1):
                 file.write(getattr(relief, layer)[::-1].astype(np.float32), band)
                 file.set_band_description(band, layer)
                 file.update_tags(band, description=description)

@@ -58,3 +58,4 @@ def test_the_ground_is_published_with_its_kinds_and_written(graph: Graph, tmp_pa
     with rasterio.open(tmp_path / "ground.tif") as file:
         assert (file.height, file.width) == kind.shape
         assert np.isclose(np.nanmedian(file.read(1)), 2.0)
+        assert np.array_equal(file.read(file.descriptions.index("kind") + 1)[::-1], kind)

@@ -112,7 +112,7 @@ def estimated_ground(layers: Layers, grid: GroundGrid, settings: GroundSettings)
     jump = np.where(measured, 0.0, _jumps_beside(membrane))
     sure = covered & (jump == 0)
     kind = np.select(
-        [sure, hidden, level | covered],
+        [sure, hidden, (level | covered) & np.isfinite(membrane.height)],
         [GroundKind.MEASURED, GroundKind.SHADOW, GroundKind.INTERPOLATED],
         GroundKind.UNSEEN,
     ).astype(np.uint8)
@@ -193,7 +193,7 @@ def _settled(tops: Layers, number: I64, grid: GroundGrid, settings: GroundSettin
 PASSES = 2
 """Number of fits: with unknown slopes, with slopes that steps may have spoilt, and with those of whole ground."""
 
-LEAST_VARIANCE_SHARE = 0.1
+LEAST_VARIANCE_SHARE = 0.25
 """Least variance of a height at a place over that of the height itself, on slopes along which the errors go."""
 
 SLOPE_CELLS = 5

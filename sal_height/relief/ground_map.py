@@ -63,14 +63,27 @@ class GroundMap:
         self._corners = np.zeros((2, 2), dtype=np.int64)  # row and column of the first and of the last cell seen
 
     def add(self, field: HeightField, aperture: ApertureState) -> None:
-        """Enter all surfaces that a dwell saw from `aperture`; if they are refused, the map does not change.
+        """Enter all surfaces that a dwell saw from `aperture`, and bring the estimate up to date.
 
         Raises:
-            Rejected: the map would have more than `max_cells` cells.
+            Rejected: the map would have more than `max_cells` cells; it does not change.
+        """
+        seen = self.enter(field, aperture)
+        if seen is not None:
+            self._renew(seen + MARGIN * np.array([[-1], [1]]))
+
+    def enter(self, field: HeightField, aperture: ApertureState) -> I64 | None:
+        """Enter all surfaces that a dwell saw from `aperture`; the estimate is not brought up to date.
+
+        Returns:
+            Row and column of the first and of the last cell that holds a surface, shape (2, 2); None: none does.
+
+        Raises:
+            Rejected: the map would have more than `max_cells` cells; it does not change.
         """
         layers = merged(layers_of(field, aperture), self.cell_size, self.settings.gate, same_dwell=True)
         if not len(layers):
-            return
+            return None
         cells = layers.cells(self.cell_size)
         seen = np.stack([cells.min(axis=0), cells.max(axis=0)])
         self._grow(seen)
@@ -80,7 +93,7 @@ class GroundMap:
                 new = self._tiles[place].and_those(new)
                 new = merged(new, self.cell_size, self.settings.gate, same_dwell=False)
             self._tiles[place] = new
-        self._renew(seen + MARGIN * np.array([[-1], [1]]))
+        return seen
 
     def settle(self) -> None:
         """Estimate all ground at once."""

@@ -131,7 +131,9 @@ def fitted_membrane(
     averaged = (posterior - 1 / _beliefs((1 + WEIGHT_STEP) * weight, filled, stiffness)[0]) / WEIGHT_STEP
     roughness = _roughness(filled, noise, covered, max(1, round(spacing)))
     variance = averaged + roughness * (posterior - averaged) + beyond * (FREEDOM * noise) ** 2
-    return Membrane(height, np.sqrt(variance), joined, covered)
+    variance += (_bend(height, 3 * np.sqrt(6 * variance), max(1, round(spacing))) / 4) ** 2
+    reached = precision > 2 * kernels.LEAST_PRECISION
+    return Membrane(np.where(reached, height, np.nan), np.where(reached, np.sqrt(variance), np.inf), joined, covered)
 
 
 def _pairs(values: F64) -> list[tuple[F64, F64]]:
@@ -163,6 +165,21 @@ def _beliefs(weight: F64, measured: F64, stiffness: Links) -> tuple[F64, F64]:
     kernels.propagate(weight, weight * measured, *stiffness, SWEEPS, precision, moment)
     total = np.maximum(weight + precision.sum(axis=0), kernels.LEAST_PRECISION)
     return total, (weight * measured + moment.sum(axis=0)) / total
+
+
+def _bend(height: F64, limit: F64, lag: int) -> F64:
+    """Greatest bend of each cell with those `lag` cells before and after it, along rows or columns, m.
+
+    What noise may make of it, up to `limit` (m), is taken off.
+    """
+    found = np.zeros(height.shape)
+    for axis in (0, 1):
+        way = [(0, 0), (0, 0)]
+        way[axis] = (lag, lag)
+        around = np.moveaxis(np.pad(height, way, mode="edge"), axis, 0)
+        bend = np.abs(around[: -2 * lag] - 2 * around[lag:-lag] + around[2 * lag :])
+        found = np.maximum(found, np.moveaxis(bend, 0, axis))
+    return np.maximum(found - limit, 0.0)
 
 
 def _roughness(height: F64, noise: F64, covered: Bool, lag: int) -> F64:

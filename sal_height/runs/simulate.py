@@ -15,6 +15,7 @@ from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.reader import BagReader
 from sal_height.io import new_folder, write_text, writing
+from sal_height.relief import GroundEstimate
 from sal_height.runs.cloud_picture import cloud_of, draw_cloud
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import (
@@ -27,11 +28,19 @@ from sal_height.runs.ensemble import (
     recorded_topics,
     suited,
 )
+from sal_height.runs.ground_picture import draw_ground
+from sal_height.runs.ground_report import TrueGround, ground_of, ground_statistics, true_ground
 from sal_height.runs.height_picture import draw_heights
 from sal_height.runs.profile import draw_profile
 from sal_height.runs.report import mosaic, statistics
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
-from sal_height.runs.surface_report import Judged, judged, surface_statistics
+from sal_height.runs.surface_report import (
+    TOLERANCE_BEAMWIDTHS,
+    Judged,
+    height_beamwidth,
+    judged,
+    surface_statistics,
+)
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
 RELIEF_MAP = "relief_map.tif"
@@ -93,24 +102,29 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         outcome = perform(plan, execution)
         conclude(outcome, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
-        judgements, accuracy = read_accuracy(bag, flight, stages)
+        judgements, accuracy, grounds = read_accuracy(bag, flight, stages)
         report["estimators"] = accuracy
+    source = HEIGHTS[height_sources(stages, values)[TRACKER]]
+    if source in grounds:
+        with writing(folder / "ground.png"):
+            draw_ground(*grounds[source], folder / "ground.png")
     if judgements:
         with writing(folder / "height.png"):
             draw_heights(judgements, preset, folder / "height.png")
         with writing(folder / "scene3d.png"):
             draw_cloud(*cloud_of(judgements), preset, folder / "scene3d.png")
         with writing(folder / "profile.png"):
-            draw_profile(bag, HEIGHTS[height_sources(stages, values)[TRACKER]], flight.scene, folder / "profile.png")
+            draw_profile(bag, source, flight.scene, folder / "profile.png")
     return Run(outcome, accuracy)
 
 
 def read_accuracy(
     bag: Path, flight: SimulatedFlight, stages: Sequence[str]
-) -> tuple[dict[str, Judged], dict[str, dict[str, Any]]]:
+) -> tuple[dict[str, Judged], dict[str, dict[str, Any]], dict[str, tuple[GroundEstimate, TrueGround]]]:
     """Height images beside the truth, of estimators with any height, and errors of each height node among `stages`.
 
-    Both by prefix of the topics.
+    And the estimated ground with the true one, of estimators with any height but the tracked ones. All by prefix of the
+    topics.
 
     Args:
         bag: of a run or replay of the flight.
@@ -126,7 +140,15 @@ def read_accuracy(
         accuracy[prefix] = statistics(mosaic(images[prefix], flight, surfaces) if single else None)
         if prefix in judgements:
             accuracy[prefix]["surfaces"] = surface_statistics(judgements[prefix])
-    return {name: found for name, found in judgements.items() if len(found.comparison.errors.sigma)}, accuracy
+    judgements = {name: found for name, found in judgements.items() if len(found.comparison.errors.sigma)}
+    tolerance, grounds = TOLERANCE_BEAMWIDTHS * height_beamwidth(flight), {}
+    for prefix in accuracy.keys() & images.keys() - {HEIGHTS[TRACKER]}:
+        estimate = ground_of(images[prefix])
+        if estimate is not None:
+            truth = true_ground(estimate, images[prefix], flight, surfaces)
+            accuracy[prefix]["ground"] = ground_statistics(estimate, truth, tolerance)
+            grounds[prefix] = estimate, truth
+    return judgements, accuracy, grounds
 
 
 def read_images(bag: Path) -> dict[str, list[HeightImage]]:

@@ -84,6 +84,12 @@ class Judged:
     ground: GroundCoverage
 
 
+def height_beamwidth(flight: SimulatedFlight) -> float:
+    """Difference in height of one beamwidth at the middle of the swath, m."""
+    track = flight.preset.flight
+    return float(flight.sensor.beamwidth * track.slant_range_m * np.sin(track.look_angle_rad))
+
+
 def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Judged:
     """Compare all height images of one estimator with what their dwells saw.
 
@@ -93,7 +99,7 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
         surfaces: what was lit in each dwell.
     """
     sensor, track = flight.sensor, flight.preset.flight
-    across = sensor.beamwidth * track.slant_range_m * np.sin(track.look_angle_rad)
+    across = height_beamwidth(flight)
     connected = max(CONNECTED, 1.5 * flight.scene.layer_spacing / across)
     spacing = images[0].grid
     size = float(max(spacing.row_spacing / np.sin(track.look_angle_rad), spacing.col_spacing)) * CELL_PIXELS

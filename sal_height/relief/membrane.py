@@ -28,6 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, uniform_filter
+from scipy.special import ndtri
 
 from sal_height.numeric import F64, Bool
 from sal_height.relief import _kernels as kernels
@@ -47,17 +48,17 @@ SWEEPS = 4
 WEIGHT_STEP = 1e-3
 """Relative change of the weights for the derivative of the variances, -diag(A^-1 W A^-1)."""
 
-NEIGHBOURHOOD = 25
-"""Side in cells of the square in which kappa is estimated: some two hundred pixels."""
+NEIGHBOURHOOD = 19
+"""Side in cells of the square in which kappa is estimated: some hundred pixels."""
 
-CLIP = 2.0
-"""Standard deviations at which the bend of three measurements is clipped: a step does not look like roughness."""
+FAR = 2.0
+"""Standard deviations beyond which a measurement is called far from the line between its neighbours.
 
-CLIPPED_SQUARE = 0.9205
-"""Mean square of a standard normal variable clipped at CLIP."""
+The share of those that are far gives the scale of all, which a step along a line of pixels hardly changes.
+"""
 
-GREATEST_ROUGHNESS = 25.0
-"""Greatest kappa: the ground's steps are five times as large as those of the prior."""
+GREATEST_ROUGHNESS = 100.0
+"""Greatest kappa: the ground's steps are ten times as large as those of the prior."""
 
 Joints = tuple[Bool, Bool]
 """Whether each cell and the next along rows are joined, shape (rows - 1, cols), and along columns, (rows, cols - 1)."""
@@ -185,10 +186,10 @@ def _bend(height: F64, limit: F64, lag: int) -> F64:
 def _roughness(height: F64, noise: F64, covered: Bool, lag: int) -> F64:
     """Estimate kappa around each cell from measured heights (m) with the sigma `noise` (m) and those `lag` cells away.
 
-    The bend a - 2 b + c of three measurements in a line has the variance s_a^2 + 4 s_b^2 + s_c^2 from noise, and twice
-    that of a step of the ground. A slope has none.
+    The bend a - 2 b + c of three measurements in a line has the variance s_a^2 + 4 s_b^2 + s_c^2 from noise, 6 s^2, and
+    twice that of a step of the ground, which is kappa FREEDOM^2 s^2. A slope has none.
     """
-    excess, count = np.zeros(height.shape), np.zeros(height.shape)
+    far, count = np.zeros(height.shape), np.zeros(height.shape)
     for axis in (0, 1):
         length = height.shape[axis] - 2 * lag
         if length <= 0:
@@ -200,8 +201,9 @@ def _roughness(height: F64, noise: F64, covered: Bool, lag: int) -> F64:
         bend = (height[first] - 2 * height[middle] + height[last]) ** 2
         variance = noise[first] ** 2 + 4 * noise[middle] ** 2 + noise[last] ** 2
         known = covered[first] & covered[middle] & covered[last]
-        ratio = np.minimum(bend / variance, CLIP**2) / CLIPPED_SQUARE
-        excess[middle] += np.where(known, (ratio - 1) * variance / (2 * FREEDOM**2 * noise[middle] ** 2), 0.0)
+        far[middle] += known & (bend > FAR**2 * variance)
         count[middle] += known
-    mean, share = (uniform_filter(values, NEIGHBOURHOOD) for values in (excess, count))
-    return np.clip(mean / np.maximum(share, 1e-6), 0.0, GREATEST_ROUGHNESS)
+    far, count = (uniform_filter(values, NEIGHBOURHOOD) for values in (far, count))
+    share = np.clip(far / np.maximum(count, 1e-6), 1e-3, 0.99)
+    scale = FAR / ndtri(1 - share / 2)  # of a normal distribution with that share beyond FAR
+    return np.clip((scale**2 - 1) * 6 / (2 * FREEDOM**2), 0.0, GREATEST_ROUGHNESS)

@@ -61,7 +61,7 @@ def test_dwells_over_the_same_ground_average() -> None:
     rng = np.random.default_rng(2)
     one, four = (estimate_of(mapped([dwell(0, rng) for _ in range(count)])) for count in (1, 4))
     inner = np.s_[8:30, 4:-4]
-    assert np.isclose(np.nanmedian(four.sigma[inner]) / np.nanmedian(one.sigma[inner]), 0.5, atol=0.1)
+    assert 0.45 < np.nanmedian(four.sigma[inner]) / np.nanmedian(one.sigma[inner]) < 0.7  # 1/2, and their disagreement
     assert np.nanmax(np.abs(four.height - truth_of(four))[inner]) < 0.03
     assert four.count.max() == 4
 

@@ -84,6 +84,15 @@ def test_the_report_leaves_no_published_surface_uncounted(report: Any, recorded:
         assert 0.5 < numbers["ground"]["right"] <= 1
 
 
+def test_the_report_and_a_picture_show_the_ground(report: Any, recorded: Path) -> None:
+    ground = report["estimators"]["ml"]["ground"]
+    assert ground["right"] > 0.8
+    assert ground["lit"]["measured"] > 0.8
+    assert ground["measured"]["cells"] > 100
+    assert (recorded / "ground.png").stat().st_size > 10_000
+    assert "ground" not in report["estimators"]["tracked"]
+
+
 def test_tracked_heights_have_less_noise_than_those_they_were_tracked_from(report: Any) -> None:
     tracked, ml = report["estimators"]["tracked"], report["estimators"]["ml"]
     assert tracked["cells"] > 0.8 * ml["cells"]

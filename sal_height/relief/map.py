@@ -182,7 +182,7 @@ class _Pixels:
         place: arc distances east and north of the map's origin, m, shape (pixels, 2).
         height: m, shape (pixels,).
         slope: of the ground towards east and north, m/m, shape (pixels, 2); 0 where it is not known.
-        known: whether the slope is known, shape (pixels,).
+        slope_error: standard deviation of the slope, m/m, shape (pixels,); NaN where it is not known.
         own: variance of the height at that place, m^2, shape (pixels,).
         common: its part that the pixels of the dwell share, m^2.
     """
@@ -190,7 +190,7 @@ class _Pixels:
     place: F64
     height: F64
     slope: F64
-    known: Bool
+    slope_error: F64
     own: F64
     common: F64
 
@@ -209,15 +209,15 @@ def _supported(field: HeightField) -> list[Bool]:
 def _pixels(surface: Surface, there: Bool, spacing: float) -> _Pixels:
     """The scatterers of a surface that enter a map; `spacing` of pixels on the ground, m."""
     points = np.stack(sphere_coordinates(surface.positions), axis=-1)
-    slope = ground_slope(points, surface.own_covariance, spacing)
+    slope, error = ground_slope(points, surface.own_covariance, spacing)
     own = variance_at_place(surface.own_covariance, slope)
     common = np.zeros_like(own)
     if surface.common_covariance is not None:
         common = variance_at_place(surface.common_covariance, slope)
     seen = there & np.isfinite(points).all(axis=-1) & np.isfinite(own + common) & (own > 0)
-    known = np.isfinite(slope[..., 0])
-    slope = np.where(known[..., None], slope, 0.0)
-    return _Pixels(points[seen][:, :2], points[seen][:, 2], slope[seen], known[seen], own[seen], common[seen])
+    return _Pixels(
+        points[seen][:, :2], points[seen][:, 2], np.nan_to_num(slope[seen]), error[seen], own[seen], common[seen]
+    )
 
 
 def _joined(parts: list[_Pixels]) -> _Pixels:
@@ -228,9 +228,9 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, 
     """Height at the centre of each cell that was seen: the mean of its pixels, moved along their mean slope.
 
     The weights are w = 1 / variance; own parts add up to sum w^2 own / (sum w)^2, and of the common part, which is one
-    error, the mean sigma is taken. Where slopes are not known, what ground of STEEPEST makes of the distance to the
-    centre is added; and where the heights in the cell spread by more than STEP times their errors, that spread: the
-    cell holds a step, and its centre lies on either side.
+    error, the mean sigma is taken. Added is what the error of the slope makes of the distance of the pixels' mean place
+    from the centre; where slopes are not known, what STEEPEST makes of the pixels' distances; and where the heights in
+    the cell spread by more than STEP times their errors, that spread: the cell holds a step.
 
     Args:
         pixels: of a dwell.
@@ -246,8 +246,9 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, 
     weight = 1 / (pixels.own + pixels.common)
     total = np.bincount(index, weight)
     seen = np.flatnonzero(total)
-    index = np.searchsorted(seen, index)
-    total = total[seen]
+    numbers = np.zeros(len(total), np.int64)
+    numbers[seen] = np.arange(len(seen))
+    index, total = numbers[index], total[seen]
 
     def mean(values: F64) -> F64:
         return np.bincount(index, weight * values) / total
@@ -256,11 +257,13 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, 
     slope = np.stack([mean(axis) for axis in pixels.slope.T], axis=-1)
     at_centre = pixels.height + np.sum(slope[index] * offset, axis=-1)
     height = mean(at_centre)
-    doubt = mean(np.where(pixels.known, 0.0, STEEPEST * np.hypot(*offset.T)))
+    unknown = np.isnan(pixels.slope_error)
+    moved = mean(np.where(unknown, 0.0, pixels.slope_error)) * np.hypot(*(mean(axis) for axis in offset.T))
+    unmoved = mean(np.where(unknown, STEEPEST * np.hypot(*offset.T), 0.0))
     spread, expected = mean((at_centre - height[index]) ** 2), mean(pixels.own)
     step = np.where(spread > STEP**2 * expected, spread, 0.0)
     own = np.bincount(index, weight**2 * pixels.own) / total**2
-    variance = own + mean(np.sqrt(pixels.common)) ** 2 + doubt**2 + step
+    variance = own + mean(np.sqrt(pixels.common)) ** 2 + moved**2 + unmoved**2 + step
     row, col = np.unravel_index(seen, shape)
     return row + first[0], col + first[1], height, 1 / variance
 

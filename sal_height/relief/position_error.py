@@ -144,14 +144,11 @@ def is_covariance(matrices: F64) -> Bool:
     ab, ac, bc = matrices[..., 0, 1], matrices[..., 0, 2], matrices[..., 1, 2]
     with np.errstate(invalid="ignore", over="ignore"):
         finite = (a >= 0) & (b >= 0) & (c >= 0) & (a + b + c < np.inf)
-        pairs = ((ab**2, a * b), (ac**2, a * c), (bc**2, b * c))
+        limit = 1 + ROUNDING
+        pairs = (ab**2 <= limit * a * b) & (ac**2 <= limit * a * c) & (bc**2 <= limit * b * c)
         product = a * b * c
         whole = product + 2 * ab * ac * bc - a * bc**2 - b * ac**2 - c * ab**2
-        return (
-            finite
-            & np.all([one <= (1 + ROUNDING) * two for one, two in pairs], axis=0)
-            & (whole >= -ROUNDING * product)
-        )
+        return finite & pairs & (whole >= -ROUNDING * product)
 
 
 def vertical(positions: F64) -> F64:
@@ -163,16 +160,19 @@ def vertical(positions: F64) -> F64:
 def variance_at_place(covariance: F64, slope: F64) -> F64:
     """Variance (m^2) of the height that points state for their places (east, north): that across the ground.
 
-    With the normal n = (-g, 1) of the ground it is n C n.
+    With the normal n = (-g, 1) of the ground it is n C n, written out.
 
     Args:
         covariance: of the points, m^2, axes east, north, up, shape (..., 3, 3).
         slope: of the ground, towards east and north, m/m, shape (..., 2); NaN: not known. Then it is a bound of the
             variance on all ground up to STEEPEST: (sigma of height + STEEPEST x greatest horizontal sigma)^2.
     """
-    normal = np.concatenate([-slope, np.ones((*slope.shape[:-1], 1))], axis=-1)
-    across = _dot((covariance @ normal[..., None])[..., 0], normal)
-    return np.where(np.isfinite(across), across, _variance_on_steep_ground(covariance))
+    (ee, en, eh), (_, nn, nh), (_, _, hh) = ([covariance[..., i, j] for j in range(3)] for i in range(3))
+    east, north = slope[..., 0], slope[..., 1]
+    across = np.asarray(hh + east * (ee * east + 2 * (en * north - eh)) + north * (nn * north - 2 * nh))
+    unknown = np.isnan(across)
+    across[unknown] = _variance_on_steep_ground(np.broadcast_to(covariance, (*across.shape, 3, 3))[unknown])
+    return across
 
 
 def _variance_on_steep_ground(covariance: F64) -> F64:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from sal_height.numeric import F64
+from sal_height.numeric import F64, Bool
 from sal_height.relief.position_error import variance_at_place
 
 SLOPE_ERROR = 0.03
@@ -29,23 +29,45 @@ WIDEST = 32
 """Greatest half-width of a window in pixels."""
 
 
-def ground_slope(points: F64, covariance: F64, spacing: float) -> F64:
-    """Slope of the ground (m/m) towards east and north at each pixel, shape (rows, cols, 2); NaN where not known.
+def ground_slope(points: F64, covariance: F64, spacing: float) -> tuple[F64, F64]:
+    """Slope of the ground at each pixel, and its standard deviation.
 
     Points are averaged in square windows; the slope is that of the plane through the means half a window before and
     behind, left and right of the pixel. At a step, on rubble and beside a false height the pixels spread about their
     planes by more than their errors (MISFIT), and the slope is not known. All windows of an image are equal, as narrow
-    as gives slopes of SLOPE_ERROR on level ground where the errors are those of the median pixel.
+    as gives slopes of SLOPE_ERROR in the median: first on level ground, then on the slopes that were found.
 
     Args:
         points: east, north and height of the scatterers, m, shape (rows, cols, 3); NaN where there is none.
         covariance: of their own errors, m^2, shape (rows, cols, 3, 3).
         spacing: of pixels on the ground, the smaller of both axes, m.
+
+    Returns:
+        Slope towards east and north, m/m, shape (rows, cols, 2), and the root of the sum of both variances, shape
+        (rows, cols); NaN where the slope is not known.
     """
     seen = np.isfinite(points).all(axis=-1) & np.isfinite(covariance[..., 2, 2])
     if not seen.any():
-        return np.full((*seen.shape, 2), np.nan)
+        return np.full((*seen.shape, 2), np.nan), np.full(seen.shape, np.nan)
     half = _half_width(float(np.sqrt(np.median(covariance[seen, 2, 2]))), spacing)
+    slope, error = _planes(points, covariance, seen, half)
+    median = float(np.median(error[seen]))
+    if SLOPE_ERROR < median < np.inf and half < WIDEST:  # errors fall as the square of the width
+        half = min(int(np.ceil(half * np.sqrt(median / SLOPE_ERROR))), WIDEST)
+        slope, error = _planes(points, covariance, seen, half)
+    known = error <= KNOWN
+    return np.where(known[..., None], slope, np.nan), np.where(known, error, np.nan)
+
+
+def _planes(points: F64, covariance: F64, seen: Bool, half: int) -> tuple[F64, F64]:
+    """Slopes of the planes in windows, and their standard deviation (m/m), infinite where there is no plane.
+
+    Args:
+        points: m, shape (rows, cols, 3).
+        covariance: of their own errors, m^2, shape (rows, cols, 3, 3).
+        seen: the points that count, shape (rows, cols).
+        half: half-width of the windows in pixels.
+    """
     from_middle = np.where(seen[..., None], points - points[seen].mean(axis=0), 0.0)
     share = _window_mean(seen.astype(np.float64), half)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -63,19 +85,18 @@ def ground_slope(points: F64, covariance: F64, spacing: float) -> F64:
         variance = variance_at_place(covariance, slope)
         # Each of the two steps has twice the variance of a mean, at most.
         error = 2 * variance / count * np.sum(down[..., :2] ** 2 + across[..., :2] ** 2, axis=-1) / area**2
-        known = seen & (share >= LEAST_SHARE) & (error <= KNOWN**2) & (spread <= MISFIT**2 * variance)
-    return np.where(known[..., None], slope, np.nan)
+        planar = seen & (share >= LEAST_SHARE) & (spread <= MISFIT**2 * variance) & np.isfinite(error)
+    return slope, np.where(planar, np.sqrt(error), np.inf)
 
 
 def _half_width(sigma: float, spacing: float) -> int:
     """Half-width k in pixels of the windows of an image, from the sigma of its heights (m) and the spacing of pixels.
 
-    The difference of means k pixels before and behind, over their distance, has the variance
-    sigma^2 / (k (2 k + 1)^3 spacing^2).
+    The difference of the means of (2 k + 1)^2 pixels each, 2 k pixels apart, has the variance 2 sigma^2 / (2 k + 1)^2
+    at most; both axes together give the slope the standard deviation sigma / (k (2 k + 1) spacing).
     """
     half = np.arange(1, WIDEST + 1)
-    error = sigma / spacing / np.sqrt(half * (2.0 * half + 1) ** 3)
-    wide_enough = half[error <= SLOPE_ERROR]
+    wide_enough = half[sigma / spacing / (half * (2 * half + 1)) <= SLOPE_ERROR]
     return int(wide_enough[0]) if wide_enough.size else WIDEST
 
 

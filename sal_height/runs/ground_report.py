@@ -11,9 +11,9 @@ from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
 from sal_height.imaging import image_beams
-from sal_height.io import or_null
 from sal_height.numeric import F64, Bool
 from sal_height.relief import GroundEstimate, GroundKind, GroundMap, fine_cell_size, ground_spacings
+from sal_height.runs.surface_report import coverage_of_sigma
 from sal_height.simulation import SimulatedFlight, VisibleSurface
 from sal_height.simulation.lit_ground import ground_cells
 
@@ -112,18 +112,7 @@ def _least(height: F64, terrain: F64) -> F64:
 
 def _errors(error: F64, sigma: F64) -> dict[str, Any]:
     known = np.isfinite(error)
-    error, sigma = error[known], sigma[known]
-    low, high = np.percentile(error, [16, 84]) if len(error) else (np.nan, np.nan)
-    off = np.abs(error) / sigma
-    return {
-        "cells": len(error),
-        "bias_m": _mean(error),
-        "s68_m": or_null(float(high - low) / 2),
-        "sigma_m": _mean(sigma),
-        "within_1_sigma": _mean(off < 1),
-        "within_2_sigma": _mean(off < 2),
-        "beyond_5_sigma": _mean(off > 5),
-    }
+    return {"cells": int(np.count_nonzero(known)), **coverage_of_sigma(error[known], sigma[known])}
 
 
 def _mean(values: F64 | Bool) -> float | None:

@@ -19,6 +19,7 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
 from sal_height.response import measure_brightest
+from sal_height.runs.accuracy import read_accuracy
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import (
     HEIGHTS,
@@ -34,7 +35,6 @@ from sal_height.runs.ensemble import (
 from sal_height.runs.picture import draw_image
 from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
-from sal_height.runs.simulate import read_accuracy
 from sal_height.sensor import Sensor
 from sal_height.settings import settings_of
 from sal_height.simulation import SimulatedFlight, flight_of, parse_preset
@@ -126,7 +126,7 @@ def replay(
             topics = [f"/{prefix}/height" for prefix in prefixes]
             compared = {topic: results[topic] for topic in topics if topic in results and topic in reader.topics}
         flight = recorded_flight(reader)
-        accuracy = read_accuracy(made, flight, stages)[1] if flight else {}
+        accuracy = read_accuracy(made, flight, stages).statistics if flight else {}
         images = [] if height_nodes else _measure_images(folder)
         report["tolerance_m"] = tolerance_m
         report["comparison"] = {topic: dataclasses.asdict(result) for topic, result in compared.items()}

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import yaml
-from sal_height_msgs.msg import HeightImage
 
-from sal_height.bag.reader import BagReader
 from sal_height.io import new_folder, write_text, writing
-from sal_height.relief import GroundEstimate
+from sal_height.runs.accuracy import read_accuracy
 from sal_height.runs.cloud_picture import cloud_of, draw_cloud
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import (
@@ -29,19 +27,10 @@ from sal_height.runs.ensemble import (
     suited,
 )
 from sal_height.runs.ground_picture import draw_ground
-from sal_height.runs.ground_report import TrueGround, ground_of, ground_statistics, true_ground
 from sal_height.runs.height_picture import draw_heights
 from sal_height.runs.profile import draw_profile
-from sal_height.runs.report import mosaic, statistics
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
-from sal_height.runs.surface_report import (
-    TOLERANCE_BEAMWIDTHS,
-    Judged,
-    height_beamwidth,
-    judged,
-    surface_statistics,
-)
-from sal_height.simulation import Preset, SimulatedFlight, flight_of
+from sal_height.simulation import Preset, flight_of
 
 RELIEF_MAP = "relief_map.tif"
 """File of the relief map in the folder of a run."""
@@ -53,7 +42,7 @@ class Run:
 
     Attributes:
         outcome: what became of its dwells.
-        accuracy: errors of each estimator (`report.statistics`), by prefix of its topics.
+        accuracy: errors of each estimator (`accuracy.Accuracy.statistics`), by prefix of its topics.
     """
 
     outcome: Outcome
@@ -102,60 +91,17 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         outcome = perform(plan, execution)
         conclude(outcome, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
-        judgements, accuracy, grounds = read_accuracy(bag, flight, stages)
-        report["estimators"] = accuracy
+        accuracy = read_accuracy(bag, flight, stages)
+        report["estimators"] = accuracy.statistics
     source = HEIGHTS[height_sources(stages, values)[TRACKER]]
-    if source in grounds:
+    if source in accuracy.grounds:
         with writing(folder / "ground.png"):
-            draw_ground(*grounds[source], folder / "ground.png")
-    if judgements:
+            draw_ground(*accuracy.grounds[source], folder / "ground.png")
+    if accuracy.heights:
         with writing(folder / "height.png"):
-            draw_heights(judgements, preset, folder / "height.png")
+            draw_heights(accuracy.heights, preset, folder / "height.png")
         with writing(folder / "scene3d.png"):
-            draw_cloud(*cloud_of(judgements), preset, folder / "scene3d.png")
+            draw_cloud(*cloud_of(accuracy.heights), preset, folder / "scene3d.png")
         with writing(folder / "profile.png"):
             draw_profile(bag, source, flight.scene, folder / "profile.png")
-    return Run(outcome, accuracy)
-
-
-def read_accuracy(
-    bag: Path, flight: SimulatedFlight, stages: Sequence[str]
-) -> tuple[dict[str, Judged], dict[str, dict[str, Any]], dict[str, tuple[GroundEstimate, TrueGround]]]:
-    """Height images beside the truth, of estimators with any height, and errors of each height node among `stages`.
-
-    And the estimated ground with the true one, of estimators with any height but the tracked ones. All by prefix of the
-    topics.
-
-    Args:
-        bag: of a run or replay of the flight.
-        flight: the flight.
-        stages: names of nodes.
-    """
-    images = read_images(bag)
-    surfaces = {dwell: flight.surface(dwell) for dwell in {one.dwell for found in images.values() for one in found}}
-    judgements = {prefix: judged(found, flight, surfaces) for prefix, found in images.items()}
-    accuracy = {}
-    for prefix in (HEIGHTS[name] for name in stages if name in HEIGHTS):
-        single = HeightImage.OK in {value for image in images.get(prefix, ()) for value in image.validity}
-        accuracy[prefix] = statistics(mosaic(images[prefix], flight, surfaces) if single else None)
-        if prefix in judgements:
-            accuracy[prefix]["surfaces"] = surface_statistics(judgements[prefix])
-    judgements = {name: found for name, found in judgements.items() if len(found.comparison.errors.sigma)}
-    tolerance, grounds = TOLERANCE_BEAMWIDTHS * height_beamwidth(flight), {}
-    for prefix in accuracy.keys() & images.keys() - {HEIGHTS[TRACKER]}:
-        estimate = ground_of(images[prefix])
-        if estimate is not None:
-            truth = true_ground(estimate, images[prefix], flight, surfaces)
-            accuracy[prefix]["ground"] = ground_statistics(estimate, truth, tolerance)
-            grounds[prefix] = estimate, truth
-    return judgements, accuracy, grounds
-
-
-def read_images(bag: Path) -> dict[str, list[HeightImage]]:
-    """The height images in a bag by the prefix of their estimator's topics; estimators without any are left out."""
-    reader = BagReader(bag)
-    images: dict[str, list[HeightImage]] = {}
-    for message in reader.messages([f"/{prefix}/height" for prefix in HEIGHTS.values()]):
-        image = reader.decode(message.type_name, message.cdr)
-        images.setdefault(image.estimator, []).append(image)
-    return {prefix: images[prefix] for prefix in HEIGHTS.values() if prefix in images}
+    return Run(outcome, accuracy.statistics)

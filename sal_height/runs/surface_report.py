@@ -175,19 +175,26 @@ def error_statistics(errors: PublishedErrors) -> dict[str, Any]:
     `own_beyond_5_sigma` is the share that is farther than 5 sigma from the surface it should be, or has none.
     """
     near = errors.where(np.isfinite(errors.nearest))
-    off, own = np.abs(near.nearest) / near.sigma, np.abs(near.own) / near.sigma
-    low, middle, high = np.percentile(near.nearest, [16, 50, 84]) if len(off) else (np.nan,) * 3
     return {
         "surfaces": len(errors.sigma),
         "in_shadow": int(np.count_nonzero(errors.ghost)),
-        "bias_m": _mean(near.nearest),
+        **coverage_of_sigma(near.nearest, near.sigma),
+        "own_beyond_5_sigma": _mean(~(np.abs(near.own) <= 5 * near.sigma)),
+    }
+
+
+def coverage_of_sigma(error: F64, sigma: F64) -> dict[str, Any]:
+    """Errors (m) and how they keep what their sigmas (m) promise; None where there is no error."""
+    off = np.abs(error) / sigma
+    low, middle, high = np.percentile(error, [16, 50, 84]) if len(off) else (np.nan,) * 3
+    return {
+        "bias_m": _mean(error),
         "median_m": or_null(float(middle)),
         "s68_m": or_null(float(high - low) / 2),
-        "sigma_m": _mean(near.sigma),
+        "sigma_m": _mean(sigma),
         "within_1_sigma": _mean(off < 1),
         "within_2_sigma": _mean(off < 2),
         "beyond_5_sigma": _mean(off > 5),
-        "own_beyond_5_sigma": _mean(~(own <= 5)),
     }
 
 

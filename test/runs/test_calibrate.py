@@ -15,11 +15,12 @@ from sal_height.bag.reader import BagReader
 from sal_height.calibration.calibration import load_calibration
 from sal_height.commands import main
 from sal_height.errors import UserError
+from sal_height.runs.accuracy import read_accuracy
 from sal_height.runs.calibrate import CALIBRATION, calibrate
 from sal_height.runs.ensemble import HEIGHTS
 from sal_height.runs.picture import beam_width
 from sal_height.runs.replay import replay
-from sal_height.runs.simulate import read_accuracy, run
+from sal_height.runs.simulate import run
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.preset import Preset, load_preset
@@ -78,7 +79,7 @@ def test_heights_are_better_with_it(impaired: Preset, flown: Path, calibrated: P
     before, after = (
         {
             name: one["rms_m"]
-            for name, one in read_accuracy(folder / "bag", flight, ["monopulse", "ml_height"])[1].items()
+            for name, one in read_accuracy(folder / "bag", flight, ["monopulse", "ml_height"]).statistics.items()
         }
         for folder in (flown, tmp_path / "again")
     )

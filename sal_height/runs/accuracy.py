@@ -1,0 +1,72 @@
+"""The heights in the bag of a simulated flight beside the truth: all that a report says and pictures show of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sal_height_msgs.msg import HeightImage
+
+from sal_height.bag.reader import BagReader
+from sal_height.relief import GroundEstimate
+from sal_height.runs.ensemble import HEIGHTS, TRACKER
+from sal_height.runs.ground_report import TrueGround, ground_of, ground_statistics, true_ground
+from sal_height.runs.report import mosaic, statistics
+from sal_height.runs.surface_report import TOLERANCE_BEAMWIDTHS, Judged, height_beamwidth, judged, surface_statistics
+from sal_height.simulation import SimulatedFlight
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Heights beside the truth, by prefix of the topics of their estimator.
+
+    Attributes:
+        heights: of the estimators with any height.
+        grounds: estimate of the ground and the terrain, of estimators with any height but the tracked ones.
+        statistics: what report.json says of each height node of the run.
+    """
+
+    heights: Mapping[str, Judged]
+    grounds: Mapping[str, tuple[GroundEstimate, TrueGround]]
+    statistics: Mapping[str, Mapping[str, Any]]
+
+
+def read_accuracy(bag: Path, flight: SimulatedFlight, stages: Sequence[str]) -> Accuracy:
+    """Compare the heights in a bag with the truth.
+
+    Args:
+        bag: of a run or replay of the flight.
+        flight: the flight.
+        stages: names of nodes; only height nodes among them are compared.
+    """
+    wanted = [HEIGHTS[name] for name in stages if name in HEIGHTS]
+    images = {prefix: found for prefix, found in read_images(bag).items() if prefix in wanted}
+    surfaces = {dwell: flight.surface(dwell) for dwell in {one.dwell for found in images.values() for one in found}}
+    heights = {prefix: judged(found, flight, surfaces) for prefix, found in images.items()}
+    grounds = {}
+    for prefix in images.keys() - {HEIGHTS[TRACKER]}:
+        if estimate := ground_of(images[prefix]):
+            grounds[prefix] = estimate, true_ground(estimate, images[prefix], flight, surfaces)
+    numbers = {}
+    for prefix in wanted:
+        single = HeightImage.OK in {value for image in images.get(prefix, ()) for value in image.validity}
+        numbers[prefix] = statistics(mosaic(images[prefix], flight, surfaces) if single else None)
+        if prefix in heights:
+            numbers[prefix]["surfaces"] = surface_statistics(heights[prefix])
+        if prefix in grounds:
+            tolerance = TOLERANCE_BEAMWIDTHS * height_beamwidth(flight)
+            numbers[prefix]["ground"] = ground_statistics(*grounds[prefix], tolerance)
+    with_heights = {prefix: one for prefix, one in heights.items() if len(one.comparison.errors.sigma)}
+    return Accuracy(with_heights, grounds, numbers)
+
+
+def read_images(bag: Path) -> dict[str, list[HeightImage]]:
+    """The height images in a bag by the prefix of their estimator's topics; estimators without any are left out."""
+    reader = BagReader(bag)
+    images: dict[str, list[HeightImage]] = {}
+    for message in reader.messages([f"/{prefix}/height" for prefix in HEIGHTS.values()]):
+        image = reader.decode(message.type_name, message.cdr)
+        images.setdefault(image.estimator, []).append(image)
+    return {prefix: images[prefix] for prefix in HEIGHTS.values() if prefix in images}

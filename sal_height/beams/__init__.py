@@ -2,20 +2,23 @@
 
 Read `pattern` first (the registry PATTERNS of apertures, point detectors and finite ones), then `table` (measured beams
 from CSV) and `array` (`Beams`: all detectors of a sensor, each along its boresight). `apertures` holds the formulas,
-`detector` the mean over a finite detector.
+`detector` the mean over a finite detector, `pupil` aberrations of the optics.
 """
 
 from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.beams.array import Beams, column_squint
 from sal_height.beams.pattern import PATTERNS, Pattern, detector_pattern, pattern_named
+from sal_height.beams.pupil import ZERNIKE, aberrated_derivatives
 from sal_height.beams.table import BeamTable, read_beam_tables, tabulated_pattern
 
 __all__ = [
     "GAUSSIAN_WIDTH",
     "PATTERNS",
+    "ZERNIKE",
     "BeamTable",
     "Beams",
     "Pattern",
+    "aberrated_derivatives",
     "column_squint",
     "detector_pattern",
     "pattern_named",

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams.pattern import Pattern
+from sal_height.beams.pupil import aberrated_pattern
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, aperture_at, squint_on_cone
 from sal_height.numeric import C128, F64, Index
@@ -85,6 +86,29 @@ class Beams:
     def widened(self, factor: float) -> Self:
         """Return beams `factor` times as wide, around the same boresights."""
         return replace(self, beamwidth=self.beamwidth * factor, azimuth_beamwidth=self.beamwidth_beside * factor)
+
+    def aberrated(self, coefficients: tuple[float, ...]) -> Self:
+        """Return the beams behind a pupil with aberrations, one for all detectors, that is described without.
+
+        Args:
+            coefficients: of the terms of `pupil.ZERNIKE` in their order, waves rms; empty or all 0: these beams.
+
+        Raises:
+            UserError: the aperture is not circular ("jinc"), or there are not as many finite coefficients as terms.
+        """
+        if not any(coefficients):
+            return self
+        names = {pattern.name for pattern in self.patterns}
+        if names != {"jinc"}:
+            raise UserError(
+                f"The pupil has aberrations, and beam patterns {', '.join(sorted(names))}; only those of circular "
+                'apertures, "jinc", can have them.'
+            )
+        return self.patterned(tuple(aberrated_pattern(tuple(coefficients), one.size) for one in self.patterns))
+
+    def patterned(self, patterns: tuple[Pattern, ...]) -> Self:
+        """Return beams of other patterns, one for each detector or one for all, on the same axis."""
+        return replace(self, patterns=patterns)
 
     def combined(self, matrix: F64 | C128) -> Self:
         """Return the beams of channels that are `matrix` times these, shape (channels, channels).

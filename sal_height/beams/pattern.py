@@ -43,6 +43,7 @@ class Pattern:
         azimuth_slope: derivative of h with respect to a, per beamwidth; broadcasts.
         main_lobe: half-width of the main lobe in azimuth, from boresight to the first null, beamwidths.
         domain: least and greatest e at which the pattern is known, beamwidths.
+        size: widths of the detector along its axis and beside it, beamwidths; 0: a point.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Pattern:
     azimuth_slope: PatternFunction
     main_lobe: float
     domain: tuple[float, float] = (-np.inf, np.inf)
+    size: tuple[float, float] = (0.0, 0.0)
 
     def scaled(self, gain: float) -> Self:
         """Return the pattern times a constant, real or complex."""
@@ -148,7 +150,8 @@ def _averaged(point: Pattern, size: tuple[float, float]) -> Pattern:
     amplitude, slope, azimuth_slope = (
         average_over_detector(function, size) for function in (point.amplitude, point.slope, point.azimuth_slope)
     )
-    return Pattern(point.name, amplitude, slope, azimuth_slope, first_null(amplitude, point.main_lobe + size[1] / 2))
+    null = first_null(amplitude, point.main_lobe + size[1] / 2)
+    return Pattern(point.name, amplitude, slope, azimuth_slope, null, size=size)
 
 
 def first_null(amplitude: PatternFunction, widest: float) -> float:

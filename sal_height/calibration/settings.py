@@ -50,6 +50,13 @@ class CalibrationSettings(PointTargetSettings):
         minimum=1e-6,
         maximum=1.0,
     )
+    pupil_prior_waves: float = setting(
+        0.1,
+        "standard deviation that aberrations of the pupil are assumed to have, each Zernike term",
+        unit="waves rms",
+        minimum=1e-6,
+        maximum=1.0,
+    )
     echo_significance: float = setting(
         3.5,
         "standard errors above which an echo in the response of a receiver counts as real; of Gaussian noise one echo "

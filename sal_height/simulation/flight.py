@@ -89,7 +89,7 @@ class SimulatedFlight:
     @cached_property
     def built(self) -> Sensor:
         """The sensor with the beams that it really has."""
-        return self.sensor.widened(self.preset.impairments.beam_width_factor)
+        return self.preset.impairments.built(self.sensor)
 
     @property
     def pulse_times(self) -> F64:

@@ -12,7 +12,8 @@ that it acts on the echo's frequencies, not on the samples of the record.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -20,6 +21,7 @@ import numpy.typing as npt
 from annotated_types import Ge, Gt, Le
 from scipy.spatial.transform import Rotation
 
+from sal_height.beams import ZERNIKE, Beams
 from sal_height.geometry import look_direction
 from sal_height.numeric import C128, F64, Complex
 from sal_height.sensor import Sensor, echo_sensor, spectrum_sensor
@@ -99,6 +101,23 @@ class AntennaSwing(StrictKeys):
 
 
 @dataclass(frozen=True)
+class PupilAberrations(StrictKeys):
+    """Zernike terms of the phase of the pupil, each in waves rms (`beams.ZERNIKE`)."""
+
+    defocus: Annotated[Float, Ge(-1), Le(1)] = 0.0
+    astigmatism: Annotated[Float, Ge(-1), Le(1)] = 0.0
+    oblique_astigmatism: Annotated[Float, Ge(-1), Le(1)] = 0.0
+    coma: Annotated[Float, Ge(-1), Le(1)] = 0.0
+    coma_beside: Annotated[Float, Ge(-1), Le(1)] = 0.0
+    spherical: Annotated[Float, Ge(-1), Le(1)] = 0.0
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """In the order of `beams.ZERNIKE`."""
+        return tuple(getattr(self, name) for name in ZERNIKE)
+
+
+@dataclass(frozen=True)
 class Impairments(StrictKeys):
     """How the simulated sensor differs from its description; by default in nothing.
 
@@ -115,6 +134,8 @@ class Impairments(StrictKeys):
             It is the same in every pulse: in stripmap it has everywhere the same amplitude, in spotlight it stands in
             the columns abeam of the antenna. Waveform "spectrum" only.
         beam_width_factor: by which all beams, about their boresights, are wider than described.
+        pupil_aberrations_waves: of the pupil that all detectors share, rms, by the names of `beams.ZERNIKE`; patterns
+            "jinc" only.
         antenna_swing: of all beams.
         quartic_phase_rad: phase at the edge of the aperture, growing with the fourth power (PSF paper, section 3): in
             spotlight over the pulses of the dwell, in stripmap over a scatterer's angle to the beams along the flight,
@@ -127,6 +148,7 @@ class Impairments(StrictKeys):
     undescribed_phases_rad: tuple[Angle, ...] = ()
     nyquist_spur_over_noise: Annotated[Float, Ge(0), Le(1e6)] = 0.0
     beam_width_factor: Annotated[Float, Ge(0.5), Le(2)] = 1.0
+    pupil_aberrations_waves: PupilAberrations = PupilAberrations()
     antenna_swing: AntennaSwing = AntennaSwing(amplitude_rad=0.0, period_s=1.0)
     quartic_phase_rad: Annotated[Float, Ge(-100), Le(100)] = 0.0
 
@@ -153,10 +175,32 @@ class Impairments(StrictKeys):
             response[list(self.range_sawtooth.receivers) or slice(None)] *= self.range_sawtooth.response(frequency)
         return response
 
+    def built(self, sensor: Sensor) -> BuiltSensor:
+        """The sensor with the beams that it really has, from its description; its config_hash stays."""
+        wide = sensor.widened(self.beam_width_factor)
+        values = {field.name: getattr(wide, field.name) for field in fields(Sensor)}
+        return BuiltSensor(**values, pupil=self.pupil_aberrations_waves.coefficients)
+
     def dwell_phase(self, pulses: int) -> F64:
         """Quartic phase (rad) of the pulses of a spotlight dwell, shape (pulses,)."""
         along = (np.arange(pulses) - (pulses - 1) / 2) / (pulses / 2)
         return np.asarray(self.quartic_phase_rad * along**4)
+
+
+@dataclass(frozen=True)
+class BuiltSensor(Sensor):
+    """A sensor with the pupil that it really has; `Sensor` describes one without aberrations.
+
+    Attributes:
+        pupil: coefficients of the terms of `beams.ZERNIKE`, waves rms.
+    """
+
+    pupil: tuple[float, ...] = ()
+
+    @cached_property
+    def beams(self) -> Beams:
+        """As of `Sensor`, behind the pupil."""
+        return super().beams.aberrated(self.pupil)
 
 
 UNIMPAIRED = Impairments()

@@ -14,7 +14,9 @@ from scipy.special import fresnel
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
+from sal_height.beams.apertures import jinc
 from sal_height.beams.pattern import pattern_named
+from sal_height.beams.pupil import aberrated_pattern
 from sal_height.geometry.frames import angles_of, look_direction
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.pixels import slant_plane_grid
@@ -28,6 +30,7 @@ from sal_height.simulation.impairments import (
     UNIMPAIRED,
     AntennaSwing,
     Impairments,
+    PupilAberrations,
     RangeSawtooth,
     RangeTaper,
     through_receivers,
@@ -383,6 +386,19 @@ def test_wider_beams_change_the_ratio_of_a_pair(pattern: str) -> None:
     assert upper / lower == pytest.approx(expected[1] / expected[0], abs=1e-6)
     assert built.config_hash == sensor.config_hash
     assert built.elevation_boresights == sensor.elevation_boresights
+
+
+def test_flight_sees_a_point_through_the_aberrated_pupil() -> None:
+    """Amplitudes, and phases between detectors, of the far field behind the pupil."""
+    faults = Impairments(pupil_aberrations_waves=PupilAberrations(defocus=0.07, coma=0.05))
+    flight = point_flight(faults, "small", pattern="jinc", pulse_count=64)
+    samples = flight.phase_history(1).samples
+    across = np.mean(samples * samples[3].conj(), axis=(1, 2))
+    steps = (np.arange(8) - 3.5) / 2
+    field = aberrated_pattern((0.07, 0.0, 0.0, 0.05, 0.0, 0.0)).amplitude(-steps, 0.0)
+    np.testing.assert_allclose(across / across[3], field / field[3], atol=5e-4)
+    assert np.abs(field / field[3] - jinc(-steps, 0.0) / jinc(-steps[3], 0.0)).max() > 0.1
+    assert flight.built.config_hash == flight.sensor.config_hash
 
 
 @pytest.mark.parametrize("name", ["small", "sal_stripmap"])

@@ -678,6 +678,7 @@ def test_impairments_are_off_and_at_their_limits_accepted() -> None:
 def test_impairments_survive_the_file_that_a_run_leaves(tmp_path: Path) -> None:
     """`run` writes the preset with all its keys, of which those that are not set are null."""
     changes = {"range_sawtooth": {"depth": 0.1, "teeth": 4, "receivers": [3]}, "beam_width_factor": 1.1}
+    changes["pupil_aberrations_waves"] = {"coma": 0.05}
     preset = parse_preset(content_with("impairments", changes), "mine.yaml")
     path = tmp_path / "preset.yaml"
     path.write_text(yaml.safe_dump(json.loads(json.dumps(asdict(preset)))))

@@ -76,7 +76,7 @@ def _track(flight: SimulatedFlight, dwells: int) -> Trajectory:
 def _calibrated(flight: SimulatedFlight) -> Calibration:
     sensor, track = flight.sensor, _track(flight, DWELLS)
     calibrator = Calibrator(sensor)
-    settings = ImageSettings(range_window="rectangular", cols=flight.preset.image.cols)
+    settings = ImageSettings(range_window="rectangular", azimuth_window="rectangular", cols=flight.preset.image.cols)
     for dwell in range(DWELLS):
         slc = focus_dwell(flight.phase_history(dwell), track, sensor, settings)
         calibrator.add(slc)

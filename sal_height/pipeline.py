@@ -21,12 +21,15 @@ from sal_height.elevation import (
     live_detectors,
     look_grid,
     moving_squint,
+    sidelobe_variance,
     windowed_looks,
+    with_foreign_power,
+    without_imprecise,
     without_saturated,
 )
 from sal_height.errors import Rejected
 from sal_height.geometry import Grid, Trajectory, aperture_at
-from sal_height.imaging import ImageSettings, Slc, StripFocuser, focus_dwell, image_beams
+from sal_height.imaging import ImageSettings, Slc, StripFocuser, cell_response, focus_dwell, image_beams
 from sal_height.numeric import C64, Bool, Index
 from sal_height.relief import HeightField, height_field, joined_rows
 from sal_height.sensor import PhaseHistory, Sensor, count_saturated, range_compressed, with_powers
@@ -152,10 +155,15 @@ def elevations(
     grid = look_grid(slc.grid, *settings.windows)
     squint = column_squint(grid, slc.aperture, sensor.beams, sensor.look_side)
     squint = moving_squint(squint, settings.radial_velocity_mps, np.linalg.norm(slc.aperture.velocity))
-    # Looks: the covariance of the channels in each of them.
-    looks = windowed_looks(images, settings.windows, squint, channels, beams.is_complex)
+    # Looks: the covariance of the channels in each of them, and what sidelobes bring of other pixels.
+    response = cell_response(slc, sensor)
+    looks = windowed_looks(images, settings.windows, squint, channels, beams.is_complex, response)
     # Elevation from the ratios between channels, which clipped samples spoil.
     estimate = estimator.estimate(looks, beams, settings)
+    # The error by scatterers elsewhere, whose sidelobes are in the pixel, and pixels that noise leaves uncertain.
+    foreign = sidelobe_variance(estimate.elevation, looks, beams, settings.windows, response)
+    estimate = with_foreign_power(estimate, foreign)
+    estimate = without_imprecise(estimate, settings.max_sigma_beamwidths * beams.beamwidth)
     if slc.saturated_share[live].max() > settings.max_saturated_share:
         estimate = without_saturated(estimate)
     return estimate, looks, grid, beams

@@ -73,8 +73,10 @@ def heights_of(slc: Slc, sensor: Sensor, estimator: str, **settings: Any) -> Hei
 
 # (a) Bias against CNR. Two detectors a beamwidth apart behind a square aperture: mu = 2 t exactly, t in beamwidths.
 
-BIAS_IMAGE = ImageSettings(rows=42, cols=16)  # elevations of +-0.3, squints of +-0.25 beamwidths
-BIAS_LOOKS = {"range_looks": 2, "azimuth_looks": 8, "min_cnr_db": -60.0}
+BIAS_IMAGE = ImageSettings(
+    azimuth_window="rectangular", rows=42, cols=16
+)  # elevations of +-0.3, squints of +-0.25 beamwidths
+BIAS_LOOKS = {"range_looks": 2, "azimuth_looks": 8, "sidelobe_rate": 1.0}
 BIAS_DWELLS = 6
 CLEAR_DB = 100.0
 
@@ -163,7 +165,7 @@ CELL = 1.55e-6 * REACH / (2 * 0.08)  # azimuth resolution, m
 SHOWN_AT = -3 * CELL
 OFFSET = 0.3  # beamwidths above the middle of the array
 SINGLE_LOOKS = {"range_looks": 1, "azimuth_looks": 1}
-MOVER_IMAGE = ImageSettings(rows=47, cols=13)  # with a pixel in the middle
+MOVER_IMAGE = ImageSettings(azimuth_window="rectangular", rows=47, cols=13)  # with a pixel in the middle
 
 
 @cache
@@ -218,7 +220,7 @@ def test_mover_appears_behind_its_place_and_with_turned_detectors_at_another_hei
     assert surface.positions[row, col, 0] - target.east == pytest.approx(-REACH * missing, abs=5e-5)
 
 
-STRIP_IMAGE = ImageSettings(rows=47)
+STRIP_IMAGE = ImageSettings(azimuth_window="rectangular", rows=47)
 
 
 @cache
@@ -292,7 +294,7 @@ def turned(sensor: Sensor, described: float) -> Sensor:
     return replace(sensor, detector_rotation=described, config_hash="")
 
 
-LEVEL_IMAGE = ImageSettings(rows=46, cols=12)
+LEVEL_IMAGE = ImageSettings(azimuth_window="rectangular", rows=46, cols=12)
 
 
 @pytest.mark.parametrize("estimator", ["ml", "monopulse"])
@@ -334,7 +336,7 @@ def test_the_nodes_make_the_same_heights(graph: Graph, mode: str) -> None:
     flight, image = (mover_flight(), MOVER_IMAGE) if spotlight else (strip_flight(), STRIP_IMAGE)
     slc = (mover_images() if spotlight else strip_images())[-1]
     looks = {**SINGLE_LOOKS, "radial_velocity_mps": RADIAL}
-    size = {"rows": image.rows, "cols": image.cols}
+    size = {"rows": image.rows, "cols": image.cols, "azimuth_window": image.azimuth_window}
     chain = Chain(graph, flight, missing_after_s=20.0, image=size, heights=looks)
     chain.publish(chain.sensor_info())
     for dwell in range(flight.dwells):

@@ -26,7 +26,10 @@ RANGE, SPEED, MIDDLE = 5000.0, 50.0, np.pi / 4
 BEAM = 1.55e-4
 """Wavelength over the 0.01 m of the antenna, in both directions."""
 
-IMAGES = {"spotlight": ImageSettings(rows=15, cols=9), "stripmap": ImageSettings(rows=15, cols=0)}
+IMAGES = {
+    "spotlight": ImageSettings(azimuth_window="rectangular", rows=15, cols=9),
+    "stripmap": ImageSettings(azimuth_window="rectangular", rows=15, cols=0),
+}
 """An odd number of rows: the point is at the reference range and thus in the middle of the middle one."""
 
 ONE_LOOK = MlSettings(range_looks=1, azimuth_looks=1)

@@ -122,9 +122,9 @@ def test_every_usable_pixel_has_a_finite_height_and_sigma(small: tuple[Simulated
     """With the published objective one pixel was said to hold two scatterers of an infinite sigma."""
     flight, slc = small
     field = heights(slc, flight.sensor, ESTIMATORS["ml"], MlSettings(objective=objective))
+    assert np.mean(scatterer_count(field.validity) > 0) > 0.5
     for number, surface in enumerate(field.surfaces):
         usable = scatterer_count(field.validity) > number
-        assert usable.any()
         assert np.isfinite(surface.sigma[usable]).all()
         assert np.isfinite(surface.height[usable]).all()
         assert not np.isfinite(surface.height[~usable]).any()

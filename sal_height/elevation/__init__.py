@@ -22,6 +22,8 @@ from sal_height.elevation.estimate import (
     Scatterer,
     Validity,
     is_one_scatterer,
+    with_foreign_power,
+    without_imprecise,
     without_saturated,
 )
 from sal_height.elevation.layover import two_scatterers
@@ -55,6 +57,7 @@ from sal_height.elevation.monopulse.estimators import (
 from sal_height.elevation.monopulse.inversion import invert
 from sal_height.elevation.profile import PROFILES, ElevationProfile
 from sal_height.elevation.registry import ESTIMATORS, ElevationEstimator
+from sal_height.elevation.response_spread import sidelobe_variance
 from sal_height.elevation.search import Objective, PeakSearch, PeakSearches
 from sal_height.elevation.settings import MISFIT_SHARE, HeightSettings
 
@@ -103,11 +106,14 @@ __all__ = [
     "products",
     "ratio",
     "search_guard",
+    "sidelobe_variance",
     "speckle_crb",
     "stochastic_crb",
     "sum_and_difference",
     "total_least_squares",
     "two_scatterers",
     "windowed_looks",
+    "with_foreign_power",
+    "without_imprecise",
     "without_saturated",
 ]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.numeric import C64, F32, Index, compiled, inlined
+from sal_height.numeric import C64, F32, F64, Index, compiled, inlined
 
 LOOKS_AT_ONCE = 4
 """Looks whose outer products are added at a time: as many as stay in registers."""
@@ -103,3 +103,30 @@ def _add_four(p: F32, q: F32, sign: np.float32, x: F32, y: F32, k: int, result: 
             before = row[n] if k > 0 else np.float32(0)
             first = p0 * x0[n] + p1 * x1[n] + p2 * x2[n] + p3 * x3[n]
             row[n] = before + first + q0 * y0[n] + q1 * y1[n] + q2 * y2[n] + q3 * y3[n]
+
+
+@compiled
+def add_pulls(place: F64, power: F64, pulled: F64, shares: F64, table: F64) -> None:
+    """Add to `pulled` sum over distances n of shares[n] power p^2 of the pixels n + 1 rows before and after.
+
+    Args:
+        place: elevation in steps of the table, shape (rows, cols).
+        power: same shape.
+        pulled: same shape; changed.
+        shares: by distance in rows, from 1 on.
+        table: p^2 at distances of elevation, 0 in its middle.
+    """
+    rows, middle = len(place), len(table) // 2
+    for c in range(place.shape[1]):
+        for r in range(rows):
+            total = 0.0
+            for n in range(min(shares.size, rows - 1)):
+                for side in (-1, 1):
+                    other = r + side * (n + 1)
+                    # Beyond an edge: the pixel as far on this side of it, and its elevation as much to the other side.
+                    edge = min(max(other, 0), rows - 1)
+                    mirror = 2 * edge - other
+                    there = 2 * place[edge, c] - place[mirror, c]
+                    node = min(max(there - place[r, c] + middle, 0), table.size - 1)
+                    total += shares[n] * power[mirror, c] * table[int(node + 0.5)]
+            pulled[r, c] += total

@@ -49,6 +49,19 @@ class AxisResponse:
         """
         return _shares(self.window, self.spacing)
 
+    def place_error(self, count: int) -> F64:
+        """Covariance, in pixels squared, of the place that is not seen in two pixels 0, 1, ... count - 1 pixels apart.
+
+        A pixel holds g = sum_j c_j h(x_j) of scatterers with random phases, and d = sum_j c_j h(x_j) x_j. Over the
+        looks k of a pixel the place of the speckle, beyond the power-weighted mean of the looks' places, is
+
+            Re(sum_k d_k g_k*) / sum_k |g_k|^2
+
+        The covariance of Re(d_k g_k*) in two looks is (D G - C^2) / 2 with the correlations D of d, G of g and C of d
+        with g, which is odd. They follow from the main lobe of h; G is 1 in one look.
+        """
+        return _place_error(self.window, self.spacing, count)
+
 
 @dataclass(frozen=True)
 class CellResponse:
@@ -62,18 +75,23 @@ class CellResponse:
     down: AxisResponse
     across: AxisResponse
 
-    def leaked(self, power: F64) -> F64:
-        """Power that each pixel is expected to hold of the scatterers of others, beyond their main lobes.
+    def spread(self, power: F64) -> tuple[F64, F64]:
+        """Power that each pixel is expected to hold of all scatterers, by their main lobes and by their sidelobes.
 
-        A pixel's own power counts as that of its scatterers. What lies beyond the edge is taken to be as bright as the
+        A pixel's power counts as that of its own scatterers. What lies beyond the edge is taken to be as bright as the
         edge.
 
         Args:
             power: of each pixel less its noise, 0 or more, shape (rows, cols).
+
+        Returns:
+            By main lobes and by sidelobes, each of shape (rows, cols); the sum of both over all pixels is that of
+            `power`.
         """
         (rows, rows_near), (cols, cols_near) = self.down.shares(), self.across.shares()
         near = _convolved(_convolved(power, rows_near, 0), cols_near, 1)
-        return np.maximum(_convolved(_convolved(power, rows, 0), cols, 1) - near, 0.0)
+        whole = _convolved(_convolved(power, rows, 0), cols, 1)
+        return near, np.maximum(whole - near, 0.0)
 
 
 @lru_cache(maxsize=64)
@@ -88,6 +106,22 @@ def _shares(name: str, spacing: float) -> tuple[F64, F64]:
     parts = np.stack([energy, np.where(offset < first_null, energy, 0.0)])
     whole, main_lobe = parts.reshape(2, -1, STEPS).sum(axis=-1) / energy.sum()
     return whole, main_lobe
+
+
+@lru_cache(maxsize=64)
+def _place_error(name: str, spacing: float, count: int) -> F64:
+    cells = np.arange(-4.0, 4.0, 1 / 128)
+    amplitude = _transform(window(name, NODES) / NODES, cells)
+    response = np.where(np.abs(cells) < np.abs(cells[amplitude <= 0]).min(), amplitude, 0.0)
+    moment = response * cells / spacing
+    shifts = spacing * np.arange(count, dtype=np.float64)
+    moved, moved_moment = (
+        np.stack([np.interp(cells + shift, cells, values, 0.0, 0.0) for shift in shifts])
+        for values in (response, moment)
+    )
+    energy = response @ response
+    error = (moved @ response) * (moved_moment @ moment) + (moved_moment @ response) * (moved @ moment)
+    return np.asarray(error / energy**2 / 2, dtype=np.float64)
 
 
 def _transform(weights: F64, cells: F64) -> F64:

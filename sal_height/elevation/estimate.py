@@ -225,8 +225,8 @@ def decide_validity(
     """
     detected = fit.explained >= detection_limit(looks, fit.directions, settings)
     return np.select(
-        [~looks.finite, ~(detected & strong), ~inside, ~is_one_scatterer(fit, settings)],
-        [Validity.MISSING_DATA, Validity.LOW_CNR, outside, Validity.NOT_ONE_SCATTERER],
+        [~looks.finite, ~detected, ~strong, ~inside, ~is_one_scatterer(fit, settings)],
+        [Validity.MISSING_DATA, Validity.NO_SIGNAL, Validity.LOW_CNR, outside, Validity.NOT_ONE_SCATTERER],
         Validity.OK,
     ).astype(np.uint8)
 
@@ -240,6 +240,31 @@ def explained_power(covariance: Covariance, response: F64) -> F64:
     """
     outputs = np.einsum("...mn,...n->...m", covariance, response)
     return np.sum(response.conj() * outputs, axis=-1).real / beam_power(response)
+
+
+def with_foreign_power(estimate: ElevationEstimate, variance: F64) -> ElevationEstimate:
+    """The estimate with the variance (rad^2, shape (rows, cols)) that sidelobes of other pixels add.
+
+    It is that of a scatterer with all the energy of a pixel; one of several has the share of its CNR.
+    """
+    total = np.sum([np.nan_to_num(one.cnr) for one in estimate.scatterers], axis=0)
+
+    def widened(one: Scatterer) -> Scatterer:
+        parts = np.divide(total, one.cnr, where=one.cnr > 0, out=np.ones_like(total))
+        return replace(one, sigma=np.sqrt(one.sigma**2 + parts * variance))
+
+    return replace(estimate, scatterers=tuple(widened(one) for one in estimate.scatterers))
+
+
+def without_imprecise(estimate: ElevationEstimate, limit: float) -> ElevationEstimate:
+    """The estimate with IMPRECISE where the sigma of a scatterer that a pixel holds is above the limit (rad)."""
+    held = np.zeros(estimate.validity.shape, np.uint8)
+    for validity, number in SCATTERERS.items():
+        held[estimate.validity == validity] = number
+    imprecise = np.zeros(held.shape, np.bool_)
+    for number, one in enumerate(estimate.scatterers):
+        imprecise |= (held > number) & ~(one.sigma <= limit)
+    return replace(estimate, validity=np.where(imprecise, Validity.IMPRECISE, estimate.validity).astype(np.uint8))
 
 
 def without_saturated(estimate: ElevationEstimate) -> ElevationEstimate:

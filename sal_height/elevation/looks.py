@@ -12,6 +12,7 @@ from scipy.sparse import csr_array, diags_array
 
 from sal_height.elevation._look_kernels import sum_covariances, sum_powers, sum_samples
 from sal_height.elevation.cell_response import AxisResponse, CellResponse
+from sal_height.elevation.noise_floor import LookWeights, foreign_power
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid
 from sal_height.numeric import C64, F32, F64, Bool, Index, in_parallel
@@ -26,6 +27,13 @@ LOOK_WINDOWS: dict[str, Callable[[int], F64]] = {
     "hamming": np.hamming,
 }
 """Weights of the looks of a pixel, all greater than 0."""
+
+
+EVEN_VARIANCE = 1 / 12
+"""Variance of a place that is anywhere in its row with the same probability, rows squared."""
+
+MEDIAN = 1 / 3
+"""By how much the median energy of K looks of speckle is less than its mean K: what depends on its inverse is more."""
 
 
 class Covariances(Protocol):
@@ -73,6 +81,11 @@ class Window:
         """Middle of pixel 0 in samples, with a fraction."""
         return self.first + (len(self.weights) - 1) / 2
 
+    @property
+    def apart(self) -> int:
+        """Number of pixels from one to the next that shares no sample with it."""
+        return -(-len(self.weights) // self.step)
+
     def matrix(self, samples: int) -> csr_array:
         """The weight of each sample in each pixel, sparse, shape (pixels, samples)."""
         pixel, look = np.indices((self.pixels(samples), len(self.weights)))
@@ -81,20 +94,16 @@ class Window:
         places = pixel[inside], sample[inside]
         return csr_array((self.weights[look[inside]], places), shape=(self.pixels(samples), samples))
 
-    def squares(self, samples: int, response: AxisResponse | None) -> F64:
-        """Sum over the looks i and j of a pixel of w_i w_j |rho_ij|^2: sum w^2 if looks are independent; (pixels,).
+    def pair_sum(self, samples: int, alike: F64) -> F64:
+        """Sum of w_i w_j c_ij over the looks i and j of each pixel, shape (pixels,).
 
         Args:
             samples: along the axis.
-            response: by which samples are alike; None: they are independent.
+            alike: c of two looks 0, 1, ... samples apart, shape (n,); 0 for those farther apart.
         """
-        weights = self.matrix(samples)
-        if response is None:
-            return np.asarray(weights.power(2).sum(axis=1))
-        near = min(len(self.weights), samples)
-        likeness = response.likeness(near)
+        weights, near = self.matrix(samples), min(len(alike), samples)
         offsets = range(1 - near, near)
-        pairs = diags_array([likeness[abs(n)] for n in offsets], offsets=offsets, shape=(samples, samples))
+        pairs = diags_array([alike[abs(n)] for n in offsets], offsets=offsets, shape=(samples, samples))
         return np.asarray((weights @ pairs).multiply(weights).sum(axis=1))
 
 
@@ -107,11 +116,14 @@ class Looks:
             Real beams need no more (a^T R a = a^T Re(R) a for any real a).
         squint: of each column, rad, shape (cols,).
         noise_powers: E|n|^2 of the receivers' noise of one look in each channel, shape (channels,).
-        floor: factor by which the sidelobes of scatterers in other pixels raise the noise power of a pixel, 1 or more,
-            shape (rows, cols). All their power counts, as it may come from one elevation.
+        floor: factor by which scatterers in other pixels raise the noise power of a pixel by their sidelobes, and at
+            the edge of a shadow by their main lobes; 1 or more, shape (rows, cols). All their power counts, as it may
+            come from one elevation.
         count: effective number of looks K = (sum w)^2 / sum w_i w_j |rho_ij|^2, shape (rows, cols), rho the correlation
             of the noise, and of the speckle, of two looks; sum w^2 below if they are independent. The weights w are
             scaled to have the sum K: mean and variance of the noise are then those of K independent looks.
+        row_variance: of the place of the looks' speckle about `row`, in SLC rows squared, shape (rows, cols).
+        col_variance: about `col`, in SLC columns squared.
         row: power-weighted mean row of the looks, in SLC pixels, shape (rows, cols); the middle if there is no power.
         col: power-weighted mean column.
         power: trace of the covariance, shape (rows, cols).
@@ -123,6 +135,8 @@ class Looks:
     noise_powers: F64
     floor: F64
     count: F64
+    row_variance: F64
+    col_variance: F64
     row: F64
     col: F64
     power: F64
@@ -144,6 +158,8 @@ class Looks:
             noise_powers=np.full(channels, noise_power, np.float64),
             floor=np.ones((rows, cols)),
             count=np.full((rows, cols), count, np.float64),
+            row_variance=np.full((rows, cols), EVEN_VARIANCE / count),
+            col_variance=np.full((rows, cols), EVEN_VARIANCE / count),
             row=row,
             col=col,
             power=np.trace(covariance.real, axis1=-2, axis2=-1, dtype=np.float64),
@@ -283,8 +299,7 @@ def windowed_looks(
     # Sums over the looks of each pixel, first along the columns, then along the rows.
     by_row, by_col = down.matrix(rows), across.matrix(cols)
     sums = np.multiply.outer(by_row.sum(axis=1), by_col.sum(axis=1))
-    alike = (response.down, response.across) if response else (None, None)
-    squares = np.multiply.outer(down.squares(rows, alike[0]), across.squares(cols, alike[1]))
+    count, row_variance, col_variance = _effective_looks(windows, (rows, cols), sums, response)
     finite = by_row @ (by_col @ (sample_power < 0).T).T == 0
     seen = np.maximum(sample_power, 0).astype(np.float64)
     along = (by_col @ seen.T).T
@@ -294,22 +309,53 @@ def windowed_looks(
     with np.errstate(divide="ignore", invalid="ignore"):
         row = np.where(power > 0, row_of @ along / power, (row_of.sum(axis=1) / by_row.sum(axis=1))[:, None])
         col = np.where(power > 0, by_row @ (col_of @ seen.T).T / power, col_of.sum(axis=1) / by_col.sum(axis=1))
-    scale = np.where(finite, sums / squares, 0.0)
+    scale = np.where(finite, count / sums, 0.0)
     floor = np.ones_like(sums)
     if response and np.all(channels.noise_powers > 0):
-        leaked = response.leaked(np.maximum(seen - channels.noise_powers.sum(), 0.0))
-        floor += by_row @ (by_col @ leaked.T).T / sums / channels.noise_powers.min()
+        noise = channels.noise_powers.sum()
+        down_weights = LookWeights(by_row, down.apart, response.down)
+        across_weights = LookWeights(by_col, across.apart, response.across)
+        deviation = noise / np.sqrt(len(slc) * count)
+        foreign = foreign_power(seen - noise, down_weights, across_weights, count, deviation)
+        floor += foreign / channels.noise_powers.min()
     return Looks(
         covariance=SlcCovariance(numbers, down, across, gains, scale.astype(np.float32), hermitian),
         squint=squint,
         noise_powers=channels.noise_powers,
         floor=floor,
-        count=sums**2 / squares,
+        count=count,
+        row_variance=row_variance,
+        col_variance=col_variance,
         row=row,
         col=col,
         power=power * scale,
         finite=finite,
     )
+
+
+def _effective_looks(
+    windows: tuple[Window, Window], shape: tuple[int, int], sums: F64, response: CellResponse | None
+) -> tuple[F64, F64, F64]:
+    """`count`, `row_variance` and `col_variance` of `Looks`, from the sums of the weights in each pixel."""
+
+    def pair_sums(window: Window, samples: int, axis: AxisResponse | None) -> tuple[F64, F64]:
+        """Of likeness and of error of place; samples that are independent are like themselves alone."""
+        near = len(window.weights)
+        alike, place = (
+            (axis.likeness(near), axis.place_error(near)) if axis else (np.ones(1), np.full(1, EVEN_VARIANCE))
+        )
+        return window.pair_sum(samples, alike), window.pair_sum(samples, place)
+
+    (down, across), (rows, cols) = windows, shape
+    down_alike, down_place = pair_sums(down, rows, response.down if response else None)
+    across_alike, across_place = pair_sums(across, cols, response.across if response else None)
+    count = sums**2 / np.multiply.outer(down_alike, across_alike)
+    median = count / (count - MEDIAN) / sums**2
+    row_variance, col_variance = (
+        np.multiply.outer(down_place, across_alike),
+        np.multiply.outer(down_alike, across_place),
+    )
+    return count, row_variance * median, col_variance * median
 
 
 def look_grid(grid: Grid, down: Window, across: Window) -> Grid:

@@ -31,6 +31,10 @@ NO_LIMIT_DB = -60.0
 """Least CNR that no pixel with a detected scatterer falls below."""
 
 
+MAX_SIGMA_BEAMWIDTHS = 0.25
+"""Standard deviation of elevation, in beamwidths, up to which beams are straight enough for errors to be Gaussian."""
+
+
 class HeightSettings(Settings):
     """What a height image is made with, whichever estimator makes it."""
 
@@ -42,9 +46,9 @@ class HeightSettings(Settings):
     )
     sidelobe_rate: float = setting(
         SIDELOBE_RATE,
-        "share of pixels of shadow in which sidelobes of scatterers elsewhere pass for one",
+        "share of pixels of shadow in which sidelobes of scatterers elsewhere pass for one; 1: sidelobes do not count",
         minimum=1e-12,
-        maximum=0.5,
+        maximum=1.0,
     )
     misfit_share: float = setting(
         MISFIT_SHARE,
@@ -75,6 +79,12 @@ class HeightSettings(Settings):
         "lowest CNR of one look of a valid pixel, whatever the number of looks; -60: none but that of detection",
         unit="dB",
         minimum=NO_LIMIT_DB,
+        maximum=100.0,
+    )
+    max_sigma_beamwidths: float = setting(
+        MAX_SIGMA_BEAMWIDTHS,
+        "highest standard deviation of elevation of a valid pixel, in beamwidths",
+        minimum=1e-6,
         maximum=100.0,
     )
     radial_velocity_mps: float = setting(

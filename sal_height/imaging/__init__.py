@@ -6,7 +6,7 @@ Read `focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixel
 """
 
 from sal_height.imaging.beams import image_beams
-from sal_height.imaging.focus import ImageSettings, Slc, StripFocuser, focus_dwell
+from sal_height.imaging.focus import ImageSettings, Slc, StripFocuser, cell_response, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.choice import FORMERS, FormImages
 from sal_height.imaging.pixels import azimuth_resolution
@@ -21,6 +21,7 @@ __all__ = [
     "StripFocuser",
     "azimuth_resolution",
     "backproject",
+    "cell_response",
     "focus_dwell",
     "image_beams",
 ]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sal_height.elevation import AxisResponse, CellResponse
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, Trajectory
 from sal_height.imaging.autofocus.gradient import AutofocusSettings, Focus, apply_phase, autofocus, patch_centres
@@ -16,7 +17,13 @@ from sal_height.imaging.checks import (
     describe_unverified_squint,
 )
 from sal_height.imaging.formers.choice import FORMERS, choose_former
-from sal_height.imaging.pixels import ground_plane_grid, slant_plane_grid, slant_plane_size, slc_noise_power
+from sal_height.imaging.pixels import (
+    azimuth_resolution,
+    ground_plane_grid,
+    slant_plane_grid,
+    slant_plane_size,
+    slc_noise_power,
+)
 from sal_height.imaging.strip import CLOCK_STEP, WIDEST_GAP, Strip, lay_lattice
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import C64, F64, WINDOWS, broadening
@@ -46,7 +53,7 @@ class ImageSettings(AutofocusSettings):
     )
     ground_spacing_m: float = setting(1.0, "pixel spacing in the ground plane", unit="m", minimum=1e-6, maximum=1e6)
     range_window: str = setting("taylor", "weighting over the bandwidth", choices=tuple(sorted(WINDOWS)))
-    azimuth_window: str = setting("rectangular", "weighting over the aperture", choices=tuple(sorted(WINDOWS)))
+    azimuth_window: str = setting("taylor", "weighting over the aperture", choices=tuple(sorted(WINDOWS)))
     autofocus: bool = setting(
         default=False,
         description="whether to estimate and remove the phase error that all channels share (spotlight only)",
@@ -70,6 +77,7 @@ class Slc:
         saturated_share: greatest share of clipped samples in each channel in the dwells that the images are made of,
             shape (channels,).
         azimuth_window: over the synthetic aperture, a name of `windows.WINDOWS`.
+        range_window: over the bandwidth.
         focus: what autofocus found; None: it was not asked for.
         doubt: a sentence on what of the odometry the data cannot confirm; empty: nothing.
     """
@@ -80,6 +88,7 @@ class Slc:
     noise_power: F64
     saturated_share: F64
     azimuth_window: str = "rectangular"
+    range_window: str = "rectangular"
     focus: Focus | None = None
     doubt: str = ""
 
@@ -87,6 +96,23 @@ class Slc:
     def autofocus_phase(self) -> F64:
         """Phase that was removed from each pulse, rad; empty: none."""
         return self.focus.phase if self.focus and self.focus.trusted else np.zeros(0)
+
+
+def cell_response(slc: Slc, sensor: Sensor) -> CellResponse:
+    """The response of images, by their windows and the spacing of their pixels in range and along the flight.
+
+    Args:
+        slc: the images.
+        sensor: that they are of.
+    """
+    grid, aperture = slc.grid, slc.aperture
+    sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
+    slant_range = float(np.linalg.norm(sight))
+    down = grid.row_spacing * abs(float(grid.row_direction @ sight)) / slant_range / sensor.range_resolution
+    across = grid.col_spacing / azimuth_resolution(sensor, aperture, slant_range)
+    return CellResponse(
+        AxisResponse(slc.range_window, round(down, 3)), AxisResponse(slc.azimuth_window, round(across, 3))
+    )
 
 
 def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: ImageSettings) -> Slc:
@@ -117,8 +143,8 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     check_doppler_centroid(history, antenna, sensor, aperture, grid)
     images = former(history, antenna, sensor, processing, grid)
     noise_power = slc_noise_power(sensor, processing, len(antenna))
-    doubt = describe_unverified_squint(sensor, aperture)
-    return Slc(images, grid, aperture, noise_power, history.shares.max(axis=1), settings.azimuth_window, focus, doubt)
+    windows, doubt = (settings.azimuth_window, settings.range_window), describe_unverified_squint(sensor, aperture)
+    return Slc(images, grid, aperture, noise_power, history.shares.max(axis=1), *windows, focus, doubt)
 
 
 def _dwell_grid(
@@ -214,7 +240,8 @@ class StripFocuser:
         shares = strip.history.shares.max(axis=1)
         abeam = replace(abeam, length=length, sliding=True)
         doubt, self._doubt = describe_unverified_squint(sensor, aperture) or self._doubt, ""
-        return Slc(images, grid, abeam, noise_power, shares, settings.azimuth_window, doubt=doubt)
+        windows = settings.azimuth_window, settings.range_window
+        return Slc(images, grid, abeam, noise_power, shares, *windows, doubt=doubt)
 
     def _continued(self, history: PhaseHistory, sensor: Sensor, settings: ImageSettings) -> Strip | None:
         """The strip, if the block is its next and of the same image.

@@ -172,12 +172,11 @@ def lay_lattice(
             f"The platform flies {crab:.3g} rad off the forward axis of base_link; stripmap allows "
             f"{GREATEST_CRAB:.3g} rad.",
         )
-    broad = [broadening(processing.range_weights(sensor.sample_count)), broadening(processing.azimuth_weights(1024))]
-    resolved = sensor.wavelength / (2 * processing.angle) * broad[1]
-    steps = max(1, round(resolved / way))
-    spacing = (sensor.range_resolution * broad[0], steps * way)
+    broadened = broadening(processing.range_weights(sensor.sample_count))
+    steps = max(1, round(sensor.wavelength / (2 * processing.angle) / way))
+    spacing = (sensor.range_resolution * broadened, steps * way)
     rows, cols = shape
-    rows = rows or max(1, int(sensor.sample_count / broad[0]))
+    rows = rows or max(1, int(sensor.sample_count / broadened))
     return strip_grid(sensor, aperture, reference_range, (rows, cols or max(1, len(antenna) // steps)), spacing)
 
 

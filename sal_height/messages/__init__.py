@@ -34,7 +34,7 @@ from sal_height.messages.heights import (
     height_points,
     height_to_message,
 )
-from sal_height.messages.images import check_slc, recorded_azimuth_window, slc_from_messages, slc_to_messages
+from sal_height.messages.images import check_slc, recorded_window, slc_from_messages, slc_to_messages
 from sal_height.messages.provenance import derived, stages_of, with_stage
 from sal_height.messages.relief import relief_picture, relief_points, relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
@@ -60,7 +60,7 @@ __all__ = [
     "height_to_message",
     "history_from_messages",
     "history_to_messages",
-    "recorded_azimuth_window",
+    "recorded_window",
     "relief_picture",
     "relief_points",
     "relief_to_message",

@@ -91,14 +91,19 @@ def slc_from_messages(images: Sequence[messages.ComplexImage]) -> Slc:
         aperture=aperture_from_message(first.aperture),
         noise_power=np.array([image.noise_power for image in images]),
         saturated_share=np.array([image.saturated_share for image in images]),
-        azimuth_window=recorded_azimuth_window(first.provenance),
+        azimuth_window=recorded_window(first.provenance, "azimuth"),
+        range_window=recorded_window(first.provenance, "range"),
     )
 
 
-def recorded_azimuth_window(provenance: messages.Provenance) -> str:
-    """Return the name of the azimuth window that images were made with, which their provenance records.
+def recorded_window(provenance: messages.Provenance, axis: str) -> str:
+    """Return the name of the window that images were made with, which their provenance records.
 
     It is "rectangular" if the provenance does not name a window of `numeric.WINDOWS`.
+
+    Args:
+        provenance: of the images.
+        axis: "range" or "azimuth".
     """
-    name = recorded(provenance.parameters, "sar_compression", "azimuth_window")
+    name = recorded(provenance.parameters, "sar_compression", f"{axis}_window")
     return name if isinstance(name, str) and name in WINDOWS else "rectangular"

@@ -157,7 +157,7 @@ def height_field(
     # The centre of the speckle is somewhere in its cell, in each look at another place.
     depth = slc_grid.row_spacing * np.abs(sight @ slc_grid.row_direction) / slant_range
     width = slc_grid.col_spacing * np.abs(slc_grid.col_direction @ aperture.direction)
-    range_sigma, along_sigma = (side / np.sqrt(12 * looks.count) for side in (depth, width))
+    range_sigma, along_sigma = depth * np.sqrt(looks.row_variance), width * np.sqrt(looks.col_variance)
 
     def surface(scatterer: Scatterer) -> Surface:
         """Height and position of scatterers; NaN where there is no such direction."""

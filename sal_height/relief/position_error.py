@@ -132,7 +132,8 @@ def height_variance(covariance: F64, positions: F64) -> F64:
         positions: m, in map, shape (..., 3).
     """
     upright = vertical(positions)
-    return _dot((covariance @ upright[..., None])[..., 0], upright)
+    with np.errstate(invalid="ignore"):  # an infinite covariance, of scatterers without a sigma, times 0
+        return _dot((covariance @ upright[..., None])[..., 0], upright)
 
 
 def is_covariance(matrices: F64) -> Bool:

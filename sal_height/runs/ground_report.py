@@ -69,7 +69,7 @@ def true_ground(
     first = np.floor(np.array([estimate.north, estimate.east]) / estimate.cell_size).astype(np.intp)
     for image in images:
         grid, aperture = messages.grid_from_message(image.grid), messages.aperture_from_message(image.aperture)
-        beams = image_beams(flight.sensor, messages.recorded_azimuth_window(image.provenance))
+        beams = image_beams(flight.sensor, messages.recorded_window(image.provenance, "azimuth"))
         surface, side = surfaces[image.dwell], flight.sensor.look_side
         cells = ground_cells(flight.scene, surface, aperture, grid, beams, side, estimate.cell_size)
         place = cells.number - first

@@ -172,7 +172,7 @@ def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface
     grid, aperture = messages.grid_from_message(image.grid), messages.aperture_from_message(image.aperture)
     sensor, track = flight.sensor, flight.preset.flight
     cell = sensor.range_resolution * azimuth_resolution(sensor, aperture, track.slant_range_m)
-    beams = image_beams(sensor, messages.recorded_azimuth_window(image.provenance))
+    beams = image_beams(sensor, messages.recorded_window(image.provenance, "azimuth"))
     truth = truth_image(surface, aperture, grid, cell, beams)
     squint = column_squint(grid, aperture, sensor.beams, sensor.look_side)
     height_slope = track.slant_range_m * np.sin(track.look_angle_rad)  # of height over elevation, m/rad

@@ -107,7 +107,7 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     comparisons, seen = [], []
     for image in images:
         field, aperture = messages.field_from_message(image), messages.aperture_from_message(image.aperture)
-        beams = image_beams(sensor, messages.recorded_azimuth_window(image.provenance))
+        beams = image_beams(sensor, messages.recorded_window(image.provenance, "azimuth"))
         cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, track.slant_range_m)
         surface = surfaces[image.dwell]
         truth = lit_surfaces(surface, aperture, field.grid, cell, beams, connected)

@@ -34,7 +34,7 @@ def flown(dwells: int, **changes: Any) -> SimulatedFlight:
 
 def images(flight: SimulatedFlight) -> Iterator[Slc]:
     track = Trajectory([state for dwell in range(flight.dwells) for state in flight.platform_states(dwell)])
-    settings = ImageSettings(range_window="rectangular", cols=flight.preset.image.cols)
+    settings = ImageSettings(range_window="rectangular", azimuth_window="rectangular", cols=flight.preset.image.cols)
     for dwell in range(flight.dwells):
         yield focus_dwell(flight.phase_history(dwell), track, flight.sensor, settings)
 

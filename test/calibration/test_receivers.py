@@ -123,7 +123,9 @@ def test_spectra_of_images_are_those_of_the_frames() -> None:
         samples = history.samples.copy()
         samples[3] *= fault.astype(np.complex64)
         history = replace(history, samples=samples)
-        slc = focus_dwell(history, track, sensor, ImageSettings(range_window="rectangular", cols=12))
+        slc = focus_dwell(
+            history, track, sensor, ImageSettings(range_window="rectangular", azimuth_window="rectangular", cols=12)
+        )
         spectra.add(remove_range_phase(slc, sensor), sensor, slc.noise_power)
     found = estimate(spectra)
     assert echoes_of(found)[3] >= 2

@@ -68,7 +68,7 @@ def test_slant_image_of_size_zero_fills_range_window_and_beam() -> None:
     assert slc.autofocus_phase.size == 0
     assert focused("small", former="backprojection", rows=5).grid.shape == (5, 16)
     assert focused("small", former="backprojection", cols=7).grid.shape == (47, 7)
-    np.testing.assert_array_equal(slc.noise_power, slc_noise_power(sensor, Processing(), 48))
+    np.testing.assert_array_equal(slc.noise_power, slc_noise_power(sensor, Processing("taylor", "taylor"), 48))
 
 
 @pytest.mark.parametrize("former", SPOTLIGHT_FORMERS)
@@ -80,7 +80,7 @@ def test_image_is_that_of_backprojection_with_odometry_at_the_stated_pixels(form
         "small", former=former, image_plane=plane, rows=9, cols=8, ground_spacing_m=0.06, range_window="hamming"
     )
     antenna = flight.position(flight.pulse_times)
-    expected = backproject(history, antenna, flight.spectrum, Processing("hamming"), slc.grid)
+    expected = backproject(history, antenna, flight.spectrum, Processing("hamming", "taylor"), slc.grid)
     assert power(slc.images - expected) < 1e-4 * power(expected)
     slant_range, elevation, squint = angles_of(slc.grid.points(4, 3.5), flight.aperture(0), 1)
     assert slant_range == pytest.approx(REACH, abs=1e-6)

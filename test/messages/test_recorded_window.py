@@ -42,7 +42,7 @@ def test_spotlight_has_the_beams_of_the_sensor() -> None:
 def test_stripmap_averages_with_the_window_that_the_image_was_made_with(
     provenance: list[Parameter], window: str
 ) -> None:
-    recorded = messages.recorded_azimuth_window(Provenance(parameters=provenance))
+    recorded = messages.recorded_window(Provenance(parameters=provenance), "azimuth")
     assert recorded == window
     seen = image_beams(STRIP, recorded).response(ELEVATION, 0.0)
     np.testing.assert_array_equal(seen, image_beams(STRIP, window).response(ELEVATION, 0.0))

@@ -213,7 +213,7 @@ def test_pixels_it_cannot_use_are_marked(discriminant: str) -> None:
     result = estimate(multilook(slc, 1, 16), beams, discriminant=discriminant)
     validity = result.validity[:, 0]
     assert np.all(validity[:100] == Validity.OK)
-    assert np.all(np.isin(validity[100:200], [Validity.LOW_CNR, Validity.OUTSIDE_PAIR]))
+    assert np.all(np.isin(validity[100:200], [Validity.NO_SIGNAL, Validity.OUTSIDE_PAIR]))
     assert np.mean(validity[200:300] == Validity.NOT_ONE_SCATTERER) > 0.95
     assert validity[300] == Validity.MISSING_DATA
 

@@ -36,6 +36,9 @@ OPTIONAL = {"spread": 1, "covariance": 6, "common_covariance": 6}
 TRIANGLE = np.triu_indices(3)
 """Rows and columns of the six numbers of a covariance, in the order of the message."""
 
+SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+"""Which of them stands where in the matrix."""
+
 POINT_FIELDS = (
     *("x", "y", "z", "height", "sigma", "cnr_db", "spread", "surface"),
     *("cov_ee", "cov_en", "cov_eu", "cov_nn", "cov_nu", "cov_uu"),
@@ -166,9 +169,7 @@ def _is_sound(surface: Surface) -> Bool:
 def _covariance(numbers: Sequence[float], grid: Grid) -> F64:
     """Symmetric matrices, shape (rows, cols, 3, 3), from their upper triangles."""
     triangle = float_view(numbers, (*grid.shape, len(TRIANGLE[0])))
-    matrices = np.empty((*grid.shape, 3, 3))
-    matrices[..., *TRIANGLE] = matrices[..., *TRIANGLE[::-1]] = triangle
-    return matrices
+    return triangle[..., SYMMETRIC].astype(np.float64)
 
 
 def bad_pixels(image: messages.HeightImage, field: HeightField) -> int:

@@ -138,3 +138,42 @@ def propagate(weight: F64, own: F64, down: F64, across: F64, sweeps: int, precis
                 passed = across[i, c - 1] / (across[i, c - 1] + total + LEAST_PRECISION)
                 precision[3, i, c - 1] = passed * total
                 moment[3, i, c - 1] = passed * (own[i, c] + moment[0, i, c] + moment[1, i, c] + moment[3, i, c])
+
+
+@compiled_with_nan
+def variances_across(covariance: F64, slope: F64, steepest: float, variance: F64) -> None:
+    """Fill the variances at a place of `position_error.variance_at_place`.
+
+    Args:
+        covariance: m^2, shape (n, 3, 3).
+        slope: m/m, shape (n, 2); NaN where it is not known.
+        steepest: slope for which the bound is made where it is not known.
+        variance: to be filled, m^2, shape (n,).
+    """
+    for i in range(len(variance)):
+        c, east, north = covariance[i], slope[i, 0], slope[i, 1]
+        if np.isfinite(east + north):
+            level = c[0, 0] * east**2 + 2 * c[0, 1] * east * north + c[1, 1] * north**2
+            variance[i] = c[2, 2] - 2 * (c[0, 2] * east + c[1, 2] * north) + level
+        else:
+            greatest = (c[0, 0] + c[1, 1]) / 2 + np.hypot((c[0, 0] - c[1, 1]) / 2, c[0, 1])
+            variance[i] = (np.sqrt(c[2, 2]) + steepest * np.sqrt(greatest)) ** 2
+
+
+@compiled_with_nan
+def find_semidefinite(matrices: F64, rounding: float, found: Bool) -> None:
+    """Mark the covariances of `position_error.is_covariance`.
+
+    Args:
+        matrices: symmetric, shape (n, 3, 3).
+        rounding: of a principal minor, over the product of its variances.
+        found: to be filled, shape (n,).
+    """
+    for i in range(len(found)):
+        m = matrices[i]
+        a, b, c, ab, ac, bc = m[0, 0], m[1, 1], m[2, 2], m[0, 1], m[0, 2], m[1, 2]
+        alone = a >= 0 and b >= 0 and c >= 0 and a + b + c < np.inf
+        limit = 1 + rounding
+        pairs = ab**2 <= limit * a * b and ac**2 <= limit * a * c and bc**2 <= limit * b * c
+        whole = a * b * c + 2 * ab * ac * bc - a * bc**2 - b * ac**2 - c * ab**2
+        found[i] = alone and pairs and whole >= -rounding * a * b * c

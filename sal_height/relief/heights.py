@@ -80,10 +80,13 @@ class Surface:
         """Where place and height are finite, and sigma is so in single precision, which messages have: (rows, cols)."""
         with np.errstate(over="ignore"):
             sigma = self.sigma.astype(np.float32)
-        return np.isfinite(self.positions).all(axis=-1) & np.isfinite(sigma) & (sigma > 0)
+        east, north, up = np.moveaxis(self.positions, -1, 0)
+        return np.isfinite(east + north + up) & np.isfinite(sigma) & (sigma > 0)
 
     def where(self, there: Bool) -> Surface:
         """The surface only `there`, and NaN elsewhere; the CNR stays."""
+        if there.all():
+            return self
         common, matrices = self.common_covariance, there[..., None, None]
         return Surface(
             height=np.where(there, self.height, np.nan),

@@ -102,8 +102,8 @@ class ReliefMap:
         )
         if not pixels.height.size:
             return
-        cells = np.floor(pixels.place / self.cell_size).astype(np.int64)[:, ::-1]
-        corners = np.stack([cells.min(axis=0), cells.max(axis=0)])
+        cells = np.floor(pixels.place[::-1] / self.cell_size).astype(np.int64)
+        corners = np.stack([cells.min(axis=1), cells.max(axis=1)])
         if self._corners is not None:
             corners = np.stack([np.minimum(corners[0], self._corners[0]), np.maximum(corners[1], self._corners[1])])
         rows, cols = (corners[1] - corners[0] + 1).tolist()
@@ -179,9 +179,9 @@ class _Pixels:
     """Heights of a dwell for a map, one for each scatterer.
 
     Attributes:
-        place: arc distances east and north of the map's origin, m, shape (pixels, 2).
+        place: arc distances east and north of the map's origin, m, shape (2, pixels).
         height: m, shape (pixels,).
-        slope: of the ground towards east and north, m/m, shape (pixels, 2); 0 where it is not known.
+        slope: of the ground towards east and north, m/m, shape (2, pixels); 0 where it is not known.
         slope_error: standard deviation of the slope, m/m, shape (pixels,); NaN where it is not known.
         own: variance of the height at that place, m^2, shape (pixels,).
         common: its part that the pixels of the dwell share, m^2.
@@ -208,20 +208,20 @@ def _supported(field: HeightField) -> list[Bool]:
 
 def _pixels(surface: Surface, there: Bool, spacing: float) -> _Pixels:
     """The scatterers of a surface that enter a map; `spacing` of pixels on the ground, m."""
-    points = np.stack(sphere_coordinates(surface.positions), axis=-1)
+    points = np.stack(sphere_coordinates(surface.positions))
     slope, error = ground_slope(points, surface.own_covariance, spacing)
     own = variance_at_place(surface.own_covariance, slope)
     common = np.zeros_like(own)
     if surface.common_covariance is not None:
         common = variance_at_place(surface.common_covariance, slope)
-    seen = there & np.isfinite(points).all(axis=-1) & np.isfinite(own + common) & (own > 0)
+    seen = there & np.isfinite(points.sum(axis=0) + own + common) & (own > 0)
     return _Pixels(
-        points[seen][:, :2], points[seen][:, 2], np.nan_to_num(slope[seen]), error[seen], own[seen], common[seen]
+        points[:2, seen], points[2, seen], np.nan_to_num(slope[seen].T), error[seen], own[seen], common[seen]
     )
 
 
 def _joined(parts: list[_Pixels]) -> _Pixels:
-    return _Pixels(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(_Pixels)))
+    return _Pixels(*(np.concatenate([getattr(part, one.name) for part in parts], axis=-1) for one in fields(_Pixels)))
 
 
 def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, F64, F64]:
@@ -234,15 +234,15 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, 
 
     Args:
         pixels: of a dwell.
-        cells: row and column of each pixel's cell, shape (pixels, 2).
+        cells: row and column of each pixel's cell, shape (2, pixels).
         cell_size: m.
 
     Returns:
         Row and column of the cells, in the order of rows, their heights (m) and 1 / their variances (1/m^2).
     """
-    first = cells.min(axis=0)
-    shape = tuple(cells.max(axis=0) - first + 1)
-    index = np.ravel_multi_index(tuple((cells - first).T), shape)
+    first = cells.min(axis=1)
+    shape = tuple(cells.max(axis=1) - first + 1)
+    index = np.ravel_multi_index(tuple(cells - first[:, None]), shape)
     weight = 1 / (pixels.own + pixels.common)
     total = np.bincount(index, weight)
     seen = np.flatnonzero(total)
@@ -253,13 +253,13 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, 
     def mean(values: F64) -> F64:
         return np.bincount(index, weight * values) / total
 
-    offset = cell_size * (cells[:, ::-1] + 0.5) - pixels.place
-    slope = np.stack([mean(axis) for axis in pixels.slope.T], axis=-1)
-    at_centre = pixels.height + np.sum(slope[index] * offset, axis=-1)
+    east, north = cell_size * (cells[::-1] + 0.5) - pixels.place
+    slope_east, slope_north = (mean(axis) for axis in pixels.slope)
+    at_centre = pixels.height + slope_east[index] * east + slope_north[index] * north
     height = mean(at_centre)
     unknown = np.isnan(pixels.slope_error)
-    moved = mean(np.where(unknown, 0.0, pixels.slope_error)) * np.hypot(*(mean(axis) for axis in offset.T))
-    unmoved = mean(np.where(unknown, STEEPEST * np.hypot(*offset.T), 0.0))
+    moved = mean(np.where(unknown, 0.0, pixels.slope_error)) * np.hypot(mean(east), mean(north))
+    unmoved = mean(np.where(unknown, STEEPEST * np.hypot(east, north), 0.0))
     spread, expected = mean((at_centre - height[index]) ** 2), mean(pixels.own)
     step = np.where(spread > STEP**2 * expected, spread, 0.0)
     own = np.bincount(index, weight**2 * pixels.own) / total**2

@@ -18,6 +18,7 @@ import numpy as np
 
 from sal_height.geometry import EARTH_RADIUS, ApertureState, aperture_at
 from sal_height.numeric import F64, Bool
+from sal_height.relief._kernels import find_semidefinite, variances_across
 
 STEEPEST = 1.0
 """Steepest slope (height over distance) of ground whose slope is not known: 45 degrees, about the repose of rubble."""
@@ -141,15 +142,9 @@ def is_covariance(matrices: F64) -> Bool:
 
     All principal minors must be 0 or greater (Sylvester).
     """
-    a, b, c = (matrices[..., i, i] for i in range(3))
-    ab, ac, bc = matrices[..., 0, 1], matrices[..., 0, 2], matrices[..., 1, 2]
-    with np.errstate(invalid="ignore", over="ignore"):
-        finite = (a >= 0) & (b >= 0) & (c >= 0) & (a + b + c < np.inf)
-        limit = 1 + ROUNDING
-        pairs = (ab**2 <= limit * a * b) & (ac**2 <= limit * a * c) & (bc**2 <= limit * b * c)
-        product = a * b * c
-        whole = product + 2 * ab * ac * bc - a * bc**2 - b * ac**2 - c * ab**2
-        return finite & pairs & (whole >= -ROUNDING * product)
+    found = np.empty(matrices.shape[:-2], np.bool_)
+    find_semidefinite(matrices.reshape(-1, 3, 3), ROUNDING, found.reshape(-1))
+    return found
 
 
 def vertical(positions: F64) -> F64:
@@ -161,26 +156,18 @@ def vertical(positions: F64) -> F64:
 def variance_at_place(covariance: F64, slope: F64) -> F64:
     """Variance (m^2) of the height that points state for their places (east, north): that across the ground.
 
-    With the normal n = (-g, 1) of the ground it is n C n, written out.
+    With the normal n = (-g, 1) of the ground it is n C n.
 
     Args:
         covariance: of the points, m^2, axes east, north, up, shape (..., 3, 3).
         slope: of the ground, towards east and north, m/m, shape (..., 2); NaN: not known. Then it is a bound of the
             variance on all ground up to STEEPEST: (sigma of height + STEEPEST x greatest horizontal sigma)^2.
     """
-    (ee, en, eh), (_, nn, nh), (_, _, hh) = ([covariance[..., i, j] for j in range(3)] for i in range(3))
-    east, north = slope[..., 0], slope[..., 1]
-    across = np.asarray(hh + east * (ee * east + 2 * (en * north - eh)) + north * (nn * north - 2 * nh))
-    unknown = np.isnan(across)
-    across[unknown] = _variance_on_steep_ground(np.broadcast_to(covariance, (*across.shape, 3, 3))[unknown])
-    return across
-
-
-def _variance_on_steep_ground(covariance: F64) -> F64:
-    """Bound of the variance at a place on ground up to STEEPEST, m^2."""
-    east, north, mixed = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
-    greatest = (east + north) / 2 + np.hypot((east - north) / 2, mixed)
-    return (np.sqrt(covariance[..., 2, 2]) + STEEPEST * np.sqrt(greatest)) ** 2
+    shape = np.broadcast_shapes(covariance.shape[:-2], slope.shape[:-1])
+    matrices, slopes = np.broadcast_to(covariance, (*shape, 3, 3)), np.broadcast_to(slope, (*shape, 2))
+    variance = np.empty(shape)
+    variances_across(matrices.reshape(-1, 3, 3), slopes.reshape(-1, 2), STEEPEST, variance.reshape(-1))
+    return variance
 
 
 def _sight_and_normal(positions: F64, aperture: ApertureState) -> tuple[F64, F64]:

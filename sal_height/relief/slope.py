@@ -38,7 +38,7 @@ def ground_slope(points: F64, covariance: F64, spacing: float) -> tuple[F64, F64
     as gives slopes of SLOPE_ERROR in the median: first on level ground, then on the slopes that were found.
 
     Args:
-        points: east, north and height of the scatterers, m, shape (rows, cols, 3); NaN where there is none.
+        points: east, north and height of the scatterers, m, shape (3, rows, cols); NaN where there is none.
         covariance: of their own errors, m^2, shape (rows, cols, 3, 3).
         spacing: of pixels on the ground, the smaller of both axes, m.
 
@@ -46,7 +46,7 @@ def ground_slope(points: F64, covariance: F64, spacing: float) -> tuple[F64, F64
         Slope towards east and north, m/m, shape (rows, cols, 2), and the root of the sum of both variances, shape
         (rows, cols); NaN where the slope is not known.
     """
-    seen = np.isfinite(points).all(axis=-1) & np.isfinite(covariance[..., 2, 2])
+    seen = np.isfinite(points[0] + points[1] + points[2]) & np.isfinite(covariance[..., 2, 2])
     if not seen.any():
         return np.full((*seen.shape, 2), np.nan), np.full(seen.shape, np.nan)
     half = _half_width(float(np.sqrt(np.median(covariance[seen, 2, 2]))), spacing)
@@ -63,28 +63,28 @@ def _planes(points: F64, covariance: F64, seen: Bool, half: int) -> tuple[F64, F
     """Slopes of the planes in windows, and their standard deviation (m/m), infinite where there is no plane.
 
     Args:
-        points: m, shape (rows, cols, 3).
+        points: m, shape (3, rows, cols).
         covariance: of their own errors, m^2, shape (rows, cols, 3, 3).
         seen: the points that count, shape (rows, cols).
         half: half-width of the windows in pixels.
     """
-    from_middle = np.where(seen[..., None], points - points[seen].mean(axis=0), 0.0)
+    from_middle = [np.where(seen, axis - axis[seen].mean(), 0.0) for axis in points]
     share = _window_mean(seen.astype(np.float64), half)
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean = _window_mean(from_middle, half) / share[..., None]
-        down, across = _step(mean, half, axis=0), _step(mean, half, axis=1)
+        mean = [_window_mean(axis, half) / share for axis in from_middle]
+        down, across = ([_step(values, half, axis) for values in mean] for axis in (0, 1))
         # The slope g fulfils step_up = g step_horizontal for both steps: Cramer's rule.
-        area = down[..., 0] * across[..., 1] - down[..., 1] * across[..., 0]
-        east = (down[..., 2] * across[..., 1] - down[..., 1] * across[..., 2]) / area
-        north = (down[..., 0] * across[..., 2] - down[..., 2] * across[..., 0]) / area
+        area = down[0] * across[1] - down[1] * across[0]
+        east = (down[2] * across[1] - down[1] * across[2]) / area
+        north = (down[0] * across[2] - down[2] * across[0]) / area
         slope = np.stack([east, north], axis=-1)
         count = share * (2 * half + 1) ** 2
-        beside = from_middle - mean
-        deviation = np.where(seen, beside[..., 2] - east * beside[..., 0] - north * beside[..., 1], 0.0)
+        beside = [point - middle for point, middle in zip(from_middle, mean, strict=True)]
+        deviation = np.where(seen, beside[2] - east * beside[0] - north * beside[1], 0.0)
         spread = _window_mean(np.nan_to_num(deviation**2), half) / share * count / (count - 1)
         variance = variance_at_place(covariance, slope)
         # Each of the two steps has twice the variance of a mean, at most.
-        error = 2 * variance / count * np.sum(down[..., :2] ** 2 + across[..., :2] ** 2, axis=-1) / area**2
+        error = 2 * variance / count * (down[0] ** 2 + down[1] ** 2 + across[0] ** 2 + across[1] ** 2) / area**2
         planar = seen & (share >= LEAST_SHARE) & (spread <= MISFIT**2 * variance) & np.isfinite(error)
     return slope, np.where(planar, np.sqrt(error), np.inf)
 
@@ -101,8 +101,8 @@ def _half_width(sigma: float, spacing: float) -> int:
 
 
 def _window_mean(values: F64, half: int) -> F64:
-    """Mean over the window around each pixel, over the first two axes; 0 beyond the edge."""
-    return uniform_filter(values, 2 * half + 1, mode="constant", axes=(0, 1))
+    """Mean over the window around each pixel; values beyond the edge count as 0."""
+    return uniform_filter(values, 2 * half + 1, mode="constant")
 
 
 def _step(values: F64, half: int, axis: int) -> F64:

@@ -55,9 +55,9 @@ def seen_slope(slope: float) -> Seen:
         field = heights(slc, flight.sensor, ESTIMATORS["ml"], settings)
         relief_map.add(field)
         first = field.first
-        points = np.stack(sphere_coordinates(first.positions), axis=-1)
+        points = np.stack(sphere_coordinates(first.positions))
         ground, _ = ground_slope(points, first.own_covariance, min(ground_spacings(field.grid)))
-        error = (points[..., 2] - slope * points[..., 1])[np.isfinite(first.height)]
+        error = (points[2] - slope * points[1])[np.isfinite(first.height)]
         over_sigma.append(error / first.sigma[np.isfinite(first.height)])
         over_place.append(error / np.sqrt(variance_at_place(first.own_covariance, ground))[np.isfinite(first.height)])
     relief = relief_map.relief()

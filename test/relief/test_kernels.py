@@ -1,4 +1,4 @@
-"""Compiled loops of the tracking along range, against the same recursions in NumPy."""
+"""Compiled loops against the same formulas and recursions in NumPy."""
 
 from __future__ import annotations
 
@@ -85,3 +85,31 @@ def test_log_likelihood() -> None:
         spread = STEP[0] ** 2 * spread + STEP[1]
     found = kernels.log_likelihood(deviation, precision, PRIOR[1], STEP, share, density)
     assert found == pytest.approx(total, rel=1e-12)
+
+
+def test_variances_across_the_ground_are_those_of_a_product_of_matrices() -> None:
+    rng = np.random.default_rng(6)
+    root, slope = rng.standard_normal((50, 3, 3)), rng.standard_normal((50, 2))
+    covariance, variance = root @ np.swapaxes(root, 1, 2), np.empty(50)
+    slope[:20, 0] = np.nan
+    kernels.variances_across(covariance, slope, 1.0, variance)
+    normal = np.column_stack([-slope, np.ones(50)])
+    np.testing.assert_allclose(variance[20:], np.einsum("ni,nij,nj->n", normal, covariance, normal)[20:], rtol=1e-12)
+    horizontal = np.linalg.eigvalsh(covariance[:, :2, :2])[:, 1]
+    bound = (np.sqrt(covariance[:, 2, 2]) + np.sqrt(horizontal)) ** 2
+    np.testing.assert_allclose(variance[:20], bound[:20], rtol=1e-12)
+
+
+def test_covariances_are_the_matrices_without_a_negative_eigenvalue() -> None:
+    rng = np.random.default_rng(7)
+    root = rng.standard_normal((400, 3, 3))
+    matrices = root @ np.swapaxes(root, 1, 2)
+    matrices[:, 0, 1] *= np.linspace(0, 3, 400)
+    matrices[:, 1, 0] = matrices[:, 0, 1]
+    matrices[0], matrices[1, 1, 1] = 0.0, np.nan
+    found = np.empty(400, np.bool_)
+    kernels.find_semidefinite(matrices, 1e-9, found)
+    least = np.linalg.eigvalsh(np.nan_to_num(matrices))[:, 0]
+    expected = (least >= -1e-12) & (np.arange(400) != 1)
+    np.testing.assert_array_equal(found, expected)
+    assert 100 < np.count_nonzero(found) < 300

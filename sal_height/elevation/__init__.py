@@ -6,7 +6,7 @@ Every estimator is a function `estimate(looks, beams, settings)` that returns an
 `spatial_prior` (help from neighbours), `layover` (two scatterers in a pixel) and `maximum_likelihood`, which joins
 these; `capon` and `music` (the two spectra known from tomography, on the same search), `monopulse` (pairs; sum and
 difference), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators by name). `profile` tells the reflectivity
-at all elevations of a pixel instead, as tomography of vegetation needs it.
+at all elevations of a pixel instead, as tomography of vegetation needs it, and `canopy_ground` the ground below it.
 """
 
 from sal_height.elevation.beam_error import common_deviation

@@ -33,6 +33,7 @@ class Validity(IntEnum):
     EXTENDED = 11
     NO_SIGNAL = 12
     IMPRECISE = 13
+    NO_GROUND = 14
 
 
 SCATTERERS = {Validity.OK: 1, Validity.EXTENDED: 1, Validity.TWO_SCATTERERS: 2, Validity.THREE_SCATTERERS: 3}

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sal_height.beams import Beams
+from sal_height.elevation.canopy_ground import CanopyGroundSettings, canopy_ground_elevation
 from sal_height.elevation.capon import CaponSettings, capon_elevation
 from sal_height.elevation.estimate import ElevationEstimate
 from sal_height.elevation.looks import Looks
@@ -126,6 +127,13 @@ _ENTRIES = (
         title="MUSIC",
         settings=MusicSettings,
         estimate=music_elevation,
+    ),
+    ElevationEstimator(
+        name="canopy_ground",
+        node="canopy_ground_height",
+        title="ground under canopy",
+        settings=CanopyGroundSettings,
+        estimate=canopy_ground_elevation,
     ),
 )
 

@@ -70,7 +70,7 @@ def woods() -> Scene:
     Through 10 m of woods under 45 degrees 32 % of the ground's power remain, and the crowns return half as much again.
     """
     east, north = np.arange(-40, 40.125, 0.25), np.arange(-30, 30.125, 0.25)
-    ground = 0.8 * np.sin(2 * np.pi * east / 40) + 0.03 * north[:, None]
+    ground = 0.4 * np.sin(2 * np.pi * east / 80) + 0.03 * north[:, None]
     crowns = 0.5 * np.sin(2 * np.pi * east / 5) * np.sin(2 * np.pi * north[:, None] / 5)
     glade = (np.abs(east + 9) < 4) | (np.abs(east - 11) < 2)
     top = np.where(glade, 0.0, 9 + 2.5 * np.sin(2 * np.pi * east / 60) + crowns)

@@ -88,7 +88,7 @@ def test_gap_holds_nothing_but_ground() -> None:
     )
     east, north, height = sphere_coordinates(surface.positions)
     np.testing.assert_allclose(
-        height, 0.8 * np.sin(2 * np.pi * east / 40) + 0.03 * (north + PLATFORM_HEIGHT), atol=0.01
+        height, 0.4 * np.sin(2 * np.pi * east / 80) + 0.03 * (north + PLATFORM_HEIGHT), atol=0.01
     )
 
 

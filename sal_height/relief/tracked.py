@@ -6,7 +6,7 @@ import numpy as np
 
 from sal_height.elevation import Validity
 from sal_height.geometry import ApertureState, Grid, locate_at_height
-from sal_height.numeric import F64
+from sal_height.numeric import F64, Bool
 from sal_height.relief.field_tracking import estimated_field_prior, smoothed_field
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import circle_covariance, height_variance
@@ -56,9 +56,11 @@ def tracked_field(
 ) -> HeightField:
     """Replace heights by tracked ones, each at its position on the circle of its pixel's range and Doppler.
 
-    Pixels that were measured, with one scatterer or two, become OK. The others, outliers included, become INTERPOLATED
-    where pixels of their column were measured at nearer and at farther range, and the standard deviation is at most
-    `greatest_sigma`. Elsewhere they have no height, and an outlier becomes LOW_CNR: a peak of noise. Nothing is
+    Pixels of one surface that were tracked become OK. What contradicts the track in company (`in_company`) is no
+    outlier but ground beyond a step: it stays as it was measured. So do pixels of several surfaces or an extended one,
+    which are not the relief. An outlier, and a pixel of which nothing is known (UNKNOWN), becomes INTERPOLATED where
+    pixels of its column were measured at nearer and at farther range, and the standard deviation is at most
+    `greatest_sigma`. Elsewhere it has no height, and an outlier becomes LOW_CNR: a peak of noise. Nothing is
     extrapolated: beyond the last measured pixel the ground has most often left the span of the array. Pixels that were
     not measured have the range and Doppler of their centres.
 
@@ -74,14 +76,57 @@ def tracked_field(
     slant_range, along = np.linalg.norm(sight, axis=-1), sight @ aperture.direction
     positions = locate_at_height(relief.height, slant_range, along, aperture, look_side_of(field.grid, aperture))
     located = np.isfinite(positions).all(axis=-1)
+    whole = np.isin(field.validity, (Validity.OK, Validity.INTERPOLATED))
+    step = in_company(field.first, relief.outlier)
+    kept, outlier = measured & (~whole | step), relief.outlier & whole & ~step
     used = measured & ~relief.outlier
     nearer, farther = np.logical_or.accumulate(used), np.logical_or.accumulate(used[::-1])[::-1]
-    known = located & (used | (nearer & farther & (relief.sigma <= greatest_sigma)))
+    tracked = located & used & ~kept
+    unknown = outlier | np.isin(field.validity, UNKNOWN)
+    filled = located & unknown & nearer & farther & (relief.sigma <= greatest_sigma)
     validity = np.select(
-        [known & used, known, used, relief.outlier],
-        [Validity.OK, Validity.INTERPOLATED, Validity.OUTSIDE_ARRAY, Validity.LOW_CNR],
+        [kept, tracked, filled, used, outlier],
+        [field.validity, Validity.OK, Validity.INTERPOLATED, Validity.OUTSIDE_ARRAY, Validity.LOW_CNR],
         field.validity,
     ).astype(np.uint8)
     own = circle_covariance(relief.sigma.astype(np.float64), positions, aperture)
-    surface = Surface.seen_from(aperture, positions, own, field.first.cnr_db).where(known)
-    return HeightField(field.grid, validity, (surface,))
+    surface = Surface.seen_from(aperture, positions, own, field.first.cnr_db).where(tracked | filled)
+    others = (other.where(kept) for other in field.surfaces[1:])
+    return HeightField(field.grid, validity, (_joined(surface, field.first, kept), *others))
+
+
+UNKNOWN = (Validity.LOW_CNR, Validity.AMBIGUOUS, Validity.MISSING_DATA, Validity.SATURATED, Validity.IMPRECISE)
+"""Reasons that say nothing of the ground; the others say that it is not one surface, or not there."""
+
+COMPANY = 3
+"""Least number of the eight pixels around an outlier that must be outliers of the same height."""
+
+SAME = 3.0
+"""Standard deviations of their difference up to which two heights count as the same."""
+
+
+def in_company(surface: Surface, outlier: Bool) -> Bool:
+    """Outliers that have COMPANY or more of the same height around them, shape (rows, cols)."""
+    rows, cols = outlier.shape
+    height = np.pad(np.where(outlier, surface.height, np.nan), 1, constant_values=np.nan)
+    variance = np.pad(surface.sigma**2, 1)
+    same = np.zeros(outlier.shape, dtype=np.int64)
+    for row, col in ((row, col) for row in range(3) for col in range(3) if (row, col) != (1, 1)):
+        beside = np.s_[row : row + rows, col : col + cols]
+        same += (height[beside] - surface.height) ** 2 <= SAME**2 * (variance[beside] + surface.sigma**2)
+    return outlier & (same >= COMPANY)
+
+
+def _joined(surface: Surface, other: Surface, there: Bool) -> Surface:
+    """A surface with the values of another one `there`."""
+    kept = other.where(there)
+
+    def chosen(first: F64, second: F64) -> F64:
+        return np.where(there.reshape(there.shape + (1,) * (first.ndim - 2)), second, first)
+
+    common = surface.common_covariance
+    if common is not None and kept.common_covariance is not None:
+        common = chosen(common, kept.common_covariance)
+    names = ("height", "sigma", "cnr_db", "positions", "spread", "own_covariance")
+    values = {name: chosen(getattr(surface, name), getattr(kept, name)) for name in names}
+    return Surface(**values, common_covariance=common)

@@ -114,8 +114,9 @@ def test_heights_are_tracked_and_in_their_places(graph: Graph) -> None:
     validity, height = of(after, "validity"), of(after, "height")
     expected = np.zeros(SHAPE, dtype=np.uint8)
     expected[60, 3] = expected[70, 4] = HeightImage.INTERPOLATED
+    expected[80, 5] = HeightImage.TWO_SCATTERERS
     np.testing.assert_array_equal(validity, expected)
-    assert len(after.surfaces) == 1
+    assert len(after.surfaces) == 2
     error = height - relief(0)
     assert np.sqrt(np.mean(error**2)) < 0.65 * NOISE
     assert np.mean(np.abs(error) < of(after, "sigma")) == pytest.approx(0.68, abs=0.12)
@@ -134,7 +135,7 @@ def test_picture_points_and_provenance_come_along(graph: Graph) -> None:
     np.testing.assert_array_equal(
         np.frombuffer(bytes(picture.data), np.float32), np.array(after.surfaces[0].height, np.float32)
     )
-    assert points.width == SHAPE[0] * SHAPE[1]
+    assert points.width == SHAPE[0] * SHAPE[1] + 1  # one pixel keeps its two surfaces
     assert (after.provenance.config_hash, after.provenance.calibration_id) == ("abc", "c")
     stages = messages.stages_of(after.provenance.parameters)
     assert stages["ml_height"] == {"layover": True}

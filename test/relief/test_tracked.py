@@ -122,15 +122,14 @@ def test_validity_says_where_a_height_comes_from() -> None:
     grid = make_grid(aperture, 1, (7, 1))
     height = np.array([np.nan, 1.0, 2.0, np.nan, np.nan, 3.0, np.nan])[:, None]
     field = field_of(grid, aperture, 1, height, 1.0)
-    field.validity[5] = Validity.TWO_SCATTERERS
-    field.validity[3] = Validity.MISSING_DATA
+    field.validity[3], field.validity[4] = Validity.MISSING_DATA, Validity.LOW_CNR
     vague = 1.4
     sigma = np.array([0.1, 0.5, vague * 0.99, 0.5, vague * 1.01, 0.5, 0.1])[:, None]
     outlier = np.arange(7)[:, None] == 2
     result = tracked_field(field, TrackedRelief(np.ones((7, 1)), sigma, outlier), aperture, vague)
     expected = [
         *(Validity.OUTSIDE_ARRAY, Validity.OK, Validity.INTERPOLATED, Validity.INTERPOLATED),
-        *(Validity.OUTSIDE_ARRAY, Validity.OK, Validity.OUTSIDE_ARRAY),
+        *(Validity.LOW_CNR, Validity.OK, Validity.OUTSIDE_ARRAY),
     ]
     assert result.validity[:, 0].tolist() == expected
     usable = np.isin(result.validity, (Validity.OK, Validity.INTERPOLATED))
@@ -141,6 +140,36 @@ def test_validity_says_where_a_height_comes_from() -> None:
     assert unsure.validity[2, 0] == Validity.LOW_CNR
     nowhere = TrackedRelief(np.full((7, 1), 2 * EARTH_RADIUS), sigma, outlier)
     assert tracked_field(field, nowhere, aperture, vague).validity[1, 0] == Validity.OUTSIDE_ARRAY
+
+
+def test_a_run_of_consistent_heights_is_a_step_and_not_overwritten() -> None:
+    """The far half of the image lies 3 m higher than a track that does not follow; one pixel stands alone."""
+    aperture = make_aperture()
+    grid = make_grid(aperture, 1)
+    height = np.where(np.arange(6) < 3, 0.0, 3.0)[:, None] + np.zeros(grid.shape)
+    height[1, 2] = 7.0
+    field = field_of(grid, aperture, 1, height, 0.1)
+    relief = TrackedRelief(np.zeros(grid.shape), np.full(grid.shape, 0.05), np.abs(height) > 1)
+    result = tracked_field(field, relief, aperture, 1.4)
+    np.testing.assert_array_equal(result.validity[3:], Validity.OK)
+    np.testing.assert_array_equal(result.first.height[3:], field.first.height[3:])
+    np.testing.assert_array_equal(result.first.sigma[3:], field.first.sigma[3:])
+    assert result.validity[1, 2] == Validity.INTERPOLATED
+
+
+@pytest.mark.parametrize("validity", [Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS, Validity.EXTENDED])
+def test_what_is_not_one_surface_stays_what_it_is(validity: Validity) -> None:
+    aperture = make_aperture()
+    grid = make_grid(aperture, 1)
+    field = field_of(grid, aperture, 1, np.ones(grid.shape), 0.1)
+    field.validity[2, 2] = validity
+    field.validity[4, 2] = Validity.NO_SIGNAL
+    both = replace(field, surfaces=(field.first, field.first))
+    relief = TrackedRelief(np.zeros(grid.shape), np.full(grid.shape, 0.05), np.zeros(grid.shape, np.bool_))
+    result = tracked_field(both, relief, aperture, 1.4)
+    assert result.validity[2, 2] == validity
+    assert [surface.height[2, 2] for surface in result.surfaces] == pytest.approx([1.0, 1.0])
+    assert result.first.height[2, 1] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_what_the_pose_leaves_open_is_not_averaged() -> None:

@@ -20,7 +20,7 @@ from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import distance_transform_edt, uniform_filter
+from scipy.ndimage import binary_dilation, distance_transform_edt, uniform_filter
 
 from sal_height.numeric import F64, I64, U8, Bool
 from sal_height.relief.layers import Layers, neighbours, on_walls, supported
@@ -108,11 +108,12 @@ def estimated_ground(layers: Layers, grid: GroundGrid, settings: GroundSettings)
     covered = membrane.covered
     level, half = _between_sides(membrane.height, covered, grid, settings)
     towards = np.broadcast_to(tops.towards.mean(axis=0), (grid.shape[0] * grid.shape[1], 2))
-    hidden = _hidden(membrane.height, covered, towards, grid)
-    jump = np.where(measured, 0.0, _jumps_beside(membrane))
+    hidden, floor = _hidden(membrane.height, covered, measured, towards, grid)
+    jump = np.maximum(_jumps_beside(membrane), np.where(hidden, membrane.height - floor, 0.0))
+    jump = np.where(measured, 0.0, jump)
     sure = covered & (jump == 0)
     kind = np.select(
-        [sure, hidden, (level | covered) & np.isfinite(membrane.height)],
+        [sure, hidden & ~covered, (level | covered) & np.isfinite(membrane.height)],
         [GroundKind.MEASURED, GroundKind.SHADOW, GroundKind.INTERPOLATED],
         GroundKind.UNSEEN,
     ).astype(np.uint8)
@@ -261,14 +262,22 @@ def _sides(height: F64, covered: Bool, axis: int) -> tuple[tuple[F64, F64], tupl
     return sides[0], sides[1]
 
 
-def _hidden(height: F64, covered: Bool, towards: F64, grid: GroundGrid) -> Bool:
-    """Cells that the covered ones hide from the sensor, if they are as high as the lowest that is nearest to them."""
-    sides = [side for axis in (0, 1) for _, side in _sides(height, covered, axis)]
-    floor = np.fmin.reduce(sides)
+def _hidden(height: F64, covered: Bool, measured: Bool, towards: F64, grid: GroundGrid) -> tuple[Bool, F64]:
+    """Cells that the covered ones would hide from the sensor at the lowest of the known heights nearest to them.
+
+    Looked at are the cells that are not covered, and those beside them that are not measured: their heights are known
+    from others. Returns these lowest heights, m, too.
+    """
+    outside, inside = (
+        np.fmin.reduce([side for axis in (0, 1) for _, side in _sides(height, known, axis)])
+        for known in (covered, measured)
+    )
+    floor = np.where(covered, inside, outside)
     top = np.where(covered, height, np.nan)
     place = np.moveaxis(np.indices(grid.shape), 0, -1).reshape(-1, 2).astype(np.float64)
-    open_cells = np.flatnonzero(~covered & np.isfinite(floor))
-    lines, _ = blocking_cells(place[open_cells], floor.ravel()[open_cells], towards[open_cells], top, grid.cell_size)
+    looked_at = binary_dilation(~covered, iterations=2) & ~measured & np.isfinite(floor)
+    cells = np.flatnonzero(looked_at)
+    lines, _ = blocking_cells(place[cells], floor.ravel()[cells], towards[cells], top, grid.cell_size)
     hidden = np.zeros(grid.shape, dtype=bool)
-    hidden.ravel()[open_cells[lines]] = True
-    return hidden
+    hidden.ravel()[cells[lines]] = True
+    return hidden, floor

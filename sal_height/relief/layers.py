@@ -72,14 +72,21 @@ def layers_of(field: HeightField, aperture: ApertureState) -> Layers:
 
 
 def _layers_of_surface(surface: Surface, aperture: ApertureState) -> Layers:
-    """One layer for each pixel; without a covariance, its error is one of elevation alone, along its circle."""
+    """One layer for each pixel.
+
+    Errors along its circle add to the covariance: all of sigma if no covariance is known, and the spread of an extended
+    surface, any part of which may be what is seen at a place.
+    """
     seen = surface.is_determined & np.isfinite(surface.height)
     points = surface.positions[seen]
     sight = points - aperture_at(points, aperture).position
     circle = np.cross(sight, aperture.direction)
-    circle *= surface.sigma[seen][:, None] / circle[:, 2:]
+    circle /= circle[:, 2:]
+    along_circle = circle[:, :, None] * circle[:, None, :]
     own = surface.own_covariance[seen]
-    own = np.where(np.isfinite(own).all(axis=(1, 2), keepdims=True), own, circle[:, :, None] * circle[:, None, :])
+    known = np.asarray(np.isfinite(own).all(axis=(1, 2)))
+    variance = np.where(known, 0.0, surface.sigma[seen] ** 2) + surface.spread[seen] ** 2
+    own = np.where(known[:, None, None], own, 0.0) + variance[:, None, None] * along_circle
     common = np.zeros_like(own) if surface.common_covariance is None else surface.common_covariance[seen]
     return Layers(
         place=np.stack(sphere_coordinates(points), axis=-1),

@@ -132,7 +132,7 @@ def fitted_membrane(
     averaged = (posterior - 1 / _beliefs((1 + WEIGHT_STEP) * weight, filled, stiffness)[0]) / WEIGHT_STEP
     roughness = _roughness(filled, noise, covered, max(1, round(spacing)))
     variance = averaged + roughness * (posterior - averaged) + beyond * (FREEDOM * noise) ** 2
-    variance += (_bend(height, 3 * np.sqrt(6 * variance), max(1, round(spacing))) / 4) ** 2
+    variance += (_bend(height, 4 * np.sqrt(variance), max(1, round(spacing))) / 3) ** 2
     reached = precision > 2 * kernels.LEAST_PRECISION
     return Membrane(np.where(reached, height, np.nan), np.where(reached, np.sqrt(variance), np.inf), joined, covered)
 

@@ -149,7 +149,7 @@ def elevations(
     beams = image_beams(sensor, slc.azimuth_window)
     if calibration:
         uncertainty = np.hypot(beams.uncertainty, calibration.beam_uncertainty(beams))
-        beams = replace(beams.widened(calibration.width_factor), uncertainty=float(uncertainty))
+        beams = replace(calibration.beams(beams), uncertainty=float(uncertainty))
     beams = beams.detectors(live).combined(channels.matrix)
     # The height pixels, and the squint of each column; a target that moves is seen at another one than its pixel says.
     grid = look_grid(slc.grid, *settings.windows)

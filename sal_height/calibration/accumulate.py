@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import scipy.fft
 
-from sal_height.beams import column_squint
+from sal_height.beams import Beams, column_squint
 from sal_height.calibration.beams import BeamCalibration, calibrate_beams, calibrate_on_target
 from sal_height.calibration.calibration import Calibration
+from sal_height.calibration.pupil import PupilCalibration, calibrate_pupil
 from sal_height.calibration.receivers import CrossSpectra, differential_response, remove_range_phase
 from sal_height.calibration.reference_target import Sighting, find_reference_target
 from sal_height.calibration.settings import DEFAULTS, CalibrationSettings
-from sal_height.elevation import Window, windowed_looks
+from sal_height.elevation import Looks, Window, windowed_looks
 from sal_height.errors import NotDetermined, Rejected, UserError
 from sal_height.imaging import Slc, image_beams
 from sal_height.numeric import C64, C128, F64, WORKERS, window
@@ -97,6 +99,11 @@ class Calibrator:
         except NotDetermined as error:
             undetermined.append(f"How receivers differ over the band: {error}")
         beams = self._calibrated_beams(response, undetermined)
+        pupil = self._calibrated_pupil(response, beams, undetermined) if self._settings.pupil_prior_waves else None
+        if pupil:
+            beams = replace(
+                beams, gains=beams.gains * pupil.gains, width_factor=beams.width_factor * pupil.width_factor
+            )
         try:
             response = response * common_response(self._targets, frequencies)
         except NotDetermined as error:
@@ -109,6 +116,10 @@ class Calibrator:
             phase_sigma=beams.phase_sigmas,
             width_factor=beams.width_factor,
             width_sigma=beams.width_sigma,
+            pupil=pupil.coefficients if pupil else np.zeros(0),
+            pupil_sigma=pupil.sigma if pupil else np.zeros(0),
+            pupil_misfit=pupil.misfit if pupil else np.nan,
+            pupil_p_value=pupil.p_value if pupil else np.nan,
             dwells=self.dwells,
         )
         return calibration, undetermined
@@ -140,6 +151,19 @@ class Calibrator:
                 undetermined.append(f"Gains and width of the beams by the {source}: {error}")
         return BeamCalibration.none(self.sensor.detector_count)
 
+    def _calibrated_pupil(
+        self, response: C128, beams: BeamCalibration, undetermined: list[str]
+    ) -> PupilCalibration | None:
+        """Return aberrations of the pupil, and what gains and width differ from `beams` with them, by the scene."""
+        try:
+            if self.sensor.is_mixed:
+                raise NotDetermined("The channels are mixtures of detectors; the pupil is that of single detectors.")
+            looks, described = self._scene(response * beams.gains[:, None])
+            return calibrate_pupil(looks, described.widened(beams.width_factor), self._settings)
+        except UserError as error:
+            undetermined.append(f"Aberrations of the pupil: {error}")
+            return None
+
     def _beams_by_target(self) -> BeamCalibration:
         """Return gains of the beams, and their width if elevations differ, by the reference target.
 
@@ -155,10 +179,14 @@ class Calibrator:
         return calibrate_on_target(samples, beams, elevation, squint, channels.noise_powers[0], self._settings)
 
     def _beams_by_scene(self, response: C128) -> BeamCalibration:
-        """Return gains and width of the beams, by images of weighted range and equal receivers.
+        """Return gains and width of the beams, by the scene; NotDetermined if it does not determine them."""
+        return calibrate_beams(*self._scene(response), self._settings)
+
+    def _scene(self, response: C128) -> tuple[Looks, Beams]:
+        """Looks of images of weighted range, with receivers of these responses made equal, and the beams in them.
 
         Raises:
-            NotDetermined: the images do not determine them.
+            NotDetermined: no image has enough columns.
         """
         if not self._columns:
             raise NotDetermined(f"No image has {self._settings.azimuth_looks} columns; needed are as many or more.")
@@ -176,7 +204,7 @@ class Calibrator:
         squint = np.round(np.array(self._squints) / step) * step
         windows = Window.named("boxcar", 1), Window.named("boxcar", self._settings.azimuth_looks)
         looks = windowed_looks(images, windows, squint, channels, hermitian=True)
-        return calibrate_beams(looks, self._beams.combined(channels.matrix), self._settings)
+        return looks, self._beams.combined(channels.matrix)
 
     def _whitened_channels(self, noise_powers: F64) -> Channels:
         """Return channels of equal noise from those of the sensor, whose pixels have these noise powers."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from sal_height.beams import Beams
+from sal_height.beams import ZERNIKE, Beams
 from sal_height.errors import UserError
 from sal_height.io import write_whole
 from sal_height.numeric import C64, C128, F64, window
@@ -32,6 +32,10 @@ class Calibration:
         phase_sigma: of the gain's phase, rad.
         width_factor: width of the beams over that described.
         width_sigma: standard error of it; NaN: the width was not measured.
+        pupil: coefficients of the aberrations of the pupil, as of `Beams.aberrated`; empty: not measured.
+        pupil_sigma: their standard errors.
+        pupil_misfit: power that one scatterer leaves in a pixel over that of the noise, with this pupil; NaN: as above.
+        pupil_p_value: probability of so great a misfit or a greater one if all of it is right.
         dwells: that it was made of.
         id: identity, any text; empty: the first 16 hexadecimal digits of the SHA-256 of all values.
     """
@@ -43,6 +47,10 @@ class Calibration:
     phase_sigma: F64
     width_factor: float = 1.0
     width_sigma: float = np.nan
+    pupil: F64 = field(default_factory=lambda: np.zeros(0))
+    pupil_sigma: F64 = field(default_factory=lambda: np.zeros(0))
+    pupil_misfit: float = np.nan
+    pupil_p_value: float = np.nan
     dwells: int = 0
     id: str = ""
 
@@ -66,14 +74,21 @@ class Calibration:
             raise UserError(
                 f"The calibration's width factor of the beams is {self.width_factor}; allowed are 0.5 to 2.0."
             )
-        errors = np.concatenate([*sigmas, [self.width_sigma]])
+        if self.pupil.shape != self.pupil_sigma.shape or self.pupil.shape not in {(0,), (len(ZERNIKE),)}:
+            raise UserError(
+                f"The calibration has a pupil of {self.pupil.size} coefficients and {self.pupil_sigma.size} standard "
+                f"errors; both must have {len(ZERNIKE)}, or none."
+            )
+        if not np.all(np.abs(self.pupil) <= 1):
+            raise UserError("The calibration has coefficients of the pupil that are not between -1 and 1 waves.")
+        errors = np.concatenate([*sigmas, [self.width_sigma], self.pupil_sigma])
         if np.any(np.isinf(errors) | (errors < 0)):
             raise UserError(
                 "The calibration has standard errors that are negative or infinite; all must be 0 or more, or NaN "
                 "where nothing was measured."
             )
         if not self.id:
-            values = (np.asarray(getattr(self, field.name)) for field in fields(self))
+            values = (np.asarray(getattr(self, one.name)) for one in fields(self))
             digest = hashlib.sha256(b"".join(value.tobytes() for value in values)).hexdigest()
             object.__setattr__(self, "id", digest[:16])
 
@@ -92,6 +107,10 @@ class Calibration:
         weight = weakest / (weakest + 0.1**4)
         safe = np.where(self.response == 0, 1, self.response)
         return np.asarray(weight / safe, dtype=np.complex64)
+
+    def beams(self, described: Beams) -> Beams:
+        """The beams as wide as measured, behind the measured pupil."""
+        return described.aberrated(tuple(self.pupil.tolist())).widened(self.width_factor)
 
     def beam_uncertainty(self, beams: Beams) -> float:
         """Root mean square error that the calibration leaves to the beams' amplitudes, as of `Beams.uncertainty`.
@@ -147,7 +166,7 @@ def save_calibration(path: Path, calibration: Calibration) -> None:
         UserError: it cannot be written.
     """
     stream = io.BytesIO()
-    np.savez(stream, **{field.name: getattr(calibration, field.name) for field in fields(calibration)})
+    np.savez(stream, **{one.name: getattr(calibration, one.name) for one in fields(calibration)})
     write_whole(path, stream.getvalue())
 
 
@@ -167,6 +186,10 @@ def load_calibration(path: Path) -> Calibration:
                 phase_sigma=_measured(stored["phase_sigma"]),
                 width_factor=float(stored["width_factor"]),
                 width_sigma=float(_measured(stored["width_sigma"])),
+                pupil=np.asarray(stored.get("pupil", np.zeros(0))),
+                pupil_sigma=np.asarray(stored.get("pupil_sigma", np.zeros(0))),
+                pupil_misfit=float(stored.get("pupil_misfit", np.nan)),
+                pupil_p_value=float(stored.get("pupil_p_value", np.nan)),
                 dwells=int(stored["dwells"]),
                 id=str(stored["id"]) if "id" in stored else "",
             )

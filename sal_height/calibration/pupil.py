@@ -1,8 +1,8 @@
 """Aberrations of the common pupil, from the scene itself, by the likelihood that calibrates beams.
 
-Parameters are the coefficients c_k of `beams.ZERNIKE`, in waves rms, and ln |g_m| and arg g_m of the channels; every
-pixel has, besides, its own elevation. They maximise the likelihood of `beam_likelihood`, with a Gaussian prior of c of
-the mean 0, and one of gains that is wide: what pixels do not tell stays 0, with the prior for its standard error.
+Parameters are the coefficients c_k of `beams.ZERNIKE`, in waves rms, ln w, and ln |g_m| and arg g_m of the channels;
+every pixel has, besides, its own elevation. They maximise the likelihood of `beam_likelihood`, with Gaussian priors of
+the mean 0: what pixels do not tell stays 0, with the prior for its standard error.
 
 What is determined. Even terms (defocus, astigmatism, spherical) turn the phases of detectors against each other as far
 as the target moves through their beams, and their signs show in that. From powers alone they would not: h and its
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from sal_height.beams import ZERNIKE, Beams, aberrated_derivatives
-from sal_height.calibration.beam_likelihood import curve_of
+from sal_height.calibration.beam_likelihood import DIFFERENCE, curve_of
 from sal_height.calibration.settings import DEFAULTS, CalibrationSettings
 from sal_height.elevation import (
     OBJECTIVES,
@@ -38,7 +38,7 @@ from sal_height.numeric import C128, F64, Bool, Index
 
 MOST_STEPS = 20
 GAIN_PRIOR = 0.1
-"""Standard deviation that ln |g| and arg g are assumed to have still, after receivers have been calibrated."""
+"""Standard deviation that ln w, ln |g| and arg g are assumed to have still, after beams have been calibrated."""
 
 LONGEST_STEP = 0.03
 """Greatest change of a coefficient in a step, waves: beyond it the field is not linear in it."""
@@ -51,6 +51,7 @@ class PupilCalibration:
     Attributes:
         coefficients: of the terms of ZERNIKE in their order, waves rms.
         sigma: their standard errors; that of the prior where pixels tell nothing.
+        width_factor: w, by which all beams are wider than described.
         gains: complex, of the channels over those described, with the mean 0 of ln |g| and of arg g, (channels,).
         pixels: number that was used.
         misfit: power that one scatterer leaves in these pixels over that of the noise in the same degrees of freedom.
@@ -60,6 +61,7 @@ class PupilCalibration:
 
     coefficients: F64
     sigma: F64
+    width_factor: float
     gains: C128
     pixels: int
     misfit: float
@@ -99,19 +101,20 @@ def calibrate_pupil(looks: Looks, beams: Beams, settings: CalibrationSettings = 
             f"{' that mix detectors' if beams.matrix is not None else ''}."
         )
     terms, channels = len(ZERNIKE), beams.count
-    prior = np.concatenate([np.full(terms, settings.pupil_prior_waves), np.full(2 * channels, GAIN_PRIOR)])
-    values = np.zeros(terms + 2 * channels)
+    prior = np.concatenate([np.full(terms, settings.pupil_prior_waves), np.full(1 + 2 * channels, GAIN_PRIOR)])
+    values = np.zeros(len(prior))
     for step in range(1, MOST_STEPS + 1):
         share = max(settings.misfit_share, 0.5**step)  # while the beams are wrong, single scatterers fit badly, too
         sums = _sum_over_scene(values, looks, beams, settings, share)
         change, sigma = _step(sums, values, prior)
         values = values + change * min(1.0, LONGEST_STEP / np.max(np.abs(change[:terms])))
         if share == settings.misfit_share and np.all(np.abs(change[:terms]) <= 0.1 * sigma[:terms]):
-            gains = values[terms:].reshape(2, channels)
+            gains = values[terms + 1 :].reshape(2, channels)
             gains = gains - gains.mean(axis=1, keepdims=True)
             return PupilCalibration(
                 coefficients=values[:terms],
                 sigma=sigma[:terms],
+                width_factor=float(np.exp(values[terms])),
                 gains=np.exp(gains[0] + 1j * gains[1]),
                 pixels=sums.pixels,
                 misfit=sums.left / sums.freedom,
@@ -142,10 +145,11 @@ def _sum_over_scene(values: F64, looks: Looks, beams: Beams, settings: Calibrati
     """Sum over the usable pixels of a scene, at the elevations that are likeliest with the parameters found so far."""
     terms, channels = len(ZERNIKE), beams.count
     coefficients = tuple(values[:terms].tolist())
-    gains = np.exp(values[terms:][:channels] + 1j * values[terms + channels :])
-    seen = beams.aberrated(coefficients).scaled(gains)
+    gains = np.exp(values[terms + 1 :][:channels] + 1j * values[terms + 1 + channels :])
+    wide = beams.widened(float(np.exp(values[terms])))
+    seen = wide.aberrated(coefficients).scaled(gains)
     derivatives = zip(*(aberrated_derivatives(coefficients, one.size) for one in beams.patterns), strict=True)
-    bends = [beams.patterned(patterns).scaled(gains) for patterns in derivatives]
+    bends = [wide.patterned(patterns).scaled(gains) for patterns in derivatives]
     searches = PeakSearches.over(seen, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
     of_blocks: dict[tuple[int, int], _Sums] = {}
 
@@ -200,8 +204,10 @@ def _usable(
 def _derivatives(seen: Beams, bends: list[Beams], elevation: F64, squint: F64) -> C128:
     """Derivatives of the channels' amplitudes by the parameters, shape (pixels, channels, parameters)."""
     own = seen.response(elevation, squint)[..., None] * np.eye(seen.count)
+    narrow, wide = (seen.widened(1 + sign * DIFFERENCE).response(elevation, squint) for sign in (-1, 1))
+    wider = (wide - narrow)[..., None] / (2 * DIFFERENCE)
     bent = np.stack([bend.response(elevation, squint) for bend in bends], axis=-1)
-    return np.concatenate([bent, own, 1j * own], axis=-1)
+    return np.concatenate([bent, wider, own, 1j * own], axis=-1)
 
 
 def _normal(

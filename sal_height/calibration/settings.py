@@ -51,10 +51,11 @@ class CalibrationSettings(PointTargetSettings):
         maximum=1.0,
     )
     pupil_prior_waves: float = setting(
-        0.1,
-        "standard deviation that aberrations of the pupil are assumed to have, each Zernike term",
+        0.0,
+        "standard deviation that aberrations of the pupil are assumed to have, each Zernike term; such as 0.1; 0: the "
+        "pupil is as described, and not measured",
         unit="waves rms",
-        minimum=1e-6,
+        minimum=0.0,
         maximum=1.0,
     )
     echo_significance: float = setting(

@@ -32,6 +32,10 @@ def calibration_to_message(
         phase_sigma=calibration.phase_sigma,
         width_factor=calibration.width_factor,
         width_sigma=calibration.width_sigma,
+        pupil=calibration.pupil,
+        pupil_sigma=calibration.pupil_sigma,
+        pupil_misfit=calibration.pupil_misfit,
+        pupil_p_value=calibration.pupil_p_value,
         undetermined=list(undetermined),
     )
 
@@ -60,6 +64,10 @@ def calibration_from_message(message: messages.Calibration) -> Calibration:
         phase_sigma=np.array(message.phase_sigma),
         width_factor=message.width_factor,
         width_sigma=message.width_sigma,
+        pupil=np.array(message.pupil),
+        pupil_sigma=np.array(message.pupil_sigma),
+        pupil_misfit=message.pupil_misfit,
+        pupil_p_value=message.pupil_p_value,
         dwells=message.dwells,
         id=message.id,
     )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sal_height.bag.reader import BagReader
+from sal_height.beams import ZERNIKE
 from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
@@ -110,4 +111,12 @@ def _summary(calibration: Calibration) -> dict[str, Any]:
         "phase_sigma_rad": [or_null(sigma) for sigma in calibration.phase_sigma],
         "width_factor": calibration.width_factor,
         "width_sigma": or_null(calibration.width_sigma),
+        "pupil": {
+            "waves_rms": dict(zip(ZERNIKE, calibration.pupil.tolist(), strict=True)),
+            "sigma": dict(zip(ZERNIKE, calibration.pupil_sigma.tolist(), strict=True)),
+            "misfit": calibration.pupil_misfit,
+            "p_value": calibration.pupil_p_value,
+        }
+        if calibration.pupil.size
+        else None,
     }

@@ -42,6 +42,37 @@ def test_standard_errors_are_an_uncertainty_of_the_beams() -> None:
     assert made(response).beam_uncertainty(beams) == 0
 
 
+PUPIL = {
+    "pupil": np.array([0.0, 0.01, 0.0, 0.05, 0.0, -0.02]),
+    "pupil_sigma": np.full(6, 0.002),
+    "pupil_misfit": 1.01,
+    "pupil_p_value": 0.2,
+}
+
+
+def test_beams_are_those_behind_the_pupil() -> None:
+    beams, measured = SENSOR.beams, made(np.ones(SHAPE), width_factor=1.1, **PUPIL)
+    expected = beams.aberrated(tuple(PUPIL["pupil"])).widened(1.1).response(beams.span[0], 0.0)
+    np.testing.assert_array_equal(measured.beams(beams).response(beams.span[0], 0.0), expected)
+    assert made(np.ones(SHAPE)).beams(beams).response(beams.span[0], 0.0).dtype == np.float64
+
+
+def test_a_pupil_is_kept(tmp_path: Path) -> None:
+    save_calibration(tmp_path / "c.npz", made(np.ones(SHAPE), **PUPIL))
+    found = load_calibration(tmp_path / "c.npz")
+    for name, value in PUPIL.items():
+        np.testing.assert_array_equal(getattr(found, name), value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "part"),
+    [({"pupil": np.zeros(3)}, "must have 6"), ({"pupil": np.full(6, np.nan), "pupil_sigma": np.ones(6)}, "between")],
+)
+def test_a_pupil_that_makes_no_sense_is_refused(changes: dict[str, np.ndarray], part: str) -> None:
+    with pytest.raises(UserError, match=part):
+        made(np.ones(SHAPE), **changes)
+
+
 def test_equalised_channels_have_one_response() -> None:
     response = any_response()
     samples = np.repeat(response[:, None], 4, axis=1).astype(np.complex64)

@@ -9,12 +9,14 @@ from helpers import BEAMWIDTH, assert_one_sentence, circular, make_beams
 from sal_height.beams.array import Beams
 from sal_height.beams.pupil import ZERNIKE
 from sal_height.calibration.pupil import calibrate_pupil
+from sal_height.calibration.settings import CalibrationSettings
 from sal_height.elevation.estimate import Validity
 from sal_height.elevation.looks import Looks, covariance
 from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.errors import NotDetermined
 
 ROWS, COLS, COUNT = 220, 8, 4
+SETTINGS = CalibrationSettings(pupil_prior_waves=0.1)
 SQUINTS = np.linspace(-0.5, 0.5, COLS) * BEAMWIDTH
 
 
@@ -37,16 +39,14 @@ def test_heights_are_as_without_aberrations(name: str) -> None:
     """.07 waves rms, 1760 pixels of 20 dB: standard errors of the shares .004 and .011."""
     rng, described = np.random.default_rng(5), make_beams("jinc", 16)
     true = described.aberrated(only(name, 0.07))
-    found = calibrate_pupil(draw(rng, true, 100.0, SQUINTS)[0], described)
+    found = calibrate_pupil(draw(rng, true, 100.0, SQUINTS)[0], described, SETTINGS)
     assert np.max(np.abs(found.coefficients - only(name, 0.07)) / found.sigma) < 4
     assert np.max(found.sigma) < 0.01
     assert found.misfit == pytest.approx(1, abs=0.01)
     assert found.p_value > 0.001
     looks, elevation = draw(rng, true, 100.0, SQUINTS)
-    before, after = (
-        ml_elevation(looks, beams, MlSettings())
-        for beams in (described, described.aberrated(tuple(found.coefficients)).scaled(found.gains))
-    )
+    measured = described.aberrated(tuple(found.coefficients)).widened(found.width_factor).scaled(found.gains)
+    before, after = (ml_elevation(looks, beams, MlSettings()) for beams in (described, measured))
     valid = after.validity == Validity.OK
     assert np.mean(valid) > 0.97
     assert np.mean(valid) > np.mean(before.validity == Validity.OK) + 0.2
@@ -58,7 +58,7 @@ def test_heights_are_as_without_aberrations(name: str) -> None:
 def test_one_squint_leaves_terms_that_it_does_not_show_at_their_prior() -> None:
     rng, described = np.random.default_rng(6), make_beams("jinc", 8)
     true = described.aberrated(only("coma", 0.05))
-    found = calibrate_pupil(draw(rng, true, 100.0, np.zeros(COLS))[0], described)
+    found = calibrate_pupil(draw(rng, true, 100.0, np.zeros(COLS))[0], described, SETTINGS)
     known = dict(zip(ZERNIKE, found.sigma, strict=True))
     assert known["oblique_astigmatism"] == pytest.approx(0.1, rel=0.01)
     assert known["coma_beside"] == pytest.approx(0.1, rel=0.01)
@@ -70,11 +70,11 @@ def test_what_does_not_determine_the_pupil_is_refused() -> None:
     rng = np.random.default_rng(7)
     pair, eight = make_beams("jinc", 2), make_beams("jinc", 8)
     with pytest.raises(NotDetermined) as two:
-        calibrate_pupil(draw(rng, pair, 100.0, SQUINTS)[0], pair)
+        calibrate_pupil(draw(rng, pair, 100.0, SQUINTS)[0], pair, SETTINGS)
     assert_one_sentence(str(two.value), "three")
     with pytest.raises(NotDetermined) as mixed:
-        calibrate_pupil(draw(rng, eight, 100.0, SQUINTS)[0], eight.combined(np.eye(8) + np.eye(8, k=1)))
+        calibrate_pupil(draw(rng, eight, 100.0, SQUINTS)[0], eight.combined(np.eye(8) + np.eye(8, k=1)), SETTINGS)
     assert_one_sentence(str(mixed.value), "mix detectors")
     with pytest.raises(NotDetermined) as faint:
-        calibrate_pupil(draw(rng, eight, 1e-3, SQUINTS)[0], eight)
+        calibrate_pupil(draw(rng, eight, 1e-3, SQUINTS)[0], eight, SETTINGS)
     assert_one_sentence(str(faint.value), "needs")

@@ -189,11 +189,18 @@ def test_a_calibration_keeps_the_id_that_its_maker_gave_it() -> None:
     """A node in another language need not know how this package makes ids, and says NaN where it measured nothing."""
     nothing = np.full(2, np.nan)
     made = Calibration("of the sensor", np.full((2, 3), 0.5 + 1j), nothing, nothing, nothing, dwells=4)
+    assert (
+        messages.calibration_from_message(through_the_wire(messages.calibration_to_message(made, STAMP))).pupil.size
+        == 0
+    )
+    pupil = {"pupil": np.linspace(-0.1, 0.1, 6), "pupil_sigma": np.ones(6), "pupil_misfit": 1.1, "pupil_p_value": 0.3}
+    made = replace(made, **pupil)
     message = messages.calibration_to_message(made, STAMP)
     message.id = "flight 7, 2026-11-22"
     again = messages.calibration_from_message(through_the_wire(message))
     assert again.id == "flight 7, 2026-11-22"
     assert np.array_equal(again.response, made.response)
+    assert all(np.array_equal(getattr(again, name), value) for name, value in pupil.items())
     assert np.isnan([*again.response_sigma, *again.gain_sigma, *again.phase_sigma, again.width_sigma]).all()
     message.id = ""
     with pytest.raises(UserError, match="no id"):

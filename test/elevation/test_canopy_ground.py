@@ -64,6 +64,7 @@ def test_ground_is_within_two_sigma(ends: tuple[float, float], ground: float, le
         (0.0, 100.0, FROM_THE_GROUND, 6.0, Validity.NO_GROUND),  # nothing but the top of the crowns
         (50.0, 0.0, HANGING, 0.0, Validity.NO_GROUND),  # bare ground: it might be the top of something dense
         (0.0, 50.0, THIN, 0.0, Validity.NO_GROUND),  # a layer thinner than what counts as a canopy
+        (0.0, 1000.0, FROM_THE_GROUND, 1.0, Validity.NO_GROUND),  # so bright that its shape is not that of the model
         (0.0, 0.0, HANGING, 0.0, Validity.NO_SIGNAL),
     ],
 )

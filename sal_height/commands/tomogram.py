@@ -1,0 +1,59 @@
+"""`sal-height tomogram`: draw a vertical cut through vegetation."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
+from sal_height.commands._options import (
+    DONE,
+    MEASURING,
+    Bag,
+    OutputFolder,
+    RangeByAzimuth,
+    bag_name,
+    command,
+    output_folder,
+)
+
+EXAMPLES = """
+  sal-height run --preset woods --record slc --out out/woods
+  sal-height tomogram out/woods/bag
+  sal-height tomogram out/woods/bag --looks 1x10 --row 12
+"""
+
+app = command("tomogram", MEASURING, EXAMPLES)
+
+
+@app.default
+def tomogram(
+    bag: Bag,
+    /,
+    *,
+    looks: RangeByAzimuth = None,
+    row: Annotated[int | None, Parameter(metavar="N", validator=Number(gte=0))] = None,
+    out: OutputFolder = None,
+) -> int:
+    """Draw the reflectivity over height and the way of the flight, and the ground under the canopy.
+
+    The bag must hold the images of all channels (topic slc). The cut goes through
+    the pixels of one range. Beside each other stand the regularised inversion of
+    the channels' covariance, Capon's spectrum, and MUSIC's pseudo-spectrum. Ground
+    is drawn where canopy_ground can tell it, and the true ground and top of the
+    canopy if the bag is that of a simulated flight.
+
+    The output folder holds tomogram.png.
+
+    Args:
+        looks: Pixels averaged in range and azimuth. Default: 1x20.
+        row: Row of the cut, counted in averaged pixels from the nearest range. Default: the middle one.
+        out: Output folder, new or empty. Default: out/tomogram_BAG, or the next free of out/tomogram_BAG_2, ….
+    """
+    from sal_height.runs.tomogram import tomogram as draw
+
+    folder = output_folder(out, f"tomogram_{bag_name(bag)}")
+    told = draw(bag, folder, looks or (1, 20), row)
+    print(f"ground told in {told} pixels; see {folder}/tomogram.png")
+    return DONE

@@ -42,6 +42,7 @@ class Cut:
 
     Attributes:
         along: distance along the flight from the middle of the first dwell, m, shape (cols,).
+        width: of a pixel along the flight, m.
         positions: of the nodes in map, m, shape (cols, nodes, 3).
         profiles: values of each estimator of a profile by its title, shape (cols, nodes).
         ground: estimated height of the ground, m, NaN where it cannot be told, (cols,).
@@ -49,6 +50,7 @@ class Cut:
     """
 
     along: F64
+    width: float
     positions: F64
     profiles: dict[str, F64]
     ground: F64
@@ -100,6 +102,7 @@ def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None) -
         cuts.append(
             Cut(
                 along=(points - start) @ aperture.direction,
+                width=grid.col_spacing,
                 positions=locate_at_elevation(nodes, slant_range[:, None], ahead[:, None], aperture, sensor.look_side),
                 profiles={title: profile.values[chosen] for title, profile in profiles.items()},
                 ground=np.where(field.validity[chosen] == Validity.OK, field.first.height[chosen], np.nan),
@@ -132,18 +135,17 @@ def _scene_of(bag: Path) -> Scene | None:
 
 def _draw(cuts: Sequence[Cut], scene: Scene | None, path: Path) -> None:
     """Write a PNG with one panel for each estimator of a profile."""
-    along, heights = (np.concatenate([getattr(cut, name) for cut in cuts]) for name in ("along", "heights"))
-    order = np.argsort(along)
-    across = np.broadcast_to(along[order, None], heights.shape)
     figure = Figure(figsize=(12, 3.4 * len(PROFILES)), layout="constrained")
     for axis, title in zip(figure.subplots(len(PROFILES), 1, sharex=True, sharey=True), PROFILES, strict=True):
-        values = np.concatenate([cut.profiles[title] for cut in cuts])
-        with np.errstate(divide="ignore"):
-            shade = np.maximum(10 * np.log10(values / np.nanmax(values)), -SHOWN_DB)
-        shown = axis.pcolormesh(
-            across, heights[order], shade[order], vmin=-SHOWN_DB, vmax=0, cmap="magma", shading="nearest"
-        )
+        most = max(np.nanmax(cut.profiles[title]) for cut in cuts)
         for cut in cuts:
+            with np.errstate(divide="ignore"):
+                shade = np.maximum(10 * np.log10(cut.profiles[title] / most), -SHOWN_DB)
+            # Each column is drawn at both of its sides, so that it is as wide as its pixel.
+            sides = np.ravel(cut.along[:, None] + cut.width * np.array([-0.5, 0.5]))
+            heights, shade = np.repeat(cut.heights, 2, axis=0), np.repeat(shade, 2, axis=0)
+            across = np.broadcast_to(sides[:, None], heights.shape)
+            shown = axis.pcolormesh(across, heights, shade, vmin=-SHOWN_DB, vmax=0, cmap="magma", shading="gouraud")
             axis.errorbar(cut.along, cut.ground, 2 * cut.sigma, fmt=".", color="cyan", ms=5, lw=1.5)
         if scene:
             _draw_truth(axis, cuts, scene)

@@ -164,24 +164,28 @@ def height_limits(terrain: F64, worst: float) -> tuple[float, float]:
 
 def _show(axis: Axes, picture: GroundPicture, values: F64, norm: Normalize, colours: str | Colormap) -> AxesImage:
     """Draw one layer in ground coordinates, and the greys of the cells that have no height."""
-    unit, factor = ("km", 1e-3) if np.ptp(picture.extent[:2]) > 3000 else ("m", 1.0)
+    unit, (west, east, south, north) = _edges(picture)
     axis.set(xlabel=f"east, along-track ({unit})", ylabel=f"north ({unit})")
-    west, east, south, north = picture.extent
-    extent = factor * west, factor * east, factor * south, factor * north
-    greys = ListedColormap([NO_ANSWER, SHADOW])
+    extent, greys = (west, east, south, north), ListedColormap([NO_ANSWER, SHADOW])
     axis.imshow(picture.silent, greys, vmin=0, vmax=1, extent=extent, origin="lower", interpolation="nearest")
     return axis.imshow(values, colours, norm, extent=extent, origin="lower", interpolation="nearest")
 
 
 def _hatch(axis: Axes, picture: GroundPicture) -> None:
     """Hatch the terrain that is not lit."""
+    _, (west, east, south, north) = _edges(picture)
     rows, cols = picture.terrain.shape
-    west, east, south, north = picture.extent
-    factor = axis.get_xlim()[1] / east if east else 1.0
-    x = factor * (west + (np.arange(cols) + 0.5) / cols * (east - west))
-    y = factor * (south + (np.arange(rows) + 0.5) / rows * (north - south))
+    x = west + (np.arange(cols) + 0.5) / cols * (east - west)
+    y = south + (np.arange(rows) + 0.5) / rows * (north - south)
     dark = (np.isfinite(picture.terrain) & ~np.isfinite(picture.lit)).astype(float)
     axis.contourf(x, y, dark, levels=[0.5, 1.5], colors="none", hatches=["////"])
+
+
+def _edges(picture: GroundPicture) -> tuple[str, tuple[float, float, float, float]]:
+    """Unit of length in which the picture is drawn, and its west, east, south and north edge in it."""
+    unit, factor = ("km", 1e-3) if np.ptp(picture.extent[:2]) > 3000 else ("m", 1.0)
+    west, east, south, north = picture.extent
+    return unit, (factor * west, factor * east, factor * south, factor * north)
 
 
 def _draw_confusion(axis: Axes, table: npt.NDArray[np.int64], title: str) -> None:

@@ -62,7 +62,8 @@ class DirectImages:
         images = (np.float32(10 ** (cnr_db / 20)) * self.echoes + self.noise).astype(np.complex64)
         noise_power = slc_noise_power(self.sensor, self.processing, self.sensor.pulse_count)
         clipped = np.zeros(len(images))
-        return Slc(images, self.grid, self.aperture, noise_power, clipped, self.processing.azimuth_window)
+        windows = self.processing.azimuth_window, self.processing.range_window
+        return Slc(images, self.grid, self.aperture, noise_power, clipped, *windows)
 
 
 def lidar(

@@ -5,8 +5,12 @@ elevation: s lies in a plane through the body's forward axis f with the normal m
 
     s ds / |s| = dR,    v ds = dL,    m ds = |m|^2 (d elevation) + (s x m) d rotation,
 
-and the solution for ds is the Jacobian of the position, exact to first order. On their circle of range and Doppler
-positions move along s x v, outwards when up, so that an error of elevation does not only raise a point but shifts it.
+and the solution for ds is the Jacobian of the position, exact to first order. With D = (s f)(s v) - s^2 (v f) it is
+
+    c = (s x v) |m|^2 / D by elevation,    |s| (f (s v) - s (v f)) / D by R,    (s (s f) - f s^2) / D by L.
+
+On their circle of range and Doppler positions move along c, outwards when up, so that an error of elevation does not
+only raise a point but shifts it. A rotation e of the body moves them by c (w e), w = (s x m) / |m|^2.
 
 At a fixed place (east, north) on ground of slope g = (d height / d east, d height / d north), a point that is off by e
 is too high by e_up - g e_horizontal. That is the error that a map of heights has.
@@ -22,7 +26,6 @@ from sal_height.relief._kernels import find_semidefinite, variances_across
 
 STEEPEST = 1.0
 """Steepest slope (height over distance) of ground whose slope is not known: 45 degrees, about the repose of rubble."""
-
 
 LEAST_OWN_SHARE = 0.01
 """Least share of a height's variance that is not due to the pose; sigma may have been rounded to float32."""
@@ -43,13 +46,13 @@ def position_jacobian(positions: F64, aperture: ApertureState) -> F64:
     Returns:
         Matrices whose columns are the three derivatives, shape (..., 3, 3).
     """
-    sight, normal = _sight_and_normal(positions, aperture)
-    ahead = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
-    along = np.broadcast_to(aperture.direction, ahead.shape)
-    by_elevation, by_range, by_along = np.cross(ahead, along), np.cross(along, normal), np.cross(normal, ahead)
-    determinant = _dot(ahead, by_range)
-    by_elevation *= _dot(normal, normal)[..., None]
-    return np.stack([by_elevation, by_range, by_along], axis=-1) / determinant[..., None, None]
+    forward, along = aperture.forward, aperture.direction
+    sight = _sight(positions, aperture)
+    square, sight_forward, sight_along = (values[..., None] for values in _products(sight, aperture))
+    determinant = sight_forward * sight_along - square * (along @ forward)
+    by_range = np.sqrt(square) * (forward * sight_along - sight * (along @ forward)) / determinant
+    by_along = (sight * sight_forward - forward * square) / determinant
+    return np.stack([_circle(sight, aperture), by_range, by_along], axis=-1)
 
 
 def covariance_of(jacobian: F64, sigmas: F64) -> F64:
@@ -78,7 +81,7 @@ def circle_covariance(height_sigma: F64, positions: F64, aperture: ApertureState
     Returns:
         In map axes, shape (..., 3, 3).
     """
-    circle = position_jacobian(positions, aperture)[..., 0]
+    circle = _circle(_sight(positions, aperture), aperture)
     circle *= (height_sigma / _dot(circle, vertical(positions)))[..., None]
     return _outer(circle, circle)
 
@@ -101,9 +104,9 @@ def pose_covariance(positions: F64, aperture: ApertureState) -> F64 | None:
 
     An error of the platform's position p displaces the scatterer by as much. A small error e of the body's rotation,
     about the axes of map, turns the plane of its elevation: it moves on its circle of range and Doppler, which are
-    measured, as if the elevation had changed by w e, w = (s x m) / |m|^2. With c the derivative by elevation,
+    measured, by c (w e). With a = C_pe w + (w C_ee w) c / 2,
 
-        C = C_pp + (C_pe w) c^T + c (C_pe w)^T + (w C_ee w) c c^T.
+        C = C_pp + a c^T + c a^T.
 
     Args:
         positions: of scatterers in map, m, shape (..., 3).
@@ -117,12 +120,13 @@ def pose_covariance(positions: F64, aperture: ApertureState) -> F64 | None:
     if not (np.all(np.isfinite(aperture.covariance)) and np.any(aperture.covariance)):
         return None
     place, mixed, turn = aperture.covariance[:3, :3], aperture.covariance[:3, 3:], aperture.covariance[3:, 3:]
-    sight, normal = _sight_and_normal(positions, aperture)
-    turned = np.cross(sight, normal) / _dot(normal, normal)[..., None]
-    circle = position_jacobian(positions, aperture)[..., 0]
-    shifted = _outer(turned @ mixed.T, circle)
-    variance = _dot(turned @ turn, turned)
-    return place + shifted + np.swapaxes(shifted, -1, -2) + variance[..., None, None] * _outer(circle, circle)
+    sight = _sight(positions, aperture)
+    square, sight_forward, _ = (values[..., None] for values in _products(sight, aperture))
+    turned = (aperture.forward * square - sight * sight_forward) / (square - sight_forward**2)
+    circle = _circle(sight, aperture)
+    half = turned @ mixed.T + _dot(turned @ turn, turned)[..., None] / 2 * circle
+    product = _outer(half, circle)
+    return place + product + np.swapaxes(product, -1, -2)
 
 
 def height_variance(covariance: F64, positions: F64) -> F64:
@@ -170,10 +174,21 @@ def variance_at_place(covariance: F64, slope: F64) -> F64:
     return variance
 
 
-def _sight_and_normal(positions: F64, aperture: ApertureState) -> tuple[F64, F64]:
-    """Line of sight s (m) and normal f x s of the plane of elevation, shape (..., 3)."""
-    sight = positions - aperture_at(positions, aperture).position
-    return sight, np.cross(aperture.forward, sight)
+def _sight(positions: F64, aperture: ApertureState) -> F64:
+    """Line of sight s, m, shape (..., 3)."""
+    return np.asarray(positions - aperture_at(positions, aperture).position)
+
+
+def _circle(sight: F64, aperture: ApertureState) -> F64:
+    """Derivative c of positions by elevation, m/rad, shape (..., 3)."""
+    square, sight_forward, sight_along = _products(sight, aperture)
+    determinant = sight_forward * sight_along - square * (aperture.direction @ aperture.forward)
+    return np.cross(sight, aperture.direction) * ((square - sight_forward**2) / determinant)[..., None]
+
+
+def _products(sight: F64, aperture: ApertureState) -> tuple[F64, F64, F64]:
+    """s^2 (m^2), s f and s v (m), each of shape (...)."""
+    return _dot(sight, sight), sight @ aperture.forward, sight @ aperture.direction
 
 
 def _dot(one: F64, other: F64) -> F64:

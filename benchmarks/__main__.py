@@ -35,6 +35,7 @@ GROUPS = {
     "accuracy-superposition": "superposition:false_alarms",
     "superposition-power": "superposition:power",
     "relief-map": "relief_map:throughput",
+    "ground": "ground:throughput",
     "relief-tracking": "relief_tracking:throughput",
     "figures": "figures:all_figures",
     "memory": "memory:peak_memory",

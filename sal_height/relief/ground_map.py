@@ -23,7 +23,7 @@ from sal_height.relief.tracked import ground_spacings
 TILE = 128
 """Side of a tile in cells."""
 
-MARGIN = 6
+MARGIN = 4
 """Cells around what a dwell has seen in which the estimate may change, and as many more that are taken into account."""
 
 ARRAYS = ("height", "sigma", "kind", "count")

@@ -48,7 +48,7 @@ def level() -> tuple[Sensor, Slc]:
 
 
 def estimated(slc: Slc, sensor: Sensor, calibration: Calibration | None = None) -> ElevationEstimate:
-    settings = MlSettings(range_looks=1, azimuth_looks=4)
+    settings = MlSettings(range_looks=1, azimuth_looks=4, layover=False)
     return elevations(slc, sensor, ESTIMATORS["ml"], settings, calibration)[0]
 
 
@@ -80,7 +80,7 @@ def test_the_uncertainty_of_the_beams_is_common_to_pixels(level: tuple[Sensor, S
     sensor, slc = level
     estimator = ESTIMATORS["ml"]
     fields = [
-        heights(slc, one, estimator, estimator.settings())
+        heights(slc, one, estimator, estimator.settings(layover=False))
         for one in (sensor, replace(sensor, beam_uncertainty=UNCERTAINTY, config_hash=""))
     ]
     known, stated = (field.first for field in fields)

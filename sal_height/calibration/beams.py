@@ -36,7 +36,7 @@ from sal_height.elevation import (
     Looks,
     PeakSearch,
     PeakSearches,
-    is_one_scatterer,
+    is_explained,
     search_guard,
 )
 from sal_height.errors import NotDetermined
@@ -224,7 +224,7 @@ def _sum_over_scene(found: BeamCalibration, looks: Looks, beams: Beams, settings
         elevation = search.peaks(pixels).elevation
         explained = search.fit(pixels, elevation)[0]
         left = np.trace(pixels, axis1=1, axis2=2).real - explained
-        usable = finite & is_one_scatterer(Fit(explained, left, (channels - 1) * count - 0.5, channels), rules)
+        usable = finite & is_explained(Fit(explained, left, (channels - 1) * count - 0.5, channels), rules)
         usable &= (explained - count >= settings.min_energy) & (elevation >= first) & (elevation <= last)
         curve = curve_of(wide, amplitudes, elevation[usable], across[usable])
         column = np.broadcast_to(cols, looks.count[rows, cols].shape).reshape(-1)[usable]

@@ -30,7 +30,7 @@ from sal_height.elevation import (
     Looks,
     PeakSearch,
     PeakSearches,
-    is_one_scatterer,
+    is_explained,
     search_guard,
 )
 from sal_height.errors import NotDetermined
@@ -195,7 +195,7 @@ def _usable(
     explained = search.fit(pixels, elevation)[0]
     left = np.trace(pixels, axis1=1, axis2=2).real - explained
     rules = HeightSettings(misfit_share=share)
-    usable = is_one_scatterer(Fit(explained, left, (beams.count - 1) * count - 0.5, beams.count), rules)
+    usable = is_explained(Fit(explained, left, (beams.count - 1) * count - 0.5, beams.count), rules)
     first, last = beams.span
     usable &= (explained - count >= settings.min_energy) & (elevation >= first) & (elevation <= last)
     return usable, left

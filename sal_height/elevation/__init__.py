@@ -3,10 +3,12 @@
 Every estimator is a function `estimate(looks, beams, settings)` that returns an `ElevationEstimate`. Read `looks` first
 (what the channels have observed in each pixel; `cell_response`: what of that belongs to its neighbours), then
 `estimate` (the result and the reasons for none), `likelihood` with `search` (one scatterer, by the whole array),
-`spatial_prior` (help from neighbours), `layover` (two scatterers in a pixel) and `maximum_likelihood`, which joins
-these; `capon` and `music` (the two spectra known from tomography, on the same search), `monopulse` (pairs; sum and
-difference), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators by name). `profile` tells the reflectivity
-at all elevations of a pixel instead, as tomography of vegetation needs it, and `canopy_ground` the ground below it.
+`spatial_prior` (help from neighbours), `several` (two and three scatterers in a pixel), `extended` (one surface that is
+spread over elevation), `order` (how probable each of these is), `layover` (which one a pixel is given) and
+`maximum_likelihood`, which joins these; `capon` and `music` (the two spectra known from tomography, on the same
+search), `monopulse` (pairs; sum and difference), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators by
+name). `profile` tells the reflectivity at all elevations of a pixel instead, as tomography of vegetation needs it, and
+`canopy_ground` the ground below it.
 """
 
 from sal_height.elevation.beam_error import common_deviation
@@ -21,12 +23,11 @@ from sal_height.elevation.estimate import (
     Fit,
     Scatterer,
     Validity,
-    is_one_scatterer,
+    is_explained,
     with_foreign_power,
     without_imprecise,
     without_saturated,
 )
-from sal_height.elevation.layover import two_scatterers
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation, search_guard
 from sal_height.elevation.looks import (
     Covariance,
@@ -97,7 +98,7 @@ __all__ = [
     "discriminate",
     "discriminator_variance",
     "invert",
-    "is_one_scatterer",
+    "is_explained",
     "live_detectors",
     "look_grid",
     "ml_elevation",
@@ -111,7 +112,6 @@ __all__ = [
     "stochastic_crb",
     "sum_and_difference",
     "total_least_squares",
-    "two_scatterers",
     "windowed_looks",
     "with_foreign_power",
     "without_imprecise",

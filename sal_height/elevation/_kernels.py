@@ -36,7 +36,7 @@ FREE_NODES = 2
 """Nodes of the grid (0.2 beamwidths) by which elevation may change from pixel to pixel at no cost.
 
 Level ground and slopes change it from row to row. Where it changes by 0.4 beamwidths a row, the looks of a pixel differ
-by as much and count as several scatterers (`estimate.is_one_scatterer`).
+by as much and count as several scatterers (`estimate.is_explained`).
 """
 
 

@@ -119,13 +119,13 @@ class ElevationEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """How well one scatterer explains each pixel; arrays (rows, cols), powers in units of the receivers' noise power.
+    """How well a model explains each pixel; arrays (rows, cols), powers in units of the receivers' noise power.
 
     Attributes:
-        explained: power that the scatterer explains, sum over looks, its share of the noise included.
-        left: power that it does not explain.
+        explained: power that its scatterers explain, sum over looks, their share of the noise included.
+        left: power that they do not explain.
         degrees: order of the gamma distribution of `left` if nothing but noise is left: half the number of real
-            dimensions of noise in K looks of M channels, less those that the scatterer's parameters have taken.
+            dimensions of noise in K looks of M channels, less those that the model's parameters have taken.
         directions: number of independent directions among which the strongest was chosen.
         leaked: expected power of the sidelobes of scatterers in other pixels, sum over looks.
         coherent: part of the degrees in which errors of the beams show as well (`beam_error.PowerLaw`).
@@ -195,14 +195,11 @@ def detection_limit(looks: Looks, directions: int, settings: HeightSettings) -> 
     return noise + sidelobe_limit(looks.leaked, settings.sidelobe_rate)
 
 
-def is_one_scatterer(fit: Fit, settings: HeightSettings) -> Bool:
-    """Whether what a scatterer leaves of a pixel is noise and error of the beams, or a small share of what it explains.
-
-    Two scatterers closer than about half a beamwidth cannot be told from one. Looks in range on sloping ground differ
-    in elevation; from about 0.3 beamwidths on they count as several scatterers.
+def is_explained(fit: Fit, settings: HeightSettings) -> Bool:
+    """Whether what a model leaves of a pixel is noise and error of the beams, or a small share of what it explains.
 
     Args:
-        fit: of one scatterer to every pixel.
+        fit: of one scatterer to every pixel, or of several.
         settings: rates of false alarms, and share of the explained power that may be left beyond the mean of the noise.
     """
     law = PowerLaw.of(fit.degrees, fit.coherent, fit.beam_error)
@@ -226,7 +223,7 @@ def decide_validity(
     """
     detected = fit.explained >= detection_limit(looks, fit.directions, settings)
     return np.select(
-        [~looks.finite, ~detected, ~strong, ~inside, ~is_one_scatterer(fit, settings)],
+        [~looks.finite, ~detected, ~strong, ~inside, ~is_explained(fit, settings)],
         [Validity.MISSING_DATA, Validity.NO_SIGNAL, Validity.LOW_CNR, outside, Validity.NOT_ONE_SCATTERER],
         Validity.OK,
     ).astype(np.uint8)

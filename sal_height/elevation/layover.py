@@ -1,338 +1,370 @@
-"""Two scatterers in one pixel: layover, at the same range and Doppler frequency but at different elevations.
+"""Layover and extended surfaces: which model each pixel is given, and what follows for its scatterers and its validity.
 
-Look k holds A_k a(t1) + B_k a(t2) plus noise of variance sigma^2. With R = sum_k g_k g_k^H, profiling out the complex
-A_k and B_k leaves the conditional likelihood of a pair of elevations (Ziskind and Wax, IEEE Trans. Acoustics, Speech
-and Signal Processing 36, 1988)
-
-    f(t1, t2) = tr(P R),    P = A (A^H A)^-1 A^H,    A = [a(t1) a(t2)]
-
-What the best pair explains beyond the best single elevation, over sigma^2, is the likelihood ratio of two scatterers
-against one.
+`order` weighs the models against each other. Only where one more scatterer beside the single one, or a spread of it,
+would explain more than noise often does are pairs, triples and extended surfaces fitted; elsewhere the same gains say
+how improbable they are.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from functools import lru_cache, partial
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
-from scipy.optimize import elementwise
-from scipy.special import gammaincc, gammaln
 
 from sal_height.beams import Beams
-from sal_height.elevation._kernels import GRID_STEP
-from sal_height.elevation.bounds import Numbers, information, unit_vectors
-from sal_height.elevation.estimate import ElevationEstimate, Scatterer, Validity, explained_power
-from sal_height.elevation.likelihood import GUARD
-from sal_height.elevation.looks import Covariance, Looks
-from sal_height.elevation.search import SEARCHES_HELD
-from sal_height.numeric import F32, F64, Bool, Index, in_parallel
+from sal_height.elevation.bounds import Numbers
+from sal_height.elevation.estimate import (
+    ORDERS,
+    ElevationEstimate,
+    Fit,
+    Scatterer,
+    Validity,
+    is_explained,
+    noise_limit,
+    sidelobe_limit,
+)
+from sal_height.elevation.extended import LEAST_SPREAD, ExtendedSurface, directions, free_looks, spread_of
+from sal_height.elevation.likelihood import OBJECTIVES, ArraySettings, SinglePeaks, search_guard
+from sal_height.elevation.looks import Looks
+from sal_height.elevation.order import (
+    NONE,
+    ONE,
+    PRIOR,
+    SPREAD,
+    THREE,
+    TWO,
+    detection_threshold,
+    log_evidence_of_extended,
+    log_evidence_of_one,
+    log_evidence_of_several,
+    log_evidence_of_spread,
+    path_length,
+    probabilities,
+)
+from sal_height.elevation.search import PeakSearches
+from sal_height.elevation.several import LEAST_POWER, SeveralScatterers, search_several
+from sal_height.numeric import F64, Index, in_parallel
+from sal_height.settings import setting
 
-LEAST_SEPARATION = 0.1  # least distance between the elevations of a pair, beamwidths: well below what can be resolved
-SUSPICIOUS = 10.0  # pairs are tried for so many times the share of single scatterers that may be taken for two
-NEWTON_STEPS = 12  # maximum number of steps of the climb from the grid, each of half a step of the grid at most
-SETTLED = 1e-5  # convergence threshold of the climb, beamwidths
-PIXELS_AT_ONCE = 256  # pixels whose products of all pairs of nodes are held at a time, 5 MB
-LEAST_RESIDUE = 0.02  # least share of |a|^2 perpendicular to another response a for which two nodes are tried as a pair
+SUSPICIOUS = 10.0  # several scatterers are tried for so many times the share of single ones that may be taken for two
+PIXELS_AT_ONCE = 512  # pixels whose models are fitted at a time
+LEAST_APART = 0.3  # beamwidths between the scatterers of a pixel; closer ones are those of one extended surface
+MOST_APART = 0.8  # beamwidths between two scatterers up to which they may be one extended surface
+MOST = 3  # scatterers of a pixel at most
+GREATEST_SIGMA = 0.25  # beamwidths; where sigma is greater, bounds to first order do not hold
+
+
+class LayoverSettings(ArraySettings):
+    """Settings of the estimators that look for several scatterers in a pixel."""
+
+    layover: bool = setting(
+        default=True, description="whether to search every pixel for several scatterers and extended surfaces"
+    )
+    layover_false_alarm: float = setting(
+        1e-3,
+        "share of single scatterers that may be taken for two",
+        minimum=1e-9,
+        maximum=0.1,
+    )
+    spread_false_alarm: float = setting(
+        1e-2,
+        "share of points that may be taken for extended surfaces; these keep a height",
+        minimum=1e-9,
+        maximum=0.1,
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class TwoScatterers:
-    """The two scatterers of every pixel, the one closer to nadir first; NaN where two were not detected.
+class _Models:
+    """The models fitted to some pixels, by their index in `order`; those that were not have explained nothing.
 
     Attributes:
-        elevation: rad from nadir, both within the span of the boresights, shape (rows, cols, 2).
-        power: carrier-to-noise power ratio of one look in a detector looking straight at the scatterer, same shape.
-        sigma: standard deviation of elevation, rad, same shape: the Cramer-Rao bound for the amplitudes of these
-            looks, to first order in the ratio of noise power to theirs. Infinite where the looks do not determine it.
+        elevation: of their scatterers, rad, (ORDERS, pixels, MOST), NaN where there are fewer.
+        sigma, cnr, spread: of them.
+        explained: power, sum over looks, over the raised noise power, (ORDERS, pixels).
+        evidence: logarithm, against no scatterer, (ORDERS, pixels).
     """
 
     elevation: F64
-    power: F64
     sigma: F64
+    cnr: F64
+    spread: F64
+    explained: F64
+    evidence: F64
 
-    @property
-    def detected(self) -> Bool:
-        """Whether there are two, shape (rows, cols)."""
-        return np.isfinite(self.elevation[..., 0])
+    @classmethod
+    def none(cls, pixels: int) -> Self:
+        """Of so many pixels, to be filled."""
+        elevation, sigma, cnr, spread = np.full((4, ORDERS, pixels, MOST), np.nan)
+        explained, evidence = np.zeros((ORDERS, pixels)), np.full((ORDERS, pixels), -np.inf)
+        return cls(elevation, sigma, cnr, spread, explained, evidence)
+
+    def put_several(
+        self, several: SeveralScatterers, raised: F64, uncertainty: float, evidence: F64, part: Index
+    ) -> None:
+        """Enter two or three scatterers of the pixels `part`, fitted in noise that is `raised` over the receivers'."""
+        count = several.elevation.shape[1]
+        here = count, part, slice(count)
+        self.elevation[here], self.cnr[here] = several.elevation, raised[:, None] * several.power
+        self.sigma[here] = np.hypot(several.sigma, several.deviation_by_beams(uncertainty))
+        self.spread[here], self.explained[count, part], self.evidence[count, part] = 0.0, several.explained, evidence
+
+    def put_extended(self, surface: ExtendedSurface, cnr: F64, evidence: F64, part: Index) -> None:
+        """Enter an extended surface of the pixels `part`."""
+        here = SPREAD, part, 0
+        self.elevation[here], self.sigma[here] = surface.elevation, surface.sigma
+        self.cnr[here], self.spread[here] = cnr, surface.spread
+        self.explained[SPREAD, part], self.evidence[SPREAD, part] = surface.explained, evidence
 
 
-def two_scatterers(looks: Looks, beams: Beams, single: F64, tried: Bool, false_alarm: float) -> TwoScatterers:
-    """Find the pixels that hold two scatterers rather than one, and the elevations of both.
-
-    A pixel holds two if the best pair explains `detection_threshold` more power than the best single elevation. To
-    save time, pairs are only tried where one more scatterer beside the single one explains nearly as much.
+def resolve(
+    estimate: ElevationEstimate, peaks: SinglePeaks, looks: Looks, beams: Beams, settings: LayoverSettings
+) -> ElevationEstimate:
+    """The estimate with several scatterers or an extended surface where the looks demand it, and probabilities.
 
     Args:
-        looks: covariance of M channels of equal noise in each pixel; complex if the beams are.
+        estimate: of the single scatterers of `peaks`.
+        peaks: with the gains of one more.
+        looks: covariance of M channels of equal noise in each pixel.
         beams: of the M detectors, 3 or more.
-        single: elevation of the most likely single scatterer (`likelihood.peak_elevation`), rad, shape (rows, cols).
-        tried: pixels that are looked at, shape (rows, cols).
-        false_alarm: share of single scatterers that may be taken for two, above 0 and up to 0.1.
+        settings: rates of false alarms, and the least CNR.
     """
-    found = np.full((3, *tried.shape, 2), np.nan)
-    row, col = np.nonzero(tried)
-    squints, squint_of = np.unique(looks.squint[col], return_inverse=True)
-    counts, count_of = np.unique(looks.count[row, col], return_inverse=True)
-    shares = np.array([SUSPICIOUS * false_alarm, false_alarm])[:, None, None]
-    thresholds = detection_threshold(beams, squints[:, None], counts, shares)[:, squint_of, count_of]
-    blocks = [
-        (squint, pixels)
-        for index, squint in enumerate(squints.tolist())
-        for pixels in _blocks(np.flatnonzero(squint_of == index))
-    ]
-    grid_at = lru_cache(SEARCHES_HELD)(partial(_PairGrid.of, beams))
+    noise = _Noise.of(peaks, looks, beams)
+    peaks = peaks.over(noise.raised)
+    evidence, levels = _evidence_of_gains(peaks, looks, beams), _Levels.of(noise, looks, beams, settings)
+    row, col = np.nonzero(looks.finite & ((peaks.beside > levels.tried) | (peaks.along_slope > levels.spread)))
+    here = row, col
+    models = _fitted(here, evidence, noise, levels, peaks, looks, beams)
+    evidence[here] = models.evidence.T
+    taken = _taken(models, here, noise, levels, peaks, looks, beams, settings)
+    probability = probabilities(evidence)
+    probability[~looks.finite] = np.nan
+    return _published(estimate, models, taken, here, probability, peaks, looks, beams, settings)
 
-    def work(part: slice) -> None:
-        for squint, pixels in blocks[part]:
-            here = row[pixels], col[pixels]
-            noise_power = looks.noise_power[here].astype(np.float32)
-            covariance: Covariance = looks.covariance[here] / noise_power[:, None, None]
-            known = looks.count[here], single[here], thresholds[:, pixels]
-            found[:, *here] = _pairs_of(covariance if beams.is_complex else covariance.real, grid_at(squint), *known)
+
+def _evidence_of_gains(peaks: SinglePeaks, looks: Looks, beams: Beams) -> F64:
+    """Log-evidence of each model against noise, from the gains of one more scatterer alone, (rows, cols, ORDERS)."""
+    domain, count = float(np.ptp(beams.span)), looks.count
+    evidence = np.zeros((*count.shape, ORDERS))
+    single = log_evidence_of_one(peaks.explained, count, peaks.turning, domain)
+    more = log_evidence_of_one(peaks.beside, count, peaks.turning, domain)
+    spread = log_evidence_of_spread(peaks.along_slope, peaks.explained, count, peaks.turning, beams.beamwidth)
+    evidence[..., ONE], evidence[..., TWO], evidence[..., SPREAD] = single, single + more, single + spread
+    evidence[..., THREE] = single + 2 * more
+    return evidence
+
+
+def _fitted(
+    here: tuple[Index, Index],
+    evidence: F64,
+    noise: _Noise,
+    levels: _Levels,
+    peaks: SinglePeaks,
+    looks: Looks,
+    beams: Beams,
+) -> _Models:
+    """Fit an extended surface to the pixels `here`, and two and three scatterers where one more explains enough."""
+    row, col = here
+    models, domain = _Models.none(len(row)), float(np.ptp(beams.span))
+    models.evidence[:] = evidence[here].T
+    models.explained[ONE] = peaks.explained[here]
+    most = min(MOST, beams.count - 1)
+    searches = PeakSearches.over(beams, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
+    blocks = _blocks(looks.squint[col])
+
+    def work(share: slice) -> None:
+        for part in blocks[share]:
+            pixels, search = (row[part], col[part]), searches.at(float(looks.squint[col[part[0]]]))
+            raised = noise.raised[pixels]
+            scaled = looks.covariance[pixels] / (looks.receiver_noise * raised[:, None, None])
+            covariance = _in_double_precision(scaled, beams)
+            count, single = looks.count[pixels], peaks.elevation[pixels]
+            surface = ExtendedSurface.at(search, covariance, count, single, peaks.along_slope[pixels], beams.beamwidth)
+            cnr = raised * (peaks.explained[pixels] / count - 1) / peaks.array_power[pixels]
+            surface = surface.with_uncertain_beams(beams.uncertainty, peaks.array_power[pixels])
+            models.put_extended(surface, cnr, log_evidence_of_extended(surface, domain, beams.beamwidth), part)
+            # One scatterer more as long as it explains enough.
+            some, start, tried = np.arange(len(part)), single[:, None], levels.tried[pixels]
+            values, turning = search.on_grid(covariance), peaks.turning[pixels]
+            for number in range(TWO, most + 1):
+                elevation, explained, gain = search_several(search, covariance[some], values[some], start, tried[some])
+                more = log_evidence_of_one(gain, count[some], turning[some], domain)
+                models.evidence[number, part[some]] = models.evidence[number - 1, part[some]] + more
+                climbed = explained > 0
+                some, start = some[climbed], elevation[climbed]
+                several = SeveralScatterers.at(search, covariance[some], count[some], start)
+                weighed = log_evidence_of_several(several, covariance[some], domain)
+                models.put_several(several, raised[some], beams.uncertainty, weighed, part[some])
 
     in_parallel(work, len(blocks))
-    return TwoScatterers(*found)
+    return models
 
 
-def _blocks(pixels: Index) -> list[Index]:
-    return np.split(pixels, range(PIXELS_AT_ONCE, len(pixels), PIXELS_AT_ONCE))
+def _blocks(squint: F64) -> list[Index]:
+    """Numbers of pixels in blocks of the same squint, PIXELS_AT_ONCE at most."""
+    order = np.argsort(squint, kind="stable")
+    runs = np.split(order, np.flatnonzero(np.diff(squint[order])) + 1) if order.size else []
+    return [block for run in runs for block in np.split(run, range(PIXELS_AT_ONCE, len(run), PIXELS_AT_ONCE))]
 
 
-def resolve_layover(
-    estimate: ElevationEstimate, looks: Looks, beams: Beams, min_cnr: float, false_alarm: float
+def _in_double_precision(covariance: Numbers, beams: Beams) -> Numbers:
+    return covariance.astype(np.complex128) if beams.is_complex else covariance.real.astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Noise:
+    """What acts as noise in a pixel; arrays (rows, cols), in units of the receivers' noise power.
+
+    Attributes:
+        beam_error: power of the errors of the beams in a channel, sum over looks (`beam_error`).
+        raised: mean power of one look of noise, sidelobes of other pixels and errors of the beams.
+    """
+
+    beam_error: F64
+    raised: F64
+
+    @classmethod
+    def of(cls, peaks: SinglePeaks, looks: Looks, beams: Beams) -> Self:
+        """The noise beside the scatterers of `peaks`."""
+        error = beams.uncertainty**2 * np.maximum(peaks.explained - looks.count, 0.0) / peaks.array_power
+        return cls(error, looks.floor + error / looks.count)
+
+
+@dataclass(frozen=True, eq=False)
+class _Levels:
+    """Powers over the raised noise power that noise, sidelobes and errors of the beams rarely exceed; (rows, cols).
+
+    Attributes:
+        tried: from which on one more scatterer is looked for.
+        several: from which on one more is taken.
+        spread: power along the slope from which on the scatterer is spread.
+    """
+
+    tried: F64
+    several: F64
+    spread: F64
+
+    @classmethod
+    def of(cls, noise: _Noise, looks: Looks, beams: Beams, settings: LayoverSettings) -> Self:
+        """The levels for the number of looks of every pixel."""
+        length = max(path_length(beams, float(squint)) for squint in np.unique(looks.squint)[[0, -1]])
+        counts, which = np.unique(looks.count, return_inverse=True)
+        sidelobes = sidelobe_limit(looks.leaked, settings.sidelobe_rate)
+
+        def level(of_noise: F64, rate: float) -> F64:
+            # Errors of the beams are those of one look, too, but differ between directions.
+            errors = sidelobe_limit(noise.beam_error, rate)
+            return (of_noise[which.reshape(looks.count.shape)] + sidelobes + errors) / noise.raised
+
+        rarely = settings.layover_false_alarm
+        often = min(SUSPICIOUS * rarely, 0.5)
+        return cls(
+            tried=level(detection_threshold(length, counts, often), often / beams.count),
+            several=level(detection_threshold(length, counts, rarely), rarely / beams.count),
+            spread=level(noise_limit(free_looks(counts), settings.spread_false_alarm), settings.spread_false_alarm),
+        )
+
+
+def _taken(
+    models: _Models,
+    here: tuple[Index, Index],
+    noise: _Noise,
+    levels: _Levels,
+    peaks: SinglePeaks,
+    looks: Looks,
+    beams: Beams,
+    settings: LayoverSettings,
+) -> Index:
+    """The model of each pixel `here`: of those that no test rejects the most probable one; NONE if none is left.
+
+    One more scatterer, or a spread, that explains more than noise rarely does rejects the models without; and each
+    model is rejected that does not explain the pixel.
+    """
+    several, spread = levels.several[here], levels.spread[here]
+    gains = np.diff(models.explained[ONE : THREE + 1], axis=0)
+    is_spread = peaks.along_slope[here] > spread
+    # Weaker ones than misfit_share of what the others explain may be sidelobes, and need not be scatterers.
+    least = several + settings.misfit_share * models.explained[ONE:THREE]
+    is_two = gains[0] > least[0]
+    is_three = is_two & (gains[1] > least[1])
+    holds = np.zeros(models.evidence.shape, np.bool_)
+    holds[ONE], holds[TWO], holds[THREE], holds[SPREAD] = ~is_two & ~is_spread, is_two & ~is_three, is_three, is_spread
+    # Scatterers close to each other belong to one surface, and those far apart do not.
+    for order in (TWO, THREE):
+        apart = np.diff(models.elevation[order, :, :order], axis=1) / beams.beamwidth
+        close = apart.min(axis=1) < LEAST_APART
+        holds[SPREAD] |= close & holds[order]
+        holds[order] &= ~close
+        holds[SPREAD] &= ~(holds[order] & (apart.max(axis=1) > MOST_APART))
+    total, count, channels = looks.power[here] / looks.receiver_noise, looks.count[here], beams.count
+    leaked, beam_error = looks.leaked[here], noise.beam_error[here]
+    for order, number in {ONE: 1, TWO: 2, THREE: 3, SPREAD: directions(channels)}.items():
+        explained = noise.raised[here] * models.explained[order]
+        # Each scatterer takes an amplitude of every look, and an elevation.
+        degrees, coherent = (channels - number) * count - number / 2, max(channels - 1.5 * number, 0.0)
+        fit = Fit(explained, total - explained, degrees, channels, leaked, coherent, beam_error)
+        holds[order] &= is_explained(fit, settings)
+    score = np.where(holds, models.evidence + np.log(PRIOR)[:, None], -np.inf)
+    return np.where(holds.any(axis=0), np.argmax(score, axis=0), NONE)
+
+
+def _published(
+    estimate: ElevationEstimate,
+    models: _Models,
+    taken: Index,
+    here: tuple[Index, Index],
+    probability: F64,
+    peaks: SinglePeaks,
+    looks: Looks,
+    beams: Beams,
+    settings: LayoverSettings,
 ) -> ElevationEstimate:
-    """Resolve the pixels that do not fit one scatterer into two, where two are detected.
-
-    Those become TWO_SCATTERERS: the stronger one replaces the estimate, the weaker one is the second. Both must have
-    `min_cnr`. The other arguments are those of `two_scatterers`, and an estimate by all detectors.
-    """
-    suspicious = estimate.validity == Validity.NOT_ONE_SCATTERER
-    two = two_scatterers(looks, beams, estimate.elevation, suspicious, false_alarm)
-    resolved = two.detected & (two.power >= min_cnr).all(axis=-1)
-    order = np.argsort(-two.power, axis=-1)
-    elevation, sigma, cnr = (np.take_along_axis(f, order, axis=-1) for f in (two.elevation, two.sigma, two.power))
-    strong, weak = (
-        Scatterer(elevation[..., n], sigma[..., n], cnr[..., n], np.zeros_like(cnr[..., n])) for n in (0, 1)
+    """The estimate with the scatterers of the models taken `here`, strongest first, and the reasons that follow."""
+    # What passes for one scatterer may be spread, or two.
+    sigma = _sigma_of_perhaps_several(estimate.sigma, probability, peaks, looks)
+    validity = estimate.validity.copy()
+    fields = np.full((4, MOST, *validity.shape), np.nan)
+    fields[:, 0] = estimate.elevation, sigma, estimate.cnr, np.zeros_like(sigma)
+    # Of the others, those that are inside the array and determined, the strongest first.
+    found = np.stack([models.elevation, models.sigma, models.cnr, models.spread])
+    found = found[:, taken, np.arange(len(taken))]
+    # What passes for an extended surface may be two scatterers.
+    chances = probability[here]
+    doubt = np.where(taken == SPREAD, chances[:, TWO] / np.maximum(chances[:, TWO] + chances[:, SPREAD], 1e-300), 0.0)
+    found[1] = np.sqrt(found[1] ** 2 + doubt[:, None] * found[3] ** 2)
+    (first, last), (elevation, deviation, cnr, _) = beams.span, found
+    inside = (elevation >= first) & (elevation <= last) & (cnr >= settings.min_cnr) & (cnr > 0)
+    usable = inside & (deviation < GREATEST_SIGMA * beams.beamwidth)
+    order = np.argsort(np.where(usable, -cnr, np.inf), axis=1)
+    found = np.take_along_axis(np.where(usable, found, np.nan), order[None], axis=2)
+    count = usable.sum(axis=1)
+    detected = ~np.isin(validity[here], (Validity.NO_SIGNAL, Validity.LOW_CNR, Validity.MISSING_DATA))
+    resolved = detected & (taken > ONE) & (count > 0)
+    rows, cols = here[0][resolved], here[1][resolved]
+    fields[:, :, rows, cols] = np.swapaxes(found[:, resolved], 1, 2)
+    # A spread far below a beamwidth is that of level ground.
+    is_spread = (taken == SPREAD) & (found[3, :, 0] > LEAST_SPREAD * beams.beamwidth)
+    reasons = np.array([Validity.NOT_ONE_SCATTERER, Validity.OK, Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS])
+    reason = np.select(
+        [taken == NONE, ~inside.any(axis=1), count == 0, is_spread],
+        [Validity.NOT_ONE_SCATTERER, Validity.OUTSIDE_ARRAY, Validity.IMPRECISE, Validity.EXTENDED],
+        reasons[count],
     )
-    return ElevationEstimate(
-        scatterers=(strong.where(resolved, estimate.first), weak.where(resolved)),
-        validity=np.where(resolved, Validity.TWO_SCATTERERS, estimate.validity).astype(np.uint8),
-    )
+    changed = detected & (taken != ONE)
+    validity[here[0][changed], here[1][changed]] = reason[changed]
+    scatterers = tuple(Scatterer(*fields[:, n]) for n in range(MOST))
+    return ElevationEstimate(scatterers, validity.astype(np.uint8), probability)
 
 
-def detection_threshold(beams: Beams, squint: npt.ArrayLike, looks: npt.ArrayLike, false_alarm: npt.ArrayLike) -> F64:
-    """Gain in explained power, in sigma^2, that a second scatterer seems to bring with the probability `false_alarm`.
+def _sigma_of_perhaps_several(sigma: F64, probability: F64, peaks: SinglePeaks, looks: Looks) -> F64:
+    """Standard deviation (rad) of single scatterers, which may be extended surfaces or two close to each other.
 
-    If there is one scatterer only, the gain in a known direction is noise with a gamma distribution of order K. Its
-    greatest value over direction exceeds a level x no more often than it starts above x or crosses x upwards (Rice;
-    Davies, Biometrika 64, 1977):
-
-        P(max > x) <= Q(x) + L sqrt(x / pi) p(x)
-
-    Q and p are the distribution's upper tail and density, L the length of the path of a / |a| over the boresights.
-
-    Args:
-        beams: of the array.
-        squint: rad; broadcasts with `looks` and `false_alarm`.
-        looks: K.
-        false_alarm: wanted probability.
+    The middle of an extended surface of the spread s has the variance s^2 / 2K, each of two scatterers that look like
+    it is s away from the middle.
     """
-    nodes = np.linspace(*beams.span, math.ceil(np.ptp(beams.span) / (GRID_STEP * beams.beamwidth)) + 1)
-    squint = np.asarray(squint)[..., None]
-    length = np.trapezoid(np.sqrt(information(beams, nodes, squint) / beams.power(nodes, squint)), nodes)
-
-    def excess(level: F64, looks: F64, length: F64, false_alarm: F64) -> F64:
-        density = np.exp((looks - 1) * np.log(level) - level - gammaln(looks))
-        return gammaincc(looks, level) + length * np.sqrt(level / np.pi) * density - false_alarm
-
-    looks, length, false_alarm = np.broadcast_arrays(np.asarray(looks, np.float64), length, false_alarm)
-    return np.asarray(elementwise.find_root(excess, (looks, 10 * looks + 1000), args=(looks, length, false_alarm)).x)
-
-
-@dataclass(frozen=True)
-class _PairModel:
-    """The beams A of a pair of elevations and the matrices of its likelihood and bound, shapes (..., rows, cols).
-
-    Attributes:
-        gram: (A^H A)^-1, (..., 2, 2).
-        inverse: A^+ = (A^H A)^-1 A^H, (..., 2, M).
-        beyond: (I - P) D, (..., M, 2).
-        slope_power: D^H (I - P) D, (..., 2, 2).
-        matrix: A, (..., M, 2).
-    """
-
-    matrix: Numbers
-    gram: Numbers
-    inverse: Numbers
-    beyond: Numbers
-    slope_power: Numbers
-
-    @classmethod
-    def of(cls, beams: Beams, elevations: F64, squint: F64 | float) -> Self:
-        """The model of pairs at `elevations` (..., 2) and `squint` (...), rad."""
-        angle = np.asarray(squint)[..., None]
-        matrix = np.swapaxes(beams.response(elevations, angle), -1, -2)
-        slope = np.swapaxes(beams.slope(elevations, angle), -1, -2)
-        gram = np.linalg.inv(_adjoint(matrix) @ matrix)
-        inverse = gram @ _adjoint(matrix)
-        beyond = slope - matrix @ (inverse @ slope)
-        return cls(matrix, gram, inverse, beyond, _adjoint(beyond) @ beyond)
-
-    def explained(self, fitted: Numbers) -> F64:
-        """The likelihood f = tr(P R), shape (...), of `fitted` = A^+ R, (..., 2, M)."""
-        return _traces(fitted, self.matrix).sum(axis=-1)
-
-    def amplitudes(self, fitted: Numbers) -> Numbers:
-        """Sum over looks of the products of the fitted amplitudes, A^+ R A^+H, noise included; (..., 2, 2)."""
-        return fitted @ _adjoint(self.inverse)
-
-    def newton_step(self, fitted: Numbers) -> F64:
-        """Gauss-Newton step of f, rad, (..., 2): with the expected curvature for these amplitudes."""
-        gradient = _traces(fitted, self.beyond)
-        curvature = (self.slope_power * np.swapaxes(self.amplitudes(fitted), -1, -2)).real
-        ridge = 1e-9 * np.trace(curvature, axis1=-2, axis2=-1)[..., None, None] * np.eye(2)
-        return np.linalg.solve(curvature + ridge, gradient[..., None])[..., 0]
-
-    def bound(self, known: Numbers, looks: npt.ArrayLike) -> F64:
-        """Cramer-Rao bound of both elevations, rad, (..., 2); infinite where the information is not positive definite.
-
-        With D = [a'(t1) a'(t2)] and the covariance S of the amplitudes over sigma^2 (Stoica and Nehorai, IEEE Trans.
-        Acoustics, Speech and Signal Processing 38, 1990), * element by element:
-
-            F = 2 K Re{(D^H (I - P) D) * known^T},    known = S (S + (A^H A)^-1)^-1 S
-
-        Args:
-            known: that matrix, or S - (A^H A)^-1, which equals it to first order in the noise; shape (..., 2, 2).
-            looks: K, shape (...).
-        """
-        fisher = 2 * np.asarray(looks)[..., None, None] * (self.slope_power * np.swapaxes(known, -1, -2)).real
-        diagonal, determinant = np.diagonal(fisher, axis1=-2, axis2=-1), np.linalg.det(fisher)[..., None]
-        positive = (diagonal > 0) & (diagonal[..., ::-1] > 0) & (determinant > 0)
-        variance = np.divide(diagonal[..., ::-1], determinant, where=positive, out=np.full_like(diagonal, np.inf))
-        return np.sqrt(variance)
-
-
-@dataclass(frozen=True)
-class _PairGrid:
-    """The coarse search for a pair of elevations at one squint.
-
-    Attributes:
-        beams: of the array.
-        squint: rad.
-        nodes: elevations, rad, shape (nodes,).
-        units: u = a / |a| at the nodes, (M, nodes).
-        overlap: u_i^H u_j, (nodes, nodes).
-        weight: 1 / (1 - |overlap|^2) of the pairs i < j that are tried; 0 elsewhere.
-    """
-
-    beams: Beams
-    squint: float
-    nodes: F64
-    units: Numbers
-    overlap: Numbers
-    weight: F32
-
-    @classmethod
-    def of(cls, beams: Beams, squint: float) -> Self:
-        """The grid over the array and the guard beyond it, as in the search for one scatterer."""
-        first, last = beams.domain(GUARD * beams.beamwidth)
-        nodes = np.linspace(first, last, math.ceil((last - first) / (GRID_STEP * beams.beamwidth)) + 1)
-        unit = unit_vectors(beams.response(nodes, squint))
-        overlap = unit.conj() @ unit.T
-        residue = 1 - np.abs(overlap) ** 2
-        weight = np.divide(1.0, residue, where=np.triu(residue > LEAST_RESIDUE, 1), out=np.zeros_like(residue))
-        kind = np.complex64 if np.iscomplexobj(unit) else np.float32
-        units = np.ascontiguousarray(unit.T, dtype=kind)
-        return cls(beams, squint, nodes, units, overlap.astype(kind), weight.astype(np.float32))
-
-    def gain_beside(self, covariance: Covariance, first: F64) -> F32:
-        """Greatest power that one more scatterer at a node explains beside those at `first` (rad), shape (pixels,)."""
-        one = unit_vectors(self.beams.response(first, self.squint)).astype(self.units.dtype)
-        overlap = one.conj() @ self.units
-        along = np.abs(overlap) ** 2
-        outputs = covariance @ self.units
-        own = np.sum((self.units.conj() * outputs).real, axis=1)
-        cross = (one.conj()[:, None] @ outputs)[:, 0]
-        power = np.sum((one.conj()[:, None] @ covariance)[:, 0] * one, axis=1).real
-        # The part of u_j along the first one removed.
-        beyond = own - 2 * (overlap.conj() * cross).real + along * power[:, None]
-        apart = 1 - along > LEAST_RESIDUE
-        return np.divide(beyond, 1 - along, where=apart, out=np.zeros_like(beyond)).max(axis=1)
-
-    def best(self, covariance: Covariance) -> F64:
-        """Elevations (rad) of the two nodes that together explain most, shape (pixels, 2)."""
-        products = self.units.conj().T @ covariance @ self.units
-        own = np.diagonal(products, axis1=1, axis2=2).real
-        both = own[:, :, None] + own[:, None] - 2 * (self.overlap.conj() * products).real
-        best = np.argmax((both * self.weight).reshape(len(both), -1), axis=1)
-        return self.nodes[np.stack(np.divmod(best, len(self.nodes)), axis=1)]
-
-
-def _pairs_of(covariance: Covariance, grid: _PairGrid, looks: F64, single: F64, levels: F64) -> F64:
-    """Elevations, powers and sigmas of the two scatterers in some pixels, (3, pixels, 2); NaN where there are no two.
-
-    Args:
-        covariance: in units of the noise power, shape (pixels, M, M).
-        grid: at the pixels' squint.
-        looks: K, (pixels,).
-        single: elevations of the single scatterers, rad, (pixels,).
-        levels: gains from which on pairs are tried, and are detected, (2, pixels).
-    """
-    found = np.full((3, len(covariance), 2), np.nan)
-    covariance = covariance.astype(grid.units.dtype)
-    suspicious = np.flatnonzero(grid.gain_beside(covariance, single) > levels[0])
-    if not suspicious.size:
-        return found
-    looks, needed = looks[suspicious], levels[1, suspicious]
-    start = grid.best(covariance[suspicious])
-    some = covariance[suspicious].astype(np.result_type(covariance, np.float64))
-    pair = np.sort(_climb(some, grid, start), axis=-1)
-    model = _PairModel.of(grid.beams, pair, grid.squint)
-    fitted = model.inverse @ some
-    one = explained_power(some, grid.beams.response(single[suspicious], grid.squint))
-    first, last = grid.beams.span
-    detected = (model.explained(fitted) - one > needed) & (pair[:, 0] >= first) & (pair[:, 1] <= last)
-    signal = model.amplitudes(fitted) / looks[:, None, None] - model.gram
-    powers = np.diagonal(signal, axis1=-2, axis2=-1).real
-    found[:, suspicious[detected]] = np.stack([pair, powers, model.bound(signal - model.gram, looks)])[:, detected]
-    return found
-
-
-def _climb(covariance: Numbers, grid: _PairGrid, start: F64) -> F64:
-    """Climb from pairs of nodes to the peaks of f near them, rad, shape (pixels, 2).
-
-    A step after which f is not higher is undone, and the next is a quarter of it at most.
-    """
-    found, active = start.copy(), np.arange(len(start))
-    reach = np.full((len(start), 1), GRID_STEP * grid.beams.beamwidth / 2)
-    model = _PairModel.of(grid.beams, start, grid.squint)
-    fitted = model.inverse @ covariance
-    height, step = model.explained(fitted), model.newton_step(fitted)
-    for _ in range(NEWTON_STEPS):
-        step = np.clip(step, -reach, reach)
-        moving = np.abs(step).max(axis=1) > SETTLED * grid.beams.beamwidth
-        active, covariance, height, step, reach = (x[moving] for x in (active, covariance, height, step, reach))
-        trial = np.clip(found[active] + step, grid.nodes[0], grid.nodes[-1])
-        apart = np.abs(np.diff(trial)) >= LEAST_SEPARATION * grid.beams.beamwidth
-        trial = np.where(apart, trial, found[active])
-        model = _PairModel.of(grid.beams, trial, grid.squint)
-        fitted = model.inverse @ covariance
-        trial_height = model.explained(fitted)
-        rises = trial_height > height
-        found[active[rises]], height = trial[rises], np.maximum(height, trial_height)
-        reach = np.where(rises[:, None], reach, np.abs(step).max(axis=1, keepdims=True) / 4)
-        step = np.where(rises[:, None], model.newton_step(fitted), step)
-    return found
-
-
-def _traces(left: Numbers, right: Numbers) -> F64:
-    """Real diagonal of `left` (..., 2, M) times `right` (..., M, 2), shape (..., 2)."""
-    return np.einsum("...im,...mi->...i", left, right).real
-
-
-def _adjoint(matrix: Numbers) -> Numbers:
-    return np.swapaxes(matrix.conj(), -1, -2)
+    likely = probability[..., ONE] + probability[..., TWO] + probability[..., SPREAD]
+    share = (probability[..., SPREAD] / (2 * looks.count) + probability[..., TWO]) / np.maximum(likely, 1e-300)
+    power = np.maximum(peaks.explained / looks.count - 1, LEAST_POWER)
+    spread = spread_of(peaks.along_slope, looks.count, power, peaks.turning)
+    return np.sqrt(sigma**2 + share * spread**2)

@@ -12,6 +12,8 @@ or w^H R w with the weights w = a / |a| or w = a.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -20,7 +22,7 @@ from sal_height.elevation.beam_error import beam_deviation
 from sal_height.elevation.bounds import stochastic_deviation, unit_vectors
 from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
 from sal_height.elevation.looks import Covariance, Looks
-from sal_height.elevation.search import Find, Objective, PeakSearch, PeakSearches
+from sal_height.elevation.search import Find, Objective, Peaks, PeakSearch, PeakSearches
 from sal_height.elevation.settings import HeightSettings
 from sal_height.numeric import F64, Index
 from sal_height.settings import setting
@@ -109,42 +111,83 @@ def peak_elevation(looks: Looks, beams: Beams, objective: Objective, guard: floa
     return elevation
 
 
-def estimate_at(elevation: F64, looks: Looks, beams: Beams, settings: ArraySettings) -> ElevationEstimate:
-    """The estimate of scatterers whose likelihood peaks at given elevations (rad, shape (rows, cols)).
+@dataclass(frozen=True, eq=False)
+class SinglePeaks:
+    """A single scatterer fitted to each pixel; arrays (rows, cols), powers in units of the receivers' noise power.
 
-    No pixel is AMBIGUOUS, as other peaks are not looked at.
+    Attributes:
+        elevation: rad.
+        lead: power by which it explains more than any other peak; infinite if there is none.
+        explained: power that it explains, sum over looks.
+        array_power: |a|^2 there.
+        turning: D / |a|^2 there, 1/rad^2 (`bounds.information`).
+        beside: power that one more scatterer would explain (`PeakSearch.gain_beside`); 0 if not looked for.
+        along_slope: power along the slope of its response; 0 if not looked for.
     """
+
+    elevation: F64
+    lead: F64
+    explained: F64
+    array_power: F64
+    turning: F64
+    beside: F64
+    along_slope: F64
+
+    @classmethod
+    def found_by(cls, find: Find, objective: Objective, looks: Looks, beams: Beams) -> Self:
+        """Gather what `find` gives for the pixels of a block: `elevation` to `along_slope`, in units of the looks."""
+        searches = PeakSearches.over(beams, looks.squint, objective, search_guard(beams))
+        elevation, lead, explained, array_power, turning, beside, along = searches.of_pixels(looks, 7, find)
+        noise = looks.receiver_noise
+        return cls(elevation, lead / noise, explained / noise, array_power, turning, beside / noise, along / noise)
+
+    def over(self, noise: F64) -> Self:
+        """The same with powers in units of `noise`, a power of every pixel in units of the receivers'."""
+        powers = {name: getattr(self, name) / noise for name in ("lead", "explained", "beside", "along_slope")}
+        return replace(self, **powers)
+
+
+def peaks_at(elevation: F64, looks: Looks, beams: Beams) -> SinglePeaks:
+    """Scatterers whose likelihood peaks at known elevations (rad, (rows, cols)); other peaks are not looked at."""
 
     def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
         found = elevation[rows, cols].reshape(-1)
-        return np.vstack([found, np.full_like(found, np.inf), search.fit(pixels, found)])
+        beside = search.gain_beside(pixels, search.on_grid(pixels), found)
+        return np.vstack([found, np.full_like(found, np.inf), search.fit(pixels, found), beside])
 
-    return _estimate(find, OBJECTIVES["normalised"], looks, beams, settings)
+    return SinglePeaks.found_by(find, OBJECTIVES["normalised"], looks, beams)
 
 
-def estimate_at_highest(objective: Objective, looks: Looks, beams: Beams, settings: ArraySettings) -> ElevationEstimate:
-    """The estimate at the highest peak of one of OBJECTIVES over the array and the guard beyond.
-
-    A pixel is AMBIGUOUS where its likelihood is less than `ambiguous_ratio` times that of the second highest peak.
+def highest_peaks(looks: Looks, beams: Beams, settings: ArraySettings) -> SinglePeaks:
+    """The highest peak of the likelihood over the array and the guard beyond.
 
     Raises:
         UserError: a real covariance of complex beams.
     """
 
     def find(search: PeakSearch, pixels: Covariance, *_: object) -> F64:
-        peaks = search.peaks(pixels, settings.margin * looks.receiver_noise)
-        share = np.divide(peaks.second, peaks.height, where=peaks.height > 0, out=np.zeros_like(peaks.height))
-        fit = search.fit(pixels, peaks.elevation)
-        return np.vstack([peaks.elevation, (1 - share) * fit[0], fit])
+        values = search.on_grid(pixels)
+        peaks = search.peaks_of(pixels, values, settings.margin * looks.receiver_noise)
+        return np.vstack([_with_lead(search, pixels, peaks), search.gain_beside(pixels, values, peaks.elevation)])
 
-    return _estimate(find, objective, looks, beams, settings)
+    return SinglePeaks.found_by(find, OBJECTIVES["normalised"], looks, beams)
+
+
+def highest_peaks_of(objective: Objective, looks: Looks, beams: Beams, settings: ArraySettings) -> SinglePeaks:
+    """The highest peak of one of OBJECTIVES, as `highest_peaks`; one more scatterer is not looked for."""
+
+    def find(search: PeakSearch, pixels: Covariance, *_: object) -> F64:
+        peaks = search.peaks(pixels, settings.margin * looks.receiver_noise)
+        return np.vstack([_with_lead(search, pixels, peaks), np.zeros((2, len(pixels)))])
+
+    return SinglePeaks.found_by(find, objective, looks, beams)
 
 
 def estimate_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, settings: ArraySettings) -> ElevationEstimate:
     """Elevation where the quadratic form of another spectrum is greatest; sigma and validity by the likelihood there.
 
     A pixel is AMBIGUOUS where its likelihood is less than `ambiguous_ratio` times that of another peak. Errors are
-    those of `estimate_at_highest`.
+    those of `highest_peaks`.
     """
 
     def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
@@ -152,37 +195,36 @@ def estimate_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, setting
         likely = search.peaks(pixels, settings.margin * looks.receiver_noise)
         at_it = np.abs(likely.elevation - found) < SAME_PEAK * beams.beamwidth
         fit = search.fit(pixels, found)
-        return np.vstack([found, fit[0] - np.where(at_it, likely.second, likely.height), fit])
+        lead = fit[0] - np.where(at_it, np.maximum(likely.second, 0.0), likely.height)
+        return np.vstack([found, lead, fit, np.zeros((2, len(pixels)))])
 
-    return _estimate(find, OBJECTIVES["normalised"], looks, beams, settings)
+    peaks = SinglePeaks.found_by(find, OBJECTIVES["normalised"], looks, beams)
+    return estimate_of(peaks, looks, beams, settings)
 
 
-def _estimate(
-    find: Find, objective: Objective, looks: Looks, beams: Beams, settings: ArraySettings
-) -> ElevationEstimate:
-    """Elevation, sigma, CNR and validity of every pixel.
+def _with_lead(search: PeakSearch, pixels: Covariance, peaks: Peaks) -> F64:
+    """Elevation, lead and fit of the highest peaks, (5, pixels)."""
+    second = np.maximum(peaks.second, 0.0)  # there may be none
+    share = np.divide(second, peaks.height, where=peaks.height > 0, out=np.zeros_like(peaks.height))
+    fit = search.fit(pixels, peaks.elevation)
+    return np.vstack([peaks.elevation, (1 - share) * fit[0], fit])
+
+
+def estimate_of(peaks: SinglePeaks, looks: Looks, beams: Beams, settings: ArraySettings) -> ElevationEstimate:
+    """Sigma, CNR and validity of single scatterers.
 
     Sigma is `bounds.stochastic_crb` for the energy of these very looks, less the noise of SPARE_LOOKS more, and
     `beam_error.beam_deviation`. It is that of errors about the scatterer's own peak: in some 1 % of the valid pixels at
-    0 dB with 2 looks, and in fewer elsewhere, another peak is higher.
-
-    Args:
-        find: gives the elevation of each pixel, by how much the power explained there exceeds that of any other peak,
-            and `PeakSearch.fit` there.
-        objective: of the searches that it gets.
-        looks: covariance of M channels of equal noise in each pixel.
-        beams: of the M detectors.
-        settings: when a pixel is valid.
+    0 dB with 2 looks, and in fewer elsewhere, another peak is higher. A pixel is AMBIGUOUS where its likelihood is less
+    than `ambiguous_ratio` times that of another peak.
     """
-    searches = PeakSearches.over(beams, looks.squint, objective, search_guard(beams))
-    elevation, lead, explained, gain, turning = searches.of_pixels(looks, 5, find)
-    explained = explained / looks.receiver_noise
+    explained, gain, turning = peaks.explained, peaks.array_power, peaks.turning
     cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
     sigma = stochastic_deviation((explained - noise) / gain, noise, gain, turning * gain)
     sigma = np.hypot(sigma, beam_deviation(turning * gain, beams.uncertainty))
     fit, (first, last) = array_fit(looks, explained, gain, beams.uncertainty), beams.span
-    strong, inside = cnr >= settings.min_cnr, (elevation >= first) & (elevation <= last)
+    strong, inside = cnr >= settings.min_cnr, (peaks.elevation >= first) & (peaks.elevation <= last)
     validity = decide_validity(looks, fit, strong, inside, Validity.OUTSIDE_ARRAY, settings)
     if beams.count > 2:
-        validity[(validity == Validity.OK) & (lead < settings.margin * looks.receiver_noise)] = Validity.AMBIGUOUS
-    return ElevationEstimate.of_one(elevation, sigma, cnr, validity)
+        validity[(validity == Validity.OK) & (peaks.lead < settings.margin)] = Validity.AMBIGUOUS
+    return ElevationEstimate.of_one(peaks.elevation, sigma, cnr, validity)

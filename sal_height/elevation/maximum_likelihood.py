@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.layover import resolve_layover
-from sal_height.elevation.likelihood import OBJECTIVES, ArraySettings, estimate_at, estimate_at_highest
+from sal_height.elevation.layover import LayoverSettings, resolve
+from sal_height.elevation.likelihood import OBJECTIVES, estimate_of, highest_peaks, highest_peaks_of, peaks_at
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH, smoothed_peaks
 from sal_height.settings import setting
 
 
-class MlSettings(ArraySettings):
+class MlSettings(LayoverSettings):
     """Settings of maximum likelihood over the whole array."""
 
     objective: str = setting(
@@ -26,19 +26,10 @@ class MlSettings(ArraySettings):
         minimum=0.0,
         maximum=100.0,
     )
-    layover: bool = setting(
-        default=True, description="whether to search for two scatterers in pixels that a single one does not explain"
-    )
-    layover_false_alarm: float = setting(
-        1e-3,
-        "share of single scatterers that may be taken for two, of those that do not pass for one",
-        minimum=1e-9,
-        maximum=0.1,
-    )
 
 
 def ml_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> ElevationEstimate:
-    """Elevation of the dominant scatterer in every pixel, and of the second one where two are detected.
+    """Elevations of the scatterers in every pixel: one, two, three or an extended one, as the looks demand.
 
     Args:
         looks: covariance of M channels of equal noise in each pixel.
@@ -50,12 +41,12 @@ def ml_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> ElevationE
     """
     if settings.prior_strength:
         # The peak that suits the neighbours best.
-        elevation = smoothed_peaks(looks, beams, settings.prior_strength)
-        estimate = estimate_at(elevation, looks, beams, settings)
+        peaks = peaks_at(smoothed_peaks(looks, beams, settings.prior_strength), looks, beams)
+    elif settings.objective == "normalised":
+        peaks = highest_peaks(looks, beams, settings)
     else:
-        # The highest peak.
-        estimate = estimate_at_highest(OBJECTIVES[settings.objective], looks, beams, settings)
+        peaks = highest_peaks_of(OBJECTIVES[settings.objective], looks, beams, settings)
+    estimate = estimate_of(peaks, looks, beams, settings)
     if settings.layover and beams.count > 2:
-        # Pixels that one scatterer does not explain.
-        estimate = resolve_layover(estimate, looks, beams, settings.min_cnr, settings.layover_false_alarm)
+        estimate = resolve(estimate, peaks, looks, beams, settings)
     return estimate

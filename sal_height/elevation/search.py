@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -25,6 +25,8 @@ from sal_height.elevation._kernels import (
     evaluate_on_grid,
     fit_scatterer,
 )
+from sal_height.elevation._several_kernels import gain_beside_one
+from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.errors import UserError
 from sal_height.numeric import F32, F64, Index, in_parallel
@@ -112,15 +114,31 @@ class PeakSearch:
         Raises:
             UserError: the beams are complex and the covariance is not.
         """
+        blocks = [covariance[i : i + PIXELS_AT_ONCE] for i in range(0, len(covariance), PIXELS_AT_ONCE)]
+        parts = [self.peaks_of(block, self.on_grid(block), margin) for block in blocks]
+        return Peaks(*np.concatenate([np.empty((3, 0)), *parts], axis=1))
+
+    def peaks_of(self, covariance: Covariance, values: F32, margin: float) -> Peaks:
+        """The same as `peaks` from the objective `on_grid`."""
         position, height, second = np.empty((3, len(covariance)))
         margin *= float(np.max(np.sum(self.pieces[:, 0].astype(np.float64) ** 2, axis=-1)))
-        for begin in range(0, len(covariance), PIXELS_AT_ONCE):
-            block = slice(begin, begin + PIXELS_AT_ONCE)
-            matrices = self._real(covariance[block])
-            values = evaluate_on_grid(matrices, self.entries, self.grid)
-            found = position[block], height[block], second[block]
-            climb_highest(matrices, values, np.float32(margin), self.pieces, found)
+        climb_highest(self._real(covariance), values, np.float32(margin), self.pieces, (position, height, second))
         return Peaks(self.first + self.step * position, height, second)
+
+    def gain_beside(self, covariance: Covariance, values: F32, elevation: F64) -> F64:
+        """What one more scatterer beside a single one would explain, in the unit of the covariance, (2, pixels).
+
+        First at the node of the grid where that is most, second along the slope of the single one's response.
+
+        Args:
+            covariance: shape (pixels, channels, channels).
+            values: of the normalised objective `on_grid`.
+            elevation: of the single one, within the domain, rad, shape (pixels,).
+        """
+        position = np.clip((elevation - self.first) / self.step, 0.0, len(self.pieces))
+        found, matrices = np.empty((2, len(covariance))), covariance if self.complex_beams else self._real(covariance)
+        gain_beside_one(matrices, values, position, self.unit_pieces, self.units_across, found)
+        return found
 
     def fit(self, covariance: Covariance, elevation: F64) -> F64:
         """Fit one scatterer at a known elevation to each pixel.
@@ -141,6 +159,39 @@ class PeakSearch:
         found[2] /= self.step**2
         found[:, ~known] = np.nan
         return found
+
+    @cached_property
+    def unit_pieces(self) -> Numbers:
+        """`pieces`, complex if the beams are, shape (table nodes - 1, 4, channels)."""
+        if not self.complex_beams:
+            return self.pieces
+        channels = self.pieces.shape[2] // 2
+        return np.ascontiguousarray(self.pieces[..., :channels] + np.complex64(1j) * self.pieces[..., channels:])
+
+    @cached_property
+    def unit_nodes(self) -> Numbers:
+        """Weights at the nodes of the grid, complex if the beams are, shape (grid nodes, channels)."""
+        last = self.unit_pieces[-1:].sum(axis=1)
+        return np.ascontiguousarray(np.concatenate([self.unit_pieces[:, 0], last])[::TABLE_STEPS])
+
+    @cached_property
+    def units_across(self) -> Numbers:
+        """`unit_nodes` with the channels first."""
+        return np.ascontiguousarray(self.unit_nodes.T)
+
+    def responses_at(self, elevation: F64) -> tuple[Numbers, Numbers, F64]:
+        """Weights at elevations (rad, shape (...)) within the domain, their slopes (1/rad), and |a|^2, from the table.
+
+        Shapes (..., channels), (..., channels) and (...); complex if the beams are.
+        """
+        position = np.clip((elevation - self.first) / self.step, 0.0, len(self.pieces))
+        node = np.minimum(position.astype(np.intp), len(self.pieces) - 1)
+        powers = (position - node)[..., None] ** np.arange(4)
+        rise = np.arange(1, 4) * powers[..., :3] / self.step
+        pieces = self.unit_pieces[node]
+        weight = (powers[..., None, :] @ pieces)[..., 0, :]
+        slope = (rise[..., None, :] @ pieces[..., 1:, :])[..., 0, :]
+        return weight, slope, np.sum(powers * self.power[node], axis=-1)
 
     def on_grid(self, covariance: Covariance) -> F32:
         """Evaluate the objective of some pixels at all nodes of the grid, (pixels, grid nodes); errors as `peaks`."""

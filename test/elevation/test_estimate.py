@@ -11,7 +11,7 @@ from sal_height.elevation.estimate import (
     Fit,
     Validity,
     explained_power,
-    is_one_scatterer,
+    is_explained,
     noise_limit,
 )
 from sal_height.elevation.looks import Looks
@@ -98,7 +98,7 @@ def test_small_share_of_a_strong_scatterer_may_be_left() -> None:
     """Of 10 000 noise powers 3 % beyond the mean of the noise, whatever the noise alone allows."""
     left = np.array([7.5 + 299.0, 7.5 + 301.0])
     fit = Fit(np.full(2, 10_000.0), left, np.full(2, 7.5), directions=3)
-    np.testing.assert_array_equal(is_one_scatterer(fit, HeightSettings()), [True, False])
+    np.testing.assert_array_equal(is_explained(fit, HeightSettings()), [True, False])
 
 
 def test_explained_power_is_the_quadratic_form_of_the_unit_response() -> None:

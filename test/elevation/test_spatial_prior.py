@@ -14,7 +14,7 @@ from sal_height.beams.pattern import Pattern
 from sal_height.elevation import spatial_prior
 from sal_height.elevation._kernels import FREE_NODES
 from sal_height.elevation.estimate import explained_power
-from sal_height.elevation.likelihood import GUARD, OBJECTIVES, estimate_at, peak_elevation, search_guard
+from sal_height.elevation.likelihood import GUARD, OBJECTIVES, estimate_of, peak_elevation, peaks_at, search_guard
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.search import PeakSearches
@@ -278,7 +278,7 @@ def test_estimate_is_that_of_the_peaks_that_were_taken(strength: float) -> None:
     looks = multilook(slc, 1, 4, squint=squint)
     settings = MlSettings(min_cnr_db=0.0, ambiguous_ratio=1.0, layover=False)
     plain = ml_elevation(looks, beams, settings)
-    found = estimate_at(smoothed_peaks(looks, beams, strength), looks, beams, settings)
+    found = estimate_of(peaks_at(smoothed_peaks(looks, beams, strength), looks, beams), looks, beams, settings)
     if strength:
         np.testing.assert_array_equal(
             found.elevation, ml_elevation(looks, beams, settings.changed(prior_strength=strength)).elevation

@@ -13,10 +13,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from helpers import RAW_WAVEFORMS, with_waveform
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import HeightImage
 from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
+from sal_height.elevation.estimate import MEASURED
 from sal_height.errors import UserError
 from sal_height.geometry.earth import height_of
 from sal_height.nodes.graph import Graph
@@ -82,7 +82,7 @@ def test_provenance_names_every_stage_with_its_parameters(fed: Any) -> None:
 
 def test_invalid_pixels_are_nan_and_valid_ones_are_not(fed: Any) -> None:
     for image in fed.heights.values():
-        valid = np.isin(image.validity, (HeightImage.OK, HeightImage.TWO_SCATTERERS))
+        valid = np.isin(image.validity, MEASURED)
         for field in ("height", "sigma", "east", "north"):
             assert np.array_equal(np.isfinite(np.array(getattr(image.surfaces[0], field))), valid)
         assert np.all(np.array(image.surfaces[0].sigma)[valid] > 0)

@@ -81,7 +81,7 @@ def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceS
     `min_cnr`.
     OUTSIDE_PAIR: gamma has no elevation, for example because there is a signal in Delta and none in Sigma.
     NOT_ONE_SCATTERER: one scatterer in two whitened channels leaves K - 1 noise powers on average, and more is left
-    (`estimate.is_one_scatterer`).
+    (`estimate.is_explained`).
 
     Args:
         looks: covariance of Sigma = upper + lower and Delta = upper - lower in each pixel (`sum_difference_channels`).

@@ -1,0 +1,308 @@
+"""Compiled loops of the search for several scatterers in a pixel.
+
+Each has a twin in plain NumPy in the tests. Matrices are real or complex, as the beams are; positions are in steps of
+the table of unit responses, `PeakSearch.unit_pieces`. The compiler takes all numbers to be finite.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.elevation._kernels import TABLE_STEPS
+from sal_height.numeric import F32, F64, compiled
+
+Numbers = npt.NDArray[Any]
+
+LEAST_RESIDUE = 0.02  # least share of |a|^2 perpendicular to the other scatterers for which a node is tried
+LEAST_SEPARATION = 0.5 * TABLE_STEPS  # least distance of two scatterers, 0.1 beamwidths: far below what is resolved
+REACH = 0.5 * TABLE_STEPS  # greatest step of the climb: half a step of the grid
+SETTLED = 3e-4  # convergence threshold of the climb, steps of the table: 1e-5 beamwidths
+NEWTON_STEPS = 12  # maximum number of steps of a climb
+SWEEPS = 2  # times that each scatterer is moved to its best node beside the others before the climb
+RIDGE = 1e-9  # share of the trace that is added to the curvature, so that it can be inverted
+
+
+@compiled
+def gain_beside_one(matrices: Numbers, values: F32, position: F64, pieces: Numbers, units: Numbers, found: F64) -> None:
+    """Power that one more scatterer explains beside the single one, at the best node of the grid and along its slope.
+
+    With the unit response u of the single one and u_j of node j, what the node adds is the power along the part of
+    u_j perpendicular to u. A surface that is spread over elevation adds power along the slope u'.
+
+    Args:
+        matrices: R, (pixels, M, M).
+        values: u_j^H R u_j, (pixels, nodes).
+        position: of the single scatterer, (pixels,).
+        pieces: of the table of unit responses, (table nodes - 1, 4, M).
+        units: u_j, (M, nodes).
+        found: to fill with the gain at the best node, and with that along the slope, (2, pixels).
+    """
+    size, nodes = units.shape
+    unit, slope, output = np.empty(size, units.dtype), np.empty(size, units.dtype), np.empty(size, units.dtype)
+    overlap, cross = np.empty(nodes, units.dtype), np.empty(nodes, units.dtype)
+    for i in range(len(position)):
+        matrix, line = matrices[i], values[i]
+        unit_at(position[i], pieces, unit, slope)
+        multiply(matrix, unit, output)
+        own = inner(unit, output).real
+        overlap[:] = 0
+        cross[:] = 0
+        for m in range(size):
+            row, u, y = units[m], unit[m], output[m]
+            for j in range(nodes):
+                overlap[j] += np.conj(row[j]) * u
+                cross[j] += np.conj(row[j]) * y
+        best = np.float32(0)
+        for j in range(nodes):
+            shared = (overlap[j] * np.conj(overlap[j])).real
+            beyond = line[j] - 2 * (np.conj(overlap[j]) * cross[j]).real + shared * own
+            apart = max(1 - shared, np.float32(LEAST_RESIDUE))
+            best = max(best, beyond / apart if 1 - shared > LEAST_RESIDUE else np.float32(0))
+        found[0, i] = best
+        multiply(matrix, slope, output)
+        norm = inner(slope, slope).real
+        found[1, i] = inner(slope, output).real / norm if norm > 0 else 0.0
+
+
+@compiled
+def search_beside(
+    matrices: Numbers, values: F32, start: F64, least: F64, table: tuple[Numbers, Numbers], found: tuple[F64, F64, F64]
+) -> None:
+    """The scatterers that together explain most: one more than given, where that is worth a climb.
+
+    The climb starts twice: from the given ones and the node of the grid that explains most beside them, and from the
+    nodes that alternating projection finds from there (Ziskind and Wax, IEEE Trans. Acoustics, Speech and Signal
+    Processing 36, 1988). The former suits a weak scatterer beside a strong one, the latter two of the same power.
+
+    Args:
+        matrices: R, (pixels, M, M), double precision.
+        values: u_j^H R u_j, (pixels, nodes).
+        start: positions of one scatterer less, (pixels, S - 1).
+        least: power that the best node must explain beside them to be worth a climb, (pixels,).
+        table: unit responses at the nodes of the grid, (nodes, M), and the pieces of their table.
+        found: to fill with the positions, (pixels, S), with the power that they explain, 0 without a climb, and with
+            that of the best node beside the given ones, (pixels,).
+    """
+    (units, pieces), (positions, explained, gains) = table, found
+    count = positions.shape[1]
+    other = np.empty(count)
+    for i in range(len(matrices)):
+        matrix, own, place = matrices[i], values[i], positions[i]
+        place[: count - 1] = start[i]
+        node, gain = best_node(matrix, own, units, pieces, place[: count - 1])
+        place[count - 1], explained[i], gains[i] = TABLE_STEPS * node, 0.0, gain
+        if gain < least[i]:
+            continue
+        other[:] = place
+        explained[i] = climb_together(matrix, place, pieces)
+        if alternate(matrix, own, units, pieces, other):
+            height = climb_together(matrix, other, pieces)
+            if height > explained[i]:
+                place[:] = other
+                explained[i] = height
+
+
+@compiled
+def alternate(matrix: Numbers, own: F32, units: Numbers, pieces: Numbers, place: F64) -> bool:
+    """Move each scatterer in turn to the node that explains most beside the others; returns whether one has moved."""
+    count, moved = place.size, False
+    others = np.empty(count - 1)
+    for turn in range(SWEEPS * count):
+        changed = turn % count
+        row = 0
+        for s in range(count):
+            if s != changed:
+                others[row] = place[s]
+                row += 1
+        best = float(TABLE_STEPS * best_node(matrix, own, units, pieces, others)[0])
+        moved = moved or abs(best - place[changed]) > TABLE_STEPS
+        place[changed] = best
+    return moved
+
+
+@compiled
+def best_node(matrix: Numbers, own: F32, units: Numbers, pieces: Numbers, place: F64) -> tuple[int, float]:
+    """The node of the grid that explains most beside scatterers at `place`, and how much; `own` is u_j^H R u_j."""
+    count, size, kind = place.size, units.shape[1], matrix.dtype
+    basis, outputs, unused = np.empty((count, size), kind), np.empty((count, size), kind), np.empty(size, kind)
+    factor, inside = np.zeros((count, count), kind), np.empty((count, count), kind)
+    for s in range(count):
+        unit_at(place[s], pieces, outputs[s], unused)
+    orthonormalise(outputs, basis, factor)
+    for s in range(count):
+        multiply(matrix, basis[s], outputs[s])
+    for s in range(count):
+        for r in range(count):
+            inside[s, r] = inner(basis[s], outputs[r])
+    overlap = np.empty(count, kind)
+    best, at = -1.0, 0
+    for j in range(len(units)):
+        beyond, residue = float(own[j]), 1.0
+        for s in range(count):
+            overlap[s] = inner(basis[s], units[j])
+            residue -= (overlap[s] * np.conj(overlap[s])).real
+            beyond -= 2 * (np.conj(inner(outputs[s], units[j])) * overlap[s]).real
+        for s in range(count):
+            for r in range(count):
+                beyond += (np.conj(overlap[s]) * inside[s, r] * overlap[r]).real
+        if residue > LEAST_RESIDUE and beyond / residue > best:
+            best, at = beyond / residue, j
+    return at, best
+
+
+@compiled
+def climb_together(matrix: Numbers, place: F64, pieces: Numbers) -> float:
+    """Climb from positions to the peak of the explained power f = tr(P R) near them; returns its height.
+
+    Gauss-Newton steps with the expected curvature for these amplitudes. A step after which f is not higher is undone,
+    and the next is a quarter of it at most.
+    """
+    count, last = place.size, float(len(pieces))
+    trial, step, next_step = place.copy(), np.zeros(count), np.zeros(count)
+    height, reach = newton_step(matrix, place, pieces, step), REACH
+    for _ in range(NEWTON_STEPS):
+        longest = 0.0
+        for s in range(count):
+            step[s] = min(max(step[s], -reach), reach)
+            longest = max(longest, abs(step[s]))
+            trial[s] = min(max(place[s] + step[s], 0.0), last)
+        if longest < SETTLED:
+            break
+        trial_height = newton_step(matrix, trial, pieces, next_step) if are_apart(trial) else -1.0
+        if trial_height > height:
+            place[:] = trial
+            step[:] = next_step
+            height = trial_height
+        else:
+            reach = longest / 4
+    return height
+
+
+@compiled
+def are_apart(place: F64) -> bool:
+    for s in range(place.size):
+        for r in range(s):
+            if abs(place[s] - place[r]) < LEAST_SEPARATION:
+                return False
+    return True
+
+
+@compiled
+def newton_step(matrix: Numbers, place: F64, pieces: Numbers, step: F64) -> float:
+    """Explained power of scatterers at `place`, and the Gauss-Newton step from there, (S,).
+
+    With the unit responses A = Q T (orthonormal Q, triangular T), f = tr(Q^H R Q), the fitted amplitudes have the sums
+    of products T^-1 Q^H R Q T^-H, and the gradient is twice the real diagonal of T^-1 Q^H R (I - Q Q^H) A'.
+    """
+    count, size = place.size, matrix.shape[0]
+    kind = matrix.dtype
+    units, slopes, basis = np.empty((count, size), kind), np.empty((count, size), kind), np.empty((count, size), kind)
+    fitted, amplitudes = np.zeros((count, size), kind), np.zeros((count, count), kind)
+    factor = np.zeros((count, count), kind)
+    for s in range(count):
+        unit_at(place[s], pieces, units[s], slopes[s])
+    orthonormalise(units, basis, factor)
+    height = fit_amplitudes(matrix, basis, factor, fitted, amplitudes)
+    for s in range(count):
+        for r in range(count):
+            slopes[s] -= inner(basis[r], slopes[s]) * basis[r]
+    curvature, gradient = np.zeros((count, count)), np.zeros(count)
+    for s in range(count):
+        gradient[s] = inner(fitted[s], slopes[s]).real
+        for r in range(count):
+            curvature[s, r] = (inner(slopes[s], slopes[r]) * amplitudes[r, s]).real
+    ridge = RIDGE * np.trace(curvature)
+    for s in range(count):
+        curvature[s, s] += ridge
+    solve(curvature, gradient, step)
+    return height
+
+
+@compiled
+def fit_amplitudes(matrix: Numbers, basis: Numbers, factor: Numbers, fitted: Numbers, amplitudes: Numbers) -> float:
+    """Rows of A^+ R, conjugated, and A^+ R A^+H, both into zeros, for A = `basis` @ `factor`; returns tr(Q^H R Q)."""
+    count, size = basis.shape
+    inverse, output = np.zeros((count, count), matrix.dtype), np.empty(size, matrix.dtype)
+    invert_triangular(factor, inverse)
+    height = 0.0
+    for r in range(count):
+        multiply(matrix, basis[r], output)
+        height += inner(basis[r], output).real
+        for s in range(r + 1):
+            fitted[s] += np.conj(inverse[s, r]) * output
+    for s in range(count):
+        for r in range(count):
+            for q in range(r, count):
+                amplitudes[s, r] += inner(fitted[s], basis[q]) * np.conj(inverse[r, q])
+    return height
+
+
+@compiled
+def solve(matrix: F64, right: F64, solution: F64) -> None:
+    """Solve matrix @ solution = right by elimination without exchange, for a positive matrix of a few rows."""
+    count = right.size
+    for s in range(count):
+        for r in range(s + 1, count):
+            share = matrix[r, s] / matrix[s, s]
+            for c in range(s, count):
+                matrix[r, c] -= share * matrix[s, c]
+            right[r] -= share * right[s]
+    for s in range(count - 1, -1, -1):
+        solution[s] = right[s]
+        for c in range(s + 1, count):
+            solution[s] -= matrix[s, c] * solution[c]
+        solution[s] /= matrix[s, s]
+
+
+@compiled
+def orthonormalise(vectors: Numbers, basis: Numbers, factor: Numbers) -> None:
+    """Orthonormal `basis` (S, M) and upper triangular `factor` (S, S) with vectors[s] = sum_r factor[r, s] basis[r]."""
+    for s in range(len(vectors)):
+        basis[s] = vectors[s]
+        for r in range(s):
+            factor[r, s] = inner(basis[r], basis[s])
+            basis[s] -= factor[r, s] * basis[r]
+        norm = np.sqrt(inner(basis[s], basis[s]).real)
+        factor[s, s] = norm
+        basis[s] /= norm
+
+
+@compiled
+def invert_triangular(factor: Numbers, inverse: Numbers) -> None:
+    """The inverse of an upper triangular matrix, into zeros."""
+    for c in range(len(factor)):
+        inverse[c, c] = 1 / factor[c, c]
+        for s in range(c - 1, -1, -1):
+            for r in range(s + 1, c + 1):
+                inverse[s, c] -= factor[s, r] * inverse[r, c] / factor[s, s]
+
+
+@compiled
+def unit_at(place: float, pieces: Numbers, unit: Numbers, slope: Numbers) -> None:
+    """Unit response and its slope at a position, from the cubics of the table."""
+    node = min(int(place), len(pieces) - 1)
+    piece, t = pieces[node], np.float32(place - node)
+    for m in range(unit.size):
+        unit[m] = piece[0, m] + t * (piece[1, m] + t * (piece[2, m] + t * piece[3, m]))
+        slope[m] = piece[1, m] + t * (2 * piece[2, m] + 3 * t * piece[3, m])
+
+
+@compiled
+def multiply(matrix: Numbers, vector: Numbers, product: Numbers) -> None:
+    for m in range(vector.size):
+        total = matrix[m, 0] * vector[0]
+        for n in range(1, vector.size):
+            total += matrix[m, n] * vector[n]
+        product[m] = total
+
+
+@compiled
+def inner(left: Numbers, right: Numbers) -> Any:
+    """The product left^H right."""
+    total = np.conj(left[0]) * right[0]
+    for m in range(1, left.size):
+        total += np.conj(left[m]) * right[m]
+    return total

@@ -1,0 +1,158 @@
+"""How many scatterers a pixel holds: none, one, two, three, or one extended surface; by tests and by probability.
+
+Every further scatterer, and the spread of one, is accepted by a likelihood-ratio test in its own direction, at a stated
+rate of false alarms; and what an accepted model leaves must be noise. The probability of each model follows from
+Bayes' rule, by Laplace's approximation (MacKay, Neural Computation 4, 1992): with the maximum l of the log-likelihood
+over the parameters x, their Fisher information F and prior density p(x),
+
+    ln P(model | looks) = ln P(model) + l + ln p(x) + n/2 ln 2 pi - 1/2 ln det F + const
+
+The last three terms are the Occam factor: the share of the prior that the looks have left.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import elementwise
+from scipy.special import gammaincc, gammaln, logsumexp
+
+from sal_height.beams import Beams
+from sal_height.elevation._kernels import GRID_STEP
+from sal_height.elevation.bounds import Numbers, information
+from sal_height.elevation.extended import GREATEST_SPREAD, LEAST_SPREAD, ExtendedSurface, free_looks
+from sal_height.elevation.several import LEAST_POWER, SeveralScatterers, adjoint, fit_powers
+from sal_height.numeric import F64
+
+NONE, ONE, TWO, THREE, SPREAD = range(5)
+"""The models: none, one, two, three scatterers, or one that is spread; as in `ElevationEstimate.order_probability`."""
+
+PRIOR = np.array([0.05, 0.7, 0.1, 0.05, 0.1])
+"""Probability of each model before the looks are seen."""
+
+CNR_RANGE = math.log(10 ** (40 / 10) / 10 ** (0 / 10))
+"""Range of the logarithm of each scatterer's CNR, within which it is uniform: 0 to 40 dB."""
+
+SPREADS = np.linspace(LEAST_SPREAD, GREATEST_SPREAD, 6)
+"""Standard deviations of elevation of extended surfaces, beamwidths, that are equally probable."""
+
+
+def log_evidence_of_one(explained: F64, looks: F64, turning: F64, domain: float) -> F64:
+    """Log-evidence of one scatterer against none, or of one more, from the power that it explains; any shape.
+
+    Args:
+        explained: sum over looks, noise powers.
+        looks: K.
+        turning: how fast the direction of its response turns, D / |a|^2 in 1/rad^2.
+        domain: range of its elevation, rad.
+    """
+    power = np.maximum(explained / looks - 1, LEAST_POWER)
+    likelihood = explained * power / (1 + power) - looks * np.log1p(power)
+    place = _log_volume(2 * looks * power**2 / (1 + power) * turning, domain)
+    return likelihood + place + _log_volume(looks * (power / (1 + power)) ** 2, CNR_RANGE)
+
+
+def log_evidence_of_several(several: SeveralScatterers, covariance: Numbers, domain: float) -> F64:
+    """Log-evidence of S scatterers against none, (pixels,).
+
+    Args:
+        several: their fit.
+        covariance: R in noise powers, (pixels, M, M).
+        domain: range of their elevations, rad.
+    """
+    count = several.elevation.shape[1]
+    seen = adjoint(several.units) @ covariance @ several.units
+    fit = fit_powers(several.gram, seen, several.looks, several.power * several.array_power, np.eye(count))
+    # Information on the elevations if the amplitudes are independent and have these powers.
+    signal = fit.power[:, :, None] * np.eye(count)
+    known = signal @ np.linalg.inv(signal + np.linalg.inv(several.gram)) @ signal
+    turning = (adjoint(several.beyond) @ several.beyond * np.swapaxes(known, 1, 2)).real
+    places = _log_volume_of(2 * several.looks[:, None, None] * turning, domain)
+    return fit.log_likelihood + places + _log_volume_of(fit.information, CNR_RANGE) + math.lgamma(count + 1)
+
+
+def log_evidence_of_extended(surface: ExtendedSurface, domain: float, beamwidth: float) -> F64:
+    """Log-evidence of an extended surface against none, (pixels,); the angles are in rad."""
+    power = surface.fit.power[:, 0]
+    unit = power * surface.turning * beamwidth**2
+    own = _gain_of_spread(surface.along_slope, surface.looks, unit * (surface.modelled / beamwidth) ** 2)
+    over_prior = _mean_over_spreads(surface.along_slope, surface.looks, unit) - own
+    place = _log_volume(1 / surface.sigma**2, domain)
+    return surface.fit.log_likelihood + over_prior + place + _log_volume_of(surface.fit.information, CNR_RANGE)
+
+
+def log_evidence_of_spread(along_slope: F64, explained: F64, looks: F64, turning: F64, beamwidth: float) -> F64:
+    """Log-evidence of an extended surface against a single point, without a fit of the former; any shape.
+
+    Args:
+        along_slope: power along the slope of the response, sum over looks, noise powers.
+        explained: power that the point explains.
+        looks: K.
+        turning: D / |a|^2 in 1/rad^2.
+        beamwidth: rad.
+    """
+    power = np.maximum(explained / looks - 1, LEAST_POWER)
+    return _mean_over_spreads(along_slope, looks, power * turning * beamwidth**2)
+
+
+def _gain_of_spread(along_slope: F64, looks: F64, excess: F64) -> F64:
+    """Gain in log-likelihood from a power along the slope that is `excess` times that of the noise."""
+    return along_slope * excess / (1 + excess) - free_looks(looks) * np.log1p(excess)
+
+
+def _mean_over_spreads(along_slope: F64, looks: F64, unit: F64) -> F64:
+    """Log of the mean gain in likelihood over the prior; a spread of a beamwidth has the excess `unit`."""
+    gains = [_gain_of_spread(along_slope, looks, unit * spread**2) for spread in SPREADS]
+    return np.asarray(logsumexp(gains, axis=0) - math.log(len(SPREADS)))
+
+
+def probabilities(log_evidence: F64) -> F64:
+    """Posterior probability of each model from log-evidences against noise, (..., 5)."""
+    logarithm = log_evidence + np.log(PRIOR)
+    share = np.exp(logarithm - logarithm.max(axis=-1, keepdims=True))
+    return share / share.sum(axis=-1, keepdims=True)
+
+
+def _log_volume(information: F64, prior_range: float) -> F64:
+    """Logarithm of the share of a uniform prior that looks with this information leave; 0 at most, about."""
+    return 0.5 * np.log(2 * np.pi / (information * prior_range**2 + 2 * np.pi))
+
+
+def _log_volume_of(information: F64, prior_range: float) -> F64:
+    """The same for several parameters of the same prior, (pixels, n, n)."""
+    scaled = information * (prior_range**2 / (2 * np.pi)) + np.eye(information.shape[1])
+    return -0.5 * np.linalg.slogdet(scaled)[1]
+
+
+def path_length(beams: Beams, squint: float) -> float:
+    """Length of the path of u = a / |a| over the boresights, at one squint (rad)."""
+    nodes = np.linspace(*beams.span, math.ceil(np.ptp(beams.span) / (GRID_STEP * beams.beamwidth)) + 1)
+    turning = np.sqrt(information(beams, nodes, squint) / beams.power(nodes, squint))
+    return float(np.trapezoid(turning, nodes))
+
+
+def detection_threshold(length: float, looks: npt.ArrayLike, false_alarm: npt.ArrayLike) -> F64:
+    """Gain in explained power, in noise powers, that one more scatterer seems to bring with the rate `false_alarm`.
+
+    If there is none, the gain in a known direction is noise with a gamma distribution of order K. Its greatest value
+    over direction exceeds a level x no more often than it starts above x or crosses x upwards (Rice; Davies,
+    Biometrika 64, 1977):
+
+        P(max > x) <= Q(x) + L sqrt(x / pi) p(x)
+
+    Q and p are the distribution's upper tail and density.
+
+    Args:
+        length: L, `path_length`; 0 for a known direction.
+        looks: K; broadcasts with `false_alarm`.
+        false_alarm: wanted probability.
+    """
+
+    def excess(level: F64, looks: F64, false_alarm: F64) -> F64:
+        density = np.exp((looks - 1) * np.log(level) - level - gammaln(looks))
+        return gammaincc(looks, level) + length * np.sqrt(level / np.pi) * density - false_alarm
+
+    looks, false_alarm = np.broadcast_arrays(np.asarray(looks, np.float64), false_alarm)
+    return np.asarray(elementwise.find_root(excess, (looks, 10 * looks + 1000), args=(looks, false_alarm)).x)

@@ -1,0 +1,184 @@
+"""Several scatterers in one pixel: layover, at the same range and Doppler frequency but at different elevations.
+
+Look k holds sum_s A_sk u(t_s) plus noise of variance 1, u = a / |a| the unit response. With R = sum_k g_k g_k^H,
+profiling out the complex amplitudes leaves the conditional likelihood of S elevations (Ziskind and Wax, IEEE Trans.
+Acoustics, Speech and Signal Processing 36, 1988)
+
+    f(t_1 ... t_S) = tr(P R),    P = U (U^H U)^-1 U^H,    U = [u(t_1) ... u(t_S)]
+
+What the best S explain beyond the best S - 1 is the likelihood ratio of S against S - 1. If the amplitudes are
+Gaussian and independent of each other, with the mean powers p_s, the likelihood is that of the covariance
+U diag(p) U^H + I.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from sal_height.elevation._several_kernels import search_beside
+from sal_height.elevation.bounds import Numbers
+from sal_height.elevation.search import PeakSearch
+from sal_height.numeric import F32, F64
+
+SCORING_STEPS = 4  # of the powers; the first start from moments and are right to first order in the noise
+GREATEST_STEP = 1.0  # of the logarithm of a power
+LEAST_POWER = 2.0  # of a scatterer in the whole array, noise powers: weaker ones are never told from noise
+
+
+@dataclass(frozen=True, eq=False)
+class SeveralScatterers:
+    """The S scatterers that explain most of each of some pixels; arrays of shape (pixels, ...).
+
+    Attributes:
+        elevation: rad from nadir, (pixels, S).
+        explained: power f, sum over looks, in noise powers, (pixels,).
+        array_power: |a|^2 at the elevations, (pixels, S).
+        units: U, (pixels, M, S).
+        beyond: part of dU/dt perpendicular to all u, 1/rad, (pixels, M, S).
+        fitted: (U^H U)^-1 U^H R U (U^H U)^-1, sums over looks of products of the fitted amplitudes, (pixels, S, S).
+        gram: U^H U, (pixels, S, S).
+        looks: K, (pixels,).
+    """
+
+    elevation: F64
+    explained: F64
+    array_power: F64
+    units: Numbers
+    beyond: Numbers
+    fitted: Numbers
+    gram: Numbers
+    looks: F64
+
+    @classmethod
+    def at(cls, search: PeakSearch, covariance: Numbers, looks: F64, elevation: F64) -> Self:
+        """Fit scatterers at known elevations (rad, (pixels, S)); the other arguments are those of `search_several`."""
+        rows, row_slopes, array_power = search.responses_at(elevation)
+        units, slopes = (np.swapaxes(part, 1, 2) for part in (rows, row_slopes))
+        gram = adjoint(units) @ units
+        inverse = np.linalg.inv(gram) @ adjoint(units)
+        outputs = inverse @ covariance
+        explained = np.einsum("pim,pmi->p", outputs, units).real
+        beyond = slopes - units @ (inverse @ slopes)
+        return cls(elevation, explained, array_power, units, beyond, outputs @ adjoint(inverse), gram, looks)
+
+    @property
+    def power(self) -> F64:
+        """Carrier-to-noise power ratio of one look in a detector that looks straight at each, (pixels, S)."""
+        signal = self.fitted / self.looks[:, None, None] - np.linalg.inv(self.gram)
+        return np.diagonal(signal, axis1=1, axis2=2).real / self.array_power
+
+    @property
+    def sigma(self) -> F64:
+        """Cramer-Rao bound of each elevation, rad, (pixels, S); infinite where the looks do not determine them.
+
+        With D = dU/dt and the covariance Z of the amplitudes (Stoica and Nehorai, IEEE Trans. Acoustics, Speech and
+        Signal Processing 38, 1990), * element by element:
+
+            F = 2 K Re{(D^H (I - P) D) * known^T},    known = Z (Z + (U^H U)^-1)^-1 Z
+
+        `known` is Z - (U^H U)^-1 to first order in the noise.
+        """
+        return deviations(self.information())
+
+    def deviation_by_beams(self, uncertainty: float) -> F64:
+        """Standard deviation of each elevation because of uncertain beams, rad, (pixels, S).
+
+        As `beam_error.beam_deviation`, with the errors of all scatterers together beside the power of each.
+        """
+        own = np.maximum(self.power, 1e-300)
+        slopes = np.sum(np.abs(self.beyond) ** 2, axis=1) * self.array_power
+        return uncertainty * np.sqrt(np.maximum(own.sum(axis=1, keepdims=True) / own, 1.0) / (2 * slopes))
+
+    def information(self) -> F64:
+        """Fisher information F of the elevations, 1/rad^2, (pixels, S, S)."""
+        known = self.fitted - 2 * self.looks[:, None, None] * np.linalg.inv(self.gram)
+        return 2 * (adjoint(self.beyond) @ self.beyond * np.swapaxes(known, 1, 2)).real
+
+
+def search_several(
+    search: PeakSearch, covariance: Numbers, values: F32, start: F64, least: F64
+) -> tuple[F64, F64, F64]:
+    """Find one scatterer more than `start` in some pixels.
+
+    Args:
+        search: of the normalised objective, at the squint of the pixels.
+        covariance: R in noise powers, double precision, (pixels, M, M).
+        values: of the objective `on_grid`.
+        start: elevations of the best S - 1 scatterers, rad, (pixels, S - 1).
+        least: power that one more must explain at a node of the grid, (pixels,). Where it does not, the result has that
+            node, and explains nothing.
+
+    Returns:
+        Elevations, rad, (pixels, S); the power that they explain; and that of the best node beside `start`, (pixels,).
+    """
+    found, (explained, gain) = np.empty((len(start), start.shape[1] + 1)), np.empty((2, len(start)))
+    table = search.unit_nodes.astype(covariance.dtype), search.unit_pieces
+    search_beside(covariance, values, (start - search.first) / search.step, least, table, (found, explained, gain))
+    return search.first + search.step * np.sort(found, axis=1), explained, gain
+
+
+def deviations(information: F64) -> F64:
+    """Standard deviations (pixels, S) for `information` (pixels, S, S); infinite where that is not positive."""
+    positive = np.linalg.eigvalsh(information)[:, 0] > 0
+    safe = np.where(positive[:, None, None], information, np.eye(information.shape[1]))
+    variance = np.diagonal(np.linalg.inv(safe), axis1=1, axis2=2)
+    return np.where(positive[:, None], np.sqrt(np.maximum(variance, 0)), np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianFit:
+    """Likelihood of Gaussian amplitudes at its maximum over their powers; arrays of shape (pixels, ...).
+
+    Attributes:
+        log_likelihood: ratio to that of noise alone, (pixels,).
+        information: Fisher information of the logarithms of the unknown powers, (pixels, powers, powers).
+        power: of each unknown, noise powers, (pixels, powers).
+    """
+
+    log_likelihood: F64
+    information: F64
+    power: F64
+
+
+def fit_powers(gram: Numbers, seen: Numbers, looks: F64, start: F64, tie: F64) -> GaussianFit:
+    """Maximise over the powers p the likelihood of pixels with the covariance U diag(p) U^H + I, by Fisher's scoring.
+
+        l = tr(N B U^H R U B) - K ln det(I + X),    B = diag(p)^(1/2),    X = B U^H U B,    N = (I + X)^-1
+
+    The gradient over ln p_s is (N B U^H R U B N - K X N)_ss, the Fisher information K |(X N)_st|^2.
+
+    Args:
+        gram: U^H U, (pixels, S, S).
+        seen: U^H R U, (pixels, S, S).
+        looks: K, (pixels,).
+        start: powers to start from, (pixels, powers).
+        tie: p = start-like powers @ tie, shape (powers, S): the identity if each scatterer has a power of its own, one
+            row of shares if they have one in common.
+    """
+    logarithm, count = np.log(np.maximum(start, LEAST_POWER)), looks[:, None, None]
+    owner = (tie > 0).astype(np.float64)
+    identity = np.eye(gram.shape[1])
+    for step in range(SCORING_STEPS + 1):
+        root = np.sqrt(np.exp(logarithm) @ tie)
+        both = root[:, :, None] * root[:, None]
+        inner, signal = gram * both, seen * both
+        noise = np.linalg.inv(identity + inner)
+        shared = inner @ noise
+        information = owner @ (count * np.abs(shared) ** 2) @ owner.T
+        if step == SCORING_STEPS:
+            break
+        gradient = np.diagonal(noise @ signal @ noise - count * shared, axis1=1, axis2=2).real @ owner.T
+        ridge = 1e-6 * looks[:, None, None] * np.eye(len(tie))
+        move = np.linalg.solve(information + ridge, gradient[..., None])[..., 0]
+        logarithm = np.maximum(logarithm + np.clip(move, -GREATEST_STEP, GREATEST_STEP), np.log(LEAST_POWER))
+    explained = np.einsum("pij,pji->p", noise, signal).real
+    likelihood = explained - looks * np.linalg.slogdet(identity + inner)[1]
+    return GaussianFit(likelihood, information, np.exp(logarithm))
+
+
+def adjoint(matrix: Numbers) -> Numbers:
+    """The conjugate transpose of the last two axes."""
+    return np.swapaxes(matrix.conj(), -1, -2)

@@ -104,7 +104,8 @@ class Beams:
                 f"The pupil has aberrations, and beam patterns {', '.join(sorted(names))}; only those of circular "
                 'apertures, "jinc", can have them.'
             )
-        return self.patterned(tuple(aberrated_pattern(tuple(coefficients), one.size) for one in self.patterns))
+        bent = (aberrated_pattern(tuple(coefficients), one.size).scaled(one.gain) for one in self.patterns)
+        return self.patterned(tuple(bent))
 
     def patterned(self, patterns: tuple[Pattern, ...]) -> Self:
         """Return beams of other patterns, one for each detector or one for all, on the same axis."""

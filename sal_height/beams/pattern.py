@@ -44,6 +44,7 @@ class Pattern:
         main_lobe: half-width of the main lobe in azimuth, from boresight to the first null, beamwidths.
         domain: least and greatest e at which the pattern is known, beamwidths.
         size: widths of the detector along its axis and beside it, beamwidths; 0: a point.
+        gain: constant that the pattern has been multiplied by, real or complex.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Pattern:
     main_lobe: float
     domain: tuple[float, float] = (-np.inf, np.inf)
     size: tuple[float, float] = (0.0, 0.0)
+    gain: float = 1.0
 
     def scaled(self, gain: float) -> Self:
         """Return the pattern times a constant, real or complex."""
@@ -62,6 +64,7 @@ class Pattern:
             amplitude=lambda e, a: gain * amplitude(e, a),
             slope=lambda e, a: gain * slope(e, a),
             azimuth_slope=lambda e, a: gain * azimuth_slope(e, a),
+            gain=gain * self.gain,
         )
 
 

@@ -148,8 +148,10 @@ def _sum_over_scene(values: F64, looks: Looks, beams: Beams, settings: Calibrati
     gains = np.exp(values[terms + 1 :][:channels] + 1j * values[terms + 1 + channels :])
     wide = beams.widened(float(np.exp(values[terms])))
     seen = wide.aberrated(coefficients).scaled(gains)
-    derivatives = zip(*(aberrated_derivatives(coefficients, one.size) for one in beams.patterns), strict=True)
-    bends = [wide.patterned(patterns).scaled(gains) for patterns in derivatives]
+    derivatives = [
+        [term.scaled(one.gain) for term in aberrated_derivatives(coefficients, one.size)] for one in beams.patterns
+    ]
+    bends = [wide.patterned(patterns).scaled(gains) for patterns in zip(*derivatives, strict=True)]
     searches = PeakSearches.over(seen, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
     of_blocks: dict[tuple[int, int], _Sums] = {}
 

@@ -89,3 +89,11 @@ def test_what_cannot_have_aberrations_is_refused() -> None:
     beams = make_beams("jinc", 4)
     assert beams.aberrated(()) is beams.aberrated((0.0,) * 6) is beams
     assert beams.patterns[0] is pattern_named("jinc")
+
+
+def test_gains_of_channels_stay() -> None:
+    gains, terms = np.array([0.5, 1.0, 2.0, 3.0j]), only("coma", 0.05)
+    beams = make_beams("jinc", 4)
+    places = np.linspace(*beams.span, 5)
+    expected = beams.aberrated(terms).response(places, 0.0) * gains
+    np.testing.assert_allclose(beams.scaled(gains).aberrated(terms).response(places, 0.0), expected)

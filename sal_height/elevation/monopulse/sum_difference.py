@@ -15,9 +15,10 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
+from typing import Self
 
 import numpy as np
-from pydantic import field_validator
+from pydantic import field_validator, model_validator
 
 from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate, Fit, Validity, decide_validity, detection_limit
@@ -33,6 +34,7 @@ from sal_height.elevation.monopulse.estimators import (
 from sal_height.elevation.monopulse.inversion import INVERSES, Reason
 from sal_height.elevation.monopulse.slope_table import SlopeTable, read_slope_table
 from sal_height.elevation.settings import HeightSettings
+from sal_height.errors import UserError
 from sal_height.numeric import F64
 from sal_height.settings import setting
 
@@ -65,6 +67,16 @@ class SumDifferenceSettings(HeightSettings):
         if path:
             _slope_table(path)
         return path
+
+
+    @model_validator(mode="after")
+    def _check_looks(self) -> Self:
+        if self.range_looks * self.azimuth_looks == 1:
+            raise UserError(
+                "Parameters range_looks and azimuth_looks are both 1; sum and difference need 2 looks or more, as any "
+                "single look of theirs fits one scatterer."
+            )
+        return self
 
 
 @lru_cache(maxsize=8)

@@ -375,6 +375,13 @@ def test_pixels_without_elevation_say_why(name: str) -> None:
     assert np.all(np.isinf(found[3].sigma))
 
 
+def test_a_single_look_is_refused_as_it_fits_one_scatterer_whatever_it_is() -> None:
+    with pytest.raises(UserError) as caught:
+        SumDifferenceSettings(range_looks=1, azimuth_looks=1)
+    assert_one_sentence(str(caught.value), "range_looks", "azimuth_looks", "2 looks or more")
+    assert SumDifferenceSettings(range_looks=1, azimuth_looks=2).azimuth_looks == 2
+
+
 def test_one_scatterer_is_seldom_taken_for_two() -> None:
     pair = make_beams("jinc", 2)
     for looks, cnr in ((4, 1e4), (16, 30.0), (64, 10.0), (4, 5.0)):

@@ -64,18 +64,20 @@ def foreign_power(power: F64, down: LookWeights, across: LookWeights, count: F64
     signal = np.maximum(power, 0.0)
     near, sidelobes = CellResponse(down.response, across.response).spread(signal)
     of_neighbours = mean(near, down.matrix, across.matrix) - mean(signal, down.own_shares(), across.own_shares())
-    edge = is_edge_of_shadow(mean(power, down.matrix, across.matrix) + noise, count, (down.apart, across.apart))
+    edge = is_edge_of_shadow(mean(power, down.matrix, across.matrix), count, noise, (down.apart, across.apart))
     return mean(sidelobes, down.matrix, across.matrix) + np.where(edge, np.maximum(of_neighbours, 0.0), 0.0)
 
 
-def is_edge_of_shadow(power: F64, count: F64, apart: tuple[int, int]) -> Bool:
-    """Pixels that have a dark and a bright neighbour, farther apart than speckle of equal means; shape of `power`.
+def is_edge_of_shadow(power: F64, count: F64, noise: F64, apart: tuple[int, int]) -> Bool:
+    """Pixels that have a dark and a bright neighbour, farther apart than speckle and noise; shape of `power`.
 
-    The ratio of the powers of two pixels of K looks of speckle has the F distribution of 2 K and 2 K degrees.
+    The ratio of the powers of two pixels of K looks of speckle has the F distribution of 2 K and 2 K degrees. Of noise
+    one standard deviation counts on either side.
 
     Args:
         power: of pixels, shape (rows, cols).
         count: effective number of looks, same shape.
+        noise: standard deviation of the noise's power, same shape.
         apart: rows and columns from a pixel to its neighbours.
     """
     (rows, cols), (high, wide) = power.shape, apart
@@ -83,4 +85,4 @@ def is_edge_of_shadow(power: F64, count: F64, apart: tuple[int, int]) -> Bool:
     corners = ((0, wide), (2 * high, wide), (high, 0), (high, 2 * wide))
     beside = np.stack([around[row : row + rows, col : col + cols] for row, col in corners])
     contrast = fdtri(2 * count, 2 * count, 1 - SPECKLE_RATE)
-    return np.asarray(beside.max(axis=0) > contrast * beside.min(axis=0))
+    return np.asarray(beside.max(axis=0) - noise > contrast * (beside.min(axis=0) + noise))

@@ -101,7 +101,7 @@ def focusing(sensor: Sensor, antenna: F64) -> dict[str, dict[str, Any]]:
     spacing = min(WIDEST_SPACING, resolution)
     pixels = min(2 * round(SCENE / 2 / spacing) + 1, MOST_PIXELS)
     image = {"image_plane": "ground", "rows": pixels, "cols": pixels, "ground_spacing_m": spacing}
-    return {"sar_compression": image | {"range_window": "rectangular"}}
+    return {"sar_compression": image | {"range_window": "rectangular", "azimuth_window": "rectangular"}}
 
 
 def _common_polarisation(files: list[Path]) -> str:

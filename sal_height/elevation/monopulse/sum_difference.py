@@ -68,7 +68,6 @@ class SumDifferenceSettings(HeightSettings):
             _slope_table(path)
         return path
 
-
     @model_validator(mode="after")
     def _check_looks(self) -> Self:
         if self.range_looks * self.azimuth_looks == 1:

@@ -284,10 +284,12 @@ def _taken(
     several, spread = levels.several[here], levels.spread[here]
     gains = np.diff(models.explained[ONE : THREE + 1], axis=0)
     is_spread = peaks.along_slope[here] > spread
-    # Weaker ones than misfit_share of what the others explain may be sidelobes, and need not be scatterers.
-    least = several + settings.misfit_share * models.explained[ONE:THREE]
-    is_two = gains[0] > least[0]
-    is_three = is_two & (gains[1] > least[1])
+    # Those with less than misfit_share of the strongest one's power may be its sidelobes in range and azimuth.
+    equal = [
+        models.cnr[n, :, :n].min(axis=1) > settings.misfit_share * models.cnr[n, :, :n].max(axis=1) for n in (2, 3)
+    ]
+    is_two = (gains[0] > several) & equal[0]
+    is_three = is_two & (gains[1] > several) & equal[1]
     holds = np.zeros(models.evidence.shape, np.bool_)
     holds[ONE], holds[TWO], holds[THREE], holds[SPREAD] = ~is_two & ~is_spread, is_two & ~is_three, is_three, is_spread
     # Scatterers close to each other belong to one surface, and those far apart do not.

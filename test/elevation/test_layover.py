@@ -95,7 +95,7 @@ def test_three_scatterers_are_found_or_rejected_and_not_taken_for_two(cnr_db: in
 
 
 @pytest.mark.parametrize(
-    ("cnr_db", "looks", "width", "least"), [(20, 4, 0.4, 0.8), (20, 16, 0.4, 0.95), (30, 16, 0.2, 0.99)]
+    ("cnr_db", "looks", "width", "least"), [(20, 4, 0.4, 0.8), (20, 16, 0.4, 0.95), (30, 16, 0.3, 0.97)]
 )
 def test_extended_surfaces_are_known_by_their_spread(cnr_db: int, looks: int, width: float, least: float) -> None:
     """Uniform over `width` beamwidths, 1500 pixels; doubt about pairs makes sigma rather too great than too small."""

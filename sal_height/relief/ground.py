@@ -23,7 +23,7 @@ import numpy.typing as npt
 from scipy.ndimage import binary_dilation, distance_transform_edt, uniform_filter
 
 from sal_height.numeric import F64, I64, U8, Bool
-from sal_height.relief.layers import Layers, neighbours, on_walls, supported
+from sal_height.relief.layers import Layers, Neighbours, neighbours, on_walls, supported
 from sal_height.relief.membrane import Membrane, fitted_membrane, footprint
 from sal_height.relief.settings import GroundSettings
 from sal_height.relief.visibility import blocking_cells, contradicted
@@ -138,12 +138,34 @@ def highest_surfaces(layers: Layers, grid: GroundGrid, settings: GroundSettings)
         return layers
     reach = settings.reach_pixels * grid.spacing
     pairs = neighbours(layers, reach, settings.gate)
-    real = supported(layers, pairs, reach, settings.least_pixels)
+    real = supported(layers, pairs, reach, settings.least_pixels) & ~_scattered(layers, pairs, reach, grid)
     layers, pairs = layers.where(real), pairs.among(real)
+    if not len(layers):
+        return layers
     ghosts = _contradicted(layers, grid)
     inner = on_walls(layers, pairs, grid.spacing / 2 + grid.cell_size / 2)
     layers = layers.where(~(ghosts | inner))
     return layers.where(_highest(layers, grid))
+
+
+SCATTERED_CELLS = 19
+"""Side in cells of the square in which heights must not be scattered."""
+
+
+def _scattered(layers: Layers, pairs: Neighbours, reach: float, grid: GroundGrid) -> Bool:
+    """Layers around which half of all neighbours, or more, differ by over four times their distance, shape (n,).
+
+    There is no ground that heights like those in a canopy could tell of; beside a wall they are fewer.
+    """
+    steep = np.abs(pairs.rise) > np.maximum(4 * reach, pairs.error)
+    size, first, second = len(layers), pairs.first, pairs.second
+    number = grid.numbers(layers)
+    sums = []
+    for chosen in (steep, np.ones_like(steep)):
+        count = np.bincount(first[chosen], minlength=size) + np.bincount(second[chosen], minlength=size)
+        cells = np.bincount(number, count, grid.shape[0] * grid.shape[1]).reshape(grid.shape)
+        sums.append(uniform_filter(cells, SCATTERED_CELLS).ravel()[number])
+    return np.asarray(sums[0] > 0.5 * sums[1])
 
 
 def _contradicted(layers: Layers, grid: GroundGrid) -> Bool:

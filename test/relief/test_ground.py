@@ -124,6 +124,13 @@ def test_common_errors_of_a_dwell_do_not_average_out() -> None:
     assert np.allclose(ground.sigma[5:-5, 5:-5], 0.05, rtol=0.1)
 
 
+def test_heights_scattered_as_in_a_canopy_give_no_ground() -> None:
+    rng = np.random.default_rng(8)
+    places = seen(lambda north: 0 * north, rng)
+    lifted = places + rng.uniform(0.0, 4.0, (len(places), 1)) * [0.0, 0.0, 1.0]
+    assert np.mean(np.isfinite(ground_of(lifted).height)) < 0.02
+
+
 def test_nothing_measured_gives_no_heights() -> None:
     ground = ground_of(np.empty((0, 3)))
     assert (ground.kind == GroundKind.UNSEEN).all()

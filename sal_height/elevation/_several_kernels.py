@@ -30,7 +30,8 @@ def gain_beside_one(matrices: Numbers, values: F32, position: F64, pieces: Numbe
     """Power that one more scatterer explains beside the single one, at the best node of the grid and along its slope.
 
     With the unit response u of the single one and u_j of node j, what the node adds is the power along the part of
-    u_j perpendicular to u. A surface that is spread over elevation adds power along the slope u'.
+    u_j perpendicular to u. A surface that is spread over elevation adds power along the slope u', less its part along u:
+    responses of complex beams turn in phase.
 
     Args:
         matrices: R, (pixels, M, M).
@@ -62,6 +63,9 @@ def gain_beside_one(matrices: Numbers, values: F32, position: F64, pieces: Numbe
             apart = max(1 - shared, np.float32(LEAST_RESIDUE))
             best = max(best, beyond / apart if 1 - shared > LEAST_RESIDUE else np.float32(0))
         found[0, i] = best
+        turn = inner(unit, slope)
+        for m in range(size):
+            slope[m] -= turn * unit[m]
         multiply(matrix, slope, output)
         norm = inner(slope, slope).real
         found[1, i] = inner(slope, output).real / norm if norm > 0 else 0.0

@@ -137,7 +137,7 @@ def test_gain_beside_is_that_of_projectors(name: str) -> None:
         unit = beyond[apart] / norm[apart, None]
         assert gain[pixel] == pytest.approx(np.max(np.einsum("jm,mn,jn->j", unit.conj(), matrix, unit).real), rel=1e-3)
         slope = beams.slope(first[pixel], 0.0)
-        turn = slope - one * (one.conj() @ slope).real / np.linalg.norm(one) ** 2
+        turn = slope - one * (one.conj() @ slope) / np.linalg.norm(one) ** 2
         expected = (turn.conj() @ matrix @ turn).real / np.linalg.norm(turn) ** 2
         assert along[pixel] == pytest.approx(expected, rel=1e-3, abs=1e-3)
 

@@ -30,8 +30,8 @@ def gain_beside_one(matrices: Numbers, values: F32, position: F64, pieces: Numbe
     """Power that one more scatterer explains beside the single one, at the best node of the grid and along its slope.
 
     With the unit response u of the single one and u_j of node j, what the node adds is the power along the part of
-    u_j perpendicular to u. A surface that is spread over elevation adds power along the slope u', less its part along u:
-    responses of complex beams turn in phase.
+    u_j perpendicular to u. A surface that is spread over elevation adds power along the slope u',
+    less its part along u: responses of complex beams turn in phase.
 
     Args:
         matrices: R, (pixels, M, M).

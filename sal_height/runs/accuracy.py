@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +11,15 @@ from typing import Any
 from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.reader import BagReader
+from sal_height.errors import Rejected
 from sal_height.relief import GroundEstimate
 from sal_height.runs.ensemble import HEIGHTS, TRACKER
 from sal_height.runs.ground_report import TrueGround, ground_of, ground_statistics, true_ground
 from sal_height.runs.report import mosaic, statistics
 from sal_height.runs.surface_report import TOLERANCE_BEAMWIDTHS, Judged, height_beamwidth, judged, surface_statistics
 from sal_height.simulation import SimulatedFlight
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ def read_accuracy(bag: Path, flight: SimulatedFlight, stages: Sequence[str]) -> 
     heights = {prefix: judged(found, flight, surfaces) for prefix, found in images.items()}
     grounds = {}
     for prefix in images.keys() - {HEIGHTS[TRACKER]}:
-        if estimate := ground_of(images[prefix]):
+        if estimate := _ground_of(prefix, images[prefix]):
             grounds[prefix] = estimate, true_ground(estimate, images[prefix], flight, surfaces)
     numbers = {}
     for prefix in wanted:
@@ -60,6 +64,15 @@ def read_accuracy(bag: Path, flight: SimulatedFlight, stages: Sequence[str]) -> 
             numbers[prefix]["ground"] = ground_statistics(*grounds[prefix], tolerance)
     with_heights = {prefix: one for prefix, one in heights.items() if len(one.comparison.errors.sigma)}
     return Accuracy(with_heights, grounds, numbers)
+
+
+def _ground_of(prefix: str, images: Sequence[HeightImage]) -> GroundEstimate | None:
+    """Estimate the ground; None, with a warning, where heights are so far apart that it has too many cells."""
+    try:
+        return ground_of(images)
+    except Rejected as error:
+        _LOG.warning("The ground of %s is not reported: %s", prefix, error)
+        return None
 
 
 def read_images(bag: Path) -> dict[str, list[HeightImage]]:

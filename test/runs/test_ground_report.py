@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 
 from sal_height.relief import GroundEstimate, GroundKind
+from sal_height.runs.accuracy import read_accuracy
 from sal_height.runs.ground_picture import draw_ground
 from sal_height.runs.ground_report import TrueGround, ground_statistics
+from sal_height.simulation.flight import flight_of
+from sal_height.simulation.preset import Preset
 
 SHAPE = (40, 50)
+SEED = 3  # of the recorded flight
 
 
 def a_ground() -> tuple[GroundEstimate, TrueGround]:
@@ -46,3 +50,18 @@ def test_errors_are_counted_by_what_heights_rest_on() -> None:
 def test_the_picture_is_written(tmp_path: Path) -> None:
     draw_ground(*a_ground(), tmp_path / "ground.png")
     assert (tmp_path / "ground.png").stat().st_size > 10_000
+
+
+def test_ground_with_too_many_cells_is_left_out_of_the_report(
+    recorded: Path, two_dwells: Preset, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A single height far off may stretch the ground; the rest of the report is made all the same."""
+    flight = flight_of(two_dwells, SEED)
+    whole = read_accuracy(recorded / "bag", flight, ["ml_height"]).statistics["ml"]
+    assert "ground" in whole
+    monkeypatch.setattr("sal_height.runs.ground_report.MAX_CELLS", 100)
+    without = read_accuracy(recorded / "bag", flight, ["ml_height"]).statistics["ml"]
+    assert without == {name: value for name, value in whole.items() if name != "ground"}
+    (said,) = caplog.messages
+    assert "ml" in said
+    assert "100" in said

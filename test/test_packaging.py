@@ -58,6 +58,7 @@ def test_every_program_can_be_started() -> None:
         *(estimator.node for estimator in ESTIMATORS.values()),
         "relief_tracker",
         "relief_mapper",
+        "ground_mapper",
         "psf_calibration",
         "recorder",
         "player",

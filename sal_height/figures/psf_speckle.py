@@ -302,7 +302,7 @@ SPECKLE_FIGURES = {
             "share of linear tapes": ("nominal level", "share with a lower p-value"),
             "share of limited tapes": ("level of the limiter (over the rms)", f"share with p < {SIGNIFICANCE}"),
         },
-        9,
+        11,
         psf_superposition,
     ),
 }

@@ -103,7 +103,7 @@ def test_position_of_a_pixel_has_its_height(fed: Any, graph: Graph) -> None:
     fed.wait(lambda: clouds and pictures, "points and picture")
     image = fed.heights["ml", 1]
     origin = np.array([image.grid.origin.x, image.grid.origin.y])
-    points = np.frombuffer(clouds[0].data, np.float32).reshape(-1, 6).astype(np.float64)
+    points = np.frombuffer(clouds[0].data, np.float32).reshape(-1, len(clouds[0].fields)).astype(np.float64)
     height, east = (
         np.concatenate([np.array(getattr(surface, name)) for surface in image.surfaces]) for name in ("height", "east")
     )

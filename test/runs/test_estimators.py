@@ -57,6 +57,7 @@ def test_tracker_and_mapper_take_heights_that_are_made() -> None:
     assert consumers(["capon_height", "music_height"]) == {
         "relief_tracker": {"estimator": "capon"},
         "relief_mapper": {"estimator": "capon"},
+        "ground_mapper": {"estimator": "capon"},
     }
 
 

@@ -180,6 +180,8 @@ OTHER_VALUES = {
     "detector_rotation": 0.1,
     "mounting": Mounting(lever_arm=(0.0, 1.0, 0.0)),
     "calibration_id": "2026-01",
+    "beam_uncertainty": 0.05,
+    "blanked_ranges": ((1, 5000.0, 5010.0),),
 }
 OTHER_PULSE = {
     "waveform": "deramped",

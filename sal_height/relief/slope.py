@@ -70,7 +70,7 @@ def _planes(points: F64, covariance: F64, seen: Bool, half: int) -> tuple[F64, F
     """
     from_middle = [np.where(seen, axis - axis[seen].mean(), 0.0) for axis in points]
     share = _window_mean(seen.astype(np.float64), half)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         mean = [_window_mean(axis, half) / share for axis in from_middle]
         down, across = ([_step(values, half, axis) for values in mean] for axis in (0, 1))
         # The slope g fulfils step_up = g step_horizontal for both steps: Cramer's rule.

@@ -14,8 +14,8 @@ from sal_height.errors import UserError
 DOMAINS = range(1, 101)
 """Domains to choose from: 0 is everybody's default, and above 100 the ports are among those that Linux hands out."""
 
-PARTICIPANTS = 16
-"""Participants of a domain whose ports are looked at."""
+PARTICIPANTS = 100
+"""Participants of a domain whose ports are looked at, of the 120 that it has ports for."""
 
 _next = itertools.count(os.getpid())  # where to look first: each process, and each of its runs, at another place
 

@@ -10,6 +10,9 @@ from pathlib import Path
 # Read when a context starts: nodes of other machines stay out of the tests.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
+# A command's help keeps the width that the terminal had when this process first printed it.
+os.environ["COLUMNS"] = "80"
+
 with warnings.catch_warnings():
     # The parser in the ROS wheels imports modules that Python has deprecated; messages load it at their first use.
     warnings.simplefilter("ignore", DeprecationWarning)

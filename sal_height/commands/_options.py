@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,7 +48,10 @@ def command(name: str, group: Group, examples: str, failure: str | None = None) 
 
 
 def epilogue(examples: str, failure: str | None = None) -> str:
-    """Examples and exit statuses as they stand at the end of a command's help."""
+    """Examples and exit statuses as they stand at the end of a command's help, 80 columns wide.
+
+    Wider lines would be cut by a terminal of that width, and could then not be pasted.
+    """
     meanings = {
         DONE: "done",
         FAILED: failure,
@@ -55,7 +59,11 @@ def epilogue(examples: str, failure: str | None = None) -> str:
         INTERRUPTED: "interrupted by SIGINT (Ctrl-C), SIGTERM or SIGHUP; files stay on disk",
         CUT_OFF: "the reader of the output closed it, as `head` does",
     }
-    statuses = "\n".join(f"  {status:<4} {meaning}" for status, meaning in meanings.items() if meaning)
+    statuses = "\n".join(
+        textwrap.fill(meaning, 80, initial_indent=f"  {status:<4} ", subsequent_indent=" " * 7)
+        for status, meaning in meanings.items()
+        if meaning
+    )
     return f"examples:\n{examples.strip(chr(10))}\n\nexit status:\n{statuses}"
 
 

@@ -10,7 +10,8 @@ from cyclopts import Parameter
 from sal_height.commands._options import BAGS, DONE, OutputFolder, command, output_folder
 
 EXAMPLES = """
-  sal-height import-gotcha pass1/HH/data_3dsar_pass1_az00*_HH.mat --out out/gotcha
+  sal-height import-gotcha pass1/HH/data_3dsar_pass1_az00*_HH.mat \\
+    --out out/gotcha
   sal-height replay out/gotcha
 """
 

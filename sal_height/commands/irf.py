@@ -23,9 +23,11 @@ EXAMPLES = """
   sal-height irf out/replay_gotcha/bag   images that a replay records
   sal-height irf --windows               what windows cost and gain
 
-A replay records the images of a single channel by itself. To have those of several channels:
+A replay records the images of a single channel by itself. To have those of
+several channels:
   sal-height replay BAG --record slc --out out/images \\
-    --param sar_compression.image_plane=ground --param sar_compression.ground_spacing_m=0.02 \\
+    --param sar_compression.image_plane=ground \\
+    --param sar_compression.ground_spacing_m=0.02 \\
     --param sar_compression.rows=300 --param sar_compression.cols=60
   sal-height irf out/images/bag --channel 4
 """

@@ -24,15 +24,20 @@ EXAMPLES = """
 
 PAIR_EXAMPLES = """
   sal-height montecarlo pair --theta 0.25 --cnr-db 5 --look-count 4
-  sal-height montecarlo pair --theta 0.25 --cnr-db 5 --look-count 4 --estimator tls --json
-  sal-height montecarlo pair --pattern jinc --pitch 0.6 --size 0.6x1.2 --target steady --look-count 1
+  sal-height montecarlo pair --theta 0.25 --cnr-db 5 --look-count 4 \\
+    --estimator tls --json
+  sal-height montecarlo pair --pattern jinc --pitch 0.6 --size 0.6x1.2 \\
+    --target steady --look-count 1
 """
 
 ARRAY_EXAMPLES = """
   sal-height montecarlo array --theta 1.75 --cnr-db 4.77 --look-count 4
-  sal-height montecarlo array --theta 3.5 --cnr-db 20 --look-count 16 --objective numerator --json
-  sal-height montecarlo array --theta 0.1 --cnr-db 10 --look-count 16 --estimator tls
-  sal-height montecarlo array --theta 0.1 --cnr-db 10 --look-count 16 --estimator capon
+  sal-height montecarlo array --theta 3.5 --cnr-db 20 --look-count 16 \\
+    --objective numerator --json
+  sal-height montecarlo array --theta 0.1 --cnr-db 10 --look-count 16 \\
+    --estimator tls
+  sal-height montecarlo array --theta 0.1 --cnr-db 10 --look-count 16 \\
+    --estimator capon
   sal-height montecarlo array --pattern beams.csv --pitch 0.5 --theta 0.1
 """
 

@@ -31,7 +31,8 @@ EXAMPLES = """
 Images of this program are weighted in range by default, with pixels as wide
 as the weighted resolution, so that the edge of the band is folded into it.
 Focus them without weights for this measurement:
-  sal-height replay BAG --record slc --out out/images --param sar_compression.range_window=rectangular
+  sal-height replay BAG --record slc --out out/images \\
+    --param sar_compression.range_window=rectangular
   sal-height psf out/images/bag --channel 4
 """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 # Read when a context starts: nodes of other machines stay out of the tests.
@@ -22,6 +23,23 @@ import pytest
 
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
+
+
+def living_participants() -> int:
+    """DDS participants of this process (Linux): each has a thread for its events, named dds.ev.NUMBER."""
+    names = []
+    for file in Path("/proc/self/task").glob("*/comm"):
+        with suppress(OSError):  # the thread has ended meanwhile
+            names.append(file.read_text())
+    return sum(name.startswith("dds.ev.") for name in names)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_participant_is_left() -> Iterator[None]:
+    """Tests of a module end all nodes that they make; each that is left takes seven threads and several ports."""
+    before = living_participants()
+    yield
+    assert living_participants() <= before, "tests of this module leave DDS participants"
 
 
 @pytest.fixture

@@ -105,8 +105,12 @@ class MapStage(Stage):
         """
         super().__init__(name, **node_arguments)
         self._settings = self.current_parameters()
-        if self._settings.file:
-            check_geotiff(Path(self._settings.file))
+        try:
+            if self._settings.file:
+                check_geotiff(Path(self._settings.file))
+        except UserError:
+            super().destroy_node()
+            raise
         self.failure = ""
         """Why the file could not be written, as a sentence; empty if there was no failure."""
         self._map: GrowingMap | None = None

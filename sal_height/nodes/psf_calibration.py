@@ -68,7 +68,11 @@ class PsfCalibration(DwellStage):
         """
         super().__init__("psf_calibration", ComplexImage, "slc", **node_arguments)
         self._calibrator: Calibrator | None = None
-        self._target = _place(self.current_parameters().target)
+        try:
+            self._target = _place(self.current_parameters().target)
+        except UserError:
+            super().destroy_node()
+            raise
         self._dwells = 0
         self._made = False
         self._stamp = Time()

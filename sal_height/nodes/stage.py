@@ -153,7 +153,11 @@ class Stage(Role, Node):
             UserError: a parameter has a value that is not allowed.
         """
         super().__init__(name, **node_arguments)
-        self._parameters_now = LiveParameters(self, self.parameters)
+        try:
+            self._parameters_now = LiveParameters(self, self.parameters)
+        except UserError:
+            super().destroy_node()
+            raise
         self.tally = Tally()
         self.last_rejection = ""
         self.last_drop = ""

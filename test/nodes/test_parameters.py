@@ -36,7 +36,11 @@ class Declared(Node):
 
     def __init__(self, **arguments: Any) -> None:
         super().__init__("some", **arguments)
-        self.live = LiveParameters(self, Table)
+        try:
+            self.live = LiveParameters(self, Table)
+        except UserError:
+            self.destroy_node()
+            raise
 
 
 def declared(graph: Graph, **arguments: Any) -> Declared:

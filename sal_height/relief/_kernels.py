@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric import F64, Bool, compiled, compiled_with_nan
+from sal_height.numeric import F64, Bool, Index, compiled, compiled_with_nan
 
 Heights = npt.NDArray[np.floating[Any]]
 
@@ -100,44 +100,87 @@ LEAST_PRECISION = 1e-12  # of a height that no measurement reaches, 1/m^2: its s
 
 
 @compiled
-def propagate(weight: F64, own: F64, down: F64, across: F64, sweeps: int, precision: F64, moment: F64) -> None:
+def propagate(
+    weight: F64,
+    own: F64,
+    stiffness: tuple[F64, F64],
+    rise: tuple[F64, F64],
+    sweeps: int,
+    precision: F64,
+    moment: F64,
+) -> None:
     """Send messages along rows and columns, there and back, `sweeps` times; a cell sends on what it has just received.
 
     Args:
         weight: precision of each cell's own height, 1/m^2, shape (rows, cols).
         own: that times the height, 1/m.
-        down: stiffness between each cell and the next along rows, 1/m^2, shape (rows - 1, cols).
-        across: and along columns, shape (rows, cols - 1).
+        stiffness: between each cell and the next along rows, 1/m^2, shape (rows - 1, cols), and along columns, shape
+            (rows, cols - 1).
+        rise: expected height of the next less that of the cell, m, same shapes.
         sweeps: number of sweeps.
         precision: of the messages that each cell has received from the row before, the row after, the column before
             and the column after, shape (4, rows, cols); to be filled.
         moment: that times the height that they state; to be filled.
     """
     rows, cols = weight.shape
+    down, across = stiffness
+    lower, higher = rise
     for _ in range(sweeps):
         for i in range(rows - 1):
             for c in range(cols):
                 total = weight[i, c] + precision[0, i, c] + precision[2, i, c] + precision[3, i, c]
+                sent = own[i, c] + moment[0, i, c] + moment[2, i, c] + moment[3, i, c] + total * lower[i, c]
                 passed = down[i, c] / (down[i, c] + total + LEAST_PRECISION)
-                precision[0, i + 1, c] = passed * total
-                moment[0, i + 1, c] = passed * (own[i, c] + moment[0, i, c] + moment[2, i, c] + moment[3, i, c])
+                precision[0, i + 1, c], moment[0, i + 1, c] = passed * total, passed * sent
         for i in range(rows - 1, 0, -1):
             for c in range(cols):
                 total = weight[i, c] + precision[1, i, c] + precision[2, i, c] + precision[3, i, c]
+                sent = own[i, c] + moment[1, i, c] + moment[2, i, c] + moment[3, i, c] - total * lower[i - 1, c]
                 passed = down[i - 1, c] / (down[i - 1, c] + total + LEAST_PRECISION)
-                precision[1, i - 1, c] = passed * total
-                moment[1, i - 1, c] = passed * (own[i, c] + moment[1, i, c] + moment[2, i, c] + moment[3, i, c])
+                precision[1, i - 1, c], moment[1, i - 1, c] = passed * total, passed * sent
         for i in range(rows):
             for c in range(cols - 1):
                 total = weight[i, c] + precision[0, i, c] + precision[1, i, c] + precision[2, i, c]
+                sent = own[i, c] + moment[0, i, c] + moment[1, i, c] + moment[2, i, c] + total * higher[i, c]
                 passed = across[i, c] / (across[i, c] + total + LEAST_PRECISION)
-                precision[2, i, c + 1] = passed * total
-                moment[2, i, c + 1] = passed * (own[i, c] + moment[0, i, c] + moment[1, i, c] + moment[2, i, c])
+                precision[2, i, c + 1], moment[2, i, c + 1] = passed * total, passed * sent
             for c in range(cols - 1, 0, -1):
                 total = weight[i, c] + precision[0, i, c] + precision[1, i, c] + precision[3, i, c]
+                sent = own[i, c] + moment[0, i, c] + moment[1, i, c] + moment[3, i, c] - total * higher[i, c - 1]
                 passed = across[i, c - 1] / (across[i, c - 1] + total + LEAST_PRECISION)
-                precision[3, i, c - 1] = passed * total
-                moment[3, i, c - 1] = passed * (own[i, c] + moment[0, i, c] + moment[1, i, c] + moment[3, i, c])
+                precision[3, i, c - 1], moment[3, i, c - 1] = passed * total, passed * sent
+
+
+@compiled
+def mark_bends(height: F64, limit: F64, joined: Bool, lags: Index, bend: F64) -> None:
+    """Mark the bends of columns of cells with their square beyond the limit's, the greatest one of each cell.
+
+    The bend of three cells in a column, a - 2 b + c, whose outer two are a lag from the middle one, is marked on all
+    cells from the first to the last; there is none across cells that are not joined.
+
+    Args:
+        height: m, shape (rows, cols).
+        limit: of a bend that does not count, m, same shape.
+        joined: whether each cell and the next of the column are joined, shape (rows - 1, cols).
+        lags: in cells, increasing, shape (lags,).
+        bend: of bends upwards and downwards, to be filled, m^2, shape (2, rows, cols).
+    """
+    rows, cols = height.shape
+    for c in range(cols):
+        for i in range(rows):
+            above, below = 0, 0
+            while above < lags[-1] and i - above > 0 and joined[i - above - 1, c]:
+                above += 1
+            while below < lags[-1] and i + below + 1 < rows and joined[i + below, c]:
+                below += 1
+            for lag in lags:
+                if lag > min(above, below):
+                    break
+                found = height[i - lag, c] - 2 * height[i, c] + height[i + lag, c]
+                square, way = found**2 - limit[i, c] ** 2, 0 if found > 0 else 1
+                if square > 0:
+                    for j in range(i - lag, i + lag + 1):
+                        bend[way, j, c] = max(bend[way, j, c], square)
 
 
 @compiled_with_nan

@@ -10,7 +10,8 @@ a few that do not exist. From them follows the highest surface of each cell of a
 4. The highest that is left in each cell is its measured height. The ground between them is a membrane that tears at
    steps (`membrane`), to which every measurement is taken along its slope to the middle of its cell.
 5. A cell within the footprint of a measurement is MEASURED. Another one is SHADOW if the ground in front hides it,
-   INTERPOLATED if it lies in a small gap of ground that is the same on both sides, and else has no height.
+   INTERPOLATED if it lies in a small gap of ground that is the same on both sides, and else has no height. Beside a
+   tear a height may be that of the other side: half of the step is added to its sigma.
 """
 
 from __future__ import annotations
@@ -104,14 +105,13 @@ def estimated_ground(layers: Layers, grid: GroundGrid, settings: GroundSettings)
     measured = np.zeros(grid.shape, dtype=bool)
     measured.ravel()[number] = True
     nearest = distance_transform_edt(~measured, return_distances=False, return_indices=True)
-    membrane, variance = _settled(tops, number, grid, settings)
+    membrane, slope, variance = _settled(tops, number, grid, settings)
     covered = membrane.covered
-    level, half = _between_sides(membrane.height, covered, grid, settings)
+    level, half = _between_sides(membrane.height, covered, slope, grid, settings)
     towards = np.broadcast_to(tops.towards.mean(axis=0), (grid.shape[0] * grid.shape[1], 2))
     hidden, floor = _hidden(membrane.height, covered, measured, towards, grid)
     jump = np.maximum(_jumps_beside(membrane), np.where(hidden, membrane.height - floor, 0.0))
-    jump = np.where(measured, 0.0, jump)
-    sure = covered & (jump == 0)
+    sure = covered & (measured | (jump == 0))
     kind = np.select(
         [sure, hidden & ~covered, (level | covered) & np.isfinite(membrane.height)],
         [GroundKind.MEASURED, GroundKind.SHADOW, GroundKind.INTERPOLATED],
@@ -193,11 +193,11 @@ def _highest(layers: Layers, grid: GroundGrid) -> I64:
     return order[first]
 
 
-def _settled(tops: Layers, number: I64, grid: GroundGrid, settings: GroundSettings) -> tuple[Membrane, F64]:
+def _settled(tops: Layers, number: I64, grid: GroundGrid, settings: GroundSettings) -> tuple[Membrane, F64, F64]:
     """The membrane through the tops, taken along its own slopes to the middles of their cells.
 
     A plane of the slope g turns an error e of a place into one of height at a given place, (-g, 1) e. Returns the
-    membrane and the variance (m^2) of that height from the common errors of each top.
+    membrane, its slope (m per cell, shape (rows, cols, 2)) and the variance (m^2) from the common errors of each top.
     """
     offset = grid.places(tops) - np.rint(grid.places(tops))
     slope, steepest = np.zeros((*grid.shape, 2)), grid.cell_size  # m per cell; 45 degrees, until slopes are known
@@ -210,7 +210,7 @@ def _settled(tops: Layers, number: I64, grid: GroundGrid, settings: GroundSettin
         sigma.ravel()[number] = np.sqrt(np.maximum(own, LEAST_VARIANCE_SHARE * tops.own[:, 2, 2]))
         membrane = fitted_membrane(height, sigma, grid.spacing / grid.cell_size, settings.gate, slope, steepest)
         slope, steepest = _slopes(membrane), 0.0
-    return membrane, common
+    return membrane, slope, common
 
 
 PASSES = 2
@@ -219,7 +219,7 @@ PASSES = 2
 LEAST_VARIANCE_SHARE = 0.25
 """Least variance of a height at a place over that of the height itself, on slopes along which the errors go."""
 
-SLOPE_CELLS = 5
+SLOPE_CELLS = 7
 """Side in cells of the square in which slopes are averaged."""
 
 
@@ -249,21 +249,26 @@ def _jumps_beside(membrane: Membrane) -> F64:
     return jump
 
 
-def _between_sides(height: F64, covered: Bool, grid: GroundGrid, settings: GroundSettings) -> tuple[Bool, F64]:
+def _between_sides(
+    height: F64, covered: Bool, slope: F64, grid: GroundGrid, settings: GroundSettings
+) -> tuple[Bool, F64]:
     """Cells in a gap whose nearest measured cells on both sides have the same height, and half their difference, m.
+
+    What the slope (m per cell, shape (rows, cols, 2)) makes of the difference is no part of it.
 
     The gap is looked at along rows and along columns, each up to `interpolation_pixels` away; one must show the same
     height on both sides, and none a step.
     """
     reach = settings.interpolation_pixels * grid.spacing / grid.cell_size
-    same, step, half = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool), np.full(grid.shape, np.inf)
+    same, step, half = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool), np.zeros(grid.shape)
     for axis in (0, 1):
         (before, lower), (after, upper) = _sides(height, covered, axis)
         near = (before <= reach) & (after <= reach)
         difference = np.abs(upper - lower)
         level = near & (difference <= STEEPEST_GAP * (before + after) * grid.cell_size)
         same, step = same | level, step | (near & ~level)
-        half = np.where(level, np.minimum(half, difference / 2), half)
+        beyond_slope = np.abs(upper - lower - slope[..., axis] * (before + after))
+        half = np.where(level, np.maximum(half, beyond_slope / 2), half)
     return same & ~step, half
 
 

@@ -2,10 +2,10 @@
 
 The heights h minimise the energy of the weak membrane (Blake and Zisserman, Visual Reconstruction, 1987),
 
-    sum over covered cells of w (h - z)^2  +  sum over neighbours i, j of k_ij min((h_i - h_j)^2, limit_ij^2),
+    sum over covered cells of w (h - z)^2  +  sum over neighbours i, j of k_ij min((h_i - h_j - r_ij)^2, limit_ij^2),
 
 so that neighbours that differ by more than the limit are on two sides of a step and do not pull at each other. A slope
-is no step: the limit is for differences from the slope of the ground, where it is known, or else the limit is wider. A
+is no step: r_ij is the difference that the slope of the ground makes, where it is known; else the limit is wider. A
 measurement z of the variance s^2 covers the n cells of its footprint, each with the weight w = 1 / (n s^2). Given which
 neighbours are joined, the posterior is Gaussian with the precision A = W + L, where W has the weights on its diagonal
 and L is the Laplacian of the stiffnesses k. It is found by Gaussian belief propagation: cells send their height and its
@@ -18,8 +18,11 @@ ground's steps have kappa times the variance 1 / k of the prior, the variance of
     kappa diag(A^-1) + (1 - kappa) diag(A^-1 W A^-1):
 
 on level ground that of the averaged noise alone. kappa is estimated around each cell from how far measurements are from
-the line between their neighbours. Where nothing was measured, the variance of a step is added for each cell from there
-to the nearest footprint: the tree says less.
+the line between their neighbours. Where nothing was measured, kappa times the variance of a step is added for each cell
+from there to the nearest footprint: the tree says less.
+
+A step lower than what can be told apart in elevation, as of a kerb, is measured as a ramp of several pixels, on which
+heights are wrong by up to half the step. Every ramp as short as that therefore has a sigma that allows for a step.
 """
 
 from __future__ import annotations
@@ -56,6 +59,18 @@ FAR = 2.0
 
 The share of those that are far gives the scale of all, which a step along a line of pixels hardly changes.
 """
+
+BEND_PIXELS = (1, 2, 3)
+"""Distances in pixels over which bends are looked for."""
+
+BEND_SIGMAS = 4.0
+"""Size of a bend that noise may make, over the standard deviation of the height in its middle."""
+
+BENDS_PER_SIGMA = 3.0
+"""Size of a bend beyond that over the standard deviation of the heights on it."""
+
+LEAST_ROUGHNESS = 0.1
+"""What is added to kappa in gaps, where a step may hide that no measurement near it shows."""
 
 GREATEST_ROUGHNESS = 100.0
 """Greatest kappa: the ground's steps are ten times as large as those of the prior."""
@@ -118,7 +133,7 @@ def fitted_membrane(
     cells = np.bincount(number[covered], minlength=measured.size)[number]
     weight = np.where(covered, 1 / (np.maximum(cells, 1) * noise**2), 0.0)
     steps = [FREEDOM**2 * np.minimum(first, second) ** 2 for first, second in _pairs(noise)]
-    rises = [(first + second) / 2 for axis in (0, 1) for first, second in [_pairs(slope[..., axis])[axis]]]
+    rises = (slope[:-1, :, 0] + slope[1:, :, 0]) / 2, (slope[:, :-1, 1] + slope[:, 1:, 1]) / 2
     limits = [
         gate**2 * (step + a**2 + b**2) + (steepest * spacing) ** 2
         for step, (a, b) in zip(steps, _pairs(noise), strict=True)
@@ -127,12 +142,14 @@ def fitted_membrane(
     for _ in range(ROUNDS):
         joined = _joints(height, rises, limits)
         stiffness = _stiffness(joined, steps)
-        precision, height = _beliefs(weight, filled, stiffness)
+        precision, height = _beliefs(weight, filled, stiffness, rises)
     posterior = 1 / precision
-    averaged = (posterior - 1 / _beliefs((1 + WEIGHT_STEP) * weight, filled, stiffness)[0]) / WEIGHT_STEP
+    averaged = (posterior - 1 / _beliefs((1 + WEIGHT_STEP) * weight, filled, stiffness, rises)[0]) / WEIGHT_STEP
     roughness = _roughness(filled, noise, covered, max(1, round(spacing)))
-    variance = averaged + roughness * (posterior - averaged) + beyond * (FREEDOM * noise) ** 2
-    variance += (_bend(height, 4 * np.sqrt(variance), max(1, round(spacing))) / 3) ** 2
+    smooth = averaged + roughness * (posterior - averaged)
+    unresolved = _unresolved(height, np.sqrt(smooth), joined, spacing)
+    gap = beyond * ((roughness + LEAST_ROUGHNESS) * (FREEDOM * noise) ** 2 + unresolved[at])
+    variance = smooth + gap + unresolved
     reached = precision > 2 * kernels.LEAST_PRECISION
     return Membrane(np.where(reached, height, np.nan), np.where(reached, np.sqrt(variance), np.inf), joined, covered)
 
@@ -142,7 +159,7 @@ def _pairs(values: F64) -> list[tuple[F64, F64]]:
     return [(values[:-1], values[1:]), (values[:, :-1], values[:, 1:])]
 
 
-def _joints(height: F64, rises: list[F64], limits: list[F64]) -> Joints:
+def _joints(height: F64, rises: Links, limits: list[F64]) -> Joints:
     """Neighbours whose difference, less the rise of the slope, is within the square root of the limit (m^2)."""
     down, across = (
         (after - before - rise) ** 2 < limit
@@ -156,31 +173,36 @@ def _stiffness(joined: Joints, steps: list[F64]) -> Links:
     return down, across
 
 
-def _beliefs(weight: F64, measured: F64, stiffness: Links) -> tuple[F64, F64]:
+def _beliefs(weight: F64, measured: F64, stiffness: Links, rises: Links) -> tuple[F64, F64]:
     """Precision (1/m^2) and mean (m) of each cell after the messages of SWEEPS sweeps.
 
     A cell that knows its height with the precision p, but for what the receiver sent, sends through a link of the
     stiffness k the precision k p / (k + p), as of conductors in series.
     """
     precision, moment = np.zeros((4, *weight.shape)), np.zeros((4, *weight.shape))
-    kernels.propagate(weight, weight * measured, *stiffness, SWEEPS, precision, moment)
+    kernels.propagate(weight, weight * measured, stiffness, rises, SWEEPS, precision, moment)
     total = np.maximum(weight + precision.sum(axis=0), kernels.LEAST_PRECISION)
     return total, (weight * measured + moment.sum(axis=0)) / total
 
 
-def _bend(height: F64, limit: F64, lag: int) -> F64:
-    """Greatest bend of each cell with those `lag` cells before and after it, along rows or columns, m.
+def _unresolved(height: F64, noise: F64, joined: Joints, spacing: float) -> F64:
+    """Variance of heights because a ramp may be a step that pixels are too coarse to show, m^2.
 
-    What noise may make of it, up to `limit` (m), is taken off.
+    A ramp has a bend upwards at its foot and one downwards at its top; a ridge or a valley has only one of them near.
     """
-    found = np.zeros(height.shape)
-    for axis in (0, 1):
-        way = [(0, 0), (0, 0)]
-        way[axis] = (lag, lag)
-        around = np.moveaxis(np.pad(height, way, mode="edge"), axis, 0)
-        bend = np.abs(around[: -2 * lag] - 2 * around[lag:-lag] + around[2 * lag :])
-        found = np.maximum(found, np.moveaxis(bend, 0, axis))
-    return np.maximum(found - limit, 0.0)
+    limit = BEND_SIGMAS * noise
+    down = _bent_both_ways(height, limit, joined[0], spacing)
+    across = _bent_both_ways(height.T, limit.T, joined[1].T, spacing).T
+    return np.maximum(down, across) / BENDS_PER_SIGMA**2
+
+
+def _bent_both_ways(height: F64, limit: F64, joined: Bool, spacing: float) -> F64:
+    """Lesser of the bends upwards and downwards along columns that reach to each cell, squared, m^2."""
+    lags = np.rint(np.array(BEND_PIXELS) * spacing).astype(np.int64)
+    bends = np.zeros((2, *height.shape))
+    there = np.ascontiguousarray(joined)
+    kernels.mark_bends(np.ascontiguousarray(height), np.ascontiguousarray(limit), there, lags, bends)
+    return np.asarray(bends.min(axis=0))
 
 
 def _roughness(height: F64, noise: F64, covered: Bool, lag: int) -> F64:

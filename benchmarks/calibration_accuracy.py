@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.row import Row, sized
+from benchmarks.spread import in_processes
 from sal_height.calibration import Calibration, Calibrator
 from sal_height.elevation import ESTIMATORS, ElevationEstimate, MlSettings
 from sal_height.geometry import Trajectory
@@ -39,15 +40,11 @@ BEAMS = Impairments(beam_width_factor=1.05, undescribed_gains_db=GAINS_DB, undes
 
 def left_of_errors() -> Iterator[Row]:
     """Elevations less those that the true calibration gives of the same frames: rms after over before."""
-    for name, impairments, of_kind in (
-        ("sawtooth of 10 % on one receiver", SAWTOOTH, _of_the_band),
-        ("beams 5 %, .5 dB, 5 deg", BEAMS, lambda calibration: calibration),
-    ):
-        squares = []
-        for seed in SEEDS:
-            calibration = of_kind(_calibrated(_flight(impairments, CNR_DB, seed)))
-            squares += _square_errors(_flight(impairments, CLEAR_DB, seed), calibration)
-        before, after = np.sqrt(np.mean(np.concatenate(squares, axis=1), axis=1))
+    names = ("sawtooth of 10 % on one receiver", "beams 5 %, .5 dB, 5 deg")
+    of_flights = in_processes(_squares_of_a_flight, [(kind, seed) for kind in (SAWTOOTH, BEAMS) for seed in SEEDS])
+    for name in names:
+        squares = np.concatenate([next(of_flights) for _ in SEEDS], axis=1)
+        before, after = np.sqrt(np.mean(squares, axis=1))
         yield Row(
             f"elevation error left by calibration, {name}",
             after / before,
@@ -56,6 +53,15 @@ def left_of_errors() -> Iterator[Row]:
             f"{len(SEEDS)} flights of {DWELLS} dwells of small; rms {1e3 * before:.2f} before, "
             f"{1e3 * after:.2f} after, 1e-3 beamwidths, in {COMPARED} dwells each",
         )
+
+
+def _squares_of_a_flight(part: tuple[Impairments, int]) -> F64:
+    """Squared distances before and after calibration, shape (2, pixels), of a flight with this seed."""
+    impairments, seed = part
+    calibration = _calibrated(_flight(impairments, CNR_DB, seed))
+    if impairments.range_sawtooth:
+        calibration = _of_the_band(calibration)
+    return np.concatenate(_square_errors(_flight(impairments, CLEAR_DB, seed), calibration), axis=1)
 
 
 def _of_the_band(calibration: Calibration) -> Calibration:

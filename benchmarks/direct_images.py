@@ -15,7 +15,7 @@ import numpy as np
 from sal_height.geometry import ApertureState, Grid, look_direction, pixels_at, sphere_point
 from sal_height.imaging import Processing, Slc, azimuth_resolution
 from sal_height.imaging.pixels import slant_plane_grid, slc_noise_power
-from sal_height.numeric import C64, I64, Complex, broadening
+from sal_height.numeric import C64, Complex, blocks, broadening, chirp_z, in_parallel, rows_at_once
 from sal_height.sensor import Sensor
 from sal_height.simulation import Scene, VisibleSurface, load_preset
 from sal_height.simulation.scene import visible_surface
@@ -136,28 +136,43 @@ def spectrum_of(
             (row, col), grid.shape, (grid.row_spacing, grid.col_spacing), _windows(sensor, aperture), strict=True
         )
     ]
-    weighted = sensor.beams.response(surface.elevation, surface.squint).T * amplitudes
+    weighted = np.empty((sensor.detector_count, len(amplitudes)), np.complex64)
+
+    def weigh(part: slice) -> None:
+        for block in blocks(part.stop - part.start, 2**12):  # whose numbers stay in a processor's cache
+            there = slice(part.start + block.start, part.start + block.stop)
+            beams = sensor.beams.response(surface.elevation[there], surface.squint[there])
+            weighted[:, there] = beams.T * amplitudes[there]
+
+    in_parallel(weigh, len(amplitudes))
     size = sensor.sample_count, sensor.pulse_count
     x, y = (phase.astype(np.float32) for phase in phases)
-    return finufft.nufft2d1(x, y, np.ascontiguousarray(weighted, dtype=np.complex64), size, isign=-1, eps=1e-5)
+    return finufft.nufft2d1(x, y, weighted, size, isign=-1, eps=1e-5)
 
 
 def image_of(spectrum: C64, sensor: Sensor, aperture: ApertureState, grid: Grid, processing: Processing) -> C64:
     """Pixels of a spectrum of shape (detectors, frequencies, pulses), weighted by the windows."""
-    weights = processing.range_weights(sensor.sample_count), processing.azimuth_weights(sensor.pulse_count)
-    down, beside = (
-        np.exp(2j * np.pi * np.outer((np.arange(pixels) - (pixels - 1) / 2) * spacing / window, _orders(len(weight))))
-        * (weight / len(weight))
-        for pixels, spacing, window, weight in zip(
-            grid.shape, (grid.row_spacing, grid.col_spacing), _windows(sensor, aperture), weights, strict=True
-        )
-    )
-    return (down.astype(np.complex64) @ spectrum @ beside.T.astype(np.complex64)).astype(np.complex64)
+    detectors, samples, pulses = spectrum.shape
+    rows, cols = grid.shape
+    turns = [
+        spacing / window
+        for spacing, window in zip((grid.row_spacing, grid.col_spacing), _windows(sensor, aperture), strict=True)
+    ]
+    range_weights, azimuth_weights = processing.range_weights(samples), processing.azimuth_weights(pulses)
+    # Frequencies are counted from their middle, as finufft does.
+    down = np.exp(2j * np.pi * turns[0] * np.outer(np.arange(rows) - (rows - 1) / 2, np.arange(samples) - samples // 2))
+    lines = ((down * (range_weights / samples)).astype(np.complex64) @ spectrum).reshape(-1, pulses)
+    lines *= (azimuth_weights / pulses).astype(np.float32)
+    beside = chirp_z(np.array([2 * np.pi * turns[1]]), pulses, pulses // 2, cols, (cols - 1) / 2)
+    image = np.empty((len(lines), cols), dtype=np.complex64)
 
+    def transform(part: slice) -> None:
+        for block in blocks(part.stop - part.start, rows_at_once(beside.length)):
+            there = slice(part.start + block.start, part.start + block.stop)
+            image[there] = beside.apply(lines[there], there)
 
-def _orders(count: int) -> I64:
-    """Frequency numbers in the order of finufft."""
-    return np.arange(count) - count // 2
+    in_parallel(transform, len(lines))
+    return image.reshape(detectors, rows, cols)
 
 
 def _windows(sensor: Sensor, aperture: ApertureState) -> tuple[float, float]:

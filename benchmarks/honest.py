@@ -15,10 +15,11 @@ every published surface; `measured(case, "ml")` is the height image, the truth a
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import lru_cache, partial
+from itertools import groupby
 from typing import Annotated, Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from cyclopts import App, Parameter
 from benchmarks import honest_scenes as scenes
 from benchmarks.direct_images import DirectImages, direct_images, lidar
 from benchmarks.row import Row, sized
+from benchmarks.spread import in_processes
 from sal_height.elevation import ESTIMATORS
 from sal_height.imaging import ImageSettings, Processing
 from sal_height.pipeline import heights
@@ -75,6 +77,10 @@ class Case:
         per_pixel = self.looks[0] * self.looks[1]
         return min(MOST_COLS, pixels * per_pixel // ROWS) // self.looks[1] * self.looks[1]
 
+    def images(self, pixels: int) -> tuple[Callable[[], Scene], int, str, str, int, tuple[float, float]]:
+        """What its images are made from; cases that differ only in CNR or looks may share them."""
+        return self.scene, self.cols(pixels), self.range_window, self.pattern, self.detectors, self.size
+
 
 def _level_cases() -> Iterator[Case]:
     """Level ground: looks, CNR, windows, patterns and detectors. Those that share images follow each other."""
@@ -118,11 +124,22 @@ def compared(case: Case, estimator: str = "ml", pixels: int = PIXELS, **settings
     return compare(field, truth, images.sensor.beamwidth)
 
 
+def all_compared(cases: Sequence[Case], estimator: str = "ml", pixels: int = PIXELS) -> Iterator[Comparison]:
+    """Cases against their truth, in their order; those that share images in one process."""
+    groups = [list(group) for _, group in groupby(cases, lambda case: case.images(pixels))]
+    for group in in_processes(partial(_compared_group, estimator=estimator, pixels=pixels), groups):
+        yield from group
+
+
+def _compared_group(cases: Sequence[Case], estimator: str, pixels: int) -> list[Comparison]:
+    return [compared(case, estimator, pixels) for case in cases]
+
+
 def measured(
     case: Case, estimator: str = "ml", pixels: int = PIXELS, **settings: Any
 ) -> tuple[HeightField, LitSurfaces, DirectImages]:
     """Height image of a case, what it should show, and the images that it was made of."""
-    images = _images(case.scene, case.cols(pixels), case.range_window, case.pattern, case.detectors, case.size)
+    images = _images(*case.images(pixels))
     entry = ESTIMATORS[estimator]
     chosen = entry.settings(**{"range_looks": case.looks[0], "azimuth_looks": case.looks[1], **settings})
     field = heights(images.slc(case.cnr_db), images.sensor, entry, chosen)
@@ -215,8 +232,8 @@ def _share(part: int, whole: int) -> float:
 
 def coverage() -> Iterator[Row]:
     """Rows of the group: of every case the deviation of c1 and of c2, o5, and ghosts where there is shadow."""
-    for case in CASES:
-        result = Summary.of(compared(case))
+    for case, comparison in zip(CASES, all_compared(CASES), strict=True):
+        result = Summary.of(comparison)
         text = f"{HEADING} (%)\n    {result.as_line()}"
         for name, value, nominal in (("c1", result.within_1, 68.27), ("c2", result.within_2, 95.45)):
             deviation = abs(100 * value - nominal) if result.published else 0.0
@@ -248,8 +265,7 @@ def table(
     """
     chosen = [case for case in CASES if not names or any(fnmatchcase(case.name, name) for name in names)]
     _print(f"{'':40} {HEADING}")
-    for case in chosen:
-        result = compared(case, estimator, pixels)
+    for case, result in zip(chosen, all_compared(chosen, estimator, pixels), strict=True):
         _print(f"{case.name:40} {Summary.of(result).as_line()}")
         if confusion:
             _print(confusion_table(result))

@@ -16,6 +16,9 @@ from sal_height.simulation import Scene
 HALF_LENGTH = 60.0
 """Half the extent of a scene along the flight, m; images are at most 100 m long."""
 
+REACH = 8.0
+"""Half the extent of level ground across the flight, m; the range window of 7.7 m shows 5.4 m to each side."""
+
 STEP_OF_A_BEAMWIDTH = 0.775 * np.sin(np.pi / 4)
 """Height that lies one beamwidth across the line of sight at 5 km, seen at 45 degrees, m."""
 
@@ -24,12 +27,13 @@ SEED = 15
 
 def level() -> Scene:
     """Level ground."""
-    return _scene("level", np.zeros((2, 2)), np.array([-40.0, 40.0]), _ends())
+    return _scene("level", np.zeros((2, 2)), np.array([-REACH, REACH]), _ends())
 
 
 def slope(angle: float) -> Scene:
     """A plane that rises by `angle` (rad) away from the sensor: a positive one faces it."""
-    north = np.array([-40.0, 40.0])
+    reach = min(40.0, REACH / (1 - np.tan(angle)))  # a face towards the sensor extends over less range
+    north = np.array([-reach, reach])
     return _scene("slope", np.repeat(-np.tan(angle) * north[:, None], 2, axis=1), north, _ends())
 
 
@@ -63,7 +67,7 @@ def forest(density: float = 0.15) -> Scene:
 
 def canopy(extent: float = 1.5) -> Scene:
     """Scatterers spread evenly over a height of `extent` m; no ground."""
-    return Scene("canopy", _ends(), np.array([-40.0, 40.0]), np.zeros((2, 2)), np.ones((2, 2)), extent=extent)
+    return Scene("canopy", _ends(), np.array([-REACH, REACH]), np.zeros((2, 2)), np.ones((2, 2)), extent=extent)
 
 
 def step(beamwidths: float) -> Scene:
@@ -91,7 +95,7 @@ def _ends() -> F64:
 def _nodes(east_spacing: float, north_spacing: float) -> tuple[F64, F64]:
     """Nodes of a scene, m."""
     east = np.arange(-HALF_LENGTH, HALF_LENGTH + east_spacing / 2, east_spacing)
-    north = np.arange(-8.0, 8.0 + north_spacing / 2, north_spacing)
+    north = np.arange(-REACH, REACH + north_spacing / 2, north_spacing)
     return east, north
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
 from benchmarks.row import Row, sized
+from benchmarks.spread import in_processes
 from sal_height.figures.psf_speckle import noise_weights
 from sal_height.figures.psf_theory import chip_transform
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
@@ -32,7 +34,8 @@ NOISES = {
 def false_alarms() -> Iterator[Row]:
     """Shares of p-values below nominal levels; the target of one kind of noise allows for 1.5 standard errors."""
     cases = dict(list(NOISES.items())[: sized(len(NOISES), 1)])
-    shares = {name: _shares(*case) for name, case in cases.items()}
+    values = np.array(list(in_processes(partial(_p_values_by_noise, cases=list(cases.values())), range(TAPES))))
+    shares = dict(zip(cases, np.mean(values[..., None] < LEVELS, axis=0), strict=True))
     for name, below in shares.items():
         for chip, share in zip(CHIPS, below, strict=True):
             listed = ", ".join(f"{value:.3f}" for value in share)
@@ -53,10 +56,9 @@ def power() -> Iterator[Row]:
     """Limited systems that are found."""
     for name, window in (("white", None), ("Taylor-weighted", "taylor")):
         for level, target in ((12.0, ">= 1"), (16.0, ">= 0")):
-            found = [
-                _p_values(np.random.default_rng((13, tape)), 0.6, RangeFault(), noise_weights(window), level)[1] < 0.05
-                for tape in range(max(TAPES // 6, 2))
-            ]
+            tape = partial(_p_values, noise=0.6, fault=RangeFault(), weights=noise_weights(window), level=level)
+            values = in_processes(tape, [(13, number) for number in range(max(TAPES // 6, 2))])
+            found = [value[1] < 0.05 for value in values]
             yield Row(
                 f"superposition, {name} noise, limiter at {level:g} times the rms: found",
                 float(np.mean(found)),
@@ -66,19 +68,22 @@ def power() -> Iterator[Row]:
             )
 
 
-def _shares(noise: float, window: str | None, sawtooth: float) -> F64:
-    """Shares of p-values below LEVELS, shape (chips, levels)."""
-    fault, weights = RangeFault(sawtooth=sawtooth), noise_weights(window)
-    if weights is not None and not sawtooth:  # divided by the response that receivers had before they were calibrated
-        weights = np.abs(RangeSawtooth(0.1, 16.0).response(frequencies(ROWS)))
-    values = [_p_values(np.random.default_rng((12, tape)), noise, fault, weights) for tape in range(TAPES)]
-    return np.asarray(np.mean(np.array(values)[..., None] < LEVELS, axis=0), dtype=np.float64)
+def _p_values_by_noise(tape: int, cases: Sequence[tuple[float, str | None, float]]) -> list[list[float]]:
+    """P-values of one scene in some kinds of noise, by the length of chips; cases are the values of NOISES."""
+    values = []
+    for noise, window, sawtooth in cases:
+        fault, weights = RangeFault(sawtooth=sawtooth), noise_weights(window)
+        if weights is not None and not sawtooth:  # divided by the response that receivers had before calibration
+            weights = np.abs(RangeSawtooth(0.1, 16.0).response(frequencies(ROWS)))
+        values.append(_p_values((12, tape), noise, fault, weights))
+    return values
 
 
 def _p_values(
-    rng: np.random.Generator, noise: float, fault: RangeFault, weights: F64 | None, level: float | None = None
+    seed: tuple[int, int], noise: float, fault: RangeFault, weights: F64 | None, level: float | None = None
 ) -> list[float]:
     """P-values of a new tape with 8 targets of 40 dB beside 960 columns of speckle, by the length of chips."""
+    rng = np.random.default_rng(seed)
     cols = [SPECKLE_COLS + 96 + 64 * number for number in range(8)]
     targets = tuple(Target(ROWS // 2, col, 40.0) for col in cols)
     limiter = Saturation(level) if level else None

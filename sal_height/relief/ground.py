@@ -9,9 +9,10 @@ a few that do not exist. From them follows the highest surface of each cell of a
 3. Points with others steeply above and below them are on walls.
 4. The highest that is left in each cell is its measured height. The ground between them is a membrane that tears at
    steps (`membrane`), to which every measurement is taken along its slope to the middle of its cell.
-5. A cell within the footprint of a measurement is MEASURED. Another one is SHADOW if the ground in front hides it,
-   INTERPOLATED if it lies in a small gap of ground that is the same on both sides, and else has no height. Beside a
-   tear a height may be that of the other side: half of the step is added to its sigma.
+5. A cell within the footprint of a measurement is MEASURED. Another one is SHADOW if the ground in front hides it, as
+   is one without a measurement of its own that pixels without a signal show to be hidden. Another one is INTERPOLATED
+   if it lies in a small gap of ground that is the same on both sides, and else has no height. Beside a tear a height
+   may be that of the other side: half of the step is added to its sigma.
 """
 
 from __future__ import annotations
@@ -95,8 +96,15 @@ def unseen(east: float, north: float, cell_size: float, shape: tuple[int, int]) 
     return GroundEstimate(east, north, cell_size, height, sigma, kind, np.zeros(shape, np.uint32))
 
 
-def estimated_ground(layers: Layers, grid: GroundGrid, settings: GroundSettings) -> GroundEstimate:
-    """Estimate the ground in all cells of `grid` from the layers that lie in them."""
+def estimated_ground(layers: Layers, silent: Bool, grid: GroundGrid, settings: GroundSettings) -> GroundEstimate:
+    """Estimate the ground in all cells of `grid` from the layers that lie in them.
+
+    Args:
+        layers: what was measured.
+        silent: cells in shadow by the pixels without a signal (`visibility.silent_cells`), shape of the grid.
+        grid: cells.
+        settings: of the estimate.
+    """
     east, north = ((index + 0.5) * grid.cell_size for index in grid.first[::-1])
     tops = highest_surfaces(layers, grid, settings)
     if not len(tops):
@@ -113,8 +121,8 @@ def estimated_ground(layers: Layers, grid: GroundGrid, settings: GroundSettings)
     jump = np.maximum(_jumps_beside(membrane), np.where(hidden, membrane.height - floor, 0.0))
     sure = covered & (measured | (jump == 0))
     kind = np.select(
-        [sure, hidden & ~covered, (level | covered) & np.isfinite(membrane.height)],
-        [GroundKind.MEASURED, GroundKind.SHADOW, GroundKind.INTERPOLATED],
+        [silent & ~measured, sure, hidden & ~covered, (level | covered) & np.isfinite(membrane.height)],
+        [GroundKind.SHADOW, GroundKind.MEASURED, GroundKind.SHADOW, GroundKind.INTERPOLATED],
         GroundKind.UNSEEN,
     ).astype(np.uint8)
     known = np.isin(kind, (GroundKind.MEASURED, GroundKind.INTERPOLATED))

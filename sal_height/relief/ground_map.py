@@ -12,13 +12,14 @@ import numpy as np
 
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid
-from sal_height.numeric import I64
+from sal_height.numeric import I64, Bool
 from sal_height.relief.ground import GroundEstimate, GroundGrid, estimated_ground, unseen
 from sal_height.relief.heights import HeightField
 from sal_height.relief.layers import Layers, layers_of, merged
 from sal_height.relief.map import Relief
 from sal_height.relief.settings import DEFAULT_GROUND, GroundSettings
 from sal_height.relief.tracked import ground_spacings
+from sal_height.relief.visibility import silent_cells
 
 TILE = 128
 """Side of a tile in cells."""
@@ -59,6 +60,7 @@ class GroundMap:
         self.max_cells = max_cells
         self.settings = settings
         self._tiles: dict[tuple[int, int], Layers] = {}
+        self._silent: dict[tuple[int, int], Bool] = {}  # cells of tiles that pixels without a signal show in shadow
         self._estimate: GroundEstimate | None = None  # of whole tiles
         self._corners = np.zeros((2, 2), dtype=np.int64)  # row and column of the first and of the last cell seen
 
@@ -93,6 +95,10 @@ class GroundMap:
                 new = self._tiles[place].and_those(new)
                 new = merged(new, self.cell_size, self.settings.gate, same_dwell=False)
             self._tiles[place] = new
+        silent = silent_cells(field, aperture, self.settings.gate, self.cell_size)
+        for tile in np.unique(silent // TILE, axis=0):
+            there = silent[(silent // TILE == tile).all(axis=1)] - TILE * tile
+            self._silent.setdefault((int(tile[0]), int(tile[1])), np.zeros((TILE, TILE), bool))[tuple(there.T)] = True
         return seen
 
     def settle(self) -> None:
@@ -154,7 +160,10 @@ class GroundMap:
         rows, cols = (outer[1] - outer[0] + 1).tolist()
         grid = GroundGrid((int(outer[0, 0]), int(outer[0, 1])), (rows, cols), self.cell_size, self.spacing)
         assert self._estimate is not None  # noqa: S101 (`_grow` made it)
-        _paste(_part(estimated_ground(self._within(outer), grid, self.settings), inner), self._estimate)
+        _paste(
+            _part(estimated_ground(self._within(outer), self._silent_within(outer), grid, self.settings), inner),
+            self._estimate,
+        )
 
     def _within(self, corners: I64) -> Layers:
         """All layers in the cells from corners[0] to corners[1]."""
@@ -164,6 +173,18 @@ class GroundMap:
         layers = reduce(Layers.and_those, tiles[1:], tiles[0])
         cells = layers.cells(self.cell_size)
         return layers.where(((cells >= corners[0]) & (cells <= corners[1])).all(axis=1))
+
+    def _silent_within(self, corners: I64) -> Bool:
+        """Which cells from corners[0] to corners[1] pixels without a signal show in shadow."""
+        first, last = corners // TILE
+        none = np.zeros((TILE, TILE), bool)
+        tiles = [
+            [self._silent.get((row, col), none) for col in range(first[1], last[1] + 1)]
+            for row in range(first[0], last[0] + 1)
+        ]
+        row, col = corners[0] - first * TILE
+        rows, cols = corners[1] - corners[0] + 1
+        return np.block(tiles)[row : row + rows, col : col + cols]
 
 
 def _corners_of(estimate: GroundEstimate) -> I64:

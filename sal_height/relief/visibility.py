@@ -2,13 +2,17 @@
 
 A line of sight rises from the ground towards the sensor, and is followed cell by cell. A surface that was measured
 bounds the height of all that it is seen over, and what was not measured behind a high surface may be in its shadow.
+Pixels without a signal show a shadow that is too short for that.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from sal_height.numeric import F64, Bool, Index
+from sal_height.elevation import Validity
+from sal_height.geometry import ApertureState, aperture_at, sphere_coordinates
+from sal_height.numeric import F64, I64, Bool, Index
+from sal_height.relief.heights import HeightField
 
 STRIDE = 2
 """Distance in cells from one place of a line of sight to the next, and to the first.
@@ -71,3 +75,50 @@ def contradicted(lines: Index, cells: Index, measured: int, size: int) -> tuple[
     point_wrong = np.zeros(measured, dtype=bool)
     point_wrong[lines[~surface_wrong[cells]]] = True
     return surface_wrong, point_wrong
+
+
+def silent_cells(field: HeightField, aperture: ApertureState, gate: float, cell_size: float) -> I64:
+    """Find the cells in shadow that pixels without a signal show.
+
+    Where nothing but pixels of NO_SIGNAL is between two measured pixels of a column, and the farther one is lower, the
+    nearer one hides the ground from its edge to where the line of sight over it meets the height of the other. The
+    middle of what is hidden is in the middle between both: neither lies at its end, but up to a pixel beside it. Found
+    are cells that are hidden as a whole.
+
+    Args:
+        field: height image.
+        aperture: from which it was seen.
+        gate: standard deviations by which the farther one must be lower.
+        cell_size: m.
+
+    Returns:
+        Row (north) and column (east) of the cells, counted from the map's origin, shape (n, 2).
+    """
+    heights = np.stack([np.where(surface.is_determined, surface.height, -np.inf) for surface in field.surfaces])
+    highest, seen = np.argmax(heights, axis=0), np.isfinite(heights.max(axis=0))
+    number = np.broadcast_to(np.arange(field.grid.rows)[:, None], field.grid.shape)
+    signals = np.cumsum(field.validity != Validity.NO_SIGNAL, axis=0)
+    last = np.maximum.accumulate(np.where(seen, number, -1), axis=0)
+    row, col = np.nonzero(seen[1:] & (last[:-1] >= 0) & (last[:-1] < number[:-1]))
+    far, near = (row + 1, col), (last[row, col], col)
+    silent = signals[row, col] == signals[near]
+
+    def at(pixels: tuple[I64, I64], name: str) -> F64:
+        values = np.stack([getattr(surface, name)[pixels] for surface in field.surfaces])
+        return np.asarray(values[highest[pixels], np.arange(len(col))])
+
+    edge, foot = (np.stack(sphere_coordinates(at(pixels, "positions")), axis=-1) for pixels in (near, far))
+    drop = edge[:, 2] - foot[:, 2]
+    chosen = silent & (drop > gate * np.hypot(at(near, "sigma"), at(far, "sigma")))
+    points = at(far, "positions")[chosen]
+    sight = points - aperture_at(points, aperture).position
+    away = -sight[:, :2] / sight[:, 2:]  # how far the line of sight goes per metre that it falls
+    level = np.hypot(away[:, 0], away[:, 1])
+    middle, half = (edge + foot)[chosen, :2] / 2, drop[chosen] * level / 2 - cell_size / 2
+    places = 2 * np.maximum(np.ceil(2 * half / cell_size), 0).astype(np.int64)
+    run = np.repeat(np.arange(len(places)), places)
+    share = (np.arange(len(run)) - (np.cumsum(places) - places)[run]) / np.maximum(places[run] - 1, 1)
+    along = middle[run] + ((2 * share - 1) * half[run] / level[run])[:, None] * away[run]
+    beside = away[run, ::-1] * [-1, 1] * (field.grid.col_spacing / 4 / level[run])[:, None]
+    both = np.concatenate([along - beside, along + beside])
+    return np.unique(np.floor(both[:, ::-1] / cell_size).astype(np.int64), axis=0)

@@ -11,6 +11,8 @@ from sal_height.relief import GroundEstimate, GroundGrid, GroundKind, GroundSett
 
 CELL, SPACING, SIGMA, SIDE = 0.05, 0.09, 0.01, 80
 SETTINGS = GroundSettings()
+GRID = GroundGrid((0, 0), (SIDE, SIDE), CELL, SPACING)
+NOWHERE = np.zeros((SIDE, SIDE), dtype=bool)
 CIRCLE = np.array([0.0, -1.0, 1.0])  # direction of an error: south and up, seen from the north at 45 degrees
 
 
@@ -38,7 +40,7 @@ def is_inside(places: F64) -> Bool:
 
 def ground_of(places: F64) -> GroundEstimate:
     layers = merged(layers_at(places[is_inside(places)]), CELL, SETTINGS.gate, same_dwell=True)
-    return estimated_ground(layers, GroundGrid((0, 0), (SIDE, SIDE), CELL, SPACING), SETTINGS)
+    return estimated_ground(layers, NOWHERE, GRID, SETTINGS)
 
 
 CENTRES = (np.arange(SIDE) + 0.5) * CELL
@@ -91,6 +93,21 @@ def test_what_a_wall_hides_is_shadow_and_ghosts_there_give_way() -> None:
         assert np.isnan(estimate.height[estimate.kind == GroundKind.SHADOW]).all()
 
 
+def test_cells_that_silent_pixels_show_in_shadow_are_shadow_unless_they_were_measured() -> None:
+    places = seen(lambda north: 0 * north, np.random.default_rng(9))
+    kept = is_inside(places) & ((places[:, 1] < 1.0) | (places[:, 1] > 1.15))  # a pixel less, which footprints cover
+    layers, silent = layers_at(places[kept]), np.zeros((SIDE, SIDE), dtype=bool)
+    silent[20:23] = True  # north 1 m to 1.15 m
+    silent[40:43] = True
+    own = np.zeros((SIDE, SIDE), dtype=bool)
+    own.ravel()[GRID.numbers(layers)] = True
+    without, estimate = (estimated_ground(layers, cells, GRID, SETTINGS) for cells in (NOWHERE, silent))
+    assert np.mean(without.kind[20:23] != GroundKind.SHADOW) == 1
+    assert (estimate.kind[silent & ~own] == GroundKind.SHADOW).all()
+    assert np.isnan(estimate.height[silent & ~own]).all()
+    np.testing.assert_array_equal(estimate.height[own | ~silent], without.height[own | ~silent])
+
+
 def test_a_ghost_above_the_ground_does_not_hide_what_is_seen_behind_it() -> None:
     rng = np.random.default_rng(5)
     places = seen(lambda north: 0 * north, rng)
@@ -118,9 +135,7 @@ def test_common_errors_of_a_dwell_do_not_average_out() -> None:
     common = np.zeros((len(layers), 3, 3))
     common[:, 2, 2] = 0.05**2
     layers = Layers(layers.place, layers.own, common, layers.towards, layers.dwells)
-    ground = estimated_ground(
-        layers.where(is_inside(places)), GroundGrid((0, 0), (SIDE, SIDE), CELL, SPACING), SETTINGS
-    )
+    ground = estimated_ground(layers.where(is_inside(places)), NOWHERE, GRID, SETTINGS)
     assert np.allclose(ground.sigma[5:-5, 5:-5], 0.05, rtol=0.1)
 
 

@@ -85,10 +85,10 @@ def ground_statistics(estimate: GroundEstimate, truth: TrueGround, tolerance: fl
     """Part `ground` of a report: how much of the lit ground is known, and the errors of measured and other heights.
 
     `right`: share of the lit cells whose height is right to `tolerance` (m); `lit` and `shadow`: shares of the cells by
-    what their heights rest on. Errors are those from the terrain in the cell, or in the one north or south of it if
-    that is nearer: an edge is not placed better than a pixel.
+    what their heights rest on. The error of each published height is that from the terrain in the middle of its cell,
+    beside an edge, too, which sigma has to allow for.
     """
-    error = _least(estimate.height, truth.height)
+    error = estimate.height - truth.height
     kinds = {kind.name.lower(): estimate.kind == kind for kind in GroundKind}
     measured, interpolated = (kinds[kind.name.lower()] for kind in (GroundKind.MEASURED, GroundKind.INTERPOLATED))
     return {
@@ -100,14 +100,6 @@ def ground_statistics(estimate: GroundEstimate, truth: TrueGround, tolerance: fl
         "measured": _errors(error[measured], estimate.sigma[measured]),
         "interpolated": _errors(error[interpolated], estimate.sigma[interpolated]),
     }
-
-
-def _least(height: F64, terrain: F64) -> F64:
-    """Smallest difference from the terrain of each cell and of those north and south of it, m."""
-    around = np.pad(terrain, ((1, 1), (0, 0)), constant_values=np.nan)
-    errors = np.stack([height - around[1:-1], height - around[:-2], height - around[2:]])
-    least = np.argmin(np.nan_to_num(np.abs(errors), nan=np.inf), axis=0)
-    return np.take_along_axis(errors, least[None], axis=0)[0]
 
 
 def _errors(error: F64, sigma: F64) -> dict[str, Any]:

@@ -39,11 +39,11 @@ def a_ground() -> tuple[GroundEstimate, TrueGround]:
 def test_errors_are_counted_by_what_heights_rest_on() -> None:
     estimate, truth = a_ground()
     found = ground_statistics(estimate, truth, 0.06)
-    assert found["right"] == pytest.approx(0.9, abs=0.001)  # an edge that is one cell off counts as right
+    assert found["right"] == pytest.approx(0.9 * 35 / 36, abs=0.001)  # an edge that is one cell off is wrong
     assert found["lit"] == {"measured": 0.9, "interpolated": 0.1, "shadow": 0.0, "unseen": 0.0}
     assert found["shadow"]["shadow"] == 1.0
     assert found["measured"]["cells"] == 36 * 45
-    assert found["measured"]["beyond_5_sigma"] == pytest.approx(1 / 9, abs=0.005)
+    assert found["measured"]["beyond_5_sigma"] == pytest.approx(1 - 8 / 9 * 35 / 36, abs=0.005)
     assert found["interpolated"]["within_1_sigma"] == pytest.approx(0.68, abs=0.1)  # 180 cells: standard error 0.035
 
 

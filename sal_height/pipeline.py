@@ -31,7 +31,7 @@ from sal_height.errors import Rejected
 from sal_height.geometry import Grid, Trajectory, aperture_at
 from sal_height.imaging import ImageSettings, Slc, StripFocuser, cell_response, focus_dwell, image_beams
 from sal_height.numeric import C64, Bool, Index
-from sal_height.relief import HeightField, height_field, joined_rows
+from sal_height.relief import HeightField, height_field, joined_rows, level_turn
 from sal_height.sensor import PhaseHistory, Sensor, count_saturated, range_compressed, with_powers
 
 
@@ -155,9 +155,10 @@ def elevations(
     grid = look_grid(slc.grid, *settings.windows)
     squint = column_squint(grid, slc.aperture, sensor.beams, sensor.look_side)
     squint = moving_squint(squint, settings.radial_velocity_mps, np.linalg.norm(slc.aperture.velocity))
-    # Looks: the covariance of the channels in each of them, and what sidelobes bring of other pixels.
+    # Looks: the covariance of the channels in each of them, and what sidelobes and other ranges bring to a pixel.
     response = cell_response(slc, sensor)
-    looks = windowed_looks(images, settings.windows, squint, channels, beams.is_complex, response)
+    turn = level_turn(float(np.mean(beams.span)), slc.grid, slc.aperture, sensor.look_side)
+    looks = windowed_looks(images, settings.windows, squint, channels, beams.is_complex, response, turn)
     # Elevation from the ratios between channels, which clipped samples spoil.
     estimate = estimator.estimate(looks, beams, settings)
     # The error by scatterers elsewhere, whose sidelobes are in the pixel, and pixels that noise leaves uncertain.

@@ -36,6 +36,7 @@ from sal_height.elevation.order import (
     TWO,
     detection_threshold,
     log_evidence_of_extended,
+    log_evidence_of_level,
     log_evidence_of_one,
     log_evidence_of_several,
     log_evidence_of_spread,
@@ -132,7 +133,7 @@ def resolve(
     """
     noise = _Noise.of(peaks, looks, beams)
     peaks = peaks.over(noise.raised)
-    evidence, levels = _evidence_of_gains(peaks, looks, beams), _Levels.of(noise, looks, beams, settings)
+    evidence, levels = _evidence_of_gains(peaks, noise, looks, beams), _Levels.of(noise, looks, beams, settings)
     row, col = np.nonzero(looks.finite & ((peaks.beside > levels.tried) | (peaks.along_slope > levels.spread)))
     here = row, col
     models = _fitted(here, evidence, noise, levels, peaks, looks, beams)
@@ -140,17 +141,18 @@ def resolve(
     taken = _taken(models, here, noise, levels, peaks, looks, beams, settings)
     probability = probabilities(evidence)
     probability[~looks.finite] = np.nan
-    return _published(estimate, models, taken, here, probability, peaks, looks, beams, settings)
+    return _published(estimate, models, taken, here, probability, noise, peaks, looks, beams, settings)
 
 
-def _evidence_of_gains(peaks: SinglePeaks, looks: Looks, beams: Beams) -> F64:
+def _evidence_of_gains(peaks: SinglePeaks, noise: _Noise, looks: Looks, beams: Beams) -> F64:
     """Log-evidence of each model against noise, from the gains of one more scatterer alone, (rows, cols, ORDERS)."""
     domain, count = float(np.ptp(beams.span)), looks.count
     evidence = np.zeros((*count.shape, ORDERS))
     single = log_evidence_of_one(peaks.explained, count, peaks.turning, domain)
     more = log_evidence_of_one(peaks.beside, count, peaks.turning, domain)
+    level = log_evidence_of_level(peaks.along_slope, count, noise.along_slope)
     spread = log_evidence_of_spread(peaks.along_slope, peaks.explained, count, peaks.turning, beams.beamwidth)
-    evidence[..., ONE], evidence[..., TWO], evidence[..., SPREAD] = single, single + more, single + spread
+    evidence[..., ONE], evidence[..., TWO], evidence[..., SPREAD] = single + level, single + more, single + spread
     evidence[..., THREE] = single + 2 * more
     return evidence
 
@@ -219,16 +221,22 @@ class _Noise:
     Attributes:
         beam_error: power of the errors of the beams in a channel, sum over looks (`beam_error`).
         raised: mean power of one look of noise, sidelobes of other pixels and errors of the beams.
+        along_slope: mean power along the slope of one look of a scatterer on level ground, over `raised`: 1 and what
+            the different ranges in a pixel bring. They move the middle of its elevations with that of its ranges, which
+            heights belong to.
     """
 
     beam_error: F64
     raised: F64
+    along_slope: F64
 
     @classmethod
     def of(cls, peaks: SinglePeaks, looks: Looks, beams: Beams) -> Self:
         """The noise beside the scatterers of `peaks`."""
         error = beams.uncertainty**2 * np.maximum(peaks.explained - looks.count, 0.0) / peaks.array_power
-        return cls(error, looks.floor + error / looks.count)
+        raised = looks.floor + error / looks.count
+        power = np.maximum(peaks.explained / raised / looks.count - 1, 0.0)
+        return cls(error, raised, 1 + power * peaks.turning * looks.level_spread**2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,10 +267,11 @@ class _Levels:
 
         rarely = settings.layover_false_alarm
         often = min(SUSPICIOUS * rarely, 0.5)
+        spread = level(noise_limit(free_looks(counts), settings.spread_false_alarm), settings.spread_false_alarm)
         return cls(
             tried=level(detection_threshold(length, counts, often), often / beams.count),
             several=level(detection_threshold(length, counts, rarely), rarely / beams.count),
-            spread=level(noise_limit(free_looks(counts), settings.spread_false_alarm), settings.spread_false_alarm),
+            spread=spread * noise.along_slope,
         )
 
 
@@ -283,12 +292,16 @@ def _taken(
     """
     several, spread = levels.several[here], levels.spread[here]
     gains = np.diff(models.explained[ONE : THREE + 1], axis=0)
-    is_spread = peaks.along_slope[here] > spread
+    # A spread far below a beamwidth is no more than a point's uncertainty.
+    is_spread = (peaks.along_slope[here] > spread) & (models.spread[SPREAD, :, 0] > LEAST_SPREAD * beams.beamwidth)
     # Those with less than misfit_share of the strongest one's power may be its sidelobes in range and azimuth.
     equal = [
         models.cnr[n, :, :n].min(axis=1) > settings.misfit_share * models.cnr[n, :, :n].max(axis=1) for n in (2, 3)
     ]
-    is_two = (gains[0] > several) & equal[0]
+    # One more beside the first is the same surface, which is spread or is not.
+    spacing = np.abs(models.elevation[TWO, :, 1] - models.elevation[TWO, :, 0])
+    is_beside = spacing < LEAST_APART * beams.beamwidth
+    is_two = (gains[0] > several) & equal[0] & (is_spread | ~is_beside)
     is_three = is_two & (gains[1] > several) & equal[1]
     holds = np.zeros(models.evidence.shape, np.bool_)
     holds[ONE], holds[TWO], holds[THREE], holds[SPREAD] = ~is_two & ~is_spread, is_two & ~is_three, is_three, is_spread
@@ -317,6 +330,7 @@ def _published(
     taken: Index,
     here: tuple[Index, Index],
     probability: F64,
+    noise: _Noise,
     peaks: SinglePeaks,
     looks: Looks,
     beams: Beams,
@@ -324,7 +338,7 @@ def _published(
 ) -> ElevationEstimate:
     """The estimate with the scatterers of the models taken `here`, strongest first, and the reasons that follow."""
     # What passes for one scatterer may be spread, or two.
-    sigma = _sigma_of_perhaps_several(estimate.sigma, probability, peaks, looks)
+    sigma = _sigma_of_perhaps_several(estimate.sigma, probability, noise, peaks, looks)
     validity = estimate.validity.copy()
     fields = np.full((4, MOST, *validity.shape), np.nan)
     fields[:, 0] = estimate.elevation, sigma, estimate.cnr, np.zeros_like(sigma)
@@ -359,7 +373,7 @@ def _published(
     return ElevationEstimate(scatterers, validity.astype(np.uint8), probability)
 
 
-def _sigma_of_perhaps_several(sigma: F64, probability: F64, peaks: SinglePeaks, looks: Looks) -> F64:
+def _sigma_of_perhaps_several(sigma: F64, probability: F64, noise: _Noise, peaks: SinglePeaks, looks: Looks) -> F64:
     """Standard deviation (rad) of single scatterers, which may be extended surfaces or two close to each other.
 
     The middle of an extended surface of the spread s has the variance s^2 / 2K, each of two scatterers that look like
@@ -368,5 +382,6 @@ def _sigma_of_perhaps_several(sigma: F64, probability: F64, peaks: SinglePeaks, 
     likely = probability[..., ONE] + probability[..., TWO] + probability[..., SPREAD]
     share = (probability[..., SPREAD] / (2 * looks.count) + probability[..., TWO]) / np.maximum(likely, 1e-300)
     power = np.maximum(peaks.explained / looks.count - 1, LEAST_POWER)
-    spread = spread_of(peaks.along_slope, looks.count, power, peaks.turning)
+    level = noise.along_slope
+    spread = spread_of(peaks.along_slope / level, looks.count, power / level, peaks.turning)
     return np.sqrt(sigma**2 + share * spread**2)

@@ -128,6 +128,8 @@ class Looks:
         col: power-weighted mean column.
         power: trace of the covariance, shape (rows, cols).
         finite: False where a sample was NaN or infinite, shape (rows, cols); the covariance is 0 there.
+        level_spread: standard deviation of the elevations within a pixel on level ground, whose ranges differ, rad; 0:
+            all its scatterers are at one elevation.
     """
 
     covariance: Covariances
@@ -141,6 +143,7 @@ class Looks:
     col: F64
     power: F64
     finite: Bool
+    level_spread: float = 0.0
 
     @classmethod
     def of(
@@ -266,6 +269,7 @@ def windowed_looks(
     channels: Channels,
     hermitian: bool,
     response: CellResponse | None = None,
+    level_turn: float = 0.0,
 ) -> Looks:
     """Sum up the looks of every pixel of the height image.
 
@@ -281,6 +285,7 @@ def windowed_looks(
         hermitian: whether the covariance is complex, as complex beams need it (`Beams.is_complex`).
         response: of the images, by which samples are alike and sidelobes reach other pixels; None: samples are
             independent, and there are no sidelobes.
+        level_turn: elevation that level ground gains from row to row of the images, rad.
 
     Raises:
         UserError: more looks than the image has pixels.
@@ -330,7 +335,15 @@ def windowed_looks(
         col=col,
         power=power * scale,
         finite=finite,
+        level_spread=level_turn * np.sqrt(_place_variance(down, response.down if response else None)),
     )
+
+
+def _place_variance(window: Window, axis: AxisResponse | None) -> float:
+    """Variance of the places of the scatterers in a pixel along an axis, samples squared: of looks, and within each."""
+    places = np.arange(len(window.weights))
+    between = float(np.cov(places, aweights=window.weights, ddof=0))
+    return between + (2 * float(axis.place_error(1)[0]) if axis else EVEN_VARIANCE)
 
 
 def _effective_looks(

@@ -97,6 +97,17 @@ def log_evidence_of_spread(along_slope: F64, explained: F64, looks: F64, turning
     return _mean_over_spreads(along_slope, looks, power * turning * beamwidth**2)
 
 
+def log_evidence_of_level(along_slope: F64, looks: F64, raised: F64) -> F64:
+    """Log-evidence of level ground, whose ranges differ within a pixel, against a single point; any shape.
+
+    Args:
+        along_slope: power along the slope of the response, sum over looks, noise powers.
+        looks: K.
+        raised: mean power of one look of level ground along the slope, noise included, noise powers.
+    """
+    return _gain_of_spread(along_slope, looks, raised - 1)
+
+
 def _gain_of_spread(along_slope: F64, looks: F64, excess: F64) -> F64:
     """Gain in log-likelihood from a power along the slope that is `excess` times that of the noise."""
     return along_slope * excess / (1 + excess) - free_looks(looks) * np.log1p(excess)

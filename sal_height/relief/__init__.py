@@ -20,6 +20,7 @@ from sal_height.relief.position_error import (
     covariances_from_sigma,
     height_variance,
     is_covariance,
+    level_turn,
     variance_at_place,
 )
 from sal_height.relief.range_tracking import (
@@ -63,6 +64,7 @@ __all__ = [
     "is_covariance",
     "joined_rows",
     "layers_of",
+    "level_turn",
     "merged",
     "scatterer_count",
     "smoothed",

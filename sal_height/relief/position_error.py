@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.geometry import EARTH_RADIUS, ApertureState, aperture_at
+from sal_height.geometry import EARTH_RADIUS, ApertureState, Grid, aperture_at, locate_at_elevation
 from sal_height.numeric import F64, Bool
 from sal_height.relief._kernels import find_semidefinite, variances_across
 
@@ -53,6 +53,25 @@ def position_jacobian(positions: F64, aperture: ApertureState) -> F64:
     by_range = np.sqrt(square) * (forward * sight_along - sight * (along @ forward)) / determinant
     by_along = (sight * sight_forward - forward * square) / determinant
     return np.stack([_circle(sight, aperture), by_range, by_along], axis=-1)
+
+
+def level_turn(elevation: float, grid: Grid, aperture: ApertureState, look_side: int) -> float:
+    """Elevation (rad) that level ground gains from row to row of an image, in its middle.
+
+    Args:
+        elevation: under which the ground is seen, rad.
+        grid: pixels of the image in the slant plane.
+        aperture: from which it was seen.
+        look_side: +1 right, -1 left.
+    """
+    point = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+    aperture = aperture_at(point, aperture)
+    sight = point - aperture.position
+    slant_range = np.linalg.norm(sight)
+    position = locate_at_elevation(elevation, slant_range, sight @ aperture.direction, aperture, look_side)
+    by_elevation, by_range, _ = vertical(position) @ position_jacobian(position, aperture)
+    depth = grid.row_spacing * (grid.row_direction @ sight) / slant_range
+    return float(abs(depth * by_range / by_elevation))
 
 
 def covariance_of(jacobian: F64, sigmas: F64) -> F64:

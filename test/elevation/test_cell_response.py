@@ -94,6 +94,20 @@ def test_two_looks_count_as_two_less_their_likeness() -> None:
     assert looks.power[0, 0] == pytest.approx(2 * looks.count[0, 0], rel=1e-6)
 
 
+@pytest.mark.parametrize("rows", [1, 4])
+def test_ranges_of_a_pixel_are_those_of_its_rows_and_within_them(rows: int) -> None:
+    """Rows as wide as their spacing have the variance n^2 / 12 together; a main lobe has its second moment."""
+    windows, same = (Window.named("boxcar", rows), Window.named("boxcar", 1)), np.eye(2)
+    slc, squint, channels = np.ones((2, 4, 4), np.complex64), np.zeros(4), Channels(same, same, np.ones(2))
+    looks = windowed_looks(slc, windows, squint, channels, hermitian=False, response=TAYLOR, level_turn=0.1)
+    offset = np.arange(-512, 512) / 256 / SPACING
+    frequency = (np.arange(1024) - 511.5) / 1024
+    lobe = np.cos(2 * np.pi * SPACING * np.outer(offset, frequency)) @ window("taylor", 1024)
+    energy = np.where(np.cumprod(np.flip(lobe[:513] > 0)).sum() / 256 / SPACING > np.abs(offset), lobe**2, 0.0)
+    within = np.average(offset**2, weights=energy)
+    assert looks.level_spread == pytest.approx(0.1 * np.sqrt((rows**2 - 1) / 12 + within), rel=1e-2)
+
+
 def in_windows(slc: C64, high: int, wide: int) -> Looks:
     """Looks of two channels of noise power 4."""
     windows, same = (Window.named("boxcar", high), Window.named("boxcar", wide)), np.eye(2)

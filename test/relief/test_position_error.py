@@ -10,11 +10,14 @@ import pytest
 from helpers import make_aperture
 from scipy.spatial.transform import Rotation
 
+from sal_height.geometry.earth import height_of
 from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
-from sal_height.geometry.locate import locate_at_elevation
+from sal_height.geometry.grid import Grid
+from sal_height.geometry.locate import locate_at_elevation, locate_at_height
 from sal_height.relief.position_error import (
     covariance_of,
     height_variance,
+    level_turn,
     pose_covariance,
     position_jacobian,
     variance_at_place,
@@ -76,6 +79,20 @@ def test_level_flight_abeam_has_the_jacobian_of_a_right_triangle(side: int) -> N
     np.testing.assert_allclose(
         covariance_of(expected, sigmas), expected @ np.diag(sigmas**2) @ expected.T, rtol=1e-12, atol=1e-18
     )
+
+
+@SIDES
+def test_level_ground_turns_as_points_of_one_height_do(side: int) -> None:
+    """Two points of one height and Doppler, a row of 5 cm beside the flight apart; curvature matters 1e-5."""
+    aperture, elevation, along = replace(turned_aperture(), sliding=False), np.pi / 4 + 0.02, 300.0
+    first = locate_at_elevation(elevation, 5000.0, along, aperture, side)
+    aside = first - aperture.position - along * aperture.direction
+    down = aside / np.linalg.norm(aside)
+    grid = Grid(first - 0.05 * down, down, aperture.direction, 0.05, 1.0, 3, 1)
+    slant_range = np.hypot(np.linalg.norm(aside) + 0.05, along)
+    second = locate_at_height(height_of(first), slant_range, along, aperture, side)
+    gained = angles_of(second, aperture, side)[1] - elevation
+    assert level_turn(elevation, grid, aperture, side) == pytest.approx(gained, rel=1e-4)
 
 
 @SIDES

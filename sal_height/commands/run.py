@@ -86,7 +86,7 @@ def run(
     folder = output_folder(out, changed.name)
     result = simulate(changed, seed, folder, node_parameters(param), graph.execution(processes))
     outcome = result.outcome
-    print(results_table(outcome, result.accuracy))
+    print(results_table(outcome, result.accuracy.statistics))
     files = [
         str(folder / name)
         for name in ("height.png", "scene3d.png", RELIEF_MAP, "report.json")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import yaml
 
 from sal_height.io import new_folder, write_text, writing
-from sal_height.runs.accuracy import read_accuracy
+from sal_height.runs.accuracy import Accuracy, read_accuracy
 from sal_height.runs.cloud_picture import cloud_of, draw_cloud
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import (
@@ -30,29 +29,44 @@ from sal_height.runs.ground_picture import draw_ground
 from sal_height.runs.height_picture import draw_heights
 from sal_height.runs.profile import draw_profile
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
-from sal_height.simulation import Preset, flight_of
+from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
 RELIEF_MAP = "relief_map.tif"
 """File of the relief map in the folder of a run."""
 
 
 @dataclass(frozen=True)
-class Run:
-    """What a run did.
+class Flown:
+    """A flight that was simulated, processed and compared with the truth.
 
     Attributes:
+        flight: what was simulated.
         outcome: what became of its dwells.
-        accuracy: errors of each estimator (`accuracy.Accuracy.statistics`), by prefix of its topics.
+        accuracy: errors of each estimator, and the heights and grounds that they are of.
+        source: prefix of the topics of the estimator whose heights are tracked.
     """
 
+    flight: SimulatedFlight
     outcome: Outcome
-    accuracy: Mapping[str, Mapping[str, Any]]
+    accuracy: Accuracy
+    source: str
 
 
-def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT) -> Run:
-    """Simulate and process all dwells of `preset`; leaves a bag, report, pictures, map and preset.yaml in `out`.
+def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT) -> Flown:
+    """Do what `fly` does, and leave pictures beside it in `out`; without any valid height there are none.
 
-    Without any valid height there are no pictures and no map. The map (relief_map.tif) needs the package rasterio.
+    Raises:
+        UserError: as `fly`, or a picture cannot be written.
+    """
+    flown = fly(preset, seed, out, parameters, execution)
+    _draw(flown, preset, out)
+    return flown
+
+
+def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT) -> Flown:
+    """Simulate and process all dwells of `preset`; leaves a bag, report, map and preset.yaml in `out`.
+
+    Without any valid height there is no map. The map (relief_map.tif) needs the package rasterio.
 
     Args:
         preset: sensor, flight, scene and processing.
@@ -93,7 +107,12 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
         accuracy = read_accuracy(bag, flight, stages)
         report["estimators"] = accuracy.statistics
-    source = HEIGHTS[height_sources(stages, values)[TRACKER]]
+    return Flown(flight, outcome, accuracy, HEIGHTS[height_sources(stages, values)[TRACKER]])
+
+
+def _draw(flown: Flown, preset: Preset, folder: Path) -> None:
+    """Write the pictures of a flight beside its bag."""
+    accuracy, source = flown.accuracy, flown.source
     if source in accuracy.grounds:
         with writing(folder / "ground.png"):
             draw_ground(*accuracy.grounds[source], folder / "ground.png")
@@ -103,5 +122,4 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         with writing(folder / "scene3d.png"):
             draw_cloud(*cloud_of(accuracy.heights), preset, folder / "scene3d.png")
         with writing(folder / "profile.png"):
-            draw_profile(bag, source, flight.scene, folder / "profile.png")
-    return Run(outcome, accuracy.statistics)
+            draw_profile(folder / "bag", source, flown.flight.scene, folder / "profile.png")

@@ -87,24 +87,25 @@ def test_numerator_alone_is_biased_inwards_at_the_ends(
 
 
 def dense_peaks(covariance: np.ndarray, beams: Beams, objective: str, half: float) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets of the highest peaks within `half` beamwidths by search in steps of 0.001 and a parabola, in float64.
+    """Offsets of the highest peaks within `half` beamwidths by search in steps of 0.004 and a parabola, in float64.
 
     Also where it is clear: the second peak is lower by 0.1 % or more.
     """
-    fine = np.arange(-half, half + 5e-4, 1e-3)
+    step = 4e-3
+    fine = np.arange(-half, half + step / 2, step)
     response = beams.response(elevation_at(fine), 0.0)
     forms = (response.conj()[:, :, None] * response[:, None, :]).reshape(len(fine), -1)
     value = (covariance.reshape(len(covariance), -1).astype(forms.dtype) @ forms.T).real
     if objective == "normalised":
         value /= np.sum(np.abs(response) ** 2, axis=1)
     pixel, top = np.arange(len(value)), value.argmax(axis=1)
-    low, middle, high = (value[pixel, np.clip(top + step, 0, len(fine) - 1)] for step in (-1, 0, 1))
+    low, middle, high = (value[pixel, np.clip(top + shift, 0, len(fine) - 1)] for shift in (-1, 0, 1))
     inside = (top > 0) & (top < len(fine) - 1)
     vertex = (low - high) / (2 * np.where(inside, low - 2 * middle + high, 1))
     padded = np.pad(value, ((0, 0), (1, 1)), constant_values=-1)
     heights = np.where((value >= padded[:, :-2]) & (value > padded[:, 2:]), value, 0)
     second = np.partition(heights, -2, axis=1)[:, -2]
-    return fine[top] + 1e-3 * np.where(inside, vertex, 0), second < 0.999 * middle
+    return fine[top] + step * np.where(inside, vertex, 0), second < 0.999 * middle
 
 
 @pytest.mark.parametrize("objective", sorted(OBJECTIVES))
@@ -113,7 +114,8 @@ def dense_peaks(covariance: np.ndarray, beams: Beams, objective: str, half: floa
 def test_estimate_is_the_highest_point_of_the_objective(pattern: str, looks: int, objective: str) -> None:
     """At 0 to 20 dB, in the array and its guard. One peak in a thousand is not clear.
 
-    The parabola of the dense search is good to 1e-6; a flat peak at 0 dB has fewer digits in float32.
+    The parabola of the dense search is good to 3e-5, and to 4e-6 in the rms; a flat peak at 0 dB has fewer digits in
+    float32.
     """
     beams, rng = make_beams(pattern), np.random.default_rng(12)
     slc = np.concatenate(

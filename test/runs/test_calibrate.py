@@ -20,7 +20,7 @@ from sal_height.runs.calibrate import CALIBRATION, calibrate
 from sal_height.runs.ensemble import HEIGHTS
 from sal_height.runs.picture import beam_width
 from sal_height.runs.replay import replay
-from sal_height.runs.simulate import run
+from sal_height.runs.simulate import fly
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.preset import Preset, load_preset
@@ -40,7 +40,7 @@ def impaired() -> Preset:
 @pytest.fixture(scope="module")
 def flown(impaired: Preset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("impaired") / "run"
-    run(impaired, 1, out, {})
+    fly(impaired, 1, out, {})
     return out
 
 
@@ -124,7 +124,7 @@ def test_settings_in_the_preset_reach_the_calibration_of_its_bag(tmp_path: Path)
     """They are recorded with the run, which has no use for them itself; those of the command replace them."""
     wanted = {"pixels_per_parameter": 1000, "min_energy": 60.0}
     preset = dataclasses.replace(load_preset("small"), dwells=1, processing={"psf_calibration": wanted})
-    run(preset, 1, tmp_path / "run", {})
+    fly(preset, 1, tmp_path / "run", {})
     calibrate(tmp_path / "run" / "bag", tmp_path / "out", {"psf_calibration": {"min_energy": 70.0}})
     reader = BagReader(tmp_path / "out" / "bag")
     (message,) = [reader.decode(one.type_name, one.cdr) for one in reader.messages(["/calibration"])]

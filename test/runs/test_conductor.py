@@ -28,7 +28,7 @@ from sal_height.nodes.simulator import Simulator
 from sal_height.runs import conductor
 from sal_height.runs.conductor import Conductor, Execution, Plan
 from sal_height.runs.ensemble import NODES, Ensemble, NodeParameters
-from sal_height.runs.simulate import run
+from sal_height.runs.simulate import fly, run
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import Preset
 
@@ -126,7 +126,7 @@ def test_a_dwell_may_take_longer_than_the_limit(two_dwells: Preset, tmp_path: Pa
 
     monkeypatch.setattr(HEIGHT_NODES["monopulse"], "process", slow)
     preset = dataclasses.replace(two_dwells, dwells=1)
-    assert run(preset, SEED, tmp_path / "run", {}, Execution(timeout_s=limit_s)).outcome.dwells == 1
+    assert fly(preset, SEED, tmp_path / "run", {}, Execution(timeout_s=limit_s)).outcome.dwells == 1
     assert took[0] > limit_s
 
 
@@ -199,6 +199,10 @@ class Mute(Simulator):
             if deaf
             else super().create_service(kind, name, callback, **keywords)
         )
+
+    def destroy_node(self) -> None:
+        self.deaf.destroy_node()
+        super().destroy_node()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -15,7 +15,7 @@ from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.pipeline import Compressor, heights
 from sal_height.runs.replay import recorded_parameters
-from sal_height.runs.simulate import run
+from sal_height.runs.simulate import fly
 from sal_height.simulation.preset import BlankedRange, Preset
 
 
@@ -28,7 +28,7 @@ def test_the_core_makes_the_heights_of_the_graph_of_blanked_channels(two_dwells:
     """Half of the rows have three channels less, and so larger sigmas."""
     ranges = tuple(BlankedRange(channel, 4990.0, 5000.0) for channel in (1, 4, 6))
     preset = replace(two_dwells, dwells=1, sensor=replace(two_dwells.sensor, blanked_ranges=ranges))
-    run(preset, 3, tmp_path / "run", {})
+    fly(preset, 3, tmp_path / "run", {})
     assert compared_heights(tmp_path / "run" / "bag") > 50
 
 

@@ -14,7 +14,7 @@ from sal_height.errors import UserError
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.runs.ensemble import HEIGHTS, NODES, SETTABLE, consumers, suited
 from sal_height.runs.replay import recorded_parameters, replay
-from sal_height.runs.simulate import run
+from sal_height.runs.simulate import fly, run
 from sal_height.settings import settings_of
 from sal_height.simulation import load_preset, parse_preset
 
@@ -65,7 +65,7 @@ def test_a_preset_names_estimators_and_parameters_and_a_replay_repeats_them(tmp_
     """Parameters that are given with the run override those of the preset."""
     processing = {"sar_compression": {"range_window": "hamming"}, "capon_height": {"loading": 2.0, "min_cnr_db": 8.0}}
     preset = replace(load_preset("small"), dwells=1, estimators=("music", "capon"), processing=processing)
-    run(preset, 1, tmp_path / "run", {"capon_height": {"min_cnr_db": 6.0}})
+    fly(preset, 1, tmp_path / "run", {"capon_height": {"min_cnr_db": 6.0}})
     reader = BagReader(tmp_path / "run" / "bag")
     assert {topic for topic in reader.topics if topic.endswith("/height")} == {
         "/capon/height",

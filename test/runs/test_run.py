@@ -26,7 +26,7 @@ from sal_height.relief.heights import scatterer_count
 from sal_height.relief.map import ReliefMap
 from sal_height.runs.ensemble import recorded_topics
 from sal_height.runs.profile import draw_profile
-from sal_height.runs.simulate import run
+from sal_height.runs.simulate import fly, run
 from sal_height.simulation.preset import Preset, load_preset
 from sal_height.simulation.scenes import load_scene
 
@@ -37,7 +37,7 @@ SEED = 3
 def changed(two_dwells: Preset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Output folder of the run of fixture `recorded` with other parameters of two nodes."""
     out = tmp_path_factory.mktemp("changed") / "run"
-    run(two_dwells, SEED, out, {"ml_height": {"objective": "numerator"}, "relief_mapper": {"estimator": "monopulse"}})
+    fly(two_dwells, SEED, out, {"ml_height": {"objective": "numerator"}, "relief_mapper": {"estimator": "monopulse"}})
     return out
 
 
@@ -150,7 +150,7 @@ def test_mcap_alone_finds_all_messages(recorded: Path) -> None:
 
 
 def test_another_seed_gives_other_heights(recorded: Path, two_dwells: Preset, tmp_path: Path) -> None:
-    run(two_dwells, SEED + 1, tmp_path / "run", {})
+    fly(two_dwells, SEED + 1, tmp_path / "run", {})
     compared = compare_heights(recorded / "bag", tmp_path / "run" / "bag")
     assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
     assert not any(result.equal for result in compared.values())
@@ -175,7 +175,7 @@ def test_interrupting_leaves_a_whole_bag_and_runs_go_on_side_by_side(two_dwells:
             assert time.monotonic() < deadline
             with pytest.raises(subprocess.TimeoutExpired):  # it runs on, and has the processors for itself
                 program.wait(0.1)
-        second = run(dataclasses.replace(two_dwells, dwells=1), SEED, tmp_path / "second", {}).outcome
+        second = fly(dataclasses.replace(two_dwells, dwells=1), SEED, tmp_path / "second", {}).outcome
         assert program.poll() is None  # still going on
         program.send_signal(signal.SIGTERM)
         output, log = program.communicate(timeout=60)
@@ -197,7 +197,7 @@ def test_interrupting_leaves_a_whole_bag_and_runs_go_on_side_by_side(two_dwells:
 def test_the_lidar_is_as_accurate_as_theory_allows(tmp_path: Path) -> None:
     """At 20 dB and 4 looks: half the 16-84 % width within 1.3 bounds, and well below monopulse."""
     preset = dataclasses.replace(load_preset("sal_spotlight"), dwells=3)
-    run(preset, SEED, tmp_path / "run", {})
+    fly(preset, SEED, tmp_path / "run", {})
     estimators = json.loads((tmp_path / "run" / "report.json").read_text())["estimators"]
     ml, monopulse = estimators["ml"], estimators["monopulse"]
     assert ml["cells"] > 300

@@ -12,7 +12,7 @@ import numpy as np
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.runs.replay import replay
-from sal_height.runs.simulate import run
+from sal_height.runs.simulate import fly
 from sal_height.simulation.preset import load_preset
 
 DWELLS = 4
@@ -27,7 +27,7 @@ def test_strip_images_join_and_their_heights_are_right(tmp_path: Path) -> None:
         image=dataclasses.replace(preset.image, rows=24, cols=64),
         dwells=DWELLS,
     )
-    run(preset, 5, tmp_path / "run", {})
+    fly(preset, 5, tmp_path / "run", {})
     report = json.loads((tmp_path / "run" / "report.json").read_text())
     assert report["stages"]["sar_compression"]["dropped"] == {}
     reader = BagReader(tmp_path / "run" / "bag")

@@ -1,7 +1,8 @@
 """Whether published heights keep what their sigma promises: scenes with layover and shadow against their lit surfaces.
 
-Every surface of every pixel that is published as valid is compared with the nearest true surface of its pixel. All
-scenes go through the core of the pipeline, from images to heights, at the geometry of preset sal_spotlight.
+Every surface of every pixel that is published as valid is compared with the nearest true surface of its pixel, at the
+range and Doppler to which the published height belongs. All scenes go through the core of the pipeline, from images to
+heights, at the geometry of preset sal_spotlight.
 
     python -m benchmarks honest                           every case as rows with targets, into bench.json
     python -m benchmarks.honest                           every case as a line of a table, for people
@@ -145,7 +146,8 @@ def measured(
     field = heights(images.slc(case.cnr_db), images.sensor, entry, chosen)
     layers = 1.5 * case.scene().layer_spacing / scenes.STEP_OF_A_BEAMWIDTH
     connected = max(CONNECTED, layers)
-    truth = lit_surfaces(images.surface, images.aperture, field.grid, images.cell, images.sensor.beams, connected)
+    beams, seen = images.sensor.beams, field.first.positions
+    truth = lit_surfaces(images.surface, images.aperture, field.grid, images.cell, beams, connected, seen)
     return field, truth, images
 
 

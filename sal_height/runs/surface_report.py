@@ -110,7 +110,7 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
         beams = image_beams(sensor, messages.recorded_window(image.provenance, "azimuth"))
         cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, track.slant_range_m)
         surface = surfaces[image.dwell]
-        truth = lit_surfaces(surface, aperture, field.grid, cell, beams, connected)
+        truth = lit_surfaces(surface, aperture, field.grid, cell, beams, connected, field.first.positions)
         comparisons.append(compare(field, truth, sensor.beamwidth))
         cells = ground_cells(flight.scene, surface, aperture, field.grid, beams, sensor.look_side, size)
         silent = np.isin(field.validity, (Validity.NO_SIGNAL, Validity.LOW_CNR))[*cells.pixel.T]

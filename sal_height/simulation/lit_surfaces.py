@@ -38,8 +38,8 @@ class LitSurfaces:
     """The lit surfaces in each pixel, that with the most received power first; NaN where there are no more.
 
     Attributes:
-        height: mean height of the scatterers of the surface in the pixel, weighted by their power, m, shape (surfaces,
-            rows, cols).
+        height: of the surface in the pixel, m, shape (surfaces, rows, cols): that of the plane through its scatterers,
+            weighted by their power, at the range and Doppler that were asked for; in their middle, the mean.
         elevation: their mean elevation with the same weights, rad, same shape.
         spread: standard deviation of their elevations with the same weights, rad, same shape.
         power: of its scatterers, per resolution cell; 1 for brightness 1; same shape.
@@ -83,8 +83,12 @@ def lit_surfaces(
     cell: tuple[float, float],
     beams: Beams,
     connected: float = CONNECTED,
+    seen: F64 | None = None,
 ) -> LitSurfaces:
     """Surfaces in the pixels of a height image.
+
+    A height image publishes points at the range and Doppler of the power in their looks, not at those of the middle of
+    a pixel. On a slope the ground there has another height.
 
     Args:
         surface: lit scatterers.
@@ -94,8 +98,11 @@ def lit_surfaces(
         beams: of the detectors; what lies outside them is not seen.
         connected: widest gap between the elevations of scatterers of one surface, beamwidths; wider than the spacing of
             the layers of a scene with an extent.
+        seen: points of the range and Doppler to which heights belong, in map, m, shape (rows, cols, 3); where they are
+            NaN, and for None, heights belong to the middle of their scatterers.
     """
-    pixel, scatterer, share = _members(surface, aperture, grid, cell)
+    places = np.stack(_places(surface.positions, aperture, grid), axis=-1)
+    pixel, scatterer, share = _members(places, grid, cell)
     # Scatterers of a pixel in the order of their elevations; a new surface begins after each gap.
     order = np.lexsort((surface.elevation[scatterer], pixel))
     pixel, scatterer, share = pixel[order], scatterer[order], share[order]
@@ -110,6 +117,11 @@ def lit_surfaces(
     mean = total(weight * elevation) / power
     spread = np.sqrt(total(weight * (elevation - mean[label]) ** 2) / power)
     height = total(weight * surface.heights[scatterer]) / power
+    if seen is not None:
+        asked = np.stack(_places(seen, aperture, grid), axis=-1).reshape(-1, 2)[pixel[begins]]
+        middle = np.stack([total(weight * part) for part in places[scatterer].T], axis=-1) / power[:, None]
+        off = places[scatterer] - middle[label]
+        height += _rise(off, surface.heights[scatterer] - height[label], weight, label, asked - middle)
     received = power * beams.power(mean, total(weight * surface.squint[scatterer]) / power)
     inside = (mean >= beams.span[0]) & (mean <= beams.span[1])
     # Surfaces of a pixel in the order of the power received of them.
@@ -135,18 +147,44 @@ def lit_surfaces(
     )
 
 
-def _members(
-    surface: VisibleSurface, aperture: ApertureState, grid: Grid, cell: tuple[float, float]
-) -> tuple[Index, Index, F64]:
+def _rise(off: F64, higher: F64, weight: F64, label: Index, asked: F64) -> F64:
+    """How much higher than its mean each surface is at a place, m, by the plane through its scatterers, (surfaces,).
+
+    Args:
+        off: row and column of scatterers from the middle of their surface, (scatterers, 2).
+        higher: their height above its mean, m, (scatterers,).
+        weight: of them, (scatterers,).
+        label: number of their surface, (scatterers,).
+        asked: row and column of the place, from the middle of each surface, (surfaces, 2); beyond the surface the
+            height is that of its edge, as far as an even one reaches with this variance.
+    """
+
+    def total(values: F64) -> F64:
+        return np.bincount(label, weight * values, len(asked)).astype(np.float64)
+
+    square = np.stack([np.stack([total(one * other) for one in off.T], axis=-1) for other in off.T], axis=-1)
+    along = np.stack([total(one * higher) for one in off.T], axis=-1)[..., None]
+    slope = np.linalg.pinv(square, hermitian=True) @ along
+    reach = np.sqrt(3 * np.diagonal(square, axis1=1, axis2=2) / total(np.ones(len(off)))[:, None])
+    place = np.clip(np.nan_to_num(asked), -reach, reach)
+    return np.asarray(np.sum(slope[..., 0] * place, axis=-1))
+
+
+def _places(positions: F64, aperture: ApertureState, grid: Grid) -> tuple[F64, F64]:
+    """Row and column of positions (..., 3) by their range and Doppler."""
+    sight = positions - aperture.position
+    along = sight @ aperture.direction
+    across = np.sqrt(np.maximum(np.sum(sight**2, axis=-1) - along**2, 0.0))
+    return pixels_at(across, along, aperture, grid)
+
+
+def _members(places: F64, grid: Grid, cell: tuple[float, float]) -> tuple[Index, Index, F64]:
     """Pixels and scatterers that belong together: number of the pixel, of the scatterer, and share of its power.
 
     A scatterer has its whole power in the pixel that it lies in, and NEIGHBOUR_SHARE of it in those that it misses by
-    less than half a resolution cell.
+    less than half a resolution cell. `places` are rows and columns, (scatterers, 2).
     """
-    sight = surface.positions - aperture.position
-    along = sight @ aperture.direction
-    across = np.sqrt(np.maximum(np.sum(sight**2, axis=-1) - along**2, 0.0))
-    row, col = pixels_at(across, along, aperture, grid)
+    row, col = places.T
     near_row, near_col = np.rint(row), np.rint(col)
     reach = 0.5 + np.array(cell) / 2 / (grid.row_spacing, grid.col_spacing)
     parts = []

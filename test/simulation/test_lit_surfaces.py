@@ -23,13 +23,14 @@ DROP = float(-sphere_point(0.0, AIM, 0.0)[2])
 """By which the ground there lies below the tangent plane of the map, m."""
 
 
-def truth_of(scene: Scene, rows: int = 90) -> tuple[LitSurfaces, Grid, F64]:
-    """Lit surfaces, grid, and slant range of each row in mid-image."""
+def truth_of(scene: Scene, rows: int = 90, off: tuple[float, float] = (0.0, 0.0)) -> tuple[LitSurfaces, Grid, F64]:
+    """Lit surfaces, at places so many pixels off the middle, grid, and slant range of each row in mid-image."""
     half = 9 * CELL[1]
     surface = visible_surface(scene, make_aperture(), 1, CELL, (-half, half), (4994.0, 5006.0))
     grid = slant_plane_grid(SENSOR, make_aperture(), 5000.0, rows, 12, 1.2)
     ranges = np.linalg.norm(grid.points(np.arange(rows), 5.5) - make_aperture().position, axis=-1)
-    return lit_surfaces(surface, make_aperture(), grid, CELL, BEAMS), grid, ranges
+    seen = grid.points(*(index + shift for index, shift in zip(np.indices(grid.shape), off, strict=True)))
+    return lit_surfaces(surface, make_aperture(), grid, CELL, BEAMS, seen=seen if any(off) else None), grid, ranges
 
 
 def profile(north: list[float], height: list[float]) -> Scene:
@@ -104,3 +105,15 @@ def test_slope_is_one_surface_as_wide_as_its_elevations_within_a_pixel() -> None
     )
     spread = np.sqrt(np.average(places**2, weights=weight)) / np.tan(incidence) / 5000
     assert np.median(truth.spread[0][inside]) == pytest.approx(spread, rel=0.03)
+
+
+def test_height_of_a_slope_is_that_at_the_range_asked_for() -> None:
+    """A plane rises by tan a / (sin l - cos l tan a) per metre of range, l the look angle; to both sides of a pixel."""
+    rise = np.tan(np.radians(25.0))
+    scene = profile([-40.0, 40.0], [40.0 * rise, -40.0 * rise])
+    (before, grid, _), (after, _, _) = (truth_of(scene, off=(off, 0.1)) for off in (-0.25, 0.25))
+    depth = grid.row_spacing * (grid.row_direction @ [0.0, -np.sqrt(0.5), -np.sqrt(0.5)])
+    expected = 0.5 * depth * rise / (np.sqrt(0.5) * (1 - rise))
+    middle = np.s_[0, 20:-20, 2:-2]
+    np.testing.assert_allclose((after.height - before.height)[middle], expected, rtol=0.03)
+    np.testing.assert_allclose(after.elevation[middle], before.elevation[middle])

@@ -1,4 +1,7 @@
-"""Compiled loops of the tracking along range, whose columns are worked on side by side, and of the membrane."""
+"""Compiled loops of the tracking along range, of the membrane, of slopes, and of the cells of a map.
+
+Columns of the tracking are worked on side by side.
+"""
 
 from __future__ import annotations
 
@@ -220,3 +223,126 @@ def find_semidefinite(matrices: F64, rounding: float, found: Bool) -> None:
         pairs = ab**2 <= limit * a * b and ac**2 <= limit * a * c and bc**2 <= limit * b * c
         whole = a * b * c + 2 * ab * ac * bc - a * bc**2 - b * ac**2 - c * ab**2
         found[i] = alone and pairs and whole >= -rounding * a * b * c
+
+
+@compiled_with_nan
+def fit_planes(
+    points: F64, mean: F64, seen: Bool, half: int, part: slice, slope: F64, steepness: F64, off: F64
+) -> None:
+    """Fill the slopes of the planes of `slope.ground_slope` in some rows, and how far pixels lie off them.
+
+    The slope g fulfils step_up = g step_horizontal for the steps of the means down and across: Cramer's rule.
+
+    Args:
+        points: m, shape (3, rows, cols).
+        mean: of the windows, m, same shape.
+        seen: the points that count, shape (rows, cols).
+        half: half-width of the windows in pixels.
+        part: rows to be filled.
+        slope: to be filled, m/m, shape (rows, cols, 2).
+        steepness: sum of the squares of both horizontal steps over their squared area, to be filled, 1/m^2, shape
+            (rows, cols).
+        off: squared distance in height from the plane through the mean, to be filled, m^2, shape (rows, cols); 0 where
+            points do not count.
+    """
+    rows, cols = seen.shape
+    for i in range(part.start, part.stop):
+        below, above = max(i - half, 0), min(i + half, rows - 1)
+        for j in range(cols):
+            left, right = max(j - half, 0), min(j + half, cols - 1)
+            down_x, across_x = mean[0, above, j] - mean[0, below, j], mean[0, i, right] - mean[0, i, left]
+            down_y, across_y = mean[1, above, j] - mean[1, below, j], mean[1, i, right] - mean[1, i, left]
+            down_z, across_z = mean[2, above, j] - mean[2, below, j], mean[2, i, right] - mean[2, i, left]
+            area = down_x * across_y - down_y * across_x
+            east = (down_z * across_y - down_y * across_z) / area
+            north = (down_x * across_z - down_z * across_x) / area
+            slope[i, j, 0], slope[i, j, 1] = east, north
+            steepness[i, j] = (down_x**2 + down_y**2 + across_x**2 + across_y**2) / area**2
+            off[i, j] = 0.0
+            if seen[i, j]:
+                beside_x, beside_y = points[0, i, j] - mean[0, i, j], points[1, i, j] - mean[1, i, j]
+                off[i, j] = (points[2, i, j] - mean[2, i, j] - east * beside_x - north * beside_y) ** 2
+
+
+@compiled_with_nan
+def average_cells(
+    cell: Index,
+    place: F64,
+    height: F64,
+    slope: F64,
+    slope_error: F64,
+    own: F64,
+    common: F64,
+    centre: F64,
+    steepest: float,
+    sums: F64,
+) -> None:
+    """Fill the means of the pixels in each cell with the weights w = 1 / (own + common), see `map._averaged`.
+
+    Args:
+        cell: number of each pixel's cell, shape (pixels,).
+        place: east and north, m, shape (2, pixels).
+        height: m, shape (pixels,).
+        slope: towards east and north, m/m, shape (2, pixels).
+        slope_error: m/m, shape (pixels,); NaN where the slope is not known.
+        own: variance, m^2, shape (pixels,).
+        common: the part that all pixels share, m^2, shape (pixels,).
+        centre: east and north of each cell, m, shape (cells, 2).
+        steepest: slope where it is not known, m/m.
+        sums: zeros, shape (cells, 12). To be filled with the sum of the weights; means of the slopes towards east and
+            north; of the height at the centre; of the slope's error where it is known; of the distances east and north
+            to the centre; of what `steepest` makes of the distance where the slope is not known; of own; of own times
+            w over the sum of w; of the root of common; and of the squared distance from the mean height.
+    """
+    for i in range(len(cell)):
+        total, weight = sums[cell[i]], 1 / (own[i] + common[i])
+        total[0] += weight
+        total[1] += weight * slope[0, i]
+        total[2] += weight * slope[1, i]
+    for number in range(len(sums)):
+        sums[number, 1] /= sums[number, 0]
+        sums[number, 2] /= sums[number, 0]
+    for i in range(len(cell)):
+        total, weight = sums[cell[i]], 1 / (own[i] + common[i])
+        east, north = centre[cell[i], 0] - place[0, i], centre[cell[i], 1] - place[1, i]
+        total[3] += weight * (height[i] + total[1] * east + total[2] * north)
+        if np.isnan(slope_error[i]):
+            total[7] += weight * (steepest * np.hypot(east, north))
+        else:
+            total[4] += weight * slope_error[i]
+        total[5] += weight * east
+        total[6] += weight * north
+        total[8] += weight * own[i]
+        total[9] += weight**2 * own[i]
+        total[10] += weight * np.sqrt(common[i])
+    for number in range(len(sums)):
+        for k in range(3, 11):
+            sums[number, k] /= sums[number, 0]
+        sums[number, 9] /= sums[number, 0]
+    for i in range(len(cell)):
+        total, weight = sums[cell[i]], 1 / (own[i] + common[i])
+        east, north = centre[cell[i], 0] - place[0, i], centre[cell[i], 1] - place[1, i]
+        total[11] += weight * (height[i] + total[1] * east + total[2] * north - total[3]) ** 2 / total[0]
+
+
+@compiled_with_nan
+def update_cells(index: Index, height: F64, weight: F64, cells: F64) -> None:
+    """Update the numbers of cells with measurements, see `map.ReliefMap`.
+
+    Chi-square grows by the squared difference from the mean so far, over the variance of that difference. That gives
+    the sum of w (h - mean)^2 over all measurements without the cancellation of large squares.
+
+    Args:
+        index: cell of each measurement, shape (measurements,).
+        height: measured, m, shape (measurements,).
+        weight: 1 / variance, 1/m^2, shape (measurements,).
+        cells: mean height, 1 / its variance, chi-square and count of each cell, to be updated, shape (cells, 4).
+    """
+    for i in range(len(index)):
+        cell = cells[index[i]]
+        gain = weight[i] / (cell[1] + weight[i])
+        step = gain * (height[i] - cell[0])
+        cell[2] += step**2 * cell[1] / gain
+        cell[0] += step
+        cell[1] += weight[i]
+        cell[3] += 1

@@ -28,10 +28,11 @@ import numpy.typing as npt
 from sal_height.elevation import ORDERS
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, sphere_coordinates
-from sal_height.numeric import F32, F64, I64, U8, Bool
+from sal_height.numeric import F32, F64, I64, U8, Bool, in_parallel
+from sal_height.relief._kernels import average_cells, update_cells
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import STEEPEST, variance_at_place
-from sal_height.relief.slope import ground_slope
+from sal_height.relief.slope import LEAST_ROWS, ground_slope
 from sal_height.relief.tracked import ground_spacings
 
 TILE = 256
@@ -125,7 +126,7 @@ class ReliefMap:
                 here = first + np.flatnonzero(tile_cols[first:end] == tile_col)
                 if here.size:
                     tile = self._tiles.setdefault((tile_row, tile_col), np.zeros((TILE * TILE, 4)))
-                    tile[index[here]] = _updated(tile[index[here]], height[here], weight[here])
+                    update_cells(index[here], height[here], weight[here], tile)
 
     def relief(self) -> Relief | None:
         """Return the map as it stands; None if nothing was seen yet."""
@@ -208,7 +209,12 @@ def _supported(field: HeightField) -> list[Bool]:
 
 def _pixels(surface: Surface, there: Bool, spacing: float) -> _Pixels:
     """The scatterers of a surface that enter a map; `spacing` of pixels on the ground, m."""
-    points = np.stack(sphere_coordinates(surface.positions))
+    points = np.empty((3, *there.shape))
+
+    def fill(part: slice) -> None:
+        points[:, part] = sphere_coordinates(surface.positions[part])
+
+    in_parallel(fill, len(there), LEAST_ROWS)
     slope, error = ground_slope(points, surface.own_covariance, spacing)
     own = variance_at_place(surface.own_covariance, slope)
     common = np.zeros_like(own)
@@ -221,7 +227,8 @@ def _pixels(surface: Surface, there: Bool, spacing: float) -> _Pixels:
 
 
 def _joined(parts: list[_Pixels]) -> _Pixels:
-    return _Pixels(*(np.concatenate([getattr(part, one.name) for part in parts], axis=-1) for one in fields(_Pixels)))
+    joined = (np.concatenate([getattr(part, one.name) for part in parts], axis=-1) for one in fields(_Pixels))
+    return _Pixels(*(np.ascontiguousarray(values) for values in joined))
 
 
 def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, F64, F64]:
@@ -243,38 +250,25 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, 
     first = cells.min(axis=1)
     shape = tuple(cells.max(axis=1) - first + 1)
     index = np.ravel_multi_index(tuple(cells - first[:, None]), shape)
-    weight = 1 / (pixels.own + pixels.common)
-    total = np.bincount(index, weight)
-    seen = np.flatnonzero(total)
-    numbers = np.zeros(len(total), np.int64)
-    numbers[seen] = np.arange(len(seen))
-    index, total = numbers[index], total[seen]
-
-    def mean(values: F64) -> F64:
-        return np.bincount(index, weight * values) / total
-
-    east, north = cell_size * (cells[::-1] + 0.5) - pixels.place
-    slope_east, slope_north = (mean(axis) for axis in pixels.slope)
-    at_centre = pixels.height + slope_east[index] * east + slope_north[index] * north
-    height = mean(at_centre)
-    unknown = np.isnan(pixels.slope_error)
-    moved = mean(np.where(unknown, 0.0, pixels.slope_error)) * np.hypot(mean(east), mean(north))
-    unmoved = mean(np.where(unknown, STEEPEST * np.hypot(east, north), 0.0))
-    spread, expected = mean((at_centre - height[index]) ** 2), mean(pixels.own)
-    step = np.where(spread > STEP**2 * expected, spread, 0.0)
-    own = np.bincount(index, weight**2 * pixels.own) / total**2
-    variance = own + mean(np.sqrt(pixels.common)) ** 2 + moved**2 + unmoved**2 + step
-    row, col = np.unravel_index(seen, shape)
-    return row + first[0], col + first[1], height, 1 / variance
-
-
-def _updated(cells: F64, height: F64, weight: F64) -> F64:
-    """Update the numbers of cells, shape (n, 4), with measurements of `weight` 1 / variance.
-
-    Chi-square grows by the squared difference from the mean so far, over the variance of that difference. That gives
-    the sum of w (h - mean)^2 over all measurements without the cancellation of large squares.
-    """
-    mean, known, chi_square, count = cells.T
-    gain = weight / (known + weight)
-    step = gain * (height - mean)
-    return np.stack([mean + step, known + weight, chi_square + step**2 * known / gain, count + 1], axis=-1)
+    seen = np.flatnonzero(np.bincount(index))
+    row, col = (numbers + start for numbers, start in zip(np.unravel_index(seen, shape), first, strict=True))
+    numbers = np.zeros(shape, np.intp)
+    numbers.ravel()[seen] = np.arange(len(seen))
+    centre = cell_size * (np.stack([col, row], axis=-1) + 0.5)
+    sums = np.zeros((len(seen), 12))
+    average_cells(
+        numbers.ravel()[index],
+        pixels.place,
+        pixels.height,
+        pixels.slope,
+        pixels.slope_error,
+        pixels.own,
+        pixels.common,
+        centre,
+        STEEPEST,
+        sums,
+    )
+    _, _, _, height, slope_error, east, north, unmoved, own, own_of_mean, common, spread = sums.T
+    moved = slope_error * np.hypot(east, north)
+    step = np.where(spread > STEP**2 * own, spread, 0.0)
+    return row, col, height, 1 / (own_of_mean + common**2 + moved**2 + unmoved**2 + step)

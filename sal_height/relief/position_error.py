@@ -21,11 +21,14 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.geometry import EARTH_RADIUS, ApertureState, Grid, aperture_at, locate_at_elevation
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, Bool, in_parallel
 from sal_height.relief._kernels import find_semidefinite, variances_across
 
 STEEPEST = 1.0
 """Steepest slope (height over distance) of ground whose slope is not known: 45 degrees, about the repose of rubble."""
+
+LEAST_POINTS = 2**14
+"""Points that are worth a thread."""
 
 LEAST_OWN_SHARE = 0.01
 """Least share of a height's variance that is not due to the pose; sigma may have been rounded to float32."""
@@ -166,7 +169,8 @@ def is_covariance(matrices: F64) -> Bool:
     All principal minors must be 0 or greater (Sylvester).
     """
     found = np.empty(matrices.shape[:-2], np.bool_)
-    find_semidefinite(matrices.reshape(-1, 3, 3), ROUNDING, found.reshape(-1))
+    flat = matrices.reshape(-1, 3, 3), found.reshape(-1)
+    in_parallel(lambda part: find_semidefinite(flat[0][part], ROUNDING, flat[1][part]), len(flat[1]), LEAST_POINTS)
     return found
 
 
@@ -189,7 +193,10 @@ def variance_at_place(covariance: F64, slope: F64) -> F64:
     shape = np.broadcast_shapes(covariance.shape[:-2], slope.shape[:-1])
     matrices, slopes = np.broadcast_to(covariance, (*shape, 3, 3)), np.broadcast_to(slope, (*shape, 2))
     variance = np.empty(shape)
-    variances_across(matrices.reshape(-1, 3, 3), slopes.reshape(-1, 2), STEEPEST, variance.reshape(-1))
+    flat = matrices.reshape(-1, 3, 3), slopes.reshape(-1, 2), variance.reshape(-1)
+    in_parallel(
+        lambda part: variances_across(flat[0][part], flat[1][part], STEEPEST, flat[2][part]), len(flat[2]), LEAST_POINTS
+    )
     return variance
 
 

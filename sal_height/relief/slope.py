@@ -7,10 +7,14 @@ plane, whichever of them are missing, so that the differences of a few means fix
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, WORKERS, Bool, in_parallel
+from sal_height.relief._kernels import fit_planes
 from sal_height.relief.position_error import variance_at_place
 
 SLOPE_ERROR = 0.03
@@ -27,6 +31,9 @@ LEAST_SHARE = 0.25
 
 WIDEST = 32
 """Greatest half-width of a window in pixels."""
+
+LEAST_ROWS = 64
+"""Rows that are worth a thread."""
 
 
 def ground_slope(points: F64, covariance: F64, spacing: float) -> tuple[F64, F64]:
@@ -68,23 +75,19 @@ def _planes(points: F64, covariance: F64, seen: Bool, half: int) -> tuple[F64, F
         seen: the points that count, shape (rows, cols).
         half: half-width of the windows in pixels.
     """
-    from_middle = [np.where(seen, axis - axis[seen].mean(), 0.0) for axis in points]
-    share = _window_mean(seen.astype(np.float64), half)
+    from_middle = np.stack([np.where(seen, axis - axis[seen].mean(), 0.0) for axis in points])
+    *mean, share = _window_means([*from_middle, seen.astype(np.float64)], half)
+    slope, (steepness, off) = np.empty((*seen.shape, 2)), np.empty((2, *seen.shape))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        mean = [_window_mean(axis, half) / share for axis in from_middle]
-        down, across = ([_step(values, half, axis) for values in mean] for axis in (0, 1))
-        # The slope g fulfils step_up = g step_horizontal for both steps: Cramer's rule.
-        area = down[0] * across[1] - down[1] * across[0]
-        east = (down[2] * across[1] - down[1] * across[2]) / area
-        north = (down[0] * across[2] - down[2] * across[0]) / area
-        slope = np.stack([east, north], axis=-1)
+        means = np.stack([total / share for total in mean])
+        in_parallel(
+            lambda part: fit_planes(from_middle, means, seen, half, part, slope, steepness, off), len(seen), LEAST_ROWS
+        )
         count = share * (2 * half + 1) ** 2
-        beside = [point - middle for point, middle in zip(from_middle, mean, strict=True)]
-        deviation = np.where(seen, beside[2] - east * beside[0] - north * beside[1], 0.0)
-        spread = _window_mean(np.nan_to_num(deviation**2), half) / share * count / (count - 1)
+        spread = _window_means([np.nan_to_num(off)], half)[0] / share * count / (count - 1)
         variance = variance_at_place(covariance, slope)
         # Each of the two steps has twice the variance of a mean, at most.
-        error = 2 * variance / count * (down[0] ** 2 + down[1] ** 2 + across[0] ** 2 + across[1] ** 2) / area**2
+        error = 2 * variance / count * steepness
         planar = seen & (share >= LEAST_SHARE) & (spread <= MISFIT**2 * variance) & np.isfinite(error)
     return slope, np.where(planar, np.sqrt(error), np.inf)
 
@@ -100,13 +103,7 @@ def _half_width(sigma: float, spacing: float) -> int:
     return int(wide_enough[0]) if wide_enough.size else WIDEST
 
 
-def _window_mean(values: F64, half: int) -> F64:
-    """Mean over the window around each pixel; values beyond the edge count as 0."""
-    return uniform_filter(values, 2 * half + 1, mode="constant")
-
-
-def _step(values: F64, half: int, axis: int) -> F64:
-    """Difference of values `half` pixels behind and before each pixel along an axis, at the edges of fewer pixels."""
-    index = np.arange(values.shape[axis])
-    behind, before = np.minimum(index + half, index[-1]), np.maximum(index - half, 0)
-    return np.take(values, behind, axis) - np.take(values, before, axis)
+def _window_means(values: Sequence[F64], half: int) -> list[F64]:
+    """Means over the window around each pixel; values beyond the edge count as 0."""
+    with ThreadPoolExecutor(WORKERS) as pool:
+        return list(pool.map(lambda image: uniform_filter(image, 2 * half + 1, mode="constant"), values))

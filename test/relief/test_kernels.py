@@ -113,3 +113,60 @@ def test_covariances_are_the_matrices_without_a_negative_eigenvalue() -> None:
     expected = (least >= -1e-12) & (np.arange(400) != 1)
     np.testing.assert_array_equal(found, expected)
     assert 100 < np.count_nonzero(found) < 300
+
+
+def test_planes_of_windows() -> None:
+    rng = np.random.default_rng(5)
+    points, mean, half = rng.standard_normal((3, 12, 9)), rng.standard_normal((3, 12, 9)), 2
+    seen = rng.uniform(size=(12, 9)) < 0.8
+    slope, steepness, off = np.full((12, 9, 2), np.nan), np.full((12, 9), np.nan), np.full((12, 9), np.nan)
+    for part in (slice(0, 5), slice(5, 12)):
+        kernels.fit_planes(points, mean, seen, half, part, slope, steepness, off)
+    row, col = np.arange(12), np.arange(9)
+    down = mean[:, np.minimum(row + half, 11)] - mean[:, np.maximum(row - half, 0)]
+    across = mean[..., np.minimum(col + half, 8)] - mean[..., np.maximum(col - half, 0)]
+    steps = np.stack([down, across]).transpose(2, 3, 0, 1)
+    expected = np.linalg.solve(steps[..., :2], steps[..., 2:])[..., 0]
+    np.testing.assert_allclose(slope, expected, rtol=1e-9)
+    squares = np.sum(steps[..., :2] ** 2, axis=(-1, -2))
+    np.testing.assert_allclose(steepness, squares / np.linalg.det(steps[..., :2]) ** 2, rtol=1e-9)
+    beside = points - mean
+    height = beside[2] - np.einsum("ijk,kij->ij", expected, beside[:2])
+    np.testing.assert_allclose(off, np.where(seen, height**2, 0), rtol=1e-9)
+
+
+def test_means_of_cells() -> None:
+    rng = np.random.default_rng(6)
+    cell, count, steepest = rng.integers(0, 7, 200), 7, 1.5
+    place, slope, centre = rng.standard_normal((2, 200)), rng.standard_normal((2, 200)), rng.standard_normal((7, 2))
+    height, error, own, common = rng.standard_normal(200), *rng.uniform(0.1, 1, (3, 200))
+    error[rng.uniform(size=200) < 0.3] = np.nan
+    sums = np.zeros((count, 12))
+    kernels.average_cells(cell, place, height, slope, error, own, common, centre, steepest, sums)
+    weight = 1 / (own + common)
+    total = np.bincount(cell, weight)
+
+    def mean(values: Array) -> Array:
+        return np.bincount(cell, weight * values) / total
+
+    slopes = [mean(axis) for axis in slope]
+    distances = centre[cell].T - place
+    at_centre = height + slopes[0][cell] * distances[0] + slopes[1][cell] * distances[1]
+    unmoved = np.where(np.isnan(error), steepest * np.hypot(*distances), 0)
+    spread = (at_centre - mean(at_centre)[cell]) ** 2
+    values = (*distances, unmoved, own, weight * own / total[cell], np.sqrt(common), spread)
+    expected = [total, *slopes, mean(at_centre), mean(np.nan_to_num(error)), *(mean(value) for value in values)]
+    np.testing.assert_allclose(sums, np.transpose(expected), rtol=1e-9, atol=1e-12)
+
+
+def test_cells_of_a_map() -> None:
+    """Mean, chi-square and count of measurements that came one after the other."""
+    rng = np.random.default_rng(7)
+    height, weight, cells = rng.standard_normal((9, 5)), rng.uniform(0.1, 2, (9, 5)), np.zeros((8, 4))
+    index = np.array([6, 0, 3, 2, 7])
+    for values, weights in zip(height, weight, strict=True):
+        kernels.update_cells(index, values, weights, cells)
+    mean = np.sum(weight * height, axis=0) / weight.sum(axis=0)
+    chi_square = np.sum(weight * (height - mean) ** 2, axis=0)
+    np.testing.assert_allclose(cells[index], np.stack([mean, weight.sum(axis=0), chi_square, np.full(5, 9)], axis=-1))
+    assert not cells[[1, 4, 5]].any()

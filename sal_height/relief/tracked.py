@@ -58,11 +58,12 @@ def tracked_field(
 
     Pixels of one surface that were tracked become OK. What contradicts the track in company (`in_company`) is no
     outlier but ground beyond a step: it stays as it was measured. So do pixels of several surfaces or an extended one,
-    which are not the relief. An outlier, and a pixel of which nothing is known (UNKNOWN), becomes INTERPOLATED where
-    pixels of its column were measured at nearer and at farther range, and the standard deviation is at most
-    `greatest_sigma`. Elsewhere it has no height, and an outlier becomes LOW_CNR: a peak of noise. Nothing is
-    extrapolated: beyond the last measured pixel the ground has most often left the span of the array. Pixels that were
-    not measured have the range and Doppler of their centres.
+    which are not the relief. Any other outlier becomes LOW_CNR: it may be a peak of noise, or the track may be wrong,
+    so that neither is its height. A pixel of which nothing is known (UNKNOWN) becomes INTERPOLATED if the measured
+    pixels of its column that are next to it at nearer and at farther range were tracked, and the standard deviation is
+    at most `greatest_sigma`. Elsewhere it has no height. Nothing is extrapolated: beyond the last measured pixel the
+    ground has most often left the span of the array. Pixels that were not measured have the range and Doppler of their
+    centres.
 
     Args:
         field: measured heights.
@@ -80,10 +81,9 @@ def tracked_field(
     step = in_company(field.first, relief.outlier)
     kept, outlier = measured & (~whole | step), relief.outlier & whole & ~step
     used = measured & ~relief.outlier
-    nearer, farther = np.logical_or.accumulate(used), np.logical_or.accumulate(used[::-1])[::-1]
     tracked = located & used & ~kept
-    unknown = outlier | np.isin(field.validity, UNKNOWN)
-    filled = located & unknown & nearer & farther & (relief.sigma <= greatest_sigma)
+    unknown = np.isin(field.validity, UNKNOWN) & (relief.sigma <= greatest_sigma)
+    filled = located & unknown & _between(tracked, measured)
     validity = np.select(
         [kept, tracked, filled, used, outlier],
         [field.validity, Validity.OK, Validity.INTERPOLATED, Validity.OUTSIDE_ARRAY, Validity.LOW_CNR],
@@ -97,6 +97,17 @@ def tracked_field(
 
 UNKNOWN = (Validity.LOW_CNR, Validity.AMBIGUOUS, Validity.MISSING_DATA, Validity.SATURATED, Validity.IMPRECISE)
 """Reasons that say nothing of the ground; the others say that it is not one surface, or not there."""
+
+
+def _between(tracked: Bool, measured: Bool) -> Bool:
+    """Pixels of which the next measured ones before and after them in their column exist and were tracked."""
+    rows, col = tracked.shape[0], np.arange(tracked.shape[1])
+    number = np.broadcast_to(np.arange(rows)[:, None], tracked.shape)
+    before = np.maximum.accumulate(np.where(measured, number, -1))
+    after = np.minimum.accumulate(np.where(measured, number, rows)[::-1])[::-1]
+    there = np.pad(tracked, ((0, 1), (0, 0)))  # none in row -1, which is the one after the last
+    return there[before, col] & there[after, col]
+
 
 COMPANY = 3
 """Least number of the eight pixels around an outlier that must be outliers of the same height."""

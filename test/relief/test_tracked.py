@@ -117,28 +117,32 @@ def test_a_tracked_scatterer_stays_on_its_circle(look_side: int, sliding: bool) 
 
 
 def test_validity_says_where_a_height_comes_from() -> None:
-    """Down a column: beyond the last measured pixel, measured, an outlier, none, none of a vague sigma, two, beyond."""
+    """Down a column, measured pixels between others: beyond, of a gap, of a vague sigma, an outlier and a gap by it."""
     aperture = make_aperture()
-    grid = make_grid(aperture, 1, (7, 1))
-    height = np.array([np.nan, 1.0, 2.0, np.nan, np.nan, 3.0, np.nan])[:, None]
+    grid = make_grid(aperture, 1, (10, 1))
+    nothing = np.nan
+    height = np.array([nothing, 1.0, nothing, 2.0, nothing, 3.0, 9.0, nothing, 3.0, nothing])[:, None]
     field = field_of(grid, aperture, 1, height, 1.0)
-    field.validity[3], field.validity[4] = Validity.MISSING_DATA, Validity.LOW_CNR
+    field.validity[2], field.validity[4], field.validity[7] = (
+        Validity.MISSING_DATA,
+        Validity.LOW_CNR,
+        Validity.SATURATED,
+    )
     vague = 1.4
-    sigma = np.array([0.1, 0.5, vague * 0.99, 0.5, vague * 1.01, 0.5, 0.1])[:, None]
-    outlier = np.arange(7)[:, None] == 2
-    result = tracked_field(field, TrackedRelief(np.ones((7, 1)), sigma, outlier), aperture, vague)
+    sigma = np.full((10, 1), 0.5)
+    sigma[4] = vague * 1.01
+    outlier = height == 9.0
+    result = tracked_field(field, TrackedRelief(np.ones((10, 1)), sigma, outlier), aperture, vague)
     expected = [
-        *(Validity.OUTSIDE_ARRAY, Validity.OK, Validity.INTERPOLATED, Validity.INTERPOLATED),
-        *(Validity.LOW_CNR, Validity.OK, Validity.OUTSIDE_ARRAY),
+        *(Validity.OUTSIDE_ARRAY, Validity.OK, Validity.INTERPOLATED, Validity.OK, Validity.LOW_CNR, Validity.OK),
+        *(Validity.LOW_CNR, Validity.SATURATED, Validity.OK, Validity.OUTSIDE_ARRAY),
     ]
     assert result.validity[:, 0].tolist() == expected
     usable = np.isin(result.validity, (Validity.OK, Validity.INTERPOLATED))
     for values in (result.first.height, result.first.sigma, result.first.positions[..., 0]):
         np.testing.assert_array_equal(np.isfinite(values), usable)
     assert len(result.surfaces) == 1
-    unsure = tracked_field(field, TrackedRelief(np.ones((7, 1)), sigma * 10, outlier), aperture, vague)
-    assert unsure.validity[2, 0] == Validity.LOW_CNR
-    nowhere = TrackedRelief(np.full((7, 1), 2 * EARTH_RADIUS), sigma, outlier)
+    nowhere = TrackedRelief(np.full((10, 1), 2 * EARTH_RADIUS), sigma, outlier)
     assert tracked_field(field, nowhere, aperture, vague).validity[1, 0] == Validity.OUTSIDE_ARRAY
 
 
@@ -154,7 +158,7 @@ def test_a_run_of_consistent_heights_is_a_step_and_not_overwritten() -> None:
     np.testing.assert_array_equal(result.validity[3:], Validity.OK)
     np.testing.assert_array_equal(result.first.height[3:], field.first.height[3:])
     np.testing.assert_array_equal(result.first.sigma[3:], field.first.sigma[3:])
-    assert result.validity[1, 2] == Validity.INTERPOLATED
+    assert result.validity[1, 2] == Validity.LOW_CNR
 
 
 @pytest.mark.parametrize("validity", [Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS, Validity.EXTENDED])

@@ -154,7 +154,69 @@ def propagate(
                 precision[3, i, c - 1], moment[3, i, c - 1] = passed * total, passed * sent
 
 
-@compiled
+@compiled_with_nan
+def follow_lines(
+    place: F64, height: F64, direction: F64, rise: F64, walls: F64, stride: int, found: npt.NDArray[np.int64]
+) -> int:
+    """Follow the lines of `visibility.blocking_cells`; returns the number of pairs, of which those that fit are filled.
+
+    Args:
+        place: row and column where each begins, shape (lines, 2).
+        height: there, m, shape (lines,).
+        direction: rows and columns that it goes on per cell of its way, shape (lines, 2).
+        rise: m per cell of its way, shape (lines,).
+        walls: height above which the surface of a cell is in the way, m, shape (rows, cols); -inf: never.
+        stride: cells from one place of a line to the next.
+        found: number of the line and flat number of the cell, to be filled, shape (pairs, 2).
+    """
+    rows, cols = walls.shape
+    highest, count = walls.max(), 0
+    for i in range(len(place)):
+        way, level = stride, height[i] + stride * rise[i]
+        while level < highest:
+            row = int(np.rint(place[i, 0] + way * direction[i, 0]))
+            col = int(np.rint(place[i, 1] + way * direction[i, 1]))
+            if row < 0 or row >= rows or col < 0 or col >= cols:
+                break
+            if walls[row, col] > level:
+                if count < len(found):
+                    found[count, 0], found[count, 1] = i, row * cols + col
+                count += 1
+            way += stride
+            level = height[i] + way * rise[i]
+    return count
+
+
+@compiled_with_nan
+def mean_rises(height: F64, joined: Bool, reach: int, slope: F64) -> None:
+    """Fill the mean rise to the next cell down a column, of the joined cells in the square of `reach` around each.
+
+    Args:
+        height: m, shape (rows, cols).
+        joined: whether each cell and the next of the column are joined, shape (rows - 1, cols).
+        reach: cells.
+        slope: to be filled, m per cell, shape (rows, cols); 0 where there are no joined cells.
+    """
+    rows, cols = height.shape
+    total, count = np.zeros((rows + 1, cols + 1)), np.zeros((rows + 1, cols + 1))  # of all cells before
+    for i in range(rows):
+        rises, joints = 0.0, 0.0
+        for c in range(cols):
+            if i + 1 < rows and joined[i, c]:
+                rises += height[i + 1, c] - height[i, c]
+                joints += 1
+            total[i + 1, c + 1] = total[i, c + 1] + rises
+            count[i + 1, c + 1] = count[i, c + 1] + joints
+    for i in range(rows):
+        first, last = max(i - reach, 0), min(i + reach, rows - 1)  # joints from row `first` to the one before `last`
+        for c in range(cols):
+            left, right = max(c - reach, 0), min(c + reach + 1, cols)
+            number = count[last, right] - count[first, right] - count[last, left] + count[first, left]
+            rise = total[last, right] - total[first, right] - total[last, left] + total[first, left]
+            slope[i, c] = rise / number if number > 0 else 0.0
+
+
+@compiled_with_nan
 def mark_bends(height: F64, limit: F64, joined: Bool, lags: Index, bend: F64) -> None:
     """Mark the bends of columns of cells with their square beyond the limit's, the greatest one of each cell.
 

@@ -25,8 +25,9 @@ import numpy.typing as npt
 from scipy.ndimage import binary_dilation, distance_transform_edt, uniform_filter
 
 from sal_height.numeric import F64, I64, U8, Bool
+from sal_height.relief import _kernels as kernels
 from sal_height.relief.layers import Layers, Neighbours, neighbours, on_walls, supported
-from sal_height.relief.membrane import Membrane, fitted_membrane, footprint
+from sal_height.relief.membrane import Membrane, deviation, fitted_membrane, footprint
 from sal_height.relief.settings import GroundSettings
 from sal_height.relief.visibility import blocking_cells, contradicted
 
@@ -112,12 +113,12 @@ def estimated_ground(layers: Layers, silent: Bool, grid: GroundGrid, settings: G
     number = grid.numbers(tops)
     measured = np.zeros(grid.shape, dtype=bool)
     measured.ravel()[number] = True
-    nearest = distance_transform_edt(~measured, return_distances=False, return_indices=True)
     membrane, slope, variance = _settled(tops, number, grid, settings)
-    covered = membrane.covered
-    level, half = _between_sides(membrane.height, covered, slope, grid, settings)
+    covered, nearest = membrane.covered, tuple(membrane.nearest)
+    sides = [_sides(membrane.height, covered, axis) for axis in (0, 1)]
+    level, half = _between_sides(sides, slope, grid, settings)
     towards = np.broadcast_to(tops.towards.mean(axis=0), (grid.shape[0] * grid.shape[1], 2))
-    hidden, floor = _hidden(membrane.height, covered, measured, towards, grid)
+    hidden, floor = _hidden(membrane.height, covered, measured, sides, towards, grid)
     jump = np.maximum(_jumps_beside(membrane), np.where(hidden, membrane.height - floor, 0.0))
     sure = covered & (measured | (jump == 0))
     kind = np.select(
@@ -128,7 +129,8 @@ def estimated_ground(layers: Layers, silent: Bool, grid: GroundGrid, settings: G
     known = np.isin(kind, (GroundKind.MEASURED, GroundKind.INTERPOLATED))
     common, count = np.zeros(grid.shape), np.zeros(grid.shape, np.int64)
     common.ravel()[number], count.ravel()[number] = variance, tops.dwells
-    total = membrane.sigma**2 + common[tuple(nearest)] + np.where(covered, jump**2 / 4, half**2)
+    sigma = deviation(membrane, grid.spacing / grid.cell_size)
+    total = sigma**2 + common[nearest] + np.where(covered, jump**2 / 4, half**2)
     return GroundEstimate(
         east,
         north,
@@ -136,7 +138,7 @@ def estimated_ground(layers: Layers, silent: Bool, grid: GroundGrid, settings: G
         np.where(known, membrane.height, np.nan),
         np.where(known, np.sqrt(total), np.nan),
         kind,
-        np.where(kind == GroundKind.MEASURED, count[tuple(nearest)], 0).astype(np.uint32),
+        np.where(kind == GroundKind.MEASURED, count[nearest], 0).astype(np.uint32),
     )
 
 
@@ -222,7 +224,7 @@ def _settled(tops: Layers, number: I64, grid: GroundGrid, settings: GroundSettin
 
 
 PASSES = 2
-"""Number of fits: with unknown slopes, with slopes that steps may have spoilt, and with those of whole ground."""
+"""Number of fits: with unknown slopes, and with those that the first one has found."""
 
 LEAST_VARIANCE_SHARE = 0.25
 """Least variance of a height at a place over that of the height itself, on slopes along which the errors go."""
@@ -233,17 +235,13 @@ SLOPE_CELLS = 7
 
 def _slopes(membrane: Membrane) -> F64:
     """Slope of the membrane along rows and columns, m per cell, shape (rows, cols, 2); steps are not part of it."""
-    slopes = []
-    for axis, joint in enumerate(membrane.joined):
-        rise = np.where(joint, np.diff(membrane.height, axis=axis), 0.0)
-        before, after = [(0, 0), (0, 0)], [(0, 0), (0, 0)]
-        before[axis], after[axis] = (1, 0), (0, 1)
-        total, count = (
-            uniform_filter(np.pad(values, before) + np.pad(values, after), SLOPE_CELLS)
-            for values in (rise, joint.astype(np.float64))
-        )
-        slopes.append(total / np.maximum(count, 0.5))
-    return np.stack(slopes, axis=-1)
+    slope = np.empty((2, *membrane.height.shape))
+    across = np.empty(membrane.height.shape[::-1])
+    kernels.mean_rises(membrane.height, membrane.joined[0], SLOPE_CELLS // 2, slope[0])
+    there = np.ascontiguousarray(membrane.joined[1].T)
+    kernels.mean_rises(np.ascontiguousarray(membrane.height.T), there, SLOPE_CELLS // 2, across)
+    slope[1] = across.T
+    return np.moveaxis(slope, 0, -1)
 
 
 def _jumps_beside(membrane: Membrane) -> F64:
@@ -257,9 +255,7 @@ def _jumps_beside(membrane: Membrane) -> F64:
     return jump
 
 
-def _between_sides(
-    height: F64, covered: Bool, slope: F64, grid: GroundGrid, settings: GroundSettings
-) -> tuple[Bool, F64]:
+def _between_sides(sides: list[Sides], slope: F64, grid: GroundGrid, settings: GroundSettings) -> tuple[Bool, F64]:
     """Cells in a gap whose nearest measured cells on both sides have the same height, and half their difference, m.
 
     What the slope (m per cell, shape (rows, cols, 2)) makes of the difference is no part of it.
@@ -269,8 +265,7 @@ def _between_sides(
     """
     reach = settings.interpolation_pixels * grid.spacing / grid.cell_size
     same, step, half = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool), np.zeros(grid.shape)
-    for axis in (0, 1):
-        (before, lower), (after, upper) = _sides(height, covered, axis)
+    for axis, ((before, lower), (after, upper)) in enumerate(sides):
         near = (before <= reach) & (after <= reach)
         difference = np.abs(upper - lower)
         level = near & (difference <= STEEPEST_GAP * (before + after) * grid.cell_size)
@@ -284,7 +279,11 @@ STEEPEST_GAP = 0.6
 """Greatest slope across a gap that is interpolated, 30 degrees."""
 
 
-def _sides(height: F64, covered: Bool, axis: int) -> tuple[tuple[F64, F64], tuple[F64, F64]]:
+Sides = tuple[tuple[F64, F64], tuple[F64, F64]]
+"""Distance (cells) and height (m) of what is before each cell along an axis, and of what is after it."""
+
+
+def _sides(height: F64, covered: Bool, axis: int) -> Sides:
     """Distance in cells and height of the last covered cell before each along an axis, and of the first after it."""
     length = height.shape[axis]
     place = np.expand_dims(np.arange(length), 1 - axis) * np.ones(height.shape, np.int64)
@@ -297,16 +296,16 @@ def _sides(height: F64, covered: Bool, axis: int) -> tuple[tuple[F64, F64], tupl
     return sides[0], sides[1]
 
 
-def _hidden(height: F64, covered: Bool, measured: Bool, towards: F64, grid: GroundGrid) -> tuple[Bool, F64]:
+def _hidden(
+    height: F64, covered: Bool, measured: Bool, sides: list[Sides], towards: F64, grid: GroundGrid
+) -> tuple[Bool, F64]:
     """Cells that the covered ones would hide from the sensor at the lowest of the known heights nearest to them.
 
     Looked at are the cells that are not covered, and those beside them that are not measured: their heights are known
     from others. Returns these lowest heights, m, too.
     """
-    outside, inside = (
-        np.fmin.reduce([side for axis in (0, 1) for _, side in _sides(height, known, axis)])
-        for known in (covered, measured)
-    )
+    beside = [_sides(height, measured, axis) for axis in (0, 1)]
+    outside, inside = (np.fmin.reduce([side for pair in both for _, side in pair]) for both in (sides, beside))
     floor = np.where(covered, inside, outside)
     top = np.where(covered, height, np.nan)
     place = np.moveaxis(np.indices(grid.shape), 0, -1).reshape(-1, 2).astype(np.float64)

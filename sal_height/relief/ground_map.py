@@ -91,15 +91,19 @@ class GroundMap:
         self._grow(seen)
         for tile in np.unique(cells // TILE, axis=0):
             new, place = layers.where((cells // TILE == tile).all(axis=1)), (int(tile[0]), int(tile[1]))
-            if place in self._tiles:
-                new = self._tiles[place].and_those(new)
-                new = merged(new, self.cell_size, self.settings.gate, same_dwell=False)
-            self._tiles[place] = new
+            self._tiles[place] = self._joined(self._tiles[place], new, seen) if place in self._tiles else new
         silent = silent_cells(field, aperture, self.settings.gate, self.cell_size)
         for tile in np.unique(silent // TILE, axis=0):
             there = silent[(silent // TILE == tile).all(axis=1)] - TILE * tile
             self._silent.setdefault((int(tile[0]), int(tile[1])), np.zeros((TILE, TILE), bool))[tuple(there.T)] = True
         return seen
+
+    def _joined(self, old: Layers, new: Layers, seen: I64) -> Layers:
+        """Layers of a tile, with new ones in the cells from seen[0] to seen[1]; only these are merged."""
+        cells = old.cells(self.cell_size)
+        there = ((cells >= seen[0]) & (cells <= seen[1])).all(axis=1)
+        both = merged(old.where(there).and_those(new), self.cell_size, self.settings.gate, same_dwell=False)
+        return old.where(~there).and_those(both)
 
     def settle(self) -> None:
         """Estimate all ground at once."""

@@ -33,7 +33,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, uniform_filter
 from scipy.special import ndtri
 
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, I64, Bool
 from sal_height.relief import _kernels as kernels
 
 FREEDOM = 2.0
@@ -84,19 +84,33 @@ Links = tuple[F64, F64]
 
 @dataclass(frozen=True, eq=False)
 class Membrane:
-    """Heights of all cells; arrays of shape (rows, cols).
+    """Heights of all cells that minimise the energy; arrays of shape (rows, cols).
 
     Attributes:
         height: m; NaN where no measurement reaches.
-        sigma: standard deviation, m; infinite there.
+        precision: of that height in the posterior, 1/m^2.
         joined: which neighbours are on the same side of all steps.
         covered: cells in the footprint of a measurement.
+        nearest: row and column of the measured cell nearest to each, shape (2, rows, cols).
+        beyond: distance from its footprint, cells; 0 within.
+        noise: standard deviation of its measurement, m.
+        filled: that measurement taken to the cell along the slope, m.
+        weight: w of each cell, 1/m^2.
+        stiffness: k between neighbours, 1/m^2.
+        rises: r between neighbours, m.
     """
 
     height: F64
-    sigma: F64
+    precision: F64
     joined: Joints
     covered: Bool
+    nearest: I64
+    beyond: F64
+    noise: F64
+    filled: F64
+    weight: F64
+    stiffness: Links
+    rises: Links
 
 
 def footprint(spacing: float) -> float:
@@ -110,13 +124,12 @@ def footprint(spacing: float) -> float:
 def fitted_membrane(
     measured: F64, sigma: F64, spacing: float, gate: float, slope: F64 | None = None, steepest: float = 0.0
 ) -> Membrane:
-    """Fit the membrane to measured heights, of which there must be one at least.
+    """Fit the membrane to measured heights, of which there must be one at least; `deviation` tells its sigma.
 
     Args:
         measured: heights z, m, shape (rows, cols); NaN where there is none.
         sigma: their standard deviations s, m, same shape.
-        spacing: of the measurements, in cells. Above 3 cells sigma becomes too small, because cells of one footprint
-            share their error.
+        spacing: of the measurements, in cells.
         gate: neighbours that differ by more than this many standard deviations of their difference are not joined.
         slope: of the ground along rows and along columns, m per cell, shape (rows, cols, 2); None: level.
         steepest: slope that is not a step where `slope` does not tell it, m per cell.
@@ -143,15 +156,28 @@ def fitted_membrane(
         joined = _joints(height, rises, limits)
         stiffness = _stiffness(joined, steps)
         precision, height = _beliefs(weight, filled, stiffness, rises)
-    posterior = 1 / precision
-    averaged = (posterior - 1 / _beliefs((1 + WEIGHT_STEP) * weight, filled, stiffness, rises)[0]) / WEIGHT_STEP
-    roughness = _roughness(filled, noise, covered, max(1, round(spacing)))
+    height = np.where(precision > 2 * kernels.LEAST_PRECISION, height, np.nan)
+    return Membrane(height, precision, joined, covered, nearest, beyond, noise, filled, weight, stiffness, rises)
+
+
+def deviation(membrane: Membrane, spacing: float) -> F64:
+    """Standard deviation of the heights of a membrane, m, shape (rows, cols); infinite where there is no height.
+
+    Args:
+        membrane: fitted.
+        spacing: of the measurements, in cells. Above 3 cells sigma becomes too small, because cells of one footprint
+            share their error.
+    """
+    noise, posterior = membrane.noise, 1 / membrane.precision
+    heavier = (1 + WEIGHT_STEP) * membrane.weight
+    precision, _ = _beliefs(heavier, membrane.filled, membrane.stiffness, membrane.rises)
+    averaged = (posterior - 1 / precision) / WEIGHT_STEP
+    roughness = _roughness(membrane.filled, noise, membrane.covered, max(1, round(spacing)))
     smooth = averaged + roughness * (posterior - averaged)
-    unresolved = _unresolved(height, np.sqrt(smooth), joined, spacing)
-    gap = beyond * ((roughness + LEAST_ROUGHNESS) * (FREEDOM * noise) ** 2 + unresolved[at])
-    variance = smooth + gap + unresolved
-    reached = precision > 2 * kernels.LEAST_PRECISION
-    return Membrane(np.where(reached, height, np.nan), np.where(reached, np.sqrt(variance), np.inf), joined, covered)
+    unresolved = _unresolved(membrane.height, np.sqrt(smooth), membrane.joined, spacing)
+    step = (roughness + LEAST_ROUGHNESS) * (FREEDOM * noise) ** 2 + unresolved[tuple(membrane.nearest)]
+    variance = smooth + membrane.beyond * step + unresolved
+    return np.where(np.isnan(membrane.height), np.inf, np.sqrt(variance))
 
 
 def _pairs(values: F64) -> list[tuple[F64, F64]]:

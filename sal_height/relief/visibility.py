@@ -12,6 +12,7 @@ import numpy as np
 from sal_height.elevation import Validity
 from sal_height.geometry import ApertureState, aperture_at, sphere_coordinates
 from sal_height.numeric import F64, I64, Bool, Index
+from sal_height.relief import _kernels as kernels
 from sal_height.relief.heights import HeightField
 
 STRIDE = 2
@@ -34,26 +35,14 @@ def blocking_cells(place: F64, height: F64, towards: F64, top: F64, cell_size: f
     Returns:
         Number of a line and flat number of a cell in its way, for every such pair, each of shape (pairs,).
     """
-    rows, cols = top.shape
     level = np.hypot(towards[:, 0], towards[:, 1])
     with np.errstate(invalid="ignore", divide="ignore"):
         direction, rise = towards[:, ::-1] / level[:, None], cell_size / level
-    highest = np.nanmax(top, initial=-np.inf) - cell_size
-    lines = np.flatnonzero(height < highest)
     walls = np.nan_to_num(top, nan=-np.inf) - cell_size
-    found_lines, found_cells = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    step = STRIDE
-    while True:
-        lines = lines[height[lines] + step * rise[lines] < highest]
-        if not lines.size:
-            return np.concatenate(found_lines), np.concatenate(found_cells)
-        row, col = np.rint(place[lines] + step * direction[lines]).astype(np.int64).T
-        inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-        lines, cell = lines[inside], (row * cols + col)[inside]
-        blocked = walls.ravel()[cell] > height[lines] + step * rise[lines]
-        found_lines.append(lines[blocked])
-        found_cells.append(cell[blocked])
-        step += STRIDE
+    lines = place, height, direction, rise, walls, STRIDE
+    found = np.empty((kernels.follow_lines(*lines, np.empty((0, 2), np.int64)), 2), np.int64)
+    kernels.follow_lines(*lines, found)
+    return found[:, 0], found[:, 1]
 
 
 def contradicted(lines: Index, cells: Index, measured: int, size: int) -> tuple[Bool, Bool]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sal_height.numeric import F64
-from sal_height.relief.membrane import FREEDOM, fitted_membrane
+from sal_height.relief.membrane import FREEDOM, deviation, fitted_membrane
 
 GATE = 3.0
 MIDDLE = np.s_[8:-8, 8:-8]
@@ -31,7 +31,7 @@ def test_heights_and_sigma_are_those_of_the_exact_posterior() -> None:
     averaged = (np.diag(covariance @ covariance) / sigma**2).reshape(shape)
     assert np.abs(membrane.height - mean).max() < 1e-5 * sigma
     # The estimate of the roughness adds a little on level ground, the tree takes 2 % away.
-    ratio = membrane.sigma[MIDDLE] / np.sqrt(averaged)[MIDDLE]
+    ratio = deviation(membrane, 1.0)[MIDDLE] / np.sqrt(averaged)[MIDDLE]
     assert ratio.min() > 0.97
     assert ratio.mean() < 1.08
 
@@ -43,7 +43,7 @@ def test_sigma_on_level_ground_is_not_too_small_and_little_too_large(spacing: fl
     measured = np.full((cells, cells), np.nan)
     measured[np.ix_(lattice, lattice)] = rng.normal(0.0, sigma, (len(lattice), len(lattice)))
     membrane = fitted_membrane(measured, np.full(measured.shape, sigma), spacing, GATE)
-    z = (membrane.height / membrane.sigma)[MIDDLE]
+    z = (membrane.height / deviation(membrane, spacing))[MIDDLE]
     # Some 2000 independent heights: the standard error of the rms is 2 %.
     assert 0.75 < np.sqrt(np.mean(z**2)) < 1.06
 
@@ -70,7 +70,7 @@ def test_a_slope_has_no_bias_and_is_not_rough() -> None:
     assert membrane.joined[0].all()
     error = (membrane.height - truth)[MIDDLE]
     assert abs(error.mean()) < 0.05 * sigma  # 4096 heights: the standard error is 0.015 sigma
-    z = error / membrane.sigma[MIDDLE]
+    z = error / deviation(membrane, 1.0)[MIDDLE]
     assert 0.8 < np.sqrt(np.mean(z**2)) < 1.06
 
 
@@ -79,7 +79,7 @@ def test_rough_ground_has_a_greater_sigma() -> None:
     truth = rng.normal(0.0, 3 * sigma, (80, 80))
     membrane = fitted_membrane(truth + rng.normal(0.0, sigma, truth.shape), np.full(truth.shape, sigma), 1.0, GATE)
     level = fitted_membrane(rng.normal(0.0, sigma, truth.shape), np.full(truth.shape, sigma), 1.0, GATE)
-    assert membrane.sigma.mean() > 1.3 * level.sigma.mean()
+    assert deviation(membrane, 1.0).mean() > 1.3 * deviation(level, 1.0).mean()
 
 
 def test_sigma_grows_into_a_gap_as_far_as_the_ground_is_rough() -> None:
@@ -92,11 +92,12 @@ def test_sigma_grows_into_a_gap_as_far_as_the_ground_is_rough() -> None:
         truth = np.cumsum(rng.normal(0.0, step, shape[1])) + np.cumsum(rng.normal(0.0, step, shape[0]))[:, None]
         measured = np.where(is_gap, np.nan, truth + rng.normal(0.0, sigma, shape))
         membrane = fitted_membrane(measured, np.full(shape, sigma), 1.0, GATE)
-        z = ((membrane.height - truth) / membrane.sigma)[8:-8, middle[1:-1]]
+        stated_sigma = deviation(membrane, 1.0)
+        z = ((membrane.height - truth) / stated_sigma)[8:-8, middle[1:-1]]
         # 28 gaps, whose rows share their error: the standard error of the rms is 13 % of it.
         assert np.sqrt(np.mean(z**2)) < 1.3
         assert step == 0 or np.sqrt(np.mean(z**2)) > 0.6
-        stated.append(np.median(membrane.sigma[8:-8, middle]))
+        stated.append(np.median(stated_sigma[8:-8, middle]))
         assert not membrane.covered[:, middle].any()
     assert stated[1] > 2 * stated[0]
 
@@ -107,7 +108,7 @@ def test_a_ramp_may_be_a_step_and_a_ridge_is_none() -> None:
     row = np.arange(60)[:, None] * np.ones(60)
     ramp, ridge = np.clip((row - 27.5) * 0.03, 0.0, 0.15), 0.03 * np.abs(row - 29.5)
     level, on_ramp, on_ridge = (
-        fitted_membrane(truth + rng.normal(0.0, sigma, truth.shape), np.full(truth.shape, sigma), 1.0, GATE).sigma
+        deviation(fitted_membrane(truth + rng.normal(0.0, sigma, truth.shape), 0 * row + sigma, 1.0, GATE), 1.0)
         for truth in (0 * row, ramp, ridge)
     )
     assert np.median(on_ramp[28:33]) > 0.015  # 5 sigma reach from the ramp to the step

@@ -170,3 +170,47 @@ def test_cells_of_a_map() -> None:
     chi_square = np.sum(weight * (height - mean) ** 2, axis=0)
     np.testing.assert_allclose(cells[index], np.stack([mean, weight.sum(axis=0), chi_square, np.full(5, 9)], axis=-1))
     assert not cells[[1, 4, 5]].any()
+
+
+def test_mean_rises_are_those_of_the_joints_around() -> None:
+    rng = np.random.default_rng(8)
+    height, joined, reach = rng.standard_normal((12, 9)), rng.random((11, 9)) < 0.4, 2
+    slope = np.empty_like(height)
+    kernels.mean_rises(height, joined, reach, slope)
+    expected = np.zeros_like(height)
+    for i, c in np.ndindex(height.shape):
+        around = np.s_[max(i - reach, 0) : i + reach, max(c - reach, 0) : c + reach + 1]
+        rises = np.diff(height, axis=0)[around][joined[around]]
+        expected[i, c] = rises.mean() if rises.size else 0.0
+    np.testing.assert_allclose(slope, expected, atol=1e-12)
+
+
+def test_bends_are_marked_on_all_cells_from_first_to_last() -> None:
+    """A kink upwards in row 6 and one downwards in row 9, behind which two rows are not joined."""
+    row = np.arange(16.0)
+    height = np.clip(row - 6, 0, 3)[:, None] * np.ones(2)
+    joined = np.ones((15, 2), dtype=np.bool_)
+    joined[11] = False
+    bend = np.zeros((2, 16, 2))
+    kernels.mark_bends(height, np.full((16, 2), 0.5), joined, np.array([1, 2]), bend)
+    expected = np.zeros((2, 16))
+    for way, kink in ((0, 6), (1, 9)):
+        for middle in range(kink - 1, kink + 2):
+            for lag in (1, 2):
+                size = abs(float(height[middle - lag, 0] - 2 * height[middle, 0] + height[middle + lag, 0]))
+                if size > 0.5 and middle + lag <= 11:
+                    there = np.s_[way, middle - lag : middle + lag + 1]
+                    expected[there] = np.maximum(expected[there], size**2 - 0.25)
+    np.testing.assert_allclose(bend, expected[..., None] * np.ones(2))
+
+
+def test_lines_are_followed_from_cell_to_cell() -> None:
+    walls = np.full((6, 30), -np.inf)
+    walls[2, 12], walls[2, 25] = 5.0, 8.0
+    place, height = np.array([[2.0, 4.0], [2.0, 4.0], [4.0, 4.0]]), np.array([0.0, 2.0, 0.0])
+    direction, rise = np.tile([0.0, 1.0], (3, 1)), np.full(3, 0.5)
+    found = np.empty((3, 2), np.int64)
+    # The first line is at 4 m in column 12, and at 10.5 m in 25; the second at 6 m.
+    assert kernels.follow_lines(place, height, direction, rise, walls, 1, found) == 1
+    assert found[0].tolist() == [0, 2 * 30 + 12]
+    assert kernels.follow_lines(place, height, direction, rise / 4, walls, 1, found[:2]) == 4  # two do not fit

@@ -137,7 +137,7 @@ class Fit:
     degrees: F64
     directions: int
     leaked: F64 | float = 0.0
-    coherent: float = 0.0
+    coherent: F64 | float = 0.0
     beam_error: F64 | float = 0.0
 
 

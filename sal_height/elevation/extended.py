@@ -1,91 +1,200 @@
 """One surface that is spread over elevation within a pixel: a slope towards the sensor, rubble, foliage.
 
-Its scatterers are many and independent, so that a look holds A a(t) + B a'(t) + ..., where the second amplitude has the
-power of the first times the variance s^2 of elevation. The likelihood of a single scatterer peaks near the middle t of
-the spread, with the variance of a point plus s^2 / 2K: the centre of the looks' power is not that of the surface.
+Its scatterers are many and independent. If their elevations are spread evenly about the middle t with the standard
+deviation s, and p is the CNR of them together, the K looks of a pixel have the covariance
+
+    C = p mean over x of a(t + s x) a(t + s x)^H + I,    |x| <= sqrt 3
+
+in noise powers. Against noise alone its log-likelihood is tr(R) - tr(C^-1 R) - K ln det C, where R is the sum of
+g g^H over the looks. Fisher's scoring climbs it over t, ln s and ln p; their information is K tr(C^-1 dC C^-1 dC')
+(Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993, section 15.7).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from sal_height.elevation.beam_error import beam_deviation
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.search import PeakSearch
-from sal_height.elevation.several import LEAST_POWER, GaussianFit, adjoint, fit_powers
-from sal_height.numeric import F64
+from sal_height.elevation.several import adjoint
+from sal_height.numeric import F32, F64
 
-MOST_NODES = 5  # of the quadrature over a uniform spread (Gauss and Legendre)
-LEAST_SPREAD, GREATEST_SPREAD = 0.05, 0.3  # standard deviation of a uniform surface's elevation, beamwidths
+LEAST_SPREAD, GREATEST_SPREAD = 0.05, 1.0  # standard deviation of a surface's elevation, beamwidths
+NODES = 9  # of the quadrature over the elevations (Gauss and Legendre), as many as the greatest spread needs
+SCORING_STEPS = 5
+GREATEST_STEP = np.array([0.5, 0.5, 1.0])  # of t over s, ln s and ln p
+RIDGE = 1e-3  # added to the information of a look on each parameter, so that it can be inverted
+SMALL_RISE = 0.1  # of the likelihood, which the next step is not worth
+FAINT = 0.1  # share of the greatest power over elevation below which it is not the surface's
+WIDE = 0.25  # beamwidths; spreads from which on the middle of the power is a better start than its peak
+NOISE_LIKE = 0.1  # mean power in a direction, in noise powers, below which the surface has none there
 
 
-@dataclass(frozen=True, eq=False)
-class ExtendedSurface:
-    """An extended surface fitted to each of some pixels; arrays of shape (pixels,).
+class Surfaces(NamedTuple):
+    """Extended surfaces; arrays of shape (pixels,).
 
     Attributes:
-        elevation: of its middle, rad.
-        spread: standard deviation s of the elevation of its scatterers, rad.
-        modelled: the same within the bounds of the model, rad.
-        sigma: standard deviation of `elevation`, rad.
-        along_slope: power along the slope of the response there, sum over looks, noise powers.
-        turning: D / |a|^2 there, 1/rad^2.
-        explained: power in the `directions` of the fit, sum over looks, noise powers.
-        fit: likelihood of its power.
-        looks: K.
+        elevation: t, rad.
+        spread: s, rad.
+        cnr: p of one look in a detector that looks straight at the surface, all its scatterers together.
     """
 
     elevation: F64
     spread: F64
-    modelled: F64
+    cnr: F64
+
+    def moved(self, move: F64, search: PeakSearch, beamwidth: float) -> Surfaces:
+        """The surfaces after steps of t over s, ln s and ln p, shape (pixels, 3)."""
+        step = np.clip(move, -GREATEST_STEP, GREATEST_STEP)
+        there = Surfaces(
+            self.elevation + step[:, 0] * self.spread, self.spread * np.exp(step[:, 1]), self.cnr * np.exp(step[:, 2])
+        )
+        return there.within_bounds(search, beamwidth)
+
+    def within_bounds(self, search: PeakSearch, beamwidth: float) -> Surfaces:
+        """The surfaces as the model allows them: of some spread, and with a good part where the search is."""
+        spread = np.clip(self.spread, LEAST_SPREAD * beamwidth, GREATEST_SPREAD * beamwidth)
+        return Surfaces(np.clip(self.elevation, search.first - spread, search.last + spread), spread, self.cnr.copy())
+
+    def at(self, index: np.ndarray) -> Surfaces:
+        """Some of the surfaces."""
+        return Surfaces(*(part[index] for part in self))
+
+    def put(self, index: np.ndarray, other: Surfaces) -> None:
+        """Replace some of the surfaces."""
+        for part, new in zip(self, other, strict=True):
+            part[index] = new
+
+    def where(self, there: np.ndarray, other: Surfaces) -> Surfaces:
+        """These surfaces `there`, and the others elsewhere."""
+        return Surfaces(*(np.where(there, mine, theirs) for mine, theirs in zip(self, other, strict=True)))
+
+    def responses(self, search: PeakSearch) -> tuple[Numbers, Numbers, Numbers]:
+        """B with C = B B^H + I, and its derivatives over t / s and ln s; shape (pixels, channels, NODES)."""
+        nodes, weights = np.polynomial.legendre.leggauss(NODES)
+        place = np.sqrt(3) * nodes
+        elevation = self.elevation[:, None] + self.spread[:, None] * place
+        units, slopes, array_power = search.responses_at(elevation)
+        inside = (elevation >= search.first) & (elevation <= search.last)
+        amplitude = np.sqrt(inside * weights / 2 * array_power * self.cnr[:, None])[..., None]
+        turns = np.swapaxes(slopes * amplitude, 1, 2) * self.spread[:, None, None]
+        return np.swapaxes(units * amplitude, 1, 2), turns, turns * place
+
+
+@dataclass(frozen=True, eq=False)
+class ExtendedSurfaces:
+    """Extended surfaces fitted to some pixels; arrays of shape (pixels, ...).
+
+    Attributes:
+        found: the most likely ones.
+        sigma: standard deviation of their elevation, rad, (pixels,).
+        log_likelihood: against noise alone, (pixels,).
+        information: on t / s, ln s and ln p, (pixels, 3, 3).
+        explained: power in the directions in which the surface has some, sum over looks, noise powers, (pixels,).
+        directions: number of these, (pixels,).
+    """
+
+    found: Surfaces
     sigma: F64
-    along_slope: F64
-    turning: F64
+    log_likelihood: F64
+    information: F64
     explained: F64
-    fit: GaussianFit
-    looks: F64
+    directions: F64
 
     @classmethod
-    def at(
-        cls, search: PeakSearch, covariance: Numbers, looks: F64, single: F64, along_slope: F64, beamwidth: float
+    def fit(
+        cls, search: PeakSearch, covariance: Numbers, looks: F64, start: Surfaces, least: F64, beamwidth: float
     ) -> Self:
-        """Fit a surface whose middle is at the peak of the likelihood of one scatterer.
+        """Fit a surface to each pixel.
 
         Args:
             search: of the normalised objective, at the squint of the pixels.
             covariance: R in noise powers, (pixels, M, M).
             looks: K, (pixels,).
-            single: elevation of that peak, rad, (pixels,).
-            along_slope: power along u' there, sum over looks, noise powers, (pixels,).
+            start: of the climb.
+            least: log-likelihood of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
             beamwidth: rad.
         """
-        explained, _, turning = search.fit(covariance, single)
-        power = np.maximum(explained / looks - 1, LEAST_POWER)
-        spread = spread_of(along_slope, looks, power, turning)
-        bounded = np.clip(spread, LEAST_SPREAD * beamwidth, GREATEST_SPREAD * beamwidth)
-        nodes, weights = np.polynomial.legendre.leggauss(directions(covariance.shape[-1]))
-        units, _, array_power = search.responses_at(single[:, None] + bounded[:, None] * np.sqrt(3) * nodes)
-        shares = np.sqrt(weights / 2 * array_power / array_power.mean(axis=1, keepdims=True))
-        basis = np.linalg.qr(np.swapaxes(units, 1, 2))[0]
-        units = np.swapaxes(units * shares[..., None], 1, 2)
-        gram, seen = adjoint(units) @ units, adjoint(units) @ covariance @ units
-        fit = fit_powers(gram, seen, looks, power[:, None], np.ones((1, len(nodes))))
-        sigma = np.sqrt(np.maximum(point_variance(explained, looks, turning) + spread**2 / (2 * looks), 0))
-        seen_by_basis = np.einsum("pmi,pmn,pni->p", basis.conj(), covariance, basis).real
-        return cls(single, spread, bounded, sigma, along_slope, turning, seen_by_basis, fit, looks)
+        found, place = start.within_bounds(search, beamwidth), start.within_bounds(search, beamwidth)
+        highest, information = np.full(len(looks), -np.inf), np.tile(np.eye(3), (len(looks), 1, 1))
+        climbing = np.arange(len(looks))
+        for _ in range(SCORING_STEPS):
+            here = place.at(climbing)
+            likelihood, gradient, known = _likelihood(search, covariance[climbing], looks[climbing], here)
+            better = likelihood > highest[climbing]
+            best = climbing[better]
+            found.put(best, here.at(better))
+            highest[best], information[best] = likelihood[better], known[better]
+            move: F64 = np.linalg.solve(known + RIDGE * looks[climbing, None, None] * np.eye(3), gradient[..., None])[
+                ..., 0
+            ]
+            place.put(climbing, here.moved(move, search, beamwidth))
+            rise = np.sum(gradient * move, axis=1)
+            climbing = climbing[(rise > SMALL_RISE) & (likelihood + 2 * rise > least[climbing])]
+        variance = np.linalg.inv(information + RIDGE * looks[:, None, None] * np.eye(3))[:, 0, 0]
+        sigma = np.sqrt(variance * looks / free_looks(looks)) * found.spread
+        return cls(found, sigma, highest, information, *_explained(search, covariance, found))
 
-    def with_uncertain_beams(self, uncertainty: float, array_power: F64) -> Self:
-        """The surface with the sigma that `beam_deviation` adds, for |a|^2 at the middle."""
-        beams = beam_deviation(self.turning * array_power, uncertainty)
-        return replace(self, sigma=np.hypot(self.sigma, beams))
+    def with_uncertain_beams(self, uncertainty: float, turning: F64) -> Self:
+        """The surfaces with the sigma that `beam_deviation` adds; D in 1/rad^2, (pixels,)."""
+        return replace(self, sigma=np.hypot(self.sigma, beam_deviation(turning, uncertainty)))
 
 
-def directions(channels: int) -> int:
-    """Number of dimensions in which the looks of an extended surface may lie, of those of all channels."""
-    return min(MOST_NODES, channels - 1)
+def first_surfaces(search: PeakSearch, values: F32, looks: F64, narrow: Surfaces, beamwidth: float) -> Surfaces:
+    """Surfaces from which to climb: the middle and the width of the power over elevation, or `narrow` ones.
+
+    Args:
+        search: of the normalised objective, at the squint of the pixels.
+        values: of the objective `on_grid`.
+        looks: K, (pixels,).
+        narrow: at the peak of a single scatterer; where the power is hardly wider than that of a point.
+        beamwidth: rad.
+    """
+    nodes = search.grid_nodes
+    middle, variance = _moments(nodes, values - looks[:, None])
+    half = len(nodes) // 2
+    _, of_point = _moments(nodes, np.abs(search.unit_nodes.conj() @ search.unit_nodes[half])[None] ** 2)
+    spread = np.sqrt(np.maximum(variance - of_point, 0.0))
+    bounded = np.clip(spread, LEAST_SPREAD * beamwidth, GREATEST_SPREAD * beamwidth)
+    return Surfaces(middle, bounded, narrow.cnr).where(spread > WIDE * beamwidth, narrow)
+
+
+def _moments(nodes: F64, power: F64) -> tuple[F64, F64]:
+    """Mean and variance of elevation weighted by the power at the `nodes` that is not FAINT, (pixels, nodes)."""
+    weight = np.where(power > FAINT * power.max(axis=1, keepdims=True), np.maximum(power, 0.0), 0.0)
+    weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
+    mean = weight @ nodes
+    return mean, np.sum(weight * (nodes - mean[:, None]) ** 2, axis=1)
+
+
+def _likelihood(search: PeakSearch, covariance: Numbers, looks: F64, surfaces: Surfaces) -> tuple[F64, F64, F64]:
+    """Log-likelihood, its gradient over t / s, ln s and ln p, and the information on these."""
+    responses, over_place, over_spread = surfaces.responses(search)
+    identity, across = np.eye(covariance.shape[-1]), adjoint(responses)
+    model = responses @ across + identity
+    slopes = [part @ across for part in (over_place, over_spread, responses / 2)]
+    inverse = np.linalg.inv(model)
+    whitened = inverse[:, None] @ np.stack([slope + adjoint(slope) for slope in slopes], axis=1)
+    seen = inverse @ covariance
+    gradient = np.einsum("pimn,pnm->pi", whitened, seen - looks[:, None, None] * identity).real
+    flat, turned = (part.reshape(len(looks), 3, identity.size) for part in (whitened, np.swapaxes(whitened, 2, 3)))
+    information = looks[:, None, None] * (flat @ np.swapaxes(turned, 1, 2)).real
+    explained = np.trace(covariance - seen, axis1=1, axis2=2).real
+    return explained - looks * np.linalg.slogdet(model)[1], gradient, information
+
+
+def _explained(search: PeakSearch, covariance: Numbers, surfaces: Surfaces) -> tuple[F64, F64]:
+    """Power of the pixels in the directions in which surfaces are not NOISE_LIKE, and the number of these."""
+    responses = surfaces.responses(search)[0]
+    strength, turn = np.linalg.eigh(adjoint(responses) @ responses)
+    seen = np.einsum("pmi,pmi->pi", (responses @ turn).conj(), covariance @ (responses @ turn)).real
+    counted = strength > NOISE_LIKE
+    counted[:, : max(NODES - covariance.shape[-1] + 1, 0)] = False
+    return np.sum(seen * counted / np.maximum(strength, NOISE_LIKE), axis=1), counted.sum(axis=1).astype(np.float64)
 
 
 def free_looks(looks: F64) -> F64:
@@ -104,9 +213,3 @@ def spread_of(along_slope: F64, looks: F64, power: F64, turning: F64) -> F64:
     """
     excess = np.maximum(along_slope / free_looks(looks) - 1, 0.0)
     return np.sqrt(excess / np.maximum(power * turning, 1e-300))
-
-
-def point_variance(explained: F64, looks: F64, turning: F64) -> F64:
-    """Variance (rad^2) of the elevation of one point-like scatterer from the power that it explains."""
-    energy = np.maximum(explained - looks, LEAST_POWER * looks)
-    return (1 + looks / energy) / (2 * energy * turning)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from sal_height.beams import Beams
 from sal_height.elevation.bounds import Numbers
@@ -24,13 +25,20 @@ from sal_height.elevation.estimate import (
     noise_limit,
     sidelobe_limit,
 )
-from sal_height.elevation.extended import LEAST_SPREAD, ExtendedSurface, directions, free_looks, spread_of
+from sal_height.elevation.extended import (
+    LEAST_SPREAD,
+    ExtendedSurfaces,
+    Surfaces,
+    first_surfaces,
+    free_looks,
+    spread_of,
+)
 from sal_height.elevation.likelihood import OBJECTIVES, ArraySettings, SinglePeaks, search_guard
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.order import (
+    NEIGHBOURS,
     NONE,
     ONE,
-    PRIOR,
     SPREAD,
     THREE,
     TWO,
@@ -40,8 +48,8 @@ from sal_height.elevation.order import (
     log_evidence_of_one,
     log_evidence_of_several,
     log_evidence_of_spread,
+    log_probabilities,
     path_length,
-    probabilities,
 )
 from sal_height.elevation.search import PeakSearches
 from sal_height.elevation.several import LEAST_POWER, SeveralScatterers, search_several
@@ -51,7 +59,9 @@ from sal_height.settings import setting
 SUSPICIOUS = 10.0  # several scatterers are tried for so many times the share of single ones that may be taken for two
 PIXELS_AT_ONCE = 512  # pixels whose models are fitted at a time
 LEAST_APART = 0.3  # beamwidths between the scatterers of a pixel; closer ones are those of one extended surface
-MOST_APART = 0.8  # beamwidths between two scatterers up to which they may be one extended surface
+MOST_SPREAD = 0.5  # beamwidths; the middle of a surface that is spread wider is nobody's height
+IMPROBABLE = 10.0  # logarithm of how many times less probable a model is that need not be fitted
+LEAST_PROBABILITY = 0.5  # of the model that a pixel is given
 MOST = 3  # scatterers of a pixel at most
 GREATEST_SIGMA = 0.25  # beamwidths; where sigma is greater, bounds to first order do not hold
 
@@ -84,6 +94,7 @@ class _Models:
         elevation: of their scatterers, rad, (ORDERS, pixels, MOST), NaN where there are fewer.
         sigma, cnr, spread: of them.
         explained: power, sum over looks, over the raised noise power, (ORDERS, pixels).
+        directions: number of dimensions of the channels in which they may explain a look, (ORDERS, pixels).
         evidence: logarithm, against no scatterer, (ORDERS, pixels).
     """
 
@@ -92,14 +103,31 @@ class _Models:
     cnr: F64
     spread: F64
     explained: F64
+    directions: F64
     evidence: F64
 
     @classmethod
-    def none(cls, pixels: int) -> Self:
-        """Of so many pixels, to be filled."""
-        elevation, sigma, cnr, spread = np.full((4, ORDERS, pixels, MOST), np.nan)
-        explained, evidence = np.zeros((ORDERS, pixels)), np.full((ORDERS, pixels), -np.inf)
-        return cls(elevation, sigma, cnr, spread, explained, evidence)
+    def of_single(
+        cls,
+        estimate: ElevationEstimate,
+        spread: _Spread,
+        evidence: F64,
+        peaks: SinglePeaks,
+        looks: Looks,
+        here: tuple[Index, Index],
+    ) -> Self:
+        """Those of the pixels `here` that single peaks give: one scatterer, and one that is spread a little."""
+        pixels, single = len(here[0]), estimate.first
+        elevation, sigma, cnr, width = np.full((4, ORDERS, pixels, MOST), np.nan)
+        elevation[[ONE, SPREAD], :, 0], cnr[[ONE, SPREAD], :, 0] = single.elevation[here], single.cnr[here]
+        sigma[ONE, :, 0] = np.hypot(single.sigma, spread.deviation(spread.around, looks))[here]
+        widest = np.maximum(spread.own, spread.around)
+        sigma[SPREAD, :, 0] = np.hypot(single.sigma, spread.deviation(widest, looks))[here]
+        width[ONE, :, 0], width[SPREAD, :, 0] = 0.0, spread.own[here]
+        explained, directions = np.zeros((ORDERS, pixels)), np.zeros((ORDERS, pixels))
+        directions[ONE:] = np.array([1.0, 2.0, 3.0, 2.0])[:, None]
+        explained[ONE], explained[SPREAD] = peaks.explained[here], (peaks.explained + peaks.along_slope)[here]
+        return cls(elevation, sigma, cnr, width, explained, directions, evidence[here].T.copy())
 
     def put_several(
         self, several: SeveralScatterers, raised: F64, uncertainty: float, evidence: F64, part: Index
@@ -111,12 +139,33 @@ class _Models:
         self.sigma[here] = np.hypot(several.sigma, several.deviation_by_beams(uncertainty))
         self.spread[here], self.explained[count, part], self.evidence[count, part] = 0.0, several.explained, evidence
 
-    def put_extended(self, surface: ExtendedSurface, cnr: F64, evidence: F64, part: Index) -> None:
-        """Enter an extended surface of the pixels `part`."""
+    def put_extended(self, surfaces: ExtendedSurfaces, raised: F64, evidence: F64, part: Index) -> None:
+        """Enter extended surfaces of the pixels `part`, fitted in noise that is `raised` over the receivers'."""
         here = SPREAD, part, 0
-        self.elevation[here], self.sigma[here] = surface.elevation, surface.sigma
-        self.cnr[here], self.spread[here] = cnr, surface.spread
-        self.explained[SPREAD, part], self.evidence[SPREAD, part] = surface.explained, evidence
+        self.elevation[here], self.spread[here], cnr = surfaces.found
+        self.sigma[here], self.cnr[here] = surfaces.sigma, raised * cnr
+        self.explained[SPREAD, part], self.directions[SPREAD, part] = surfaces.explained, surfaces.directions
+        self.evidence[SPREAD, part] = evidence
+
+    def deviation(self, elevation: F64, probability: F64) -> F64:
+        """Standard deviation (rad) of elevations that may be those of any of the models, (pixels, MOST).
+
+        Each model has its own idea of the scatterer next to an elevation: the variance over all of them is the mean of
+        their variances and squared distances.
+
+        Args:
+            elevation: of the scatterers of the model that a pixel is given, rad, (pixels, MOST).
+            probability: of the models, (pixels, ORDERS).
+        """
+        distance = np.abs(self.elevation[:, :, None] - elevation[:, :, None])  # models, pixels, published, scatterers
+        nearest = np.argmin(np.where(np.isfinite(distance), distance, np.inf), axis=-1)
+        sigma = np.take_along_axis(self.sigma, nearest, axis=-1)
+        square = sigma**2 + np.take_along_axis(distance, nearest[..., None], axis=-1)[..., 0] ** 2
+        weight = np.where(np.isfinite(square), probability.T[:, :, None], 0.0)
+        total = np.sum(weight * np.where(weight > 0, square, 0.0), axis=0)
+        return np.sqrt(
+            np.divide(total, weight.sum(axis=0), where=weight.sum(axis=0) > 0, out=np.full_like(total, np.nan))
+        )
 
 
 def resolve(
@@ -136,12 +185,15 @@ def resolve(
     evidence, levels = _evidence_of_gains(peaks, noise, looks, beams), _Levels.of(noise, looks, beams, settings)
     row, col = np.nonzero(looks.finite & ((peaks.beside > levels.tried) | (peaks.along_slope > levels.spread)))
     here = row, col
-    models = _fitted(here, evidence, noise, levels, peaks, looks, beams)
+    spread = _Spread.of(peaks, noise, levels, looks)
+    models = _fitted(here, estimate, spread, evidence, noise, levels, peaks, looks, beams)
     evidence[here] = models.evidence.T
-    taken = _taken(models, here, noise, levels, peaks, looks, beams, settings)
-    probability = probabilities(evidence)
+    chances = log_probabilities(evidence, here)
+    taken = _taken(models, chances[here].T, here, noise, levels, peaks, looks, beams, settings)
+    probability = np.exp(chances)
     probability[~looks.finite] = np.nan
-    return _published(estimate, models, taken, here, probability, noise, peaks, looks, beams, settings)
+    sigma = _sigma_of_perhaps_two(estimate.sigma, probability, spread, looks)
+    return _published(estimate.with_sigma(sigma), models, taken, here, probability, beams, settings)
 
 
 def _evidence_of_gains(peaks: SinglePeaks, noise: _Noise, looks: Looks, beams: Beams) -> F64:
@@ -159,6 +211,8 @@ def _evidence_of_gains(peaks: SinglePeaks, noise: _Noise, looks: Looks, beams: B
 
 def _fitted(
     here: tuple[Index, Index],
+    estimate: ElevationEstimate,
+    spread: _Spread,
     evidence: F64,
     noise: _Noise,
     levels: _Levels,
@@ -166,12 +220,10 @@ def _fitted(
     looks: Looks,
     beams: Beams,
 ) -> _Models:
-    """Fit an extended surface to the pixels `here`, and two and three scatterers where one more explains enough."""
+    """Fit two and three scatterers to the pixels `here` where one more explains enough, and there extended surfaces."""
     row, col = here
-    models, domain = _Models.none(len(row)), float(np.ptp(beams.span))
-    models.evidence[:] = evidence[here].T
-    models.explained[ONE] = peaks.explained[here]
-    most = min(MOST, beams.count - 1)
+    models = _Models.of_single(estimate, spread, evidence, peaks, looks, here)
+    domain, most = float(np.ptp(beams.span)), min(MOST, beams.count - 1)
     searches = PeakSearches.over(beams, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
     blocks = _blocks(looks.squint[col])
 
@@ -181,14 +233,9 @@ def _fitted(
             raised = noise.raised[pixels]
             scaled = looks.covariance[pixels] / (looks.receiver_noise * raised[:, None, None])
             covariance = _in_double_precision(scaled, beams)
-            count, single = looks.count[pixels], peaks.elevation[pixels]
-            surface = ExtendedSurface.at(search, covariance, count, single, peaks.along_slope[pixels], beams.beamwidth)
-            cnr = raised * (peaks.explained[pixels] / count - 1) / peaks.array_power[pixels]
-            surface = surface.with_uncertain_beams(beams.uncertainty, peaks.array_power[pixels])
-            models.put_extended(surface, cnr, log_evidence_of_extended(surface, domain, beams.beamwidth), part)
+            count, values, turning = looks.count[pixels], search.on_grid(covariance), peaks.turning[pixels]
             # One scatterer more as long as it explains enough.
-            some, start, tried = np.arange(len(part)), single[:, None], levels.tried[pixels]
-            values, turning = search.on_grid(covariance), peaks.turning[pixels]
+            some, start, tried = np.arange(len(part)), peaks.elevation[pixels][:, None], levels.tried[pixels]
             for number in range(TWO, most + 1):
                 elevation, explained, gain = search_several(search, covariance[some], values[some], start, tried[some])
                 more = log_evidence_of_one(gain, count[some], turning[some], domain)
@@ -198,6 +245,17 @@ def _fitted(
                 several = SeveralScatterers.at(search, covariance[some], count[some], start)
                 weighed = log_evidence_of_several(several, covariance[some], domain)
                 models.put_several(several, raised[some], beams.uncertainty, weighed, part[some])
+            # A surface where one is not enough.
+            power = _power(peaks, looks)[pixels]
+            some = np.flatnonzero(models.explained[TWO, part] - models.explained[ONE, part] > levels.several[pixels])
+            chosen, whole = part[some], (row[part[some]], col[part[some]])
+            single = Surfaces(peaks.elevation[whole], spread.own[whole], power[some] / peaks.array_power[whole])
+            first = first_surfaces(search, values[some], count[some], single, beams.beamwidth)
+            least = models.evidence[TWO : THREE + 1, chosen].max(axis=0) - IMPROBABLE
+            surfaces = ExtendedSurfaces.fit(search, covariance[some], count[some], first, least, beams.beamwidth)
+            surfaces = surfaces.with_uncertain_beams(beams.uncertainty, (turning * peaks.array_power[pixels])[some])
+            weighed = log_evidence_of_extended(surfaces, domain, beams.beamwidth)
+            models.put_extended(surfaces, raised[some], weighed, chosen)
 
     in_parallel(work, len(blocks))
     return models
@@ -277,6 +335,7 @@ class _Levels:
 
 def _taken(
     models: _Models,
+    chances: F64,
     here: tuple[Index, Index],
     noise: _Noise,
     levels: _Levels,
@@ -304,23 +363,21 @@ def _taken(
     is_two = (gains[0] > several) & equal[0] & (is_spread | ~is_beside)
     is_three = is_two & (gains[1] > several) & equal[1]
     holds = np.zeros(models.evidence.shape, np.bool_)
-    holds[ONE], holds[TWO], holds[THREE], holds[SPREAD] = ~is_two & ~is_spread, is_two & ~is_three, is_three, is_spread
-    # Scatterers close to each other belong to one surface, and those far apart do not.
+    holds[ONE], holds[TWO], holds[THREE] = ~is_two & ~is_spread, is_two & ~is_three, is_three
+    holds[SPREAD] = is_two | is_spread
+    # Scatterers close to each other belong to one surface.
     for order in (TWO, THREE):
         apart = np.diff(models.elevation[order, :, :order], axis=1) / beams.beamwidth
-        close = apart.min(axis=1) < LEAST_APART
-        holds[SPREAD] |= close & holds[order]
-        holds[order] &= ~close
-        holds[SPREAD] &= ~(holds[order] & (apart.max(axis=1) > MOST_APART))
+        holds[order] &= apart.min(axis=1) >= LEAST_APART
     total, count, channels = looks.power[here] / looks.receiver_noise, looks.count[here], beams.count
     leaked, beam_error = looks.leaked[here], noise.beam_error[here]
-    for order, number in {ONE: 1, TWO: 2, THREE: 3, SPREAD: directions(channels)}.items():
+    for order, number in enumerate(models.directions[ONE:], ONE):
         explained = noise.raised[here] * models.explained[order]
-        # Each scatterer takes an amplitude of every look, and an elevation.
-        degrees, coherent = (channels - number) * count - number / 2, max(channels - 1.5 * number, 0.0)
+        # Each direction takes an amplitude of every look, and an elevation.
+        degrees, coherent = (channels - number) * count - number / 2, np.maximum(channels - 1.5 * number, 0.0)
         fit = Fit(explained, total - explained, degrees, channels, leaked, coherent, beam_error)
         holds[order] &= is_explained(fit, settings)
-    score = np.where(holds, models.evidence + np.log(PRIOR)[:, None], -np.inf)
+    score = np.where(holds, chances, -np.inf)
     return np.where(holds.any(axis=0), np.argmax(score, axis=0), NONE)
 
 
@@ -330,58 +387,87 @@ def _published(
     taken: Index,
     here: tuple[Index, Index],
     probability: F64,
-    noise: _Noise,
-    peaks: SinglePeaks,
-    looks: Looks,
     beams: Beams,
     settings: LayoverSettings,
 ) -> ElevationEstimate:
     """The estimate with the scatterers of the models taken `here`, strongest first, and the reasons that follow."""
-    # What passes for one scatterer may be spread, or two.
-    sigma = _sigma_of_perhaps_several(estimate.sigma, probability, noise, peaks, looks)
     validity = estimate.validity.copy()
     fields = np.full((4, MOST, *validity.shape), np.nan)
-    fields[:, 0] = estimate.elevation, sigma, estimate.cnr, np.zeros_like(sigma)
+    fields[:, 0] = estimate.elevation, estimate.sigma, estimate.cnr, np.zeros(validity.shape)
     # Of the others, those that are inside the array and determined, the strongest first.
     found = np.stack([models.elevation, models.sigma, models.cnr, models.spread])
     found = found[:, taken, np.arange(len(taken))]
-    # What passes for an extended surface may be two scatterers.
-    chances = probability[here]
-    doubt = np.where(taken == SPREAD, chances[:, TWO] / np.maximum(chances[:, TWO] + chances[:, SPREAD], 1e-300), 0.0)
-    found[1] = np.sqrt(found[1] ** 2 + doubt[:, None] * found[3] ** 2)
+    found[1] = models.deviation(found[0], probability[here])
     (first, last), (elevation, deviation, cnr, _) = beams.span, found
     inside = (elevation >= first) & (elevation <= last) & (cnr >= settings.min_cnr) & (cnr > 0)
-    usable = inside & (deviation < GREATEST_SIGMA * beams.beamwidth)
+    determined = deviation < GREATEST_SIGMA * beams.beamwidth
+    usable = inside & np.all(determined | ~inside, axis=1, keepdims=True)
     order = np.argsort(np.where(usable, -cnr, np.inf), axis=1)
     found = np.take_along_axis(np.where(usable, found, np.nan), order[None], axis=2)
     count = usable.sum(axis=1)
     detected = ~np.isin(validity[here], (Validity.NO_SIGNAL, Validity.LOW_CNR, Validity.MISSING_DATA))
-    resolved = detected & (taken > ONE) & (count > 0)
+    resolved = detected & (taken > NONE) & (count > 0)
     rows, cols = here[0][resolved], here[1][resolved]
     fields[:, :, rows, cols] = np.swapaxes(found[:, resolved], 1, 2)
     # A spread far below a beamwidth is that of level ground.
     is_spread = (taken == SPREAD) & (found[3, :, 0] > LEAST_SPREAD * beams.beamwidth)
+    chance = np.take_along_axis(probability[here], taken[:, None], axis=1)[:, 0]
+    is_none = (
+        (taken == NONE)
+        | (chance < LEAST_PROBABILITY)
+        | ((taken == SPREAD) & (found[3, :, 0] > MOST_SPREAD * beams.beamwidth))
+    )
     reasons = np.array([Validity.NOT_ONE_SCATTERER, Validity.OK, Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS])
     reason = np.select(
-        [taken == NONE, ~inside.any(axis=1), count == 0, is_spread],
+        [is_none, ~inside.any(axis=1), count == 0, is_spread],
         [Validity.NOT_ONE_SCATTERER, Validity.OUTSIDE_ARRAY, Validity.IMPRECISE, Validity.EXTENDED],
         reasons[count],
     )
-    changed = detected & (taken != ONE)
+    changed = detected
     validity[here[0][changed], here[1][changed]] = reason[changed]
     scatterers = tuple(Scatterer(*fields[:, n]) for n in range(MOST))
     return ElevationEstimate(scatterers, validity.astype(np.uint8), probability)
 
 
-def _sigma_of_perhaps_several(sigma: F64, probability: F64, noise: _Noise, peaks: SinglePeaks, looks: Looks) -> F64:
-    """Standard deviation (rad) of single scatterers, which may be extended surfaces or two close to each other.
+@dataclass(frozen=True, eq=False)
+class _Spread:
+    """Standard deviation of elevation within surfaces that look like single scatterers, rad, (rows, cols).
 
-    The middle of an extended surface of the spread s has the variance s^2 / 2K, each of two scatterers that look like
-    it is s away from the middle.
+    It is that beyond the spread of level ground.
+
+    Attributes:
+        own: as the power along the slope of the response shows it; it hardly tells a small spread from noise.
+        around: of NEIGHBOURS pixels together.
     """
+
+    own: F64
+    around: F64
+
+    @classmethod
+    def of(cls, peaks: SinglePeaks, noise: _Noise, levels: _Levels, looks: Looks) -> Self:
+        """The spreads behind the power along the slopes; beyond twice its level it is not that of a surface."""
+        power = _power(peaks, looks)
+        free = np.where(looks.finite, free_looks(looks.count), 0.0)
+        along = np.where(looks.finite, np.minimum(peaks.along_slope, 2 * levels.spread), 0.0)
+        excess, unit = along - free * noise.along_slope, np.where(looks.finite, free * power * peaks.turning, 0.0)
+        pooled, units = (uniform_filter(part, NEIGHBOURS, mode="nearest") for part in (excess, unit))
+        around = np.divide(np.maximum(pooled, 0.0), units, where=units > 0, out=np.zeros_like(units))
+        level = noise.along_slope
+        own = spread_of(peaks.along_slope / level, looks.count, power / level, peaks.turning)
+        return cls(own, np.sqrt(around))
+
+    def deviation(self, spread: F64, looks: Looks) -> F64:
+        """Standard deviation of the middle of a surface of this spread, rad."""
+        return spread / np.sqrt(2 * np.maximum(looks.count, 1.0))
+
+
+def _power(peaks: SinglePeaks, looks: Looks) -> F64:
+    """Power of one look of the single scatterer in the whole array, noise powers."""
+    return np.maximum(peaks.explained / looks.count - 1, LEAST_POWER)
+
+
+def _sigma_of_perhaps_two(sigma: F64, probability: F64, spread: _Spread, looks: Looks) -> F64:
+    """Standard deviation (rad) of single scatterers, on a surface or two that are a spread away from their middle."""
     likely = probability[..., ONE] + probability[..., TWO] + probability[..., SPREAD]
-    share = (probability[..., SPREAD] / (2 * looks.count) + probability[..., TWO]) / np.maximum(likely, 1e-300)
-    power = np.maximum(peaks.explained / looks.count - 1, LEAST_POWER)
-    level = noise.along_slope
-    spread = spread_of(peaks.along_slope / level, looks.count, power / level, peaks.turning)
-    return np.sqrt(sigma**2 + share * spread**2)
+    share = probability[..., TWO] / np.maximum(likely, 1e-300)
+    return np.sqrt(sigma**2 + spread.deviation(spread.around, looks) ** 2 + share * spread.own**2)

@@ -16,15 +16,16 @@ import math
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter
 from scipy.optimize import elementwise
 from scipy.special import gammaincc, gammaln, logsumexp
 
 from sal_height.beams import Beams
 from sal_height.elevation._kernels import GRID_STEP
 from sal_height.elevation.bounds import Numbers, information
-from sal_height.elevation.extended import GREATEST_SPREAD, LEAST_SPREAD, ExtendedSurface, free_looks
+from sal_height.elevation.extended import GREATEST_SPREAD, LEAST_SPREAD, ExtendedSurfaces, free_looks
 from sal_height.elevation.several import LEAST_POWER, SeveralScatterers, adjoint, fit_powers
-from sal_height.numeric import F64
+from sal_height.numeric import F64, Index
 
 NONE, ONE, TWO, THREE, SPREAD = range(5)
 """The models: none, one, two, three scatterers, or one that is spread; as in `ElevationEstimate.order_probability`."""
@@ -32,11 +33,20 @@ NONE, ONE, TWO, THREE, SPREAD = range(5)
 PRIOR = np.array([0.05, 0.7, 0.1, 0.05, 0.1])
 """Probability of each model before the looks are seen."""
 
+NEIGHBOURS = 7  # pixels in range and in azimuth over which the ground is taken for alike
+EM_STEPS = 5  # its shares of the models are then within .01 of their limit
+
 CNR_RANGE = math.log(10 ** (40 / 10) / 10 ** (0 / 10))
 """Range of the logarithm of each scatterer's CNR, within which it is uniform: 0 to 40 dB."""
 
-SPREADS = np.linspace(LEAST_SPREAD, GREATEST_SPREAD, 6)
-"""Standard deviations of elevation of extended surfaces, beamwidths, that are equally probable."""
+SPREADS = np.geomspace(LEAST_SPREAD, GREATEST_SPREAD, 10)
+"""Standard deviations of elevation of extended surfaces at which the prior is summed up, beamwidths."""
+
+STEEPNESS = 1.5
+"""The prior density of the logarithm of a spread falls with this power of it: wide surfaces are rarer than narrow ones.
+
+At 10 dB in four looks two scatterers a beamwidth apart and a surface half a beamwidth spread look much the same.
+"""
 
 
 def log_evidence_of_one(explained: F64, looks: F64, turning: F64, domain: float) -> F64:
@@ -64,7 +74,7 @@ def log_evidence_of_several(several: SeveralScatterers, covariance: Numbers, dom
     """
     count = several.elevation.shape[1]
     seen = adjoint(several.units) @ covariance @ several.units
-    fit = fit_powers(several.gram, seen, several.looks, several.power * several.array_power, np.eye(count))
+    fit = fit_powers(several.gram, seen, several.looks, several.power * several.array_power)
     # Information on the elevations if the amplitudes are independent and have these powers.
     signal = fit.power[:, :, None] * np.eye(count)
     known = signal @ np.linalg.inv(signal + np.linalg.inv(several.gram)) @ signal
@@ -73,14 +83,13 @@ def log_evidence_of_several(several: SeveralScatterers, covariance: Numbers, dom
     return fit.log_likelihood + places + _log_volume_of(fit.information, CNR_RANGE) + math.lgamma(count + 1)
 
 
-def log_evidence_of_extended(surface: ExtendedSurface, domain: float, beamwidth: float) -> F64:
-    """Log-evidence of an extended surface against none, (pixels,); the angles are in rad."""
-    power = surface.fit.power[:, 0]
-    unit = power * surface.turning * beamwidth**2
-    own = _gain_of_spread(surface.along_slope, surface.looks, unit * (surface.modelled / beamwidth) ** 2)
-    over_prior = _mean_over_spreads(surface.along_slope, surface.looks, unit) - own
-    place = _log_volume(1 / surface.sigma**2, domain)
-    return surface.fit.log_likelihood + over_prior + place + _log_volume_of(surface.fit.information, CNR_RANGE)
+def log_evidence_of_extended(surfaces: ExtendedSurfaces, domain: float, beamwidth: float) -> F64:
+    """Log-evidence of an extended surface against none, (pixels,); `domain` is the range of its elevation, rad."""
+    spread = surfaces.found.spread
+    ranges = [domain / spread, np.full_like(spread, math.log(GREATEST_SPREAD / LEAST_SPREAD))]
+    ranges.append(np.full_like(spread, CNR_RANGE))
+    volume = _log_volume_of(surfaces.information, np.stack(ranges, axis=1))
+    return surfaces.log_likelihood + volume + _log_prior(spread / beamwidth)
 
 
 def log_evidence_of_spread(along_slope: F64, explained: F64, looks: F64, turning: F64, beamwidth: float) -> F64:
@@ -108,6 +117,13 @@ def log_evidence_of_level(along_slope: F64, looks: F64, raised: F64) -> F64:
     return _gain_of_spread(along_slope, looks, raised - 1)
 
 
+def _log_prior(spread: F64) -> F64:
+    """Logarithm of the prior density of ln `spread` (beamwidths) over that of a uniform one between the bounds."""
+    least, greatest = LEAST_SPREAD**-STEEPNESS, GREATEST_SPREAD**-STEEPNESS
+    mean = (least - greatest) / (STEEPNESS * math.log(GREATEST_SPREAD / LEAST_SPREAD))
+    return -STEEPNESS * np.log(spread) - math.log(mean)
+
+
 def _gain_of_spread(along_slope: F64, looks: F64, excess: F64) -> F64:
     """Gain in log-likelihood from a power along the slope that is `excess` times that of the noise."""
     return along_slope * excess / (1 + excess) - free_looks(looks) * np.log1p(excess)
@@ -115,15 +131,33 @@ def _gain_of_spread(along_slope: F64, looks: F64, excess: F64) -> F64:
 
 def _mean_over_spreads(along_slope: F64, looks: F64, unit: F64) -> F64:
     """Log of the mean gain in likelihood over the prior; a spread of a beamwidth has the excess `unit`."""
-    gains = [_gain_of_spread(along_slope, looks, unit * spread**2) for spread in SPREADS]
+    gains = [_gain_of_spread(along_slope, looks, unit * spread**2) + _log_prior(spread) for spread in SPREADS]
     return np.asarray(logsumexp(gains, axis=0) - math.log(len(SPREADS)))
 
 
-def probabilities(log_evidence: F64) -> F64:
-    """Posterior probability of each model from log-evidences against noise, (..., 5)."""
-    logarithm = log_evidence + np.log(PRIOR)
-    share = np.exp(logarithm - logarithm.max(axis=-1, keepdims=True))
-    return share / share.sum(axis=-1, keepdims=True)
+def log_probabilities(log_evidence: F64, here: tuple[Index, Index]) -> F64:
+    """Logarithm of the posterior probability of each model from log-evidences against noise, (rows, cols, ORDERS).
+
+    How often TWO, THREE and SPREAD are among the pixels that are not single is a matter of the place: kerbs have pairs,
+    forests do not. For the pixels `here` it is estimated from NEIGHBOURS pixels each way (the EM algorithm; Dempster,
+    Laird and Rubin, J. Royal Statistical Society B 39, 1977), beside one more pixel with the shares of PRIOR.
+    """
+    found = _normalised(log_evidence + np.log(PRIOR))
+    some, evidence = found[here], log_evidence[here]
+    prior, usual = np.tile(PRIOR, (len(some), 1)), PRIOR[TWO:] / PRIOR[TWO:].sum()
+    for _ in range(EM_STEPS):
+        single = np.logaddexp(some[:, NONE], some[:, ONE]) > math.log(0.5)
+        shares = np.zeros((*log_evidence.shape[:2], len(usual)))
+        shares[here] = np.where(single[:, None], 0.0, np.exp(some[:, TWO:]))
+        around = uniform_filter(shares, (NEIGHBOURS, NEIGHBOURS, 1), mode="constant")[here] * NEIGHBOURS**2 + usual
+        prior[:, TWO:] = PRIOR[TWO:].sum() * around / around.sum(axis=1, keepdims=True)
+        some = _normalised(evidence + np.log(prior))
+    found[here] = some
+    return found
+
+
+def _normalised(logarithm: F64) -> F64:
+    return np.asarray(logarithm - logsumexp(logarithm, axis=-1, keepdims=True))
 
 
 def _log_volume(information: F64, prior_range: float) -> F64:
@@ -131,9 +165,10 @@ def _log_volume(information: F64, prior_range: float) -> F64:
     return 0.5 * np.log(2 * np.pi / (information * prior_range**2 + 2 * np.pi))
 
 
-def _log_volume_of(information: F64, prior_range: float) -> F64:
-    """The same for several parameters of the same prior, (pixels, n, n)."""
-    scaled = information * (prior_range**2 / (2 * np.pi)) + np.eye(information.shape[1])
+def _log_volume_of(information: F64, prior_range: float | F64) -> F64:
+    """The same for several parameters, (pixels, n, n); their ranges are alike, or (pixels, n)."""
+    ranges = np.broadcast_to(prior_range, information.shape[:2]) / np.sqrt(2 * np.pi)
+    scaled = information * ranges[:, :, None] * ranges[:, None] + np.eye(information.shape[1])
     return -0.5 * np.linalg.slogdet(scaled)[1]
 
 

@@ -160,6 +160,16 @@ class PeakSearch:
         found[:, ~known] = np.nan
         return found
 
+    @property
+    def last(self) -> float:
+        """Highest elevation searched, rad."""
+        return self.first + self.step * len(self.pieces)
+
+    @cached_property
+    def grid_nodes(self) -> F64:
+        """Elevations of the grid, rad."""
+        return self.first + self.step * TABLE_STEPS * np.arange(self.grid.shape[1], dtype=np.float64)
+
     @cached_property
     def unit_pieces(self) -> Numbers:
         """`pieces`, complex if the beams are, shape (table nodes - 1, 4, channels)."""

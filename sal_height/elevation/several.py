@@ -134,8 +134,8 @@ class GaussianFit:
 
     Attributes:
         log_likelihood: ratio to that of noise alone, (pixels,).
-        information: Fisher information of the logarithms of the unknown powers, (pixels, powers, powers).
-        power: of each unknown, noise powers, (pixels, powers).
+        information: Fisher information of the logarithms of the powers, (pixels, S, S).
+        power: of each scatterer in the whole array, noise powers, (pixels, S).
     """
 
     log_likelihood: F64
@@ -143,7 +143,7 @@ class GaussianFit:
     power: F64
 
 
-def fit_powers(gram: Numbers, seen: Numbers, looks: F64, start: F64, tie: F64) -> GaussianFit:
+def fit_powers(gram: Numbers, seen: Numbers, looks: F64, start: F64) -> GaussianFit:
     """Maximise over the powers p the likelihood of pixels with the covariance U diag(p) U^H + I, by Fisher's scoring.
 
         l = tr(N B U^H R U B) - K ln det(I + X),    B = diag(p)^(1/2),    X = B U^H U B,    N = (I + X)^-1
@@ -154,25 +154,21 @@ def fit_powers(gram: Numbers, seen: Numbers, looks: F64, start: F64, tie: F64) -
         gram: U^H U, (pixels, S, S).
         seen: U^H R U, (pixels, S, S).
         looks: K, (pixels,).
-        start: powers to start from, (pixels, powers).
-        tie: p = start-like powers @ tie, shape (powers, S): the identity if each scatterer has a power of its own, one
-            row of shares if they have one in common.
+        start: powers to start from, (pixels, S).
     """
     logarithm, count = np.log(np.maximum(start, LEAST_POWER)), looks[:, None, None]
-    owner = (tie > 0).astype(np.float64)
     identity = np.eye(gram.shape[1])
     for step in range(SCORING_STEPS + 1):
-        root = np.sqrt(np.exp(logarithm) @ tie)
+        root = np.sqrt(np.exp(logarithm))
         both = root[:, :, None] * root[:, None]
         inner, signal = gram * both, seen * both
         noise = np.linalg.inv(identity + inner)
         shared = inner @ noise
-        information = owner @ (count * np.abs(shared) ** 2) @ owner.T
+        information = count * np.abs(shared) ** 2
         if step == SCORING_STEPS:
             break
-        gradient = np.diagonal(noise @ signal @ noise - count * shared, axis1=1, axis2=2).real @ owner.T
-        ridge = 1e-6 * looks[:, None, None] * np.eye(len(tie))
-        move = np.linalg.solve(information + ridge, gradient[..., None])[..., 0]
+        gradient = np.diagonal(noise @ signal @ noise - count * shared, axis1=1, axis2=2).real
+        move = np.linalg.solve(information + 1e-6 * count * identity, gradient[..., None])[..., 0]
         logarithm = np.maximum(logarithm + np.clip(move, -GREATEST_STEP, GREATEST_STEP), np.log(LEAST_POWER))
     explained = np.einsum("pij,pji->p", noise, signal).real
     likelihood = explained - looks * np.linalg.slogdet(identity + inner)[1]

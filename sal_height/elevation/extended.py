@@ -129,9 +129,8 @@ class ExtendedSurfaces:
             best = climbing[better]
             found.put(best, here.at(better))
             highest[best], information[best] = likelihood[better], known[better]
-            move: F64 = np.linalg.solve(known + RIDGE * looks[climbing, None, None] * np.eye(3), gradient[..., None])[
-                ..., 0
-            ]
+            damped = known + RIDGE * looks[climbing, None, None] * np.eye(3)
+            move = np.asarray(np.linalg.solve(damped, gradient[..., None])[..., 0], np.float64)
             place.put(climbing, here.moved(move, search, beamwidth))
             rise = np.sum(gradient * move, axis=1)
             climbing = climbing[(rise > SMALL_RISE) & (likelihood + 2 * rise > least[climbing])]

@@ -457,8 +457,8 @@ class _Spread:
         return cls(own, np.sqrt(around))
 
     def deviation(self, spread: F64, looks: Looks) -> F64:
-        """Standard deviation of the middle of a surface of this spread, rad."""
-        return spread / np.sqrt(2 * np.maximum(looks.count, 1.0))
+        """Standard deviation of the middle of a surface of this spread at the range of its height, rad."""
+        return spread * np.sqrt(looks.unplaced / (2 * np.maximum(looks.count, 1.0)))
 
 
 def _power(peaks: SinglePeaks, looks: Looks) -> F64:

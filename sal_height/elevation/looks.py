@@ -130,6 +130,8 @@ class Looks:
         finite: False where a sample was NaN or infinite, shape (rows, cols); the covariance is 0 there.
         level_spread: standard deviation of the elevations within a pixel on level ground, whose ranges differ, rad; 0:
             all its scatterers are at one elevation.
+        unplaced: share of the variance of the ranges in a pixel that is within its samples: where in them their power
+            comes from is not known.
     """
 
     covariance: Covariances
@@ -144,6 +146,7 @@ class Looks:
     power: F64
     finite: Bool
     level_spread: float = 0.0
+    unplaced: float = 1.0
 
     @classmethod
     def of(
@@ -323,6 +326,7 @@ def windowed_looks(
         deviation = noise / np.sqrt(len(slc) * count)
         foreign = foreign_power(seen - noise, down_weights, across_weights, count, deviation)
         floor += foreign / channels.noise_powers.min()
+    between, within = _place_variances(down, response.down if response else None)
     return Looks(
         covariance=SlcCovariance(numbers, down, across, gains, scale.astype(np.float32), hermitian),
         squint=squint,
@@ -335,15 +339,15 @@ def windowed_looks(
         col=col,
         power=power * scale,
         finite=finite,
-        level_spread=level_turn * np.sqrt(_place_variance(down, response.down if response else None)),
+        level_spread=level_turn * np.sqrt(between + within),
+        unplaced=within / (between + within),
     )
 
 
-def _place_variance(window: Window, axis: AxisResponse | None) -> float:
+def _place_variances(window: Window, axis: AxisResponse | None) -> tuple[float, float]:
     """Variance of the places of the scatterers in a pixel along an axis, samples squared: of looks, and within each."""
-    places = np.arange(len(window.weights))
-    between = float(np.cov(places, aweights=window.weights, ddof=0))
-    return between + (2 * float(axis.place_error(1)[0]) if axis else EVEN_VARIANCE)
+    between = float(np.cov(np.arange(len(window.weights)), aweights=window.weights, ddof=0))
+    return between, 2 * float(axis.place_error(1)[0]) if axis else EVEN_VARIANCE
 
 
 def _effective_looks(

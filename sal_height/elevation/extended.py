@@ -25,7 +25,7 @@ from sal_height.numeric import F32, F64
 
 LEAST_SPREAD, GREATEST_SPREAD = 0.05, 1.0  # standard deviation of a surface's elevation, beamwidths
 NODES = 9  # of the quadrature over the elevations (Gauss and Legendre), as many as the greatest spread needs
-SCORING_STEPS = 5
+SCORING_STEPS = 12  # few pixels need more than five; those of high CNR do
 GREATEST_STEP = np.array([0.5, 0.5, 1.0])  # of t over s, ln s and ln p
 RIDGE = 1e-3  # added to the information of a look on each parameter, so that it can be inverted
 SMALL_RISE = 0.1  # of the likelihood, which the next step is not worth
@@ -133,7 +133,7 @@ class ExtendedSurfaces:
             move = np.asarray(np.linalg.solve(damped, gradient[..., None])[..., 0], np.float64)
             place.put(climbing, here.moved(move, search, beamwidth))
             rise = np.sum(gradient * move, axis=1)
-            climbing = climbing[(rise > SMALL_RISE) & (likelihood + 2 * rise > least[climbing])]
+            climbing = climbing[(rise > SMALL_RISE) & (likelihood + 20 * rise > least[climbing])]
         variance = np.linalg.inv(information + RIDGE * looks[:, None, None] * np.eye(3))[:, 0, 0]
         sigma = np.sqrt(variance * looks / free_looks(looks)) * found.spread
         return cls(found, sigma, highest, information, *_explained(search, covariance, found))

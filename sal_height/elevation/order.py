@@ -42,7 +42,7 @@ CNR_RANGE = math.log(10 ** (40 / 10) / 10 ** (0 / 10))
 SPREADS = np.geomspace(LEAST_SPREAD, GREATEST_SPREAD, 10)
 """Standard deviations of elevation of extended surfaces at which the prior is summed up, beamwidths."""
 
-STEEPNESS = 1.5
+STEEPNESS = 1.75
 """The prior density of the logarithm of a spread falls with this power of it: wide surfaces are rarer than narrow ones.
 
 At 10 dB in four looks two scatterers a beamwidth apart and a surface half a beamwidth spread look much the same.
@@ -139,8 +139,8 @@ def log_probabilities(log_evidence: F64, here: tuple[Index, Index]) -> F64:
     """Logarithm of the posterior probability of each model from log-evidences against noise, (rows, cols, ORDERS).
 
     How often TWO, THREE and SPREAD are among the pixels that are not single is a matter of the place: kerbs have pairs,
-    forests do not. For the pixels `here` it is estimated from NEIGHBOURS pixels each way (the EM algorithm; Dempster,
-    Laird and Rubin, J. Royal Statistical Society B 39, 1977), beside one more pixel with the shares of PRIOR.
+    forests do not. For each of the pixels `here` it is estimated from the others of NEIGHBOURS pixels each way (the EM
+    algorithm; Dempster, Laird and Rubin, J. Royal Statistical Society B 39, 1977), and one more with shares as PRIOR.
     """
     found = _normalised(log_evidence + np.log(PRIOR))
     some, evidence = found[here], log_evidence[here]
@@ -149,7 +149,8 @@ def log_probabilities(log_evidence: F64, here: tuple[Index, Index]) -> F64:
         single = np.logaddexp(some[:, NONE], some[:, ONE]) > math.log(0.5)
         shares = np.zeros((*log_evidence.shape[:2], len(usual)))
         shares[here] = np.where(single[:, None], 0.0, np.exp(some[:, TWO:]))
-        around = uniform_filter(shares, (NEIGHBOURS, NEIGHBOURS, 1), mode="constant")[here] * NEIGHBOURS**2 + usual
+        around = uniform_filter(shares, (NEIGHBOURS, NEIGHBOURS, 1), mode="constant")[here] * NEIGHBOURS**2
+        around = np.maximum(around - shares[here], 0.0) + usual
         prior[:, TWO:] = PRIOR[TWO:].sum() * around / around.sum(axis=1, keepdims=True)
         some = _normalised(evidence + np.log(prior))
     found[here] = some

@@ -14,16 +14,19 @@ from sal_height.elevation.estimate import ElevationEstimate, Validity
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 
+COLUMNS = 20
+
 PATTERN_NAMES = pytest.mark.parametrize("pattern", ["sinc", "jinc"])
 
 
 def points(beams: Beams, offsets: np.ndarray, cnrs: tuple[float, ...], looks: int, rng: np.random.Generator) -> Looks:
-    """One column of pixels with fluctuating scatterers at `offsets` (pixels, scatterers) in unit noise."""
+    """Image of pixels with fluctuating scatterers at `offsets` (pixels, scatterers) in unit noise, COLUMNS in a row."""
     slc = circular(rng, (len(offsets), looks, beams.count))
     for offset, cnr in zip(offsets.T, cnrs, strict=True):
         response = beams.response(elevation_at(offset), 0.0)[:, None]
         slc += response * np.sqrt(cnr) * circular(rng, (len(offset), looks, 1))
-    return multilook(np.moveaxis(slc, -1, 0), 1, looks, hermitian=beams.is_complex)
+    image = np.moveaxis(slc, -1, 0).reshape(beams.count, -1, COLUMNS * looks)
+    return multilook(image, 1, looks, hermitian=beams.is_complex)
 
 
 def around(spacing: float, count: int, pixels: int, rng: np.random.Generator) -> np.ndarray:
@@ -34,10 +37,10 @@ def around(spacing: float, count: int, pixels: int, rng: np.random.Generator) ->
 
 def scores(result: ElevationEstimate, truth: np.ndarray, validity: Validity) -> np.ndarray:
     """Distance of every scatterer of the pixels with that validity to the nearest true one, over its sigma."""
-    here = result.validity[:, 0] == validity
-    found = np.stack([offset_of(s.elevation[here, 0]) for s in result.scatterers])
-    sigma = np.stack([s.sigma[here, 0] for s in result.scatterers]) / BEAMWIDTH
-    score = np.abs(found[..., None] - truth[here]).min(axis=-1) / sigma
+    here = result.validity == validity
+    found = np.stack([offset_of(s.elevation[here]) for s in result.scatterers])
+    sigma = np.stack([s.sigma[here] for s in result.scatterers]) / BEAMWIDTH
+    score = np.abs(found[..., None] - truth[here.ravel()]).min(axis=-1) / sigma
     return score[np.isfinite(score)]
 
 
@@ -65,34 +68,40 @@ def test_one_scatterer_is_taken_for_more_as_rarely_as_stated(pattern: str, cnr_d
 
 @pytest.mark.parametrize(
     ("cnr_db", "looks", "separation", "least"),
-    [(10, 4, 1.0, 0.89), (15, 4, 1.0, 0.98), (5, 16, 1.0, 0.95), (20, 4, 2.0, 0.99), (20, 16, 0.7, 0.97)],
+    [(10, 4, 1.0, 0.88), (15, 4, 1.0, 0.97), (5, 16, 1.0, 0.92), (20, 4, 2.0, 0.98), (20, 16, 0.7, 0.98)],
 )
 def test_two_scatterers_are_found_and_each_is_within_its_sigma(
     cnr_db: int, looks: int, separation: float, least: float
 ) -> None:
-    """2000 pixels: standard error of the share 0.7 % at most, of the coverage 0.8 %."""
+    """2000 pixels: standard error of the share 0.7 % at most, of the coverage 0.8 %; doubt makes sigma greater."""
     beams, rng = make_beams("jinc"), np.random.default_rng([54, cnr_db, looks])
     truth, cnr = around(separation, 2, 2000, rng), 10 ** (cnr_db / 10)
     result = ml_elevation(points(beams, truth, (cnr, cnr), looks, rng), beams, MlSettings())
     assert share(result, Validity.TWO_SCATTERERS) > least
     score = scores(result, truth, Validity.TWO_SCATTERERS)
-    assert np.mean(score < 1) == pytest.approx(0.69, abs=0.04)
+    assert 0.65 < np.mean(score < 1) < 0.85
     assert np.mean(score > 5) < 2e-3
     strong, weak = (s.cnr[result.validity == Validity.TWO_SCATTERERS] for s in result.scatterers[:2])
     assert np.all(strong >= weak)
 
 
-@pytest.mark.parametrize(("cnr_db", "looks", "least"), [(20, 4, 0.91), (20, 16, 0.98), (30, 4, 0.97)])
-def test_three_scatterers_are_found_or_rejected_and_not_taken_for_two(cnr_db: int, looks: int, least: float) -> None:
-    """0.75 beamwidths apart, 1500 pixels: standard error of the share 0.7 %, of the coverage 0.7 %."""
+@pytest.mark.parametrize(
+    ("cnr_db", "looks", "spacing", "least"), [(20, 4, 1.0, 0.96), (20, 16, 0.75, 0.96), (20, 4, 0.75, 0.0)]
+)
+def test_three_scatterers_are_found_or_rejected_and_not_taken_for_two(
+    cnr_db: int, looks: int, spacing: float, least: float
+) -> None:
+    """1500 pixels: standard error of the share 0.7 %, of the coverage 0.7 %; doubt makes sigma greater.
+
+    At 20 dB, four looks of three that are 0.75 beamwidths apart are much as those of a wide surface: most are refused.
+    """
     beams, rng = make_beams("jinc"), np.random.default_rng([55, cnr_db, looks])
-    truth, cnr = around(0.75, 3, 1500, rng), 10 ** (cnr_db / 10)
+    truth, cnr = around(spacing, 3, 1500, rng), 10 ** (cnr_db / 10)
     result = ml_elevation(points(beams, truth, (cnr,) * 3, looks, rng), beams, MlSettings())
     assert share(result, Validity.THREE_SCATTERERS) > least
-    wrong_pairs = np.mean(scores(result, truth, Validity.TWO_SCATTERERS) > 5) if least < 0.97 else 0.0
-    assert wrong_pairs * share(result, Validity.TWO_SCATTERERS) < 0.005
+    assert share(result, Validity.OK, Validity.TWO_SCATTERERS) < 0.012
     score = scores(result, truth, Validity.THREE_SCATTERERS)
-    assert np.mean(score < 1) == pytest.approx(0.69, abs=0.04)
+    assert 0.65 < np.mean(score < 1) < 0.9
     assert np.mean(score > 5) < 2e-3
 
 
@@ -109,12 +118,38 @@ def test_extended_surfaces_are_known_by_their_spread(cnr_db: int, looks: int, wi
     here = result.validity == Validity.EXTENDED
     assert np.median(result.first.spread[here]) / BEAMWIDTH == pytest.approx(width / np.sqrt(12), rel=0.15)
     score = scores(result, middle, Validity.EXTENDED)
-    assert 0.68 < np.mean(score < 1) < 0.92
+    assert 0.64 < np.mean(score < 1) < 0.92
     assert np.mean(score > 5) < 2e-3
     # Whatever is published, its middle is right.
     usable = (Validity.OK, Validity.EXTENDED)
     wrong = sum(np.count_nonzero(scores(result, middle, v) > 5) for v in usable if share(result, v))
     assert wrong / len(middle) < 6e-3
+
+
+@pytest.mark.parametrize(("cnr_db", "looks"), [(20, 4), (20, 16), (30, 4)])
+def test_volumes_have_no_height(cnr_db: int, looks: int) -> None:
+    """2.5 beamwidths deep, in the middle of the array, 1000 pixels: a standard error of 0.5 % at most."""
+    beams, rng = make_beams("jinc"), np.random.default_rng([68, cnr_db, looks])
+    middle = rng.uniform(-1.5, 1.5, (1000, 1))
+    pieces = middle + 2.5 * (np.arange(40) - 19.5) / 40
+    result = ml_elevation(points(beams, pieces, (10 ** (cnr_db / 10) / 40,) * 40, looks, rng), beams, MlSettings())
+    assert share(result, Validity.OK, Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS) < 0.02
+    assert share(result, Validity.NOT_ONE_SCATTERER) > 0.9
+
+
+@pytest.mark.parametrize(("cnr_db", "looks", "spread"), [(20, 4, 0.3), (20, 16, 0.3), (10, 16, 0.3), (30, 4, 0.4)])
+def test_steep_surfaces_are_fitted(cnr_db: int, looks: int, spread: float) -> None:
+    """1500 pixels of a uniform surface: its middle within its sigma, greater by doubt, and its spread within 10 %."""
+    beams, rng = make_beams("jinc"), np.random.default_rng([69, cnr_db, looks])
+    middle = rng.uniform(-2.5, 2.5, (1500, 1))
+    pieces = middle + spread * np.sqrt(12) * (np.arange(40) - 19.5) / 40
+    result = ml_elevation(points(beams, pieces, (10 ** (cnr_db / 10) / 40,) * 40, looks, rng), beams, MlSettings())
+    assert share(result, Validity.EXTENDED) > 0.8
+    here = result.validity == Validity.EXTENDED
+    assert np.median(result.first.spread[here]) / BEAMWIDTH == pytest.approx(spread, rel=0.1)
+    score = scores(result, middle, Validity.EXTENDED)
+    assert 0.63 < np.mean(score < 1) < 0.8
+    assert np.mean(score > 5) < 3e-3
 
 
 def test_ranges_of_level_ground_are_neither_a_surface_nor_an_error() -> None:
@@ -127,12 +162,12 @@ def test_ranges_of_level_ground_are_neither_a_surface_nor_an_error() -> None:
     middle, amplitude = rng.uniform(-3, 3, (1500, 1)), np.sqrt(cnr) * circular(rng, (1500, 16))
     response = beams.response(elevation_at((middle + steps).ravel()), 0.0).reshape(1500, 16, -1)
     slc = amplitude[..., None] * response + circular(rng, response.shape)
-    looks = multilook(np.moveaxis(slc, -1, 0), 1, 16)
+    looks = multilook(np.moveaxis(slc, -1, 0).reshape(beams.count, -1, 16 * COLUMNS), 1, 16)
     weight = np.abs(amplitude) ** 2
     truth = middle + (weight @ steps / weight.sum(axis=1))[:, None]
     level = replace(looks, level_spread=steps.std() * BEAMWIDTH)
     found = ml_elevation(level, beams, MlSettings())
-    assert share(found, Validity.OK) > 0.98
+    assert share(found, Validity.OK) > 0.97
     score = scores(found, truth, Validity.OK)
     assert np.mean(score < 1) == pytest.approx(0.69, abs=0.04)
     # Of points at one range they would be extended surfaces, whose middle is uncertain.
@@ -147,7 +182,7 @@ def test_scatterer_outside_the_array_does_not_displace_the_one_inside() -> None:
         beams, rng = make_beams("jinc"), np.random.default_rng([57, looks])
         truth = np.stack([rng.uniform(-3.5, 3.5, 3000), rng.uniform(3.8, 5.5, 3000)], axis=1)
         result = ml_elevation(points(beams, truth, (cnr, cnr), looks, rng), beams, MlSettings())
-        assert share(result, Validity.OK) > 0.97
+        assert share(result, Validity.OK) > 0.92
         score = scores(result, truth[:, :1], Validity.OK)
         assert np.mean(score < 1) == pytest.approx(0.69, abs=0.04)
         assert np.mean(score > 5) < 3e-3

@@ -13,14 +13,16 @@ from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.order import (
     PRIOR,
     SPREADS,
+    STEEPNESS,
     detection_threshold,
     log_evidence_of_one,
     log_evidence_of_spread,
+    log_probabilities,
     path_length,
-    probabilities,
 )
 
 ONE_PERCENT = 0.01
+NOWHERE = np.zeros(0, np.intp), np.zeros(0, np.intp)
 PATTERN_NAMES = pytest.mark.parametrize("pattern", ["sinc", "jinc"])
 
 
@@ -61,16 +63,32 @@ def test_evidence_of_spread_is_the_mean_over_the_prior() -> None:
     excess = power * turning * SPREADS**2
     gain = np.exp(along * excess / (1 + excess)) / (1 + excess) ** (looks - 0.5)
     found = log_evidence_of_spread(*(np.array(x) for x in (along, looks * (1 + power), looks, turning)), 1.0)
-    assert float(found) == pytest.approx(np.log(gain.mean()), rel=1e-9)
+    log_spread = np.linspace(np.log(SPREADS[0]), np.log(SPREADS[-1]), 1000)
+    density = np.exp(-STEEPNESS * log_spread)
+    gains = np.interp(log_spread, np.log(SPREADS), gain)
+    assert float(found) == pytest.approx(np.log(np.average(gains, weights=density)), abs=0.3)
 
 
 def test_probabilities_are_those_of_bayes_rule() -> None:
-    evidence = np.array([[0.0, 3.0, 2.0, -np.inf, 1.0], [900.0, 0.0, 0.0, 0.0, 905.0]])
-    found = probabilities(evidence)
+    evidence = np.array([[[0.0, 3.0, 2.0, -np.inf, 1.0], [900.0, 0.0, 0.0, 0.0, 905.0]]])
+    found = np.exp(log_probabilities(evidence, NOWHERE))[0]
     np.testing.assert_allclose(found.sum(axis=1), 1, rtol=1e-12)
-    expected = PRIOR * np.exp(evidence[0])
+    expected = PRIOR * np.exp(evidence[0, 0])
     np.testing.assert_allclose(found[0], expected / expected.sum(), rtol=1e-12)
     assert found[1, 0] / found[1, 4] == pytest.approx(PRIOR[0] / PRIOR[4] * np.exp(-5), rel=1e-9)
+
+
+def test_pixels_around_say_what_is_frequent() -> None:
+    """One that may be a pair or spread is most likely what 48 clear ones around it are; alone it is as PRIOR says."""
+    evidence = np.zeros((7, 7, 5))
+    evidence[..., 2] = 20.0
+    evidence[3, 3, [2, 4]] = 20.0
+    everywhere = tuple(np.indices((7, 7)).reshape(2, -1))
+    found = np.exp(log_probabilities(evidence, everywhere))[3, 3]
+    pairs, spread = 48 + PRIOR[2] / PRIOR[2:].sum(), PRIOR[4] / PRIOR[2:].sum()
+    assert found[2] / found[4] == pytest.approx(pairs / spread, rel=1e-3)
+    alone = np.exp(log_probabilities(evidence[3:4, 3:4], (np.array([0]), np.array([0]))))[0, 0]
+    assert alone[2] / alone[4] == pytest.approx(PRIOR[2] / PRIOR[4], rel=1e-9)
 
 
 def ensemble(beams: Beams, model: int, pixels: int, looks: int, rng: np.random.Generator) -> np.ndarray:
@@ -78,7 +96,8 @@ def ensemble(beams: Beams, model: int, pixels: int, looks: int, rng: np.random.G
     half = np.ptp(beams.span) / 2 / BEAMWIDTH
     samples = circular(rng, (pixels, looks, beams.count))
     if model == 4:
-        spread = rng.uniform(SPREADS[0], SPREADS[-1], (pixels, 1))
+        low, high = SPREADS[[0, -1]] ** -STEEPNESS
+        spread = rng.uniform(high, low, (pixels, 1)) ** (-1 / STEEPNESS)
         pieces = (np.arange(24) - 11.5) / 24 * np.sqrt(12)
         offsets = rng.uniform(-half, half, (pixels, 1)) + spread * pieces
         cnr = np.broadcast_to(10 ** rng.uniform(0, 4, (pixels, 1)) / 24, offsets.shape)
@@ -99,7 +118,8 @@ def test_of_pixels_with_probability_nine_tenths_as_many_are_right(pattern: str, 
     beams, rng = make_beams(pattern, channels), np.random.default_rng([64, channels, looks])
     counts = np.round(6000 * PRIOR).astype(int)
     samples = np.concatenate([ensemble(beams, n, count, looks, rng) for n, count in enumerate(counts)])
-    truth = np.repeat(np.arange(len(PRIOR)), counts)
+    truth, order = np.repeat(np.arange(len(PRIOR)), counts), rng.permutation(len(samples))
+    truth, samples = truth[order], samples[order]
     covariance = np.einsum("pkm,pkn->pmn", samples, samples.conj()).real.astype(np.float32)[:, None]
     probability = ml_elevation(Looks.of(covariance, looks), beams, MlSettings()).order_probability
     assert probability is not None

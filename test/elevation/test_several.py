@@ -227,7 +227,7 @@ def test_powers_are_at_the_maximum_of_the_likelihood(name: str) -> None:
     covariance = covariance if beams.is_complex else covariance.real
     several = SeveralScatterers.at(search_of(beams), covariance, np.full(5, float(looks)), elevation_at(offsets))
     seen = adjoint(several.units) @ covariance @ several.units
-    fit = fit_powers(several.gram, seen, several.looks, several.power * several.array_power, np.eye(2))
+    fit = fit_powers(several.gram, seen, several.looks, several.power * several.array_power)
 
     def likelihood(power: np.ndarray, pixel: int) -> float:
         units = several.units[pixel]

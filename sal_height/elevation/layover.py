@@ -202,8 +202,9 @@ def _evidence_of_gains(peaks: SinglePeaks, noise: _Noise, looks: Looks, beams: B
     evidence = np.zeros((*count.shape, ORDERS))
     single = log_evidence_of_one(peaks.explained, count, peaks.turning, domain)
     more = log_evidence_of_one(peaks.beside, count, peaks.turning, domain)
-    level = log_evidence_of_level(peaks.along_slope, count, noise.along_slope)
-    spread = log_evidence_of_spread(peaks.along_slope, peaks.explained, count, peaks.turning, beams.beamwidth)
+    along, beamwidth = peaks.along_slope, beams.beamwidth
+    level = log_evidence_of_level(along, count, noise.along_slope)
+    spread = log_evidence_of_spread(along, peaks.explained, count, peaks.turning, noise.along_slope, beamwidth)
     evidence[..., ONE], evidence[..., TWO], evidence[..., SPREAD] = single + level, single + more, single + spread
     evidence[..., THREE] = single + 2 * more
     return evidence
@@ -411,7 +412,9 @@ def _published(
     fields[:, :, rows, cols] = np.swapaxes(found[:, resolved], 1, 2)
     # A spread far below a beamwidth is that of level ground.
     is_spread = (taken == SPREAD) & (found[3, :, 0] > LEAST_SPREAD * beams.beamwidth)
+    # A point and a surface that is spread about it have the same height.
     chance = np.take_along_axis(probability[here], taken[:, None], axis=1)[:, 0]
+    chance = np.where(np.isin(taken, (ONE, SPREAD)), probability[here][:, [ONE, SPREAD]].sum(axis=1), chance)
     is_none = (
         (taken == NONE)
         | (chance < LEAST_PROBABILITY)

@@ -92,7 +92,9 @@ def log_evidence_of_extended(surfaces: ExtendedSurfaces, domain: float, beamwidt
     return surfaces.log_likelihood + volume + _log_prior(spread / beamwidth)
 
 
-def log_evidence_of_spread(along_slope: F64, explained: F64, looks: F64, turning: F64, beamwidth: float) -> F64:
+def log_evidence_of_spread(
+    along_slope: F64, explained: F64, looks: F64, turning: F64, level: F64, beamwidth: float
+) -> F64:
     """Log-evidence of an extended surface against a single point, without a fit of the former; any shape.
 
     Args:
@@ -100,21 +102,25 @@ def log_evidence_of_spread(along_slope: F64, explained: F64, looks: F64, turning
         explained: power that the point explains.
         looks: K.
         turning: D / |a|^2 in 1/rad^2.
+        level: mean power of one look of level ground along the slope, noise included, noise powers.
         beamwidth: rad.
     """
-    power = np.maximum(explained / looks - 1, LEAST_POWER)
-    return _mean_over_spreads(along_slope, looks, power * turning * beamwidth**2)
+    unit = np.maximum(explained / looks - 1, LEAST_POWER) * turning * beamwidth**2
+    gains = [
+        _gain_of_spread(along_slope, looks, level - 1 + unit * spread**2) + _log_prior(spread) for spread in SPREADS
+    ]
+    return np.asarray(logsumexp(gains, axis=0) - math.log(len(SPREADS)))
 
 
-def log_evidence_of_level(along_slope: F64, looks: F64, raised: F64) -> F64:
+def log_evidence_of_level(along_slope: F64, looks: F64, level: F64) -> F64:
     """Log-evidence of level ground, whose ranges differ within a pixel, against a single point; any shape.
 
     Args:
         along_slope: power along the slope of the response, sum over looks, noise powers.
         looks: K.
-        raised: mean power of one look of level ground along the slope, noise included, noise powers.
+        level: mean power of one look of level ground along the slope, noise included, noise powers.
     """
-    return _gain_of_spread(along_slope, looks, raised - 1)
+    return _gain_of_spread(along_slope, looks, level - 1)
 
 
 def _log_prior(spread: F64) -> F64:
@@ -127,12 +133,6 @@ def _log_prior(spread: F64) -> F64:
 def _gain_of_spread(along_slope: F64, looks: F64, excess: F64) -> F64:
     """Gain in log-likelihood from a power along the slope that is `excess` times that of the noise."""
     return along_slope * excess / (1 + excess) - free_looks(looks) * np.log1p(excess)
-
-
-def _mean_over_spreads(along_slope: F64, looks: F64, unit: F64) -> F64:
-    """Log of the mean gain in likelihood over the prior; a spread of a beamwidth has the excess `unit`."""
-    gains = [_gain_of_spread(along_slope, looks, unit * spread**2) + _log_prior(spread) for spread in SPREADS]
-    return np.asarray(logsumexp(gains, axis=0) - math.log(len(SPREADS)))
 
 
 def log_probabilities(log_evidence: F64, here: tuple[Index, Index]) -> F64:

@@ -165,7 +165,7 @@ def test_ranges_of_level_ground_are_neither_a_surface_nor_an_error() -> None:
     looks = multilook(np.moveaxis(slc, -1, 0).reshape(beams.count, -1, 16 * COLUMNS), 1, 16)
     weight = np.abs(amplitude) ** 2
     truth = middle + (weight @ steps / weight.sum(axis=1))[:, None]
-    level = replace(looks, level_spread=steps.std() * BEAMWIDTH)
+    level = replace(looks, level_spread=steps.std() * BEAMWIDTH, unplaced=0.0)
     found = ml_elevation(level, beams, MlSettings())
     assert share(found, Validity.OK) > 0.97
     score = scores(found, truth, Validity.OK)

@@ -62,7 +62,7 @@ def test_evidence_of_spread_is_the_mean_over_the_prior() -> None:
     along, looks, power, turning = 9.0, 4.0, 20.0, 2.5
     excess = power * turning * SPREADS**2
     gain = np.exp(along * excess / (1 + excess)) / (1 + excess) ** (looks - 0.5)
-    found = log_evidence_of_spread(*(np.array(x) for x in (along, looks * (1 + power), looks, turning)), 1.0)
+    found = log_evidence_of_spread(*(np.array(x) for x in (along, looks * (1 + power), looks, turning, 1.0)), 1.0)
     log_spread = np.linspace(np.log(SPREADS[0]), np.log(SPREADS[-1]), 1000)
     density = np.exp(-STEEPNESS * log_spread)
     gains = np.interp(log_spread, np.log(SPREADS), gain)

@@ -153,12 +153,12 @@ def test_steep_surfaces_are_fitted(cnr_db: int, looks: int, spread: float) -> No
 
 
 def test_ranges_of_level_ground_are_neither_a_surface_nor_an_error() -> None:
-    """Looks of four rows, 0.05 beamwidths from one to the next, at 30 dB: 1500 pixels, coverage within 1.2 %.
+    """Looks of four rows, 0.03 beamwidths from one to the next, at 30 dB: 1500 pixels; doubt makes sigma greater.
 
     Elevation belongs to the middle of the looks weighted by their power, as do range and height.
     """
     beams, rng, cnr = make_beams("jinc"), np.random.default_rng(67), 1e3
-    steps = 0.05 * np.repeat(np.arange(4) - 1.5, 4)
+    steps = 0.03 * np.repeat(np.arange(4) - 1.5, 4)
     middle, amplitude = rng.uniform(-3, 3, (1500, 1)), np.sqrt(cnr) * circular(rng, (1500, 16))
     response = beams.response(elevation_at((middle + steps).ravel()), 0.0).reshape(1500, 16, -1)
     slc = amplitude[..., None] * response + circular(rng, response.shape)
@@ -169,11 +169,12 @@ def test_ranges_of_level_ground_are_neither_a_surface_nor_an_error() -> None:
     found = ml_elevation(level, beams, MlSettings())
     assert share(found, Validity.OK) > 0.97
     score = scores(found, truth, Validity.OK)
-    assert np.mean(score < 1) == pytest.approx(0.69, abs=0.04)
-    # Of points at one range they would be extended surfaces, whose middle is uncertain.
+    assert 0.65 < np.mean(score < 1) < 0.82
+    # At one range they would be extended surfaces, whose middle is uncertain.
     unaware = ml_elevation(looks, beams, MlSettings())
-    assert share(unaware, Validity.EXTENDED) > 0.3
-    assert np.median(unaware.sigma) > 3 * np.median(found.sigma)
+    assert found.order_probability is not None and unaware.order_probability is not None
+    assert np.median(found.order_probability[..., 4]) < 0.3 < 0.9 < np.median(unaware.order_probability[..., 4])
+    assert np.median(unaware.sigma) > 1.5 * np.median(found.sigma)
 
 
 def test_scatterer_outside_the_array_does_not_displace_the_one_inside() -> None:

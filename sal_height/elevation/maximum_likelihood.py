@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.layover import LayoverSettings, resolve
+from sal_height.elevation.layover import resolve
 from sal_height.elevation.likelihood import OBJECTIVES, estimate_of, highest_peaks, highest_peaks_of, peaks_at
 from sal_height.elevation.looks import Looks
+from sal_height.elevation.single import LayoverSettings
 from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH, smoothed_peaks
 from sal_height.settings import setting
 

@@ -9,7 +9,7 @@ import pytest
 from helpers import BEAMWIDTH, circular, elevation_at, make_beams, multilook, offset_of
 
 from sal_height.beams.array import Beams
-from sal_height.elevation import layover
+from sal_height.elevation import models
 from sal_height.elevation.estimate import ElevationEstimate, Validity
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
@@ -203,7 +203,7 @@ def test_blocks_and_units_of_power_change_nothing(monkeypatch: pytest.MonkeyPatc
     covariance = np.asarray(covariance).reshape(10, 6, 16, 16)
     squint = np.array([0.0, 0.1, 0.0, 0.2, 0.1, 0.0]) * BEAMWIDTH
     whole = ml_elevation(Looks.of(covariance, 4, squint), beams, MlSettings())
-    monkeypatch.setattr(layover, "PIXELS_AT_ONCE", 3)
+    monkeypatch.setattr(models, "PIXELS_AT_ONCE", 3)
     parts = ml_elevation(Looks.of(2**-30 * covariance, 4, squint, 2**-30), beams, MlSettings())
     assert 10 < np.count_nonzero(whole.validity == Validity.TWO_SCATTERERS) < 60
     np.testing.assert_array_equal(parts.validity, whole.validity)

@@ -14,7 +14,7 @@ from scipy.constants import speed_of_light
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams.array import Beams
-from sal_height.beams.pattern import pattern_named
+from sal_height.beams.pattern import PATTERNS, Pattern, pattern_named
 from sal_height.elevation.looks import Looks, Window, windowed_looks
 from sal_height.geometry.frames import ApertureState
 from sal_height.sensor.channels import Channels, whitened_channels
@@ -32,6 +32,28 @@ def make_beams(pattern: str = "sinc", count: int = 16, pitch: float = 0.5) -> Be
     """Detectors `pitch` beamwidths apart around an elevation of 45 degrees."""
     steps = (np.arange(count) - (count - 1) / 2) * pitch
     return Beams((pattern_named(pattern),), np.pi / 4 + steps * BEAMWIDTH, BEAMWIDTH)
+
+
+def bent(pattern: Pattern) -> Pattern:
+    """A complex pattern, whose phase grows with the square of the angle."""
+
+    def phasor(e: np.ndarray) -> np.ndarray:
+        return np.exp(0.3j * np.asarray(e) ** 2)
+
+    return Pattern(
+        "bent",
+        lambda e, a: pattern.amplitude(e, a) * phasor(e),
+        lambda e, a: (pattern.slope(e, a) + 0.6j * np.asarray(e) * pattern.amplitude(e, a)) * phasor(e),
+        lambda e, a: pattern.azimuth_slope(e, a) * phasor(e),
+        pattern.main_lobe,
+    )
+
+
+def beams_named(name: str) -> Beams:
+    if name != "complex":
+        return make_beams(name)
+    patterns = tuple(bent(PATTERNS["jinc"]) if i % 3 else PATTERNS["jinc"] for i in range(16))
+    return replace(make_beams(), patterns=patterns)
 
 
 def elevation_at(offset: npt.ArrayLike) -> Array:

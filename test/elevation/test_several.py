@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, circular, elevation_at, make_beams, multilook, offset_of
+from helpers import BEAMWIDTH, beams_named, circular, elevation_at, multilook, offset_of
 
 from sal_height.beams.array import Beams
-from sal_height.beams.pattern import PATTERNS, Pattern
+from sal_height.beams.pattern import PATTERNS
 from sal_height.elevation import _several_kernels as kernels
 from sal_height.elevation.likelihood import OBJECTIVES
 from sal_height.elevation.search import PeakSearch, PeakSearches
@@ -19,28 +17,6 @@ STEP = 1e-3
 """Of central differences, beamwidths: good to 1e-5 of the bound."""
 
 NAMES = pytest.mark.parametrize("name", ["sinc", "complex"])
-
-
-def bent(pattern: Pattern) -> Pattern:
-    """A complex pattern, whose phase grows with the square of the angle."""
-
-    def phasor(e: np.ndarray) -> np.ndarray:
-        return np.exp(0.3j * np.asarray(e) ** 2)
-
-    return Pattern(
-        "bent",
-        lambda e, a: pattern.amplitude(e, a) * phasor(e),
-        lambda e, a: (pattern.slope(e, a) + 0.6j * np.asarray(e) * pattern.amplitude(e, a)) * phasor(e),
-        lambda e, a: pattern.azimuth_slope(e, a) * phasor(e),
-        pattern.main_lobe,
-    )
-
-
-def beams_named(name: str) -> Beams:
-    if name != "complex":
-        return make_beams(name)
-    patterns = tuple(bent(PATTERNS["jinc"]) if i % 3 else PATTERNS["jinc"] for i in range(16))
-    return replace(make_beams(), patterns=patterns)
 
 
 def pixels_of(

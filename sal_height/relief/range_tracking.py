@@ -32,8 +32,8 @@ from sal_height.relief import _kernels as kernels
 from sal_height.relief._kernels import LEAST_SIGMA, Heights
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
 
-LEAST_STEPS = 30
-"""Least number of pairs of consecutive measured cells of a column from which a prior can be estimated."""
+LEAST_STEPS = 20
+"""Least number of pairs of consecutive measured cells of a column from which a prior can be estimated, to a third."""
 
 FLATTEST = 2.0
 """Least standard deviation of an estimated relief over that of the mean of all measurements.

@@ -21,7 +21,7 @@ from sal_height.elevation.beam_error import beam_deviation
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.search import PeakSearch
 from sal_height.elevation.several import adjoint
-from sal_height.numeric import F32, F64
+from sal_height.numeric import F32, F64, Bool, Index
 
 LEAST_SPREAD, GREATEST_SPREAD = 0.05, 1.0  # standard deviation of a surface's elevation, beamwidths
 NODES = 9  # of the quadrature over the elevations (Gauss and Legendre), as many as the greatest spread needs
@@ -60,16 +60,16 @@ class Surfaces(NamedTuple):
         spread = np.clip(self.spread, LEAST_SPREAD * beamwidth, GREATEST_SPREAD * beamwidth)
         return Surfaces(np.clip(self.elevation, search.first - spread, search.last + spread), spread, self.cnr.copy())
 
-    def at(self, index: np.ndarray) -> Surfaces:
+    def at(self, index: Index | Bool) -> Surfaces:
         """Some of the surfaces."""
         return Surfaces(*(part[index] for part in self))
 
-    def put(self, index: np.ndarray, other: Surfaces) -> None:
+    def put(self, index: Index | Bool, other: Surfaces) -> None:
         """Replace some of the surfaces."""
         for part, new in zip(self, other, strict=True):
             part[index] = new
 
-    def where(self, there: np.ndarray, other: Surfaces) -> Surfaces:
+    def where(self, there: Bool, other: Surfaces) -> Surfaces:
         """These surfaces `there`, and the others elsewhere."""
         return Surfaces(*(np.where(there, mine, theirs) for mine, theirs in zip(self, other, strict=True)))
 
@@ -124,7 +124,7 @@ class ExtendedSurfaces:
         climbing = np.arange(len(looks))
         for _ in range(SCORING_STEPS):
             here = place.at(climbing)
-            likelihood, gradient, known = _likelihood(search, covariance[climbing], looks[climbing], here)
+            likelihood, gradient, known = log_likelihood(search, covariance[climbing], looks[climbing], here)
             better = likelihood > highest[climbing]
             best = climbing[better]
             found.put(best, here.at(better))
@@ -170,7 +170,7 @@ def _moments(nodes: F64, power: F64) -> tuple[F64, F64]:
     return mean, np.sum(weight * (nodes - mean[:, None]) ** 2, axis=1)
 
 
-def _likelihood(search: PeakSearch, covariance: Numbers, looks: F64, surfaces: Surfaces) -> tuple[F64, F64, F64]:
+def log_likelihood(search: PeakSearch, covariance: Numbers, looks: F64, surfaces: Surfaces) -> tuple[F64, F64, F64]:
     """Log-likelihood, its gradient over t / s, ln s and ln p, and the information on these."""
     responses, over_place, over_spread = surfaces.responses(search)
     identity, across = np.eye(covariance.shape[-1]), adjoint(responses)

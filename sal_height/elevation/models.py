@@ -23,8 +23,8 @@ from sal_height.elevation.order import (
     log_evidence_of_several,
 )
 from sal_height.elevation.search import PeakSearches
-from sal_height.elevation.several import SeveralScatterers, search_several
-from sal_height.elevation.single import SingleScatterers, power_of
+from sal_height.elevation.several import SeveralScatterers, power_of, search_several
+from sal_height.elevation.single import SingleScatterers
 from sal_height.numeric import F64, Index, in_parallel
 
 PIXELS_AT_ONCE = 512  # pixels whose models are fitted at a time
@@ -126,7 +126,6 @@ def fit_models(
         beams: of the M detectors.
     """
     peaks, noise, levels, spread = single.peaks, single.noise, single.levels, single.spread
-    power = power_of(peaks, looks)
     row, col = here
     models = Models.of_single(single, evidence, looks, here)
     domain, most = float(np.ptp(beams.span)), min(MOST, beams.count - 1)
@@ -154,7 +153,8 @@ def fit_models(
             # A surface where one is not enough.
             some = np.flatnonzero(models.explained[TWO, part] - models.explained[ONE, part] > levels.several[pixels])
             chosen, whole = part[some], (row[part[some]], col[part[some]])
-            narrow = Surfaces(peaks.elevation[whole], spread.own[whole], power[whole] / peaks.array_power[whole])
+            power = power_of(peaks.explained[whole], count[some])
+            narrow = Surfaces(peaks.elevation[whole], spread.own[whole], power / peaks.array_power[whole])
             first = first_surfaces(search, values[some], count[some], narrow, beams.beamwidth)
             least = models.evidence[TWO : THREE + 1, chosen].max(axis=0) - IMPROBABLE
             surfaces = ExtendedSurfaces.fit(search, covariance[some], count[some], first, least, beams.beamwidth)

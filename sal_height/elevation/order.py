@@ -24,7 +24,7 @@ from sal_height.beams import Beams
 from sal_height.elevation._kernels import GRID_STEP
 from sal_height.elevation.bounds import Numbers, information
 from sal_height.elevation.extended import GREATEST_SPREAD, LEAST_SPREAD, ExtendedSurfaces, free_looks
-from sal_height.elevation.several import LEAST_POWER, SeveralScatterers, adjoint, fit_powers
+from sal_height.elevation.several import SeveralScatterers, adjoint, fit_powers, power_of
 from sal_height.numeric import F64, Index
 
 NONE, ONE, TWO, THREE, SPREAD = range(5)
@@ -58,7 +58,7 @@ def log_evidence_of_one(explained: F64, looks: F64, turning: F64, domain: float)
         turning: how fast the direction of its response turns, D / |a|^2 in 1/rad^2.
         domain: range of its elevation, rad.
     """
-    power = np.maximum(explained / looks - 1, LEAST_POWER)
+    power = power_of(explained, looks)
     likelihood = explained * power / (1 + power) - looks * np.log1p(power)
     place = _log_volume(2 * looks * power**2 / (1 + power) * turning, domain)
     return likelihood + place + _log_volume(looks * (power / (1 + power)) ** 2, CNR_RANGE)
@@ -105,7 +105,7 @@ def log_evidence_of_spread(
         level: mean power of one look of level ground along the slope, noise included, noise powers.
         beamwidth: rad.
     """
-    unit = np.maximum(explained / looks - 1, LEAST_POWER) * turning * beamwidth**2
+    unit = power_of(explained, looks) * turning * beamwidth**2
     gains = [
         _gain_of_spread(along_slope, looks, level - 1 + unit * spread**2) + _log_prior(spread) for spread in SPREADS
     ]

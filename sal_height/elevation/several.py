@@ -175,6 +175,11 @@ def fit_powers(gram: Numbers, seen: Numbers, looks: F64, start: F64) -> Gaussian
     return GaussianFit(likelihood, information, np.exp(logarithm))
 
 
+def power_of(explained: F64, looks: F64) -> F64:
+    """Power of one look of a scatterer in the whole array from what it explains in K looks, noise powers; any shape."""
+    return np.maximum(explained / looks - 1, LEAST_POWER)
+
+
 def adjoint(matrix: Numbers) -> Numbers:
     """The conjugate transpose of the last two axes."""
     return np.swapaxes(matrix.conj(), -1, -2)

@@ -28,7 +28,7 @@ from sal_height.elevation.order import (
     log_evidence_of_spread,
     path_length,
 )
-from sal_height.elevation.several import LEAST_POWER
+from sal_height.elevation.several import power_of
 from sal_height.numeric import F64, Bool
 from sal_height.settings import setting
 
@@ -133,7 +133,7 @@ class Spread:
     @classmethod
     def of(cls, peaks: SinglePeaks, noise: PixelNoise, levels: Levels, looks: Looks) -> Self:
         """The spreads behind the power along the slopes; beyond twice its level it is not that of a surface."""
-        power = power_of(peaks, looks)
+        power = power_of(peaks.explained, looks.count)
         free = np.where(looks.finite, free_looks(looks.count), 0.0)
         along = np.where(looks.finite, np.minimum(peaks.along_slope, 2 * levels.spread), 0.0)
         excess, unit = along - free * noise.along_slope, np.where(looks.finite, free * power * peaks.turning, 0.0)
@@ -146,11 +146,6 @@ class Spread:
     def deviation(self, spread: F64, looks: Looks) -> F64:
         """Standard deviation of the middle of a surface of this spread at the range of its height, rad."""
         return spread * np.sqrt(looks.unplaced / (2 * np.maximum(looks.count, 1.0)))
-
-
-def power_of(peaks: SinglePeaks, looks: Looks) -> F64:
-    """Power of one look of single scatterers in the whole array, noise powers, (rows, cols)."""
-    return np.maximum(peaks.explained / looks.count - 1, LEAST_POWER)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,11 @@ plane, whichever of them are missing, so that the differences of a few means fix
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from sal_height.numeric import F64, WORKERS, Bool, in_parallel
+from sal_height.numeric import F64, Bool, in_parallel
 from sal_height.relief._kernels import fit_planes
 from sal_height.relief.position_error import variance_at_place
 
@@ -76,10 +75,10 @@ def _planes(points: F64, covariance: F64, seen: Bool, half: int) -> tuple[F64, F
         half: half-width of the windows in pixels.
     """
     from_middle = np.stack([np.where(seen, axis - axis[seen].mean(), 0.0) for axis in points])
-    *mean, share = _window_means([*from_middle, seen.astype(np.float64)], half)
+    *totals, share = _window_means([*from_middle, seen.astype(np.float64)], half)
     slope, (steepness, off) = np.empty((*seen.shape, 2)), np.empty((2, *seen.shape))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        means = np.stack([total / share for total in mean])
+        means = np.stack(totals) / share
         in_parallel(
             lambda part: fit_planes(from_middle, means, seen, half, part, slope, steepness, off), len(seen), LEAST_ROWS
         )
@@ -103,7 +102,13 @@ def _half_width(sigma: float, spacing: float) -> int:
     return int(wide_enough[0]) if wide_enough.size else WIDEST
 
 
-def _window_means(values: Sequence[F64], half: int) -> list[F64]:
+def _window_means(values: Sequence[F64], half: int) -> F64:
     """Means over the window around each pixel; values beyond the edge count as 0."""
-    with ThreadPoolExecutor(WORKERS) as pool:
-        return list(pool.map(lambda image: uniform_filter(image, 2 * half + 1, mode="constant"), values))
+    means = np.empty((len(values), *values[0].shape))
+
+    def average(part: slice) -> None:
+        for image, mean in zip(values[part], means[part], strict=True):
+            uniform_filter(image, 2 * half + 1, mean, mode="constant")
+
+    in_parallel(average, len(values))
+    return means

@@ -2,36 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, elevation_at, make_beams
+from helpers import BEAMWIDTH, beams_named, elevation_at, make_beams
 
-from sal_height.beams.array import Beams
-from sal_height.beams.pattern import PATTERNS, Pattern
+from sal_height.beams.pattern import PATTERNS
 from sal_height.elevation.bounds import conditional_crb, information, speckle_crb, stochastic_crb, stochastic_deviation
 
 STEP = 1e-3
 """Of central differences, beamwidths: good to STEP^2 / 6 * |a'''| / |a'|, 1e-5 of the bound."""
-
-
-def phased(pattern: Pattern) -> Pattern:
-    """A complex pattern."""
-    return Pattern(
-        "phased",
-        lambda e, a: pattern.amplitude(e, a) * np.exp(0.7j * np.asarray(e)),
-        lambda e, a: (pattern.slope(e, a) + 0.7j * pattern.amplitude(e, a)) * np.exp(0.7j * np.asarray(e)),
-        lambda e, a: pattern.azimuth_slope(e, a) * np.exp(0.7j * np.asarray(e)),
-        pattern.main_lobe,
-    )
-
-
-def beams_named(name: str) -> Beams:
-    if name != "complex":
-        return make_beams(name)
-    patterns = tuple(phased(PATTERNS["jinc"]) if i % 3 else PATTERNS["jinc"] for i in range(16))
-    return replace(make_beams(), patterns=patterns)
 
 
 def inverse_of(information_matrix: np.ndarray) -> float:

@@ -105,7 +105,9 @@ def test_ranges_of_a_pixel_are_those_of_its_rows_and_within_them(rows: int) -> N
     lobe = np.cos(2 * np.pi * SPACING * np.outer(offset, frequency)) @ window("taylor", 1024)
     energy = np.where(np.cumprod(np.flip(lobe[:513] > 0)).sum() / 256 / SPACING > np.abs(offset), lobe**2, 0.0)
     within = np.average(offset**2, weights=energy)
-    assert looks.level_spread == pytest.approx(0.1 * np.sqrt((rows**2 - 1) / 12 + within), rel=1e-2)
+    between = (rows**2 - 1) / 12
+    assert looks.level_spread == pytest.approx(0.1 * np.sqrt(between + within), rel=1e-2)
+    assert looks.unplaced == pytest.approx(within / (between + within), rel=2e-2)
 
 
 def in_windows(slc: C64, high: int, wide: int) -> Looks:

@@ -7,7 +7,7 @@ import pytest
 from helpers import BEAMWIDTH, beams_named, circular, elevation_at, make_beams, offset_of
 
 from sal_height.beams.array import Beams
-from sal_height.elevation.extended import ExtendedSurfaces, Surfaces, _likelihood, first_surfaces, spread_of
+from sal_height.elevation.extended import ExtendedSurfaces, Surfaces, first_surfaces, log_likelihood, spread_of
 from sal_height.elevation.likelihood import OBJECTIVES, search_guard
 from sal_height.elevation.search import PeakSearch, PeakSearches
 
@@ -36,12 +36,12 @@ def test_gradient_and_information_are_those_of_the_likelihood(pattern: str) -> N
     beams, rng, looks = beams_named(pattern), np.random.default_rng(71), np.full(2000, 4.0)
     covariance, search = covariance_of(beams, np.zeros(2000), 0.4, 20.0, 4, rng), search_of(beams)
     surfaces = Surfaces(elevation_at(np.zeros(2000)), np.full(2000, 0.4 * BEAMWIDTH), np.full(2000, 20.0))
-    _, gradient, information = _likelihood(search, covariance, looks, surfaces)
+    _, gradient, information = log_likelihood(search, covariance, looks, surfaces)
     for number in range(3):
         step = np.zeros((2000, 3))
         step[:, number] = 1e-3
         above, below = (
-            _likelihood(search, covariance, looks, surfaces.moved(sign * step, search, BEAMWIDTH))[0]
+            log_likelihood(search, covariance, looks, surfaces.moved(sign * step, search, BEAMWIDTH))[0]
             for sign in (1, -1)
         )
         np.testing.assert_allclose((above - below) / 2e-3, gradient[:, number], rtol=2e-3, atol=2e-2)

@@ -87,8 +87,10 @@ def test_pixels_around_say_what_is_frequent() -> None:
     found = np.exp(log_probabilities(evidence, everywhere))[3, 3]
     pairs, spread = 48 + PRIOR[2] / PRIOR[2:].sum(), PRIOR[4] / PRIOR[2:].sum()
     assert found[2] / found[4] == pytest.approx(pairs / spread, rel=1e-3)
+    # A pixel is no evidence of what is frequent around itself.
+    evidence[3, 3, 2] = 21.0
     alone = np.exp(log_probabilities(evidence[3:4, 3:4], (np.array([0]), np.array([0]))))[0, 0]
-    assert alone[2] / alone[4] == pytest.approx(PRIOR[2] / PRIOR[4], rel=1e-9)
+    assert alone[2] / alone[4] == pytest.approx(np.e * PRIOR[2] / PRIOR[4], rel=1e-9)
 
 
 def ensemble(beams: Beams, model: int, pixels: int, looks: int, rng: np.random.Generator) -> np.ndarray:

@@ -152,6 +152,23 @@ def test_steep_surfaces_are_fitted(cnr_db: int, looks: int, spread: float) -> No
     assert np.mean(score > 5) < 3e-3
 
 
+@pytest.mark.parametrize(("cnr_db", "looks"), [(10, 4), (20, 4)])
+def test_improbable_models_have_no_height(cnr_db: int, looks: int) -> None:
+    """Of three scatterers 0.75 beamwidths apart, which look much like a wide surface and, if weak, like two."""
+    beams, rng = make_beams("jinc"), np.random.default_rng([75, cnr_db])
+    truth, cnr = rng.uniform(-1.5, 1.5, (1500, 1)) + np.array([-0.75, 0.0, 0.75]), 10 ** (cnr_db / 10)
+    result = ml_elevation(points(beams, truth, (cnr,) * 3, looks, rng), beams, MlSettings())
+    assert result.order_probability is not None
+    for validity, own in {
+        Validity.TWO_SCATTERERS: [2],
+        Validity.THREE_SCATTERERS: [3],
+        Validity.EXTENDED: [1, 4],
+    }.items():
+        chance = result.order_probability[result.validity == validity][:, own].sum(axis=1)
+        assert np.all(chance >= 0.5)
+    assert share(result, Validity.NOT_ONE_SCATTERER) > 0.02
+
+
 def test_sigma_counts_a_spread_that_only_the_pixels_around_show() -> None:
     """A spread of 0.05 beamwidths at 20 dB, 3000 pixels, most of them taken for points: coverage within 1 %.
 

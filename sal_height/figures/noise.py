@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy.typing as npt
 from sal_height.elevation import DISCRIMINANTS, products
 from sal_height.figures.curve import Curve
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, std
-from sal_height.numeric import C128, F64, WORKERS
+from sal_height.numeric import C128, F64, in_threads
 from sal_height.theory import SteadyLaw, gaussian_law, gaussian_mean, s68_of, steady_mean
 
 Signal = Callable[[np.random.Generator, tuple[int, int]], C128]
@@ -75,8 +74,7 @@ def discriminants(seed: np.random.SeedSequence, signal: Signal, cnr_sum: float, 
     """
     counts = [min(BLOCK, trials - first) for first in range(0, trials, BLOCK)]
     draw = partial(_block, signal, cnr_sum, looks)
-    with ThreadPoolExecutor(WORKERS) as pool:
-        return np.concatenate(list(pool.map(draw, seed.spawn(len(counts)), counts)), axis=1)
+    return np.concatenate(in_threads(draw, seed.spawn(len(counts)), counts), axis=1)
 
 
 def _block(signal: Signal, cnr_sum: float, looks: int, seed: np.random.SeedSequence, trials: int) -> F64:

@@ -6,7 +6,6 @@ gamma is Delta / Sigma without noise; the signal-to-noise ratio (SNR) is that of
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
@@ -28,7 +27,7 @@ from sal_height.figures.patterns import FROM_PUPIL
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, std
 from sal_height.figures.unit_arrays import array_of
 from sal_height.geometry import EARTH_RADIUS, ApertureState, height_of, locate_at_elevation
-from sal_height.numeric import C128, F64, WORKERS
+from sal_height.numeric import C128, F64, in_threads
 from sal_height.theory import (
     SteadyLaw,
     SteadyMlLaw,
@@ -283,8 +282,7 @@ def sampled(draw: Draw, seed: tuple[int, int], trials: int) -> F64:
     """Estimates of shape (points, trials): blocks that `draw` makes from a generator of its own and a number."""
     counts = [min(BLOCK, trials - first) for first in range(0, trials, BLOCK)]
     seeds = np.random.SeedSequence(seed).spawn(len(counts))
-    with ThreadPoolExecutor(WORKERS) as pool:
-        return np.concatenate(list(pool.map(draw, map(np.random.default_rng, seeds), counts)), axis=1)
+    return np.concatenate(in_threads(draw, map(np.random.default_rng, seeds), counts), axis=1)
 
 
 def measured(statistic: Callable[[F64], Measured], sample: F64) -> tuple[F64, F64]:

@@ -1,15 +1,16 @@
 """Numerics without physics: what NumPy and SciPy lack, and how kernels are compiled.
 
-Read `arrays` (types of arrays) and `jit` (how kernels are compiled and spread over threads) first, then `windows`
-(spectral weights), `phasors` (exp(j phase) with the phase reduced in float64), `chirp_z` and `fft` (transforms of many
-rows) and `range_profiles` (interpolation of band-limited profiles). Nothing here knows of sensors or images.
+Read `arrays` (types of arrays), `jit` (how kernels are compiled) and `threads` (how work is spread over processors)
+first, then `windows` (spectral weights), `phasors` (exp(j phase) with the phase reduced in float64), `chirp_z` and
+`fft` (transforms of many rows) and `range_profiles` (interpolation of band-limited profiles). Nothing here knows of
+sensors or images.
 """
 
 from sal_height.numeric._kernels import cosine_and_sine, tap_weights
 from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, Complex, Index
 from sal_height.numeric.chirp_z import ChirpZ, chirp_z
 from sal_height.numeric.fft import blocks, fast_length, frequencies, rows_at_once
-from sal_height.numeric.jit import WORKERS, compiled, compiled_with_nan, in_parallel, inlined
+from sal_height.numeric.jit import compiled, compiled_with_nan, inlined
 from sal_height.numeric.phasors import unit_phasors
 from sal_height.numeric.range_profiles import (
     OVERSAMPLING,
@@ -18,6 +19,7 @@ from sal_height.numeric.range_profiles import (
     spectra_of_profiles,
     tap_polynomials,
 )
+from sal_height.numeric.threads import WORKERS, in_parallel, in_threads
 from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, window
 
 __all__ = [
@@ -46,6 +48,7 @@ __all__ = [
     "fast_length",
     "frequencies",
     "in_parallel",
+    "in_threads",
     "inlined",
     "noise_gain",
     "rows_at_once",

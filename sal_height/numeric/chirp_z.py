@@ -9,8 +9,8 @@ import scipy.fft
 
 from sal_height.numeric.arrays import C64, F64
 from sal_height.numeric.fft import fast_length
-from sal_height.numeric.jit import WORKERS
 from sal_height.numeric.phasors import unit_phasors
+from sal_height.numeric.threads import WORKERS
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 
 from sal_height.numeric._kernels import fill_phasors
 from sal_height.numeric.arrays import C64, F64
-from sal_height.numeric.jit import in_parallel
+from sal_height.numeric.threads import in_parallel
 
 SMALL = 2**15  # numbers that are not worth a thread
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation import Objective, PeakSearches, covariance
-from sal_height.numeric import C64, F64, WORKERS
+from sal_height.numeric import C64, F64, in_threads
 
 SAMPLES_AT_ONCE = 2**16
 """Number of samples that a thread draws at a time; it also decides which random numbers a trial gets."""
@@ -81,5 +80,4 @@ def with_streams(work: Callable[[np.random.Generator, slice], None], seed: int, 
     """Do `work` on slices of the trials, each with its own random numbers, on all processors."""
     parts = [slice(first, min(first + at_once, trials)) for first in range(0, trials, at_once)]
     streams = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(len(parts)))
-    with ThreadPoolExecutor(WORKERS) as pool:
-        list(pool.map(work, streams, parts))
+    in_threads(work, streams, parts)

@@ -9,6 +9,7 @@ from helpers import BEAMWIDTH, elevation_at, make_beams, offset_of, standard_err
 from sal_height.elevation.bounds import stochastic_crb
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation
 from sal_height.elevation.looks import Looks, covariance
+from sal_height.numeric import threads
 from sal_height.theory import array_trials as array_trials_module
 from sal_height.theory.array_trials import TargetPixels
 
@@ -51,7 +52,7 @@ def test_trials_are_peaks_of_drawn_pixels_whatever_the_number_of_threads(monkeyp
     monkeypatch.setattr(array_trials_module, "SAMPLES_AT_ONCE", 6 * 4 * 100)
 
     def run(workers: int, seed: int = 53) -> np.ndarray:
-        monkeypatch.setattr(array_trials_module, "WORKERS", workers)
+        monkeypatch.setattr(threads, "WORKERS", workers)
         return pixels.peak_elevations(seed, 950, OBJECTIVES["normalised"], BEAMWIDTH)
 
     estimates = run(1)

@@ -1,0 +1,127 @@
+"""Work spread over threads: as many as the process may use, which are started once and kept."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from pathlib import Path
+from threading import Lock
+from typing import TypeVar
+
+from sal_height.errors import UserError
+
+Result = TypeVar("Result")
+
+CONTROL_GROUPS = Path("/sys/fs/cgroup")
+"""Where a Linux container states how much processor time it may use."""
+
+THREADS_VARIABLE = "SAL_HEIGHT_THREADS"
+"""Environment variable with the number of threads, if it is not to be the number of processors."""
+
+
+def available_processors() -> int:
+    """Number of processors this process may use at the same time: by affinity, and by the quota of its container."""
+    has_affinity = hasattr(os, "sched_getaffinity")  # not on macOS and Windows
+    allowed = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+    return min(allowed, _quota() or allowed)
+
+
+def _quota() -> int | None:
+    """Whole processors that the container's quota is worth, at least 1; None: no container, or one without a quota.
+
+    In version 2 of control groups one file holds quota and period in microseconds, or "max" and the period; in version
+    1 there is a file for each, and -1 is no quota.
+    """
+    for names in (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")):
+        try:
+            words = " ".join((CONTROL_GROUPS / name).read_text(encoding="ascii") for name in names)
+            quota, period = map(int, words.split())
+        except (OSError, ValueError):
+            continue
+        return max(1, quota // period) if quota > 0 else None
+    return None
+
+
+def number_of_threads() -> int:
+    """Number of threads to work in: that of THREADS_VARIABLE, or else of `available_processors`.
+
+    Raises:
+        UserError: the variable is not a whole number from 1 on.
+    """
+    wanted = os.environ.get(THREADS_VARIABLE, "")
+    if not wanted:
+        return available_processors()
+    if not (wanted.isdecimal() and int(wanted) > 0):
+        raise UserError(f"{THREADS_VARIABLE} is {wanted!r}; it must be a number of threads, 1 or more.")
+    return int(wanted)
+
+
+WORKERS = number_of_threads()
+"""Number of threads that work at the same time on what one thread asks for, itself included."""
+
+
+@lru_cache(maxsize=1)
+def _helpers() -> ThreadPoolExecutor:
+    """The threads that help all others, one less than WORKERS."""
+    return ThreadPoolExecutor(WORKERS - 1, "sal_height")
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_helpers.cache_clear)  # threads do not live on in a forked process
+
+
+def in_threads(work: Callable[..., Result], *arguments: Iterable[object]) -> list[Result]:
+    """The results of `work` for each of the arguments, as `map` gives them, computed in WORKERS threads.
+
+    The calling thread takes part, and waits for nothing that has not begun: work may itself call this function. An
+    exception of `work` is raised here; what has not begun then is not done.
+    """
+    tasks = list(zip(*arguments, strict=True))
+    results: dict[int, Result] = {}
+    numbers, lock = iter(range(len(tasks))), Lock()
+
+    def take_part() -> None:
+        try:
+            while True:
+                with lock:
+                    number = next(numbers, None)
+                if number is None:
+                    return
+                results[number] = work(*tasks[number])
+        except BaseException:
+            with lock:
+                for _ in numbers:  # nothing is left to begin
+                    pass
+            raise
+
+    helpers = [_helpers().submit(take_part) for _ in range(min(WORKERS, len(tasks)) - 1)]
+    try:
+        take_part()
+    finally:
+        begun = [helper for helper in helpers if not helper.cancel()]
+        errors = [helper.exception() for helper in begun]
+    for error in errors:
+        if error is not None:
+            raise error
+    return [results[number] for number in range(len(tasks))]
+
+
+def in_parallel(work: Callable[[slice], object], count: int, least: int = 1) -> None:
+    """Run `work` on slices that together cover `count` items, in as many threads as there are processors.
+
+    Another thread costs 0.1 ms of processor time to ask for help: what takes less than a few times that is best done
+    in one.
+
+    Args:
+        work: function of a slice; called in several threads at the same time.
+        count: number of items.
+        least: smallest number of items worth a thread of its own.
+    """
+    size = max(least, -(-count // WORKERS))
+    pieces = [slice(first, min(first + size, count)) for first in range(0, count, size)]
+    if len(pieces) == 1:
+        work(pieces[0])
+    elif pieces:
+        in_threads(work, pieces)

@@ -1,4 +1,4 @@
-"""A set of nodes in one process, spun by one executor until something has happened."""
+"""A set of nodes in one process, spun until something has happened."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from typing import Self, TypeVar
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+
+from sal_height.nodes.executors import Spinning, needs_wait_set
 
 NodeT = TypeVar("NodeT", bound=Node)
 
@@ -26,13 +28,17 @@ class Graph:
         """Start a context in DDS domain `domain_id` (None: that of ROS_DOMAIN_ID, else 0)."""
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain_id)
-        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor = EventsExecutor(context=self.context)
         self.nodes: list[Node] = []
+        self._aside: dict[Node, Spinning] = {}
 
     def add(self, node: NodeT) -> NodeT:
-        """Spin `node` with the others from now on; returns it."""
+        """Spin `node` from now on, with the others or, if these have no executor for it, in a thread; returns it."""
         self.nodes.append(node)
-        self.executor.add_node(node)
+        if needs_wait_set(node):
+            self._aside[node] = Spinning(node)
+        else:
+            self.executor.add_node(node)
         return node
 
     def spin_until(self, predicate: Callable[[], bool], timeout_s: float = math.inf) -> bool:
@@ -47,7 +53,10 @@ class Graph:
     def close(self) -> None:
         """Destroy the nodes in order and shut the context down; may be called twice."""
         for node in self.nodes:
-            self.executor.remove_node(node)
+            if node in self._aside:
+                self._aside.pop(node).stop()
+            else:
+                self.executor.remove_node(node)
             node.destroy_node()
         self.nodes.clear()
         self.executor.shutdown()

@@ -8,11 +8,11 @@ import threading
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from sal_height.errors import UserError
+from sal_height.nodes.executors import executor_for
 from sal_height.nodes.usage import announce, check_arguments, check_overrides, program_name, usage
 
 
@@ -37,8 +37,7 @@ def run_node(make: type[Node]) -> int:
         node = make()
         check_overrides(node)
         announce(node)
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
+        executor = executor_for(node)
         while not stop.is_set():
             executor.spin_once(timeout_sec=0.1)
         executor.remove_node(node)

@@ -6,7 +6,7 @@ import sys
 import threading
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -65,6 +65,7 @@ class Recorder(Role, Node):
     parameters = Parameters
     inputs: ClassVar[Topics] = {"<topics>": "whatever is published"}
     completes_file = True
+    takes_message_info = True
 
     def __init__(self, directory: Path | None = None, **node_arguments: Any) -> None:
         """Record into the new folder `directory` (None: the parameter of that name).
@@ -130,7 +131,8 @@ class Recorder(Role, Node):
             if self._closed:
                 return
             for topic, subscription in self._subscribed.items():
-                self._drain(topic, subscription)
+                for cdr, info in _taken(subscription):
+                    self._write(topic, cdr, self._times(info))
             self._closed = True
             try:
                 self._bag.close()
@@ -180,13 +182,19 @@ class Recorder(Role, Node):
         """A callback that hands the messages of a topic to the thread that writes."""
 
         def take(cdr: bytes, info: dict[str, Any]) -> None:
-            times = self._times(info)
-            self._put(lambda: self._write(topic, cdr, times), 1, len(cdr) + JOB_BYTES)
+            self._receive(topic, cdr, info)
+            # What has come as well needs no wait set of its own.
+            for more, its_info in _taken(self._subscribed[topic]):
+                self._receive(topic, more, its_info)
             # An account of the accounts recorded would be recorded in turn, without end.
             if topic != DIAGNOSTICS and self._news.is_canceled():
                 self._news.reset()
 
         return take
+
+    def _receive(self, topic: str, cdr: bytes, info: dict[str, Any]) -> None:
+        times = self._times(info)
+        self._put(lambda: self._write(topic, cdr, times), 1, len(cdr) + JOB_BYTES)
 
     def _put(self, run: Callable[[], None], messages: int = 0, size: int = 0) -> None:
         """Have something done by the thread that writes, unless too much waits for it."""
@@ -226,16 +234,6 @@ class Recorder(Role, Node):
         else:
             self._recorded[topic] += 1
 
-    def _drain(self, topic: str, subscription: Subscription) -> None:
-        """Write the messages that have arrived but not been handed out by the executor."""
-        with subscription.handle:
-            for _ in range(QUEUE_DEPTH):
-                taken = subscription.handle.take_message(subscription.msg_type, True)
-                if taken is None:
-                    return
-                cdr, info = taken
-                self._write(topic, cdr, self._times(info))
-
     def _publish_diagnostics(self) -> None:
         """Publish how many messages of each topic are in the bag (recorded.<topic>) and how many were lost."""
         if not self._queue.unfinished:
@@ -273,6 +271,16 @@ class Recorder(Role, Node):
         if not self._reported:
             self._reported = True
             self.get_logger().error(self._last_loss)
+
+
+def _taken(subscription: Subscription) -> Iterator[tuple[bytes, dict[str, Any]]]:
+    """The messages that have come and that the executor has not handed out, with the times of their transport."""
+    for _ in range(QUEUE_DEPTH):
+        with subscription.handle:
+            taken = subscription.handle.take_message(subscription.msg_type, True)
+        if taken is None:
+            return
+        yield taken
 
 
 def _folder(path: str) -> Path:

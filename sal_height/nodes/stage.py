@@ -43,6 +43,9 @@ greater depth it loses the newest ones instead of the oldest."""
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Sensor info and the like: a late subscriber receives the last message."""
 
+LATCHED_HELD = 8
+"""Messages of a latched topic that wait until a node takes them; with fewer, one overwrites another in the meantime."""
+
 QOS_OVERRIDES = QoSOverridingOptions(
     [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY]
 )
@@ -200,7 +203,8 @@ class Stage(Role, Node):
             qos: quality of service.
             optional: whether the node can do its work without a message on this topic.
         """
-        inlet = Inlet(self.resolve_topic_name(topic), latched=qos is LATCHED_QOS)
+        inlet, profile = Inlet(self.resolve_topic_name(topic), latched=qos is LATCHED_QOS), copy.copy(qos)
+        profile.depth = LATCHED_HELD if inlet.latched else qos.depth
         if not optional:
             self._inlets.append(inlet)
 
@@ -209,7 +213,7 @@ class Stage(Role, Node):
             callback(message)
 
         self.create_subscription(
-            message_type, topic, guarded(receive, self._fail), copy.copy(qos), qos_overriding_options=QOS_OVERRIDES
+            message_type, topic, guarded(receive, self._fail), profile, qos_overriding_options=QOS_OVERRIDES
         )
 
     def every(self, period_s: float, callback: Callable[[], Any], clock: Clock | None = None) -> None:

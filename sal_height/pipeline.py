@@ -7,6 +7,7 @@ heights of one such set of images (by way of `elevations`). The ROS nodes only t
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from sal_height.elevation import (
     ElevationEstimator,
     HeightSettings,
     Looks,
+    MakeChannels,
     Window,
     live_detectors,
     look_grid,
@@ -32,7 +34,10 @@ from sal_height.geometry import Grid, Trajectory, aperture_at
 from sal_height.imaging import ImageSettings, Slc, StripFocuser, cell_response, focus_dwell, image_beams
 from sal_height.numeric import C64, Bool, Index
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
-from sal_height.sensor import PhaseHistory, Sensor, count_saturated, range_compressed, with_powers
+from sal_height.sensor import Channels, PhaseHistory, Sensor, count_saturated, range_compressed, with_powers
+
+NOISE_DIGITS = 9
+"""Decimals of the ratios of channels' noise powers: rounding makes them differ from dwell to dwell in the 16th."""
 
 
 class Compressor:
@@ -142,15 +147,8 @@ def elevations(
     # Channels without any signal are left out.
     live = live_channels(slc.images, sensor) if channels_used is None else channels_used
     images = slc.images if len(live) == len(slc.images) else slc.images[live]
-    # The channels that the estimator takes: of equal noise, or sum and difference.
-    noise = with_powers(sensor.noise_covariance, slc.noise_power)[np.ix_(live, live)]
-    channels = estimator.channels(noise, sensor.mixing[np.ix_(live, live)])
-    # Their beams, as the images have them, and as wide and as well known as the calibration has found them.
-    beams = image_beams(sensor, slc.azimuth_window)
-    if calibration:
-        uncertainty = np.hypot(beams.uncertainty, calibration.beam_uncertainty(beams))
-        beams = replace(calibration.beams(beams), uncertainty=float(uncertainty))
-    beams = beams.detectors(live).combined(channels.matrix)
+    # The channels that the estimator takes, of equal noise, or sum and difference; and their beams.
+    channels, beams = channels_and_beams(slc, sensor, estimator, calibration, live)
     # The height pixels, and the squint of each column; a target that moves is seen at another one than its pixel says.
     grid = look_grid(slc.grid, *settings.windows)
     squint = column_squint(grid, slc.aperture, sensor.beams, sensor.look_side)
@@ -168,6 +166,45 @@ def elevations(
     if slc.saturated_share[live].max() > settings.max_saturated_share:
         estimate = without_saturated(estimate)
     return estimate, looks, grid, beams
+
+
+def channels_and_beams(
+    slc: Slc, sensor: Sensor, estimator: ElevationEstimator, calibration: Calibration | None, live: Index
+) -> tuple[Channels, Beams]:
+    """The channels that an estimator takes, of those that are `live`, and their beams; other arguments as of `heights`.
+
+    They depend on the ratios of the noise powers, which are rounded to NOISE_DIGITS, and hardly ever change from dwell
+    to dwell: these have the very same beams then, and all that is held for them.
+    """
+    powers = slc.noise_power[live]
+    level = powers.max() if np.all(np.isfinite(powers) & (powers > 0)) else 1.0
+    ratios = tuple(np.round(powers / level, NOISE_DIGITS).tolist())
+    channels, beams = _channels_and_beams(
+        sensor, estimator.channels, calibration, slc.azimuth_window, tuple(live.tolist()), ratios
+    )
+    return replace(channels, noise_powers=level * channels.noise_powers), beams
+
+
+@lru_cache(maxsize=8)
+def _channels_and_beams(
+    sensor: Sensor,
+    make_channels: MakeChannels,
+    calibration: Calibration | None,
+    azimuth_window: str,
+    live: tuple[int, ...],
+    noise_power: tuple[float, ...],
+) -> tuple[Channels, Beams]:
+    indices = np.array(live)
+    square = np.ix_(indices, indices)
+    powers = np.zeros(sensor.detector_count)
+    powers[indices] = noise_power
+    channels = make_channels(with_powers(sensor.noise_covariance, powers)[square], sensor.mixing[square])
+    # The beams as the images have them, and as wide and as well known as the calibration has found them.
+    beams = image_beams(sensor, azimuth_window)
+    if calibration:
+        uncertainty = np.hypot(beams.uncertainty, calibration.beam_uncertainty(beams))
+        beams = replace(calibration.beams(beams), uncertainty=float(uncertainty))
+    return channels, beams.detectors(indices).combined(channels.matrix)
 
 
 def channel_sets(slc: Slc, sensor: Sensor, down: Window) -> list[tuple[Index, Bool]]:

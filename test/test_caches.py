@@ -15,6 +15,8 @@ from sal_height.beams.pattern import _averaged, pattern_named
 from sal_height.elevation import OBJECTIVES
 from sal_height.elevation.monopulse.sum_difference import _slope_table
 from sal_height.elevation.search import SEARCHES_HELD, PeakSearches
+from sal_height.pipeline import _channels_and_beams
+from sal_height.sensor import whitened_channels
 from sal_height.sensor.waveform import _waveform
 
 
@@ -24,14 +26,20 @@ def new_table(folder: Path, number: int) -> Any:
     return _slope_table(str(path))
 
 
+def new_beams(number: int) -> Any:
+    sensor = replace(make_sensor(), name=str(number), config_hash="")
+    return _channels_and_beams(sensor, whitened_channels, None, "rectangular", (0, 1), (1.0, 1.0))
+
+
 @pytest.mark.parametrize(
     ("cache", "use"),
     [
         (_waveform, lambda number, _: _waveform(replace(make_sensor(), name=str(number), config_hash=""))),
         (_averaged, lambda number, _: _averaged(pattern_named("gaussian"), (0.01 * (number + 1), 0.0))),
         (_slope_table, lambda number, folder: new_table(folder, number)),
+        (_channels_and_beams, lambda number, _: new_beams(number)),
     ],
-    ids=["waveforms", "patterns", "slope tables"],
+    ids=["waveforms", "patterns", "slope tables", "beams of channels"],
 )
 def test_caches_are_bounded(cache: Any, use: Callable[[int, Path], Any], tmp_path: Path) -> None:
     cache.cache_clear()

@@ -7,14 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sal_height.beams import Beams
 from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS, MEASURED, MlSettings, Validity
 from sal_height.errors import UserError
 from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings, Slc
-from sal_height.pipeline import Compressor, heights
+from sal_height.pipeline import Compressor, channels_and_beams, heights
 from sal_height.relief import scatterer_count
-from sal_height.sensor import PhaseHistory, clipped
+from sal_height.sensor import Channels, PhaseHistory, clipped, whitened_channels
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.receivers import receiver_noise
 
@@ -169,3 +170,25 @@ def test_the_width_of_the_beams_is_that_of_the_calibration(small: tuple[Simulate
     plain = heights(slc, flight.sensor, ESTIMATORS["monopulse"], ESTIMATORS["monopulse"].settings())
     np.testing.assert_allclose(calibrated.first.height, described.first.height, rtol=0, atol=1e-9)
     assert np.nanmax(np.abs(calibrated.first.height - plain.first.height)) > 0.01
+
+
+def test_dwells_have_the_very_same_beams_whatever_their_noise_level(small: tuple[SimulatedFlight, Slc]) -> None:
+    """What is made from beams is held with them; of other ratios of the channels' noise the beams are others."""
+    flight, slc = small
+    live = np.arange(flight.sensor.detector_count)
+
+    def channels_of(noise_power: np.ndarray) -> tuple[Channels, Beams]:
+        image = replace(slc, noise_power=noise_power)
+        return channels_and_beams(image, flight.sensor, ESTIMATORS["ml"], None, live)
+
+    channels, beams = channels_of(slc.noise_power)
+    louder, same = channels_of(slc.noise_power * (3 + 1e-14 * live))
+    assert same is beams
+    np.testing.assert_allclose(louder.noise_powers, 3 * channels.noise_powers, rtol=1e-12)
+    uneven, other = channels_of(slc.noise_power * (1 + 1e-3 * live))
+    direct = whitened_channels(np.diag(slc.noise_power * (1 + 1e-3 * live)), flight.sensor.mixing)
+    assert other is not beams
+    np.testing.assert_allclose(uneven.transform, direct.transform, atol=1e-8)
+    np.testing.assert_allclose(uneven.noise_powers, direct.noise_powers, rtol=1e-8)
+    scaled = flight.sensor.beams.combined(direct.matrix).response(flight.sensor.beams.span[0], 0.0)
+    np.testing.assert_allclose(other.response(flight.sensor.beams.span[0], 0.0), scaled, atol=1e-8)

@@ -57,7 +57,7 @@ from sal_height.elevation.monopulse.estimators import (
 )
 from sal_height.elevation.monopulse.inversion import invert
 from sal_height.elevation.profile import PROFILES, ElevationProfile
-from sal_height.elevation.registry import ESTIMATORS, ElevationEstimator
+from sal_height.elevation.registry import ESTIMATORS, ElevationEstimator, MakeChannels
 from sal_height.elevation.response_spread import sidelobe_variance
 from sal_height.elevation.search import Objective, PeakSearch, PeakSearches
 from sal_height.elevation.settings import MISFIT_SHARE, HeightSettings
@@ -82,6 +82,7 @@ __all__ = [
     "Fit",
     "HeightSettings",
     "Looks",
+    "MakeChannels",
     "MlSettings",
     "Objective",
     "PeakSearch",

@@ -98,6 +98,10 @@ class Sensor:
             digest = hashlib.sha256(text.encode()).hexdigest()
             object.__setattr__(self, "config_hash", digest[:16])
 
+    def __hash__(self) -> int:
+        """Equal sensors have equal config hashes; all else would take long to hash for every dwell."""
+        return hash(self.config_hash)
+
     def _require(self, holds: bool, name: str, allowed: str) -> None:
         """Refuse the value of a field unless it `holds` what is `allowed`."""
         if not holds:
@@ -276,12 +280,12 @@ class Sensor:
             ),
         )
 
-    @property
+    @cached_property
     def mixing(self) -> C128:
         """The channel matrix M, shape (channels, detectors): channels = M @ detectors' signals."""
         return np.array(self.channel_matrix or np.eye(self.detector_count), dtype=np.complex128)
 
-    @property
+    @cached_property
     def is_mixed(self) -> bool:
         """Whether a channel mixes several detectors."""
         matrix = self.mixing
@@ -294,7 +298,7 @@ class Sensor:
             received[channel] &= (farthest < first) | (nearest > last)
         return received
 
-    @property
+    @cached_property
     def noise_covariance(self) -> C128:
         """E n n^H of a phase-history sample in the channels, shape (channels, channels).
 

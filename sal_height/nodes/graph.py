@@ -14,6 +14,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 
 from sal_height.nodes.executors import Spinning, needs_wait_set
+from sal_height.nodes.middleware import provide_shared_memory
 
 NodeT = TypeVar("NodeT", bound=Node)
 
@@ -26,6 +27,7 @@ class Graph:
 
     def __init__(self, domain_id: int | None = None) -> None:
         """Start a context in DDS domain `domain_id` (None: that of ROS_DOMAIN_ID, else 0)."""
+        provide_shared_memory()
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain_id)
         self.executor = EventsExecutor(context=self.context)

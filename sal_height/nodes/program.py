@@ -13,6 +13,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from sal_height.errors import UserError
 from sal_height.nodes.executors import executor_for
+from sal_height.nodes.middleware import provide_shared_memory
 from sal_height.nodes.usage import announce, check_arguments, check_overrides, program_name, usage
 
 
@@ -31,6 +32,7 @@ def run_node(make: type[Node]) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
+    provide_shared_memory()
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         check_arguments(sys.argv)

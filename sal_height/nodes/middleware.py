@@ -1,0 +1,102 @@
+"""Shared memory of the middleware, large enough for phase histories.
+
+Fast DDS hands messages to other processes by shared memory of half a megabyte, unless it is told otherwise. A dwell is
+larger: its frames then wait for room or go over the network, and keep platform states waiting for seconds.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+from rclpy.logging import get_logger
+
+PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+"""Environment variable that names the file with settings of Fast DDS; it is read when the first node starts."""
+
+ENOUGH = 16_000_000
+"""Shared memory of a process, bytes, unless its dwells are larger: more does not make smaller dwells any faster."""
+
+LEAST = 4_000_000
+"""Shared memory of a process, bytes, below which the default settings of Fast DDS do as well."""
+
+DWELLS = 2
+"""Dwells that the shared memory holds: one is written while another is read."""
+
+SHARE = 1 / 16
+"""Of what is free in the shared memory of the machine, the part that one process may take: others want theirs."""
+
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 (where Linux has it)
+
+TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <profiles>
+    <transport_descriptors>
+      <transport_descriptor>
+        <transport_id>shared_memory</transport_id>
+        <type>SHM</type>
+        <segment_size>{segment}</segment_size>
+        <maxMessageSize>{message}</maxMessageSize>
+        <port_queue_capacity>8192</port_queue_capacity>
+      </transport_descriptor>
+      <transport_descriptor>
+        <transport_id>network</transport_id>
+        <type>UDPv4</type>
+      </transport_descriptor>
+    </transport_descriptors>
+    <participant profile_name="sal_height" is_default_profile="true">
+      <rtps>
+        <userTransports>
+          <transport_id>shared_memory</transport_id>
+          <transport_id>network</transport_id>
+        </userTransports>
+        <useBuiltinTransports>false</useBuiltinTransports>
+      </rtps>
+    </participant>
+  </profiles>
+</dds>
+"""
+"""Participants send by shared memory on this machine, and by UDP to others."""
+
+
+def segment_bytes(dwell_bytes: int, free_bytes: int) -> int | None:
+    """Shared memory that a process takes.
+
+    Args:
+        dwell_bytes: of the samples of a dwell; 0: not known.
+        free_bytes: in the machine's shared memory.
+
+    Returns:
+        A number of bytes, or None if too few are free for it to be of use.
+    """
+    segment = min(max(ENOUGH, DWELLS * dwell_bytes), int(SHARE * free_bytes))
+    return segment if segment >= LEAST else None
+
+
+def provide_shared_memory(dwell_bytes: int = 0) -> None:
+    """Have the nodes of this process, and of those that it starts, use shared memory that holds dwells of that size.
+
+    It has an effect before the first node of a process only. Whoever uses another middleware, or has settings of Fast
+    DDS in a file of their own, keeps them.
+    """
+    if (
+        not os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
+        or PROFILES in os.environ
+    ):
+        return
+    free = shutil.disk_usage(SHARED_MEMORY).free if SHARED_MEMORY.is_dir() else 0
+    segment = segment_bytes(dwell_bytes, free)
+    if segment is None:
+        get_logger("sal_height").warning(
+            f"{SHARED_MEMORY} has {free / 1e6:.0f} MB free; with less than {LEAST / SHARE / 1e6:.0f} MB frames may "
+            "come late or get lost between processes. Containers get more by --shm-size."
+        )
+        return
+    folder = tempfile.mkdtemp(prefix="sal_height_")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    file = Path(folder, "fastdds.xml")
+    file.write_text(TEMPLATE.format(segment=segment, message=segment // 4), encoding="utf-8")
+    os.environ[PROFILES] = str(file)

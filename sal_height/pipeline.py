@@ -20,6 +20,7 @@ from sal_height.elevation import (
     Looks,
     MakeChannels,
     Window,
+    axis_looks,
     live_detectors,
     look_grid,
     moving_squint,
@@ -229,7 +230,7 @@ def channel_sets(slc: Slc, sensor: Sensor, down: Window) -> list[tuple[Index, Bo
     slant_range = np.linalg.norm(points - aperture_at(points, slc.aperture).position, axis=-1)
     spacing = grid.row_spacing
     received = sensor.receives(slant_range.min(axis=1) - spacing, slant_range.max(axis=1) + spacing)[live]
-    sees = down.matrix(grid.rows) @ ~received.T == 0
+    sees = axis_looks(down, grid.rows, None).looks.down((~received.T).astype(np.float64)) == 0
     sets, of_row = np.unique(sees, axis=0, return_inverse=True)
     least = len(live) if sensor.is_mixed else 2
     found = [(live[one], of_row == number) for number, one in enumerate(sets) if np.count_nonzero(one) >= least]

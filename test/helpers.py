@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS, Pattern, pattern_named
-from sal_height.elevation.looks import Looks, Window, windowed_looks
+from sal_height.elevation.look_windows import Window
+from sal_height.elevation.looks import Looks, windowed_looks
 from sal_height.geometry.frames import ApertureState
 from sal_height.sensor.channels import Channels, whitened_channels
 from sal_height.sensor.sensor import Sensor

@@ -13,7 +13,9 @@ from helpers import BEAMWIDTH, make_beams, make_sensor
 
 from sal_height.beams.pattern import _averaged, pattern_named
 from sal_height.elevation import OBJECTIVES
+from sal_height.elevation.look_windows import Window, axis_looks
 from sal_height.elevation.monopulse.sum_difference import _slope_table
+from sal_height.elevation.noise_floor import _speckle_contrast
 from sal_height.elevation.search import SEARCHES_HELD, PeakSearches
 from sal_height.pipeline import _channels_and_beams
 from sal_height.sensor import whitened_channels
@@ -31,6 +33,11 @@ def new_beams(number: int) -> Any:
     return _channels_and_beams(sensor, whitened_channels, None, "rectangular", (0, 1), (1.0, 1.0))
 
 
+def new_contrast(samples: int) -> Any:
+    axis = axis_looks(Window(np.ones(2), 2), samples, None)
+    return _speckle_contrast(axis, axis)
+
+
 @pytest.mark.parametrize(
     ("cache", "use"),
     [
@@ -38,8 +45,10 @@ def new_beams(number: int) -> Any:
         (_averaged, lambda number, _: _averaged(pattern_named("gaussian"), (0.01 * (number + 1), 0.0))),
         (_slope_table, lambda number, folder: new_table(folder, number)),
         (_channels_and_beams, lambda number, _: new_beams(number)),
+        (axis_looks, lambda number, _: axis_looks(Window(np.ones(2), 2), 10 + number, None)),
+        (_speckle_contrast, lambda number, _: new_contrast(10 + number)),
     ],
-    ids=["waveforms", "patterns", "slope tables", "beams of channels"],
+    ids=["waveforms", "patterns", "slope tables", "beams of channels", "looks", "speckle"],
 )
 def test_caches_are_bounded(cache: Any, use: Callable[[int, Path], Any], tmp_path: Path) -> None:
     cache.cache_clear()

@@ -29,10 +29,10 @@ from sal_height.elevation.estimate import (
     without_saturated,
 )
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation, search_guard
+from sal_height.elevation.look_windows import Window, axis_looks
 from sal_height.elevation.looks import (
     Covariance,
     Looks,
-    Window,
     covariance,
     live_detectors,
     look_grid,
@@ -90,6 +90,7 @@ __all__ = [
     "Scatterer",
     "Validity",
     "Window",
+    "axis_looks",
     "common_deviation",
     "conditional_crb",
     "covariance",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.numeric import C64, F32, F64, Index, compiled, inlined
+from sal_height.numeric import C64, F32, F64, Bool, Index, compiled, inlined
 
 LOOKS_AT_ONCE = 4
 """Looks whose outer products are added at a time: as many as stay in registers."""
@@ -103,6 +103,45 @@ def _add_four(p: F32, q: F32, sign: np.float32, x: F32, y: F32, k: int, result: 
             before = row[n] if k > 0 else np.float32(0)
             first = p0 * x0[n] + p1 * x1[n] + p2 * x2[n] + p3 * x3[n]
             row[n] = before + first + q0 * y0[n] + q1 * y1[n] + q2 * y2[n] + q3 * y3[n]
+
+
+@compiled
+def sum_down(first: Index, weights: F64, samples: F64, sums: F64) -> None:
+    """See `look_windows.Bands.down`."""
+    for i in range(len(sums)):
+        line = sums[i]
+        line[:] = 0
+        for k in range(weights.shape[1]):
+            weight = weights[i, k]
+            if weight != 0:
+                sample = samples[first[i] + k]
+                for c in range(line.size):
+                    line[c] += weight * sample[c]
+
+
+@compiled
+def sum_across(first: Index, weights: F64, samples: F64, sums: F64) -> None:
+    """See `look_windows.Bands.across`."""
+    for r in range(len(sums)):
+        line = samples[r]
+        for i in range(len(first)):
+            weight, start, total = weights[i], first[i], 0.0
+            for k in range(weight.size):
+                total += weight[k] * line[start + k]
+            sums[r, i] = total
+
+
+@compiled
+def find_edges(power: F64, contrast: F64, noise: F64, apart: tuple[int, int], edge: Bool) -> None:
+    """See `noise_floor.is_edge_of_shadow`; beyond an edge of the image it goes on."""
+    rows, cols = power.shape
+    for r in range(rows):
+        before, after = max(r - apart[0], 0), min(r + apart[0], rows - 1)
+        for c in range(cols):
+            left, right = power[r, max(c - apart[1], 0)], power[r, min(c + apart[1], cols - 1)]
+            brightest = max(left, right, power[before, c], power[after, c])
+            darkest = min(left, right, power[before, c], power[after, c])
+            edge[r, c] = brightest - noise[r, c] > contrast[r, c] * (darkest + noise[r, c])
 
 
 @compiled

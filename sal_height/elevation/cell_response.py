@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy.fft
 
-from sal_height.numeric import F64, WORKERS, window
+from sal_height.numeric import F64, window
 
 NODES = 1024
 """Samples of the band that the windows are evaluated at; their number hardly matters to so near a response."""
@@ -75,24 +74,6 @@ class CellResponse:
     down: AxisResponse
     across: AxisResponse
 
-    def spread(self, power: F64) -> tuple[F64, F64]:
-        """Power that each pixel is expected to hold of all scatterers, by their main lobes and by their sidelobes.
-
-        A pixel's power counts as that of its own scatterers. What lies beyond the edge is taken to be as bright as the
-        edge.
-
-        Args:
-            power: of each pixel less its noise, 0 or more, shape (rows, cols).
-
-        Returns:
-            By main lobes and by sidelobes, each of shape (rows, cols); the sum of both over all pixels is that of
-            `power`.
-        """
-        (rows, rows_near), (cols, cols_near) = self.down.shares(), self.across.shares()
-        near = _convolved(_convolved(power, rows_near, 0), cols_near, 1)
-        whole = _convolved(_convolved(power, rows, 0), cols, 1)
-        return near, np.maximum(whole - near, 0.0)
-
 
 @lru_cache(maxsize=64)
 def _shares(name: str, spacing: float) -> tuple[F64, F64]:
@@ -128,14 +109,3 @@ def _transform(weights: F64, cells: F64) -> F64:
     """Fourier transform of symmetric weights over the band at distances in cells."""
     position = (np.arange(len(weights)) - (len(weights) - 1) / 2) / len(weights)
     return np.cos(2 * np.pi * np.multiply.outer(cells, position)) @ weights
-
-
-def _convolved(power: F64, shares: F64, axis: int) -> F64:
-    """Convolve with 2 REACH + 1 shares along an axis, beyond whose ends the values there go on."""
-    count = power.shape[axis]
-    padded = np.pad(power, [(REACH, REACH) if n == axis else (0, 0) for n in range(2)], mode="edge")
-    length = scipy.fft.next_fast_len(padded.shape[axis], real=True)
-    spectrum = scipy.fft.rfft(padded, length, axis=axis, workers=WORKERS)
-    spectrum *= np.expand_dims(scipy.fft.rfft(shares, length), 1 - axis)
-    wrapped = scipy.fft.irfft(spectrum, length, axis=axis, workers=WORKERS)
-    return np.asarray(wrapped.take(range(2 * REACH, 2 * REACH + count), axis=axis))

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
 from typing import Protocol, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array, diags_array
 
 from sal_height.elevation._look_kernels import sum_covariances, sum_powers, sum_samples
-from sal_height.elevation.cell_response import AxisResponse, CellResponse
-from sal_height.elevation.noise_floor import LookWeights, foreign_power
+from sal_height.elevation.cell_response import CellResponse
+from sal_height.elevation.look_windows import EVEN_VARIANCE, Window, axis_looks
+from sal_height.elevation.noise_floor import foreign_power
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid
 from sal_height.numeric import C64, F32, F64, Bool, Index, in_parallel
@@ -21,19 +21,11 @@ from sal_height.sensor import Channels
 Indices = slice | Index
 Covariance: TypeAlias = F32 | C64
 
-LOOK_WINDOWS: dict[str, Callable[[int], F64]] = {
-    "boxcar": np.ones,
-    "triangular": lambda count: np.bartlett(count + 2)[1:-1],
-    "hamming": np.hamming,
-}
-"""Weights of the looks of a pixel, all greater than 0."""
-
-
-EVEN_VARIANCE = 1 / 12
-"""Variance of a place that is anywhere in its row with the same probability, rows squared."""
-
 MEDIAN = 1 / 3
 """By how much the median energy of K looks of speckle is less than its mean K: what depends on its inverse is more."""
+
+LEAST_NUMBERS = 2**19
+"""Real and imaginary parts of samples whose power is worth a thread."""
 
 
 class Covariances(Protocol):
@@ -45,66 +37,6 @@ class Covariances(Protocol):
 
     def __getitem__(self, pixels: tuple[Indices, Indices], /) -> Covariance:
         """The covariance of some pixels, indexed as the first two axes of an array."""
-
-
-@dataclass(frozen=True)
-class Window:
-    """Which samples along one axis of an image are the looks of a pixel, and their weights.
-
-    Pixel i has the n samples from i step + (step - n) // 2 on, n the number of weights: consecutive blocks if the step
-    is n, a window that slides by one sample if it is 1. Samples beyond the edge of the image are left out.
-
-    Attributes:
-        weights: of the looks, greater than 0, shape (n,).
-        step: number of samples from one pixel to the next.
-    """
-
-    weights: F64
-    step: int
-
-    @classmethod
-    def named(cls, name: str, looks: int, step: int = 0) -> Self:
-        """The window of that name in LOOK_WINDOWS over `looks` samples; step 0 makes blocks without overlap."""
-        return cls(LOOK_WINDOWS[name](looks), step or looks)
-
-    def pixels(self, samples: int) -> int:
-        """Number of pixels along an axis of `samples`: every sample is a look of one of them."""
-        return -(-samples // self.step)
-
-    @property
-    def first(self) -> int:
-        """First sample of pixel 0; negative if it is beyond the edge."""
-        return (self.step - len(self.weights)) // 2
-
-    @property
-    def middle(self) -> float:
-        """Middle of pixel 0 in samples, with a fraction."""
-        return self.first + (len(self.weights) - 1) / 2
-
-    @property
-    def apart(self) -> int:
-        """Number of pixels from one to the next that shares no sample with it."""
-        return -(-len(self.weights) // self.step)
-
-    def matrix(self, samples: int) -> csr_array:
-        """The weight of each sample in each pixel, sparse, shape (pixels, samples)."""
-        pixel, look = np.indices((self.pixels(samples), len(self.weights)))
-        sample = self.first + pixel * self.step + look
-        inside = (sample >= 0) & (sample < samples)
-        places = pixel[inside], sample[inside]
-        return csr_array((self.weights[look[inside]], places), shape=(self.pixels(samples), samples))
-
-    def pair_sum(self, samples: int, alike: F64) -> F64:
-        """Sum of w_i w_j c_ij over the looks i and j of each pixel, shape (pixels,).
-
-        Args:
-            samples: along the axis.
-            alike: c of two looks 0, 1, ... samples apart, shape (n,); 0 for those farther apart.
-        """
-        weights, near = self.matrix(samples), min(len(alike), samples)
-        offsets = range(1 - near, near)
-        pairs = diags_array([alike[abs(n)] for n in offsets], offsets=offsets, shape=(samples, samples))
-        return np.asarray((weights @ pairs).multiply(weights).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,76 +235,50 @@ def windowed_looks(
     numbers = np.ascontiguousarray(slc, dtype=np.complex64).view(np.float32)
     # The power of each sample over all channels; negative where one is not finite.
     sample_power = np.empty((rows, cols), np.float32)
-    in_parallel(lambda part: sum_powers(numbers, np.abs(gains) ** 2, part.start, sample_power[part]), rows)
+    weights = np.abs(gains) ** 2
+    least = -(-LEAST_NUMBERS // (numbers.shape[0] * numbers.shape[2]))
+    in_parallel(lambda part: sum_powers(numbers, weights, part.start, sample_power[part]), rows, least)
+    by_row = axis_looks(down, rows, response.down if response else None)
+    by_col = axis_looks(across, cols, response.across if response else None)
+    count = np.multiply.outer(by_row.count, by_col.count)
+    bad = sample_power < 0
+    finite = (
+        by_row.looks.down(by_col.looks.across(bad.astype(np.float64))) == 0
+        if bad.any()
+        else np.ones_like(count, np.bool_)
+    )
     # Sums over the looks of each pixel, first along the columns, then along the rows.
-    by_row, by_col = down.matrix(rows), across.matrix(cols)
-    sums = np.multiply.outer(by_row.sum(axis=1), by_col.sum(axis=1))
-    count, row_variance, col_variance = _effective_looks(windows, (rows, cols), sums, response)
-    finite = by_row @ (by_col @ (sample_power < 0).T).T == 0
     seen = np.maximum(sample_power, 0).astype(np.float64)
-    along = (by_col @ seen.T).T
-    power = by_row @ along * finite
+    along = by_col.looks.across(seen)
+    power = by_row.looks.down(along) * finite
+    scale = np.where(finite, count / np.multiply.outer(by_row.looks.sums, by_col.looks.sums), 0.0)
     # The power-weighted centre; the middle of the looks where there is no power.
-    row_of, col_of = by_row * np.arange(rows), by_col * np.arange(cols)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        row = np.where(power > 0, row_of @ along / power, (row_of.sum(axis=1) / by_row.sum(axis=1))[:, None])
-        col = np.where(power > 0, by_row @ (col_of @ seen.T).T / power, col_of.sum(axis=1) / by_col.sum(axis=1))
-    scale = np.where(finite, count / sums, 0.0)
-    floor = np.ones_like(sums)
-    if response and np.all(channels.noise_powers > 0):
-        noise = channels.noise_powers.sum()
-        down_weights = LookWeights(by_row, down.apart, response.down)
-        across_weights = LookWeights(by_col, across.apart, response.across)
+    row, col = (np.broadcast_to(middle, count.shape).copy() for middle in (by_row.middle[:, None], by_col.middle))
+    np.divide(by_row.places.down(along), power, out=row, where=power > 0)
+    np.divide(by_row.looks.down(by_col.places.across(seen)), power, out=col, where=power > 0)
+    floor = np.ones_like(count)
+    if np.all(channels.noise_powers > 0):
+        noise = float(channels.noise_powers.sum())
         deviation = noise / np.sqrt(len(slc) * count)
-        foreign = foreign_power(seen - noise, down_weights, across_weights, count, deviation)
-        floor += foreign / channels.noise_powers.min()
-    between, within = _place_variances(down, response.down if response else None)
+        floor += foreign_power(seen, noise, by_row, by_col, deviation) / channels.noise_powers.min()
+    # What depends on the inverse of the looks' energy.
+    median = count / (count - MEDIAN)
+    variance = by_row.between + by_row.within
     return Looks(
         covariance=SlcCovariance(numbers, down, across, gains, scale.astype(np.float32), hermitian),
         squint=squint,
         noise_powers=channels.noise_powers,
         floor=floor,
         count=count,
-        row_variance=row_variance,
-        col_variance=col_variance,
+        row_variance=np.multiply.outer(by_row.displaced, 1 / by_col.count) * median,
+        col_variance=np.multiply.outer(1 / by_row.count, by_col.displaced) * median,
         row=row,
         col=col,
         power=power * scale,
         finite=finite,
-        level_spread=level_turn * np.sqrt(between + within),
-        unplaced=within / (between + within),
+        level_spread=level_turn * math.sqrt(variance),
+        unplaced=by_row.within / variance,
     )
-
-
-def _place_variances(window: Window, axis: AxisResponse | None) -> tuple[float, float]:
-    """Variance of the places of the scatterers in a pixel along an axis, samples squared: of looks, and within each."""
-    between = float(np.cov(np.arange(len(window.weights)), aweights=window.weights, ddof=0))
-    return between, 2 * float(axis.place_error(1)[0]) if axis else EVEN_VARIANCE
-
-
-def _effective_looks(
-    windows: tuple[Window, Window], shape: tuple[int, int], sums: F64, response: CellResponse | None
-) -> tuple[F64, F64, F64]:
-    """`count`, `row_variance` and `col_variance` of `Looks`, from the sums of the weights in each pixel."""
-
-    def pair_sums(window: Window, samples: int, axis: AxisResponse | None) -> tuple[F64, F64]:
-        """Of likeness and of error of place; samples that are independent are like themselves alone."""
-        near = len(window.weights)
-        alike, place = (
-            (axis.likeness(near), axis.place_error(near)) if axis else (np.ones(1), np.full(1, EVEN_VARIANCE))
-        )
-        return window.pair_sum(samples, alike), window.pair_sum(samples, place)
-
-    (down, across), (rows, cols) = windows, shape
-    down_alike, down_place = pair_sums(down, rows, response.down if response else None)
-    across_alike, across_place = pair_sums(across, cols, response.across if response else None)
-    count = sums**2 / np.multiply.outer(down_alike, across_alike)
-    median = count / (count - MEDIAN) / sums**2
-    row_variance, col_variance = (
-        np.multiply.outer(down_place, across_alike),
-        np.multiply.outer(down_alike, across_place),
-    )
-    return count, row_variance * median, col_variance * median
 
 
 def look_grid(grid: Grid, down: Window, across: Window) -> Grid:

@@ -19,7 +19,8 @@ from sal_height.beams import Beams
 from sal_height.elevation._look_kernels import add_pulls
 from sal_height.elevation.bounds import unit_vectors
 from sal_height.elevation.cell_response import REACH, AxisResponse, CellResponse
-from sal_height.elevation.looks import Looks, Window
+from sal_height.elevation.look_windows import Window
+from sal_height.elevation.looks import Looks
 from sal_height.numeric import F64, in_parallel
 
 PULL_SPAN = 4.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sal_height.elevation.looks import LOOK_WINDOWS, Window
+from sal_height.elevation.look_windows import LOOK_WINDOWS, Window
 from sal_height.sensor import MAX_SHARE
 from sal_height.settings import Settings, setting
 

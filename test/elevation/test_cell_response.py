@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers import circular
+from scipy.special import fdtri
 
-from sal_height.elevation import AxisResponse, CellResponse, Looks, Window, windowed_looks
+from sal_height.elevation import AxisResponse, CellResponse, Looks, Window, axis_looks, windowed_looks
+from sal_height.elevation.cell_response import REACH
+from sal_height.elevation.noise_floor import SPECKLE_RATE, is_edge_of_shadow
 from sal_height.numeric import C64, C128, F64, window
 from sal_height.sensor import Channels
 
@@ -50,11 +53,52 @@ def test_the_sidelobes_of_a_scatterer_have_the_power_that_is_expected(name: str)
 
 
 def test_level_ground_leaks_the_integrated_sidelobes() -> None:
-    """Equally bright ground without end: what is outside the main lobe in range, or in azimuth."""
-    (_, down), (_, across) = TAYLOR.down.shares(), TAYLOR.across.shares()
-    near, sidelobes = TAYLOR.spread(np.full((40, 30), 2.0))
-    np.testing.assert_allclose(near, 2 * down.sum() * across.sum(), rtol=1e-9)
-    np.testing.assert_allclose(near + sidelobes, 2.0, rtol=1e-9)
+    """Equally bright ground without end: what is outside the main lobe, at the edges of an image as in its middle."""
+    (_, near), leakage = TAYLOR.down.shares(), axis_looks(Window.named("boxcar", 1), 40, TAYLOR.down).leakage
+    assert leakage
+    ground = np.full((40, 3), 2.0)
+    np.testing.assert_allclose(leakage.near.down(ground), 2 * near.sum(), rtol=1e-9)
+    np.testing.assert_allclose(leakage.whole.down(ground), 2.0, rtol=1e-9)
+    np.testing.assert_allclose(leakage.own.down(ground), 2 * near[len(near) // 2], rtol=1e-9)
+
+
+@pytest.mark.parametrize("window", [Window.named("boxcar", 2), Window.named("triangular", 5, 2)])
+@pytest.mark.parametrize("samples", [5, 31, 200])
+def test_leakage_into_looks_is_a_convolution_that_goes_on_beyond_the_edges(window: Window, samples: int) -> None:
+    """Sums over all samples one by one, along either axis."""
+    rng, taps = np.random.default_rng(16), len(window.weights)
+    power = rng.exponential(size=(samples, 3))
+    axis, (whole, near) = axis_looks(window, samples, TAYLOR.down), TAYLOR.down.shares()
+    assert axis.leakage
+    expected = np.zeros((4, window.pixels(samples), 3))
+    for pixel, look in np.ndindex(window.pixels(samples), taps):
+        place, weight = window.first + pixel * window.step + look, window.weights[look]
+        if not 0 <= place < samples:
+            continue
+        for offset in range(-REACH, REACH + 1):
+            there = power[np.clip(place + offset, 0, samples - 1)]
+            expected[:2, pixel] += weight * np.outer([near[REACH + offset], whole[REACH + offset]], there)
+            if 0 <= place + offset - (place - look) < taps and 0 <= place + offset < samples:
+                expected[2, pixel] += weight * near[REACH + offset] * there
+        expected[3, pixel] += weight * place * power[place]
+    bands = axis.leakage.near, axis.leakage.whole, axis.leakage.own, axis.places
+    np.testing.assert_allclose([one.down(power) for one in bands], expected, rtol=1e-12)
+    np.testing.assert_allclose([one.across(power.T).T for one in bands], expected, rtol=1e-12)
+
+
+def test_edges_of_a_shadow_are_those_of_their_brightest_and_darkest_neighbour() -> None:
+    """The compiled loop, and its formula in NumPy."""
+    rng = np.random.default_rng(17)
+    down, across = (axis_looks(Window.named("boxcar", n, 2), 2 * pixels, None) for n, pixels in ((2, 30), (4, 20)))
+    power, noise = rng.exponential(size=(30, 20)) ** 3, rng.uniform(0, 0.02, (30, 20))
+    count = np.multiply.outer(down.count, across.count)
+    around = np.pad(power, [(down.apart,) * 2, (across.apart,) * 2], mode="edge")
+    assert (down.apart, across.apart) == (1, 2)
+    beside = np.stack([around[:-2, 2:-2], around[2:, 2:-2], around[1:-1, :-4], around[1:-1, 4:]])
+    contrast = fdtri(2 * count, 2 * count, 1 - SPECKLE_RATE)
+    expected = beside.max(axis=0) - noise > contrast * (beside.min(axis=0) + noise)
+    np.testing.assert_array_equal(is_edge_of_shadow(power, down, across, noise), expected)
+    assert 0.02 < expected.mean() < 0.98
 
 
 @pytest.mark.parametrize(("name", "spacing"), [("taylor", 1.34), ("taylor", 1.0), ("rectangular", 1.0)])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from helpers import assert_one_sentence, circular, looks_in, multilook
 
-from sal_height.elevation.looks import Window, covariance, live_detectors
+from sal_height.elevation.look_windows import Window
+from sal_height.elevation.looks import covariance, live_detectors
 from sal_height.errors import Rejected, UserError
 
 CHANNELS, ROWS, COLS = 3, 7, 9

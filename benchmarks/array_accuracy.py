@@ -63,7 +63,7 @@ def against_dense_search() -> Iterator[Row]:
     """Elevations of a million pixels against a dense search in double precision over the beams themselves."""
     for pattern in PATTERNS:
         beams, rng = beams_of(pattern), np.random.default_rng(3)
-        search = PeakSearches.over(beams, np.zeros(1), OBJECTIVES["normalised"], 0.0).at(0.0)
+        search = PeakSearches.over(beams, OBJECTIVES["normalised"], 0.0).at(0.0)
         squares, worst, unclear, count = 0.0, 0.0, 0, 0
         share = PIXELS // len(PATTERNS) // len(LEVELS_DB)
         for level_db in LEVELS_DB:

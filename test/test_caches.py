@@ -16,7 +16,7 @@ from sal_height.elevation import OBJECTIVES
 from sal_height.elevation.look_windows import Window, axis_looks
 from sal_height.elevation.monopulse.sum_difference import _slope_table
 from sal_height.elevation.noise_floor import _speckle_contrast
-from sal_height.elevation.search import SEARCHES_HELD, PeakSearches
+from sal_height.elevation.search import SEARCHES_HELD, PeakSearches, _searches
 from sal_height.pipeline import _channels_and_beams
 from sal_height.sensor import whitened_channels
 from sal_height.sensor.waveform import _waveform
@@ -47,8 +47,9 @@ def new_contrast(samples: int) -> Any:
         (_channels_and_beams, lambda number, _: new_beams(number)),
         (axis_looks, lambda number, _: axis_looks(Window(np.ones(2), 2), 10 + number, None)),
         (_speckle_contrast, lambda number, _: new_contrast(10 + number)),
+        (_searches, lambda *_: PeakSearches.over(make_beams(), OBJECTIVES["normalised"], 0.0)),
     ],
-    ids=["waveforms", "patterns", "slope tables", "beams of channels", "looks", "speckle"],
+    ids=["waveforms", "patterns", "slope tables", "beams of channels", "looks", "speckle", "searches"],
 )
 def test_caches_are_bounded(cache: Any, use: Callable[[int, Path], Any], tmp_path: Path) -> None:
     cache.cache_clear()
@@ -62,9 +63,9 @@ def test_caches_are_bounded(cache: Any, use: Callable[[int, Path], Any], tmp_pat
 @pytest.mark.parametrize("columns", [SEARCHES_HELD // 8, 2 * SEARCHES_HELD])
 def test_searches_at_the_squints_of_columns_are_bounded(columns: int) -> None:
     squint = np.linspace(-0.1, 0.1, columns) * BEAMWIDTH
-    searches = PeakSearches.over(make_beams(), squint, OBJECTIVES["normalised"], 0.0)
+    searches = PeakSearches.over(make_beams(), OBJECTIVES["normalised"], 0.0)
     for one in squint:
         searches.at(float(one))
-    at: Any = searches.at
-    info = at.cache_info()
+    of_part: Any = searches.of_part
+    info = of_part.cache_info()
     assert (info.misses, info.currsize) == (columns, min(columns, SEARCHES_HELD))

@@ -212,7 +212,7 @@ def _sum_over_scene(found: BeamCalibration, looks: Looks, beams: Beams, settings
     """Sum over the usable pixels of a scene, at the elevations that are likeliest with the calibration found so far."""
     wide, amplitudes, squint = beams.widened(found.width_factor), np.abs(found.gains), looks.squint
     undone = _undo_phases(found.gains, looks.receiver_noise)
-    searches = PeakSearches.over(wide.scaled(amplitudes), squint, OBJECTIVES["normalised"], search_guard(beams))
+    searches = PeakSearches.over(wide.scaled(amplitudes), OBJECTIVES["normalised"], search_guard(beams))
     rules = HeightSettings(misfit_share=settings.misfit_share if found.steps > 1 else settings.first_misfit_share)
     (first, last), channels = beams.span, beams.count
     of_blocks: dict[tuple[int, int], tuple[Normal, Index]] = {}

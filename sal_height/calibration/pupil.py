@@ -152,7 +152,7 @@ def _sum_over_scene(values: F64, looks: Looks, beams: Beams, settings: Calibrati
         [term.scaled(one.gain) for term in aberrated_derivatives(coefficients, one.size)] for one in beams.patterns
     ]
     bends = [wide.patterned(patterns).scaled(gains) for patterns in zip(*derivatives, strict=True)]
-    searches = PeakSearches.over(seen, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
+    searches = PeakSearches.over(seen, OBJECTIVES["normalised"], search_guard(beams))
     of_blocks: dict[tuple[int, int], _Sums] = {}
 
     def work(search: PeakSearch, rows: slice, cols: Index) -> None:

@@ -41,14 +41,6 @@ by as much and count as several scatterers (`estimate.is_explained`).
 
 
 @compiled
-def add_weighted(weights: F32, values: F32, total: F32) -> None:
-    for k in range(len(weights)):
-        weight, line = weights[k], values[k]
-        for i in range(total.size):
-            total[i] += weight * line[i]
-
-
-@compiled
 def evaluate_on_grid(matrices: F32, entries: Index, grid: F32) -> F32:
     """Objective of every pixel at every node of the grid, (pixels, grid nodes).
 

@@ -106,7 +106,7 @@ def peak_elevation(looks: Looks, beams: Beams, objective: Objective, guard: floa
     Raises:
         UserError: the beams have no elevation in common, or are complex where the covariance is not.
     """
-    searches = PeakSearches.over(beams, looks.squint, objective, guard)
+    searches = PeakSearches.over(beams, objective, guard)
     (elevation,) = searches.of_pixels(looks, 1, lambda search, pixels, *_: search.peaks(pixels).elevation)
     return elevation
 
@@ -136,7 +136,7 @@ class SinglePeaks:
     @classmethod
     def found_by(cls, find: Find, objective: Objective, looks: Looks, beams: Beams) -> Self:
         """Gather what `find` gives for the pixels of a block: `elevation` to `along_slope`, in units of the looks."""
-        searches = PeakSearches.over(beams, looks.squint, objective, search_guard(beams))
+        searches = PeakSearches.over(beams, objective, search_guard(beams))
         elevation, lead, explained, array_power, turning, beside, along = searches.of_pixels(looks, 7, find)
         noise = looks.receiver_noise
         return cls(elevation, lead / noise, explained / noise, array_power, turning, beside / noise, along / noise)

@@ -129,7 +129,7 @@ def fit_models(
     row, col = here
     models = Models.of_single(single, evidence, looks, here)
     domain, most = float(np.ptp(beams.span)), min(MOST, beams.count - 1)
-    searches = PeakSearches.over(beams, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
+    searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
     blocks = _blocks(looks.squint[col])
 
     def work(share: slice) -> None:

@@ -13,12 +13,11 @@ The last three terms are the Occam factor: the share of the prior that the looks
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import uniform_filter
-from scipy.optimize import elementwise
-from scipy.special import gammaincc, gammaln, logsumexp
+from scipy.special import gammaincc, gammainccinv, logsumexp
 
 from sal_height.beams import Beams
 from sal_height.elevation._kernels import GRID_STEP
@@ -34,6 +33,8 @@ PRIOR = np.array([0.05, 0.7, 0.1, 0.05, 0.1])
 """Probability of each model before the looks are seen."""
 
 NEIGHBOURS = 7  # pixels in range and in azimuth over which the ground is taken for alike
+THRESHOLD_STEPS = 50  # of Newton's method for a threshold; a few do
+THRESHOLD_ERROR = 1e-9  # last such step, over the threshold
 EM_STEPS = 5  # its shares of the models are then within .01 of their limit
 
 CNR_RANGE = math.log(10 ** (40 / 10) / 10 ** (0 / 10))
@@ -173,6 +174,7 @@ def _log_volume_of(information: F64, prior_range: float | F64) -> F64:
     return -0.5 * np.linalg.slogdet(scaled)[1]
 
 
+@lru_cache(maxsize=64)
 def path_length(beams: Beams, squint: float) -> float:
     """Length of the path of u = a / |a| over the boresights, at one squint (rad)."""
     nodes = np.linspace(*beams.span, math.ceil(np.ptp(beams.span) / (GRID_STEP * beams.beamwidth)) + 1)
@@ -180,7 +182,8 @@ def path_length(beams: Beams, squint: float) -> float:
     return float(np.trapezoid(turning, nodes))
 
 
-def detection_threshold(length: float, looks: npt.ArrayLike, false_alarm: npt.ArrayLike) -> F64:
+@lru_cache(maxsize=4096)
+def detection_threshold(length: float, looks: float, false_alarm: float) -> float:
     """Gain in explained power, in noise powers, that one more scatterer seems to bring with the rate `false_alarm`.
 
     If there is none, the gain in a known direction is noise with a gamma distribution of order K. Its greatest value
@@ -189,17 +192,26 @@ def detection_threshold(length: float, looks: npt.ArrayLike, false_alarm: npt.Ar
 
         P(max > x) <= Q(x) + L sqrt(x / pi) p(x)
 
-    Q and p are the distribution's upper tail and density.
+    Q and p are the distribution's upper tail and density. Newton's method finds where the logarithm of this bound is
+    that of the rate, between the level of a known direction and one that nothing exceeds.
 
     Args:
         length: L, `path_length`; 0 for a known direction.
-        looks: K; broadcasts with `false_alarm`.
+        looks: K.
         false_alarm: wanted probability.
     """
-
-    def excess(level: F64, looks: F64, false_alarm: F64) -> F64:
-        density = np.exp((looks - 1) * np.log(level) - level - gammaln(looks))
-        return gammaincc(looks, level) + length * np.sqrt(level / np.pi) * density - false_alarm
-
-    looks, false_alarm = np.broadcast_arrays(np.asarray(looks, np.float64), false_alarm)
-    return np.asarray(elementwise.find_root(excess, (looks, 10 * looks + 1000), args=(looks, false_alarm)).x)
+    low, high = float(gammainccinv(looks, false_alarm)), 10 * looks + 1000
+    level = low
+    for _ in range(THRESHOLD_STEPS):
+        density = math.exp((looks - 1) * math.log(level) - level - math.lgamma(looks))
+        crossings = length * math.sqrt(level / math.pi) * density
+        bound = float(gammaincc(looks, level)) + crossings
+        slope = crossings * ((looks - 0.5) / level - 1) - density
+        low, high = (level, high) if bound > false_alarm else (low, level)
+        moved = level - bound * math.log(bound / false_alarm) / slope if bound > 0 else low
+        moved = moved if low < moved < high else (low + high) / 2
+        settled = abs(moved - level) < THRESHOLD_ERROR * level
+        level = moved
+        if settled:
+            break
+    return level

@@ -7,19 +7,17 @@ between the nodes of a table of w. The beams may be of any pattern: complex, tur
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebvander
 
 from sal_height.beams import Beams
 from sal_height.elevation._kernels import (
     GRID_STEP,
     TABLE_STEPS,
     TILE,
-    add_weighted,
     climb_highest,
     climb_uphill,
     evaluate_on_grid,
@@ -37,7 +35,20 @@ Objective = Callable[[F64, F64], tuple[F64, F64]]
 PIXELS_OF_THREAD = 2048  # number of pixels from which on another thread is worthwhile
 PIXELS_AT_ONCE = 2048  # pixels whose covariance and objective are held at a time: they fit into a processor's cache
 SEARCHES_HELD = 64  # squints whose search is held: several blocks of pixels have the same one
-SPARE_SQUINTS = 14  # squints beyond pi per beamwidth from which all others are interpolated, with an error of 1e-9
+ARRAYS_HELD = 4  # arrays of beams whose searches are held: a calibration makes ever new ones
+
+SQUINT_STEP = 1 / 16
+"""Beamwidths between the squints at which responses are computed from the beams' patterns.
+
+Over squint they are as smooth as over elevation: a polynomial through six of them errs between them by 3e-7 for a
+period of 2 beamwidths, the shortest of an aperture's beams, and by 2e-5 for half of that.
+"""
+
+NEAREST = np.arange(-2, 4)  # numbers of these six squints, counted from the one below
+
+SQUINT_PARTS = 2**15
+"""Parts of such a step to which squints are rounded, 1e-6 beamwidths at most: columns that differ by rounding errors
+share a search. Squints move elevations by a fraction of their own error."""
 
 
 class Peaks(NamedTuple):
@@ -242,46 +253,29 @@ class PeakSearches:
 
     Attributes:
         nodes: elevations of the table, rad.
-        at: gives the search at one of the squints (rad).
+        part: least difference of squints that have searches of their own, rad.
+        of_part: gives the search at a multiple of `part`.
     """
 
     nodes: F64
-    at: Callable[[float], PeakSearch]
+    part: float
+    of_part: Callable[[int], PeakSearch]
 
     @classmethod
-    def over(cls, beams: Beams, squint: F64, objective: Objective, guard: float) -> Self:
-        """Searches over `beams.domain(guard)` for targets at the `squint` of any column (angles in rad).
+    def over(cls, beams: Beams, objective: Objective, guard: float) -> PeakSearches:
+        """Searches over `beams.domain(guard)`, at any squint; angles in rad.
 
-        The columns of a spotlight image all have squints of their own. Over squint the beams are as smooth as over
-        elevation, so that a polynomial through a few of them (Chebyshev nodes) stands for any between them.
+        They are made when they are needed, from tables at multiples of SQUINT_STEP, and held for the next image of the
+        same beams. What a search finds depends on its squint alone, not on the other columns.
 
         Raises:
             UserError: the beams have no elevation in common.
         """
-        squints, (first, last) = np.unique(squint), beams.domain(guard)
-        grid_steps = max(1, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))))
-        nodes = np.linspace(first, last, TABLE_STEPS * grid_steps + 1)
+        return _searches(beams, objective, guard)
 
-        @lru_cache(SEARCHES_HELD)
-        def exact(squint: float) -> PeakSearch:
-            return PeakSearch.of(nodes, beams.response(nodes, squint), beams.slope(nodes, squint), objective)
-
-        count = SPARE_SQUINTS + int(np.ceil(np.pi * np.ptp(squints) / beams.track_beamwidth))
-        if len(squints) <= count:
-            return cls(nodes, exact)
-        chebyshev = np.cos(np.pi * (np.arange(count) + 0.5) / count)
-        few = squints.min() + np.ptp(squints) * (1 + chebyshev) / 2
-        searches = [exact(squint) for squint in few.tolist()]
-        own = [(search.grid, search.pieces, search.power) for search in searches]
-        stack = tuple(np.stack(values) for values in zip(*own, strict=True))
-
-        @lru_cache(SEARCHES_HELD)
-        def interpolated(squint: float) -> PeakSearch:
-            weights = _lagrange(few, squint).astype(np.float32)
-            grid, pieces, power = (_weighted_sum(weights, values) for values in stack)
-            return replace(searches[0], grid=grid, pieces=pieces, power=power)
-
-        return cls(nodes, interpolated)
+    def at(self, squint: float) -> PeakSearch:
+        """The search at a squint (rad)."""
+        return self.of_part(round(squint / self.part))
 
     def of_pixels(self, looks: Looks, count: int, find: Find) -> F64:
         """Find `count` numbers for every pixel, shape (count, rows, cols), block by block on all processors.
@@ -303,17 +297,18 @@ class PeakSearches:
 
         A block has up to PIXELS_AT_ONCE pixels, or a row of them, and one of the squints (rad, shape (cols,)).
         """
-        angles, angle_of = np.unique(squint, return_inverse=True)
-        blocks: list[tuple[float, slice, Index]] = []
-        for index, angle in enumerate(angles.tolist()):
-            alike = np.flatnonzero(angle_of == index)
-            for cols in np.split(alike, range(PIXELS_AT_ONCE, len(alike), PIXELS_AT_ONCE)):
+        parts, part_of = np.unique(np.rint(squint / self.part), return_inverse=True)
+        blocks: list[tuple[int, slice, Index]] = []
+        for index, part in enumerate(parts.tolist()):
+            alike = np.flatnonzero(part_of == index)
+            for first in range(0, len(alike), PIXELS_AT_ONCE):
+                cols = alike[first : first + PIXELS_AT_ONCE]
                 high = max(1, PIXELS_AT_ONCE // len(cols))
-                blocks += [(angle, slice(row, min(row + high, rows)), cols) for row in range(0, rows, high)]
+                blocks += [(int(part), slice(row, min(row + high, rows)), cols) for row in range(0, rows, high)]
 
-        def work_on(part: slice) -> None:
-            for angle, some_rows, cols in blocks[part]:
-                work(self.at(angle), some_rows, cols)
+        def work_on(share: slice) -> None:
+            for part, some_rows, cols in blocks[share]:
+                work(self.of_part(part), some_rows, cols)
 
         in_parallel(work_on, len(blocks), -(-PIXELS_OF_THREAD * len(blocks) // max(1, rows * len(squint))))
 
@@ -323,22 +318,37 @@ def _as_real(values: F64) -> F64:
     return np.concatenate([values.real, values.imag], axis=-1) if np.iscomplexobj(values) else values
 
 
-def _lagrange(nodes: F64, place: float) -> F64:
-    """Weights by which a polynomial through values at Chebyshev `nodes` gives its value at `place`."""
-    middle, half = (nodes.max() + nodes.min()) / 2, (nodes.max() - nodes.min()) / 2
-    highest = len(nodes) - 1
-    at_nodes, there = (chebvander((x - middle) / half, highest) for x in (nodes, np.array([place])))
-    return np.linalg.solve(at_nodes.T, there[0])
+@lru_cache(ARRAYS_HELD)
+def _searches(beams: Beams, objective: Objective, guard: float) -> PeakSearches:
+    """See `PeakSearches.over`; beams are told apart by their identity."""
+    first, last = beams.domain(guard)
+    grid_steps = max(1, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))))
+    nodes = np.linspace(first, last, TABLE_STEPS * grid_steps + 1)
+    squint_step = SQUINT_STEP * beams.track_beamwidth
+
+    @lru_cache(SEARCHES_HELD)
+    def exact(number: int) -> tuple[F64, F64]:
+        squint = number * squint_step
+        return beams.response(nodes, squint), beams.slope(nodes, squint)
+
+    @lru_cache(SEARCHES_HELD)
+    def of_part(part: int) -> PeakSearch:
+        number, rest = divmod(part, SQUINT_PARTS)
+        weights = _lagrange(rest / SQUINT_PARTS)
+        used = [(weight, *exact(number + k)) for weight, k in zip(weights, NEAREST.tolist(), strict=True) if weight]
+        response, slope = (sum(weight * values[n] for weight, *values in used) for n in (0, 1))
+        return PeakSearch.of(nodes, np.asarray(response), np.asarray(slope), objective)
+
+    return PeakSearches(nodes, squint_step / SQUINT_PARTS, of_part)
+
+
+def _lagrange(place: float) -> list[float]:
+    """Weights by which a polynomial through values at NEAREST gives its value at `place`."""
+    others = ((number, NEAREST[number != NEAREST]) for number in NEAREST)
+    return [float(np.prod((place - other) / (number - other))) for number, other in others]
 
 
 def _hermite(value: F64, slope: F64) -> F64:
     """Cubics from node to node with these values and slopes (per step) at both; shape (nodes - 1, 4, ...)."""
     rise, start, end = np.diff(value, axis=0), slope[:-1], slope[1:]
     return np.stack([value[:-1], start, 3 * rise - 2 * start - end, start + end - 2 * rise], axis=1)
-
-
-def _weighted_sum(weights: F32, values: F32) -> F32:
-    """Sum of `values` over their first axis; BLAS would wait for its threads."""
-    total = np.zeros(values.shape[1:], np.float32)
-    add_weighted(weights, values.reshape(len(values), -1), total.reshape(-1))
-    return total

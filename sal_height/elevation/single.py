@@ -28,6 +28,7 @@ from sal_height.elevation.order import (
     log_evidence_of_spread,
     path_length,
 )
+from sal_height.elevation.search import SQUINT_STEP
 from sal_height.elevation.several import power_of
 from sal_height.numeric import F64, Bool
 from sal_height.settings import setting
@@ -97,7 +98,10 @@ class Levels:
     @classmethod
     def of(cls, noise: PixelNoise, looks: Looks, beams: Beams, settings: LayoverSettings) -> Self:
         """The levels for the number of looks of every pixel."""
-        length = max(path_length(beams, float(squint)) for squint in np.unique(looks.squint)[[0, -1]])
+        # The path over elevation changes by a thousandth in such a step of squint.
+        step = SQUINT_STEP * beams.track_beamwidth
+        ends = np.rint(np.array([looks.squint.min(), looks.squint.max()]) / step) * step
+        length = max(path_length(beams, squint) for squint in ends.tolist())
         counts, which = np.unique(looks.count, return_inverse=True)
         sidelobes = sidelobe_limit(looks.leaked, settings.sidelobe_rate)
 
@@ -109,9 +113,13 @@ class Levels:
         rarely = settings.layover_false_alarm
         often = min(SUSPICIOUS * rarely, 0.5)
         spread = level(noise_limit(free_looks(counts), settings.spread_false_alarm), settings.spread_false_alarm)
+        tried, several = (
+            np.array([detection_threshold(length, count, rate) for count in counts.tolist()])
+            for rate in (often, rarely)
+        )
         return cls(
-            tried=level(detection_threshold(length, counts, often), often / beams.count),
-            several=level(detection_threshold(length, counts, rarely), rarely / beams.count),
+            tried=level(tried, often / beams.count),
+            several=level(several, rarely / beams.count),
             spread=spread * noise.along_slope,
         )
 

@@ -75,7 +75,7 @@ def smoothed_peaks(looks: Looks, beams: Beams, strength: float) -> F64:
     """
     normalised, guard = OBJECTIVES["normalised"], search_guard(beams)
     elevation = peak_elevation(looks, beams, normalised, guard)
-    searches = PeakSearches.over(beams, looks.squint, normalised, guard)
+    searches = PeakSearches.over(beams, normalised, guard)
     for tile in _tiles(*elevation.shape):
         own, has_data = _log_likelihood(looks, tile, searches)
         messages = _messages(own, has_data, strength)

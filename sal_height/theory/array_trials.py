@@ -65,7 +65,7 @@ class TargetPixels:
 
         Computed on all processors; the seed alone decides the result.
         """
-        search = PeakSearches.over(self.beams, np.array([self.squint]), objective, guard).at(self.squint)
+        search = PeakSearches.over(self.beams, objective, guard).at(self.squint)
         estimates = np.empty(trials)
 
         def work(rng: np.random.Generator, part: slice) -> None:

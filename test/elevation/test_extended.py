@@ -15,7 +15,7 @@ PATTERNS = pytest.mark.parametrize("pattern", ["jinc", "complex"])
 
 
 def search_of(beams: Beams) -> PeakSearch:
-    return PeakSearches.over(beams, np.zeros(1), OBJECTIVES["normalised"], search_guard(beams)).at(0.0)
+    return PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams)).at(0.0)
 
 
 def covariance_of(

@@ -17,7 +17,7 @@ RNG_SEED = 80
 
 
 def search_of(beams: Beams, objective: str = "normalised") -> PeakSearch:
-    return PeakSearches.over(beams, np.zeros(1), OBJECTIVES[objective], 3 * BEAMWIDTH).at(0.0)
+    return PeakSearches.over(beams, OBJECTIVES[objective], 3 * BEAMWIDTH).at(0.0)
 
 
 def pixels_of(channels: int, pixels: int, looks: int) -> Array:
@@ -117,14 +117,6 @@ def test_uphill_ends_at_the_peak_beside_the_highest_node_reached() -> None:
         while top > 0 and line[top - 1] > line[top]:
             top -= 1
         assert abs(place / kernels.TABLE_STEPS - top) <= 1
-
-
-def test_weighted_sum_adds_what_is_there() -> None:
-    rng = np.random.default_rng(RNG_SEED)
-    weights, values = rng.standard_normal(7).astype(np.float32), rng.standard_normal((7, 11)).astype(np.float32)
-    total = np.ones(11, np.float32)
-    kernels.add_weighted(weights, values, total)
-    np.testing.assert_allclose(total, 1 + weights @ values, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("free", [kernels.FREE_NODES])

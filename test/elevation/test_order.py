@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers import BEAMWIDTH, circular, elevation_at, make_beams
-from scipy import integrate
+from scipy import integrate, stats
 
 from sal_height.beams.array import Beams
 from sal_height.elevation.looks import Looks
@@ -39,6 +39,14 @@ def test_threshold_is_that_of_noise_in_the_best_direction(pattern: str, looks: i
         power += np.abs(noise @ unit.T.astype(np.float32)) ** 2
     share = np.mean(power.max(axis=1) > detection_threshold(path_length(beams, 0.0), looks, ONE_PERCENT))
     assert 0.0075 < share < 0.0112
+
+
+@pytest.mark.parametrize(("looks", "length"), [(0.6, 3.0), (1.0, 0.0), (4.0, 12.0), (400.0, 100.0)])
+@pytest.mark.parametrize("rate", [1e-9, 1e-3, 0.5])
+def test_threshold_solves_its_equation(looks: float, length: float, rate: float) -> None:
+    """P of noise at the threshold, from scipy's distribution."""
+    level, law = detection_threshold(length, looks, rate), stats.gamma(looks)
+    assert law.sf(level) + length * np.sqrt(level / np.pi) * law.pdf(level) == pytest.approx(rate, rel=1e-7)
 
 
 def test_evidence_of_one_is_the_likelihood_integrated_over_the_prior() -> None:

@@ -11,11 +11,11 @@ from helpers import BEAMWIDTH, circular, elevation_at, make_beams, offset_of, ta
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS, Pattern
 from sal_height.elevation._kernels import NO_PEAK, is_behind_a_dip
-from sal_height.elevation.bounds import beam_power, information
+from sal_height.elevation.bounds import beam_power, information, unit_vectors
 from sal_height.elevation.estimate import explained_power
-from sal_height.elevation.likelihood import GUARD, OBJECTIVES
-from sal_height.elevation.looks import covariance
-from sal_height.elevation.search import PeakSearch, PeakSearches
+from sal_height.elevation.likelihood import GUARD, OBJECTIVES, peak_elevation
+from sal_height.elevation.looks import Looks, covariance
+from sal_height.elevation.search import SQUINT_STEP, PeakSearch, PeakSearches
 
 OFFSETS = np.linspace(-6.9, 6.9, 400)
 """Over array and guard of 16 detectors, beamwidths."""
@@ -65,8 +65,44 @@ def test_fit_of_no_elevation_is_none_and_beyond_the_domain_is_its_end() -> None:
     np.testing.assert_array_equal(np.isnan(inside), np.tile([False, True, False], (3, 1)))
 
 
+@pytest.mark.parametrize("kind", [*sorted(PATTERNS), "complex", "turned"])
+def test_between_tables_the_beams_are_as_they_are(kind: str) -> None:
+    """Half way between two squints, where the polynomial errs most; targets are found right to 1e-5 beamwidths."""
+    beams = make_beams(kind if kind in PATTERNS else "jinc")
+    if kind == "complex":
+        beams = replace(beams, patterns=(bent(PATTERNS["jinc"]),))
+    elif kind == "turned":
+        beams = replace(beams, rotation=0.4)
+    for squint in (np.array([-0.5, 1.5, 14.5]) * SQUINT_STEP * BEAMWIDTH).tolist():
+        offsets = np.linspace(-3.7, 3.7, 200)
+        unit = unit_vectors(beams.response(elevation_at(offsets), squint))
+        weights, slopes, _ = search(beams, squint).responses_at(elevation_at(offsets))
+        np.testing.assert_allclose(weights, unit, atol=2e-5)
+        # By how much the table's response moves the peak of a target that has the beams' own.
+        beyond = slopes - unit * np.sum(unit.conj() * slopes, axis=1, keepdims=True)
+        moved = np.sum(beyond.conj() * (unit - weights), axis=1).real / np.sum(np.abs(beyond) ** 2, axis=1)
+        assert np.abs(moved).max() < 1e-5 * BEAMWIDTH
+
+
+def test_a_column_is_searched_as_if_it_were_alone() -> None:
+    """Whatever columns are beside it, and whatever images came before."""
+    rng, beams = np.random.default_rng(3), make_beams("jinc")
+    squint, matrices = np.linspace(-0.31, 0.4, 70) * BEAMWIDTH, np.empty((20, 70, 16, 16), np.float32)
+    for column in range(70):
+        matrices[:, column] = covariance(circular(rng, (20, 4, 16)).astype(np.complex64), False)
+
+    def elevations(cols: slice | list[int], some: Beams) -> np.ndarray:
+        looks = Looks.of(np.ascontiguousarray(matrices[:, cols]), 4, squint[cols])
+        return peak_elevation(looks, some, OBJECTIVES["normalised"], GUARD * BEAMWIDTH)
+
+    whole = elevations(slice(None), beams)
+    for column in (0, 33, 69):
+        np.testing.assert_array_equal(elevations([column], make_beams("jinc"))[:, 0], whole[:, column])
+    np.testing.assert_array_equal(elevations(slice(None, None, -1), beams), whole[:, ::-1])
+
+
 def search(beams: Beams, squint: float, objective: str = "normalised") -> PeakSearch:
-    return PeakSearches.over(beams, np.array([squint]), OBJECTIVES[objective], GUARD * BEAMWIDTH).at(squint)
+    return PeakSearches.over(beams, OBJECTIVES[objective], GUARD * BEAMWIDTH).at(squint)
 
 
 FINE = np.arange(-7, 7 + 5e-4, 1e-3)

@@ -31,7 +31,7 @@ def pixels_of(
 
 
 def search_of(beams: Beams) -> PeakSearch:
-    return PeakSearches.over(beams, np.zeros(1), OBJECTIVES["normalised"], 3 * BEAMWIDTH).at(0.0)
+    return PeakSearches.over(beams, OBJECTIVES["normalised"], 3 * BEAMWIDTH).at(0.0)
 
 
 def best_of(beams: Beams, covariance: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -177,7 +177,7 @@ def test_likelihood_is_the_greatest_over_the_power_of_the_amplitudes() -> None:
     rng = np.random.default_rng(10)
     covariance = image(beams, np.array([[0.3, -1.0]]), looks, 3.0, 10).covariance * np.float32(noise_power)
     covariance[0, 1] *= np.float32(0.05)  # weaker than noise almost everywhere: P = 0 is best
-    searches = PeakSearches.over(beams, np.zeros(1), NORMALISED, 0.0)
+    searches = PeakSearches.over(beams, NORMALISED, 0.0)
     seen = Looks.of(covariance, looks, noise_power=noise_power)
     own, has_data = spatial_prior._log_likelihood(seen, next(spatial_prior._tiles(1, 2)), searches)
     assert has_data.all()
@@ -263,7 +263,7 @@ def test_uphill_of_the_right_node_is_the_highest_peak() -> None:
     """Climbed from the highest node of the grid or the next; from elsewhere, a lower peak."""
     beams = make_beams()
     pixels = image(beams, np.full((1, 200), 0.4), 4, 20.0, seed=15).covariance[0]
-    search = PeakSearches.over(beams, np.zeros(1), NORMALISED, 0.0).at(0.0)
+    search = PeakSearches.over(beams, NORMALISED, 0.0).at(0.0)
     highest = np.argmax(search.on_grid(pixels), axis=1)
     for shift in (-1, 0, 1):
         np.testing.assert_array_equal(search.peaks_uphill(pixels, highest + shift), search.peaks(pixels).elevation)

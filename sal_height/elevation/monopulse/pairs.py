@@ -56,7 +56,7 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
             "The channel matrix of SensorInfo is no lossless hybrid, so the detectors' noise is correlated and they "
             "form no pairs; use ml_height, or sum_difference_height for a sum and a difference.",
         )
-    searches = PeakSearches.over(beams, looks.squint, OBJECTIVES["normalised"], search_guard(beams))
+    searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
 
     def strongest(search: PeakSearch, pixels: Covariance, *_where: object) -> F64:
         best = search.peaks(pixels).elevation

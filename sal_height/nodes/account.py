@@ -19,6 +19,8 @@ DROPPED, IGNORED = "dropped.", "ignored."
 UNWRITTEN, RECORDED = "unwritten", "recorded."
 PUBLISHED_ON, SUBSCRIBERS = "published.", "subscribers."
 LAST_DROP = "last_drop"
+OFFERED, ACHIEVED = "offered_hz", "achieved_hz"
+LATENCY_P50, LATENCY_P95 = "latency_p50_ms", "latency_p95_ms"
 
 
 @dataclass(frozen=True)

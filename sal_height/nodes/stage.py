@@ -30,7 +30,7 @@ from sal_height.nodes.guard import guarded
 from sal_height.nodes.jobs import Job, JobQueue
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.role import Role
-from sal_height.nodes.tally import Tally
+from sal_height.nodes.tally import Pace, Tally
 from sal_height.settings import Settings, setting
 
 FRAMES_QOS = QoSProfile(depth=256, reliability=ReliabilityPolicy.RELIABLE)
@@ -66,6 +66,10 @@ CALIBRATION = {"calibration": "calibration of receivers and beams, latched"}
 
 DIAGNOSTICS_PERIOD_S = 0.5
 
+NEWS_PERIOD_S = 0.02
+"""Shortest time between two reports of progress on /diagnostics, beside those at regular times: more would cost a
+fast stage a part of its time, and fewer would keep whoever waits for a dwell waiting."""
+
 RECENT_S = 10.0
 """The level of the diagnostics tells what was lost in this time; the counts tell what was lost at all."""
 
@@ -77,9 +81,17 @@ class StageParameters(Settings):
         8, "dwells that may wait for their processing, beside the one in work", minimum=1, maximum=10_000
     )
     queue_policy: str = setting(
-        "newest",
+        "oldest",
         "which dwell is dropped when too many wait: the oldest of those that wait, or the newest, which has just come",
         choices=("oldest", "newest"),
+    )
+    latency_budget_s: float = setting(
+        0.0,
+        "longest time that a dwell may wait for its processing once it is complete; those that have waited longer are "
+        "left out; 0: as long as it takes",
+        unit="s",
+        minimum=0.0,
+        maximum=86400.0,
     )
     max_memory_mb: int = setting(
         2048,
@@ -168,10 +180,14 @@ class Stage(Role, Node):
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._jobs = JobQueue()
         self._lost_at = -math.inf
+        self._pace = Pace()
+        self._reported_at = -math.inf
+        self._has_news = False
         self._offered: list[Outlet] = []
         self._inlets: list[Inlet] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.every(DIAGNOSTICS_PERIOD_S, self.publish_diagnostics)
+        self.every(DIAGNOSTICS_PERIOD_S, self._measure_pace)
+        self.every(NEWS_PERIOD_S, self._publish_news)
         self._worker = threading.Thread(target=self._work, name=name, daemon=True)
         self._worker.start()
 
@@ -241,9 +257,12 @@ class Stage(Role, Node):
             size: bytes that the messages hold.
         """
         arrived = time.monotonic()
+        if messages:
+            self.tally.offer()
 
         def run() -> None:
             try:
+                self._check_budget(messages, time.monotonic() - arrived)
                 published = work()
             except Exception as error:  # noqa: BLE001 (no message may end the node)
                 if not (isinstance(error, UserError) or self.context.ok()):
@@ -251,7 +270,7 @@ class Stage(Role, Node):
                 self.reject(messages, self.unexpected(error))
             else:
                 self.tally.finish(messages, published, time.monotonic() - arrived)
-            self.publish_diagnostics()
+            self._report_progress()
 
         parameters = self.current_parameters()
         capacity, policy = parameters.max_queued_dwells, parameters.queue_policy
@@ -262,6 +281,20 @@ class Stage(Role, Node):
         for job in self._jobs.put(Job(run, messages, size), capacity, parameters.max_memory_bytes, policy):
             ended = Rejected("ended", "The node is ending; what comes now is left out.")
             self.reject(job.messages, ended if self._jobs.closed else Rejected("queue full", full))
+
+    def _check_budget(self, messages: int, waited_s: float) -> None:
+        """Leave a dwell out that has waited too long: those that came later are worth more to whoever looks on.
+
+        Raises:
+            Rejected: it has.
+        """
+        budget_s = self.current_parameters().latency_budget_s
+        if messages and 0 < budget_s < waited_s:
+            raise Rejected(
+                "overload",
+                f"Dwells come faster than they are processed: one that had waited {waited_s:.3g} s was left out, more "
+                f"than {budget_s:g} s (latency_budget_s).",
+            )
 
     @property
     def jobs(self) -> int:
@@ -298,13 +331,30 @@ class Stage(Role, Node):
         self.last_rejection = f"{what}: {error}"
         self.get_logger().warning(f"Ignored {what}: {error}", throttle_duration_sec=1.0)
 
+    def _report_progress(self) -> None:
+        """Publish the account, now or as soon as the last one is NEWS_PERIOD_S old (on the worker thread)."""
+        if time.monotonic() - self._reported_at < NEWS_PERIOD_S:
+            self._has_news = True
+        else:
+            self.publish_diagnostics()
+
+    def _publish_news(self) -> None:
+        if self._has_news:
+            self.publish_diagnostics()
+
+    def _measure_pace(self) -> None:
+        self._pace.sample(time.monotonic(), self.tally.offered, self.tally.finished)
+        self.publish_diagnostics()
+
     def publish_diagnostics(self) -> None:
         """Publish the stage's account on /diagnostics."""
+        self._reported_at, self._has_news = time.monotonic(), False
         summary = self.tally.summary()  # first: what is processed then has been published
         lost = sum(int(count) for name, count in summary.items() if name.startswith((DROPPED, IGNORED)))
         account = Account(
             summary
             | {JOBS: self.jobs}
+            | self._pace.rates()
             | {f"{PUBLISHED_ON}{outlet.topic}": outlet.published for outlet in self._offered if outlet.keeps_all}
             | {f"{SUBSCRIBERS}{outlet.topic}": outlet.subscribers for outlet in self._offered},
             self.last_drop,

@@ -216,6 +216,37 @@ def test_dwells_that_wait_for_processing_are_bounded_by_memory(graph: Graph) -> 
     gate.await_counts(**{"in": 12, "processed": 9, "out": 9, "dropped.queue full": 3})
 
 
+def test_whole_dwells_that_have_waited_longer_than_the_budget_are_left_out(graph: Graph) -> None:
+    gate = Gate(graph, latency_budget_s=0.2)
+    gate.describe(SENSOR)
+    gate.may_work.clear()
+    gate.hear(0, 0, 1, 2)
+    assert gate.at_work.wait(TIMEOUT_S)
+    gate.supply = "waits too long"
+    gate.hear(1, 0, 1, 2)
+    began = time.monotonic()
+    assert graph.spin_until(lambda: time.monotonic() - began > 0.2, TIMEOUT_S)
+    gate.supply = "has just come"
+    gate.hear(2, 0, 1, 2)
+    gate.may_work.set()
+    gate.await_counts(**{"in": 9, "processed": 6, "out": 6, "dropped.overload": 3})
+    assert [supplies for _, supplies in gate.processed] == ["supplied", "has just come"]
+    assert "more than 0.2 s (latency_budget_s)" in gate.last_drop
+
+
+def test_without_a_budget_dwells_wait_as_long_as_it_takes(graph: Graph) -> None:
+    gate = Gate(graph)
+    gate.describe(SENSOR)
+    gate.may_work.clear()
+    for dwell in range(2):
+        gate.hear(dwell, 0, 1, 2)
+        assert gate.at_work.wait(TIMEOUT_S)
+    began = time.monotonic()
+    assert graph.spin_until(lambda: time.monotonic() - began > 0.3, TIMEOUT_S)
+    gate.may_work.set()
+    gate.await_counts(**{"in": 6, "processed": 6, "out": 6})
+
+
 def test_an_incomplete_dwell_is_dropped_after_an_idle_wait(graph: Graph) -> None:
     gate = overdue_gate(graph)
     gate.hear(0, 0, 2)

@@ -7,7 +7,7 @@ from threading import Barrier, Event
 
 import pytest
 
-from sal_height.nodes.tally import Tally
+from sal_height.nodes.tally import Pace, Tally
 
 
 def test_counts_and_reasons() -> None:
@@ -82,3 +82,20 @@ def test_balance_holds_at_any_time_under_several_threads() -> None:
     total = threads * rounds
     assert (summary["in"], summary["processed"], summary["waiting"]) == (2 * total, total // 2, total // 2)
     assert (summary["dropped.reason 0"], summary["dropped.reason 1"]) == (total // 2, total // 2)
+
+
+def test_the_pace_is_that_of_the_last_samples() -> None:
+    pace = Pace()
+    assert pace.rates() == {}
+    for second in range(100):
+        pace.sample(second / 2, 40 * second, 20 * second if second < 90 else 1800 + 10 * (second - 90))
+    assert pace.rates() == {"offered_hz": 80.0, "achieved_hz": 20.0}
+
+
+def test_dwells_offered_and_finished_are_counted_beside_their_messages() -> None:
+    tally = Tally()
+    for _ in range(3):
+        tally.offer()
+    tally.finish(16, 1, 0.1)
+    tally.finish(0, 1, 0.1)  # a map that was published
+    assert (tally.offered, tally.finished) == (3, 1)

@@ -16,6 +16,7 @@ from sal_height.numeric.range_profiles import (
     OVERSAMPLING,
     TAPS,
     dense_profiles,
+    kernel_transform,
     spectra_of_profiles,
     tap_polynomials,
 )
@@ -50,6 +51,7 @@ __all__ = [
     "in_parallel",
     "in_threads",
     "inlined",
+    "kernel_transform",
     "noise_gain",
     "rows_at_once",
     "spectra_of_profiles",

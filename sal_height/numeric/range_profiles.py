@@ -80,11 +80,16 @@ def spectra_of_profiles(profiles: C64) -> C64:
     return np.ascontiguousarray((spectra * _deconvolution(count)[:, None].astype(np.float32)).transpose(2, 0, 1))
 
 
+def kernel_transform(frequency: F64) -> F64:
+    """Transform of the interpolator's kernel at `frequency` in cycles per dense sample, within -1/4 and 1/4."""
+    root = np.sqrt(_SHAPE**2 - (np.pi * TAPS * frequency) ** 2)
+    return np.asarray(TAPS * np.sinh(root) / root)
+
+
 def _deconvolution(count: int) -> F64:
     """Inverse of the kernel's transform at `count` frequencies, with the delay 0 in the middle of the profile.
 
     A sign that alternates in frequency is half a period in delay.
     """
     frequency = np.arange(count) - count // 2
-    root = np.sqrt(_SHAPE**2 - (np.pi * TAPS * frequency / (OVERSAMPLING * count)) ** 2)
-    return np.where(frequency % 2, -1, 1) * root / (TAPS * np.sinh(root))
+    return np.where(frequency % 2, -1, 1) / kernel_transform(frequency / (OVERSAMPLING * count))

@@ -1,9 +1,9 @@
 """A simulated flight: scene, platform and sensor become phase histories with known truth.
 
 Read `preset` first (the YAML that describes a run), then `flight` (everything a run is made of), `scene`, `canopy`,
-`scenes` and `dem` (the ground and what grows on it), `gust` (how the platform moves), `spotlight` and `stripmap`
-(echoes of all scatterers), `receivers` and `impairments` (what receivers do to them) and `truth` (what a height image
-should show).
+`scenes` and `dem` (the ground and what grows on it), `gust` (how the platform moves), `spotlight` and `stripmap` (what
+lights which scatterers), `pulse_groups` and `echoes` (the sum of their echoes), `beam_lattice` (beams in many
+directions), `receivers` and `impairments` (what receivers do to echoes) and `truth` (what a height image should show).
 """
 
 from sal_height.simulation.flight import SimulatedFlight, flight_of

@@ -1,30 +1,125 @@
-"""Loop of the stripmap simulator, compiled; a test compares it with its formula in NumPy."""
+"""Loops of the simulator, compiled; a test compares each with its formula in NumPy."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from sal_height.numeric import C64, F32, I32, compiled
+from sal_height.numeric import C64, F32, F64, I32, compiled, cosine_and_sine
+
+PER_TURN = 1 / (2 * np.pi)
 
 
 @compiled
-def spread_echoes(first: I32, weights: F32, echoes: C64, response: F32, profile: F32) -> None:
-    """Add the echoes of scatterers to the dense range profiles of all detectors.
+def place_echoes(
+    positions: F64,
+    ends: F64,
+    steps: F64,
+    scales: F64,
+    periods: F64,
+    strengths: C64,
+    echoes: C64,
+    turn: F32,
+    bins: I32,
+    fractions: F32,
+) -> None:
+    """Turn the echo of each scatterer by its range, and place it in range and in range rate.
 
     Args:
-        first: row of each scatterer's first tap, shape (scatterers,).
-        weights: of its taps, shape (taps, scatterers).
-        echoes: amplitude and phase of its echo.
-        response: of each detector to it, shape (scatterers, detectors).
-        profile: to add to; real parts of all detectors, then imaginary parts, shape (rows, 2 * detectors).
+        positions: m, shape (3, scatterers).
+        ends: two positions of the antenna, m, and the range there that is taken off, m: shape (2, 4).
+        steps: the pulses at which it is there; alike: range rates are 0.
+        scales: phase in turns per m; bins of range per m; bins of range rate per m and pulse.
+        periods: numbers of bins, in range and in range rate; range 0 is in the middle, range rate 0 is bin 0.
+        strengths: amplitude of the scatterers.
+        echoes: result, with the phase of the range at step 0, shape (scatterers,).
+        turn: result, phase by which its echo grows from pulse to pulse, turns, shape (scatterers,).
+        bins: result, the bin before each place, shape (2, scatterers).
+        fractions: result, how far each place is past it, shape (2, scatterers).
     """
-    detectors = response.shape[1]
-    value = np.empty(2 * detectors, np.float32)
-    for i in range(first.size):
-        for k in range(detectors):
-            value[k] = response[i, k] * echoes[i].real
-            value[detectors + k] = response[i, k] * echoes[i].imag
-        for j in range(weights.shape[0]):
-            row, weight = profile[first[i] + j], weights[j, i]
-            for k in range(2 * detectors):
-                row[k] += weight * value[k]
+    per_step = 0.0 if steps[1] == steps[0] else 1 / (steps[1] - steps[0])
+    east, north, up = positions[0], positions[1], positions[2]
+    range_bin, rate_bin, range_fraction, rate_fraction = bins[0], bins[1], fractions[0], fractions[1]
+    x, y, z, taken = ends[0, 0], ends[0, 1], ends[0, 2], ends[0, 3]
+    later_x, later_y, later_z, later_taken = ends[1, 0], ends[1, 1], ends[1, 2], ends[1, 3]
+    for i in range(east.size):
+        first = np.sqrt((east[i] - x) ** 2 + (north[i] - y) ** 2 + (up[i] - z) ** 2) - taken
+        last = np.sqrt((east[i] - later_x) ** 2 + (north[i] - later_y) ** 2 + (up[i] - later_z) ** 2) - later_taken
+        rate = (last - first) * per_step
+        delay = first - rate * steps[0]
+        cosine, sine = cosine_and_sine(-scales[0] * delay)
+        echoes[i] = strengths[i] * np.complex64(complex(cosine, sine))
+        place = delay * scales[1] / periods[0] + 0.5
+        place = (place - np.floor(place)) * periods[0]
+        range_bin[i] = np.int32(place)
+        range_fraction[i] = np.float32(place - np.floor(place))
+        place = rate * scales[2] / periods[1]
+        turn[i] = np.float32(place)
+        place = (place - np.floor(place)) * periods[1]
+        rate_bin[i] = np.int32(place)
+        rate_fraction[i] = np.float32(place - np.floor(place))
+
+
+@compiled
+def spread_echoes(bins: I32, weights: F32, rate_weights: F32, echoes: C64, response: F32, grid: F32) -> None:
+    """Add the echoes of scatterers, in all columns, to bins of range rate and of range.
+
+    Args:
+        bins: first bin of range and of range rate of each scatterer, shape (2, scatterers).
+        weights: of the bins of range from there on, shape (taps, scatterers).
+        rate_weights: of the bins of range rate, shape (rate taps, scatterers).
+        echoes: amplitude and phase.
+        response: of each column to the scatterer, shape (scatterers, columns).
+        grid: to add to, shape (rate bins, range bins * columns * 2): real and imaginary part of each column in turn.
+    """
+    taps, columns = weights.shape[0], response.shape[1]
+    width = 2 * columns
+    value = np.empty(width, np.float32)
+    block = np.empty(taps * width, np.float32)
+    for i in range(echoes.size):
+        real, imaginary, responses = echoes[i].real, echoes[i].imag, response[i]
+        for k in range(columns):
+            value[2 * k] = responses[k] * real
+            value[2 * k + 1] = responses[k] * imaginary
+        start = bins[0, i] * width
+        if rate_weights.shape[0] == 1:
+            for j in range(taps):
+                row, weight = grid[0, start + j * width : start + (j + 1) * width], weights[j, i]
+                for k in range(row.size):
+                    row[k] += weight * value[k]
+            continue
+        for j in range(taps):
+            weight, first = weights[j, i], j * width
+            for k in range(width):
+                block[first + k] = weight * value[k]
+        for j in range(rate_weights.shape[0]):
+            row, weight = grid[bins[1, i] + j, start : start + taps * width], rate_weights[j, i]
+            for k in range(row.size):
+                row[k] += weight * block[k]
+
+
+@compiled
+def read_lattice(table: F32, bins: I32, weights: F32, result: F32) -> None:
+    """Sum 4 x 4 nodes of a table around each place, by their weights.
+
+    Args:
+        table: shape (rows, cols * columns): the columns of each node side by side.
+        bins: row and col of each place's first node, shape (2, places).
+        weights: of 4 rows and then of 4 cols, shape (8, places).
+        result: shape (places, columns).
+    """
+    columns = result.shape[1]
+    mixed = np.empty(4 * columns, np.float32)
+    for i in range(result.shape[0]):
+        start = bins[1, i] * columns
+        a = table[bins[0, i], start : start + 4 * columns]
+        b = table[bins[0, i] + 1, start : start + 4 * columns]
+        c = table[bins[0, i] + 2, start : start + 4 * columns]
+        d = table[bins[0, i] + 3, start : start + 4 * columns]
+        p, q, r, s = weights[0, i], weights[1, i], weights[2, i], weights[3, i]
+        for k in range(mixed.size):
+            mixed[k] = p * a[k] + q * b[k] + r * c[k] + s * d[k]
+        p, q, r, s = weights[4, i], weights[5, i], weights[6, i], weights[7, i]
+        for k in range(columns):
+            result[i, k] = (
+                p * mixed[k] + q * mixed[columns + k] + r * mixed[2 * columns + k] + s * mixed[3 * columns + k]
+            )

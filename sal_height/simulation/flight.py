@@ -234,7 +234,8 @@ class SimulatedFlight:
             power = cell_power(self._cnr, self.spectrum, self.sensor.pulse_count)
             amplitudes = draw_amplitudes(surface, power, rng)
             echoes = simulate_dwell(sensor, surface, amplitudes, antenna, reference, since, pointing)
-            echoes = echoes * np.exp(1j * impairments.dwell_phase(len(times)))[:, None]
+            if impairments.quartic_phase_rad:
+                echoes *= np.exp(1j * impairments.dwell_phase(len(times)))[:, None]
         clean = through_receivers(echoes, self.sensor, impairments)
         samples = received(from_spectrum(clean, self.sensor), self.sensor, rng)
         samples = blanked(samples, self.sensor, self.preset.flight.slant_range_m)

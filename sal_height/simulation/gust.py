@@ -78,6 +78,8 @@ class GustMotion:
 
     def _sum(self, seconds: npt.ArrayLike, power: int, lead: float) -> F64:
         """Sum of harmonics whose amplitudes are multiplied by a power of omega, `lead` rad ahead of the velocity's."""
+        if not np.any(self.amplitude):  # calm air: the sum takes a millisecond for the pulses of a dwell
+            return np.zeros((*np.shape(seconds), 3))
         turn = np.asarray(seconds, dtype=np.float64)[..., None] * self.omega
         wave = np.cos(turn[..., None] + self.phase + lead)
         return np.einsum("...ha,ha->...a", wave, self.amplitude * self.omega[:, None] ** float(power))

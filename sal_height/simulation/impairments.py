@@ -210,7 +210,7 @@ def through_receivers(clean: Complex, sensor: Sensor, impairments: Impairments) 
     """Echoes from which receivers as described would deliver the samples of the impaired ones.
 
     With receivers R behind the channel matrix M in the antenna that is M^-1 (R M s + spur), without it R s + spur. The
-    difference from s is added, so that echoes keep every bit where nothing is impaired.
+    difference from s is added, if there is one.
 
     Args:
         clean: s, noise-free samples of `echo_sensor(sensor)`, shape (detectors, pulses, frequencies); not changed.
@@ -218,11 +218,14 @@ def through_receivers(clean: Complex, sensor: Sensor, impairments: Impairments) 
         impairments: of its receivers.
 
     Returns:
-        complex128, of the shape of `clean`.
+        Samples of the shape of `clean`, which is returned itself where nothing is impaired.
     """
+    response = impairments.receiver_response(sensor)
+    if np.all(response == 1) and not impairments.nyquist_spur_over_noise:
+        return clean
     matrix = sensor.mixing if sensor.matrix_in_antenna else np.eye(sensor.detector_count)
     arriving = np.tensordot(matrix, clean, axes=1)
-    change = (impairments.receiver_response(sensor) - 1)[:, None] * arriving
+    change = (response - 1)[:, None] * arriving
     change[..., 0] += (impairments.nyquist_spur_over_noise * np.sqrt(sensor.noise_power))[:, None]
     return clean + np.tensordot(np.linalg.inv(matrix), change, axes=1)
 

@@ -13,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, angles_of, aperture_at, sphere_coordinates, sphere_point
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, Bool, Index
 from sal_height.simulation.canopy import CANOPY_LAYERS, Canopy
 
 
@@ -172,7 +172,12 @@ class VisibleSurface:
         """The surface with its positions at a time (s) after these; how it was seen stays."""
         return replace(self, positions=self.positions + seconds * self.velocity)
 
-    def where(self, chosen: Bool) -> Self:
+    def at_rest_and_moving(self) -> list[Index]:
+        """Numbers of the scatterers at rest and of those that move, where there are any."""
+        moves = np.any(self.velocity, axis=-1) if np.any(self.velocity) else np.zeros(len(self.power), dtype=bool)
+        return [numbers for numbers in (np.flatnonzero(~moves), np.flatnonzero(moves)) if numbers.size]
+
+    def where(self, chosen: Bool | Index) -> Self:
         """Some of the scatterers."""
         return type(self)(*(getattr(self, entry.name)[chosen] for entry in fields(self)))
 

@@ -1,22 +1,72 @@
-"""The compiled loop of the stripmap simulator against its formula in NumPy."""
+"""The compiled loops of the simulator against their formulas in NumPy."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from helpers import circular
 
-from sal_height.simulation._kernels import spread_echoes
+from sal_height.simulation._kernels import place_echoes, read_lattice, spread_echoes
 
 
-def test_echoes_are_spread_over_their_taps() -> None:
-    """profile[first + tap, detector] += weight[tap] response[detector] echo, for every scatterer."""
-    rng, rows, taps, detectors, count = np.random.default_rng(110), 50, 6, 3, 40
-    first = rng.integers(0, rows - taps, count).astype(np.int32)
+@pytest.mark.parametrize("rate_taps", [1, 6])
+def test_echoes_are_spread_over_their_taps(rate_taps: int) -> None:
+    """grid[rate + i, range + j, column] += rate weight[i] weight[j] response[column] echo, for every scatterer."""
+    rng, rows, ranges, taps, columns, count = np.random.default_rng(110), 12, 50, 6, 3, 40
+    bins = np.stack([rng.integers(0, ranges - taps, count), rng.integers(0, rows - 6, count)]).astype(np.int32)
+    if rate_taps == 1:
+        rows, bins[1] = 1, 0
     weights = rng.uniform(0, 1, (taps, count)).astype(np.float32)
+    rate_weights = rng.uniform(0, 1, (rate_taps, count)).astype(np.float32)
+    if rate_taps == 1:
+        rate_weights[:] = 1
     echoes = circular(rng, (count,)).astype(np.complex64)
-    response = rng.uniform(-1, 1, (count, detectors)).astype(np.float32)
-    profile = np.zeros((rows, 2 * detectors), np.float32)
-    spread_echoes(first, weights, echoes, response, profile)
-    expected = np.zeros((rows, detectors), complex)
-    np.add.at(expected, first + np.arange(taps)[:, None], weights[..., None] * (response * echoes[:, None]))
-    np.testing.assert_allclose(profile[:, :detectors] + 1j * profile[:, detectors:], expected, atol=1e-5)
+    response = rng.uniform(-1, 1, (count, columns)).astype(np.float32)
+    grid = np.zeros((rows, ranges * columns * 2), np.float32)
+    spread_echoes(bins, weights, rate_weights, echoes, response, grid)
+    expected = np.zeros((rows, ranges, columns), complex)
+    for i in range(rate_taps):
+        for j in range(taps):
+            values = (rate_weights[i] * weights[j] * echoes)[:, None] * response
+            np.add.at(expected, (bins[1] + i, bins[0] + j), values)
+    np.testing.assert_allclose(grid.view(np.complex64).reshape(expected.shape), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("steps", [(-3.0, 5.0), (0.0, 0.0)], ids=["line", "one pulse"])
+def test_echoes_are_placed_by_range_and_range_rate(steps: tuple[float, float]) -> None:
+    rng, count = np.random.default_rng(111), 60
+    positions = np.array([[0.0], [3000.0], [-3000.0]]) + rng.uniform(-2, 2, (3, count))
+    ends = np.array([[0.1, 0, 0, 4242.6], [0.4, 0.01, 0, 4242.64]])
+    if steps[0] == steps[1]:
+        ends[1] = ends[0]
+    scales, periods = np.array([1e5, 20.0, 3e4]), np.array([64.0, 24.0])
+    strengths = circular(rng, (count,)).astype(np.complex64)
+    echoes, turn = np.empty(count, np.complex64), np.empty(count, np.float32)
+    bins, fractions = np.empty((2, count), np.int32), np.empty((2, count), np.float32)
+    place_echoes(positions, ends, np.array(steps), scales, periods, strengths, echoes, turn, bins, fractions)
+    first, last = (np.linalg.norm(positions.T - end[:3], axis=-1) - end[3] for end in ends)
+    rate = (last - first) / (steps[1] - steps[0]) if steps[1] > steps[0] else np.zeros(count)
+    delay = first - steps[0] * rate
+    np.testing.assert_allclose(echoes, strengths * np.exp(-2j * np.pi * scales[0] * delay), atol=5e-6)
+    np.testing.assert_allclose(turn, scales[2] * rate / periods[1], rtol=1e-6, atol=1e-12)
+    places = np.mod([delay * scales[1] + 32, rate * scales[2]], periods[:, None])
+    off = np.mod(bins + fractions - places + periods[:, None] / 2, periods[:, None]) - periods[:, None] / 2
+    assert np.abs(off).max() < 2e-6
+    assert fractions.min() >= 0
+    assert fractions.max() <= 1
+    assert np.all((bins >= 0) & (bins < periods[:, None]))
+    assert np.unique(bins[0]).size > 20
+
+
+def test_lattice_is_read_as_a_weighted_sum_of_nodes() -> None:
+    rng, columns, count = np.random.default_rng(112), 5, 30
+    table = rng.uniform(-1, 1, (9, 11, columns)).astype(np.float32)
+    bins = np.stack([rng.integers(0, 6, count), rng.integers(0, 8, count)]).astype(np.int32)
+    weights = rng.uniform(-1, 1, (8, count)).astype(np.float32)
+    result = np.empty((count, columns), np.float32)
+    read_lattice(table.reshape(9, -1), bins, weights, result)
+    expected = [
+        np.einsum("rck,r,c->k", table[row : row + 4, col : col + 4], weights[:4, i], weights[4:, i])
+        for i, (row, col) in enumerate(bins.T)
+    ]
+    np.testing.assert_allclose(result, expected, atol=1e-5)

@@ -93,7 +93,7 @@ def profile(samples: np.ndarray) -> np.ndarray:
 def test_presets_without_impairments_have_the_samples_recorded_in_the_reference_bag(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As they were before there were any, with ground one beamwidth to each side; processors may round differently."""
+    """As they were before there were any, with ground one beamwidth to each side, to -80 dB of the greatest."""
     monkeypatch.setattr("sal_height.simulation.flight.lit_angle", lambda beams: beams.track_beamwidth)
     reader = BagReader(REFERENCE)
     frames = [reader.decode(m.type_name, m.cdr) for m in reader.messages(["/phase_history"])]
@@ -102,7 +102,7 @@ def test_presets_without_impairments_have_the_samples_recorded_in_the_reference_
         recorded = messages.history_from_messages([frame for frame in frames if frame.dwell == dwell]).samples
         made = flight.phase_history(dwell).samples
         assert np.abs(recorded).max() > 4
-        np.testing.assert_allclose(made, recorded, rtol=0, atol=3e-6 * np.abs(recorded).max())
+        np.testing.assert_allclose(made, recorded, rtol=0, atol=1e-4 * np.abs(recorded).max())
 
 
 @pytest.mark.parametrize("name", ["small", "xband_sumdiff"])

@@ -1,0 +1,122 @@
+"""Echoes of all scatterers in a group of pulses: one non-uniform FFT over range frequency and pulse.
+
+Within a group the range of a scatterer is rho + v q in the pulse q, beside what is common to all and the curvature,
+which depends on range (`pulse_groups`). The sum over scatterers of exp(-j k (rho + v q)), k = k_c + dk f, is the
+adjoint of reading an image at the places (rho, v): each echo is spread with the interpolator's kernel over bins of
+range and range rate, and the transforms of the bins are divided by that of the kernel (type-1 non-uniform FFT). In the
+product dk f v q, range migration, the pulse q counts as q (1 + f dk / k_c): the sum there is that at q, and its
+derivative times the difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.fft
+
+from sal_height.numeric import (
+    C64,
+    F32,
+    F64,
+    OVERSAMPLING,
+    TAPS,
+    Complex,
+    kernel_transform,
+    spectra_of_profiles,
+    tap_polynomials,
+    tap_weights,
+    unit_phasors,
+)
+from sal_height.sensor import Sensor
+from sal_height.simulation._kernels import place_echoes, spread_echoes
+from sal_height.simulation.pulse_groups import PulseGroup
+
+Response = Callable[[int], Complex | F32]
+"""Response of all detectors to the scatterers in a pulse of the dwell, by its number: shape (scatterers, detectors)."""
+
+
+def sum_of_echoes(
+    sensor: Sensor, positions: F64, strengths: C64, response: Response, group: PulseGroup, reference_range: F64
+) -> C64:
+    """Noise-free phase history of every detector in the pulses of a group.
+
+    Phases are reduced to a turn in float64; what follows is float32, which has as many digits as the samples need.
+
+    Args:
+        sensor: wavelength and frequencies.
+        positions: of the scatterers, at rest, m, shape (3, scatterers).
+        strengths: their complex amplitudes, shape (scatterers,).
+        response: of the detectors, asked for in the pulses of the group's nodes.
+        group: of pulses.
+        reference_range: m, shape (pulses of the group,).
+
+    Returns:
+        Shape (detectors, pulses, frequencies).
+    """
+    grids = _grids(sensor, positions, strengths, response, group)
+    samples = [spectra_of_profiles(_profiles(grid, group, sensor)) for grid in grids]
+    frequency = np.arange(sensor.sample_count) - sensor.sample_count // 2
+    if group.migrates:
+        stretch = frequency * (sensor.wavenumber_step / sensor.centre_wavenumber)
+        samples[0] += samples[1] * (group.steps[:, None] * stretch).astype(np.float32)
+    wavenumber = sensor.centre_wavenumber + sensor.wavenumber_step * frequency
+    factor = unit_phasors(-(group.common - reference_range)[:, None] * wavenumber)
+    if group.count > 1:
+        factor /= kernel_transform(group.steps / _rate_bins(group)).astype(np.float32)[:, None]
+    return np.asarray(samples[0] * factor)
+
+
+def _rate_bins(group: PulseGroup) -> int:
+    return int(scipy.fft.next_fast_len(OVERSAMPLING * group.count)) if group.count > 1 else 1
+
+
+def _grids(sensor: Sensor, positions: F64, strengths: C64, response: Response, group: PulseGroup) -> list[C64]:
+    """Echoes over bins of range rate, and of range, node and detector; also their derivative over the pulse."""
+    dense, rates, count = OVERSAMPLING * sensor.sample_count, _rate_bins(group), len(strengths)
+    turns = sensor.centre_wavenumber / (2 * np.pi)
+    ends = np.array([[*group.antenna[end], group.common[end]] for end in group.ends])
+    scales = np.array([turns, dense / sensor.range_window, turns * rates])
+    echoes, turn = np.empty(count, dtype=np.complex64), np.empty(count, dtype=np.float32)
+    bins, fractions = np.empty((2, count), dtype=np.int32), np.empty((2, count), dtype=np.float32)
+    periods = np.array([dense, rates], dtype=np.float64)
+    place_echoes(
+        positions, ends, group.steps[list(group.ends)], scales, periods, strengths, echoes, turn, bins, fractions
+    )
+    bins += 1
+    taps = tap_polynomials()
+    weights, rate_weights = (tap_weights(fraction, taps) for fraction in fractions)
+    if group.count == 1:
+        bins[1], rate_weights = 0, np.ones((1, count), dtype=np.float32)
+    beside = np.concatenate([response(group.pulses.start + int(node)) for node in group.nodes], axis=1)
+    grids = []
+    for values in (echoes, -2j * np.pi * turn * echoes)[: 1 + group.migrates]:
+        rows = rates + TAPS if group.count > 1 else 1
+        grid = np.zeros((rows, (dense + TAPS) * beside.shape[1] * 2), dtype=np.float32)
+        spread_echoes(bins, weights, rate_weights, values, np.ascontiguousarray(beside.real), grid)
+        if np.iscomplexobj(beside):
+            spread_echoes(bins, weights, rate_weights, 1j * values, np.ascontiguousarray(beside.imag), grid)
+        grids.append(grid.view(np.complex64))
+    return grids
+
+
+def _profiles(grid: C64, group: PulseGroup, sensor: Sensor) -> C64:
+    """Dense range profiles of the pulses, shape (pulses, range bins, detectors).
+
+    From bins of range rate to pulses, with the beams between their nodes and the curvature of the ranges.
+    """
+    dense = OVERSAMPLING * sensor.sample_count
+    if group.count == 1:
+        return grid.reshape(1, dense + TAPS, -1)
+    half, rates = TAPS // 2, _rate_bins(group)
+    period = grid[half:-half]
+    period[-half:] += grid[:half]
+    period[:half] += grid[-half:]
+    pulses = scipy.fft.fft(period, axis=0)[group.steps.astype(np.intp) % rates]
+    pulses = pulses.reshape(group.count, dense + TAPS, len(group.nodes), -1)
+    if len(group.nodes) > 1:
+        mixed = np.einsum("kp,pmkd->pmd", group.interpolation.astype(np.float32), pulses)
+    else:
+        mixed = pulses[:, :, 0]
+    ranges = np.asarray(np.arange(dense + TAPS) - half - dense // 2, np.float64) * (sensor.range_window / dense)
+    return np.asarray(mixed * unit_phasors(-sensor.centre_wavenumber * group.curvature(ranges).T)[:, :, None])

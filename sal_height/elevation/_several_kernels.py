@@ -226,6 +226,39 @@ def newton_step(matrix: Numbers, place: F64, pieces: Numbers, step: F64) -> floa
 
 
 @compiled
+def weigh_together(
+    matrices: Numbers, positions: F64, pieces: Numbers, found: tuple[F64, Numbers, Numbers, Numbers, Numbers]
+) -> None:
+    """Products of unit responses U, their slopes and R for scatterers at known positions, (pixels, S).
+
+    To fill: the power that they explain, (pixels,); U^H U; U^H R U; the sums of products of the fitted amplitudes; and
+    those of the slopes' parts perpendicular to U, per step of the table squared, all (pixels, S, S).
+    """
+    explained, grams, seen, fitted, turning = found
+    count, size, kind = positions.shape[1], matrices.shape[1], matrices.dtype
+    units, slopes, basis = np.empty((count, size), kind), np.empty((count, size), kind), np.empty((count, size), kind)
+    rows, factor, output = np.empty((count, size), kind), np.zeros((count, count), kind), np.empty(size, kind)
+    for i in range(len(matrices)):
+        for s in range(count):
+            unit_at(positions[i, s], pieces, units[s], slopes[s])
+        orthonormalise(units, basis, factor)
+        rows[:] = 0
+        fitted[i] = 0
+        explained[i] = fit_amplitudes(matrices[i], basis, factor, rows, fitted[i])
+        for r in range(count):
+            multiply(matrices[i], units[r], output)
+            for s in range(count):
+                grams[i, s, r] = inner(units[s], units[r])
+                seen[i, s, r] = inner(units[s], output)
+        for s in range(count):
+            for r in range(count):
+                slopes[s] -= inner(basis[r], slopes[s]) * basis[r]
+        for s in range(count):
+            for r in range(count):
+                turning[i, s, r] = inner(slopes[s], slopes[r])
+
+
+@compiled
 def fit_amplitudes(matrix: Numbers, basis: Numbers, factor: Numbers, fitted: Numbers, amplitudes: Numbers) -> float:
     """Rows of A^+ R, conjugated, and A^+ R A^+H, both into zeros, for A = `basis` @ `factor`; returns tr(Q^H R Q)."""
     count, size = basis.shape

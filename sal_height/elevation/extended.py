@@ -17,6 +17,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from sal_height.elevation._extended_kernels import RIDGE, climb_surfaces
 from sal_height.elevation.beam_error import beam_deviation
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.search import PeakSearch
@@ -24,11 +25,8 @@ from sal_height.elevation.several import adjoint
 from sal_height.numeric import F32, F64, Bool, Index
 
 LEAST_SPREAD, GREATEST_SPREAD = 0.05, 1.0  # standard deviation of a surface's elevation, beamwidths
-NODES = 9  # of the quadrature over the elevations (Gauss and Legendre), as many as the greatest spread needs
-SCORING_STEPS = 12  # few pixels need more than five; those of high CNR do
-GREATEST_STEP = np.array([0.5, 0.5, 1.0])  # of t over s, ln s and ln p
-RIDGE = 1e-3  # added to the information of a look on each parameter, so that it can be inverted
-SMALL_RISE = 0.1  # of the likelihood, which the next step is not worth
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(9)  # of the elevations, as many nodes as the greatest spread needs
+PLACES, SHARES = np.sqrt(3) * NODES, WEIGHTS / 2  # elevations of the nodes in spreads, and their shares of the power
 FAINT = 0.1  # share of the greatest power over elevation below which it is not the surface's
 WIDE = 0.25  # beamwidths; spreads from which on the middle of the power is a better start than its peak
 NOISE_LIKE = 0.1  # mean power in a direction, in noise powers, below which the surface has none there
@@ -47,42 +45,26 @@ class Surfaces(NamedTuple):
     spread: F64
     cnr: F64
 
-    def moved(self, move: F64, search: PeakSearch, beamwidth: float) -> Surfaces:
-        """The surfaces after steps of t over s, ln s and ln p, shape (pixels, 3)."""
-        step = np.clip(move, -GREATEST_STEP, GREATEST_STEP)
-        there = Surfaces(
-            self.elevation + step[:, 0] * self.spread, self.spread * np.exp(step[:, 1]), self.cnr * np.exp(step[:, 2])
-        )
-        return there.within_bounds(search, beamwidth)
-
     def within_bounds(self, search: PeakSearch, beamwidth: float) -> Surfaces:
         """The surfaces as the model allows them: of some spread, and with a good part where the search is."""
         spread = np.clip(self.spread, LEAST_SPREAD * beamwidth, GREATEST_SPREAD * beamwidth)
         return Surfaces(np.clip(self.elevation, search.first - spread, search.last + spread), spread, self.cnr.copy())
 
-    def at(self, index: Index | Bool) -> Surfaces:
+    def at(self, index: Index | Bool | slice) -> Surfaces:
         """Some of the surfaces."""
         return Surfaces(*(part[index] for part in self))
-
-    def put(self, index: Index | Bool, other: Surfaces) -> None:
-        """Replace some of the surfaces."""
-        for part, new in zip(self, other, strict=True):
-            part[index] = new
 
     def where(self, there: Bool, other: Surfaces) -> Surfaces:
         """These surfaces `there`, and the others elsewhere."""
         return Surfaces(*(np.where(there, mine, theirs) for mine, theirs in zip(self, other, strict=True)))
 
-    def responses(self, search: PeakSearch) -> tuple[Numbers, Numbers, Numbers]:
-        """B with C = B B^H + I, and its derivatives over t / s and ln s; shape (pixels, channels, NODES)."""
-        nodes, weights = np.polynomial.legendre.leggauss(NODES)
-        place = np.sqrt(3) * nodes
-        elevation = self.elevation[:, None] + self.spread[:, None] * place
-        units, slopes, array_power = search.responses_at(elevation)
+    def responses(self, search: PeakSearch) -> Numbers:
+        """B with C = B B^H + I, shape (pixels, channels, nodes)."""
+        elevation = self.elevation[:, None] + self.spread[:, None] * PLACES
+        units, _, array_power = search.responses_at(elevation)
         inside = (elevation >= search.first) & (elevation <= search.last)
-        amplitude = np.sqrt(inside * weights / 2 * array_power * self.cnr[:, None])[..., None]
-        turns = np.swapaxes(slopes * amplitude, 1, 2) * self.spread[:, None, None]
-        return np.swapaxes(units * amplitude, 1, 2), turns, turns * place
+        amplitude = np.sqrt(inside * SHARES * array_power * self.cnr[:, None])[..., None]
+        return np.swapaxes(units * amplitude, 1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,16 +76,12 @@ class ExtendedSurfaces:
         sigma: standard deviation of their elevation, rad, (pixels,).
         log_likelihood: against noise alone, (pixels,).
         information: on t / s, ln s and ln p, (pixels, 3, 3).
-        explained: power in the directions in which the surface has some, sum over looks, noise powers, (pixels,).
-        directions: number of these, (pixels,).
     """
 
     found: Surfaces
     sigma: F64
     log_likelihood: F64
     information: F64
-    explained: F64
-    directions: F64
 
     @classmethod
     def fit(
@@ -119,24 +97,27 @@ class ExtendedSurfaces:
             least: log-likelihood of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
             beamwidth: rad.
         """
-        found, place = start.within_bounds(search, beamwidth), start.within_bounds(search, beamwidth)
-        highest, information = np.full(len(looks), -np.inf), np.tile(np.eye(3), (len(looks), 1, 1))
-        climbing = np.arange(len(looks))
-        for _ in range(SCORING_STEPS):
-            here = place.at(climbing)
-            likelihood, gradient, known = log_likelihood(search, covariance[climbing], looks[climbing], here)
-            better = likelihood > highest[climbing]
-            best = climbing[better]
-            found.put(best, here.at(better))
-            highest[best], information[best] = likelihood[better], known[better]
-            damped = known + RIDGE * looks[climbing, None, None] * np.eye(3)
-            move = np.asarray(np.linalg.solve(damped, gradient[..., None])[..., 0], np.float64)
-            place.put(climbing, here.moved(move, search, beamwidth))
-            rise = np.sum(gradient * move, axis=1)
-            climbing = climbing[(rise > SMALL_RISE) & (likelihood + 20 * rise > least[climbing])]
+        within = start.within_bounds(search, beamwidth)
+        values = np.stack([(within.elevation - search.first) / search.step, within.spread / search.step, within.cnr])
+        likelihood, information = np.empty(len(looks)), np.empty((len(looks), 3, 3))
+        table = search.unit_pieces, search.power, PLACES, SHARES
+        spreads = LEAST_SPREAD * beamwidth / search.step, GREATEST_SPREAD * beamwidth / search.step
+        climb_surfaces(covariance, looks, least, table, spreads, values, (likelihood, information))
+        found = Surfaces(search.first + search.step * values[0], search.step * values[1], values[2])
         variance = np.linalg.inv(information + RIDGE * looks[:, None, None] * np.eye(3))[:, 0, 0]
         sigma = np.sqrt(variance * looks / free_looks(looks)) * found.spread
-        return cls(found, sigma, highest, information, *_explained(search, covariance, found))
+        return cls(found, sigma, likelihood, information)
+
+    def at(self, index: Index | Bool) -> Self:
+        """Some of the surfaces."""
+        return type(self)(self.found.at(index), self.sigma[index], self.log_likelihood[index], self.information[index])
+
+    @classmethod
+    def together(cls, parts: list[Self]) -> Self:
+        """Those of several searches, one after the other."""
+        found = Surfaces(*(np.concatenate(numbers) for numbers in zip(*(part.found for part in parts), strict=True)))
+        others = ("sigma", "log_likelihood", "information")
+        return cls(found, *(np.concatenate([getattr(part, name) for part in parts]) for name in others))
 
     def with_uncertain_beams(self, uncertainty: float, turning: F64) -> Self:
         """The surfaces with the sigma that `beam_deviation` adds; D in 1/rad^2, (pixels,)."""
@@ -170,29 +151,16 @@ def _moments(nodes: F64, power: F64) -> tuple[F64, F64]:
     return mean, np.sum(weight * (nodes - mean[:, None]) ** 2, axis=1)
 
 
-def log_likelihood(search: PeakSearch, covariance: Numbers, looks: F64, surfaces: Surfaces) -> tuple[F64, F64, F64]:
-    """Log-likelihood, its gradient over t / s, ln s and ln p, and the information on these."""
-    responses, over_place, over_spread = surfaces.responses(search)
-    identity, across = np.eye(covariance.shape[-1]), adjoint(responses)
-    model = responses @ across + identity
-    slopes = [part @ across for part in (over_place, over_spread, responses / 2)]
-    inverse = np.linalg.inv(model)
-    whitened = inverse[:, None] @ np.stack([slope + adjoint(slope) for slope in slopes], axis=1)
-    seen = inverse @ covariance
-    gradient = np.einsum("pimn,pnm->pi", whitened, seen - looks[:, None, None] * identity).real
-    flat, turned = (part.reshape(len(looks), 3, identity.size) for part in (whitened, np.swapaxes(whitened, 2, 3)))
-    information = looks[:, None, None] * (flat @ np.swapaxes(turned, 1, 2)).real
-    explained = np.trace(covariance - seen, axis1=1, axis2=2).real
-    return explained - looks * np.linalg.slogdet(model)[1], gradient, information
+def explained_by(search: PeakSearch, covariance: Numbers, surfaces: Surfaces) -> tuple[F64, F64]:
+    """Power of the pixels in the directions in which surfaces are not NOISE_LIKE, and the number of these, (pixels,).
 
-
-def _explained(search: PeakSearch, covariance: Numbers, surfaces: Surfaces) -> tuple[F64, F64]:
-    """Power of the pixels in the directions in which surfaces are not NOISE_LIKE, and the number of these."""
-    responses = surfaces.responses(search)[0]
+    It is the sum over looks, in noise powers. Arguments as of `ExtendedSurfaces.fit`.
+    """
+    responses = surfaces.responses(search)
     strength, turn = np.linalg.eigh(adjoint(responses) @ responses)
     seen = np.einsum("pmi,pmi->pi", (responses @ turn).conj(), covariance @ (responses @ turn)).real
     counted = strength > NOISE_LIKE
-    counted[:, : max(NODES - covariance.shape[-1] + 1, 0)] = False
+    counted[:, : max(len(NODES) - covariance.shape[-1] + 1, 0)] = False
     return np.sum(seen * counted / np.maximum(strength, NOISE_LIKE), axis=1), counted.sum(axis=1).astype(np.float64)
 
 

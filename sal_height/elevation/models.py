@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -10,7 +12,7 @@ import numpy as np
 from sal_height.beams import Beams
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.estimate import ORDERS
-from sal_height.elevation.extended import ExtendedSurfaces, Surfaces, first_surfaces
+from sal_height.elevation.extended import ExtendedSurfaces, Surfaces, explained_by, first_surfaces
 from sal_height.elevation.likelihood import OBJECTIVES, search_guard
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.order import (
@@ -22,10 +24,10 @@ from sal_height.elevation.order import (
     log_evidence_of_one,
     log_evidence_of_several,
 )
-from sal_height.elevation.search import PeakSearches
+from sal_height.elevation.search import PeakSearch, PeakSearches
 from sal_height.elevation.several import SeveralScatterers, power_of, search_several
 from sal_height.elevation.single import SingleScatterers
-from sal_height.numeric import F64, Index, in_parallel
+from sal_height.numeric import F32, F64, Index, in_parallel
 
 PIXELS_AT_ONCE = 512  # pixels whose models are fitted at a time
 IMPROBABLE = 10.0  # logarithm of how many times less probable a model is that need not be fitted
@@ -84,12 +86,17 @@ class Models:
         self.sigma[here] = np.hypot(several.sigma, several.deviation_by_beams(uncertainty))
         self.spread[here], self.explained[count, part], self.evidence[count, part] = 0.0, several.explained, evidence
 
-    def put_extended(self, surfaces: ExtendedSurfaces, raised: F64, evidence: F64, part: Index) -> None:
-        """Enter extended surfaces of the pixels `part`, fitted in noise that is `raised` over the receivers'."""
+    def put_extended(
+        self, surfaces: ExtendedSurfaces, explained: tuple[F64, F64], raised: F64, evidence: F64, part: Index
+    ) -> None:
+        """Enter extended surfaces of the pixels `part`, fitted in noise that is `raised` over the receivers'.
+
+        `explained` is their power, and the number of directions in which they have it.
+        """
         here = SPREAD, part, 0
         self.elevation[here], self.spread[here], cnr = surfaces.found
         self.sigma[here], self.cnr[here] = surfaces.sigma, raised * cnr
-        self.explained[SPREAD, part], self.directions[SPREAD, part] = surfaces.explained, surfaces.directions
+        self.explained[SPREAD, part], self.directions[SPREAD, part] = explained
         self.evidence[SPREAD, part] = evidence
 
     def deviation(self, elevation: F64, probability: F64) -> F64:
@@ -113,6 +120,78 @@ class Models:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Suspects:
+    """Pixels that models are fitted to, in the order of their squints; arrays (pixels, ...).
+
+    Attributes:
+        covariance: R in noise powers, double precision, (pixels, M, M).
+        values: of the objective on the grid.
+        looks: K.
+        runs: searches, and the pixels at the squint of each.
+    """
+
+    covariance: Numbers
+    values: F32
+    looks: F64
+    runs: list[tuple[PeakSearch, slice]]
+
+    @classmethod
+    def of(cls, here: tuple[Index, Index], raised: F64, looks: Looks, beams: Beams, searches: PeakSearches) -> Self:
+        """The pixels in the rows and columns `here`, whose noise is `raised` over the receivers'."""
+        covariance: Numbers = looks.covariance[here] / (looks.receiver_noise * raised[:, None, None])
+        squint = np.rint(looks.squint[here[1]] / searches.part)
+        ends = [0, *(np.flatnonzero(np.diff(squint)) + 1).tolist(), len(squint)]
+        inside = [slice(*pair) for pair in pairwise(ends)]
+        runs = [(searches.of_part(int(squint[run.start])), run) for run in inside]
+        covariance = covariance.astype(np.complex128) if beams.is_complex else covariance.real.astype(np.float64)
+        values = np.concatenate([search.on_grid(covariance[run]) for search, run in runs])
+        return cls(covariance, values, looks.count[here], runs)
+
+    def each(self, some: Index) -> Iterator[tuple[PeakSearch, slice]]:
+        """The searches of `some` pixels, in increasing order, and the part of `some` at the squint of each."""
+        for search, run in self.runs:
+            part = slice(*np.searchsorted(some, (run.start, run.stop)).tolist())
+            if part.start < part.stop:
+                yield search, part
+
+    def several(self, some: Index, start: F64, least: F64) -> tuple[F64, F64, F64]:
+        """`search_several` in some of the pixels; the other arguments and the results are those of that function."""
+        found, (explained, gain) = np.empty((len(some), start.shape[1] + 1)), np.empty((2, len(some)))
+        for search, part in self.each(some):
+            here = some[part]
+            found[part], explained[part], gain[part] = search_several(
+                search, self.covariance[here], self.values[here], start[part], least[part]
+            )
+        return found, explained, gain
+
+    def weighed(self, some: Index, elevation: F64) -> SeveralScatterers:
+        """Scatterers at these elevations (rad, (pixels, S)) of some of the pixels."""
+        parts = [
+            SeveralScatterers.at(search, self.covariance[some[part]], self.looks[some[part]], elevation[part])
+            for search, part in self.each(some)
+        ]
+        return SeveralScatterers.together(parts)
+
+    def surfaces(self, some: Index, narrow: Surfaces, least: F64, beamwidth: float) -> ExtendedSurfaces:
+        """Extended surfaces fitted to some of the pixels, as `ExtendedSurfaces.fit` does from `first_surfaces`."""
+        parts = []
+        for search, part in self.each(some):
+            here = some[part]
+            first = first_surfaces(search, self.values[here], self.looks[here], narrow.at(part), beamwidth)
+            parts.append(
+                ExtendedSurfaces.fit(search, self.covariance[here], self.looks[here], first, least[part], beamwidth)
+            )
+        return ExtendedSurfaces.together(parts)
+
+    def explained_by(self, some: Index, surfaces: Surfaces) -> tuple[F64, F64]:
+        """`extended.explained_by` surfaces of some of the pixels."""
+        explained, directions = np.empty((2, len(some)))
+        for search, part in self.each(some):
+            explained[part], directions[part] = explained_by(search, self.covariance[some[part]], surfaces.at(part))
+        return explained, directions
+
+
 def fit_models(
     here: tuple[Index, Index], single: SingleScatterers, evidence: F64, looks: Looks, beams: Beams
 ) -> Models:
@@ -125,53 +204,64 @@ def fit_models(
         looks: covariance of M channels of equal noise in each pixel.
         beams: of the M detectors.
     """
-    peaks, noise, levels, spread = single.peaks, single.noise, single.levels, single.spread
-    row, col = here
     models = Models.of_single(single, evidence, looks, here)
-    domain, most = float(np.ptp(beams.span)), min(MOST, beams.count - 1)
     searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
-    blocks = _blocks(looks.squint[col])
+    order = np.argsort(looks.squint[here[1]], kind="stable")
+    blocks = [order[first : first + PIXELS_AT_ONCE] for first in range(0, len(order), PIXELS_AT_ONCE)]
 
     def work(share: slice) -> None:
         for part in blocks[share]:
-            pixels, search = (row[part], col[part]), searches.at(float(looks.squint[col[part[0]]]))
-            raised = noise.raised[pixels]
-            scaled = looks.covariance[pixels] / (looks.receiver_noise * raised[:, None, None])
-            covariance = _in_double_precision(scaled, beams)
-            count, values, turning = looks.count[pixels], search.on_grid(covariance), peaks.turning[pixels]
-            # One scatterer more as long as it explains enough.
-            some, start, tried = np.arange(len(part)), peaks.elevation[pixels][:, None], levels.tried[pixels]
-            for number in range(TWO, most + 1):
-                elevation, explained, gain = search_several(search, covariance[some], values[some], start, tried[some])
-                more = log_evidence_of_one(gain, count[some], turning[some], domain)
-                models.evidence[number, part[some]] = models.evidence[number - 1, part[some]] + more
-                climbed = explained > 0
-                some, start = some[climbed], elevation[climbed]
-                several = SeveralScatterers.at(search, covariance[some], count[some], start)
-                weighed = log_evidence_of_several(several, covariance[some], domain)
-                models.put_several(several, raised[some], beams.uncertainty, weighed, part[some])
-            # A surface where one is not enough.
-            some = np.flatnonzero(models.explained[TWO, part] - models.explained[ONE, part] > levels.several[pixels])
-            chosen, whole = part[some], (row[part[some]], col[part[some]])
-            power = power_of(peaks.explained[whole], count[some])
-            narrow = Surfaces(peaks.elevation[whole], spread.own[whole], power / peaks.array_power[whole])
-            first = first_surfaces(search, values[some], count[some], narrow, beams.beamwidth)
-            least = models.evidence[TWO : THREE + 1, chosen].max(axis=0) - IMPROBABLE
-            surfaces = ExtendedSurfaces.fit(search, covariance[some], count[some], first, least, beams.beamwidth)
-            surfaces = surfaces.with_uncertain_beams(beams.uncertainty, (turning * peaks.array_power[pixels])[some])
-            weighed = log_evidence_of_extended(surfaces, domain, beams.beamwidth)
-            models.put_extended(surfaces, raised[some], weighed, chosen)
+            pixels = here[0][part], here[1][part]
+            suspects = Suspects.of(pixels, single.noise.raised[pixels], looks, beams, searches)
+            _fit_several(models, part, pixels, suspects, single, beams)
+            _fit_extended(models, part, pixels, suspects, single, beams)
 
     in_parallel(work, len(blocks))
     return models
 
 
-def _blocks(squint: F64) -> list[Index]:
-    """Numbers of pixels in blocks of the same squint, PIXELS_AT_ONCE at most."""
-    order = np.argsort(squint, kind="stable")
-    runs = np.split(order, np.flatnonzero(np.diff(squint[order])) + 1) if order.size else []
-    return [block for run in runs for block in np.split(run, range(PIXELS_AT_ONCE, len(run), PIXELS_AT_ONCE))]
+def _fit_several(
+    models: Models, part: Index, pixels: tuple[Index, Index], suspects: Suspects, single: SingleScatterers, beams: Beams
+) -> None:
+    """Fit one scatterer more as long as it explains enough, to the pixels `part` of the models."""
+    peaks, domain, looks = single.peaks, float(np.ptp(beams.span)), suspects.looks
+    turning, tried, raised = peaks.turning[pixels], single.levels.tried[pixels], single.noise.raised[pixels]
+    some, start = np.arange(len(part)), peaks.elevation[pixels][:, None]
+    for number in range(TWO, min(MOST, beams.count - 1) + 1):
+        if not some.size:
+            return
+        elevation, explained, gain = suspects.several(some, start, tried[some])
+        more = log_evidence_of_one(gain, looks[some], turning[some], domain)
+        models.evidence[number, part[some]] = models.evidence[number - 1, part[some]] + more
+        climbed = explained > 0
+        some, start = some[climbed], elevation[climbed]
+        if some.size:
+            several = suspects.weighed(some, start)
+            weighed = log_evidence_of_several(several, domain)
+            models.put_several(several, raised[some], beams.uncertainty, weighed, part[some])
 
 
-def _in_double_precision(covariance: Numbers, beams: Beams) -> Numbers:
-    return covariance.astype(np.complex128) if beams.is_complex else covariance.real.astype(np.float64)
+def _fit_extended(
+    models: Models, part: Index, pixels: tuple[Index, Index], suspects: Suspects, single: SingleScatterers, beams: Beams
+) -> None:
+    """Fit a surface where one scatterer is not enough, to the pixels `part` of the models."""
+    peaks, domain = single.peaks, float(np.ptp(beams.span))
+    gain = models.explained[TWO, part] - models.explained[ONE, part]
+    some = np.flatnonzero(gain > single.levels.several[pixels])
+    if not some.size:
+        return
+    chosen, whole = part[some], (pixels[0][some], pixels[1][some])
+    power = power_of(peaks.explained[whole], suspects.looks[some])
+    narrow = Surfaces(peaks.elevation[whole], single.spread.own[whole], power / peaks.array_power[whole])
+    least = models.evidence[TWO : THREE + 1, chosen].max(axis=0) - IMPROBABLE
+    surfaces = suspects.surfaces(some, narrow, least, beams.beamwidth)
+    # Of surfaces that were given up no more is known than how improbable they are.
+    models.evidence[SPREAD, chosen] = surfaces.log_likelihood
+    likely = np.flatnonzero(surfaces.log_likelihood > least)
+    if not likely.size:
+        return
+    some, whole, surfaces = some[likely], (whole[0][likely], whole[1][likely]), surfaces.at(likely)
+    surfaces = surfaces.with_uncertain_beams(beams.uncertainty, peaks.turning[whole] * peaks.array_power[whole])
+    weighed = log_evidence_of_extended(surfaces, domain, beams.beamwidth)
+    explained = suspects.explained_by(some, surfaces.found)
+    models.put_extended(surfaces, explained, single.noise.raised[whole], weighed, part[some])

@@ -17,13 +17,13 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import uniform_filter
-from scipy.special import gammaincc, gammainccinv, logsumexp
+from scipy.special import gammaincc, gammainccinv
 
 from sal_height.beams import Beams
 from sal_height.elevation._kernels import GRID_STEP
-from sal_height.elevation.bounds import Numbers, information
+from sal_height.elevation.bounds import information
 from sal_height.elevation.extended import GREATEST_SPREAD, LEAST_SPREAD, ExtendedSurfaces, free_looks
-from sal_height.elevation.several import SeveralScatterers, adjoint, fit_powers, power_of
+from sal_height.elevation.several import SeveralScatterers, fit_powers, power_of
 from sal_height.numeric import F64, Index
 
 NONE, ONE, TWO, THREE, SPREAD = range(5)
@@ -65,21 +65,19 @@ def log_evidence_of_one(explained: F64, looks: F64, turning: F64, domain: float)
     return likelihood + place + _log_volume(looks * (power / (1 + power)) ** 2, CNR_RANGE)
 
 
-def log_evidence_of_several(several: SeveralScatterers, covariance: Numbers, domain: float) -> F64:
+def log_evidence_of_several(several: SeveralScatterers, domain: float) -> F64:
     """Log-evidence of S scatterers against none, (pixels,).
 
     Args:
         several: their fit.
-        covariance: R in noise powers, (pixels, M, M).
         domain: range of their elevations, rad.
     """
     count = several.elevation.shape[1]
-    seen = adjoint(several.units) @ covariance @ several.units
-    fit = fit_powers(several.gram, seen, several.looks, several.power * several.array_power)
+    fit = fit_powers(several.gram, several.seen, several.looks, several.power * several.array_power)
     # Information on the elevations if the amplitudes are independent and have these powers.
     signal = fit.power[:, :, None] * np.eye(count)
     known = signal @ np.linalg.inv(signal + np.linalg.inv(several.gram)) @ signal
-    turning = (adjoint(several.beyond) @ several.beyond * np.swapaxes(known, 1, 2)).real
+    turning = (several.turning * np.swapaxes(known, 1, 2)).real
     places = _log_volume_of(2 * several.looks[:, None, None] * turning, domain)
     return fit.log_likelihood + places + _log_volume_of(fit.information, CNR_RANGE) + math.lgamma(count + 1)
 
@@ -110,7 +108,7 @@ def log_evidence_of_spread(
     gains = [
         _gain_of_spread(along_slope, looks, level - 1 + unit * spread**2) + _log_prior(spread) for spread in SPREADS
     ]
-    return np.asarray(logsumexp(gains, axis=0) - math.log(len(SPREADS)))
+    return _log_sum(np.array(gains), axis=0)[0] - math.log(len(SPREADS))
 
 
 def log_evidence_of_level(along_slope: F64, looks: F64, level: F64) -> F64:
@@ -159,7 +157,13 @@ def log_probabilities(log_evidence: F64, here: tuple[Index, Index]) -> F64:
 
 
 def _normalised(logarithm: F64) -> F64:
-    return np.asarray(logarithm - logsumexp(logarithm, axis=-1, keepdims=True))
+    return logarithm - _log_sum(logarithm, axis=-1)
+
+
+def _log_sum(logarithm: F64, axis: int) -> F64:
+    """Logarithm of the sum over an axis, which is kept, of what has these logarithms; one of them is finite."""
+    highest = np.max(logarithm, axis=axis, keepdims=True)
+    return np.asarray(highest + np.log(np.sum(np.exp(logarithm - highest), axis=axis, keepdims=True)))
 
 
 def _log_volume(information: F64, prior_range: float) -> F64:

@@ -214,6 +214,12 @@ class PeakSearch:
         slope = (rise[..., None, :] @ pieces[..., 1:, :])[..., 0, :]
         return weight, slope, np.sum(powers * self.power[node], axis=-1)
 
+    def power_at(self, position: F64) -> F64:
+        """|a|^2 at positions in steps of the table, of any shape."""
+        node = np.minimum(position.astype(np.intp), len(self.pieces) - 1)
+        piece, t = self.power[node], position - node
+        return np.asarray(piece[..., 0] + t * (piece[..., 1] + t * (piece[..., 2] + t * piece[..., 3])))
+
     def on_grid(self, covariance: Covariance) -> F32:
         """Evaluate the objective of some pixels at all nodes of the grid, (pixels, grid nodes); errors as `peaks`."""
         return evaluate_on_grid(self._real(covariance), self.entries, self.grid)

@@ -13,12 +13,12 @@ U diag(p) U^H + I.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
 
-from sal_height.elevation._several_kernels import search_beside
+from sal_height.elevation._several_kernels import search_beside, weigh_together
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.search import PeakSearch
 from sal_height.numeric import F32, F64
@@ -36,33 +36,36 @@ class SeveralScatterers:
         elevation: rad from nadir, (pixels, S).
         explained: power f, sum over looks, in noise powers, (pixels,).
         array_power: |a|^2 at the elevations, (pixels, S).
-        units: U, (pixels, M, S).
-        beyond: part of dU/dt perpendicular to all u, 1/rad, (pixels, M, S).
-        fitted: (U^H U)^-1 U^H R U (U^H U)^-1, sums over looks of products of the fitted amplitudes, (pixels, S, S).
         gram: U^H U, (pixels, S, S).
+        seen: U^H R U, (pixels, S, S).
+        fitted: (U^H U)^-1 U^H R U (U^H U)^-1, sums over looks of products of the fitted amplitudes, (pixels, S, S).
+        turning: D^H (I - P) D with D = dU/dt, 1/rad^2, (pixels, S, S).
         looks: K, (pixels,).
     """
 
     elevation: F64
     explained: F64
     array_power: F64
-    units: Numbers
-    beyond: Numbers
-    fitted: Numbers
     gram: Numbers
+    seen: Numbers
+    fitted: Numbers
+    turning: Numbers
     looks: F64
 
     @classmethod
     def at(cls, search: PeakSearch, covariance: Numbers, looks: F64, elevation: F64) -> Self:
         """Fit scatterers at known elevations (rad, (pixels, S)); the other arguments are those of `search_several`."""
-        rows, row_slopes, array_power = search.responses_at(elevation)
-        units, slopes = (np.swapaxes(part, 1, 2) for part in (rows, row_slopes))
-        gram = adjoint(units) @ units
-        inverse = np.linalg.inv(gram) @ adjoint(units)
-        outputs = inverse @ covariance
-        explained = np.einsum("pim,pmi->p", outputs, units).real
-        beyond = slopes - units @ (inverse @ slopes)
-        return cls(elevation, explained, array_power, units, beyond, outputs @ adjoint(inverse), gram, looks)
+        pixels, count = elevation.shape
+        position = np.clip((elevation - search.first) / search.step, 0.0, len(search.pieces))
+        explained, products = np.empty(pixels), np.empty((4, pixels, count, count), covariance.dtype)
+        weigh_together(covariance, position, search.unit_pieces, (explained, *products))
+        gram, seen, fitted, turning = products
+        return cls(elevation, explained, search.power_at(position), gram, seen, fitted, turning / search.step**2, looks)
+
+    @classmethod
+    def together(cls, parts: list[Self]) -> Self:
+        """Those of several searches, one after the other."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
     @property
     def power(self) -> F64:
@@ -89,13 +92,13 @@ class SeveralScatterers:
         As `beam_error.beam_deviation`, with the errors of all scatterers together beside the power of each.
         """
         own = np.maximum(self.power, 1e-300)
-        slopes = np.sum(np.abs(self.beyond) ** 2, axis=1) * self.array_power
+        slopes = np.diagonal(self.turning, axis1=1, axis2=2).real * self.array_power
         return uncertainty * np.sqrt(np.maximum(own.sum(axis=1, keepdims=True) / own, 1.0) / (2 * slopes))
 
     def information(self) -> F64:
         """Fisher information F of the elevations, 1/rad^2, (pixels, S, S)."""
         known = self.fitted - 2 * self.looks[:, None, None] * np.linalg.inv(self.gram)
-        return 2 * (adjoint(self.beyond) @ self.beyond * np.swapaxes(known, 1, 2)).real
+        return 2 * (self.turning * np.swapaxes(known, 1, 2)).real
 
 
 def search_several(

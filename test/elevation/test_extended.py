@@ -7,9 +7,19 @@ import pytest
 from helpers import BEAMWIDTH, beams_named, circular, elevation_at, make_beams, offset_of
 
 from sal_height.beams.array import Beams
-from sal_height.elevation.extended import ExtendedSurfaces, Surfaces, first_surfaces, log_likelihood, spread_of
+from sal_height.elevation import _extended_kernels as kernels
+from sal_height.elevation.extended import (
+    PLACES,
+    SHARES,
+    ExtendedSurfaces,
+    Surfaces,
+    explained_by,
+    first_surfaces,
+    spread_of,
+)
 from sal_height.elevation.likelihood import OBJECTIVES, search_guard
 from sal_height.elevation.search import PeakSearch, PeakSearches
+from sal_height.elevation.several import adjoint
 
 PATTERNS = pytest.mark.parametrize("pattern", ["jinc", "complex"])
 
@@ -30,20 +40,67 @@ def covariance_of(
     return covariance if beams.is_complex else covariance.real
 
 
+def log_likelihood(
+    search: PeakSearch, covariance: np.ndarray, looks: np.ndarray, surfaces: Surfaces
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The twin of the compiled one: matrices of the channels, (pixels, M, M), as the formulas have them."""
+    elevation = surfaces.elevation[:, None] + surfaces.spread[:, None] * PLACES
+    units, slopes, array_power = search.responses_at(elevation)
+    inside = (elevation >= search.first) & (elevation <= search.last)
+    amplitude = np.sqrt(inside * SHARES * array_power * surfaces.cnr[:, None])[..., None]
+    responses = np.swapaxes(units * amplitude, 1, 2)
+    turns = np.swapaxes(slopes * amplitude, 1, 2) * surfaces.spread[:, None, None]
+    identity, across = np.eye(covariance.shape[-1]), adjoint(responses)
+    model = responses @ across + identity
+    halves = [part @ across for part in (turns, turns * PLACES, responses / 2)]
+    derivatives = [half + adjoint(half) for half in halves]
+    whitened = np.stack([np.linalg.solve(model, one) for one in derivatives], axis=1)
+    seen = np.linalg.solve(model, covariance)
+    gradient = np.einsum("pimn,pnm->pi", whitened, seen - looks[:, None, None] * identity).real
+    information = looks[:, None, None] * np.einsum("pimn,pjnm->pij", whitened, whitened).real
+    explained = np.trace(covariance - seen, axis1=1, axis2=2).real
+    return explained - looks * np.linalg.slogdet(model)[1], gradient, information
+
+
+@PATTERNS
+def test_likelihood_is_that_of_its_formula(pattern: str) -> None:
+    """The compiled one, by the directions of the surface, against matrices of the channels; also across the end."""
+    beams, rng, looks = beams_named(pattern), np.random.default_rng(70), np.full(20, 4.0)
+    covariance, search = covariance_of(beams, np.zeros(20), 0.4, 20.0, 4, rng), search_of(beams)
+    offset, spread, cnr = rng.uniform(-4, 4, 20), rng.uniform(0.05, 1.0, 20), 10 ** rng.uniform(0, 3, 20)
+    offset[0] = offset_of(search.last) - 0.3
+    surfaces = Surfaces(elevation_at(offset), spread * BEAMWIDTH, cnr)
+    expected = log_likelihood(search, covariance, looks, surfaces)
+    table, kind = (search.unit_pieces, search.power, PLACES, SHARES), covariance.dtype
+    for pixel in range(20):
+        place = np.array(
+            [(surfaces.elevation[pixel] - search.first) / search.step, surfaces.spread[pixel] / search.step, cnr[pixel]]
+        )
+        work = np.empty((3, 9, beams.count), kind), np.empty((7, 9, 9), kind)
+        gradient, information = np.empty(3), np.empty((3, 3))
+        likelihood = kernels.likelihood_at(covariance[pixel], 4.0, place, table, work, gradient, information)
+        scale = np.sqrt(np.diag(expected[2][pixel]))
+        assert likelihood == pytest.approx(expected[0][pixel], rel=1e-5, abs=1e-3)
+        np.testing.assert_allclose(gradient / scale, expected[1][pixel] / scale, rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(
+            information / np.outer(scale, scale), expected[2][pixel] / np.outer(scale, scale), atol=1e-4
+        )
+
+
 @PATTERNS
 def test_gradient_and_information_are_those_of_the_likelihood(pattern: str) -> None:
     """Against central differences; the information against the mean of the squared gradient of 2000 pixels (3 %)."""
     beams, rng, looks = beams_named(pattern), np.random.default_rng(71), np.full(2000, 4.0)
     covariance, search = covariance_of(beams, np.zeros(2000), 0.4, 20.0, 4, rng), search_of(beams)
-    surfaces = Surfaces(elevation_at(np.zeros(2000)), np.full(2000, 0.4 * BEAMWIDTH), np.full(2000, 20.0))
-    _, gradient, information = log_likelihood(search, covariance, looks, surfaces)
-    for number in range(3):
-        step = np.zeros((2000, 3))
-        step[:, number] = 1e-3
-        above, below = (
-            log_likelihood(search, covariance, looks, surfaces.moved(sign * step, search, BEAMWIDTH))[0]
-            for sign in (1, -1)
-        )
+
+    def at(step: np.ndarray) -> Surfaces:
+        spread = 0.4 * BEAMWIDTH * np.exp(step[1])
+        place = elevation_at(0.0) + step[0] * spread, spread, 20.0 * np.exp(step[2])
+        return Surfaces(*(np.full(2000, value) for value in place))
+
+    _, gradient, information = log_likelihood(search, covariance, looks, at(np.zeros(3)))
+    for number, step in enumerate(1e-3 * np.eye(3)):
+        above, below = (log_likelihood(search, covariance, looks, at(sign * step))[0] for sign in (1, -1))
         np.testing.assert_allclose((above - below) / 2e-3, gradient[:, number], rtol=2e-3, atol=2e-2)
     square = np.einsum("pi,pj->ij", gradient, gradient) / len(gradient)
     scale = np.sqrt(np.diag(information[0]))
@@ -65,8 +122,9 @@ def test_surfaces_are_found_within_their_sigma(cnr_db: int, looks: int, spread: 
     assert np.mean(score > 5) < 5e-3
     assert np.median(found.found.spread) / BEAMWIDTH == pytest.approx(spread, rel=0.05)
     # What it leaves is noise.
-    left = np.trace(covariance, axis1=1, axis2=2) - found.explained
-    assert np.mean(left) / np.mean((beams.count - found.directions) * count) == pytest.approx(1, abs=0.03)
+    explained, directions = explained_by(search, covariance, found.found)
+    left = np.trace(covariance, axis1=1, axis2=2) - explained
+    assert np.mean(left) / np.mean((beams.count - directions) * count) == pytest.approx(1, abs=0.03)
 
 
 def test_pixels_that_cannot_reach_the_likelihood_of_interest_are_left() -> None:

@@ -11,7 +11,7 @@ from sal_height.beams.pattern import PATTERNS
 from sal_height.elevation import _several_kernels as kernels
 from sal_height.elevation.likelihood import OBJECTIVES
 from sal_height.elevation.search import PeakSearch, PeakSearches
-from sal_height.elevation.several import SeveralScatterers, adjoint, deviations, fit_powers, search_several
+from sal_height.elevation.several import SeveralScatterers, deviations, fit_powers, search_several
 
 STEP = 1e-3
 """Of central differences, beamwidths: good to 1e-5 of the bound."""
@@ -141,7 +141,7 @@ def test_best_node_and_newton_step_are_those_of_projectors(name: str, count: int
     assert kernels.newton_step(matrix, place, search.unit_pieces, step) == pytest.approx(explained(place), rel=1e-5)
     gradient = [(explained(place + tiny * e) - explained(place - tiny * e)) / (2 * tiny) for e in np.eye(count)]
     several = SeveralScatterers.at(search, matrix[None], np.ones(1), search.first + search.step * place[None])
-    turning = adjoint(several.beyond) @ several.beyond * np.swapaxes(several.fitted, 1, 2)
+    turning = several.turning * np.swapaxes(several.fitted, 1, 2)
     curvature = 2 * search.step**2 * turning[0].real
     np.testing.assert_allclose(curvature @ step, gradient, rtol=5e-3, atol=2e-3 * np.max(np.abs(gradient)))
 
@@ -202,11 +202,12 @@ def test_powers_are_at_the_maximum_of_the_likelihood(name: str) -> None:
     covariance = pixels_of(beams, offsets, (20.0, 50.0), looks, rng)[:, 0].astype(complex)
     covariance = covariance if beams.is_complex else covariance.real
     several = SeveralScatterers.at(search_of(beams), covariance, np.full(5, float(looks)), elevation_at(offsets))
-    seen = adjoint(several.units) @ covariance @ several.units
-    fit = fit_powers(several.gram, seen, several.looks, several.power * several.array_power)
+    fit = fit_powers(several.gram, several.seen, several.looks, several.power * several.array_power)
+    response = beams.response(elevation_at(offsets), 0.0)
+    all_units = np.swapaxes(response / np.linalg.norm(response, axis=-1, keepdims=True), 1, 2)
 
     def likelihood(power: np.ndarray, pixel: int) -> float:
-        units = several.units[pixel]
+        units = all_units[pixel]
         model = units @ np.diag(power) @ units.conj().T + np.eye(beams.count)
         noise = np.trace(covariance[pixel]).real
         whole = np.trace(np.linalg.solve(model, covariance[pixel])).real + looks * np.linalg.slogdet(model)[1]
@@ -217,7 +218,7 @@ def test_powers_are_at_the_maximum_of_the_likelihood(name: str) -> None:
         assert best == pytest.approx(fit.log_likelihood[pixel], rel=1e-6)
         for factor in ((0.98, 1), (1.02, 1), (1, 0.98), (1, 1.02)):
             assert likelihood(fit.power[pixel] * factor, pixel) < best + 1e-6
-        units, power = several.units[pixel], fit.power[pixel]
+        units, power = all_units[pixel], fit.power[pixel]
         inverse = np.linalg.inv(units @ np.diag(power) @ units.conj().T + np.eye(beams.count))
         parts = [inverse @ (p * np.outer(u, u.conj())) for p, u in zip(power, units.T, strict=True)]
         expected = [[looks * np.trace(a @ b).real for b in parts] for a in parts]

@@ -1,0 +1,217 @@
+"""Compiled loops of the fit of extended surfaces.
+
+Each has a twin in plain NumPy in the tests. Matrices are real or complex, as the beams are; positions and spreads are
+in steps of the table of unit responses, `PeakSearch.unit_pieces`. The compiler takes all numbers to be finite.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.elevation._several_kernels import inner, multiply, solve
+from sal_height.numeric import F32, F64, compiled
+
+Numbers = npt.NDArray[Any]
+
+SCORING_STEPS = 12  # few pixels need more than five; those of high CNR do
+GREATEST_STEPS = (0.5, 0.5, 1.0)  # of t over s, ln s and ln p
+RIDGE = 1e-3  # added to the information of a look on each parameter, so that it can be inverted
+SMALL_RISE = 0.1  # of the likelihood, which the next step is not worth
+HOPEFUL = 20.0  # times the rise that a step promises within which a likelihood may still be reached
+
+
+@compiled
+def climb_surfaces(
+    matrices: Numbers,
+    looks: F64,
+    least: F64,
+    table: tuple[Numbers, F32, F64, F64],
+    spreads: tuple[float, float],
+    surfaces: F64,
+    found: tuple[F64, F64],
+) -> None:
+    """Climb the likelihood of extended surfaces by Fisher's scoring; the best place passed is kept.
+
+    Args:
+        matrices: R, (pixels, M, M), double precision.
+        looks: K, (pixels,).
+        least: log-likelihood of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
+        table: pieces of unit responses and of |a|^2; places (in spreads) and weights of the quadrature, (nodes,).
+        spreads: least and greatest one.
+        surfaces: t, s and p of the start, replaced by those found, (3, pixels).
+        found: to fill with the log-likelihood, (pixels,), and the information there, (pixels, 3, 3).
+    """
+    likelihoods, informations = found
+    pieces, kind, count = table[0], matrices.dtype, len(table[2])
+    vectors, squares = np.empty((3, count, pieces.shape[2]), kind), np.empty((7, count, count), kind)
+    place, gradient, information = np.empty(3), np.empty(3), np.empty((3, 3))
+    damped, right, move = np.empty((3, 3)), np.empty(3), np.empty(3)
+    last = float(len(pieces))
+    for i in range(len(matrices)):
+        for k in range(3):
+            place[k] = surfaces[k, i]
+        likelihoods[i] = -np.finfo(np.float64).max
+        for _ in range(SCORING_STEPS):
+            likelihood = likelihood_at(matrices[i], looks[i], place, table, (vectors, squares), gradient, information)
+            if likelihood > likelihoods[i]:
+                likelihoods[i] = likelihood
+                for k in range(3):
+                    surfaces[k, i] = place[k]
+                informations[i] = information
+            damped[:] = information
+            for k in range(3):
+                damped[k, k] += RIDGE * looks[i]
+            right[:] = gradient
+            solve(damped, right, move)
+            rise = gradient[0] * move[0] + gradient[1] * move[1] + gradient[2] * move[2]
+            if not (rise > SMALL_RISE and likelihood + HOPEFUL * rise > least[i]):
+                break
+            for k in range(3):
+                move[k] = min(max(move[k], -GREATEST_STEPS[k]), GREATEST_STEPS[k])
+            place[0] += move[0] * place[1]
+            place[1] = min(max(place[1] * np.exp(move[1]), spreads[0]), spreads[1])
+            place[0] = min(max(place[0], -place[1]), last + place[1])
+            place[2] *= np.exp(move[2])
+
+
+@compiled
+def likelihood_at(
+    matrix: Numbers,
+    looks: float,
+    place: F64,
+    table: tuple[Numbers, F32, F64, F64],
+    work: tuple[Numbers, Numbers],
+    gradient: F64,
+    information: F64,
+) -> float:
+    """Log-likelihood of a surface, and to fill: its gradient over t / s, ln s and ln p, and the information on these.
+
+    With B of `extended`, its slopes T over t / s, and A = I + B^H B, C^-1 = I - B A^-1 B^H: all is done by products of
+    the columns of B and T. The derivatives of C are T B^H + B T^H, the same with T diag(x), and B B^H.
+    """
+    count, (vectors, squares) = len(table[2]), work
+    responses, turns, outputs = vectors[0], vectors[1], vectors[2]
+    inverse, seen, cross, along, rest = squares[0], squares[1], squares[2], squares[3], squares[4]
+    fill_responses(place, table, responses, turns)
+    for i in range(count):
+        multiply(matrix, responses[i], outputs[i])
+    for i in range(count):
+        for j in range(count):
+            cross[i, j] = inner(responses[i], turns[j])
+            along[i, j] = inner(outputs[i], turns[j])
+        for j in range(i + 1):
+            inverse[i, j] = inner(responses[i], responses[j])
+            seen[i, j] = inner(responses[i], outputs[j])
+            rest[i, j] = inner(turns[i], turns[j])
+            inverse[j, i] = np.conj(inverse[i, j])
+            seen[j, i] = np.conj(seen[i, j])
+            rest[j, i] = np.conj(rest[i, j])
+        inverse[i, i] += 1
+    logarithm = invert_positive(inverse)
+    product(inverse, cross, squares[5])  # B^H C^-1 T
+    product(seen, inverse, squares[6])  # B^H R C^-1 B
+    take_product(cross, squares[5], rest)  # T^H C^-1 T
+    explained = sum_up(looks, table[2], squares, gradient, information)
+    return explained - looks * logarithm
+
+
+@compiled
+def sum_up(looks: float, nodes: F64, squares: Numbers, gradient: F64, information: F64) -> float:
+    """Traces that gradient and information consist of, from the products of `likelihood_at`; returns tr(R - C^-1 R)."""
+    inverse, seen, along, rest = squares[0], squares[1], squares[3], squares[4]
+    whitened, left = squares[5], squares[6]
+    explained = 0.0
+    gradient[:] = 0
+    information[:] = 0
+    for i in range(len(nodes)):
+        by_node = -looks * whitened[i, i]
+        gradient[2] -= looks
+        for j in range(len(nodes)):
+            explained += (inverse[i, j] * seen[j, i]).real
+            by_node += inverse[i, j] * along[j, i] - np.conj(left[j, i]) * whitened[j, i]
+            inside, across = -inverse[i, j], -inverse[j, i]  # B^H C^-1 B = I - A^-1
+            if i == j:
+                inside += 1
+                across += 1
+                gradient[2] += looks * inverse[i, i].real
+            gradient[2] += (inverse[i, j] * left[j, i]).real
+            both = (whitened[i, j] * whitened[j, i] + inside * rest[j, i]).real
+            mixed = (inside * whitened[j, i]).real
+            information[0, 0] += both
+            information[0, 1] += nodes[j] * both
+            information[1, 1] += nodes[i] * nodes[j] * both
+            information[0, 2] += mixed
+            information[1, 2] += nodes[i] * mixed
+            information[2, 2] += 0.5 * (inside * across).real
+        gradient[0] += 2 * by_node.real
+        gradient[1] += 2 * nodes[i] * by_node.real
+    for k in range(3):
+        for n in range(k, 3):
+            information[k, n] *= 2 * looks
+            information[n, k] = information[k, n]
+    return explained
+
+
+@compiled
+def fill_responses(place: F64, table: tuple[Numbers, F32, F64, F64], responses: Numbers, turns: Numbers) -> None:
+    """Rows of B and of its slopes over t / s, (nodes, M); 0 beyond the table."""
+    pieces, power, nodes, weights = table
+    last = len(pieces)
+    for i in range(len(nodes)):
+        position = place[0] + place[1] * nodes[i]
+        if position < 0 or position > last:
+            responses[i] = 0
+            turns[i] = 0
+            continue
+        node = min(int(position), last - 1)
+        piece, share, t = pieces[node], power[node], position - node
+        square = share[0] + t * (share[1] + t * (share[2] + t * share[3]))
+        amplitude = np.sqrt(max(weights[i] * square * place[2], 0.0))
+        turn = amplitude * place[1]
+        for m in range(responses.shape[1]):
+            responses[i, m] = amplitude * (piece[0, m] + t * (piece[1, m] + t * (piece[2, m] + t * piece[3, m])))
+        for m in range(responses.shape[1]):
+            turns[i, m] = turn * (piece[1, m] + t * (2 * piece[2, m] + 3 * t * piece[3, m]))
+
+
+@compiled
+def invert_positive(matrix: Numbers) -> float:
+    """Invert a positive matrix in place, by Gauss and Jordan; returns the logarithm of its determinant."""
+    count, logarithm = len(matrix), 0.0
+    for k in range(count):
+        pivot = matrix[k, k].real
+        logarithm += np.log(pivot)
+        matrix[k, k] = 1
+        for j in range(count):
+            matrix[k, j] /= pivot
+        for i in range(count):
+            if i != k:
+                factor = matrix[i, k]
+                matrix[i, k] = 0
+                for j in range(count):
+                    matrix[i, j] -= factor * matrix[k, j]
+    return logarithm
+
+
+@compiled
+def product(left: Numbers, right: Numbers, result: Numbers) -> None:
+    for i in range(len(left)):
+        for j in range(len(left)):
+            result[i, j] = 0
+        for k in range(len(left)):
+            factor = left[i, k]
+            for j in range(len(left)):
+                result[i, j] += factor * right[k, j]
+
+
+@compiled
+def take_product(left: Numbers, right: Numbers, result: Numbers) -> None:
+    """Subtract left^H right."""
+    for i in range(len(left)):
+        for k in range(len(left)):
+            factor = np.conj(left[k, i])
+            for j in range(len(left)):
+                result[i, j] -= factor * right[k, j]

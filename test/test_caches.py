@@ -17,6 +17,8 @@ from sal_height.elevation.look_windows import Window, axis_looks
 from sal_height.elevation.monopulse.sum_difference import _slope_table
 from sal_height.elevation.noise_floor import _speckle_contrast
 from sal_height.elevation.search import SEARCHES_HELD, PeakSearches, _searches
+from sal_height.numeric.range_profiles import _deconvolution
+from sal_height.numeric.windows import HELD, _half_power_width, broadening, window
 from sal_height.pipeline import _channels_and_beams
 from sal_height.sensor import whitened_channels
 from sal_height.sensor.waveform import _waveform
@@ -69,3 +71,18 @@ def test_searches_at_the_squints_of_columns_are_bounded(columns: int) -> None:
     of_part: Any = searches.of_part
     info = of_part.cache_info()
     assert (info.misses, info.currsize) == (columns, min(columns, SEARCHES_HELD))
+
+
+def test_windows_and_what_follows_from_them_are_bounded() -> None:
+    for cache in (window, _half_power_width, _deconvolution):
+        cache.cache_clear()
+    for count in range(16, 17 + HELD):
+        broadening(window("hamming", count))
+        _deconvolution(count)
+    assert window.cache_info().currsize == _half_power_width.cache_info().currsize == HELD
+    assert _deconvolution.cache_info().currsize == 8
+
+
+def test_a_window_that_others_hold_cannot_be_changed() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        window("taylor", 64)[0] = 2.0

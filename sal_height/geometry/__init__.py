@@ -2,7 +2,8 @@
 
 Read `frames` first (body and map axes, the state of the sensor in mid-aperture, elevation and squint), then `earth`
 (heights above the sphere), `grid` (pixels of an image), `locate` (range and Doppler to a place on the ground),
-`mounting` (where the sensor is on the platform) and `trajectory` (odometry to positions of the antenna at each pulse).
+`mounting` (where the sensor is on the platform), `quaternion` (its attitude) and `trajectory` (odometry to positions of
+the antenna at each pulse).
 Angles are in rad, lengths in m, times in s.
 """
 
@@ -11,6 +12,7 @@ from sal_height.geometry.frames import ApertureState, angles_of, aperture_at, lo
 from sal_height.geometry.grid import Grid, pixels_at, without_range_phase
 from sal_height.geometry.locate import locate_at_elevation, locate_at_height
 from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
+from sal_height.geometry.quaternion import rotation_matrix
 from sal_height.geometry.trajectory import PlatformState, Trajectory
 
 __all__ = [
@@ -29,6 +31,7 @@ __all__ = [
     "locate_at_height",
     "look_direction",
     "pixels_at",
+    "rotation_matrix",
     "sphere_coordinates",
     "sphere_point",
     "squint_on_cone",

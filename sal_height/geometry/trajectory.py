@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import bisect
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PPoly
-from scipy.spatial.transform import Rotation, RotationSpline, Slerp
+from scipy.spatial.transform import Rotation, RotationSpline
 
 from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
 from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
+from sal_height.geometry.quaternion import attitude_between, rotation_matrix
 from sal_height.numeric import F64
 
 
@@ -64,13 +66,25 @@ class Trajectory:
                 "The odometry's times do not increase; every sample needs a later stamp than the one before."
             )
         _check_velocity(states, self._seconds)
-        positions, velocities = np.array([s.position for s in states]), np.array([s.velocity for s in states])
-        self._position: PPoly = CubicHermiteSpline(self._seconds, positions, velocities)
-        attitude = Rotation.from_quat(np.array([s.orientation for s in states]))
-        if not mounting.is_identity:
-            self._turning = RotationSpline(self._seconds, attitude)
-            attitude *= mounting.axes
-        self._attitude = Slerp(self._seconds, attitude)
+
+    @cached_property
+    def _position(self) -> PPoly:
+        """Position of base_link in map over time, m."""
+        positions, velocities = (np.array([getattr(s, name) for s in self.states]) for name in ("position", "velocity"))
+        return CubicHermiteSpline(self._seconds, positions, velocities)
+
+    @cached_property
+    def _turning(self) -> RotationSpline:
+        """Attitude of base_link over time, with continuous angular velocity and acceleration."""
+        return RotationSpline(self._seconds, Rotation.from_quat(np.array([s.orientation for s in self.states])))
+
+    def _attitude(self, t: float) -> F64:
+        """Matrix that turns the axes of the sensor into those of map, at a time in s after the epoch."""
+        first = min(max(0, bisect.bisect_right(self._seconds, t) - 1), len(self.states) - 2)
+        share = (t - self._seconds[first]) / (self._seconds[first + 1] - self._seconds[first])
+        before, after = self.states[first : first + 2]
+        attitude = rotation_matrix(attitude_between(before.orientation, after.orientation, share))
+        return attitude if self.mounting.is_identity else attitude @ rotation_matrix(self.mounting.rotation)
 
     def between(self, start_ns: int, end_ns: int) -> Trajectory:
         """The track from the last state at or before `start_ns` to the first at or after `end_ns`, if it has them."""
@@ -113,7 +127,7 @@ class Trajectory:
         return ApertureState(
             position=position,
             velocity=velocity,
-            rotation=self._attitude(middle).as_matrix(),
+            rotation=self._attitude(middle),
             length=speed * float(t[-1] - t[0]) * len(t) / (len(t) - 1),
             covariance=_antenna_covariance(nearest, self.mounting),
         )

@@ -194,7 +194,7 @@ def _centroid_offset(history: PhaseHistory, steps: F64, sensor: Sensor) -> float
     The centroid is the phase from pulse to pulse, after dechirping to that point, averaged over everything (Madsen,
     IEEE Trans. AES 25, 1989). Noise, or errors of phase from pulse to pulse, have none.
     """
-    products = np.einsum("mpf,mpf->p", history.samples[:, :-1].conj(), history.samples[:, 1:])
+    products = np.vecdot(history.samples[:, :-1], history.samples[:, 1:]).sum(axis=0)
     correlation = complex(np.sum(products * np.exp(1j * sensor.centre_wavenumber * steps)))
     if abs(correlation) <= COHERENT * float(np.sum(np.abs(products))):
         return 0.0

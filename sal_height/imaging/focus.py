@@ -231,8 +231,9 @@ class StripFocuser:
         self._strip = strip.after(cols)
         # Their image, and the state of the platform abeam of its middle.
         grid = replace(strip.lattice, cols=cols)
-        former = choose_former(settings.former, strip.antenna, sensor, processing, grid)
-        images = former(strip.history, strip.antenna, sensor, processing, grid)
+        pulses, sent_from = strip.lighting(grid)
+        former = choose_former(settings.former, sent_from, sensor, processing, grid)
+        images = former(pulses, sent_from, sensor, processing, grid)
         around = strip.abeam_time(grid) + np.array([-0.5, 0.5]) / sensor.pulse_repetition_frequency
         abeam = mounted.aperture(strip.history.stamp_ns, around)
         length = aperture_length(sensor, reference)

@@ -104,6 +104,14 @@ class Strip:
             count -= 1
         return 0
 
+    def lighting(self, grid: Grid) -> tuple[PhaseHistory, F64]:
+        """The pulses held that light some of the columns, with SPARE_PULSES on either side; and the antenna in them."""
+        along = grid.points(0.0, np.array([0.0, grid.cols - 1.0])) @ grid.col_direction
+        reach = self._reach(grid, self.antenna[-1])
+        first, last = np.searchsorted(self.antenna @ grid.col_direction, along + np.array([-reach, reach]))
+        lit = slice(max(0, int(first) - SPARE_PULSES), int(last) + SPARE_PULSES)
+        return self.history.pulses(lit), self.antenna[lit]
+
     def after(self, cols: int) -> Self:
         """The strip beyond its next `cols` columns, with the pulses and the track that it still needs."""
         lattice = _moved(self.lattice, cols)

@@ -42,8 +42,9 @@ class Processing:
             spacing: of neighbouring pulses, in that sine.
         """
         share = np.clip((self.angle / 2 - np.abs(sine)) / spacing + 0.5, 0.0, 1.0)
-        nodes = np.linspace(-self.angle / 2, self.angle / 2, TAPER_NODES)
-        return share * np.interp(sine, nodes, self.taper().astype(np.float64))
+        taper, position = self.taper(), np.clip((sine / self.angle + 0.5) * (TAPER_NODES - 1), 0, TAPER_NODES - 1)
+        node = np.minimum(position.astype(np.int32), TAPER_NODES - 2)
+        return np.asarray(share * (taper[node] + (position - node) * (taper[node + 1] - taper[node])))
 
     def taper(self) -> F32:
         """The azimuth window over the processed angle, at TAPER_NODES even sines from end to end."""

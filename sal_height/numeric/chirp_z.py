@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.fft
@@ -11,6 +12,9 @@ from sal_height.numeric.arrays import C64, F64
 from sal_height.numeric.fft import fast_length
 from sal_height.numeric.phasors import unit_phasors
 from sal_height.numeric.threads import WORKERS
+
+SMALL_MATRIX = 2**13
+"""Entries up to which a product of matrices is faster than two FFTs (measured: 0.3 against 0.6 us a line for 2944)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +40,29 @@ class ChirpZ:
         """Length of the FFTs."""
         return int(self.spectrum.shape[-1])
 
+    @property
+    def outputs(self) -> int:
+        """Numbers out."""
+        return int(self.after.shape[-1])
+
+    @property
+    def is_common(self) -> bool:
+        """Whether all lines have the same factors."""
+        return len(self.before) == len(self.spectrum) == len(self.after) == 1
+
+    @cached_property
+    def _matrix(self) -> C64 | None:
+        """The transform of all lines, shape (inputs, outputs), where a product with it is faster than the FFTs."""
+        inputs = self.before.shape[-1]
+        if not self.is_common or inputs * self.outputs > SMALL_MATRIX:
+            return None
+        return self._by_fft(np.eye(inputs, dtype=np.complex64), slice(0, inputs))
+
     def apply(self, values: C64, lines: slice) -> C64:
         """The sums of the numbers of some lines: complex64, from shape (these lines, inputs) to (these, outputs)."""
+        return self._by_fft(values, lines) if self._matrix is None else values @ self._matrix
+
+    def _by_fft(self, values: C64, lines: slice) -> C64:
         before, spectrum, after = (
             factor[lines] if len(factor) > 1 else factor for factor in (self.before, self.spectrum, self.after)
         )

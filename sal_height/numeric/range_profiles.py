@@ -6,6 +6,8 @@ interpolates without error but for what it aliases (non-uniform FFT: Beatty et a
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import scipy.fft
 from scipy.special import i0
@@ -19,6 +21,7 @@ DEGREE = 10  # of the polynomials that stand for the kernel's taps; their error 
 _SHAPE = float(np.pi * np.sqrt((TAPS / OVERSAMPLING * (OVERSAMPLING - 0.5)) ** 2 - 0.8))
 
 
+@lru_cache(1)
 def tap_polynomials() -> F32:
     """Weight of every tap as a polynomial of the fraction by which a position lies past a sample: (TAPS, DEGREE + 1).
 
@@ -86,6 +89,7 @@ def kernel_transform(frequency: F64) -> F64:
     return np.asarray(TAPS * np.sinh(root) / root)
 
 
+@lru_cache(8)
 def _deconvolution(count: int) -> F64:
     """Inverse of the kernel's transform at `count` frequencies, with the delay 0 in the middle of the profile.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import brentq
@@ -22,8 +23,12 @@ WINDOWS: dict[str, Callable[[int], F64]] = {"rectangular": np.ones, "taylor": _t
 """Windows by name, as functions of the number of samples."""
 
 
+HELD = 32  # windows, and widths of windows, that are kept: a sensor needs a few
+
+
+@lru_cache(HELD)
 def window(name: str, count: int) -> F64:
-    """Weights of `count` samples, scaled to a mean of 1 so that a point keeps its peak value.
+    """Weights of `count` samples, scaled to a mean of 1 so that a point keeps its peak value; they cannot be changed.
 
     Raises:
         UserError: there is no window of that name.
@@ -31,7 +36,9 @@ def window(name: str, count: int) -> F64:
     if name not in WINDOWS:
         raise UserError(f"The window is {name!r}; allowed are {', '.join(sorted(WINDOWS))}.")
     weights = np.asarray(WINDOWS[name](count), dtype=np.float64)
-    return weights / weights.mean()
+    weights = weights / weights.mean()
+    weights.flags.writeable = False
+    return weights
 
 
 def noise_gain(weights: F64) -> float:
@@ -41,11 +48,13 @@ def noise_gain(weights: F64) -> float:
 
 def broadening(weights: F64) -> float:
     """Width of the response at -3 dB over that of the unweighted band: the spacing at which cells stay independent."""
-    return _half_power_width(weights) / _half_power_width(np.ones(len(weights)))
+    return _half_power_width(weights.tobytes()) / _half_power_width(np.ones(len(weights)).tobytes())
 
 
-def _half_power_width(weights: F64) -> float:
-    """Width of the response at half its peak power, in resolution bins."""
+@lru_cache(HELD)
+def _half_power_width(float64: bytes) -> float:
+    """Width of the response to weights at half its peak power, in resolution bins; kept by the weights' bytes."""
+    weights = np.frombuffer(float64)
     position = np.arange(len(weights)) - (len(weights) - 1) / 2
 
     def excess(bins: float) -> float:

@@ -39,6 +39,16 @@ class PhaseHistory:
         """Time of the last pulse, ns since the epoch."""
         return self.stamp_ns + round(float(self.pulse_times[-1]) * 1e9)
 
+    def pulses(self, which: slice) -> PhaseHistory:
+        """The phase history of some of the pulses; times count from the same stamp."""
+        return PhaseHistory(
+            self.stamp_ns,
+            self.pulse_times[which],
+            self.reference_range[which],
+            self.samples[:, which],
+            None if self.saturated_share is None else self.saturated_share[:, which],
+        )
+
     @property
     def shares(self) -> F64:
         """The saturated shares, shape (channels, pulses); NaN where they were not counted."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.numeric.chirp_z import chirp_z
+from sal_height.numeric.chirp_z import SMALL_MATRIX, chirp_z
 
 
 @pytest.mark.parametrize(
@@ -27,9 +27,12 @@ def test_factors_give_the_sum_written_out(inputs: int, outputs: int, n0: float, 
     np.testing.assert_allclose(transform.apply(numbers[some], some), expected[some], atol=1e-6 * inputs)
 
 
-def test_a_step_of_one_turn_over_the_numbers_is_the_fourier_transform() -> None:
-    """One step serves any number of lines."""
-    numbers = circular(np.random.default_rng(61), (5, 48)).astype(np.complex64)
-    made = chirp_z(np.array([-2 * np.pi / 48]), 48, 0.0, 48, 0.0).apply(numbers, slice(10, 15))
+@pytest.mark.parametrize(("count", "by_matrix"), [(48, True), (90, True), (91, False)])
+def test_a_step_of_one_turn_over_the_numbers_is_the_fourier_transform(count: int, by_matrix: bool) -> None:
+    """One step serves any number of lines; small transforms are products with a matrix."""
+    numbers = circular(np.random.default_rng(61), (5, count)).astype(np.complex64)
+    transform = chirp_z(np.array([-2 * np.pi / count]), count, 0.0, count, 0.0)
+    made = transform.apply(numbers, slice(10, 15))
+    assert (count**2 <= SMALL_MATRIX) == by_matrix
     np.testing.assert_allclose(made, np.fft.fft(numbers), atol=2e-5)
     assert made.dtype == np.complex64

@@ -107,6 +107,8 @@ def keep_reached(
     for pulse in range(track.shape[0]):
         x, y, z, reference, place = track[pulse]
         _delays(points[0], points[1], points[2], x, y, z, reference, delay)
+        if np.abs(delay).max() <= half_window:
+            continue
         for i in range(delay.size):
             distance = delay[i] + reference
             share = (angle / 2 - abs((place - along[i]) / distance)) * distance / spacing + 0.5

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -17,7 +16,9 @@ from sal_height.numeric import (
     OVERSAMPLING,
     WORKERS,
     Bool,
+    blocks,
     dense_profiles,
+    in_threads,
     tap_polynomials,
 )
 from sal_height.sensor import PhaseHistory, Sensor
@@ -25,6 +26,7 @@ from sal_height.sensor import PhaseHistory, Sensor
 PULSES_AT_ONCE = 16  # whose dense profiles are held: a few megabytes
 PIXELS_OF_IMAGE = 3 * 2**15  # that are summed up at a time, over all pulses: bounds the memory beside history and image
 PIXELS_AT_ONCE = 4096  # whose geometry is held: what fits into a processor's cache
+PIXELS_OF_THREAD = 2048  # at least: fewer are not worth a thread of their own
 
 
 def backproject(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> C64:
@@ -82,20 +84,17 @@ def backproject_points(
             abs(float((antenna[-1] - antenna[0]) @ direction)) / max(1, pulses - 1),
         ]
     )
-    size = int(np.clip(math.ceil(points.shape[1] / WORKERS), 64, PIXELS_AT_ONCE))
-    pieces = [slice(first, first + size) for first in range(0, points.shape[1], size)]
-    with ThreadPoolExecutor(WORKERS) as pool:
-        for first in range(0, pulses, PULSES_AT_ONCE):
-            block = slice(first, first + PULSES_AT_ONCE)
-            profiles = dense_profiles(history.samples[:, block], range_weights)
+    size = int(np.clip(math.ceil(points.shape[1] / WORKERS), PIXELS_OF_THREAD, PIXELS_AT_ONCE))
+    for block in blocks(pulses, PULSES_AT_ONCE):
+        profiles = dense_profiles(history.samples[:, block], range_weights)
 
-            def add(piece: slice, profiles: F32 = profiles, block: slice = block) -> None:
-                add_pulses(
-                    points[:, piece].copy(), along[piece], track[block], profiles, taps, taper, scales,
-                    image[piece], weight[piece], valid[piece],
-                )  # fmt: skip
+        def add(piece: slice, profiles: F32 = profiles, block: slice = block) -> None:
+            add_pulses(
+                points[:, piece].copy(), along[piece], track[block], profiles, taps, taper, scales,
+                image[piece], weight[piece], valid[piece],
+            )  # fmt: skip
 
-            list(pool.map(add, pieces))
+        in_threads(add, blocks(points.shape[1], size))
     valid &= (weight > 0) & filled_apertures(points.T, antenna, direction, processing.angle)
     with np.errstate(divide="ignore", invalid="ignore"):
         image /= np.where(valid, weight * frequencies, np.nan)[:, None, None].astype(np.float32)

@@ -16,7 +16,8 @@ from sal_height.sensor import MODES, PhaseHistory, Sensor
 FormImages = Callable[[PhaseHistory, F64, Sensor, Processing, Grid], C64]
 """From phase history, antenna positions, sensor, weights and pixels to the images of all detectors."""
 
-FEW_PIXELS = 10_000  # that backprojection forms in about the same time as a fast former
+FEW_PIXELS = 10_000  # of a dwell, that backprojection forms in about the same time as a fast former
+FEW_OF_STRIP = 1_000  # of a strip, where backprojection looks at every pulse for every pixel
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ FORMERS: dict[str, Former] = {
     "range_doppler": Former(
         range_doppler.focus_stripmap,
         ("stripmap",),
-        FEW_PIXELS,
+        FEW_OF_STRIP,
         range_doppler.expected_error,
         range_doppler.keeps_sidelobes,
     ),

@@ -8,13 +8,13 @@ inverse FFT.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
 from scipy.constants import speed_of_light
 from scipy.sparse import csr_array
+from scipy.spatial.distance import cdist
 
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
@@ -30,6 +30,7 @@ from sal_height.numeric import (
     blocks,
     chirp_z,
     fast_length,
+    in_threads,
     rows_at_once,
     unit_phasors,
 )
@@ -83,27 +84,47 @@ def focus_stripmap(history: PhaseHistory, antenna: F64, sensor: Sensor, processi
     check_expected_error("range_doppler", expected_error(antenna, sensor, grid))
     filters = filters_of(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
-    with ThreadPoolExecutor(WORKERS) as pool:
-        list(pool.map(lambda samples, made: _focus(samples, filters, made), history.samples, image))
+    in_threads(lambda samples, made: _focus(samples, filters, made), history.samples, image)
     image[:, ~valid_pixels(history, antenna, sensor, processing.angle, grid)] = np.nan
     return image
 
 
 def _focus(samples: C64, filters: Filters, image: C64) -> None:
     """Focus one detector."""
-    (rows, cols), frequencies, length = image.shape, samples.shape[1], filters.azimuth.shape[1]
-    doppler = np.empty((length, frequencies), dtype=np.complex64)
-    compressed = np.empty((rows, length), dtype=np.complex64)
-    for block in blocks(frequencies, rows_at_once(length)):
-        pulses = samples[:, block] * filters.compensation[:, block]
-        if filters.resampling is not None:
-            pulses = (filters.resampling @ pulses.view(np.float32)).view(np.complex64)
-        doppler[:, block] = scipy.fft.fft(pulses, length, axis=0)
-    for block in blocks(length, rows_at_once(filters.range.length)):
-        compressed[:, block] = filters.range.apply(doppler[block], block).T
+    (rows, cols), length = image.shape, filters.azimuth.shape[1]
+    compressed = _range_first(samples, filters) if filters.range.is_common else _doppler_first(samples, filters)
     for block in blocks(rows, rows_at_once(length // filters.fold)):
         spectra = (compressed[block] * filters.azimuth[block]).reshape(-1, filters.fold, length // filters.fold)
         image[block] = scipy.fft.ifft(spectra.sum(axis=1), norm="forward", overwrite_x=True)[:, :cols]
+
+
+def _range_first(samples: C64, filters: Filters) -> C64:
+    """Doppler spectra of the rows, (rows, length), where range does not depend on Doppler: that of the pulses alone."""
+    pulses = np.empty((len(samples), filters.range.outputs), dtype=np.complex64)
+    for block in blocks(len(samples), rows_at_once(filters.range.length)):
+        pulses[block] = filters.range.apply(samples[block] * filters.compensation[block], block)
+    spectra: C64 = scipy.fft.fft(np.ascontiguousarray(_resampled(pulses, filters).T), filters.azimuth.shape[1])
+    return spectra
+
+
+def _doppler_first(samples: C64, filters: Filters) -> C64:
+    """Doppler spectra of the rows, (rows, length), from the range spectra of every Doppler."""
+    frequencies, (rows, length) = samples.shape[1], filters.azimuth.shape
+    doppler = np.empty((length, frequencies), dtype=np.complex64)
+    compressed = np.empty((rows, length), dtype=np.complex64)
+    for block in blocks(frequencies, rows_at_once(length)):
+        pulses = _resampled(samples[:, block] * filters.compensation[:, block], filters)
+        doppler[:, block] = scipy.fft.fft(pulses, length, axis=0)
+    for block in blocks(length, rows_at_once(filters.range.length)):
+        compressed[:, block] = filters.range.apply(doppler[block], block).T
+    return compressed
+
+
+def _resampled(pulses: C64, filters: Filters) -> C64:
+    """Pulses at even steps, from shape (pulses, numbers) to (steps, numbers)."""
+    if filters.resampling is None:
+        return pulses
+    return np.asarray(filters.resampling @ pulses.view(np.float32)).view(np.complex64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +139,8 @@ class _Layout:
         distance: of each row from the track, m, shape (rows,).
         first_column: place of the first column along the track, m.
         places: of the even steps along the track, m, shape (steps,).
-        doppler: of a transform without wrap-around, in the order of an FFT, rad/m, shape (length,).
+        doppler: of a transform in which only columns that have no whole aperture wrap around, in the order of an FFT,
+            rad/m, shape (length,).
     """
 
     track: StraightTrack
@@ -152,7 +174,7 @@ def filters_of(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: 
     return Filters(
         compensation=_motion_compensation(history, antenna, processing, wavenumber, layout),
         resampling=None if _is_even(sensor, processing, layout) else resampling(layout.track.places, layout.places),
-        range=_range_transform(sensor, wavenumber, layout, doppler),
+        range=_range_transform(sensor, processing, wavenumber, layout, doppler),
         azimuth=azimuth,
         fold=layout.fold,
     )
@@ -174,8 +196,7 @@ def _lay_out(antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -
     distance = np.linalg.norm(across, axis=-1)
     steps = int(np.ceil((track.places.max() - track.places.min()) / step - 1e-6)) + 1
     places = track.places.min() + step * np.arange(steps)
-    half_aperture = processing.angle * float(distance.max()) / 2
-    length = fold * fast_length(max(grid.cols, int(np.ceil((steps + half_aperture / step) / fold))))
+    length = fold * fast_length(max(grid.cols, -(-steps // fold)))
     doppler = 2 * np.pi * scipy.fft.fftfreq(length, step)
     return _Layout(track, step, fold, across[0], distance, first_column, places, doppler)
 
@@ -200,8 +221,8 @@ def _is_even(sensor: Sensor, processing: Processing, layout: _Layout) -> bool:
     return len(pulses) == len(steps) and bool(np.abs(steps - pulses).max() * edge < EVEN_PHASE)
 
 
-def _range_transform(sensor: Sensor, wavenumber: F64, layout: _Layout, doppler: F64) -> ChirpZ:
-    """Transform from frequencies to rows for each Doppler, or one for all if they hardly differ.
+def _range_transform(sensor: Sensor, processing: Processing, wavenumber: F64, layout: _Layout, doppler: F64) -> ChirpZ:
+    """Transform from frequencies to rows for each Doppler, or one for all if those processed hardly differ.
 
     It removes the migration and secondary compression of the middle range (stationary phase), and stretches range
     with Doppler, which corrects the migration of the other ranges.
@@ -210,10 +231,11 @@ def _range_transform(sensor: Sensor, wavenumber: F64, layout: _Layout, doppler: 
     row_step = (layout.distance[-1] - layout.distance[0]) / max(1, rows - 1)
     stretch = central / np.sqrt(central**2 - doppler**2)
     scale = sensor.wavenumber_step * row_step * stretch
-    if np.ptp(scale) * frequencies / 2 * rows / 2 < SMALL_PHASE:
+    processed = np.abs(doppler) <= central * processing.angle / 2
+    if np.ptp(scale[processed]) * frequencies / 2 * rows / 2 < SMALL_PHASE:
         scale = scale[:1]
     scaled = chirp_z(scale, frequencies, frequencies // 2, rows, (rows - 1) / 2)
-    edges = _migration(layout.middle, doppler, wavenumber[[0, -1]], central)
+    edges = _migration(layout.middle, doppler[processed], wavenumber[[0, -1]], central)
     if np.abs(edges).max() < SMALL_PHASE:
         return scaled
     before = scaled.before * unit_phasors(_migration(layout.middle, doppler, wavenumber, central))
@@ -251,8 +273,7 @@ def _azimuth_filters(sensor: Sensor, processing: Processing, layout: _Layout) ->
         phase = -sensor.centre_wavenumber * (slant - layout.middle)
         replica[block, near] = weight.astype(np.float32) * unit_phasors(phase)
 
-    with ThreadPoolExecutor(WORKERS) as pool:
-        list(pool.map(fill, blocks(len(distance), rows_at_once(length))))
+    in_threads(fill, blocks(len(distance), rows_at_once(length)))
     spectra = np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()
     spectra *= unit_phasors(layout.doppler * whole)
     return spectra
@@ -293,9 +314,9 @@ def expected_error(antenna: F64, sensor: Sensor, grid: Grid) -> float:
     first, *distance, last = np.linalg.norm(across, axis=-1)
     middle = (first + last) / 2
     aim = track.middle + track.places[:, None] * track.direction + across[0] / first * middle
-    seen = np.linalg.norm(pixels - antenna, axis=-1)
+    seen = cdist(pixels.reshape(-1, 3), antenna).reshape(5, 5, -1)
     along = (pixels - track.middle) @ track.direction - track.places
-    straight = np.hypot(np.array(distance)[:, None, None], along)
+    straight = np.sqrt(np.square(distance)[:, None, None] + along**2)
     left = seen - (np.linalg.norm(aim - antenna, axis=-1) - middle) - straight
     off = np.array(distance) - np.linspace(first, last, 5)
     error = (sensor.centre_wavenumber * left) ** 2

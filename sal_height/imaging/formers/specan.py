@@ -8,8 +8,6 @@ second into columns. What that leaves out is known before anything is computed: 
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from scipy.spatial.distance import cdist
 
@@ -21,10 +19,10 @@ from sal_height.imaging.weighting import Processing
 from sal_height.numeric import (
     C64,
     F64,
-    WORKERS,
     ChirpZ,
     blocks,
     chirp_z,
+    in_threads,
     rows_at_once,
     unit_phasors,
 )
@@ -40,8 +38,7 @@ def focus_spotlight(history: PhaseHistory, antenna: F64, sensor: Sensor, process
     check_expected_error("specan", expected_error(antenna, sensor, grid))
     by_range, by_azimuth = transforms(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
-    with ThreadPoolExecutor(WORKERS) as pool:
-        list(pool.map(lambda samples, made: _focus(samples, by_range, by_azimuth, made), history.samples, image))
+    in_threads(lambda samples, made: _focus(samples, by_range, by_azimuth, made), history.samples, image)
     image[:, ~valid_pixels(history, antenna, sensor, 0.0, grid)] = np.nan
     return image
 

@@ -13,7 +13,7 @@ from helpers import assert_one_sentence
 from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
 from sal_height.imaging.formers.backprojection import backproject
-from sal_height.imaging.formers.choice import FEW_PIXELS, FORMERS, Former, choose_former
+from sal_height.imaging.formers.choice import FEW_OF_STRIP, FEW_PIXELS, FORMERS, Former, choose_former
 from sal_height.imaging.formers.range_doppler import focus_stripmap
 from sal_height.imaging.formers.specan import focus_spotlight
 from sal_height.imaging.pixels import ground_plane_grid
@@ -56,9 +56,11 @@ def test_a_dwell_on_which_specan_errs_is_formed_by_backprojection(lidar: Case) -
 
 
 def test_strips_are_formed_by_range_doppler(lidar_strip: Case) -> None:
-    assert lidar_strip.grid.rows * lidar_strip.grid.cols > FEW_PIXELS
+    cols = lidar_strip.grid.cols
+    assert cols < FEW_OF_STRIP < 2 * cols
     assert chosen(lidar_strip) is focus_stripmap
-    assert chosen(lidar_strip, rows=4) is backproject
+    assert chosen(lidar_strip, rows=2) is focus_stripmap
+    assert chosen(lidar_strip, rows=1) is backproject
 
 
 def test_strong_sidelobes_that_migrate_are_left_to_backprojection() -> None:

@@ -20,7 +20,7 @@ NODES_PER_BEAMWIDTH = 20
 LATTICE_ERROR = 4e-5
 """Greatest error between nodes, as a share of the beams' peak."""
 
-BLOCK = 16
+BLOCK = 32
 """The table ends at multiples of so many nodes, so that dwells over alike scenes have the same."""
 
 

@@ -9,11 +9,11 @@ from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import RegularGridInterpolator
 
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, angles_of, aperture_at, sphere_coordinates, sphere_point
 from sal_height.numeric import F64, Bool, Index
+from sal_height.simulation._terrain_kernels import divide_cuts, interpolate, mark_lit, see
 from sal_height.simulation.canopy import CANOPY_LAYERS, Canopy
 
 
@@ -108,8 +108,11 @@ class Scene:
         return self._interpolate(self.brightness, east, north)
 
     def _interpolate(self, values: F64, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
-        table = RegularGridInterpolator((self.north, self.east), values, bounds_error=False, fill_value=np.nan)
-        return table(np.stack(np.broadcast_arrays(north, east), axis=-1))
+        row, col = np.broadcast_arrays(np.asarray(north, dtype=np.float64), np.asarray(east, dtype=np.float64))
+        result = np.empty(row.shape)
+        rows, cols, table = (np.ascontiguousarray(v, dtype=np.float64) for v in (self.north, self.east, values))
+        interpolate(rows, cols, table, row.ravel(), col.ravel(), result.reshape(-1))
+        return result
 
     @cached_property
     def reference_height(self) -> float:
@@ -227,10 +230,10 @@ def visible_surface(
     Raises:
         UserError: the scene has no terrain within the extents.
     """
-    ground, lit = _terrain_scatterers(scene, aperture, look_side, cell, east_extent, strips_per_cell)
+    ground, lit = _terrain_scatterers(scene, aperture, look_side, cell, east_extent, range_extent, strips_per_cell)
     targets = _targets(scene.points, aperture, look_side)
     east = np.array([point.east for point in scene.points])
-    ground = ground.where(lit & _within(ground.slant_range, range_extent))
+    ground = ground.where(np.flatnonzero(lit & _within(ground.slant_range, range_extent)))
     targets = targets.where(
         _within(targets.slant_range, range_extent) & (east >= east_extent[0]) & (east < east_extent[1])
     )
@@ -266,6 +269,7 @@ def _terrain_scatterers(
     look_side: int,
     cell: tuple[float, float],
     east_extent: tuple[float, float],
+    range_extent: tuple[float, float],
     strips_per_cell: int,
 ) -> tuple[VisibleSurface, Bool]:
     """Scatterers along vertical cuts through the terrain, SAMPLES_PER_CELL in each cell of a cut, and which are lit.
@@ -285,35 +289,43 @@ def _terrain_scatterers(
     steps = np.arange((len(scene.north) - 1) * refine + 1) / refine
     north = np.interp(steps, np.arange(len(scene.north)), scene.north)[:: int(outwards)]
     height = scene.heights(east[:, None], north)
-    nodes = sphere_point(east[:, None], north, height)
-    node_range, node_elevation, _ = angles_of(nodes, aperture_at(nodes, aperture), look_side)
+    there = np.broadcast_to(east[:, None], height.shape), np.broadcast_to(north, height.shape)
+    _, (node_range, node_elevation, _) = _seen(*there, height, aperture, look_side)
 
-    span = np.maximum(np.abs(np.diff(node_range)), np.abs(np.diff(node_elevation)) * node_range[:, :-1])
-    pieces = np.ceil(np.nan_to_num(span) / range_cell * SAMPLES_PER_CELL).astype(int).ravel()
-    between = np.repeat(np.arange(pieces.size), pieces)
-    strip, node = np.divmod(between, len(north) - 1)
-    first = np.cumsum(pieces) - pieces
-    fraction = (np.arange(len(between)) - first[between] + 0.5) / pieces[between]
-
-    def along(values: F64) -> F64:
-        start, end = values[strip, node], values[strip, node + 1]
-        return start + (end - start) * fraction
-
-    place = east[strip], along(np.broadcast_to(north, height.shape)), along(height)
+    step = np.abs(np.diff(node_range))
+    span = np.maximum(step, np.abs(np.diff(node_elevation)) * node_range[:, :-1])
+    pieces = np.ceil(np.nan_to_num(span) / range_cell * SAMPLES_PER_CELL).astype(np.int64)
+    # What lies nearer or farther than all that the height of scatterers above the terrain brings into the range window
+    # has no scatterers; it hides what lies behind it.
+    reach = scene.extent / 2 + (float(scene.canopy.top.max()) if scene.canopy else 0.0)
+    nearer, farther = (
+        np.minimum(node_range[:, :-1], node_range[:, 1:]),
+        np.maximum(node_range[:, :-1], node_range[:, 1:]),
+    )
+    outside = (farther < range_extent[0] - reach) | (nearer > range_extent[1] + reach)
+    pieces[outside] = 0
+    before = np.where(outside, np.nan_to_num(node_elevation[:, 1:], nan=-np.pi), -np.pi)
+    horizon = np.maximum.accumulate(before, axis=1)
+    points = np.empty((4, int(pieces.sum())))
+    strip, node = (np.empty(points.shape[1], dtype=np.int32) for _ in range(2))
+    divide_cuts(pieces, np.stack([*there, height, scene.brightnesses(*there)]), points, strip, node)
+    place, brightness = points[:3], points[3]
 
     def raised(heights: F64, power: F64) -> VisibleSurface:
         """Scatterers above the points of the cuts: heights above the terrain, m, and powers, both (layers, points)."""
-        positions = sphere_point(*place[:2], place[2] + heights).reshape(-1, 3)
-        angles = angles_of(positions, aperture_at(positions, aperture), look_side)
+        above = (place[2] + heights).ravel()
+        east, north = (np.broadcast_to(values, heights.shape).ravel() for values in place[:2])
+        positions, angles = _seen(east, north, above, aperture, look_side)
         fluctuating, at_rest = np.zeros(heights.size, dtype=bool), np.zeros_like(positions)
-        return VisibleSurface(positions, (place[2] + heights).ravel(), power.ravel(), *angles, fluctuating, at_rest)
+        return VisibleSurface(positions, above, power.ravel(), *angles, fluctuating, at_rest)
 
     layers = scene.extent * ((np.arange(LAYERS) + 0.5) / LAYERS - 0.5) if scene.extent else np.zeros(1)
-    cells = strip_width / azimuth_cell / pieces[between] / range_cell  # of a cut of unit length
-    power = along(scene.brightnesses(east[:, None], north)) * np.abs(np.diff(node_range))[strip, node] * cells
+    cells = strip_width / azimuth_cell / pieces[strip, node] / range_cell  # of a cut of unit length
+    power = brightness * step[strip, node] * cells
     ground = raised(np.tile(layers[:, None], len(power)), np.tile(power / len(layers), (len(layers), 1)))
     terrain_elevation = ground.elevation.reshape(len(layers), -1)[len(layers) // 2]
-    lit = _lit(terrain_elevation, strip)
+    lit = np.empty(len(power), dtype=bool)
+    mark_lit(terrain_elevation, strip, node, horizon, lit)
     if not scene.canopy:
         return ground, np.tile(lit, len(layers))
 
@@ -327,7 +339,17 @@ def _terrain_scatterers(
     return replace(surface, power=surface.power * through), lit_layers
 
 
-def _lit(elevation: F64, strip_of: npt.NDArray[np.int_]) -> Bool:
-    """Whether each point of each strip, ordered outwards, is seen over all points before it."""
-    strips = np.split(np.nan_to_num(elevation, nan=-np.pi), np.flatnonzero(np.diff(strip_of)) + 1)
-    return elevation >= np.concatenate([np.maximum.accumulate(strip) for strip in strips])
+def _seen(
+    east: F64, north: F64, height: F64, aperture: ApertureState, look_side: int
+) -> tuple[F64, tuple[F64, F64, F64]]:
+    """Positions, m, shape (points, 3), of places by arc distances and height, m, in any shape, and how they are seen.
+
+    That is slant range, m, elevation and squint, rad, in that shape; in stripmap from abeam.
+    """
+    positions, seen = np.empty((height.size, 3)), np.empty((3, height.size))
+    glide = aperture.velocity / (aperture.velocity @ aperture.forward) if aperture.sliding else np.zeros(3)
+    x, y, z = (np.ascontiguousarray(values, dtype=np.float64).reshape(-1) for values in (east, north, height))
+    rotation = np.ascontiguousarray(aperture.rotation, dtype=np.float64)
+    see(x, y, z, np.asarray(aperture.position, dtype=np.float64), glide, rotation, look_side, positions, seen)
+    slant_range, elevation, squint = seen.reshape(3, *height.shape)
+    return positions, (slant_range, elevation, squint)

@@ -86,7 +86,7 @@ def test_scatterers_lie_on_the_terrain_and_are_seen_under_their_angles() -> None
     np.testing.assert_allclose(surface.heights, scene.heights(east, north), atol=1e-6)
     np.testing.assert_allclose(surface.heights, height, atol=1e-8)
     seen = angles_of(surface.positions, make_aperture(PLATFORM_HEIGHT), 1)
-    np.testing.assert_array_equal((surface.slant_range, surface.elevation, surface.squint), seen)
+    np.testing.assert_allclose((surface.slant_range, surface.elevation, surface.squint), seen, rtol=1e-14, atol=1e-15)
     assert not surface.deterministic.any()
 
 
@@ -103,6 +103,17 @@ def test_shadow_of_a_wall_at_45_degrees_is_as_long_as_the_wall_is_high(side: int
     assert behind.max() > DISTANCE + 20
     before = distance[distance < DISTANCE - 0.01]
     assert before.max() == pytest.approx(DISTANCE, abs=sampling)
+
+
+def test_wall_nearer_than_the_range_window_hides_the_ground_within() -> None:
+    aperture, window = make_aperture(PLATFORM_HEIGHT), (5002.1, 5015.0)
+    surface = visible_surface(wall_scene(-1), aperture, 1, CELL, EAST, window)
+    distance = np.abs(sphere_coordinates(surface.positions)[1])
+    assert distance.min() == pytest.approx(DISTANCE + THICKNESS + WALL, abs=0.08)  # 1 cm longer, and the sampling
+    level = visible_surface(
+        profile_scene(np.zeros(2), DISTANCE + np.array([-25, 25]), -1), aperture, 1, CELL, EAST, window
+    )
+    assert np.abs(sphere_coordinates(level.positions)[1]).min() == pytest.approx(DISTANCE + 2, abs=0.1)
 
 
 @WAYS

@@ -1,0 +1,118 @@
+"""Loops over points of the terrain, compiled; a test compares each with its formula in NumPy. NaN: no terrain."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sal_height.geometry import EARTH_RADIUS
+from sal_height.numeric import F64, I32, I64, Bool, compiled_with_nan
+
+SMALL_ANGLE = 0.02
+"""Angle at the centre of the earth, rad, up to which series replace sine and cosine: off by less than 1e-17."""
+
+
+@compiled_with_nan
+def interpolate(rows: F64, cols: F64, values: F64, row: F64, col: F64, result: F64) -> None:
+    """Bilinear interpolation of values (rows, cols) at places (row, col), shape (n,); NaN outside. Nodes increase."""
+    i, j = 0, 0
+    for k in range(row.size):
+        y, x = row[k], col[k]
+        if not (rows[0] <= y <= rows[-1] and cols[0] <= x <= cols[-1]):
+            result[k] = np.nan
+            continue
+        if not rows[i] <= y <= rows[i + 1]:  # neighbours in the list often lie between the same nodes
+            i = min(np.searchsorted(rows, y, side="right"), rows.size - 1) - 1
+        if not cols[j] <= x <= cols[j + 1]:
+            j = min(np.searchsorted(cols, x, side="right"), cols.size - 1) - 1
+        down, right = (y - rows[i]) / (rows[i + 1] - rows[i]), (x - cols[j]) / (cols[j + 1] - cols[j])
+        upper = values[i, j] * (1 - right) + values[i, j + 1] * right
+        lower = values[i + 1, j] * (1 - right) + values[i + 1, j + 1] * right
+        result[k] = upper * (1 - down) + lower * down
+
+
+@compiled_with_nan
+def see(
+    east: F64, north: F64, height: F64, antenna: F64, glide: F64, rotation: F64, side: int, positions: F64, seen: F64
+) -> None:
+    """Positions of points on the earth, and slant range, elevation and squint under which an aperture sees them.
+
+    Formulas of `earth.sphere_point`, `frames.aperture_at` and `frames.angles_of`.
+
+    Args:
+        east: arc distance, m, shape (n,).
+        north: arc distance, m, shape (n,).
+        height: above the sphere, m, shape (n,).
+        antenna: position, m, shape (3,).
+        glide: how far a sliding aperture moves per m of way forward, shape (3,); 0 if it does not slide.
+        rotation: body into map axes, shape (3, 3).
+        side: +1 looking right, -1 left.
+        positions: result, m, shape (n, 3).
+        seen: result, shape (3, n).
+    """
+    for i in range(east.size):
+        square = (east[i] * east[i] + north[i] * north[i]) / EARTH_RADIUS**2
+        if square <= SMALL_ANGLE**2:
+            sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
+            fall = square / 2 * (1 - square / 12 * (1 - square / 30 * (1 - square / 56)))  # 1 - cos
+        else:
+            angle = math.sqrt(square)
+            sinc = math.sin(angle) / angle
+            fall = 2 * math.sin(angle / 2) ** 2
+        scale = (1 + height[i] / EARTH_RADIUS) * sinc
+        x, y, z = scale * east[i], scale * north[i], height[i] * (1 - fall) - EARTH_RADIUS * fall
+        positions[i, 0], positions[i, 1], positions[i, 2] = x, y, z
+        x, y, z = x - antenna[0], y - antenna[1], z - antenna[2]
+        way = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]
+        x, y, z = x - way * glide[0], y - way * glide[1], z - way * glide[2]
+        ahead = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]
+        left = x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1]
+        up = x * rotation[0, 2] + y * rotation[1, 2] + z * rotation[2, 2]
+        distance = math.sqrt(ahead * ahead + left * left + up * up)
+        seen[0, i] = distance
+        seen[1, i] = math.atan2(-side * left, -up)
+        seen[2, i] = math.asin(ahead / distance)
+
+
+@compiled_with_nan
+def divide_cuts(pieces: I64, cuts: F64, points: F64, strip_of: I32, node_of: I32) -> None:
+    """Divide what lies between two nodes of a cut into equal pieces, and interpolate linearly in their middles.
+
+    Args:
+        pieces: number of them, shape (strips, nodes - 1).
+        cuts: values on the nodes, shape (values, strips, nodes).
+        points: result, strip after strip, shape (values, points).
+        strip_of: result, the strip of each point.
+        node_of: result, the node before it.
+    """
+    k = 0
+    for strip in range(pieces.shape[0]):
+        for node in range(pieces.shape[1]):
+            for number in range(pieces[strip, node]):
+                fraction = (number + 0.5) / pieces[strip, node]
+                for value in range(cuts.shape[0]):
+                    start, end = cuts[value, strip, node], cuts[value, strip, node + 1]
+                    points[value, k] = start + (end - start) * fraction
+                strip_of[k], node_of[k] = strip, node
+                k += 1
+
+
+@compiled_with_nan
+def mark_lit(elevation: F64, strip_of: I32, node_of: I32, horizon: F64, lit: Bool) -> None:
+    """Mark the points of each strip, ordered outwards, that are seen over all points before them, and over a horizon.
+
+    Args:
+        elevation: of the points, rad, shape (points,).
+        strip_of: of each point.
+        node_of: the node before it.
+        horizon: elevation over which a point after that node must be seen, rad, shape (strips, nodes - 1).
+        lit: result, shape (points,).
+    """
+    highest, strip = -math.pi, -1
+    for i in range(elevation.size):
+        if strip_of[i] != strip:
+            highest, strip = -math.pi, strip_of[i]
+        highest = max(highest, horizon[strip_of[i], node_of[i]])
+        lit[i] = elevation[i] >= highest
+        highest = elevation[i] if lit[i] else highest  # NaN is not lit

@@ -22,7 +22,7 @@ APERTURE = ApertureState(np.array([0.0, 3535, 3535]), np.array([50.0, 0, 0]), np
 def throughput() -> Iterator[Row]:
     """A dwell entered beside others and the estimate renewed around it; and all dwells estimated at once."""
     rng = np.random.default_rng(1)
-    fields = [_dwell(number, rng) for number in range(DWELLS)]
+    fields = [dwell_of_spotlight(number, rng) for number in range(DWELLS)]
     ground = GroundMap(fine_cell_size(fields[0].grid), max(SPACINGS), 10**6)
     for field in fields:
         ground.add(field, APERTURE)
@@ -33,7 +33,7 @@ def throughput() -> Iterator[Row]:
     yield Row("ground, all at once", cells / 1e6 / whole, "Mcell/s", ">= 0.2", f"{cells} cells: {1e3 * whole:.0f} ms")
 
 
-def _dwell(number: int, rng: np.random.Generator) -> HeightField:
+def dwell_of_spotlight(number: int, rng: np.random.Generator) -> HeightField:
     """Level ground with a kerb of 0.12 m and the roof of a car, beside those of the numbers before; without shadow."""
     place = np.arange(ROWS)[:, None] * SPACINGS[0], (np.arange(COLS) + number * COLS) * SPACINGS[1]
     north, east = np.broadcast_arrays(*place)

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from benchmarks.ground import APERTURE, dwell_of_spotlight
 from benchmarks.row import Row, medians, sized
-from sal_height.relief import MeasuredHeights, ReliefPrior, smoothed, smoothed_field
+from sal_height.relief import MeasuredHeights, PriorEstimate, ReliefPrior, smoothed, smoothed_field, track
 
 ROWS, COLS = sized((1024, 1024), (64, 64))
 SPACINGS = (0.5, 0.5)
@@ -15,6 +16,9 @@ PRIOR = ReliefPrior(20.0, 1.0)
 
 FIELD_ROWS, FIELD_COLS = sized((256, 256), (16, 16))
 """Of the image that is tracked along the flight, too."""
+
+DWELLS = sized(20, 2)
+"""Dwells of sal_spotlight after which the time of one is taken."""
 
 
 def throughput() -> Iterator[Row]:
@@ -43,6 +47,36 @@ def throughput() -> Iterator[Row]:
         "relief tracked along the flight, too",
         FIELD_ROWS * FIELD_COLS / 1e6 / field,
         "Mpixel/s",
-        ">= 0.1",
+        ">= 0.5",
         f"{FIELD_ROWS} × {FIELD_COLS} cells: {1e3 * field:.0f} ms",
+    )
+    yield from _one_dwell(rng, MeasuredHeights(height, sigma, SPACINGS))
+
+
+def _one_dwell(rng: np.random.Generator, large: MeasuredHeights) -> Iterator[Row]:
+    """A dwell like those of sal_spotlight, its prior brought up to date; and per pixel beside a large image."""
+    before = PriorEstimate()
+    fields = [dwell_of_spotlight(number, rng) for number in range(DWELLS)]
+    for field in fields[:-1]:
+        *_, before = track(field, APERTURE, before)
+
+    def smooth_large() -> None:
+        prior, _ = before.after(large)
+        smoothed_field(large, prior)
+
+    dwell, million = medians(lambda: track(fields[-1], APERTURE, before), smooth_large)
+    pixels, cells = fields[-1].validity.size, large.height.size
+    yield Row(
+        "relief tracked, a dwell of sal_spotlight",
+        1e3 * dwell,
+        "ms",
+        "<= 5",
+        f"{pixels} pixels, with the prior estimated from it and from those before",
+    )
+    yield Row(
+        "relief tracked, a large image",
+        1e6 * million / cells,
+        "us/pixel",
+        "<= 2",
+        f"{cells} pixels, with the prior: {million:.1f} s; a pixel of the dwell above: {1e6 * dwell / pixels:.1f} us",
     )

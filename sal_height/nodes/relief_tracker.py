@@ -1,8 +1,13 @@
-"""Node relief_tracker: smooths the heights of an estimator (<estimator>/height) into tracked/height."""
+"""Node relief_tracker: smooths the heights of an estimator (<estimator>/height) into tracked/height.
+
+The prior with which a dwell is smoothed follows from it and from those before it of the same series: one sensor, and
+heights made and tracked with the same parameters. The same dwells in the same order give the same heights.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Hashable
 from typing import Any, ClassVar
 
 from sal_height_msgs.msg import HeightImage
@@ -10,14 +15,18 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
+from sal_height.nodes.height import LEFT_OUT
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import Stage, StageParameters, height_topics, payload_bytes
-from sal_height.relief import TrackingSettings, track
+from sal_height.relief import PriorEstimate, TrackingSettings, track
 from sal_height.settings import setting
 
 PREFIX = "tracked"
 """Prefix of the topics, and value of HeightImage.estimator."""
+
+HELD_SERIES = 8
+"""Number of series of dwells whose priors are held: those that came last."""
 
 
 class Parameters(StageParameters, TrackingSettings):
@@ -48,6 +57,7 @@ class ReliefTracker(Stage):
             UserError: a parameter has a value that is not allowed.
         """
         super().__init__("relief_tracker", **node_arguments)
+        self._priors: dict[Hashable, PriorEstimate] = {}
         self._height = self.offer(HeightImage, f"{PREFIX}/height")
         self._image = self.offer(Image, f"{PREFIX}/image")
         self._points = self.offer(PointCloud2, f"{PREFIX}/points")
@@ -63,7 +73,10 @@ class ReliefTracker(Stage):
         field, aperture = messages.field_from_message(message), messages.aperture_from_message(message.aperture)
         if bad := messages.bad_pixels(message, field):
             self.ignore("bad pixels", messages.bad_pixel_warning(message, bad))
-        tracked, prior = track(field, aperture, parameters)
+        series = (*_series_of(message), parameters)
+        before = self._priors.pop(series, PriorEstimate())  # to be the last that is forgotten
+        tracked, prior, after = track(field, aperture, before, parameters)
+        self._priors = dict([*self._priors.items(), (series, after)][-HELD_SERIES:])
         used = {**dict(parameters), "prior": dataclasses.asdict(prior)}
         provenance = messages.derived(message.provenance, self.get_name(), used)
         looks = message.range_looks, message.azimuth_looks
@@ -72,6 +85,17 @@ class ReliefTracker(Stage):
         self._points.publish_if_heard(lambda: messages.height_points(tracked, image))
         self._height.publish(image)
         return 1
+
+
+def _series_of(message: HeightImage) -> tuple[Hashable, ...]:
+    """What the heights of a series have in common: sensor, calibration, and how they were made of its dwells.
+
+    Which channels had to be left out may change from dwell to dwell, and does not end a series.
+    """
+    provenance = message.provenance
+    stages = messages.stages_of(provenance.parameters)
+    made = repr({name: {**values, LEFT_OUT: None} for name, values in stages.items()})
+    return provenance.config_hash, provenance.calibration_id, message.estimator, made
 
 
 def main() -> int:

@@ -3,9 +3,9 @@
 Read `heights` first (elevation, range and Doppler to height, place and sigma) with `position_error` (covariance of the
 place; error of height at a place), `slope` (of the ground, from neighbours) and `rows` (those estimated apart), then
 `range_tracking` and `field_tracking` (Gauss-Markov smoothing along range, and along the track too, with the
-`settings`), `tracked` (the smoothed heights, placed), `ground` (the ground from all surfaces of all dwells, with
-`layers`, `membrane` and `visibility`), `ground_map` (that estimate, brought up to date with each dwell), `map` (the
-average of all dwells in one grid) and `geotiff` (a map as a file).
+`settings`), `prior` (of that, estimated from many dwells), `tracked` (the smoothed heights, placed), `ground` (the
+ground from all surfaces of all dwells, with `layers`, `membrane` and `visibility`), `ground_map` (that estimate,
+brought up to date with each dwell), `map` (the average of all dwells in one grid) and `geotiff` (a map as a file).
 """
 
 from sal_height.relief.field_tracking import smoothed_field
@@ -23,6 +23,7 @@ from sal_height.relief.position_error import (
     level_turn,
     variance_at_place,
 )
+from sal_height.relief.prior import PriorEstimate
 from sal_height.relief.range_tracking import (
     MeasuredHeights,
     ReliefPrior,
@@ -45,6 +46,7 @@ __all__ = [
     "HeightField",
     "Layers",
     "MeasuredHeights",
+    "PriorEstimate",
     "Relief",
     "ReliefMap",
     "ReliefPrior",

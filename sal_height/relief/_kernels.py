@@ -1,103 +1,11 @@
-"""Compiled loops of the tracking along range, of the membrane, of slopes, and of the cells of a map.
-
-Columns of the tracking are worked on side by side.
-"""
+"""Compiled loops of the membrane, of slopes, and of the cells of a map; `_tracking_kernels` holds those of tracking."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sal_height.numeric import F64, Bool, Index, compiled, compiled_with_nan
-
-Heights = npt.NDArray[np.floating[Any]]
-
-LEAST_SIGMA = 1e-100  # m; the precision 1 / sigma^2 of anything greater is finite
-
-
-@compiled_with_nan
-def filter_columns(
-    height: Heights,
-    sigma: Heights,
-    prior: tuple[float, float],
-    step: tuple[float, float],
-    gate: float,
-    state: F64,
-    variance: F64,
-    outlier: Bool,
-) -> None:
-    """Fill state (m, less the mean), variance (m^2) and outlier of each cell by the Kalman filter down the rows.
-
-    Args:
-        height: measured, m, shape (rows, cols), like all arrays.
-        sigma: its standard deviation, m.
-        prior: mean (m) and variance (m^2) of the relief.
-        step: correlation from row to row, and variance of the process noise, m^2 (`ReliefPrior.step`).
-        gate: standard deviations beyond which a measurement is an outlier.
-        state: to be filled.
-        variance: to be filled.
-        outlier: to be filled.
-    """
-    (mean, relief_variance), (phi, noise) = prior, step
-    rows, cols = height.shape
-    predicted, spread = np.zeros(cols), np.full(cols, relief_variance)
-    innovations, weights = np.empty(cols), np.empty(cols)
-    for i in range(rows):
-        for c in range(cols):
-            deviation, error = np.float64(height[i, c]) - mean, np.float64(sigma[i, c])
-            measured = (abs(deviation) < np.inf) & (error < np.inf) & (error > LEAST_SIGMA)
-            innovations[c] = deviation - predicted[c] if measured else 0.0
-            weights[c] = 1 / error**2 if measured else 0.0
-        for c in range(cols):  # a loop of its own, which is compiled to vector instructions
-            innovation, weight = innovations[c], weights[c]
-            outlier[i, c] = innovation**2 * weight > gate**2 * (1 + spread[c] * weight)
-            weight = 0.0 if outlier[i, c] else weight
-            variance[i, c] = spread[c] / (1 + spread[c] * weight)
-            state[i, c] = predicted[c] + variance[i, c] * weight * innovation
-            predicted[c] = phi * state[i, c]
-            spread[c] = phi**2 * variance[i, c] + noise
-
-
-@compiled
-def smooth_columns(step: tuple[float, float], state: F64, variance: F64) -> None:
-    """Turn filtered states and variances into smoothed ones, from the last row to the first; `step` as above."""
-    phi, noise = step
-    rows, cols = state.shape
-    for i in range(rows - 2, -1, -1):
-        for c in range(cols):
-            predicted = phi**2 * variance[i, c] + noise
-            back = phi * variance[i, c] / predicted
-            state[i, c] += back * (state[i + 1, c] - phi * state[i, c])
-            variance[i, c] += back**2 * (variance[i + 1, c] - predicted)
-
-
-@compiled
-def log_likelihood(
-    deviation: F64, precision: F64, relief_variance: float, step: tuple[float, float], share: float, density: float
-) -> float:
-    """Log-likelihood of the columns of `MeasuredHeights.deviations` if a `share` are outliers of `density` (1/m).
-
-    `relief_variance` is in m^2, `step` as in `filter_columns`.
-    """
-    phi, noise = step
-    total = 0.0
-    for c in range(deviation.shape[1]):
-        state, spread = 0.0, relief_variance
-        for i in range(deviation.shape[0]):
-            if precision[i, c] > 0:
-                innovation, variance = deviation[i, c] - state, spread + 1 / precision[i, c]
-                near = (1 - share) * np.exp(-(innovation**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
-                likelihood = near + share * density
-                inlier, gain = near / likelihood, spread / variance
-                total += np.log(likelihood)
-                state += inlier * gain * innovation
-                spread += inlier * gain * ((1 - inlier) * gain * innovation**2 - spread)
-            state *= phi
-            spread = phi**2 * spread + noise
-    return total
-
 
 LEAST_PRECISION = 1e-12  # of a height that no measurement reaches, 1/m^2: its sigma is 1000 km
 

@@ -18,31 +18,17 @@ found again after a fraction of l, unless the ground stays more than `gate` s aw
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import Bounds, minimize
 
 from sal_height.errors import UserError
-from sal_height.numeric import F64, Bool, Index, blocks, in_parallel
-from sal_height.relief import _kernels as kernels
-from sal_height.relief._kernels import LEAST_SIGMA, Heights
+from sal_height.numeric import F64, Bool, blocks, in_parallel
+from sal_height.relief import _tracking_kernels as kernels
+from sal_height.relief._tracking_kernels import LEAST_SIGMA, Heights
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
-
-LEAST_STEPS = 20
-"""Least number of pairs of consecutive measured cells of a column from which a prior can be estimated, to a third."""
-
-FLATTEST = 2.0
-"""Least standard deviation of an estimated relief over that of the mean of all measurements.
-
-A smaller one cannot be told from level ground, and would state heights with less error than the mean itself has.
-"""
-
-TOLERANCE = 0.02
-"""Tolerance of the search for a prior: of the logarithms of length and sigma, and of the log-likelihood."""
 
 COLUMNS_AT_ONCE = 64
 """Number of columns that are tracked at a time: 1000 rows of them fit into a processor's cache."""
@@ -94,26 +80,34 @@ class ReliefPrior:
         length: correlation length on the ground, m: the correlation of heights falls to 1 / e.
         sigma: standard deviation of heights, m.
         mean: of heights, m.
+        mean_sigma: standard deviation of the mean, m; 0: it is known. Tracks along range take it as known.
 
     Raises:
-        UserError: length or sigma is not greater than 0, or a value is not finite.
+        UserError: length or sigma is not greater than 0, the mean's sigma is less than 0, or a value is not finite.
     """
 
     length: float
     sigma: float
     mean: float = 0.0
+    mean_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse values that no relief has."""
-        if not (np.all(np.isfinite([self.length, self.sigma, self.mean])) and self.length > 0 and self.sigma > 0):
+        values = self.length, self.sigma, self.mean, self.mean_sigma
+        if not (all(map(math.isfinite, values)) and self.length > 0 and self.sigma > 0 and self.mean_sigma >= 0):
             raise UserError(
                 f"The prior of the relief has length {self.length:g} m, sigma {self.sigma:g} m and mean "
-                f"{self.mean:g} m; all must be finite, the first two greater than 0."
+                f"{self.mean:g} +- {self.mean_sigma:g} m; all must be finite, the first two greater than 0."
             )
 
     def correlation(self, distance: npt.ArrayLike) -> F64:
         """Correlation of two heights `distance` (m) apart; broadcasts."""
         return np.exp(-np.abs(distance) / self.length)
+
+    @property
+    def variances(self) -> tuple[float, float]:
+        """Variance of the relief and that of its mean, m^2."""
+        return self.sigma**2, self.mean_sigma**2
 
     def step(self, spacing: float) -> tuple[float, float]:
         """Correlation phi of cells `spacing` (m) apart, and variance s^2 (1 - phi^2) of the process noise, m^2."""
@@ -174,78 +168,6 @@ def _tracked(measured: MeasuredHeights, prior: ReliefPrior, gate: float, both_wa
 
     in_parallel(work, len(columns))
     return result
-
-
-def estimated_prior(measured: MeasuredHeights, settings: TrackingSettings = DEFAULT_TRACKING) -> ReliefPrior:
-    """Estimate the prior under which the measured heights are most likely; length and sigma unless they are given.
-
-    The likelihood of a Gauss-Markov process is the product of the likelihoods of the filter's innovations (Schweppe,
-    IEEE Trans. Information Theory 11, 1965). Outliers would make the relief look rough. Therefore a measurement is
-    taken to be an outlier with the probability `outlier_share`, and then to have any height between the least and the
-    greatest; the filter weighs it by the probability that it is none (probabilistic data association, Bar-Shalom and
-    Tse, Automatica 11, 1975).
-
-    Up to `prior_columns` columns are used, each as a track of its own. Lengths are searched from a third of the spacing
-    of rows to ten swaths, standard deviations from `flattest` on, which is the result for level ground.
-
-    Raises:
-        UserError: fewer than LEAST_STEPS pairs of consecutive measured cells of a column.
-    """
-    deviation, precision = measured.deviations(0.0)
-    chosen = evenly(np.flatnonzero(np.any(precision > 0, axis=0)), settings.prior_columns)
-    deviation, precision = deviation[:, chosen], precision[:, chosen]
-    seen = precision > 0
-    steps = int(np.sum(np.maximum(np.count_nonzero(seen, axis=0) - 1, 0)))
-    if steps < LEAST_STEPS:
-        raise UserError(
-            f"The heights have {steps} pairs of consecutive measured cells of a column; a prior of the relief can be "
-            f"estimated from {LEAST_STEPS} or more."
-        )
-    error = float(np.median(1 / np.sqrt(precision[seen])))
-    low, middle, high = np.percentile(deviation[seen], [16, 50, 84])
-    extent = float(np.ptp(deviation[seen])) + error
-    spacing, swath = measured.spacings[0], measured.spacings[0] * len(deviation)
-
-    def misfit(values: F64) -> float:
-        """Negative log-likelihood of log(length), log(sigma), and mean less median in units of the median error."""
-        prior = ReliefPrior(*np.exp(values[:2]).tolist())
-        centred, step = deviation - (middle + values[2] * error), prior.step(spacing)
-        return -kernels.log_likelihood(centred, precision, prior.sigma**2, step, settings.outlier_share, 1 / extent)
-
-    length, relief_sigma = settings.correlation_length_m, settings.relief_sigma_m
-    lowest = np.array([*np.log([length or spacing / 3, relief_sigma or flattest(precision)]), -np.inf])
-    highest = np.array([*np.log([length or 10 * swath, relief_sigma or 10 * extent]), np.inf])
-    sigmas = max(float(high - low) / 2, error) * np.array([0.1, 0.4, 1.0])
-    starts = [[*np.log(start), 0.0] for start in product(np.geomspace(spacing, swath, 6), sigmas)]
-    found = least_misfit(misfit, np.array(starts), lowest, highest)
-    length, relief_sigma = np.exp(found[:2]).tolist()
-    return ReliefPrior(length, relief_sigma, float(middle + found[2] * error))
-
-
-def evenly(items: Index, count: int) -> Index:
-    """Up to `count` of some items, evenly spaced."""
-    return items[np.linspace(0, len(items) - 1, min(len(items), count)).astype(np.intp)]
-
-
-def flattest(precision: F64) -> float:
-    """Least standard deviation (m) of a relief that can be told from level ground: FLATTEST times that of the mean."""
-    known = precision[precision > 0]
-    return FLATTEST * float(np.median(1 / np.sqrt(known)) / np.sqrt(len(known)))
-
-
-def least_misfit(misfit: Callable[[F64], float], starts: F64, lowest: F64, highest: F64) -> F64:
-    """Values within bounds that minimise a misfit, by the simplex of Nelder and Mead from the best of some starts."""
-    values = min(np.clip(starts, lowest, highest), key=misfit)
-    free = lowest < highest
-
-    def misfit_of_free(some: F64) -> float:
-        values[free] = some
-        return misfit(values)
-
-    options = {"xatol": TOLERANCE, "fatol": TOLERANCE}
-    bounds = Bounds(lowest[free], highest[free])
-    values[free] = minimize(misfit_of_free, values[free], method="Nelder-Mead", bounds=bounds, options=options).x
-    return values
 
 
 def steady_sigmas(prior: ReliefPrior, spacing: float, measured_sigma: float) -> tuple[float, float]:

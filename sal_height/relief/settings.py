@@ -12,13 +12,13 @@ class TrackingSettings(Settings):
 
     correlation_length_m: float = setting(
         0.0,
-        "correlation length of the relief on the ground; 0: estimated from each image",
+        "correlation length of the relief on the ground; 0: estimated",
         unit="m",
         minimum=0.0,
         maximum=1e6,
     )
     relief_sigma_m: float = setting(
-        0.0, "standard deviation of the relief; 0: estimated from each image", unit="m", minimum=0.0, maximum=1e5
+        0.0, "standard deviation of the relief; 0: estimated", unit="m", minimum=0.0, maximum=1e5
     )
     along_track: bool = setting(
         default=True, description="whether heights are smoothed along track as well as along range"
@@ -31,14 +31,21 @@ class TrackingSettings(Settings):
         maximum=1000.0,
     )
     outlier_share: float = setting(
-        0.05,
+        0.02,
         "expected share of outliers among the heights from which the prior of the relief is estimated",
         minimum=1e-6,
         maximum=0.5,
     )
+    prior_dwells: int = setting(
+        16,
+        "dwells from which the prior of the relief is estimated: the weight of older ones falls to 1 / e after so "
+        "many; 1: each dwell by itself",
+        minimum=1,
+        maximum=1_000_000,
+    )
     prior_columns: int = setting(
         64,
-        "columns from which the prior of the relief is estimated; more take longer and hardly improve it",
+        "columns of a dwell from which the prior of the relief is estimated; more take longer and hardly improve it",
         minimum=1,
         maximum=65536,
     )

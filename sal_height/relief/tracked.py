@@ -7,10 +7,11 @@ import numpy as np
 from sal_height.elevation import Validity
 from sal_height.geometry import ApertureState, Grid, locate_at_height
 from sal_height.numeric import F64, Bool
-from sal_height.relief.field_tracking import estimated_field_prior, smoothed_field
+from sal_height.relief.field_tracking import smoothed_field
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import circle_covariance, height_variance
-from sal_height.relief.range_tracking import MeasuredHeights, ReliefPrior, TrackedRelief, estimated_prior, smoothed
+from sal_height.relief.prior import PriorEstimate
+from sal_height.relief.range_tracking import MeasuredHeights, ReliefPrior, TrackedRelief, smoothed
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
 
 
@@ -34,21 +35,29 @@ def own_sigma(surface: Surface) -> F64:
 
 
 def track(
-    field: HeightField, aperture: ApertureState, settings: TrackingSettings = DEFAULT_TRACKING
-) -> tuple[HeightField, ReliefPrior]:
-    """Track a height image (`tracked_field`) seen from `aperture`; also returns the prior with which it was tracked.
+    field: HeightField,
+    aperture: ApertureState,
+    before: PriorEstimate,
+    settings: TrackingSettings = DEFAULT_TRACKING,
+) -> tuple[HeightField, ReliefPrior, PriorEstimate]:
+    """Track a height image (`tracked_field`) with the prior that follows from it and from the dwells before.
+
+    Args:
+        field: measured heights.
+        aperture: state of the platform.
+        before: what dwells before say of the prior; `PriorEstimate()`: there are none.
+        settings: of the tracking.
+
+    Returns:
+        The tracked height image, the prior with which it was tracked, and what is known of that after it.
 
     Raises:
-        UserError: no prior can be estimated (`range_tracking.estimated_prior`).
+        UserError: the prior cannot be estimated (`PriorEstimate.after`).
     """
     measured = MeasuredHeights(field.first.height, own_sigma(field.first), ground_spacings(field.grid))
-    if settings.along_track:
-        prior = estimated_field_prior(measured, settings)
-        relief = smoothed_field(measured, prior, settings)
-    else:
-        prior = estimated_prior(measured, settings)
-        relief = smoothed(measured, prior, settings)
-    return tracked_field(field, relief, aperture, settings.interpolation_limit * prior.sigma), prior
+    prior, after = before.after(measured, settings)
+    relief = (smoothed_field if settings.along_track else smoothed)(measured, prior, settings)
+    return tracked_field(field, relief, aperture, settings.interpolation_limit * prior.sigma), prior, after
 
 
 def tracked_field(

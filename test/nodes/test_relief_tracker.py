@@ -23,7 +23,8 @@ from sal_height.geometry.frames import ApertureState
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.locate import locate_at_height
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.relief_tracker import ReliefTracker
+from sal_height.nodes.height import LEFT_OUT
+from sal_height.nodes.relief_tracker import HELD_SERIES, ReliefTracker
 from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.relief.heights import HeightField, Surface
 
@@ -142,7 +143,9 @@ def test_picture_points_and_provenance_come_along(graph: Graph) -> None:
     assert stages["ml_height"] == {"layover": True}
     recorded = stages["relief_tracker"]
     assert (recorded["estimator"], recorded["correlation_length_m"], recorded["along_track"]) == ("ml", 0.0, True)
-    assert {name for name in recorded if "." in name} == {"prior.length", "prior.sigma", "prior.mean"}
+    assert {name for name in recorded if "." in name} == {
+        f"prior.{key}" for key in ("length", "sigma", "mean", "mean_sigma")
+    }
     assert 0.1 < recorded["prior.sigma"] < 3
     assert tracking.node.tally.summary()["processed"] == 1
 
@@ -165,6 +168,40 @@ def test_parameters_are_followed(graph: Graph) -> None:
     assert of(after[1], "validity")[70, 4] == HeightImage.LOW_CNR
     assert of(after[2], "validity")[70, 4] == HeightImage.OK
     assert of(after[2], "height")[70, 4] > 5
+
+
+def prior_of(image: HeightImage) -> tuple[float, float]:
+    recorded = messages.stages_of(image.provenance.parameters)["relief_tracker"]
+    return recorded["prior.length"], recorded["prior.sigma"]
+
+
+def of_sensor(config_hash: str, dwell: int) -> HeightImage:
+    image = height_image(dwell)
+    image.provenance.config_hash = config_hash
+    return image
+
+
+def test_a_prior_is_of_the_dwells_of_one_sensor_and_of_one_way_to_make_heights(graph: Graph) -> None:
+    """A dwell is tracked as if none of another sensor or of other parameters had come; silent channels do not count."""
+    tracking = Tracking(graph)
+    alone = [prior_of(tracking.track(of_sensor("a", dwell))) for dwell in range(3)]
+    first, second, blanked = (of_sensor("b", dwell) for dwell in range(3))
+    other, changed = of_sensor("c", 1), of_sensor("b", 1)
+    changed.provenance.parameters = messages.with_stage([], "ml_height", {"layover": False})
+    blanked.provenance.parameters = messages.with_stage([], "ml_height", {"layover": True, LEFT_OUT: [3]})
+    found = [prior_of(tracking.track(image)) for image in (first, other, changed, second, blanked)]
+    assert [found[0], found[3], found[4]] == alone
+    assert found[1] == found[2] != alone[1]
+
+
+def test_priors_of_many_sensors_are_not_held(graph: Graph) -> None:
+    """That of the one that came longest ago is forgotten: it begins anew, and the others go on."""
+    tracking = Tracking(graph)
+    begun = [prior_of(tracking.track(of_sensor(str(number), 0))) for number in range(HELD_SERIES)]
+    gone_on = prior_of(tracking.track(of_sensor("0", 1)))
+    assert gone_on != prior_of(tracking.track(of_sensor("another", 1)))
+    assert prior_of(tracking.track(of_sensor("1", 0))) == begun[1]
+    assert prior_of(tracking.track(of_sensor("3", 1))) == gone_on
 
 
 @pytest.mark.parametrize(
@@ -241,7 +278,7 @@ def test_a_bad_image_is_counted_and_the_next_one_tracked(graph: Graph, spoil: An
 def test_single_bad_pixels_are_left_out_and_counted(graph: Graph) -> None:
     """Four pixels that no estimator should publish: the rest of the image is tracked as if they had no height."""
     tracking = Tracking(graph)
-    bad, masked = height_image(), height_image()
+    bad, masked = of_sensor("a", 0), of_sensor("b", 0)
     first = bad.surfaces[0]
     first.sigma[17], first.sigma[18], first.east[19], first.height[20] = math.inf, 0.0, math.inf, math.nan
     for pixel in range(17, 21):

@@ -7,6 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from sal_height.relief import _kernels as kernels
+from sal_height.relief import _tracking_kernels as tracking
 
 Array = npt.NDArray[np.float64]
 
@@ -28,7 +29,7 @@ def filter_rows(height: Array, sigma: Array) -> tuple[Array, Array, Array]:
     states, variances, outliers = [], [], []
     predicted, spread = np.zeros(height.shape[1]), np.full(height.shape[1], PRIOR[1])
     for values, errors in zip(height.astype(np.float64), sigma.astype(np.float64), strict=True):
-        known = np.isfinite(values) & np.isfinite(errors) & (errors > kernels.LEAST_SIGMA)
+        known = np.isfinite(values) & np.isfinite(errors) & (errors > tracking.LEAST_SIGMA)
         innovation = np.where(known, values - PRIOR[0] - predicted, 0.0)
         square = np.where(known, errors, np.inf) ** 2
         outlier = innovation**2 > GATE**2 * (spread + square)
@@ -44,7 +45,7 @@ def filter_rows(height: Array, sigma: Array) -> tuple[Array, Array, Array]:
 def test_filter(dtype: str) -> None:
     height, sigma = measured(dtype)
     state, variance, outlier = np.empty((40, 9)), np.empty((40, 9)), np.empty((40, 9), np.bool_)
-    kernels.filter_columns(height, sigma, PRIOR, STEP, GATE, state, variance, outlier)
+    tracking.filter_columns(height, sigma, PRIOR, STEP, GATE, state, variance, outlier)
     expected = filter_rows(height, sigma)
     assert 0 < np.mean(expected[2]) < 0.5
     np.testing.assert_array_equal(outlier, expected[2])
@@ -55,7 +56,7 @@ def test_filter(dtype: str) -> None:
 def test_smoother() -> None:
     states, variances, _ = filter_rows(*measured())
     state, variance = states.copy(), variances.copy()
-    kernels.smooth_columns(STEP, state, variance)
+    tracking.smooth_columns(STEP, state, variance)
     for i in range(len(states) - 2, -1, -1):
         predicted = STEP[0] ** 2 * variances[i] + STEP[1]
         back = STEP[0] * variances[i] / predicted
@@ -65,26 +66,35 @@ def test_smoother() -> None:
     np.testing.assert_allclose(variance, variances, rtol=1e-12)
 
 
-def test_log_likelihood() -> None:
-    """An innovation is normal or, with the probability `share`, an outlier; the filter weighs it by the former."""
+def test_log_likelihoods() -> None:
+    """An innovation is normal or, with the probability `share`, an outlier; the filter weighs it by the former.
+
+    The twin holds the covariance of all cells of a window and of their mean, and has no rows to predict.
+    """
     rng = np.random.default_rng(2)
-    deviation, precision = rng.standard_normal((30, 4)), rng.uniform(0.2, 3.0, (30, 4))
-    precision[rng.random(precision.shape) < 0.2] = 0.0
-    share, density, total = 0.1, 0.05, 0.0
-    state, spread = np.zeros(4), np.full(4, PRIOR[1])
-    for values, weights in zip(deviation, precision, strict=True):
-        seen = weights > 0
-        variance = spread + 1 / np.where(seen, weights, 1.0)
-        innovation, gain = values - state, spread / variance
-        near = (1 - share) * np.exp(-(innovation**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
-        likelihood = near + share * density
-        total += float(np.sum(np.log(likelihood), where=seen))
-        inlier = np.where(seen, near / likelihood, 0.0)
-        state = STEP[0] * (state + inlier * gain * innovation)
-        spread = spread + inlier * gain * ((1 - inlier) * gain * innovation**2 - spread)
-        spread = STEP[0] ** 2 * spread + STEP[1]
-    found = kernels.log_likelihood(deviation, precision, PRIOR[1], STEP, share, density)
-    assert found == pytest.approx(total, rel=1e-12)
+    shape, variances, steps, share, density = (2, 6, 4), (1.5, 3.0), (0.9, 0.7), 0.1, 0.05
+    deviation, precision = 2 * rng.standard_normal(shape), rng.uniform(0.2, 3.0, shape)
+    precision[rng.random(shape) < 0.2] = 0.0
+    down, along = (
+        step ** np.abs(np.subtract.outer(np.arange(n), np.arange(n))) for n, step in zip(shape[1:], steps, strict=True)
+    )
+    expected = np.zeros(shape)
+    for window, heights in enumerate(deviation):
+        state, spread = np.zeros(heights.size), variances[0] * np.kron(down, along) + variances[1]
+        for cell, height in enumerate(heights.ravel()):
+            weight = precision[window].flat[cell]
+            if weight:
+                innovation, variance = height - state[cell], spread[cell, cell] + 1 / weight
+                near = (1 - share) * np.exp(-(innovation**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
+                inlier = near / (near + share * density)
+                expected[window].flat[cell] = np.log(near + share * density)
+                gain = spread[cell] / variance
+                state = state + inlier * gain * innovation
+                shrink = inlier * variance - inlier * (1 - inlier) * innovation**2
+                spread = spread - shrink * np.outer(gain, gain)
+    found = np.empty(shape)
+    tracking.log_likelihoods(deviation, precision, variances, steps, (share, density), found)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_variances_across_the_ground_are_those_of_a_product_of_matrices() -> None:

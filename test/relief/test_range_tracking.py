@@ -5,79 +5,27 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 import pytest
+from drawn_reliefs import SPACING, conditioned, draw, measure, of, rms, tracks, uneven, within
 from helpers import assert_one_sentence
 
 from sal_height.errors import UserError
-from sal_height.relief.field_tracking import estimated_field_prior, smoothed_field
+from sal_height.relief.field_tracking import smoothed_field
+from sal_height.relief.prior import PriorEstimate
 from sal_height.relief.range_tracking import (
     COLUMNS_AT_ONCE,
-    LEAST_STEPS,
-    MeasuredHeights,
     ReliefPrior,
-    TrackedRelief,
-    estimated_prior,
     filtered,
     smoothed,
     steady_sigmas,
 )
 from sal_height.relief.settings import TrackingSettings
 
-Array = npt.NDArray[np.float64]
-
 PRIOR = ReliefPrior(20.0, 1.0, 3.0)
-SPACING = 0.5
 ALL = TrackingSettings(gate=1000.0)
 """A gate that no measurement is beyond."""
 
-
-def of(height: Array, sigma: Array, spacings: tuple[float, float] = (SPACING, SPACING)) -> MeasuredHeights:
-    return MeasuredHeights(height, sigma, spacings)
-
-
-def draw(rng: np.random.Generator, prior: ReliefPrior, shape: tuple[int, int], spacings: tuple[float, float]) -> Array:
-    """A relief whose covariance is the product of two exponentials."""
-    roots = [
-        np.linalg.cholesky(prior.correlation(np.subtract.outer(np.arange(n), np.arange(n)) * step))
-        for n, step in zip(shape, spacings, strict=True)
-    ]
-    return prior.mean + prior.sigma * roots[0] @ rng.standard_normal(shape) @ roots[1].T
-
-
-def tracks(rng: np.random.Generator, prior: ReliefPrior, shape: tuple[int, int]) -> Array:
-    """A relief whose columns have nothing to do with each other."""
-    steps = np.subtract.outer(np.arange(shape[0]), np.arange(shape[0])) * SPACING
-    return prior.mean + prior.sigma * np.linalg.cholesky(prior.correlation(steps)) @ rng.standard_normal(shape)
-
-
-def measure(rng: np.random.Generator, height: Array, sigma: Array, missing: float = 0.0) -> Array:
-    """Heights with noise, NaN in a share of the cells."""
-    measured = height + sigma * rng.standard_normal(height.shape)
-    return np.where(rng.random(height.shape) < missing, np.nan, measured)
-
-
-def uneven(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
-    """Standard deviations from about 0.3 to 3 m."""
-    return np.exp(0.6 * rng.standard_normal(shape))
-
-
-def conditioned(height: Array, sigma: Array, covariance: Array, mean: float) -> tuple[Array, Array]:
-    """Mean and standard deviation of Gaussian heights given measurements (NaN: none), by their whole covariance."""
-    seen = np.isfinite(height)
-    gain = np.linalg.solve(covariance[np.ix_(seen, seen)] + np.diag(sigma[seen] ** 2), covariance[seen]).T
-    return mean + gain @ (height[seen] - mean), np.sqrt(
-        np.diag(covariance) - np.sum(gain * covariance[:, seen], axis=1)
-    )
-
-
-def within(result: TrackedRelief, height: Array) -> float:
-    """Share of cells whose error is less than their sigma."""
-    return float(np.mean(np.abs(result.height - height) < result.sigma))
-
-
-def rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+ALONG_RANGE = TrackingSettings(along_track=False)
 
 
 def test_filter_and_smoother_are_what_conditioning_on_all_cells_gives() -> None:
@@ -140,77 +88,11 @@ def test_sigma_is_the_spread_of_the_errors(length: float, noise: float, missing:
     height = tracks(rng, prior, (300, 200))
     sigma = noise * uneven(rng, height.shape)
     measured = measure(rng, height, sigma, missing)
-    estimated = estimated_prior(of(measured, sigma))
+    estimated, _ = PriorEstimate().after(of(measured, sigma), ALONG_RANGE)
     for known, track in itertools.product((prior, estimated), (filtered, smoothed)):
         result = track(of(measured, sigma), known)
         assert within(result, height) == pytest.approx(0.683, abs=0.03)
         assert rms((result.height - height) / result.sigma) == pytest.approx(1, abs=0.06)
-
-
-def test_prior_is_estimated() -> None:
-    """From 64 swaths of 10 lengths: the scatter of 9 estimates is their standard error, and none is biased."""
-    rng = np.random.default_rng(4)
-    found = []
-    for _ in range(9):
-        height = tracks(rng, PRIOR, (400, 64))
-        sigma = uneven(rng, height.shape)
-        prior = estimated_prior(of(measure(rng, height, sigma, 0.1), sigma))
-        found.append([np.log(prior.length / 20.0), np.log(prior.sigma), prior.mean - 3.0])
-    error = np.std(found, axis=0, ddof=1)
-    assert np.all(error < [0.12, 0.05, 0.1])
-    assert np.all(np.abs(np.mean(found, axis=0)) < 3.5 * error / np.sqrt(9))
-
-
-def test_prior_is_estimated_in_spite_of_outliers() -> None:
-    """One in eight cells is anywhere within 10 sigmas; tracks then lose a tenth of their precision, and no more."""
-    rng = np.random.default_rng(5)
-    height = tracks(rng, PRIOR, (400, 200))
-    sigma = np.full(height.shape, 0.5)
-    clean = measure(rng, height, sigma)
-    wrong = rng.random(height.shape) < 0.125
-    measured = np.where(wrong, rng.uniform(-7, 13, height.shape), clean)
-    prior = estimated_prior(of(measured, sigma))
-    assert prior.length == pytest.approx(20, rel=0.3)
-    assert prior.sigma == pytest.approx(1, rel=0.15)
-    result = smoothed(of(measured, sigma), prior)
-    without = smoothed(of(np.where(wrong, np.nan, clean), sigma), PRIOR)
-    far = wrong & (np.abs(measured - height) > 5)
-    assert np.mean(result.outlier[far]) > 0.99
-    assert np.mean(result.outlier[~wrong]) < 0.001
-    assert rms(result.height - height) < 1.1 * rms(without.height - height)
-    assert within(result, height) == pytest.approx(0.683, abs=0.03)
-
-
-def test_what_is_known_of_the_prior_is_kept() -> None:
-    rng = np.random.default_rng(6)
-    height = tracks(rng, PRIOR, (300, 40))
-    sigma = np.ones_like(height)
-    measured = measure(rng, height, sigma)
-    free = estimated_prior(of(measured, sigma))
-    assert estimated_prior(of(measured, sigma), TrackingSettings(correlation_length_m=7.0)).length == pytest.approx(7.0)
-    assert estimated_prior(of(measured, sigma), TrackingSettings(relief_sigma_m=2.0)).sigma == pytest.approx(2.0)
-    known = TrackingSettings(correlation_length_m=7.0, relief_sigma_m=2.0)
-    both = estimated_prior(of(measured, sigma), known)
-    assert (both.length, both.sigma) == pytest.approx((7.0, 2.0))
-    assert both.mean == pytest.approx(free.mean, abs=0.3)
-    field = estimated_field_prior(of(measured, sigma), known)
-    assert (field.length, field.sigma) == pytest.approx((7.0, 2.0))
-
-
-def test_level_ground_is_averaged_and_no_surer_than_its_level() -> None:
-    """Planes in noise of 1 m, in 1200 cells: 29 mm. Of 30 heights all but one or two are within two sigmas."""
-    rng = np.random.default_rng(7)
-    off = []
-    for _ in range(15):
-        measured = 5 + rng.standard_normal((60, 20))
-        sigma = np.ones_like(measured)
-        alone = estimated_prior(of(measured, sigma))
-        field = estimated_field_prior(of(measured, sigma))
-        along_range = smoothed(of(measured, sigma), alone)
-        for result in (along_range, smoothed_field(of(measured, sigma), field)):
-            assert rms(result.height - 5) < 0.2
-            off.append(rms((result.height - 5) / result.sigma))
-    assert np.count_nonzero(np.array(off) > 2) <= 2
 
 
 def test_an_outlier_is_marked_and_does_no_harm() -> None:
@@ -275,6 +157,32 @@ def test_a_field_of_one_window_is_what_conditioning_on_all_cells_gives() -> None
     np.testing.assert_allclose(result.sigma.ravel(), spread, atol=1e-9)
 
 
+def test_the_mean_is_estimated_with_the_heights_if_it_is_not_known() -> None:
+    """As conditioning does whose covariance has the variance of the mean everywhere."""
+    rng = np.random.default_rng(13)
+    shape, prior = (12, 5), ReliefPrior(2.0, 0.5, 3.0, 4.0)
+    rows, cols = (prior.correlation(np.subtract.outer(np.arange(n), np.arange(n)) * SPACING) for n in shape)
+    sigma = uneven(rng, shape)
+    measured = measure(rng, 7 + draw(rng, prior, shape, (SPACING, SPACING)), sigma, 0.3)
+    covariance = prior.sigma**2 * np.kron(rows, cols) + prior.mean_sigma**2
+    height, spread = conditioned(measured.ravel(), sigma.ravel(), covariance, prior.mean)
+    result = smoothed_field(of(measured, sigma), prior, ALL)
+    np.testing.assert_allclose(result.height.ravel(), height, atol=1e-9)
+    np.testing.assert_allclose(result.sigma.ravel(), spread, atol=1e-9)
+
+
+@pytest.mark.parametrize("prior", [ReliefPrior(1e6, 1e-6), ReliefPrior(1e6, 1e5), ReliefPrior(1e-3, 1.0)])
+def test_nothing_breaks_the_smoother(prior: ReliefPrior) -> None:
+    """Hardly any variance, no end of correlation, or none at all; and cells that are all but exactly known."""
+    rng = np.random.default_rng(14)
+    sigma = uneven(rng, (40, 6))
+    sigma[20:22] = 1e-40
+    result = smoothed_field(of(5 + sigma * rng.standard_normal(sigma.shape), sigma), prior, ALL)
+    assert np.all(np.isfinite(result.height))
+    assert np.all(result.sigma > 0)
+    assert np.all(result.sigma <= prior.sigma * (1 + 1e-9))
+
+
 @pytest.mark.parametrize("cols", [1, 33, 48, 49, 80])
 def test_windows_lose_little_of_a_wide_field(cols: int) -> None:
     """Against one window as wide as the image: every sigma is 4 % greater at most, 2 % in the mean."""
@@ -316,7 +224,7 @@ def test_a_field_is_calibrated_and_better_than_tracks_along_range() -> None:
         measured = measure(rng, height, sigma, 0.1)
         wrong = rng.random(height.shape) < 0.02
         measured[wrong] = rng.uniform(0, 100, np.count_nonzero(wrong))
-        known = estimated_field_prior(of(measured, sigma, spacings))
+        known, _ = PriorEstimate().after(of(measured, sigma, spacings))
         results = [
             smoothed_field(of(measured, sigma, spacings), prior),
             smoothed_field(of(measured, sigma, spacings), known),
@@ -353,13 +261,3 @@ def test_a_prior_that_is_none_is_refused(values: tuple[float, float, float]) -> 
     with pytest.raises(UserError) as error:
         ReliefPrior(*values)
     assert_one_sentence(str(error.value), "greater than 0")
-
-
-@pytest.mark.parametrize("cells", [0, 1, LEAST_STEPS // 2])
-def test_a_prior_needs_measurements(cells: int) -> None:
-    """As many in each of two columns; the others are empty."""
-    measured = np.full((50, 5), np.nan)
-    measured[:cells, 1] = measured[:cells, 3] = 1.0
-    with pytest.raises(UserError) as error:
-        estimated_prior(of(measured, np.ones_like(measured)))
-    assert_one_sentence(str(error.value), f"{2 * max(0, cells - 1)} pairs", f"{LEAST_STEPS} or more")

@@ -1,0 +1,243 @@
+"""Compiled loops of the tracking: of single columns, side by side, and of rows as the state of one process.
+
+The state of a row of n cells are their deviations from the mean, and the mean m itself: n + 1 numbers. From row to row
+deviations fall by phi and gain the process noise that keeps their covariance as it is; m stays. The cells of a row are
+measured one after the other, each a Kalman update by a single number, which costs no more than the square of n.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.numeric import F64, Bool, compiled, compiled_with_nan, inlined
+
+Heights = npt.NDArray[np.floating[Any]]
+
+LEAST_SIGMA = 1e-100  # m; the precision 1 / sigma^2 of anything greater is finite
+
+
+@compiled_with_nan
+def filter_columns(
+    height: Heights,
+    sigma: Heights,
+    prior: tuple[float, float],
+    step: tuple[float, float],
+    gate: float,
+    state: F64,
+    variance: F64,
+    outlier: Bool,
+) -> None:
+    """Fill state (m, less the mean), variance (m^2) and outlier of each cell by the Kalman filter down the rows.
+
+    Args:
+        height: measured, m, shape (rows, cols), like all arrays.
+        sigma: its standard deviation, m.
+        prior: mean (m) and variance (m^2) of the relief.
+        step: correlation from row to row, and variance of the process noise, m^2 (`ReliefPrior.step`).
+        gate: standard deviations beyond which a measurement is an outlier.
+        state: to be filled.
+        variance: to be filled.
+        outlier: to be filled.
+    """
+    (mean, relief_variance), (phi, noise) = prior, step
+    rows, cols = height.shape
+    predicted, spread = np.zeros(cols), np.full(cols, relief_variance)
+    innovations, weights = np.empty(cols), np.empty(cols)
+    for i in range(rows):
+        for c in range(cols):
+            deviation, error = np.float64(height[i, c]) - mean, np.float64(sigma[i, c])
+            measured = (abs(deviation) < np.inf) & (error < np.inf) & (error > LEAST_SIGMA)
+            innovations[c] = deviation - predicted[c] if measured else 0.0
+            weights[c] = 1 / error**2 if measured else 0.0
+        for c in range(cols):  # a loop of its own, which is compiled to vector instructions
+            innovation, weight = innovations[c], weights[c]
+            outlier[i, c] = innovation**2 * weight > gate**2 * (1 + spread[c] * weight)
+            weight = 0.0 if outlier[i, c] else weight
+            variance[i, c] = spread[c] / (1 + spread[c] * weight)
+            state[i, c] = predicted[c] + variance[i, c] * weight * innovation
+            predicted[c] = phi * state[i, c]
+            spread[c] = phi**2 * variance[i, c] + noise
+
+
+@compiled
+def smooth_columns(step: tuple[float, float], state: F64, variance: F64) -> None:
+    """Turn filtered states and variances into smoothed ones, from the last row to the first; `step` as above."""
+    phi, noise = step
+    rows, cols = state.shape
+    for i in range(rows - 2, -1, -1):
+        for c in range(cols):
+            predicted = phi**2 * variance[i, c] + noise
+            back = phi * variance[i, c] / predicted
+            state[i, c] += back * (state[i + 1, c] - phi * state[i, c])
+            variance[i, c] += back**2 * (variance[i + 1, c] - predicted)
+
+
+@inlined
+def _row_covariance(variances: tuple[float, float], beside: float, size: int) -> F64:
+    """Covariance of the state of a row before any measurement, m^2, shape (size + 1, size + 1)."""
+    covariance = np.zeros((size + 1, size + 1))
+    for j in range(size):
+        for k in range(size):
+            covariance[j, k] = variances[0] * beside ** abs(j - k)
+    covariance[size, size] = variances[1]
+    return covariance
+
+
+@inlined
+def _predict_row(phi: float, covariance: F64, state: F64, spread: F64) -> None:
+    """Turn state and covariance `spread` of a row into the prediction of the next; `covariance` as above."""
+    size = len(state) - 1
+    for j in range(size):
+        state[j] *= phi
+        for k in range(size):
+            spread[j, k] = covariance[j, k] + phi**2 * (spread[j, k] - covariance[j, k])
+        spread[j, size] *= phi
+        spread[size, j] *= phi
+
+
+@inlined
+def _take_back_row(phi: float, score: F64, information: F64) -> None:
+    """Turn what a row and those after it say of its state into what they say of that of the row before."""
+    size = len(score) - 1
+    for j in range(size):
+        score[j] *= phi
+        for k in range(size):
+            information[j, k] *= phi**2
+        information[j, size] *= phi
+        information[size, j] *= phi
+
+
+@inlined
+def _update(gain: float, shrink: float, column: F64, state: F64, spread: F64) -> None:
+    """Add `gain` times the column to the state, and take `shrink` times its square from the covariance `spread`."""
+    for j in range(len(state)):
+        state[j] += gain * column[j]
+        scaled = shrink * column[j]
+        for k in range(len(state)):
+            spread[j, k] -= scaled * column[k]
+
+
+@compiled
+def log_likelihoods(
+    deviation: F64,
+    precision: F64,
+    variances: tuple[float, float],
+    steps: tuple[float, float],
+    outliers: tuple[float, float],
+    found: F64,
+) -> None:
+    """Fill the log-likelihood of each measurement given those before it; their sum is that of all.
+
+    Args:
+        deviation: of windows, as in `MeasuredHeights.deviations`, m, shape (windows, rows, size).
+        precision: 1/m^2, same shape; 0: not measured.
+        variances: of the relief, and of its mean, m^2.
+        steps: correlation from row to row, and from column to column.
+        outliers: their share, and the density of their heights, 1/m.
+        found: to be filled, same shape; 0 where not measured.
+    """
+    (phi, beside), (share, density) = steps, outliers
+    windows, rows, size = deviation.shape
+    covariance, column = _row_covariance(variances, beside, size), np.empty(size + 1)
+    for w in range(windows):
+        state, spread = np.zeros(size + 1), covariance.copy()
+        for i in range(rows):
+            if i > 0:
+                _predict_row(phi, covariance, state, spread)
+            for c in range(size):
+                found[w, i, c] = 0.0
+                if precision[w, i, c] > 0:
+                    for k in range(size + 1):
+                        column[k] = spread[c, k] + spread[size, k]
+                    innovation = deviation[w, i, c] - state[c] - state[size]
+                    variance = max(column[c] + column[size], 0.0) + 1 / precision[w, i, c]
+                    near = (1 - share) * np.exp(-(innovation**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
+                    likelihood = near + share * density
+                    inlier = near / likelihood
+                    found[w, i, c] = np.log(likelihood)
+                    shrink = inlier / variance * (1 - (1 - inlier) * innovation**2 / variance)
+                    _update(inlier * innovation / variance, shrink, column, state, spread)
+
+
+@compiled
+def filter_rows(
+    deviation: F64,
+    precision: F64,
+    variances: tuple[float, float],
+    steps: tuple[float, float],
+    columns: F64,
+    state: F64,
+    variance: F64,
+) -> None:
+    """Fill what is predicted of each height by the cells before it, with x the state and P its covariance there.
+
+    Args:
+        deviation: of a window, m, shape (rows, size).
+        precision: 1/m^2, same shape; 0: not measured.
+        variances: as in `log_likelihoods`.
+        steps: as in `log_likelihoods`.
+        columns: covariances P H^T of the state with the height H x, to be filled, m^2, shape (rows, size, size + 1).
+        state: H x less the mean of the prior, to be filled, m, shape (rows, size).
+        variance: H P H^T, to be filled, m^2, shape (rows, size).
+    """
+    (phi, beside), (rows, size) = steps, deviation.shape
+    covariance = _row_covariance(variances, beside, size)
+    mean, spread = np.zeros(size + 1), covariance.copy()
+    for i in range(rows):
+        if i > 0:
+            _predict_row(phi, covariance, mean, spread)
+        for c in range(size):
+            column = columns[i, c]
+            for k in range(size + 1):
+                column[k] = spread[c, k] + spread[size, k]
+            state[i, c], variance[i, c] = mean[c] + mean[size], max(column[c] + column[size], 0.0)
+            weight = precision[i, c] / (1 + precision[i, c] * variance[i, c])
+            if weight > 0:
+                _update(weight * (deviation[i, c] - state[i, c]), weight, column, mean, spread)
+
+
+@compiled
+def smooth_rows(deviation: F64, precision: F64, phi: float, columns: F64, state: F64, variance: F64) -> None:
+    """Turn what `filter_rows` predicts into mean and variance of each height given all measurements of the window.
+
+    Back from the last cell to the first run the adjoint variables of Bryson and Frazier (1963; Bierman, IEEE Trans.
+    Automatic Control 18, 1973): a smoothed height is H (x + P score), its variance H (P - P information P) H^T. No
+    matrix is inverted, so that neither a relief of hardly any variance nor one whose correlation has no end needs care.
+
+    Args:
+        deviation: as in `filter_rows`.
+        precision: as in `filter_rows`.
+        phi: correlation from row to row.
+        columns: as filled by `filter_rows`.
+        state: as filled by `filter_rows`; to be turned.
+        variance: as filled by `filter_rows`; to be turned.
+    """
+    rows, size = deviation.shape
+    score, information, seen = np.zeros(size + 1), np.zeros((size + 1, size + 1)), np.empty(size + 1)
+    for i in range(rows - 1, -1, -1):
+        for c in range(size - 1, -1, -1):
+            column, own = columns[i, c], variance[i, c]
+            left = 1 / (1 + precision[i, c] * own)
+            weight = precision[i, c] * left
+            gain = weight * (deviation[i, c] - state[i, c])
+            step, square = 0.0, 0.0
+            for j in range(size + 1):
+                seen[j] = 0.0
+                for k in range(size + 1):
+                    seen[j] += information[j, k] * column[k]
+                square += seen[j] * column[j]
+                step += score[j] * column[j]
+            state[i, c] += own * gain + left * step
+            variance[i, c] = left * max(own - left * square, 0.0)
+            for j in (c, size):
+                score[j] += gain - weight * step
+                for k in range(size + 1):
+                    information[j, k] -= weight * seen[k]
+                    information[k, j] -= weight * seen[k]
+            for j in (c, size):
+                for k in (c, size):
+                    information[j, k] += weight + weight**2 * square
+        _take_back_row(phi, score, information)

@@ -1,0 +1,251 @@
+"""The prior of tracked heights, estimated from many dwells: each brings the estimate up to date.
+
+What a dwell says of correlation length l and standard deviation s of the relief is the likelihood of its heights, the
+product of those of the filter's innovations (Schweppe, IEEE Trans. Information Theory 11, 1965). Outliers would make
+the relief look rough. Therefore a measurement is taken to be an outlier with the probability `outlier_share`, and then
+to have any height between the least and the greatest; the filter weighs it by the probability that it is none
+(probabilistic data association, Bar-Shalom and Tse, Automatica 11, 1975).
+
+What the dwells before say of x = (log l, log s) is kept as a Gaussian, that is, as its information I and moment I x.
+With each dwell both lose 1 / `prior_dwells` of their weight (exponential forgetting) and gain what the dwell says: the
+most likely x, given it and those before, and the information of its likelihood there. Until dwells have said enough, a
+Gaussian so wide that it hardly matters (`_Heights.vague`) holds its place. Ground that is quite another than before
+(`SURPRISE`) makes the estimate begin anew.
+
+The mean of the relief is that of each dwell alone: Gaussian, with the standard deviation of the heights about their
+median.
+
+Tracked heights are stated with the sigma that they have under the most likely prior. What its uncertainty adds was
+measured on drawn reliefs, by the mean over priors as uncertain as stated: where the relief is smoother than its
+measurements it is up to four points of coverage within one sigma in the first dwell, elsewhere half a point, and from
+the tenth dwell on less than half a point everywhere. It is therefore left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sal_height.errors import UserError
+from sal_height.numeric import F64, Bool
+from sal_height.relief import _tracking_kernels as kernels
+from sal_height.relief.range_tracking import MeasuredHeights, ReliefPrior
+from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
+
+LEAST_STEPS = 20
+"""Least number of pairs of consecutive measured cells of a column from which a prior can be estimated, to a third."""
+
+FLATTEST = 2.0
+"""Least standard deviation of an estimated relief over that of the mean of all measurements.
+
+A smaller one cannot be told from level ground.
+"""
+
+RELIEF_OVER_ERROR = 30.0
+"""Factor, of one standard deviation, by which the relief may be rougher or smoother than measurements are precise."""
+
+SURPRISE = 10.0
+"""Log-likelihood that a prior far from that of the dwells before must gain in a dwell for these to be forgotten."""
+
+ROWS_OF_PRIOR = 256
+"""Number of rows in the middle of the image from which a prior is estimated."""
+
+DIFFERENCE = 0.05
+"""Difference of logarithms from which slopes of the likelihood are computed, to a part in a thousand."""
+
+LONGEST_STEP = 1.5
+"""Longest step of the search in either logarithm; farther away the likelihood is another."""
+
+TOLERANCE = 0.2
+"""Length of the last step of the search, in standard deviations of what is sought; its square is the error left."""
+
+STEPS = 20
+"""Most steps of a search, which takes two in most dwells and six in the first."""
+
+
+@dataclass(frozen=True, eq=False)
+class PriorEstimate:
+    """What dwells so far say of the prior of their relief; nothing, to begin with.
+
+    Attributes:
+        information: of log(length / m) and log(sigma / m), the inverse of their covariance, shape (2, 2).
+        moment: the information times the most likely values, shape (2,).
+    """
+
+    information: F64 = field(default_factory=lambda: np.zeros((2, 2)))
+    moment: F64 = field(default_factory=lambda: np.zeros(2))
+
+    def after(
+        self, measured: MeasuredHeights, settings: TrackingSettings = DEFAULT_TRACKING
+    ) -> tuple[ReliefPrior, PriorEstimate]:
+        """The most likely prior of one more dwell, and what is known of it after that.
+
+        Length and sigma are those that `settings` give, unless they are 0. Up to `prior_columns` columns are used, in
+        windows of `window_columns`, or each as a track of its own if heights are not smoothed along track; the mean is
+        then taken as known.
+
+        Raises:
+            UserError: fewer than LEAST_STEPS pairs of consecutive measured cells of a column in the first dwell, or
+                none in a later one.
+        """
+        heights = _Heights.of(measured, settings, 1 if self.information.any() else LEAST_STEPS)
+        kept, vague = 1 - 1 / settings.prior_dwells, heights.vague()
+        known = kept * self.information + vague.information
+        expected = np.asarray(np.linalg.solve(known, kept * self.moment + vague.moment))
+        logs, gained, surprise = _most_likely(heights, expected, known, settings)
+        if surprise > SURPRISE and self.information.any():
+            return PriorEstimate().after(measured, settings)
+        length, sigma = np.exp(logs).tolist()
+        prior = ReliefPrior(length, sigma, heights.mean, heights.mean_sigma)
+        return prior, PriorEstimate(kept * self.information + gained, (known + gained) @ logs - vague.moment)
+
+
+@dataclass(frozen=True, eq=False)
+class _Heights:
+    """The heights of a dwell from which a prior is estimated.
+
+    Attributes:
+        deviation: of windows of the image from the mean, m, shape (windows, rows, size).
+        precision: 1/m^2, same shape; 0: not measured.
+        spacings: ground spacing between rows and between columns, m.
+        swath: length of a column of the image, m.
+        mean: median of all heights, m.
+        mean_sigma: standard deviation of the mean of the relief about it, m.
+        spread: half the distance between 16th and 84th percentile of the heights, m, at least the error.
+        error: median standard deviation of a measurement, m.
+        outliers: their expected share, and the density of their heights, 1/m.
+        flattest: least standard deviation of a relief that can be told from level ground, m.
+    """
+
+    deviation: F64
+    precision: F64
+    spacings: tuple[float, float]
+    swath: float
+    mean: float
+    mean_sigma: float
+    spread: float
+    error: float
+    outliers: tuple[float, float]
+    flattest: float
+
+    @classmethod
+    def of(cls, measured: MeasuredHeights, settings: TrackingSettings, least_steps: int) -> _Heights:
+        """Those of a dwell with `least_steps` pairs of consecutive measured cells of a column or more."""
+        deviation, precision = measured.deviations(0.0)
+        seen = precision > 0
+        steps = int(np.maximum(np.count_nonzero(seen, axis=0) - 1, 0).sum())
+        if steps < least_steps:
+            raise UserError(
+                f"The heights have {steps} pairs of consecutive measured cells of a column; a prior of the relief can "
+                f"be estimated from {LEAST_STEPS} or more, and brought up to date with 1 or more."
+            )
+        error = float(np.median(precision[seen])) ** -0.5
+        least, low, middle, high, greatest = np.percentile(deviation[seen], [0, 16, 50, 84, 100]).tolist()
+        spread = max((high - low) / 2, error)
+        windows = _windows(seen, settings)
+        return cls(
+            deviation=np.stack([np.where(seen, deviation - middle, 0.0)[window] for window in windows]),
+            precision=np.stack([precision[window] for window in windows]),
+            spacings=measured.spacings,
+            swath=measured.spacings[0] * len(seen),
+            mean=middle,
+            mean_sigma=spread if settings.along_track else 0.0,
+            spread=spread,
+            error=error,
+            outliers=(settings.outlier_share, 1 / (greatest - least + error)),
+            flattest=FLATTEST * error / math.sqrt(np.count_nonzero(seen)),
+        )
+
+    def vague(self) -> PriorEstimate:
+        """What is known before any dwell: lengths from the spacing to the swath, and RELIEF_OVER_ERROR."""
+        spacing = self.spacings[0]
+        middle = np.array([math.log(spacing * self.swath) / 2, math.log(self.error)])
+        deviation = np.array([max(math.log(self.swath / spacing) / 2, 1.0), math.log(RELIEF_OVER_ERROR)])
+        return PriorEstimate(np.diag(deviation**-2), middle * deviation**-2)
+
+    def starts(self) -> list[F64]:
+        """Where to search for the most likely logarithms, whatever is known."""
+        length = math.sqrt(self.spacings[0] * self.swath)
+        return [np.log([length, share * self.spread]) for share in (0.1, 0.4, 1.0)]
+
+    def bounds(self, settings: TrackingSettings) -> F64:
+        """Least and greatest logarithms, shape (2, 2); equal if they are given."""
+        length, sigma = settings.correlation_length_m, settings.relief_sigma_m
+        lowest = length or self.spacings[0] / 3, sigma or self.flattest
+        return np.log([lowest, (length or math.inf, sigma or math.inf)])
+
+    def log_likelihood(self, logs: F64) -> float:
+        """Log-likelihood of all measurements under the prior of these logarithms."""
+        return float(self.log_likelihoods(logs).sum())
+
+    def log_likelihoods(self, logs: F64) -> F64:
+        """Log-likelihood of each measurement given those before it, under the prior of these logarithms."""
+        length, sigma = np.exp(logs).tolist()
+        steps = math.exp(-self.spacings[0] / length), math.exp(-self.spacings[1] / length)
+        found = np.empty_like(self.deviation)
+        variances = sigma**2, self.mean_sigma**2
+        kernels.log_likelihoods(self.deviation, self.precision, variances, steps, self.outliers, found)
+        return found.ravel()
+
+    def slopes(self, logs: F64) -> F64:
+        """Derivatives of `log_likelihoods` by both logarithms, shape (2, measurements)."""
+        steps = DIFFERENCE * np.eye(2)
+        differences = [self.log_likelihoods(logs + step) - self.log_likelihoods(logs - step) for step in steps]
+        return np.stack(differences) / (2 * DIFFERENCE)
+
+
+def _windows(seen: Bool, settings: TrackingSettings) -> list[tuple[slice, slice]]:
+    """Windows of the part of an image that was seen, in its middle rows and evenly spaced along track."""
+    rows, cols = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
+    first, height = int(rows[0]), int(rows[-1] - rows[0]) + 1
+    top = first + max(0, (height - ROWS_OF_PRIOR) // 2)
+    left, width = int(cols[0]), int(cols[-1] - cols[0]) + 1
+    size = min(width, settings.window_columns if settings.along_track else 1)
+    count = max(1, min(width, settings.prior_columns) // size)
+    starts = left + ((np.arange(count) + 0.5) * width / count - size / 2).astype(np.intp)
+    return [np.s_[top : top + min(height, ROWS_OF_PRIOR), start : start + size] for start in starts.tolist()]
+
+
+def _most_likely(heights: _Heights, expected: F64, known: F64, settings: TrackingSettings) -> tuple[F64, F64, float]:
+    """The most likely logarithms if heights are seen and `expected` is known with the information `known`.
+
+    From the best of some starts, steps of Newton with the information of Berndt, Hall, Hall and Hausman (Annals of
+    Economic and Social Measurement 3, 1974): the sum of the squared slopes of the log-likelihood of each measurement
+    given those before it.
+
+    Returns:
+        The logarithms; the information of the heights there, shape (2, 2); and the log-likelihood that the best start
+        has more than they.
+    """
+    lowest, highest = heights.bounds(settings)
+
+    def doubt(logs: F64) -> float:
+        """Negative logarithm of what is known of these logarithms."""
+        away = logs - expected
+        return float(away @ known @ away) / 2
+
+    starts = [np.clip(start, lowest, highest) for start in (expected, *heights.starts())]
+    likelihoods = [heights.log_likelihood(start) for start in starts]
+    merits = [likelihood - doubt(start) for likelihood, start in zip(likelihoods, starts, strict=True)]
+    logs, merit = starts[int(np.argmax(merits))], max(merits)
+    for _ in range(STEPS):
+        slopes = heights.slopes(logs)
+        gained = slopes @ slopes.T
+        rise = slopes.sum(axis=1) - known @ (logs - expected)
+        free = np.where(rise > 0, logs < highest, logs > lowest)
+        total = np.where(np.outer(free, free), known + gained, np.eye(2))
+        step = np.linalg.solve(total, rise * free)
+        step *= LONGEST_STEP / max(LONGEST_STEP, float(np.abs(step).max()))
+        while (length := math.sqrt(step @ total @ step)) > TOLERANCE:
+            there = np.clip(logs + step, lowest, highest)
+            found = heights.log_likelihood(there) - doubt(there)
+            if found > merit:
+                break
+            step /= 2
+        logs = np.clip(logs + step, lowest, highest)
+        if length <= TOLERANCE:
+            break
+        merit = found
+    return logs, gained, max(likelihoods) - heights.log_likelihood(logs)

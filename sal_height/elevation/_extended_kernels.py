@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.elevation._several_kernels import inner, multiply, solve
+from sal_height.elevation._several_kernels import inner, invert_positive, multiply, product, solve
 from sal_height.numeric import F32, F64, compiled
 
 Numbers = npt.NDArray[Any]
@@ -175,36 +175,6 @@ def fill_responses(place: F64, table: tuple[Numbers, F32, F64, F64], responses: 
             responses[i, m] = amplitude * (piece[0, m] + t * (piece[1, m] + t * (piece[2, m] + t * piece[3, m])))
         for m in range(responses.shape[1]):
             turns[i, m] = turn * (piece[1, m] + t * (2 * piece[2, m] + 3 * t * piece[3, m]))
-
-
-@compiled
-def invert_positive(matrix: Numbers) -> float:
-    """Invert a positive matrix in place, by Gauss and Jordan; returns the logarithm of its determinant."""
-    count, logarithm = len(matrix), 0.0
-    for k in range(count):
-        pivot = matrix[k, k].real
-        logarithm += np.log(pivot)
-        matrix[k, k] = 1
-        for j in range(count):
-            matrix[k, j] /= pivot
-        for i in range(count):
-            if i != k:
-                factor = matrix[i, k]
-                matrix[i, k] = 0
-                for j in range(count):
-                    matrix[i, j] -= factor * matrix[k, j]
-    return logarithm
-
-
-@compiled
-def product(left: Numbers, right: Numbers, result: Numbers) -> None:
-    for i in range(len(left)):
-        for j in range(len(left)):
-            result[i, j] = 0
-        for k in range(len(left)):
-            factor = left[i, k]
-            for j in range(len(left)):
-                result[i, j] += factor * right[k, j]
 
 
 @compiled

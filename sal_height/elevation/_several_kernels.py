@@ -23,6 +23,10 @@ SETTLED = 3e-4  # convergence threshold of the climb, steps of the table: 1e-5 b
 NEWTON_STEPS = 12  # maximum number of steps of a climb
 SWEEPS = 2  # times that each scatterer is moved to its best node beside the others before the climb
 RIDGE = 1e-9  # share of the trace that is added to the curvature, so that it can be inverted
+SCORING_STEPS = 4  # of the powers; the first start from moments and are right to first order in the noise
+GREATEST_STEP = 1.0  # of the logarithm of a power
+LEAST_POWER = 2.0  # of a scatterer in the whole array, noise powers: weaker ones are never told from noise
+POWER_RIDGE = 1e-6  # added to the information of a look on each power
 
 
 @compiled
@@ -77,16 +81,17 @@ def search_beside(
 ) -> None:
     """The scatterers that together explain most: one more than given, where that is worth a climb.
 
-    The climb starts twice: from the given ones and the node of the grid that explains most beside them, and from the
-    nodes that alternating projection finds from there (Ziskind and Wax, IEEE Trans. Acoustics, Speech and Signal
-    Processing 36, 1988). The former suits a weak scatterer beside a strong one, the latter two of the same power.
+    The climb starts from the given ones and the node of the grid that explains most beside them, which suits a weak
+    scatterer beside a strong one. Where alternating projection (Ziskind and Wax, IEEE Trans. Acoustics, Speech and
+    Signal Processing 36, 1988) moves one of those found to another node, as it may if their power is the same, the
+    climb starts again from there.
 
     Args:
         matrices: R, (pixels, M, M), double precision.
         values: u_j^H R u_j, (pixels, nodes).
         start: positions of one scatterer less, (pixels, S - 1).
         least: power that the best node must explain beside them to be worth a climb, (pixels,).
-        table: unit responses at the nodes of the grid, (nodes, M), and the pieces of their table.
+        table: unit responses at the nodes of the grid, (M, nodes), and the pieces of their table.
         found: to fill with the positions, (pixels, S), with the power that they explain, 0 without a climb, and with
             that of the best node beside the given ones, (pixels,).
     """
@@ -100,8 +105,8 @@ def search_beside(
         place[count - 1], explained[i], gains[i] = TABLE_STEPS * node, 0.0, gain
         if gain < least[i]:
             continue
-        other[:] = place
         explained[i] = climb_together(matrix, place, pieces)
+        other[:] = place
         if alternate(matrix, own, units, pieces, other):
             height = climb_together(matrix, other, pieces)
             if height > explained[i]:
@@ -111,26 +116,31 @@ def search_beside(
 
 @compiled
 def alternate(matrix: Numbers, own: F32, units: Numbers, pieces: Numbers, place: F64) -> bool:
-    """Move each scatterer in turn to the node that explains most beside the others; returns whether one has moved."""
+    """Move each scatterer in turn to the node that explains most beside the others; returns whether one has moved.
+
+    One that is within a step of that node stays.
+    """
     count, moved = place.size, False
     others = np.empty(count - 1)
     for turn in range(SWEEPS * count):
         changed = turn % count
+        if turn == count and not moved:
+            break
         row = 0
         for s in range(count):
             if s != changed:
                 others[row] = place[s]
                 row += 1
         best = float(TABLE_STEPS * best_node(matrix, own, units, pieces, others)[0])
-        moved = moved or abs(best - place[changed]) > TABLE_STEPS
-        place[changed] = best
+        if abs(best - place[changed]) > TABLE_STEPS:
+            place[changed], moved = best, True
     return moved
 
 
 @compiled
 def best_node(matrix: Numbers, own: F32, units: Numbers, pieces: Numbers, place: F64) -> tuple[int, float]:
     """The node of the grid that explains most beside scatterers at `place`, and how much; `own` is u_j^H R u_j."""
-    count, size, kind = place.size, units.shape[1], matrix.dtype
+    count, (size, nodes), kind = place.size, units.shape, matrix.dtype
     basis, outputs, unused = np.empty((count, size), kind), np.empty((count, size), kind), np.empty(size, kind)
     factor, inside = np.zeros((count, count), kind), np.empty((count, count), kind)
     for s in range(count):
@@ -141,20 +151,30 @@ def best_node(matrix: Numbers, own: F32, units: Numbers, pieces: Numbers, place:
     for s in range(count):
         for r in range(count):
             inside[s, r] = inner(basis[s], outputs[r])
-    overlap = np.empty(count, kind)
+    overlap, cross = np.zeros((count, nodes), kind), np.zeros((count, nodes), kind)
+    for s in range(count):
+        project(units, basis[s], overlap[s])
+        project(units, outputs[s], cross[s])
     best, at = -1.0, 0
-    for j in range(len(units)):
+    for j in range(nodes):
         beyond, residue = float(own[j]), 1.0
         for s in range(count):
-            overlap[s] = inner(basis[s], units[j])
-            residue -= (overlap[s] * np.conj(overlap[s])).real
-            beyond -= 2 * (np.conj(inner(outputs[s], units[j])) * overlap[s]).real
-        for s in range(count):
+            residue -= (overlap[s, j] * np.conj(overlap[s, j])).real
+            beyond -= 2 * (np.conj(overlap[s, j]) * cross[s, j]).real
             for r in range(count):
-                beyond += (np.conj(overlap[s]) * inside[s, r] * overlap[r]).real
-        if residue > LEAST_RESIDUE and beyond / residue > best:
+                beyond += (overlap[s, j] * inside[s, r] * np.conj(overlap[r, j])).real
+        if residue > LEAST_RESIDUE and beyond > best * residue:
             best, at = beyond / residue, j
     return at, best
+
+
+@compiled
+def project(units: Numbers, vector: Numbers, products: Numbers) -> None:
+    """Add to `products` those of all units, (M, nodes), conjugated, with a vector."""
+    for m in range(vector.size):
+        row, number = units[m], vector[m]
+        for j in range(products.size):
+            products[j] += np.conj(row[j]) * number
 
 
 @compiled
@@ -164,9 +184,14 @@ def climb_together(matrix: Numbers, place: F64, pieces: Numbers) -> float:
     Gauss-Newton steps with the expected curvature for these amplitudes. A step after which f is not higher is undone,
     and the next is a quarter of it at most.
     """
-    count, last = place.size, float(len(pieces))
+    count, last, size = place.size, float(len(pieces)), len(matrix)
     trial, step, next_step = place.copy(), np.zeros(count), np.zeros(count)
-    height, reach = newton_step(matrix, place, pieces, step), REACH
+    work = (
+        np.empty((4, count, size), matrix.dtype),
+        np.empty((3, count, count), matrix.dtype),
+        np.empty(size, matrix.dtype),
+    )
+    height, reach = newton_step(matrix, place, pieces, step, work), REACH
     for _ in range(NEWTON_STEPS):
         longest = 0.0
         for s in range(count):
@@ -175,7 +200,7 @@ def climb_together(matrix: Numbers, place: F64, pieces: Numbers) -> float:
             trial[s] = min(max(place[s] + step[s], 0.0), last)
         if longest < SETTLED:
             break
-        trial_height = newton_step(matrix, trial, pieces, next_step) if are_apart(trial) else -1.0
+        trial_height = newton_step(matrix, trial, pieces, next_step, work) if are_apart(trial) else -1.0
         if trial_height > height:
             place[:] = trial
             step[:] = next_step
@@ -195,32 +220,33 @@ def are_apart(place: F64) -> bool:
 
 
 @compiled
-def newton_step(matrix: Numbers, place: F64, pieces: Numbers, step: F64) -> float:
+def newton_step(
+    matrix: Numbers, place: F64, pieces: Numbers, step: F64, work: tuple[Numbers, Numbers, Numbers]
+) -> float:
     """Explained power of scatterers at `place`, and the Gauss-Newton step from there, (S,).
 
     With the unit responses A = Q T (orthonormal Q, triangular T), f = tr(Q^H R Q), the fitted amplitudes have the sums
-    of products T^-1 Q^H R Q T^-H, and the gradient is twice the real diagonal of T^-1 Q^H R (I - Q Q^H) A'.
+    of products T^-1 Q^H R Q T^-H, and the gradient is twice the real diagonal of T^-1 Q^H R (I - Q Q^H) A'. To work in:
+    arrays (4, S, M), (3, S, S) and (M,).
     """
-    count, size = place.size, matrix.shape[0]
-    kind = matrix.dtype
-    units, slopes, basis = np.empty((count, size), kind), np.empty((count, size), kind), np.empty((count, size), kind)
-    fitted, amplitudes = np.zeros((count, size), kind), np.zeros((count, count), kind)
-    factor = np.zeros((count, count), kind)
+    count, (vectors, squares, output) = place.size, work
+    units, slopes, basis, fitted = vectors[0], vectors[1], vectors[2], vectors[3]
+    factor, inverse, amplitudes = squares[0], squares[1], squares[2]
     for s in range(count):
         unit_at(place[s], pieces, units[s], slopes[s])
     orthonormalise(units, basis, factor)
-    height = fit_amplitudes(matrix, basis, factor, fitted, amplitudes)
+    height = fit_amplitudes(matrix, basis, (factor, inverse, output), fitted, amplitudes)
     for s in range(count):
         for r in range(count):
-            slopes[s] -= inner(basis[r], slopes[s]) * basis[r]
-    curvature, gradient = np.zeros((count, count)), np.zeros(count)
+            take_share(basis[r], inner(basis[r], slopes[s]), slopes[s])
+    curvature, gradient, trace = np.empty((count, count)), np.empty(count), 0.0
     for s in range(count):
         gradient[s] = inner(fitted[s], slopes[s]).real
         for r in range(count):
             curvature[s, r] = (inner(slopes[s], slopes[r]) * amplitudes[r, s]).real
-    ridge = RIDGE * np.trace(curvature)
+        trace += curvature[s, s]
     for s in range(count):
-        curvature[s, s] += ridge
+        curvature[s, s] += RIDGE * trace
     solve(curvature, gradient, step)
     return height
 
@@ -236,15 +262,14 @@ def weigh_together(
     """
     explained, grams, seen, fitted, turning = found
     count, size, kind = positions.shape[1], matrices.shape[1], matrices.dtype
-    units, slopes, basis = np.empty((count, size), kind), np.empty((count, size), kind), np.empty((count, size), kind)
-    rows, factor, output = np.empty((count, size), kind), np.zeros((count, count), kind), np.empty(size, kind)
+    vectors, squares, output = np.empty((4, count, size), kind), np.empty((2, count, count), kind), np.empty(size, kind)
+    units, slopes, basis, rows = vectors[0], vectors[1], vectors[2], vectors[3]
+    factor, inverse = squares[0], squares[1]
     for i in range(len(matrices)):
         for s in range(count):
             unit_at(positions[i, s], pieces, units[s], slopes[s])
         orthonormalise(units, basis, factor)
-        rows[:] = 0
-        fitted[i] = 0
-        explained[i] = fit_amplitudes(matrices[i], basis, factor, rows, fitted[i])
+        explained[i] = fit_amplitudes(matrices[i], basis, (factor, inverse, output), rows, fitted[i])
         for r in range(count):
             multiply(matrices[i], units[r], output)
             for s in range(count):
@@ -252,29 +277,88 @@ def weigh_together(
                 seen[i, s, r] = inner(units[s], output)
         for s in range(count):
             for r in range(count):
-                slopes[s] -= inner(basis[r], slopes[s]) * basis[r]
+                take_share(basis[r], inner(basis[r], slopes[s]), slopes[s])
         for s in range(count):
             for r in range(count):
                 turning[i, s, r] = inner(slopes[s], slopes[r])
 
 
 @compiled
-def fit_amplitudes(matrix: Numbers, basis: Numbers, factor: Numbers, fitted: Numbers, amplitudes: Numbers) -> float:
-    """Rows of A^+ R, conjugated, and A^+ R A^+H, both into zeros, for A = `basis` @ `factor`; returns tr(Q^H R Q)."""
-    count, size = basis.shape
-    inverse, output = np.zeros((count, count), matrix.dtype), np.empty(size, matrix.dtype)
+def maximise_powers(grams: Numbers, seen: Numbers, looks: F64, powers: F64, found: tuple[F64, F64]) -> None:
+    """See `several.fit_powers`; `powers` (pixels, S) is the start, and replaced by what is found.
+
+    `found` is to be filled with the log-likelihood, (pixels,), and the information, (pixels, S, S).
+    """
+    likelihoods, informations = found
+    count, kind = powers.shape[1], grams.dtype
+    squares, damped = np.empty((4, count, count), kind), np.empty((count, count))
+    noise, signal, shared, both = squares[0], squares[1], squares[2], squares[3]
+    gradient, move = np.empty(count), np.empty(count)
+    for i in range(len(grams)):
+        power, information = powers[i], informations[i]
+        for step in range(SCORING_STEPS + 1):
+            for s in range(count):
+                power[s] = max(power[s], LEAST_POWER)
+            for s in range(count):
+                for r in range(count):
+                    root = np.sqrt(power[s] * power[r])
+                    noise[s, r], signal[s, r] = grams[i, s, r] * root, seen[i, s, r] * root
+                noise[s, s] += 1
+            logarithm = invert_positive(noise)
+            product(noise, signal, both)
+            product(both, noise, shared)
+            likelihoods[i] = -looks[i] * logarithm
+            for s in range(count):
+                likelihoods[i] += both[s, s].real
+                # X N = I - N with X = B U^H U B.
+                gradient[s] = shared[s, s].real - looks[i] * (1 - noise[s, s].real)
+                for r in range(count):
+                    part = -noise[s, r] + (1.0 if s == r else 0.0)
+                    information[s, r] = looks[i] * (part * np.conj(part)).real
+                    damped[s, r] = information[s, r]
+                damped[s, s] += POWER_RIDGE * looks[i]
+            if step < SCORING_STEPS:
+                solve(damped, gradient, move)
+                for s in range(count):
+                    power[s] *= np.exp(min(max(move[s], -GREATEST_STEP), GREATEST_STEP))
+
+
+@compiled
+def fit_amplitudes(
+    matrix: Numbers,
+    basis: Numbers,
+    parts: tuple[Numbers, Numbers, Numbers],
+    fitted: Numbers,
+    amplitudes: Numbers,
+) -> float:
+    """Rows of A^+ R, conjugated, and A^+ R A^+H, for A = `basis` @ factor; returns tr(Q^H R Q).
+
+    `parts` are the factor, and arrays (S, S) and (M,) to work in.
+    """
+    (factor, inverse, output), (count, size) = parts, basis.shape
     invert_triangular(factor, inverse)
     height = 0.0
+    for s in range(count):
+        for m in range(size):
+            fitted[s, m] = 0
     for r in range(count):
         multiply(matrix, basis[r], output)
         height += inner(basis[r], output).real
         for s in range(r + 1):
-            fitted[s] += np.conj(inverse[s, r]) * output
+            take_share(output, -np.conj(inverse[s, r]), fitted[s])
     for s in range(count):
         for r in range(count):
+            amplitudes[s, r] = 0
             for q in range(r, count):
                 amplitudes[s, r] += inner(fitted[s], basis[q]) * np.conj(inverse[r, q])
     return height
+
+
+@compiled
+def take_share(vector: Numbers, share: Any, rest: Numbers) -> None:
+    """Subtract a share of a vector."""
+    for m in range(rest.size):
+        rest[m] -= share * vector[m]
 
 
 @compiled
@@ -298,23 +382,59 @@ def solve(matrix: F64, right: F64, solution: F64) -> None:
 def orthonormalise(vectors: Numbers, basis: Numbers, factor: Numbers) -> None:
     """Orthonormal `basis` (S, M) and upper triangular `factor` (S, S) with vectors[s] = sum_r factor[r, s] basis[r]."""
     for s in range(len(vectors)):
-        basis[s] = vectors[s]
+        for m in range(vectors.shape[1]):
+            basis[s, m] = vectors[s, m]
         for r in range(s):
             factor[r, s] = inner(basis[r], basis[s])
-            basis[s] -= factor[r, s] * basis[r]
+            factor[s, r] = 0
+            take_share(basis[r], factor[r, s], basis[s])
         norm = np.sqrt(inner(basis[s], basis[s]).real)
         factor[s, s] = norm
-        basis[s] /= norm
+        for m in range(vectors.shape[1]):
+            basis[s, m] /= norm
 
 
 @compiled
 def invert_triangular(factor: Numbers, inverse: Numbers) -> None:
-    """The inverse of an upper triangular matrix, into zeros."""
+    """The inverse of an upper triangular matrix."""
     for c in range(len(factor)):
         inverse[c, c] = 1 / factor[c, c]
+        for s in range(c + 1, len(factor)):
+            inverse[s, c] = 0
         for s in range(c - 1, -1, -1):
+            inverse[s, c] = 0
             for r in range(s + 1, c + 1):
                 inverse[s, c] -= factor[s, r] * inverse[r, c] / factor[s, s]
+
+
+@compiled
+def invert_positive(matrix: Numbers) -> float:
+    """Invert a positive matrix in place, by Gauss and Jordan; returns the logarithm of its determinant."""
+    count, logarithm = len(matrix), 0.0
+    for k in range(count):
+        pivot = matrix[k, k].real
+        logarithm += np.log(pivot)
+        matrix[k, k] = 1
+        for j in range(count):
+            matrix[k, j] /= pivot
+        for i in range(count):
+            if i != k:
+                factor = matrix[i, k]
+                matrix[i, k] = 0
+                for j in range(count):
+                    matrix[i, j] -= factor * matrix[k, j]
+    return logarithm
+
+
+@compiled
+def product(left: Numbers, right: Numbers, result: Numbers) -> None:
+    for i in range(len(left)):
+        for j in range(len(left)):
+            result[i, j] = 0
+        for k in range(len(left)):
+            factor = left[i, k]
+            for j in range(len(left)):
+                result[i, j] += factor * right[k, j]
 
 
 @compiled

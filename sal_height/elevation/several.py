@@ -18,14 +18,10 @@ from typing import Self
 
 import numpy as np
 
-from sal_height.elevation._several_kernels import search_beside, weigh_together
+from sal_height.elevation._several_kernels import LEAST_POWER, maximise_powers, search_beside, weigh_together
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.search import PeakSearch
 from sal_height.numeric import F32, F64
-
-SCORING_STEPS = 4  # of the powers; the first start from moments and are right to first order in the noise
-GREATEST_STEP = 1.0  # of the logarithm of a power
-LEAST_POWER = 2.0  # of a scatterer in the whole array, noise powers: weaker ones are never told from noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +114,7 @@ def search_several(
         Elevations, rad, (pixels, S); the power that they explain; and that of the best node beside `start`, (pixels,).
     """
     found, (explained, gain) = np.empty((len(start), start.shape[1] + 1)), np.empty((2, len(start)))
-    table = search.unit_nodes.astype(covariance.dtype), search.unit_pieces
+    table = search.units_across.astype(covariance.dtype), search.unit_pieces
     search_beside(covariance, values, (start - search.first) / search.step, least, table, (found, explained, gain))
     return search.first + search.step * np.sort(found, axis=1), explained, gain
 
@@ -159,23 +155,9 @@ def fit_powers(gram: Numbers, seen: Numbers, looks: F64, start: F64) -> Gaussian
         looks: K, (pixels,).
         start: powers to start from, (pixels, S).
     """
-    logarithm, count = np.log(np.maximum(start, LEAST_POWER)), looks[:, None, None]
-    identity = np.eye(gram.shape[1])
-    for step in range(SCORING_STEPS + 1):
-        root = np.sqrt(np.exp(logarithm))
-        both = root[:, :, None] * root[:, None]
-        inner, signal = gram * both, seen * both
-        noise = np.linalg.inv(identity + inner)
-        shared = inner @ noise
-        information = count * np.abs(shared) ** 2
-        if step == SCORING_STEPS:
-            break
-        gradient = np.diagonal(noise @ signal @ noise - count * shared, axis1=1, axis2=2).real
-        move = np.linalg.solve(information + 1e-6 * count * identity, gradient[..., None])[..., 0]
-        logarithm = np.maximum(logarithm + np.clip(move, -GREATEST_STEP, GREATEST_STEP), np.log(LEAST_POWER))
-    explained = np.einsum("pij,pji->p", noise, signal).real
-    likelihood = explained - looks * np.linalg.slogdet(identity + inner)[1]
-    return GaussianFit(likelihood, information, np.exp(logarithm))
+    power, likelihood, information = start.copy(), np.empty(len(start)), np.empty(gram.shape)
+    maximise_powers(gram, seen, looks, power, (likelihood, information))
+    return GaussianFit(likelihood, information, power)
 
 
 def power_of(explained: F64, looks: F64) -> F64:

@@ -129,7 +129,7 @@ def test_best_node_and_newton_step_are_those_of_projectors(name: str, count: int
     matrix = np.ascontiguousarray(matrix if beams.is_complex else matrix.real)
     values = search.on_grid(matrix[None].astype(np.complex64 if beams.is_complex else np.float32))[0]
     place, table = np.array([100.0, 130.0, 171.0])[:count], search.unit_nodes.astype(kind)
-    node, gain = kernels.best_node(matrix, values, table, search.unit_pieces, place)
+    node, gain = kernels.best_node(matrix, values, np.ascontiguousarray(table.T), search.unit_pieces, place)
 
     def explained(positions: np.ndarray) -> float:
         return float(explained_by(beams, offset_of(search.first + search.step * positions)[None], matrix[None])[0])
@@ -138,7 +138,10 @@ def test_best_node_and_newton_step_are_those_of_projectors(name: str, count: int
     assert gain == pytest.approx(whole[node] - explained(place), rel=1e-3)
     assert whole[node] == pytest.approx(np.max(whole), rel=1e-3)
     step, tiny = np.zeros(count), 1e-3
-    assert kernels.newton_step(matrix, place, search.unit_pieces, step) == pytest.approx(explained(place), rel=1e-5)
+    work = np.empty((4, count, 16), kind), np.empty((3, count, count), kind), np.empty(16, kind)
+    assert kernels.newton_step(matrix, place, search.unit_pieces, step, work) == pytest.approx(
+        explained(place), rel=1e-5
+    )
     gradient = [(explained(place + tiny * e) - explained(place - tiny * e)) / (2 * tiny) for e in np.eye(count)]
     several = SeveralScatterers.at(search, matrix[None], np.ones(1), search.first + search.step * place[None])
     turning = several.turning * np.swapaxes(several.fitted, 1, 2)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.numeric import C64, F32, F64, I32, compiled, cosine_and_sine
+from sal_height.numeric import C64, F32, F64, I32, compiled, cosine_and_sine, inlined
 
-PER_TURN = 1 / (2 * np.pi)
+SMALL = 0.05
+"""Tangent up to which angles are taken from a series."""
 
 
 @compiled
@@ -95,6 +96,69 @@ def spread_echoes(bins: I32, weights: F32, rate_weights: F32, echoes: C64, respo
             row, weight = grid[bins[1, i] + j, start : start + taps * width], rate_weights[j, i]
             for k in range(row.size):
                 row[k] += weight * block[k]
+
+
+@compiled
+def angles_in(positions: F64, antenna: F64, axes: F64, elevation: F64, squint: F64) -> None:
+    """Angles, rad, under which points are seen from the antenna.
+
+    Args:
+        positions: m, shape (3, points).
+        antenna: m, shape (3,).
+        axes: unit vectors ahead, outwards and down, shape (3, 3).
+        elevation: result, from down towards outwards, shape (points,).
+        squint: result, from the plane of both towards ahead, shape (points,).
+    """
+    east, north, up = positions[0], positions[1], positions[2]
+    greatest, lowest = 0.0, np.inf
+    for i in range(east.size):
+        x, y, z = east[i] - antenna[0], north[i] - antenna[1], up[i] - antenna[2]
+        outwards = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+        down = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+        ahead = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+        e, s = outwards / down, ahead / np.sqrt(outwards * outwards + down * down)
+        greatest, lowest = max(greatest, e * e, s * s), min(lowest, down)
+        elevation[i], squint[i] = arctangent(e), arctangent(s)
+    if greatest < SMALL**2 and lowest > 0:
+        return
+    for i in range(east.size):
+        x, y, z = east[i] - antenna[0], north[i] - antenna[1], up[i] - antenna[2]
+        outwards = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+        down = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+        ahead = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+        elevation[i] = np.arctan2(outwards, down)
+        squint[i] = np.arctan2(ahead, np.sqrt(outwards * outwards + down * down))
+
+
+@inlined
+def arctangent(t: float) -> float:
+    """Arc tangent of numbers below SMALL by its series, within 1e-14."""
+    q = t * t
+    return t * (1 - q * (1 / 3 - q * (1 / 5 - q * (1 / 7 - q * (1 / 9 - q / 11)))))
+
+
+@compiled
+def place_in_lattice(places: F64, spacing: float, first: int, bins: I32, weights: F32) -> None:
+    """Find the 4 nodes around each place, and their weights in Lagrange's cubic.
+
+    Args:
+        places: shape (n,), in the unit of the spacing.
+        spacing: of the nodes.
+        first: number of the table's first node, counted from that at 0.
+        bins: result, the first of the 4 nodes, counted from the table's first, shape (n,).
+        weights: result, shape (4, n).
+    """
+    before, here, after, beyond = weights[0], weights[1], weights[2], weights[3]
+    for i in range(places.size):
+        place = places[i] / spacing
+        node = np.floor(place)
+        t = np.float32(place - node)
+        a, b, c = t + np.float32(1), t - np.float32(1), t - np.float32(2)
+        bins[i] = np.int32(node) - np.int32(first + 1)
+        before[i] = t * b * c * np.float32(-1 / 6)
+        here[i] = a * b * c * np.float32(1 / 2)
+        after[i] = a * t * c * np.float32(-1 / 2)
+        beyond[i] = a * t * b * np.float32(1 / 6)
 
 
 @compiled

@@ -11,8 +11,8 @@ from functools import lru_cache
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.numeric import C64, F32, F64, I32, Bool
-from sal_height.simulation._kernels import read_lattice
+from sal_height.numeric import C64, F32, F64, Bool
+from sal_height.simulation._kernels import place_in_lattice, read_lattice
 
 NODES_PER_BEAMWIDTH = 20
 """Nodes of the table in a beamwidth: Lagrange's cubics are then off by at most 9/384 (pi / 20)^4 = 1.4e-5 per axis."""
@@ -24,7 +24,7 @@ BLOCK = 32
 """The table ends at multiples of so many nodes, so that dwells over alike scenes have the same."""
 
 
-def response_of(beams: Beams, offset: F64 | F32, squint: F64 | F32) -> F32 | C64:
+def response_of(beams: Beams, offset: F64, squint: F64) -> F32 | C64:
     """Response of every detector, float32 or complex64, shape (scatterers, detectors).
 
     Within LATTICE_ERROR of the peak of `Beams.response`, which is asked where the table cannot keep this: at the edge
@@ -36,13 +36,15 @@ def response_of(beams: Beams, offset: F64 | F32, squint: F64 | F32) -> F32 | C64
         squint: rad, same shape.
     """
     spacing = min(beams.beamwidth, beams.beamwidth_beside) / NODES_PER_BEAMWIDTH
-    places = offset.astype(np.float64) / spacing, squint.astype(np.float64) / spacing
-    extents = _extent(places[0]), _extent(places[1])
-    parts, rough = _table(beams, spacing, *extents)
-    bins, weights = _stencils(places, extents)
+    offset, squint = (np.ascontiguousarray(angle, dtype=np.float64) for angle in (offset, squint))
+    rows, cols = _extent(offset, spacing), _extent(squint, spacing)
+    parts, rough = _table(beams, spacing, rows, cols)
+    bins, weights = np.empty((2, len(offset)), np.int32), np.empty((8, len(offset)), np.float32)
+    place_in_lattice(offset, spacing, rows[0], bins[0], weights[:4])
+    place_in_lattice(squint, spacing, cols[0], bins[1], weights[4:])
     read = []
     for table in parts:
-        read.append(np.empty((len(places[0]), beams.count), np.float32))
+        read.append(np.empty((len(offset), beams.count), np.float32))
         read_lattice(table, bins, weights, read[-1])
     response = read[0] if len(read) == 1 else read[0] + 1j * read[1]
     if np.any(rough) and (there := np.flatnonzero(rough[*bins])).size:
@@ -50,21 +52,10 @@ def response_of(beams: Beams, offset: F64 | F32, squint: F64 | F32) -> F32 | C64
     return response
 
 
-def _extent(places: F64) -> tuple[int, int]:
-    """First and last node, multiples of BLOCK, of a table that holds places (in nodes) and two nodes to each side."""
-    return BLOCK * int((np.min(places) - 2) // BLOCK), BLOCK * int((np.max(places) + 2) // BLOCK + 1)
-
-
-def _stencils(places: tuple[F64, F64], extents: tuple[tuple[int, int], ...]) -> tuple[I32, F32]:
-    """First node of 4 in each axis around places, counted from the first of the table, and the nodes' weights."""
-    bins, weights = np.empty((2, len(places[0])), np.int32), np.empty((8, len(places[0])), np.float32)
-    for axis, (place, (first, _)) in enumerate(zip(places, extents, strict=True)):
-        before = np.floor(place)
-        bins[axis] = before - (first + 1)
-        t = (place - before).astype(np.float32)
-        a, b, c = t + 1, t - 1, t - 2
-        weights[4 * axis : 4 * axis + 4] = -t * b * c / 6, a * b * c / 2, -a * t * c / 2, a * t * b / 6
-    return bins, weights
+def _extent(angle: F64, spacing: float) -> tuple[int, int]:
+    """First and last node, multiples of BLOCK, of a table that holds angles, and two nodes to each side."""
+    first, last = float(np.min(angle)) / spacing - 2, float(np.max(angle)) / spacing + 2
+    return BLOCK * int(first // BLOCK), BLOCK * int(last // BLOCK + 1)
 
 
 @lru_cache(maxsize=8)

@@ -11,6 +11,7 @@ from sal_height.beams import Beams
 from sal_height.geometry import look_direction
 from sal_height.numeric import C64, F32, F64, Complex, Index, unit_phasors
 from sal_height.sensor import Sensor, lit_angle
+from sal_height.simulation._kernels import angles_in
 from sal_height.simulation.beam_lattice import response_of
 from sal_height.simulation.echoes import sum_of_echoes
 from sal_height.simulation.pulse_groups import PulseGroup, outermost, pulse_groups, single_pulse, smooth_group
@@ -106,7 +107,7 @@ def _add_echoes(
             if not quartic_phase:
                 return seen
             phase = quartic_phase * np.square(np.square(squint * (2 / sensor.beams.track_beamwidth)))
-            return np.asarray(seen * unit_phasors(phase.astype(np.float64))[:, None])
+            return np.asarray(seen * unit_phasors(phase)[:, None])
 
         reference = view.reference_range[group.pulses]
         samples[:, group.pulses] += sum_of_echoes(sensor, there, strengths[lit], response, group, reference)
@@ -116,12 +117,12 @@ class _View:
     """How a block of pulses sees the ground: arguments of `simulate_block`."""
 
     def __init__(self, sensor: Sensor, antenna: F64, rotation: F64, reference_range: F64) -> None:
-        self.sensor, self.antenna, self.reference_range = sensor, antenna, reference_range
+        self.sensor, self.antenna, self.reference_range = sensor, np.ascontiguousarray(antenna), reference_range
         self.beams = sensor.beams
         middle = self.beams.axis_middle
         self._boresight = rotation @ look_direction(middle, 0.0, sensor.look_side)
         outwards = rotation @ look_direction(middle + np.pi / 2, 0.0, sensor.look_side)
-        self._axes = np.stack([rotation[..., 0], outwards, self._boresight], axis=1)
+        self._axes = np.stack([rotation[..., 0], outwards, self._boresight], axis=1).astype(np.float64)
 
     def lit(self, pulse: int) -> tuple[float, float]:
         """Least and greatest x in map, m, that the pulse lights up."""
@@ -130,18 +131,15 @@ class _View:
         aim = float(self.antenna[pulse, 0] + reference * self._boresight[pulse, 0])
         return aim - reach, aim + reach
 
-    def angles(self, positions: F64, pulse: int) -> tuple[F32, F32]:
+    def angles(self, positions: F64, pulse: int) -> tuple[F64, F64]:
         """Elevation from the middle of the beams and squint, rad, under which positions (3, n) are seen in a pulse."""
-        return _angles(positions - self.antenna[pulse][:, None], self._axes[pulse])
+        elevation, squint = np.empty(positions.shape[1]), np.empty(positions.shape[1])
+        angles_in(positions, self.antenna[pulse], self._axes[pulse], elevation, squint)
+        return elevation, squint
 
     def beam_angles(self, point: F64, pulses: slice) -> F64:
         """The same angles of one point, m, (3,), in some pulses, in beamwidths, shape (pulses, 2)."""
-        seen = _angles((point - self.antenna[pulses]).T, self._axes[pulses].transpose(1, 2, 0))
-        return np.stack(seen, axis=-1).astype(np.float64) / min(self.beams.beamwidth, self.beams.beamwidth_beside)
-
-
-def _angles(sight: F64, axes: F64) -> tuple[F32, F32]:
-    """Elevation and squint, rad, of lines of sight (3, n) in axes ahead, outwards and down: (3, 3) or (3, 3, n)."""
-    x, y, z = sight
-    ahead, outwards, down = ((a * x + b * y + c * z).astype(np.float32) for a, b, c in axes)
-    return np.arctan2(outwards, down), np.arctan2(ahead, np.hypot(outwards, down))
+        sight = point - self.antenna[pulses]
+        ahead, outwards, down = np.einsum("pai,pi->ap", self._axes[pulses], sight)
+        angles = np.stack([np.arctan2(outwards, down), np.arctan2(ahead, np.hypot(outwards, down))], axis=-1)
+        return np.asarray(angles / min(self.beams.beamwidth, self.beams.beamwidth_beside))

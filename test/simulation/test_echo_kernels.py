@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers import circular
+from scipy.spatial.transform import Rotation
 
-from sal_height.simulation._kernels import place_echoes, read_lattice, spread_echoes
+from sal_height.simulation._kernels import angles_in, place_echoes, place_in_lattice, read_lattice, spread_echoes
 
 
 @pytest.mark.parametrize("rate_taps", [1, 6])
@@ -70,3 +71,28 @@ def test_lattice_is_read_as_a_weighted_sum_of_nodes() -> None:
         for i, (row, col) in enumerate(bins.T)
     ]
     np.testing.assert_allclose(result, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("spread", [10.0, 4000.0], ids=["near the axis", "all around"])
+def test_angles_are_those_of_the_line_of_sight_in_the_axes(spread: float) -> None:
+    rng = np.random.default_rng(113)
+    axes = Rotation.from_rotvec([0.3, -0.2, 0.1]).as_matrix()
+    antenna = np.array([1.0, 2.0, 3000.0])
+    positions = (antenna + 3000 * axes[2])[:, None] + rng.uniform(-spread, spread, (3, 400))
+    elevation, squint = np.empty((2, 400))
+    angles_in(positions, antenna, axes, elevation, squint)
+    ahead, outwards, down = axes @ (positions - antenna[:, None])
+    np.testing.assert_allclose(elevation, np.arctan2(outwards, down), atol=1e-14)
+    np.testing.assert_allclose(squint, np.arctan2(ahead, np.hypot(outwards, down)), atol=1e-14)
+
+
+def test_places_in_a_lattice_have_the_weights_of_a_cubic() -> None:
+    """Exact for polynomials of the third degree."""
+    rng, spacing, first = np.random.default_rng(114), 0.25, -40
+    places = rng.uniform(-9, 9, 200)
+    bins, weights = np.empty(200, np.int32), np.empty((4, 200), np.float32)
+    place_in_lattice(places, spacing, first, bins, weights)
+    nodes = (bins + np.arange(4)[:, None] + first) * spacing
+    assert np.all((nodes[1] <= places) & (places < nodes[2]))
+    for power in range(4):
+        np.testing.assert_allclose(np.sum(weights * (nodes / 9) ** power, axis=0), (places / 9) ** power, atol=3e-7)

@@ -15,6 +15,9 @@ from sal_height.elevation._several_kernels import inner, invert_positive, multip
 from sal_height.numeric import F32, F64, compiled
 
 Numbers = npt.NDArray[Any]
+Table = tuple[Numbers, F32, F64, F64, F64]
+"""Pieces of unit responses and of |a|^2; for each quadrature the places of its nodes (in spreads) and their weights,
+(quadratures, nodes), those of few nodes first and filled up with zeros; and the greatest spread it is for."""
 
 SCORING_STEPS = 12  # few pixels need more than five; those of high CNR do
 GREATEST_STEPS = (0.5, 0.5, 1.0)  # of t over s, ln s and ln p
@@ -28,10 +31,9 @@ def climb_surfaces(
     matrices: Numbers,
     looks: F64,
     least: F64,
-    table: tuple[Numbers, F32, F64, F64],
+    table: Table,
     spreads: tuple[float, float],
-    surfaces: F64,
-    found: tuple[F64, F64],
+    found: tuple[F64, F64, F64],
 ) -> None:
     """Climb the likelihood of extended surfaces by Fisher's scoring; the best place passed is kept.
 
@@ -39,13 +41,13 @@ def climb_surfaces(
         matrices: R, (pixels, M, M), double precision.
         looks: K, (pixels,).
         least: log-likelihood of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
-        table: pieces of unit responses and of |a|^2; places (in spreads) and weights of the quadrature, (nodes,).
+        table: of the unit responses and the quadratures.
         spreads: least and greatest one.
-        surfaces: t, s and p of the start, replaced by those found, (3, pixels).
-        found: to fill with the log-likelihood, (pixels,), and the information there, (pixels, 3, 3).
+        found: t, s and p of the start, replaced by those found, (3, pixels); to fill with the log-likelihood,
+            (pixels,), and the information there, (pixels, 3, 3).
     """
-    likelihoods, informations = found
-    pieces, kind, count = table[0], matrices.dtype, len(table[2])
+    surfaces, likelihoods, informations = found
+    pieces, kind, count = table[0], matrices.dtype, table[2].shape[1]
     vectors, squares = np.empty((3, count, pieces.shape[2]), kind), np.empty((7, count, count), kind)
     place, gradient, information = np.empty(3), np.empty(3), np.empty((3, 3))
     damped, right, move = np.empty((3, 3)), np.empty(3), np.empty(3)
@@ -82,7 +84,7 @@ def likelihood_at(
     matrix: Numbers,
     looks: float,
     place: F64,
-    table: tuple[Numbers, F32, F64, F64],
+    table: Table,
     work: tuple[Numbers, Numbers],
     gradient: F64,
     information: F64,
@@ -92,10 +94,12 @@ def likelihood_at(
     With B of `extended`, its slopes T over t / s, and A = I + B^H B, C^-1 = I - B A^-1 B^H: all is done by products of
     the columns of B and T. The derivatives of C are T B^H + B T^H, the same with T diag(x), and B B^H.
     """
-    count, (vectors, squares) = len(table[2]), work
+    vectors, squares = work
     responses, turns, outputs = vectors[0], vectors[1], vectors[2]
     inverse, seen, cross, along, rest = squares[0], squares[1], squares[2], squares[3], squares[4]
-    fill_responses(place, table, responses, turns)
+    rule, count = quadrature(place[1], table)
+    nodes = table[2][rule]
+    fill_responses(place, table, rule, responses[:count], turns[:count])
     for i in range(count):
         multiply(matrix, responses[i], outputs[i])
     for i in range(count):
@@ -110,11 +114,11 @@ def likelihood_at(
             seen[j, i] = np.conj(seen[i, j])
             rest[j, i] = np.conj(rest[i, j])
         inverse[i, i] += 1
-    logarithm = invert_positive(inverse)
-    product(inverse, cross, squares[5])  # B^H C^-1 T
-    product(seen, inverse, squares[6])  # B^H R C^-1 B
-    take_product(cross, squares[5], rest)  # T^H C^-1 T
-    explained = sum_up(looks, table[2], squares, gradient, information)
+    logarithm = invert_positive(inverse, count)
+    product(inverse, cross, squares[5], count)  # B^H C^-1 T
+    product(seen, inverse, squares[6], count)  # B^H R C^-1 B
+    take_product(cross, squares[5], rest, count)  # T^H C^-1 T
+    explained = sum_up(looks, nodes[:count], squares, gradient, information)
     return explained - looks * logarithm
 
 
@@ -156,11 +160,23 @@ def sum_up(looks: float, nodes: F64, squares: Numbers, gradient: F64, informatio
 
 
 @compiled
-def fill_responses(place: F64, table: tuple[Numbers, F32, F64, F64], responses: Numbers, turns: Numbers) -> None:
-    """Rows of B and of its slopes over t / s, (nodes, M); 0 beyond the table."""
-    pieces, power, nodes, weights = table
+def quadrature(spread: float, table: Table) -> tuple[int, int]:
+    """Number of the quadrature for a surface, and the number of its nodes."""
+    weights, rule = table[3], 0
+    while rule < len(weights) - 1 and spread > table[4][rule]:
+        rule += 1
+    count = 0
+    while count < weights.shape[1] and weights[rule, count] > 0:
+        count += 1
+    return rule, count
+
+
+@compiled
+def fill_responses(place: F64, table: Table, rule: int, responses: Numbers, turns: Numbers) -> None:
+    """Rows of B and of its slopes over t / s, (nodes, M), with the nodes of a quadrature; 0 beyond the table."""
+    pieces, power, nodes, weights = table[0], table[1], table[2][rule], table[3][rule]
     last = len(pieces)
-    for i in range(len(nodes)):
+    for i in range(len(responses)):
         position = place[0] + place[1] * nodes[i]
         if position < 0 or position > last:
             responses[i] = 0
@@ -178,10 +194,22 @@ def fill_responses(place: F64, table: tuple[Numbers, F32, F64, F64], responses: 
 
 
 @compiled
-def take_product(left: Numbers, right: Numbers, result: Numbers) -> None:
-    """Subtract left^H right."""
-    for i in range(len(left)):
-        for k in range(len(left)):
+def take_product(left: Numbers, right: Numbers, result: Numbers, count: int) -> None:
+    """Subtract left^H right, of the first rows and columns."""
+    for i in range(count):
+        for k in range(count):
             factor = np.conj(left[k, i])
-            for j in range(len(left)):
+            for j in range(count):
                 result[i, j] -= factor * right[k, j]
+
+
+@compiled
+def all_responses(surfaces: F64, table: Table, responses: Numbers) -> None:
+    """Rows of B of every pixel, (pixels, nodes, M), for t, s and p, (3, pixels); zeros where nodes are fewer."""
+    turns, place = np.empty(responses.shape[1:], responses.dtype), np.empty(3)
+    for i in range(len(responses)):
+        for k in range(3):
+            place[k] = surfaces[k, i]
+        rule, count = quadrature(place[1], table)
+        fill_responses(place, table, rule, responses[i, :count], turns[:count])
+        responses[i, count:] = 0

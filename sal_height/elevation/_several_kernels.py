@@ -304,9 +304,9 @@ def maximise_powers(grams: Numbers, seen: Numbers, looks: F64, powers: F64, foun
                     root = np.sqrt(power[s] * power[r])
                     noise[s, r], signal[s, r] = grams[i, s, r] * root, seen[i, s, r] * root
                 noise[s, s] += 1
-            logarithm = invert_positive(noise)
-            product(noise, signal, both)
-            product(both, noise, shared)
+            logarithm = invert_positive(noise, count)
+            product(noise, signal, both, count)
+            product(both, noise, shared, count)
             likelihoods[i] = -looks[i] * logarithm
             for s in range(count):
                 likelihoods[i] += both[s, s].real
@@ -408,9 +408,9 @@ def invert_triangular(factor: Numbers, inverse: Numbers) -> None:
 
 
 @compiled
-def invert_positive(matrix: Numbers) -> float:
-    """Invert a positive matrix in place, by Gauss and Jordan; returns the logarithm of its determinant."""
-    count, logarithm = len(matrix), 0.0
+def invert_positive(matrix: Numbers, count: int) -> float:
+    """Invert the first rows and columns of a positive matrix in place; returns the logarithm of their determinant."""
+    logarithm = 0.0
     for k in range(count):
         pivot = matrix[k, k].real
         logarithm += np.log(pivot)
@@ -427,13 +427,14 @@ def invert_positive(matrix: Numbers) -> float:
 
 
 @compiled
-def product(left: Numbers, right: Numbers, result: Numbers) -> None:
-    for i in range(len(left)):
-        for j in range(len(left)):
+def product(left: Numbers, right: Numbers, result: Numbers, count: int) -> None:
+    """The product of the first rows and columns of two matrices."""
+    for i in range(count):
+        for j in range(count):
             result[i, j] = 0
-        for k in range(len(left)):
+        for k in range(count):
             factor = left[i, k]
-            for j in range(len(left)):
+            for j in range(count):
                 result[i, j] += factor * right[k, j]
 
 

@@ -13,11 +13,12 @@ g g^H over the looks. Fisher's scoring climbs it over t, ln s and ln p; their in
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple, Self
 
 import numpy as np
 
-from sal_height.elevation._extended_kernels import RIDGE, climb_surfaces
+from sal_height.elevation._extended_kernels import RIDGE, Table, all_responses, climb_surfaces
 from sal_height.elevation.beam_error import beam_deviation
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.search import PeakSearch
@@ -25,11 +26,24 @@ from sal_height.elevation.several import adjoint
 from sal_height.numeric import F32, F64, Bool, Index
 
 LEAST_SPREAD, GREATEST_SPREAD = 0.05, 1.0  # standard deviation of a surface's elevation, beamwidths
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(9)  # of the elevations, as many nodes as the greatest spread needs
-PLACES, SHARES = np.sqrt(3) * NODES, WEIGHTS / 2  # elevations of the nodes in spreads, and their shares of the power
+QUADRATURES = (5, 0.235), (7, 0.45), (9, GREATEST_SPREAD)
+"""Numbers of nodes of the quadrature (Gauss and Legendre), and the greatest spread that each is for, beamwidths.
+
+In products of responses, whose shortest period is 1 beamwidth, the first two err by 1e-5 at their greatest spread, the
+last one by 1e-2: a surface of 30 dB that is spread so wide is seen as nine scatterers.
+"""
+
+PLACES, SHARES = np.zeros((2, len(QUADRATURES), QUADRATURES[-1][0]))  # of the nodes, in spreads; and of the power
+for _rule, (_count, _) in enumerate(QUADRATURES):
+    _nodes, _weights = np.polynomial.legendre.leggauss(_count)
+    PLACES[_rule, :_count], SHARES[_rule, :_count] = np.sqrt(3) * _nodes, _weights / 2
+
 FAINT = 0.1  # share of the greatest power over elevation below which it is not the surface's
 WIDE = 0.25  # beamwidths; spreads from which on the middle of the power is a better start than its peak
 NOISE_LIKE = 0.1  # mean power in a direction, in noise powers, below which the surface has none there
+
+
+Runs = list[tuple[PeakSearch, slice]]
 
 
 class Surfaces(NamedTuple):
@@ -58,13 +72,9 @@ class Surfaces(NamedTuple):
         """These surfaces `there`, and the others elsewhere."""
         return Surfaces(*(np.where(there, mine, theirs) for mine, theirs in zip(self, other, strict=True)))
 
-    def responses(self, search: PeakSearch) -> Numbers:
-        """B with C = B B^H + I, shape (pixels, channels, nodes)."""
-        elevation = self.elevation[:, None] + self.spread[:, None] * PLACES
-        units, _, array_power = search.responses_at(elevation)
-        inside = (elevation >= search.first) & (elevation <= search.last)
-        amplitude = np.sqrt(inside * SHARES * array_power * self.cnr[:, None])[..., None]
-        return np.swapaxes(units * amplitude, 1, 2)
+    def in_steps(self, search: PeakSearch) -> F64:
+        """T and s in steps of the table, and p, (3, pixels), as the compiled loops take them."""
+        return np.stack([(self.elevation - search.first) / search.step, self.spread / search.step, self.cnr])
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,63 +94,60 @@ class ExtendedSurfaces:
     information: F64
 
     @classmethod
-    def fit(
-        cls, search: PeakSearch, covariance: Numbers, looks: F64, start: Surfaces, least: F64, beamwidth: float
-    ) -> Self:
+    def fit(cls, runs: Runs, covariance: Numbers, looks: F64, start: Surfaces, least: F64, beamwidth: float) -> Self:
         """Fit a surface to each pixel.
 
         Args:
-            search: of the normalised objective, at the squint of the pixels.
+            runs: searches of the normalised objective over the same elevations, and the pixels at the squint of each.
             covariance: R in noise powers, (pixels, M, M).
             looks: K, (pixels,).
             start: of the climb.
             least: log-likelihood of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
             beamwidth: rad.
         """
-        within = start.within_bounds(search, beamwidth)
-        values = np.stack([(within.elevation - search.first) / search.step, within.spread / search.step, within.cnr])
+        search = runs[0][0]
+        values = start.within_bounds(search, beamwidth).in_steps(search)
         likelihood, information = np.empty(len(looks)), np.empty((len(looks), 3, 3))
-        table = search.unit_pieces, search.power, PLACES, SHARES
         spreads = LEAST_SPREAD * beamwidth / search.step, GREATEST_SPREAD * beamwidth / search.step
-        climb_surfaces(covariance, looks, least, table, spreads, values, (likelihood, information))
-        found = Surfaces(search.first + search.step * values[0], search.step * values[1], values[2])
+        for one, part in runs:
+            found = values[:, part], likelihood[part], information[part]
+            climb_surfaces(covariance[part], looks[part], least[part], table_of(one, beamwidth), spreads, found)
+        surfaces = Surfaces(search.first + search.step * values[0], search.step * values[1], values[2])
         variance = np.linalg.inv(information + RIDGE * looks[:, None, None] * np.eye(3))[:, 0, 0]
-        sigma = np.sqrt(variance * looks / free_looks(looks)) * found.spread
-        return cls(found, sigma, likelihood, information)
+        sigma = np.sqrt(variance * looks / free_looks(looks)) * surfaces.spread
+        return cls(surfaces, sigma, likelihood, information)
 
     def at(self, index: Index | Bool) -> Self:
         """Some of the surfaces."""
         return type(self)(self.found.at(index), self.sigma[index], self.log_likelihood[index], self.information[index])
-
-    @classmethod
-    def together(cls, parts: list[Self]) -> Self:
-        """Those of several searches, one after the other."""
-        found = Surfaces(*(np.concatenate(numbers) for numbers in zip(*(part.found for part in parts), strict=True)))
-        others = ("sigma", "log_likelihood", "information")
-        return cls(found, *(np.concatenate([getattr(part, name) for part in parts]) for name in others))
 
     def with_uncertain_beams(self, uncertainty: float, turning: F64) -> Self:
         """The surfaces with the sigma that `beam_deviation` adds; D in 1/rad^2, (pixels,)."""
         return replace(self, sigma=np.hypot(self.sigma, beam_deviation(turning, uncertainty)))
 
 
-def first_surfaces(search: PeakSearch, values: F32, looks: F64, narrow: Surfaces, beamwidth: float) -> Surfaces:
+def first_surfaces(runs: Runs, values: F32, looks: F64, narrow: Surfaces, beamwidth: float) -> Surfaces:
     """Surfaces from which to climb: the middle and the width of the power over elevation, or `narrow` ones.
 
     Args:
-        search: of the normalised objective, at the squint of the pixels.
+        runs: as of `ExtendedSurfaces.fit`.
         values: of the objective `on_grid`.
         looks: K, (pixels,).
         narrow: at the peak of a single scatterer; where the power is hardly wider than that of a point.
         beamwidth: rad.
     """
-    nodes = search.grid_nodes
-    middle, variance = _moments(nodes, values - looks[:, None])
-    half = len(nodes) // 2
-    _, of_point = _moments(nodes, np.abs(search.unit_nodes.conj() @ search.unit_nodes[half])[None] ** 2)
+    middle, variance = _moments(runs[0][0].grid_nodes, values - looks[:, None])
+    of_point = np.concatenate([np.full(part.stop - part.start, _point_variance(search)) for search, part in runs])
     spread = np.sqrt(np.maximum(variance - of_point, 0.0))
     bounded = np.clip(spread, LEAST_SPREAD * beamwidth, GREATEST_SPREAD * beamwidth)
     return Surfaces(middle, bounded, narrow.cnr).where(spread > WIDE * beamwidth, narrow)
+
+
+@lru_cache(maxsize=64)
+def _point_variance(search: PeakSearch) -> float:
+    """Variance of elevation (rad^2) weighted by the power of a point in the middle of the array."""
+    middle = search.unit_nodes[len(search.unit_nodes) // 2]
+    return float(_moments(search.grid_nodes, np.abs(search.unit_nodes.conj() @ middle)[None] ** 2)[1][0])
 
 
 def _moments(nodes: F64, power: F64) -> tuple[F64, F64]:
@@ -151,17 +158,28 @@ def _moments(nodes: F64, power: F64) -> tuple[F64, F64]:
     return mean, np.sum(weight * (nodes - mean[:, None]) ** 2, axis=1)
 
 
-def explained_by(search: PeakSearch, covariance: Numbers, surfaces: Surfaces) -> tuple[F64, F64]:
+def explained_by(runs: Runs, covariance: Numbers, surfaces: Surfaces, beamwidth: float) -> tuple[F64, F64]:
     """Power of the pixels in the directions in which surfaces are not NOISE_LIKE, and the number of these, (pixels,).
 
     It is the sum over looks, in noise powers. Arguments as of `ExtendedSurfaces.fit`.
     """
-    responses = surfaces.responses(search)
+    most, places = QUADRATURES[-1][0], surfaces.in_steps(runs[0][0])
+    rows = np.empty((len(covariance), most, covariance.shape[-1]), covariance.dtype)
+    for search, part in runs:
+        all_responses(places[:, part], table_of(search, beamwidth), rows[part])
+    responses = np.swapaxes(rows, 1, 2)
     strength, turn = np.linalg.eigh(adjoint(responses) @ responses)
-    seen = np.einsum("pmi,pmi->pi", (responses @ turn).conj(), covariance @ (responses @ turn)).real
+    along = responses @ turn
+    seen = np.sum(along.conj() * (covariance @ along), axis=1).real
     counted = strength > NOISE_LIKE
-    counted[:, : max(len(NODES) - covariance.shape[-1] + 1, 0)] = False
+    counted[:, : max(most - covariance.shape[-1] + 1, 0)] = False
     return np.sum(seen * counted / np.maximum(strength, NOISE_LIKE), axis=1), counted.sum(axis=1).astype(np.float64)
+
+
+def table_of(search: PeakSearch, beamwidth: float) -> Table:
+    """The unit responses and the quadratures, as the compiled loops take them."""
+    greatest = np.array([spread for _, spread in QUADRATURES]) * beamwidth / search.step
+    return search.unit_pieces, search.power, PLACES, SHARES, greatest
 
 
 def free_looks(looks: F64) -> F64:

@@ -175,21 +175,9 @@ class Suspects:
 
     def surfaces(self, some: Index, narrow: Surfaces, least: F64, beamwidth: float) -> ExtendedSurfaces:
         """Extended surfaces fitted to some of the pixels, as `ExtendedSurfaces.fit` does from `first_surfaces`."""
-        parts = []
-        for search, part in self.each(some):
-            here = some[part]
-            first = first_surfaces(search, self.values[here], self.looks[here], narrow.at(part), beamwidth)
-            parts.append(
-                ExtendedSurfaces.fit(search, self.covariance[here], self.looks[here], first, least[part], beamwidth)
-            )
-        return ExtendedSurfaces.together(parts)
-
-    def explained_by(self, some: Index, surfaces: Surfaces) -> tuple[F64, F64]:
-        """`extended.explained_by` surfaces of some of the pixels."""
-        explained, directions = np.empty((2, len(some)))
-        for search, part in self.each(some):
-            explained[part], directions[part] = explained_by(search, self.covariance[some[part]], surfaces.at(part))
-        return explained, directions
+        runs, looks = list(self.each(some)), self.looks[some]
+        first = first_surfaces(runs, self.values[some], looks, narrow, beamwidth)
+        return ExtendedSurfaces.fit(runs, self.covariance[some], looks, first, least, beamwidth)
 
 
 def fit_models(
@@ -263,5 +251,6 @@ def _fit_extended(
     some, whole, surfaces = some[likely], (whole[0][likely], whole[1][likely]), surfaces.at(likely)
     surfaces = surfaces.with_uncertain_beams(beams.uncertainty, peaks.turning[whole] * peaks.array_power[whole])
     weighed = log_evidence_of_extended(surfaces, domain, beams.beamwidth)
-    explained = suspects.explained_by(some, surfaces.found)
+    covariance = suspects.covariance[some]
+    explained = explained_by(list(suspects.each(some)), covariance, surfaces.found, beams.beamwidth)
     models.put_extended(surfaces, explained, single.noise.raised[whole], weighed, part[some])

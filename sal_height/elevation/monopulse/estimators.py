@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.elevation.looks import Looks
+from sal_height.elevation.monopulse.inversion import PairElevation
 from sal_height.errors import UserError
 from sal_height.numeric import C128, F64
 
@@ -151,9 +152,7 @@ def whitened_products(sums: Products, noise_powers: NoisePowers) -> tuple[Produc
     return scaled, scale
 
 
-def accuracy(
-    sums: Products, response: F64, slope: F64, noise_powers: NoisePowers, uncertainty: float
-) -> tuple[F64, F64]:
+def accuracy(sums: Products, found: PairElevation, noise_powers: NoisePowers, uncertainty: float) -> tuple[F64, F64]:
     """Return the standard deviation of elevation (rad) and the CNR of one look, from the energy of these looks.
 
     The deviation is that of gamma (`products_variance`) over the discriminant's slope. Errors of the beams, of variance
@@ -164,20 +163,16 @@ def accuracy(
 
     Args:
         sums: of Sigma and Delta.
-        response: of the lower and the upper beam where the scatterer is, in its unit, shape (..., 2).
-        slope: of gamma over elevation there, 1/rad.
+        found: where the scatterer is, with the slope of gamma and the beams there.
         noise_powers: of Sigma and Delta.
         uncertainty: u (`Beams.uncertainty`).
     """
-    total_gain = np.abs(response[..., 1] + response[..., 0]) ** 2
-    difference_gain = np.abs(response[..., 1] - response[..., 0]) ** 2
     energy = sums.sum_power - sums.count * noise_powers[0]
     detector_noise = 1 / (1 / noise_powers[0] + 1 / noise_powers[1])
     with np.errstate(divide="ignore", invalid="ignore"):
-        modulus = np.sqrt(difference_gain / total_gain)
-        variance = products_variance(modulus, energy, sums.count, noise_powers)
-        variance = (variance + (1 + modulus**2) * uncertainty**2 / total_gain) / slope**2
-        cnr = energy / total_gain / sums.count / detector_noise
+        variance = products_variance(found.modulus, energy, sums.count, noise_powers)
+        variance = (variance + (1 + found.modulus**2) * uncertainty**2 / found.sum_gain) / found.slope**2
+        cnr = energy / found.sum_gain / sums.count / detector_noise
     return np.sqrt(np.where(energy > 0, variance, np.inf)), np.asarray(cnr)
 
 

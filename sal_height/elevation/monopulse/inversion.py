@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +61,27 @@ class Inversion:
     reason: U8
 
 
+@dataclass(frozen=True, eq=False)
+class PairElevation(Inversion):
+    """Elevations of discriminants, and the beams of their pairs there; all arrays have their shape.
+
+    Attributes:
+        sum_gain: |Sigma|^2 of a scatterer of amplitude 1; NaN where the reason is not INSIDE, as the next.
+        modulus: |Delta / Sigma|.
+    """
+
+    sum_gain: F64
+    modulus: F64
+
+    @classmethod
+    def of(cls, pair: Beams, found: Inversion, squint: npt.ArrayLike) -> Self:
+        """What was found for one pair of beams at squints (rad), which broadcast."""
+        lower, upper = np.moveaxis(pair.response(found.elevation, squint), -1, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            modulus = np.abs(upper - lower) / np.abs(upper + lower)
+        return cls(found.elevation, found.slope, found.reason, np.abs(upper + lower) ** 2, modulus)
+
+
 def invert(pair: Beams, mu: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
     """Find the elevation at which a pair of beams has the discriminant `mu`, within its domain; broadcasts.
 
@@ -103,10 +124,6 @@ def invert(pair: Beams, mu: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
     return Inversion(elevation, slope, reason)
 
 
-Inverse = Callable[[Beams, F64, F64], Inversion]
-"""Function of the pair of beams, gamma and the squint of each (rad), which broadcast, that returns elevations."""
-
-
 def invert_linear(pair: Beams, gamma: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
     """Find elevations by the tangent in the equisignal direction, theta_0 + gamma / g (relief paper, eq. 6 and 7).
 
@@ -146,7 +163,3 @@ def _reasons(gamma: F64, least: F64 | float, most: F64 | float, exists: Bool) ->
         [Reason.NOT_FINITE, Reason.NO_DOMAIN, Reason.BELOW, Reason.ABOVE],
         Reason.INSIDE,
     ).astype(np.uint8)
-
-
-INVERSES: dict[str, Inverse] = {"exact": invert, "linear": invert_linear}
-"""Inversions that follow from the beams, by name."""

@@ -13,12 +13,20 @@ from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
 from sal_height.elevation.likelihood import OBJECTIVES, search_guard
 from sal_height.elevation.looks import Covariance, Looks
-from sal_height.elevation.monopulse.estimators import DISCRIMINANTS, accuracy, discriminate, sum_and_difference
-from sal_height.elevation.monopulse.inversion import Inversion, Reason, invert
-from sal_height.elevation.search import PeakSearch, PeakSearches
+from sal_height.elevation.monopulse._kernels import find_strongest_pairs
+from sal_height.elevation.monopulse.estimators import (
+    DISCRIMINANTS,
+    Products,
+    accuracy,
+    discriminate,
+    sum_and_difference,
+)
+from sal_height.elevation.monopulse.inverse_table import invert_pairs
+from sal_height.elevation.monopulse.inversion import Reason
+from sal_height.elevation.search import PIXELS_AT_ONCE, PeakSearch, PeakSearches
 from sal_height.elevation.settings import HeightSettings
 from sal_height.errors import Rejected
-from sal_height.numeric import F64, Index
+from sal_height.numeric import F64, Index, in_parallel
 from sal_height.settings import setting
 
 OUTSIDE_MARGIN = 3.0
@@ -56,23 +64,20 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
             "The channel matrix of SensorInfo is no lossless hybrid, so the detectors' noise is correlated and they "
             "form no pairs; use ml_height, or sum_difference_height for a sum and a difference.",
         )
-    searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
-
-    def strongest(search: PeakSearch, pixels: Covariance, *_where: object) -> F64:
-        best = search.peaks(pixels).elevation
-        return np.stack([*_strongest_pair(pixels), best, search.fit(pixels, best)[0]])
-
-    pair, lower, upper, real, imaginary, best, best_explained = searches.of_pixels(looks, 7, strongest)
-    sums = sum_and_difference(lower, upper, real + 1j * imaginary, looks.count)
+    pair, sums = strongest_pairs(looks)
     noise_powers = (2 * looks.receiver_noise, 2 * looks.receiver_noise)
     mu = discriminate(sums, DISCRIMINANTS[settings.discriminant], noise_powers)
-    found, response = _invert_pairs(beams, pair.astype(np.intp), mu, np.broadcast_to(looks.squint, mu.shape))
-    sigma, cnr = accuracy(sums, response, found.slope, noise_powers, beams.uncertainty)
+    found = invert_pairs(beams, mu, pair, looks.squint)
+    sigma, cnr = accuracy(sums, found, noise_powers, beams.uncertainty)
 
-    def at_found(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
-        return search.fit(pixels, found.elevation[rows, cols].reshape(-1))[:2]
+    def compare(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
+        """What the whole array says: its best elevation and how well that explains a pixel, and the same of `found`."""
+        best = search.peaks(pixels).elevation
+        here = search.fit(pixels, found.elevation[rows, cols].reshape(-1))
+        return np.stack([best, search.fit(pixels, best)[0], *here[:2]])
 
-    explained, gain = searches.of_pixels(looks, 2, at_found)
+    searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
+    best, best_explained, explained, gain = searches.of_pixels(looks, 4, compare)
     explained = explained / looks.receiver_noise
     first, last = beams.span
     inside = (found.elevation >= first) & (found.elevation <= last)
@@ -85,32 +90,21 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
     return ElevationEstimate.of_one(found.elevation, sigma, cnr, validity)
 
 
-def _strongest_pair(covariance: Covariance) -> tuple[F64, F64, F64, F64, F64]:
-    """Select the pair with the most power in Sigma.
-
-    Args:
-        covariance: of pixels, shape (..., M, M); real where the beams are.
+def strongest_pairs(looks: Looks) -> tuple[Index, Products]:
+    """The pair of neighbouring detectors with the most power in Sigma, and the products of its Sigma and Delta.
 
     Returns:
-        Index of the lower detector, and the sums over looks of |l|^2, |u|^2 and the real and imaginary part of l u*.
+        Number of the lower detector of each pixel, shape (rows, cols), and the products, of that shape.
     """
-    diagonal = np.diagonal(covariance, axis1=-2, axis2=-1).real.astype(np.float64)
-    beside = np.diagonal(covariance, offset=1, axis1=-2, axis2=-1).astype(np.complex128)
-    power = diagonal[..., :-1] + diagonal[..., 1:] + 2 * beside.real
-    pair = np.argmax(power, axis=-1, keepdims=True)
-    lower, upper = (np.take_along_axis(diagonal, pair + step, axis=-1)[..., 0] for step in (0, 1))
-    product = np.take_along_axis(beside, pair, axis=-1)[..., 0]
-    return pair[..., 0].astype(np.float64), lower, upper, product.real, product.imag
+    rows, cols = looks.count.shape
+    pair, found = np.empty((rows, cols), np.intp), np.empty((4, rows, cols))
+    high = max(1, PIXELS_AT_ONCE // cols)
 
+    def find(part: slice) -> None:
+        for first in range(part.start, part.stop, high):
+            block = slice(first, min(first + high, part.stop))
+            find_strongest_pairs(looks.covariance[block, :], pair[block], found[:, block])
 
-def _invert_pairs(beams: Beams, pair: Index, mu: F64, squint: F64) -> tuple[Inversion, F64]:
-    """Invert the discriminant of each pixel's `pair`; also return the response of the pair's beams there, (..., 2)."""
-    elevation, slope = np.full((2, *mu.shape), np.nan)
-    reason = np.full(mu.shape, Reason.NOT_FINITE, np.uint8)
-    response = np.full((*mu.shape, 2), np.nan, dtype=np.complex128)
-    for lower in np.unique(pair).tolist():
-        here, pair_beams = pair == lower, beams.pair(lower)
-        found = invert(pair_beams, mu[here], squint[here])
-        elevation[here], slope[here], reason[here] = found.elevation, found.slope, found.reason
-        response[here] = pair_beams.response(found.elevation, squint[here])
-    return Inversion(elevation, slope, reason), response
+    in_parallel(find, rows, high)
+    lower, upper, real, imaginary = found
+    return pair, sum_and_difference(lower, upper, real + 1j * imaginary, looks.count)

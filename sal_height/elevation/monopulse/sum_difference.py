@@ -13,6 +13,7 @@ complex gamma; `total_least_squares` is that for a real one, tan(1/2 atan2(2 Re 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Self
@@ -31,12 +32,22 @@ from sal_height.elevation.monopulse.estimators import (
     products_of_looks,
     whitened_products,
 )
-from sal_height.elevation.monopulse.inversion import INVERSES, Reason
+from sal_height.elevation.monopulse.inverse_table import invert_pairs
+from sal_height.elevation.monopulse.inversion import PairElevation, Reason, invert_linear
 from sal_height.elevation.monopulse.slope_table import SlopeTable, read_slope_table
 from sal_height.elevation.settings import HeightSettings
 from sal_height.errors import UserError
 from sal_height.numeric import F64
 from sal_height.settings import setting
+
+Inverse = Callable[[Beams, F64, F64], PairElevation]
+"""Function of the pair of beams, gamma (rows, cols) and the squint of each column (rad) that returns elevations."""
+
+INVERSES: dict[str, Inverse] = {
+    "exact": lambda pair, gamma, squint: invert_pairs(pair, gamma, np.zeros(gamma.shape, np.intp), squint),
+    "linear": lambda pair, gamma, squint: PairElevation.of(pair, invert_linear(pair, gamma, squint), squint),
+}
+"""Inversions that follow from the beams, by name."""
 
 
 class SumDifferenceSettings(HeightSettings):
@@ -83,6 +94,11 @@ def _slope_table(path: str) -> SlopeTable:
     return read_slope_table(Path(path))
 
 
+def _by_slope_table(path: str) -> Inverse:
+    table = _slope_table(path)
+    return lambda pair, gamma, squint: PairElevation.of(pair, table.invert(pair, gamma, squint), squint)
+
+
 def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceSettings) -> ElevationEstimate:
     """Estimate the elevation of the scatterer in every pixel of images whose channels are Sigma and Delta.
 
@@ -104,10 +120,9 @@ def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceS
     """
     sums, noise_powers = products_of_looks(looks), (float(looks.noise_powers[0]), float(looks.noise_powers[1]))
     gamma = discriminate(sums, DISCRIMINANTS[settings.discriminant], noise_powers)
-    invert = _slope_table(settings.slope_table).invert if settings.slope_table else INVERSES[settings.inverse]
-    found = invert(pair, gamma, looks.squint)
-    response = pair.response(found.elevation, looks.squint)
-    sigma, cnr = accuracy(sums, response, found.slope, noise_powers, pair.uncertainty)
+    inverse = _by_slope_table(settings.slope_table) if settings.slope_table else INVERSES[settings.inverse]
+    found = inverse(pair, gamma, looks.squint)
+    sigma, cnr = accuracy(sums, found, noise_powers, pair.uncertainty)
     explained, left = _eigenvalues(whitened_products(sums, noise_powers)[0]) / noise_powers[0]
     # K amplitudes and one complex gamma are estimated.
     fit = Fit(explained, left, looks.count - 1, directions=2, leaked=looks.leaked)

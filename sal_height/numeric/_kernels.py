@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.numeric.arrays import F32, F64
+from sal_height.numeric.arrays import C64, F32, F64
 from sal_height.numeric.jit import compiled
 
 PER_TURN = 1 / (2 * np.pi)
@@ -43,3 +43,21 @@ def tap_weights(fraction: F32, taps: F32) -> F32:
             high = p[6] + t * (p[7] + t * (p[8] + t * (p[9] + t * p[10])))
             weight[i] = p[0] + t * (p[1] + t * (p[2] + t * (p[3] + t * (p[4] + t * (p[5] + t * high)))))
     return weights
+
+
+@compiled
+def fill_padded(spectra: C64, factor: F32, padded: C64) -> None:
+    """Weighted spectra in the order of an FFT, with zeros between the highest frequencies and the lowest.
+
+    Args:
+        spectra: frequencies from the lowest to the highest, shape (detectors, pulses, frequencies).
+        factor: of the frequencies.
+        padded: zeros to fill, shape (pulses, length, detectors).
+    """
+    detectors, pulses, count = spectra.shape
+    middle, length = count // 2, padded.shape[1]
+    for pulse in range(pulses):
+        for frequency in range(count):
+            place = frequency - middle if frequency >= middle else frequency - middle + length
+            for detector in range(detectors):
+                padded[pulse, place, detector] = factor[frequency] * spectra[detector, pulse, frequency]

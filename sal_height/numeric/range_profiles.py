@@ -12,6 +12,7 @@ import numpy as np
 import scipy.fft
 from scipy.special import i0
 
+from sal_height.numeric._kernels import fill_padded
 from sal_height.numeric.arrays import C64, F32, F64
 
 OVERSAMPLING = 2  # dense samples per resolution cell of the unweighted band
@@ -34,7 +35,7 @@ def tap_polynomials() -> F32:
     return np.ascontiguousarray(fit, dtype=np.float32)
 
 
-def dense_profiles(spectra: C64, weights: F64) -> F32:
+def dense_profiles(spectra: C64, weights: F64) -> C64:
     """Dense range profiles of some pulses, ready to be interpolated.
 
     Args:
@@ -42,21 +43,17 @@ def dense_profiles(spectra: C64, weights: F64) -> F32:
         weights: of the frequencies, shape (frequencies,).
 
     Returns:
-        Shape (pulses, OVERSAMPLING * frequencies + TAPS, 2, detectors): real and imaginary parts apart and detectors
-        side by side, as a processor can add them at once. Index i belongs to the delay
-        (i - TAPS / 2 - OVERSAMPLING * frequencies // 2) / OVERSAMPLING cells; the profile repeats itself at the ends.
+        Complex64, shape (pulses, OVERSAMPLING * frequencies + TAPS, detectors): detectors side by side, as a processor
+        can add them at once. Index i belongs to the delay (i - TAPS / 2 - OVERSAMPLING * frequencies // 2) /
+        OVERSAMPLING cells; the profile repeats itself at the ends.
     """
     detectors, pulses, count = spectra.shape
     dense = OVERSAMPLING * count
     factor = (weights * _deconvolution(count)).astype(np.float32)
-    middle = count // 2
-    padded = np.zeros((detectors, pulses, dense), dtype=np.complex64)
-    np.multiply(spectra[..., middle:], factor[middle:], out=padded[..., : count - middle])
-    np.multiply(spectra[..., :middle], factor[:middle], out=padded[..., dense - middle :])
-    profile = scipy.fft.ifft(padded, axis=-1, norm="forward", overwrite_x=True)
-    ready = np.empty((pulses, dense + TAPS, 2, detectors), dtype=np.float32)
-    for part, values in enumerate((profile.real, profile.imag)):
-        ready[:, TAPS // 2 : -TAPS // 2, part] = values.transpose(1, 2, 0)
+    ready = np.zeros((pulses, dense + TAPS, detectors), dtype=np.complex64)
+    period = ready[:, TAPS // 2 : -TAPS // 2]
+    fill_padded(spectra, factor, period)
+    period[:] = scipy.fft.ifft(period, axis=1, norm="forward", overwrite_x=True)
     ready[:, : TAPS // 2] = ready[:, dense : dense + TAPS // 2]
     ready[:, -(TAPS // 2) :] = ready[:, TAPS // 2 : TAPS]
     return ready

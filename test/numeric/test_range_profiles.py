@@ -25,8 +25,7 @@ def read(spectra: np.ndarray, weights: np.ndarray, cells: np.ndarray) -> np.ndar
     before = np.floor(position).astype(int)
     taps = tap_weights((position - before).astype(np.float32), tap_polynomials())
     index = before + np.arange(TAPS)[:, None] - TAPS // 2 + 1
-    complex_profiles = profiles[:, :, 0] + 1j * profiles[:, :, 1]
-    return np.einsum("jc,pjcd->dpc", taps, complex_profiles[:, index])
+    return np.einsum("jc,pjcd->dpc", taps, profiles[:, index])
 
 
 @pytest.mark.parametrize("count", [16, 17, 63, 64])
@@ -44,7 +43,7 @@ def test_profile_at_any_delay_is_the_transform_written_out(count: int, detectors
 def test_profile_repeats_itself_at_the_ends_of_the_window() -> None:
     spectra = circular(np.random.default_rng(68), (2, 3, 20)).astype(np.complex64)
     profiles = dense_profiles(spectra, np.ones(20))
-    assert profiles.shape == (3, OVERSAMPLING * 20 + TAPS, 2, 2)
+    assert profiles.shape == (3, OVERSAMPLING * 20 + TAPS, 2)
     np.testing.assert_array_equal(profiles[:, :TAPS], profiles[:, -TAPS:])
 
 
@@ -58,7 +57,7 @@ def test_spectra_of_profiles_are_the_adjoint_of_profiles_of_spectra(count: int) 
     made = spectra_of_profiles(profiles)
     assert made.shape == spectra.shape
     assert made.dtype == np.complex64
-    forward = np.vdot(dense[:, :, 0] + 1j * dense[:, :, 1], profiles)
+    forward = np.vdot(dense, profiles)
     np.testing.assert_allclose(np.vdot(spectra, made), forward, rtol=3e-6)
 
 

@@ -31,7 +31,7 @@ def add_pulses(
         points: x, y, z of the pixels, m, shape (3, pixels).
         along: place of the pixels along the flight, m, shape (pixels,).
         track: x, y, z of the antenna, reference range, place along the flight (m) and weight, shape (pulses, 6).
-        profiles: of `dense_profiles`.
+        profiles: of `dense_profiles`, real and imaginary parts apart, shape (pulses, dense samples, 2, detectors).
         taps: of `tap_polynomials`.
         taper: azimuth window over the processed angle in stripmap.
         scales: dense samples per m; dense sample of delay 0; turns per m; half the range window, m; processed angle,
@@ -59,6 +59,65 @@ def add_pulses(
             _add_one(sample, tap, cosine, sine, profiles[pulse], image)
         else:
             _add_all(sample, tap, cosine, sine, profiles[pulse], image)
+
+
+@compiled
+def read_profiles(
+    delay: F64, profiles: F32, taps: F32, per_metre: float, middle: int, half_window: float, values: F32
+) -> None:
+    """Read range profiles at some delays.
+
+    Args:
+        delay: m, shape (pulses, points).
+        profiles: of `dense_profiles`, real and imaginary parts in turn, shape (pulses, dense samples, 2 detectors).
+        taps: of `tap_polynomials`.
+        per_metre: dense samples per m.
+        middle: dense sample of delay 0.
+        half_window: half the range window, m.
+        values: to fill, real and imaginary parts in turn, shape (points, pulses, 2 detectors).
+    """
+    pulses, points = delay.shape
+    sample, fraction = np.empty(delay.size, np.int32), np.empty(delay.size, np.float32)
+    _samples(delay.reshape(-1), per_metre, middle, half_window, sample, fraction)
+    tap = tap_weights(fraction, taps)
+    for point in range(points):
+        for pulse in range(pulses):
+            i = pulse * points + point
+            first, value, profile = sample[i], values[point, pulse], profiles[pulse]
+            a, b, c = profile[first], profile[first + 1], profile[first + 2]
+            d, e, f = profile[first + 3], profile[first + 4], profile[first + 5]
+            ta, tb, tc, td, te, tf = tap[0, i], tap[1, i], tap[2, i], tap[3, i], tap[4, i], tap[5, i]
+            for k in range(value.size):
+                value[k] = ta * a[k] + tb * b[k] + tc * c[k] + td * d[k] + te * e[k] + tf * f[k]
+
+
+@compiled
+def fill_turns(points: F64, track: F64, turns_per_metre: float, result: F32) -> None:
+    """Weight times exp(j 2 pi turns) of the delay of every point in every pulse.
+
+    Args:
+        points: m, shape (points, 3).
+        track: x, y, z of the antenna, reference range (m) and weight of the pulses, shape (5, pulses).
+        turns_per_metre: of the phase, with the delay.
+        result: to fill, real and imaginary parts in turn, of points x pulses x 2 numbers.
+    """
+    x, y, z, reference, weight = track[0], track[1], track[2], track[3], track[4].astype(np.float32)
+    flat = result.reshape(points.shape[0], -1, 2)
+    delay, cosine, sine = np.empty(x.size), np.empty(x.size, np.float32), np.empty(x.size, np.float32)
+    for i in range(points.shape[0]):
+        _distances(x, y, z, points[i, 0], points[i, 1], points[i, 2], reference, delay)
+        _phasors(delay, turns_per_metre, weight, cosine, sine)
+        for pulse in range(x.size):
+            flat[i, pulse, 0] = cosine[pulse]
+            flat[i, pulse, 1] = sine[pulse]
+
+
+@compiled
+def _distances(x: F64, y: F64, z: F64, px: float, py: float, pz: float, reference: F64, delay: F64) -> None:
+    """As `_delays`, of one point in many pulses."""
+    for i in range(delay.size):
+        dx, dy, dz = x[i] - px, y[i] - py, z[i] - pz
+        delay[i] = math.sqrt(dx * dx + dy * dy + dz * dz) - reference[i]
 
 
 @compiled

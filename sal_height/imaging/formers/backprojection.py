@@ -86,7 +86,8 @@ def backproject_points(
     )
     size = int(np.clip(math.ceil(points.shape[1] / WORKERS), PIXELS_OF_THREAD, PIXELS_AT_ONCE))
     for block in blocks(pulses, PULSES_AT_ONCE):
-        profiles = dense_profiles(history.samples[:, block], range_weights)
+        dense = dense_profiles(history.samples[:, block], range_weights)
+        profiles = np.stack([dense.real, dense.imag], axis=2)
 
         def add(piece: slice, profiles: F32 = profiles, block: slice = block) -> None:
             add_pulses(

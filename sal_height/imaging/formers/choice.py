@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
-from sal_height.imaging.formers import accuracy, range_doppler, specan
+from sal_height.imaging.formers import accuracy, range_doppler, row_sums, specan
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import C64, F64
@@ -42,6 +42,7 @@ class Former:
 
 FORMERS: dict[str, Former] = {
     "backprojection": Former(backproject, MODES),
+    "row_sums": Former(row_sums.focus_rows, ("spotlight",), 0, row_sums.expected_error),
     "specan": Former(specan.focus_spotlight, ("spotlight",), FEW_PIXELS, specan.expected_error),
     "range_doppler": Former(
         range_doppler.focus_stripmap,

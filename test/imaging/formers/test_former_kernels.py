@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.imaging.formers._kernels import add_pulses, keep_reached
+from sal_height.imaging.formers._kernels import add_pulses, fill_turns, keep_reached, read_profiles
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
 
@@ -40,7 +40,8 @@ def test_pulses_are_added_as_the_formula_of_backprojection_says(detectors: int, 
     track, spots = scene(pulses, points)
     rng = np.random.default_rng(112)
     spectra = circular(rng, (detectors, pulses, COUNT)).astype(np.complex64)
-    profiles, polynomials = dense_profiles(spectra, np.ones(COUNT)), tap_polynomials()
+    dense, polynomials = dense_profiles(spectra, np.ones(COUNT)), tap_polynomials()
+    profiles = np.stack([dense.real, dense.imag], axis=2)
     processing = Processing(azimuth_window="hamming", angle=angle)
     per_metre, middle = OVERSAMPLING * COUNT / WINDOW, OVERSAMPLING * COUNT // 2
     scales = np.array([per_metre, middle, WAVENUMBER / (2 * np.pi), WINDOW / 2, angle, SPACING])
@@ -56,12 +57,21 @@ def test_pulses_are_added_as_the_formula_of_backprojection_says(detectors: int, 
     before = np.minimum(np.floor(position), 2 * middle - 1).astype(int)
     taps = tap_weights((position - before).astype(np.float32).ravel(), polynomials).reshape(TAPS, pulses, points)
     read = (before + 1)[..., None] + np.arange(TAPS)
-    samples = (profiles[:, :, 0] + 1j * profiles[:, :, 1])[np.arange(pulses)[:, None, None], read]
+    samples = dense[np.arange(pulses)[:, None, None], read]
     expected = np.einsum("px,jpx,pxjd->xd", gain * np.exp(1j * WAVENUMBER * delay), taps, samples)
     np.testing.assert_allclose(image[:, 0] + 1j * image[:, 1], expected, atol=2e-6 * np.abs(expected).max() * pulses)
     np.testing.assert_allclose(weight, gain.sum(axis=0), rtol=1e-5)
     np.testing.assert_array_equal(valid, np.all(inside | (gain == 0), axis=0))
     assert 0.1 < np.mean(valid) < 0.95
+
+    values = np.empty((points, pulses, detectors), np.complex64)
+    read_profiles(delay, dense.view(np.float32), polynomials, per_metre, middle, WINDOW / 2, values.view(np.float32))
+    expected = np.einsum("jpx,pxjd->xpd", taps, samples)
+    np.testing.assert_allclose(values, expected, atol=2e-6 * np.abs(expected).max())
+
+    turns = np.empty((points, pulses), np.complex64)
+    fill_turns(spots.T.copy(), track.T[[0, 1, 2, 3, 5]], WAVENUMBER / (2 * np.pi), turns.view(np.float32))
+    np.testing.assert_allclose(turns, (track[:, 5:] * np.exp(1j * WAVENUMBER * delay)).T, atol=2e-6)
 
     reached = np.ones(points, bool)
     keep_reached(spots, spots[0].copy(), track[:, :5].copy(), WINDOW / 2, angle, SPACING, reached)

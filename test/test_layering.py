@@ -22,6 +22,7 @@ LAYERS = (
     ("calibration",),
     ("theory",),
     ("pipeline",),
+    ("rehearsal",),
     ("messages", "figures"),
     ("bag",),
     ("nodes",),

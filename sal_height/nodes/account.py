@@ -14,12 +14,14 @@ from typing import Self
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 RECEIVED, PROCESSED, PUBLISHED, WAITING = "in", "processed", "out", "waiting"
-JOBS = "jobs"
+JOBS, READY = "jobs", "ready"
 DROPPED, IGNORED = "dropped.", "ignored."
 UNWRITTEN, RECORDED = "unwritten", "recorded."
 PUBLISHED_ON, SUBSCRIBERS = "published.", "subscribers."
 LAST_DROP = "last_drop"
 OFFERED, ACHIEVED = "offered_hz", "achieved_hz"
+CPU = "cpu_s"
+"""Processor time of the process, s: that of all its nodes."""
 LATENCY_P50, LATENCY_P95 = "latency_p50_ms", "latency_p95_ms"
 
 

@@ -7,6 +7,7 @@ import copy
 import time
 from abc import abstractmethod
 from collections import Counter
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 from sal_height_msgs.msg import SensorInfo
@@ -89,6 +90,7 @@ class DwellStage(Stage):
         self._newest_ns = 0
         self._waiting = WaitingClock()
         self._absences: dict[str, Counter[int]] = {}
+        self._rehearsed = False
         self.listen(SensorInfo, "sensor_info", self._on_sensor_info, LATCHED_QOS)
         self.listen(message_type, topic, self._on_message)
         self.every(TICK_S, self._tick)
@@ -117,6 +119,14 @@ class DwellStage(Stage):
         Returns:
             The number of messages published.
         """
+
+    def rehearse(self, sensor: Sensor) -> None:
+        """Process a made-up dwell of `sensor`, and publish nothing (on the worker thread)."""
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether a sensor is described and the node has rehearsed for it: the first dwell takes no longer then."""
+        return self._rehearsed
 
     def identity(self, message: Any) -> str:
         """The config_hash of the sensor info that a message was made with."""
@@ -209,6 +219,8 @@ class DwellStage(Stage):
             self.ignore("sensor info", error)
             return
         self.hardware_id = sensor.name
+        if sensor.config_hash not in self._sensors:
+            self.submit(0, lambda: self._rehearse(sensor))
         self._sensors.pop(sensor.config_hash, None)  # to be the last that is forgotten
         self._sensors[sensor.config_hash] = sensor
         self._assembler.forget_finished(sensor.config_hash)
@@ -218,6 +230,13 @@ class DwellStage(Stage):
         for early in waiting:
             self._take_in(early.message, early.came)
         self.advance()
+
+    def _rehearse(self, sensor: Sensor) -> int:
+        """Rehearse; whatever goes wrong will be told when it concerns a dwell."""
+        with suppress(Exception):
+            self.rehearse(sensor)
+        self._rehearsed = True
+        return 0
 
     def _forget(self, config_hash: str) -> None:
         """Drop the description of a sensor, and its unfinished dwells."""

@@ -16,11 +16,13 @@ from sal_height import messages
 from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, Validity
 from sal_height.errors import Rejected, UserError
+from sal_height.imaging import ImageSettings
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS, height_topics
-from sal_height.pipeline import heights, live_channels
+from sal_height.pipeline import Compressor, heights, live_channels
+from sal_height.rehearsal import rehearsed_slc, with_scatterers
 from sal_height.sensor import Sensor
 
 HELD_CALIBRATIONS = 4
@@ -65,6 +67,13 @@ class HeightNode(DwellStage):
     def supplies(self, dwell: list[ComplexImage], sensor: Sensor) -> Calibration | None:
         """The calibration that the images were made with: it may have changed the beams."""
         return self._calibration_of(dwell[0], sensor)
+
+    def rehearse(self, sensor: Sensor) -> None:
+        """Estimate the heights of made-up images."""
+        rng = np.random.default_rng(0)
+        slc = rehearsed_slc(sensor, ImageSettings(), Compressor(), rng)
+        if slc is not None:
+            heights(with_scatterers(slc, sensor, rng), sensor, self.estimator, self.current_parameters())
 
     def process(self, images: list[ComplexImage], sensor: Sensor, calibration: Calibration | None) -> int:
         """Estimate the heights of a dwell and publish them."""

@@ -21,6 +21,9 @@ class Role:
     product: ClassVar[str] = ""
     """Prefix of the topics of the heights that the node publishes, `<product>/height`; empty: it publishes none."""
 
+    begin_service: ClassVar[str] = "step"
+    """Service of a source of dwells that has it deliver the next one, or all of them at their pace."""
+
     takes_images: ClassVar[bool] = False
     """Whether the node takes the images of all channels, topic slc."""
 

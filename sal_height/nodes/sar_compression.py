@@ -7,6 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ChannelFrame, ComplexImage, Provenance
@@ -22,6 +23,7 @@ from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import IMAGES, LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS
 from sal_height.pipeline import Compressor
+from sal_height.rehearsal import rehearsed_slc
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
 
@@ -126,6 +128,10 @@ class SarCompression(DwellStage):
             return "no sample has come (is its QoS compatible?)"
         first, last = ((stamp_ns - start_ns) * 1e-9 for stamp_ns in self._odometry.span_ns)
         return f"samples are held from {first:.6g} s to {last:.6g} s after its first pulse"
+
+    def rehearse(self, sensor: Sensor) -> None:
+        """Compress made-up dwells."""
+        rehearsed_slc(sensor, self.current_parameters(), Compressor(), np.random.default_rng(0))
 
     def process(self, frames: list[ChannelFrame], sensor: Sensor, supplies: Supplies) -> int:
         """Compress a dwell, or the columns that a block completes of a strip, and publish the image of each channel."""

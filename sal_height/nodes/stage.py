@@ -25,7 +25,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from std_srvs.srv import Trigger
 
 from sal_height.errors import Rejected, UserError
-from sal_height.nodes.account import DROPPED, IGNORED, JOBS, PUBLISHED_ON, SUBSCRIBERS, Account
+from sal_height.nodes.account import CPU, DROPPED, IGNORED, JOBS, PUBLISHED_ON, READY, SUBSCRIBERS, Account
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.jobs import Job, JobQueue
 from sal_height.nodes.parameters import LiveParameters
@@ -297,6 +297,11 @@ class Stage(Role, Node):
             )
 
     @property
+    def is_ready(self) -> bool:
+        """Whether the node has done what takes time before the first dwell."""
+        return True
+
+    @property
     def jobs(self) -> int:
         """Jobs that wait or run: above 0, the node is working."""
         return self._jobs.unfinished
@@ -353,7 +358,7 @@ class Stage(Role, Node):
         lost = sum(int(count) for name, count in summary.items() if name.startswith((DROPPED, IGNORED)))
         account = Account(
             summary
-            | {JOBS: self.jobs}
+            | {JOBS: self.jobs, READY: int(self.is_ready), CPU: round(time.process_time(), 3)}
             | self._pace.rates()
             | {f"{PUBLISHED_ON}{outlet.topic}": outlet.published for outlet in self._offered if outlet.keeps_all}
             | {f"{SUBSCRIBERS}{outlet.topic}": outlet.subscribers for outlet in self._offered},

@@ -17,17 +17,19 @@ from std_srvs.srv import Trigger
 from tqdm import tqdm
 
 from sal_height.errors import UserError
-from sal_height.nodes.account import RECEIVED, UNWRITTEN, WAITING, Account
+from sal_height.nodes.account import READY, RECEIVED, UNWRITTEN, WAITING, Account
 from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.player import INPUTS
-from sal_height.runs.ensemble import Ensemble, NodeParameters, stage_inputs
+from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.runs.ensemble import NODES, Ensemble, NodeParameters, stage_inputs
 
 UNCOUNTED = ("diagnostics",)
 """Recorded topics of which the publishers count neither messages nor subscribers."""
 
-COMPANY_TIMEOUT_S = 0.5
-"""How long to look for other sensors before anything is started: discovery takes a few tenths of a second."""
+COMPANY_TIMEOUT_S = 1.0
+"""How long to look for other sensors before anything is started: discovery takes a few tenths of a second
+on an idle machine."""
 
 RECORDER = "recorder"
 
@@ -149,7 +151,9 @@ class Conductor(Node):
         self._recorded = plan.recorded
         self._inputs = {plan.source: "", **stage_inputs(plan.stages, plan.parameters)}
         self._steps = 0
-        self._step = self.create_client(Trigger, f"{plan.source}/step")
+        self.answer = ""
+        """What the source has last answered."""
+        self._step = self.create_client(Trigger, f"{plan.source}/{NODES[plan.source].begin_service}")
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
     def connected(self) -> bool:
@@ -168,6 +172,16 @@ class Conductor(Node):
         needed.update(["platform/odometry", *recorded])
         alone = all(self.count_publishers(topic) == 1 for topic in INPUTS)
         return alone and all(offered[topic] >= n for topic, n in needed.items()) and self._step.service_is_ready()
+
+    def ready(self) -> bool:
+        """Whether all nodes are connected, and have done what they do before the first dwell."""
+        return self.connected() and all(
+            account.count(READY) for name, account in self.accounts.items() if name in self._inputs
+        )
+
+    def listen_raw(self, message_type: type, topic: str, receive: Callable[[bytes], None]) -> None:
+        """Have the serialized messages of a topic taken by `receive`."""
+        self.create_subscription(message_type, topic, receive, FRAMES_QOS, raw=True)
 
     def check(self) -> None:
         """Make sure that the source works, that the bag takes what comes, and that nobody else publishes frames.
@@ -207,6 +221,7 @@ class Conductor(Node):
         """
         answer = self._step.call_async(Trigger.Request())
         wait(answer.done, f"an answer of node {self._source}")
+        self.answer = str(answer.result().message)
         self._steps += answer.result().success
         return bool(answer.result().success)
 
@@ -261,10 +276,7 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
     also = [topic.removeprefix("/") for topic in execution.record]
     plan = replace(plan, recorded=list(dict.fromkeys([*plan.recorded, *also])))
     names = [RECORDER, *reversed(plan.stages), plan.source]
-    topics = [f"/{topic}" for topic in plan.recorded]
-    custom_data = [f"{name}={text}" for name, text in plan.custom_data.items()]
-    recording = {"directory": str(plan.bag), "topics": topics, **({"custom_data": custom_data} if custom_data else {})}
-    values = {**plan.parameters, RECORDER: recording}
+    values = {**plan.parameters, RECORDER: recording_of(plan)}
     played, interrupted = 0, False
     failure: UserError | None = None
     with ros_domain(execution.domain), Graph() as graph:
@@ -306,6 +318,13 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
                     failure = error
     stages = {name: conductor.accounts.get(name, Account()) for name in [plan.source, *plan.stages]}
     return Outcome(stages, played, interrupted, failure)
+
+
+def recording_of(plan: Plan) -> dict[str, Any]:
+    """Parameters of the recorder of a plan."""
+    topics = [f"/{topic}" for topic in plan.recorded]
+    custom_data = [f"{name}={text}" for name, text in plan.custom_data.items()]
+    return {"directory": str(plan.bag), "topics": topics, **({"custom_data": custom_data} if custom_data else {})}
 
 
 def _refuse_company(graph: Graph, conductor: Conductor) -> None:

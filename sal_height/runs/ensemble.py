@@ -20,6 +20,7 @@ from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ground_mapper import GroundMapper
 from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.paced_player import PacedPlayer
 from sal_height.nodes.player import Player
 from sal_height.nodes.program import run_node
 from sal_height.nodes.psf_calibration import PsfCalibration
@@ -34,6 +35,7 @@ from sal_height.settings import settings_of, unknown_name
 NODES: dict[str, type[Any]] = {
     "simulator": Simulator,
     "player": Player,
+    "paced_player": PacedPlayer,
     "sar_compression": SarCompression,
     **HEIGHT_NODES,
     "psf_calibration": PsfCalibration,
@@ -55,6 +57,9 @@ TRACKER = "relief_tracker"
 
 CALIBRATOR = "psf_calibration"
 """Node that calibrates the sensor on its images."""
+
+ONE_THREAD = {"SAL_HEIGHT_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+"""Environment of nodes in processes of their own: these share the processors among them, one thread each."""
 
 NodeParameters = Mapping[str, Mapping[str, Any]]
 """Parameter values by node name and parameter name."""
@@ -222,7 +227,9 @@ class Ensemble:
             self._graph.add(NODES[name](context=self._graph.context, parameter_overrides=overrides))
             return
         try:
-            self._processes[name] = subprocess.Popen(_command(name, values), start_new_session=True)  # noqa: S603 (our own nodes)
+            self._processes[name] = subprocess.Popen(  # noqa: S603 (our own nodes)
+                _command(name, values), start_new_session=True, env=ONE_THREAD | os.environ
+            )
         except OSError as error:
             raise UserError(f"Node {name} cannot be started in a process of its own: {error.strerror}.") from error
 

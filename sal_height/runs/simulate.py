@@ -84,13 +84,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     flight.surface(0)  # refuses a flight beside the scene before anything is started
     folder = new_folder(out)
     settings = folder / "preset.yaml"
-    looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
-    values: dict[str, dict[str, Any]] = {
-        "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols},
-        **{name: dict(looks) for name in estimators},
-        **consumers(estimators),
-    }
-    values = merged(values, parameters)
+    values = merged(processing_of(preset, estimators), parameters)
     simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0}
     relief = {"file": str(folder / RELIEF_MAP)} if find_spec("rasterio") else {}
     stages = ["sar_compression", *estimators, TRACKER, "relief_mapper"]
@@ -108,6 +102,21 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         accuracy = read_accuracy(bag, flight, stages)
         report["estimators"] = accuracy.statistics
     return Flown(flight, outcome, accuracy, HEIGHTS[height_sources(stages, values)[TRACKER]])
+
+
+def processing_of(preset: Preset, estimators: list[str]) -> dict[str, dict[str, Any]]:
+    """Parameters of the nodes that follow from the size of a preset's images and its looks.
+
+    Args:
+        preset: whose dwells are processed.
+        estimators: the height nodes.
+    """
+    looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
+    return {
+        "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols},
+        **{name: dict(looks) for name in estimators},
+        **consumers(estimators),
+    }
 
 
 def _draw(flown: Flown, preset: Preset, folder: Path) -> None:

@@ -152,6 +152,7 @@ class Preset(StrictKeys):
     impairments: Impairments = UNIMPAIRED
     estimators: tuple[str, ...] = ()
     processing: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    latency_budget_s: Annotated[Float, Gt(0), Le(86400)] | None = None
 
     @property
     def dwell_spacing_m(self) -> float:

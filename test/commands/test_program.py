@@ -204,7 +204,9 @@ def test_no_command_begins_with_an_output_folder_in_use(
 ) -> None:
     """The input does not exist either, which would be reported if the folder were looked at later."""
     (tmp_path / "mine.txt").touch()
-    words = {"run": ["--preset", "small"], "figures": ["fig3"]}.get(command, ["missing.npy"])
+    words = {"run": ["--preset", "small"], "figures": ["fig3"], "live": ["--bag", "missing"]}.get(
+        command, ["missing.npy"]
+    )
     assert main([command, *words, "--out", str(tmp_path)]) == 2
     assert "not empty" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]

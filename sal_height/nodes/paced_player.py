@@ -1,0 +1,102 @@
+"""Node paced_player: delivers a recorded sensor's dwells from memory, again and again, at the pace of the sensor."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from nav_msgs.msg import Odometry
+from sal_height_msgs.msg import ChannelFrame, SensorInfo
+
+from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
+from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist, restamped
+from sal_height.nodes.program import run_node
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS, Stage, StageParameters
+from sal_height.settings import setting
+
+LEAD_S = 0.05
+"""From the call that starts the sensor to its first message."""
+
+
+class Parameters(StageParameters):
+    """Parameters of the node."""
+
+    bag: str = setting("", "path of the bag: its folder or its .mcap file", read_only=True)
+    rate: float = setting(
+        1.0, "seconds of the sensor that are played in a second", minimum=1e-6, maximum=1e6, read_only=True
+    )
+
+
+class PacedPlayer(Stage):
+    """Publishes odometry and frames when the sensor would, from the call of ~/start until it ends.
+
+    The bag is played from memory and begins anew after its end. Stamps go on: they begin with the time of the call,
+    which is answered by the first of them (ns), and all else in the messages is as recorded. Dwells that come late, for
+    the machine is busy, come as fast as they can.
+    """
+
+    parameters = Parameters
+    outputs = SENSOR_TOPICS
+    begin_service = "start"
+
+    def __init__(self, **node_arguments: Any) -> None:
+        """Read the bag; `node_arguments` go to rclpy's Node.
+
+        Raises:
+            UserError: the bag cannot be used, has no whole dwell, or takes more memory than max_memory_mb.
+        """
+        super().__init__("paced_player", **node_arguments)
+        parameters = self.current_parameters()
+        self._stopping = threading.Event()
+        if not parameters.bag:
+            raise UserError("Parameter bag is empty; it must be the path of a bag.")
+        self.playlist = Playlist.of_bag(BagReader(Path(parameters.bag)), parameters.max_memory_bytes)
+        self._outlets = {
+            ODOMETRY: self.offer(Odometry, ODOMETRY, ODOMETRY_QOS),
+            FRAMES: self.offer(ChannelFrame, FRAMES, FRAMES_QOS),
+        }
+        self.offer(SensorInfo, SENSOR_INFO, LATCHED_QOS).publish(self.playlist.sensor_info)
+        self._started = threading.Lock()
+        self.serve("~/start", self._start)
+
+    def destroy_node(self) -> None:
+        """Stop playing, and end the node."""
+        self._stopping.set()
+        super().destroy_node()
+
+    def _start(self) -> tuple[bool, str]:
+        if not self._started.acquire(blocking=False):
+            return False, "the sensor delivers already"
+        stamp_ns, began = self.get_clock().now().nanoseconds + round(LEAD_S * 1e9), time.monotonic() + LEAD_S
+        self.submit(0, lambda: self._play(stamp_ns, began))
+        return True, f"{stamp_ns}"
+
+    def _play(self, first_stamp_ns: int, began: float) -> int:
+        """Publish until the node ends (on the worker thread).
+
+        Args:
+            first_stamp_ns: the stamp of the first message.
+            began: when it is published, s of the monotonic clock.
+        """
+        rate, items = self.current_parameters().rate, self.playlist.items
+        begin_ns, played = items[0].due_ns, 0
+        shift_ns = first_stamp_ns - begin_ns
+        while True:
+            for item in items:
+                wait_s = began + (played + item.due_ns - begin_ns) * 1e-9 / rate - time.monotonic()
+                if self._stopping.wait(wait_s) if wait_s > 0 else self._stopping.is_set():
+                    return 0
+                self._outlets[item.topic].publish(restamped(item.cdr, shift_ns + played))
+            played += self.playlist.period_ns
+
+
+def main() -> int:
+    """Console script."""
+    return run_node(PacedPlayer)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,147 @@
+"""What a recorded sensor delivers, in memory, in the order and at the times at which it did."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from typing import NamedTuple, Self
+
+import numpy as np
+from nav_msgs.msg import Odometry
+from sal_height_msgs.msg import ChannelFrame, SensorInfo
+
+from sal_height import messages
+from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
+
+STAMP = struct.Struct("<iI")
+STAMP_AT = 4
+"""Where a serialized message has its stamp, if a header is its first field: after the four bytes that name the
+encoding (CDR, OMG DDS-XTypes 1.3, section 7.4.3; little endian in all ROS middlewares in use)."""
+
+
+class Item(NamedTuple):
+    """A serialized message, and when the sensor delivered it, ns of its stamps."""
+
+    due_ns: int
+    topic: str
+    cdr: bytes
+
+
+class Playlist(NamedTuple):
+    """Odometry and frames of whole dwells, in the order of their delivery, and the description of their sensor.
+
+    Odometry is delivered at its stamp, a frame after its last pulse. The list can be played again and again: its stamps
+    then go on by `period_ns`.
+
+    Attributes:
+        sensor_info: the last description, serialized.
+        items: what is played.
+        period_ns: time from the begin of the list to the begin of its repetition.
+        dwells: number of dwells.
+        first_dwell: messages of the first dwell, by channel, and all odometry.
+    """
+
+    sensor_info: bytes
+    items: list[Item]
+    period_ns: int
+    dwells: int
+    first_dwell: tuple[list[ChannelFrame], list[Odometry]]
+
+    @classmethod
+    def of_bag(cls, reader: BagReader, most_bytes: float) -> Self:
+        """Read a bag.
+
+        Args:
+            reader: of the bag.
+            most_bytes: that its messages may take.
+
+        Raises:
+            UserError: it has no complete dwell, or its messages take more.
+        """
+        info, described, size = b"", SensorInfo(), 0
+        odometry: dict[int, tuple[bytes, Odometry]] = {}
+        dwells: dict[int, list[tuple[bytes, ChannelFrame]]] = {}
+        topics = [name for name in reader.topics if name.lstrip("/") in {SENSOR_INFO, ODOMETRY, FRAMES}]
+        for recorded in reader.messages(topics):
+            message = reader.decode(recorded.type_name, recorded.cdr)
+            size += len(recorded.cdr)
+            if size > most_bytes:
+                raise UserError(
+                    f"Bag {reader.path} holds more than {most_bytes / 1e6:.0f} MB of dwells (max_memory_mb), which are "
+                    "played from memory; allow more, or record a shorter bag."
+                )
+            if isinstance(message, SensorInfo):
+                info, described = recorded.cdr, message
+            elif isinstance(message, Odometry):
+                odometry[messages.to_ns(message.header.stamp)] = recorded.cdr, message
+            else:
+                dwells.setdefault(messages.to_ns(message.header.stamp), []).append((recorded.cdr, message))
+        channels = messages.sensor_from_message(described).detector_count if info else 0
+        whole = {stamp: frames for stamp, frames in sorted(dwells.items()) if len(frames) == channels}
+        around = _odometry_around(sorted(odometry), whole.keys(), {s: _last_pulse(f[0][1]) for s, f in whole.items()})
+        if not whole or not around:
+            raise UserError(
+                f"Bag {reader.path} has no dwell with frames of all channels and odometry around its pulses."
+            )
+        items = [Item(stamp, ODOMETRY, odometry[stamp][0]) for stamp in around]
+        items += [Item(_last_pulse(m), FRAMES, cdr) for frames in whole.values() for cdr, m in frames]
+        first = [message for _, message in sorted(next(iter(whole.values())), key=lambda entry: entry[1].channel)]
+        return cls(
+            info,
+            sorted(items, key=lambda item: item.due_ns),
+            _period(list(whole), around),
+            len(whole),
+            (first, [odometry[stamp][1] for stamp in around]),
+        )
+
+    @property
+    def size(self) -> int:
+        """Bytes of all messages."""
+        return sum(len(item.cdr) for item in self.items)
+
+    @property
+    def dwell_bytes(self) -> int:
+        """Bytes of the samples of a dwell."""
+        return sum(len(frame.samples) for frame in self.first_dwell[0])
+
+    @property
+    def dwell_rate_hz(self) -> float:
+        """Dwells that the sensor delivers in a second."""
+        return self.dwells * 1e9 / self.period_ns
+
+
+SENSOR_INFO, ODOMETRY, FRAMES = "sensor_info", "platform/odometry", "phase_history"
+
+
+def restamped(cdr: bytes, shift_ns: int) -> bytes:
+    """A serialized message whose first field is a header, with a later stamp (ns); the rest byte for byte."""
+    moved = bytearray(cdr)
+    STAMP.pack_into(moved, STAMP_AT, *divmod(stamp_ns_of(cdr) + shift_ns, 1_000_000_000))
+    return bytes(moved)
+
+
+def stamp_ns_of(cdr: bytes) -> int:
+    """The stamp of a serialized message whose first field is a header, ns."""
+    seconds, nanoseconds = STAMP.unpack_from(cdr, STAMP_AT)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+def _last_pulse(frame: ChannelFrame) -> int:
+    return messages.to_ns(frame.header.stamp) + round(frame.pulse_time[-1] * 1e9)
+
+
+def _odometry_around(stamps: list[int], dwells: Iterable[int], ends: dict[int, int]) -> list[int]:
+    """The stamps from the last before the first pulse to the first after the last, where there are such."""
+    known, starts = np.array(stamps, dtype=np.int64), list(dwells)
+    if not starts:
+        return []
+    first = int(np.searchsorted(known, min(starts), "right")) - 1
+    last = int(np.searchsorted(known, max(ends.values()), "left"))
+    return stamps[first : last + 1] if 0 <= first < last < len(stamps) else []
+
+
+def _period(dwells: list[int], odometry: list[int]) -> int:
+    """Time after which the list may begin anew: a dwell after the last one, and after all odometry."""
+    interval = round(float(np.median(np.diff(dwells)))) if len(dwells) > 1 else 0
+    return max(dwells[-1] - dwells[0] + interval, odometry[-1] - odometry[0] + 1)

@@ -1,0 +1,93 @@
+"""A made-up dwell of a sensor: after it a node finds all tables made, and all code compiled, for the first real one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sal_height.geometry import PlatformState, Trajectory, look_direction
+from sal_height.imaging import ImageSettings, Slc, image_beams
+from sal_height.pipeline import Compressor
+from sal_height.sensor import PhaseHistory, Sensor, lit_angle, spectrum_sensor
+
+MOST_BLOCKS = 16
+"""Blocks of a strip after which it has an image, or is given up."""
+
+SHARES = (0.1, 0.3, 0.3, 0.3)
+"""Of the rows of made-up images: those with no, one, two and three scatterers."""
+
+POWER = 1000.0
+"""Of each scatterer over the noise."""
+
+
+def rehearsed_slc(
+    sensor: Sensor, settings: ImageSettings, compressor: Compressor, rng: np.random.Generator
+) -> Slc | None:
+    """Images of noise, compressed from a level flight past a scene that fills the range window.
+
+    Args:
+        sensor: whose dwells will come.
+        settings: of the images.
+        compressor: that will process them, or a new one.
+        rng: of the noise.
+
+    Returns:
+        The images; None if a strip of MOST_BLOCKS blocks has none.
+
+    Raises:
+        UserError: images cannot be made with these settings.
+    """
+    spectrum, beams = spectrum_sensor(sensor), sensor.beams
+    span = float(np.ptp(beams.boresights)) + beams.beamwidth
+    slant_range = spectrum.range_window / span
+    angle, length = float(np.mean(beams.boresights)), sensor.wavelength / beams.track_beamwidth
+    speed = sensor.pulse_repetition_frequency * length * beams.track_beamwidth / (5 * lit_angle(beams))
+    abeam = -slant_range * look_direction(angle, 0.0, sensor.look_side)
+    times = np.arange(sensor.pulse_count) / sensor.pulse_repetition_frequency
+    shape = sensor.detector_count, sensor.pulse_count, sensor.sample_count
+    block_s = sensor.pulse_count / sensor.pulse_repetition_frequency
+    slc = None
+    for block in range(1 if sensor.mode == "spotlight" else MOST_BLOCKS):
+        start_s = (block + 1) * block_s
+        samples = rng.standard_normal((*shape, 2), dtype=np.float32).view(np.complex64)[..., 0]
+        history = PhaseHistory(round(start_s * 1e9), times, np.full(len(times), slant_range), samples)
+        stamps = round(block_s * 1e9) * np.arange(block, block + 4)
+        states = [_level(int(stamp), abeam, speed) for stamp in stamps]
+        slc = compressor.add(history, Trajectory(states), sensor, settings)
+        if slc is not None:
+            return slc
+    return slc
+
+
+def with_scatterers(slc: Slc, sensor: Sensor, rng: np.random.Generator) -> Slc:
+    """Images in whose rows lie no, one, two or three scatterers, at random elevations and with speckle, in noise.
+
+    Args:
+        slc: images, of any content.
+        sensor: that they are of.
+        rng: of the scatterers and the noise.
+    """
+    beams, shape = image_beams(sensor, slc.azimuth_window), slc.grid.shape
+    count = rng.choice(len(SHARES), (shape[0], 1), p=SHARES)
+    noise = np.sqrt(slc.noise_power)[:, None, None]
+    images = noise * _normal(rng, slc.images.shape)
+    for number in range(1, len(SHARES)):
+        elevation = rng.uniform(beams.boresights.min(), beams.boresights.max(), (shape[0], 1))
+        amplitude = np.sqrt(POWER * np.mean(slc.noise_power)) * _normal(rng, shape) * (count >= number)
+        images += np.moveaxis(beams.response(elevation, 0.0) * amplitude[..., None], -1, 0)
+    return replace(slc, images=images.astype(np.complex64))
+
+
+def _normal(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+    """Complex normal numbers of unit power."""
+    return rng.standard_normal((*shape, 2)).view(np.complex128)[..., 0] * np.sqrt(0.5)
+
+
+def _level(stamp_ns: int, abeam: np.ndarray[tuple[int], np.dtype[np.float64]], speed: float) -> PlatformState:
+    """The platform on a level flight eastwards, past the origin at 1 s."""
+    position = abeam + np.array([speed * (stamp_ns * 1e-9), 0.0, 0.0])
+    return PlatformState(
+        stamp_ns, position, Rotation.identity().as_quat(), np.array([speed, 0.0, 0.0]), np.zeros((6, 6))
+    )

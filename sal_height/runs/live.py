@@ -1,0 +1,221 @@
+"""`sal-height live`: the graph beside a sensor that does not wait for it, and what becomes of its dwells."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from sal_height_msgs.msg import HeightImage
+
+from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
+from sal_height.io import new_folder
+from sal_height.nodes.account import CPU, Account
+from sal_height.nodes.domain import ros_domain
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.middleware import provide_shared_memory
+from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist, stamp_ns_of
+from sal_height.runs.conductor import RECORDER, Conductor, Execution, Interruption, Plan, recording_of
+from sal_height.runs.ensemble import HEIGHTS, TRACKER, Ensemble, check_parameters, consumers, suited
+from sal_height.runs.replay import contents, recorded_parameters
+from sal_height.runs.reporting import PARAMETERS, PRESET, merged, reporting
+
+SOURCE = "paced_player"
+
+LEAST_BUDGET_S = 0.2
+BUDGET_DWELLS = 3
+"""The latency budget, unless a preset states one: that many dwell intervals, or LEAST_BUDGET_S if that is more."""
+
+STEPS = 3
+"""Nodes that a dwell passes one after the other: compression, heights, and what is made of these."""
+
+SHOW_PERIOD_S = 1.0
+
+
+@dataclass(frozen=True)
+class Live:
+    """How a sensor is processed live.
+
+    Attributes:
+        rate: seconds of the sensor in a second.
+        seconds: how long, s; infinity: until it is interrupted.
+        budget_s: latency budget; 0: that of the preset, or the default.
+    """
+
+    rate: float = 1.0
+    seconds: float = float("inf")
+    budget_s: float = 0.0
+
+
+@dataclass
+class Watched:
+    """What has been seen of a live graph so far.
+
+    Attributes:
+        elapsed_s: time since the sensor began to deliver.
+        offered_hz: dwells in a second that the sensor delivers, as planned.
+        accounts: of all nodes by name.
+        latencies_s: from the last pulse of a dwell to its height image, by topic.
+        cpu_at_start_s: processor time of the nodes' processes when the sensor began.
+    """
+
+    elapsed_s: float
+    offered_hz: float
+    accounts: dict[str, Account]
+    latencies_s: dict[str, list[float]] = field(default_factory=dict)
+    cpu_at_start_s: dict[str, float] = field(default_factory=dict)
+
+    def cpu_per_second(self, node: str) -> float:
+        """Processor seconds that the process of a node takes in a second."""
+        used = self.accounts[node].numbers.get(CPU, 0.0) - self.cpu_at_start_s.get(node, 0.0)
+        return used / self.elapsed_s if self.elapsed_s else 0.0
+
+    @property
+    def heights(self) -> int:
+        """Number of height images that have come."""
+        return sum(len(values) for values in self.latencies_s.values())
+
+    def as_json(self) -> dict[str, Any]:
+        """What report.json says."""
+        return {
+            "elapsed_s": self.elapsed_s,
+            "sensor_dwells_per_s": self.offered_hz,
+            "latency_s": {
+                topic: dict(zip(("p50", "p95", "p99.9"), np.percentile(values, [50, 95, 99.9]).tolist(), strict=True))
+                for topic, values in self.latencies_s.items()
+                if values
+            },
+            "heights": {topic: len(values) for topic, values in self.latencies_s.items()},
+            "processor_seconds_per_second": {name: self.cpu_per_second(name) for name in self.accounts},
+            "nodes": {
+                name: {**account.numbers, "last_drop": account.last_drop} for name, account in self.accounts.items()
+            },
+        }
+
+
+def live(
+    bag: Path,
+    out: Path,
+    parameters: dict[str, dict[str, Any]],
+    how: Live,
+    execution: Execution,
+    show: Callable[[Watched], None],
+) -> Watched:
+    """Play the sensor of a bag at its pace against the graph, until the time is over or the user interrupts.
+
+    Args:
+        bag: folder or file of the bag, with phase history, odometry and sensor info.
+        out: output folder, new or empty, for the bag of the products and report.json.
+        parameters: values that replace those that the bag was made with.
+        how: pace, duration and latency budget.
+        execution: how the nodes are run, and what is recorded besides heights and diagnostics.
+        show: called once a second with what has been seen.
+
+    Raises:
+        UserError: the bag or a parameter cannot be used, nodes do not come up, or one ends.
+    """
+    reader = BagReader(bag)
+    sensor, _ = contents(reader)
+    nodes = suited(
+        sensor, [name for name in HEIGHTS.values() if f"/{name}/height" in reader.topics and name != "tracked"]
+    )
+    values = check_parameters(merged(merged(consumers(nodes), recorded_parameters(reader)), parameters))
+    stages = ["sar_compression", *nodes, *((TRACKER, "relief_mapper") if nodes else ())]
+    playlist = Playlist.of_bag(reader, float("inf"))
+    interval_s = 1 / (playlist.dwell_rate_hz * how.rate)
+    budget_s = how.budget_s or _budget_of(reader) or max(BUDGET_DWELLS * interval_s, LEAST_BUDGET_S)
+    values = merged({name: {"latency_budget_s": budget_s / STEPS} for name in stages}, values)
+    source = {"bag": str(bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
+    folder = new_folder(out)
+    topics = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
+    recorded = [SENSOR_INFO, ODOMETRY, "diagnostics", *topics, *(t.removeprefix("/") for t in execution.record)]
+    custom_data = {**reader.custom_data, PARAMETERS: json.dumps(values)}
+    plan = Plan(
+        SOURCE, stages, list(dict.fromkeys(recorded)), folder / "bag", {**values, SOURCE: source}, 0, custom_data
+    )
+    known = {
+        "bag": bag.name,
+        "rate": how.rate,
+        "latency_budget_s": budget_s,
+        "processors": len(os.sched_getaffinity(0)),
+    }
+    provide_shared_memory(playlist.dwell_bytes)
+    with reporting(folder, known) as report:
+        watched = _perform(plan, execution, how, playlist, topics, show)
+        report.update(watched.as_json())
+        report["parameters"] = values
+    return watched
+
+
+def _perform(
+    plan: Plan, execution: Execution, how: Live, playlist: Playlist, topics: list[str], show: Callable[[Watched], None]
+) -> Watched:
+    """Start the nodes of a plan and the sensor, and watch them."""
+    names = [RECORDER, *reversed(plan.stages), plan.source]
+    watched = Watched(0.0, playlist.dwell_rate_hz * how.rate, {}, {topic: [] for topic in topics})
+    with ros_domain(execution.domain), Graph() as graph, Interruption() as interruption:
+        conductor = graph.add(Conductor(plan, context=graph.context))
+        watched.accounts = conductor.accounts
+        values = {**plan.parameters, RECORDER: recording_of(plan)}
+        with Ensemble(graph, names, values, execution.processes) as ensemble, suppress(KeyboardInterrupt):
+
+            def spin(condition: Callable[[], bool], seconds: float) -> bool:
+                def reached() -> bool:
+                    interruption.check()
+                    ensemble.check()
+                    return condition()
+
+                return graph.spin_until(reached, seconds)
+
+            def wait(condition: Callable[[], bool], what: str) -> None:
+                if not spin(condition, execution.timeout_s):
+                    raise UserError(f"Waited {execution.timeout_s:g} s in vain for {what}; the log above may say why.")
+
+            wait(conductor.ready, "all nodes to be ready")
+            clock = DwellClock(how.rate, playlist.first_dwell[0][0].pulse_time[-1])
+            for topic, latencies in watched.latencies_s.items():
+                conductor.listen_raw(HeightImage, topic, _keeper(clock, latencies))
+            conductor.step(wait)
+            watched.cpu_at_start_s = {name: a.numbers.get(CPU, 0.0) for name, a in watched.accounts.items()}
+            clock.begin_ns, began = int(conductor.answer), time.monotonic()
+            while watched.elapsed_s < how.seconds:
+                spin(lambda: False, min(SHOW_PERIOD_S, how.seconds - watched.elapsed_s))
+                watched.elapsed_s = time.monotonic() - began
+                show(watched)
+    return watched
+
+
+def _keeper(clock: DwellClock, latencies: list[float]) -> Callable[[bytes], None]:
+    return lambda cdr: latencies.append(clock.age_s(cdr))
+
+
+@dataclass
+class DwellClock:
+    """When the sensor has delivered a dwell, by the stamp of its products.
+
+    Attributes:
+        rate: seconds of the sensor in a second.
+        duration_s: from the stamp of a dwell to its last pulse, s.
+        begin_ns: the stamp that the sensor began with, at the same time by the clock of this machine.
+    """
+
+    rate: float
+    duration_s: float
+    begin_ns: int = 0
+
+    def age_s(self, cdr: bytes) -> float:
+        """Time since the last pulse of the dwell that a serialized product is of, s."""
+        delivered_s = ((stamp_ns_of(cdr) - self.begin_ns) * 1e-9 + self.duration_s) / self.rate
+        return (time.time_ns() - self.begin_ns) * 1e-9 - delivered_s
+
+
+def _budget_of(reader: BagReader) -> float | None:
+    """The latency budget in the preset of a simulated bag, if it states one."""
+    return json.loads(reader.custom_data.get(PRESET, "{}")).get("latency_budget_s")

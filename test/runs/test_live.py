@@ -1,0 +1,65 @@
+"""The graph beside a sensor that does not wait for it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from sal_height.bag.reader import BagReader
+from sal_height.runs.conductor import Execution
+from sal_height.runs.live import Live, Watched, live
+from sal_height.runs.replay import replay
+from sal_height.runs.sensor_bag import record_sensor
+from sal_height.simulation import load_preset
+
+DWELLS = 3
+
+
+@pytest.fixture(scope="module")
+def sensor_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    preset = replace(load_preset("small"), dwells=DWELLS)
+    return record_sensor(preset, 1, tmp_path_factory.mktemp("sensor") / "bag")
+
+
+def heights_of(bag: Path) -> list[tuple[int, str]]:
+    """Number of the dwell and values of every height image of `ml`, to the last digit."""
+    reader = BagReader(bag)
+    images = [reader.decode(m.type_name, m.cdr) for m in reader.messages(["/ml/height"])]
+    return [(image.dwell, repr(image.surfaces)) for image in images]
+
+
+def test_heights_of_a_live_sensor_are_those_of_the_lockstep_run(sensor_bag: Path, tmp_path: Path) -> None:
+    """Twenty times slower than the sensor, so that none is left out on a loaded machine; the bag is played anew."""
+    seen: list[float] = []
+    how = Live(rate=0.05, seconds=3.0, budget_s=30.0)
+
+    def show(watched: Watched) -> None:
+        seen.append(watched.elapsed_s)
+
+    watched = live(sensor_bag, tmp_path / "live", {}, how, Execution(), show)
+    replay(sensor_bag, tmp_path / "replay", {}, estimators=["ml"])
+    lockstep = dict(heights_of(tmp_path / "replay" / "bag"))
+    made = heights_of(tmp_path / "live" / "bag")
+    assert len(made) > DWELLS
+    assert all(values == lockstep[dwell] for dwell, values in made)
+    assert [dwell for dwell, _ in made] == [number % DWELLS for number in range(len(made))]
+    assert watched.heights
+    assert not any(account.dropped for account in watched.accounts.values())
+    assert len(seen) >= 3
+    report = json.loads((tmp_path / "live" / "report.json").read_text())
+    assert report["heights"]["ml/height"] == len(watched.latencies_s["ml/height"])
+    assert report["latency_s"]["ml/height"]["p50"] > 0
+
+
+def test_at_overload_whole_dwells_are_left_out_and_the_others_come_in_time(sensor_bag: Path, tmp_path: Path) -> None:
+    """A compression that takes more time than there is: every frame that came is accounted for."""
+    slow = {"sar_compression": {"rows": 500, "cols": 60, "former": "backprojection"}}
+    watched = live(sensor_bag, tmp_path / "live", slow, Live(rate=1.0, seconds=2.0), Execution(), lambda _: None)
+    account = watched.accounts["sar_compression"]
+    assert sum(account.dropped.values()) > 0
+    assert set(account.dropped) <= {"overload", "queue full", "buffer full"}
+    assert account.received == account.count("processed") + sum(account.dropped.values()) + account.waiting
+    assert account.count("processed") > 0

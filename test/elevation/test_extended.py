@@ -9,6 +9,7 @@ from helpers import BEAMWIDTH, beams_named, circular, elevation_at, make_beams, 
 from sal_height.beams.array import Beams
 from sal_height.elevation import _extended_kernels as kernels
 from sal_height.elevation.extended import (
+    QUADRATURES,
     ExtendedSurfaces,
     Surfaces,
     explained_by,
@@ -68,18 +69,16 @@ def log_likelihood(
 
 @PATTERNS
 def test_likelihood_is_that_of_its_formula(pattern: str) -> None:
-    """The compiled one, by the directions of the surface, against matrices of the channels; also across the end.
-
-    With 15 nodes throughout; the errors of the quadratures show in surfaces of 20 dB that are a beamwidth spread.
-    """
+    """The compiled one, by the directions of the surface, against matrices of the channels; also across the end."""
     beams, rng, looks = beams_named(pattern), np.random.default_rng(70), np.full(20, 4.0)
     covariance, search = covariance_of(beams, np.zeros(20), 0.4, 20.0, 4, rng), search_of(beams)
     offset, spread, cnr = rng.uniform(-4, 4, 20), np.linspace(0.05, 0.8, 20), 10 ** rng.uniform(0, 2, 20)
     offset[0] = offset_of(search.last) - 0.3
     surfaces = Surfaces(elevation_at(offset), spread * BEAMWIDTH, cnr)
-    expected = log_likelihood(search, covariance, looks, surfaces, 15)
+    of_counts = {count: log_likelihood(search, covariance, looks, surfaces, count) for count, _ in QUADRATURES}
     table, kind = table_of(search, BEAMWIDTH), covariance.dtype
     for pixel in range(20):
+        expected = of_counts[next(count for count, greatest in QUADRATURES if spread[pixel] <= greatest)]
         place = np.array(
             [(surfaces.elevation[pixel] - search.first) / search.step, surfaces.spread[pixel] / search.step, cnr[pixel]]
         )
@@ -92,6 +91,19 @@ def test_likelihood_is_that_of_its_formula(pattern: str) -> None:
         np.testing.assert_allclose(
             information / np.outer(scale, scale), expected[2][pixel] / np.outer(scale, scale), atol=5e-4
         )
+
+
+@pytest.mark.parametrize(("rule", "error"), [(0, 2e-5), (1, 2e-5), (2, 2e-2)])
+def test_quadratures_are_as_exact_as_stated(rule: int, error: float) -> None:
+    """Covariances of surfaces of the greatest spread that each is for, against 41 nodes; |a|^2 is 2."""
+    search, (_, spread) = search_of(make_beams("jinc")), QUADRATURES[rule]
+    surfaces = Surfaces(elevation_at(np.array([0.3])), np.array([spread * BEAMWIDTH]), np.ones(1))
+    rows = np.empty((1, 9, 16))
+    kernels.all_responses(surfaces.in_steps(search), table_of(search, BEAMWIDTH), rows)
+    nodes, weights = np.polynomial.legendre.leggauss(41)
+    units, _, power = search.responses_at(surfaces.elevation + surfaces.spread * np.sqrt(3) * nodes)
+    exact = np.einsum("i,im,in->mn", weights / 2 * power, units, units)
+    np.testing.assert_allclose(rows[0].T @ rows[0], exact, atol=error)
 
 
 @PATTERNS

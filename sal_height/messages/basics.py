@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,7 +14,7 @@ from sal_height_msgs import msg as messages
 from scipy.spatial.transform import Rotation
 
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import ApertureState, Grid
+from sal_height.geometry import ApertureState, Grid, rotation_matrix
 from sal_height.numeric import C64, C128, F32, F64, U8
 from sal_height.sensor import Sensor
 
@@ -98,7 +99,7 @@ def aperture_from_message(message: messages.Aperture) -> ApertureState:
     return ApertureState(
         position=vector_of(message.pose.pose.position),
         velocity=vector_of(message.velocity),
-        rotation=Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(),
+        rotation=rotation_matrix((q.x, q.y, q.z, q.w)),
         length=message.length,
         covariance=np.array(message.pose.covariance).reshape(6, 6),
         sliding=message.sliding,
@@ -139,6 +140,10 @@ def vector_of(message: Point | Vector3) -> F64:
     return np.array([message.x, message.y, message.z])
 
 
+def _numbers(message: Point | Vector3) -> tuple[float, float, float]:
+    return message.x, message.y, message.z
+
+
 def check_geometry(image_grid: messages.ImageGrid, aperture: messages.Aperture, where: str) -> None:
     """Check that the grid and the aperture of an image are finite and possible.
 
@@ -146,20 +151,20 @@ def check_geometry(image_grid: messages.ImageGrid, aperture: messages.Aperture, 
         Rejected: a value is not finite, a direction or the orientation has not the norm 1, a spacing is not greater
             than 0, or the velocity is 0; the sentence begins with `where`.
     """
-    grid = grid_from_message(image_grid)
-    numbers = [grid.origin, grid.row_direction, grid.col_direction, vector_of(aperture.pose.pose.position)]
-    numbers += [vector_of(aperture.velocity), np.array([grid.row_spacing, grid.col_spacing])]
-    if not np.all(np.isfinite(np.concatenate(numbers))):
+    grid, q, velocity = image_grid, aperture.pose.pose.orientation, _numbers(aperture.velocity)
+    directions = _numbers(grid.row_direction), _numbers(grid.col_direction)
+    places = *_numbers(grid.origin), *_numbers(aperture.pose.pose.position), *velocity
+    spacings = grid.row_spacing, grid.col_spacing
+    if not all(map(math.isfinite, (*places, *directions[0], *directions[1], *spacings))):
         raise Rejected("not finite", f"{where}: grid or aperture has NaN or infinite values; all must be finite.")
-    q = aperture.pose.pose.orientation
-    norms = [np.linalg.norm(v) for v in (grid.row_direction, grid.col_direction, [q.x, q.y, q.z, q.w])]
-    if not (np.allclose(norms, 1, atol=0.01) and grid.row_spacing > 0 and grid.col_spacing > 0):
+    norms = [math.hypot(*numbers) for numbers in (*directions, (q.x, q.y, q.z, q.w))]
+    if not (all(abs(norm - 1) <= 0.01 for norm in norms) and min(spacings) > 0):
         raise Rejected(
             "wrong geometry",
             f"{where}: row_direction, col_direction and orientation have the norms {np.round(norms, 3).tolist()}, the "
             f"spacings are {grid.row_spacing:g} and {grid.col_spacing:g} m; norms must be 1, spacings greater than 0.",
         )
-    if not np.linalg.norm(vector_of(aperture.velocity)) > 0:
+    if not any(velocity):
         raise Rejected("wrong geometry", f"{where}: aperture.velocity is 0; a synthetic aperture needs motion.")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,20 +11,18 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Quaternion, Vector3
 from nav_msgs.msg import Odometry
 from sal_height_msgs import msg as messages
-from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
-from sal_height.geometry import PlatformState
+from sal_height.geometry import PlatformState, rotation_matrix
 from sal_height.messages.basics import (
     BODY_FRAME,
     MAP_FRAME,
     check_channel,
     to_ns,
-    vector_of,
     xyz,
 )
-from sal_height.numeric import C64
+from sal_height.numeric import C64, F32, F64
 from sal_height.sensor import PhaseHistory, Sensor
 
 LONGEST_DWELL = 3600.0
@@ -42,7 +41,7 @@ def state_to_message(state: PlatformState, stamp: Time) -> Odometry:
     message.pose.pose.position = Point(**xyz(state.position))
     message.pose.pose.orientation = Quaternion(**dict(zip("xyzw", state.orientation.tolist(), strict=True)))
     message.pose.covariance = state.covariance.ravel()
-    body_velocity = Rotation.from_quat(state.orientation).inv().apply(state.velocity)
+    body_velocity = state.velocity @ rotation_matrix(state.orientation)
     message.twist.twist.linear = Vector3(**xyz(body_velocity))
     return message
 
@@ -62,21 +61,21 @@ def state_from_message(message: Odometry) -> PlatformState:
             f"forward, y left, z up) in {MAP_FRAME!r} (east, north, up).",
         )
     pose, twist = message.pose.pose, message.twist.twist.linear
-    orientation = np.array([pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w])
-    position, body_velocity = vector_of(pose.position), vector_of(twist)
-    if not np.all(np.isfinite(np.concatenate([orientation, position, body_velocity]))):
+    orientation = (pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w)
+    place, body_velocity = (pose.position.x, pose.position.y, pose.position.z), (twist.x, twist.y, twist.z)
+    if not all(map(math.isfinite, (*orientation, *place, *body_velocity))):
         raise Rejected(
             "not finite", "Odometry has NaN or infinite values; position, orientation and velocity must be finite."
         )
-    if not 0.99 < np.linalg.norm(orientation) < 1.01:
+    if not 0.99 < math.hypot(*orientation) < 1.01:
         raise Rejected(
-            "no rotation", f"Odometry has the orientation {orientation.tolist()}; a rotation must have the norm 1."
+            "no rotation", f"Odometry has the orientation {list(orientation)}; a rotation must have the norm 1."
         )
     return PlatformState(
         stamp_ns=to_ns(message.header.stamp),
-        position=position,
-        orientation=orientation,
-        velocity=np.asarray(Rotation.from_quat(orientation).apply(body_velocity)),
+        position=np.array(place),
+        orientation=np.array(orientation),
+        velocity=rotation_matrix(orientation) @ body_velocity,
         covariance=np.array(message.pose.covariance).reshape(6, 6),
     )
 
@@ -128,19 +127,19 @@ def check_frame(frame: messages.ChannelFrame, sensor: Sensor) -> None:
             )
     if frame.encoding == messages.ChannelFrame.COMPLEX_INT16 and not 0 < frame.scale < np.inf:
         raise Rejected("wrong scale", f"{where}: scale is {frame.scale}; it must be finite and greater than 0.")
-    values = {"samples": samples_of(frame), "pulse_time": frame.pulse_time, "reference_range": frame.reference_range}
-    for field, numbers in values.items():
-        if not np.all(np.isfinite(numbers)):
+    times, ranges = np.frombuffer(frame.pulse_time), np.frombuffer(frame.reference_range)
+    values: list[tuple[str, F32 | F64]]
+    values = [("samples", samples_of(frame).view(np.float32)), ("pulse_time", times), ("reference_range", ranges)]
+    for field, numbers in values:
+        if not np.isfinite(numbers).all():
             raise Rejected("not finite", f"{where}: {field} has NaN or infinite entries; all must be finite.")
-    times = np.asarray(frame.pulse_time)
-    if np.any(np.diff(times) < 0) or times[0] < 0 or not times[0] < times[-1] <= LONGEST_DWELL:
+    if (times[1:] < times[:-1]).any() or times[0] < 0 or not times[0] < times[-1] <= LONGEST_DWELL:
         raise Rejected(
             "wrong pulse times",
             f"{where}: pulse_time runs from {times[0]:g} to {times[-1]:g} s; it must not decrease, must not be "
             f"constant, and must lie between 0 and {LONGEST_DWELL:g} s.",
         )
-    ranges = np.asarray(frame.reference_range)
-    if not np.all((ranges > 0) & (ranges <= GREATEST_RANGE)):
+    if not (ranges.min() > 0 and ranges.max() <= GREATEST_RANGE):
         raise Rejected(
             "wrong reference range",
             f"{where}: reference_range runs from {ranges.min():g} to {ranges.max():g} m; it must be greater than 0 and "
@@ -174,8 +173,9 @@ def history_from_messages(frames: Sequence[messages.ChannelFrame]) -> PhaseHisto
         Rejected: the channels differ in pulse times or reference ranges.
     """
     first = frames[0]
+    times, ranges = first.pulse_time.tobytes(), first.reference_range.tobytes()
     for frame in frames[1:]:
-        if frame.pulse_time != first.pulse_time or frame.reference_range != first.reference_range:
+        if frame.pulse_time.tobytes() != times or frame.reference_range.tobytes() != ranges:
             raise Rejected(
                 "channels disagree",
                 f"Dwell {first.dwell}: channel {frame.channel} has other pulse times or reference ranges than "

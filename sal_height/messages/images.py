@@ -29,14 +29,18 @@ from sal_height.sensor import Sensor
 def slc_to_messages(
     slc: Slc, frame: messages.ChannelFrame, provenance: messages.Provenance
 ) -> list[messages.ComplexImage]:
-    """Return one ComplexImage per channel, with the stamp and the dwell of `frame`."""
+    """Return one ComplexImage per channel, with the stamp and the dwell of `frame`.
+
+    They share one grid, one aperture and one provenance, which are to be left as they are.
+    """
+    grid, aperture = grid_to_message(slc.grid), aperture_to_message(slc.aperture)
     return [
         messages.ComplexImage(
             header=Header(stamp=frame.header.stamp, frame_id=MAP_FRAME),
             dwell=frame.dwell,
             channel=channel,
-            grid=grid_to_message(slc.grid),
-            aperture=aperture_to_message(slc.aperture),
+            grid=grid,
+            aperture=aperture,
             noise_power=float(slc.noise_power[channel]),
             saturated_share=float(slc.saturated_share[channel]),
             samples=to_floats(image),

@@ -23,6 +23,7 @@ GROUPS = {
     "backprojection": "backprojection:throughput",
     "array-trials": "array_estimator:against_random_numbers",
     "array-images": "array_estimator:throughput",
+    "small-dwell": "small_dwell:against_large_images",
     "array-node": "array_estimator:node_over_core",
     "array-memory": "memory:array_memory",
     "beam-calibration": "beam_calibration:from_a_scene",

@@ -12,11 +12,12 @@ import pytest
 from helpers import BEAMWIDTH, make_beams, make_sensor
 
 from sal_height.beams.pattern import _averaged, pattern_named
-from sal_height.elevation import OBJECTIVES
+from sal_height.elevation import OBJECTIVES, AxisResponse
 from sal_height.elevation.look_windows import Window, axis_looks
 from sal_height.elevation.monopulse.inverse_table import inverse_table
 from sal_height.elevation.monopulse.sum_difference import _slope_table
 from sal_height.elevation.noise_floor import _speckle_contrast
+from sal_height.elevation.response_spread import shares_of_pixels, squared_pull
 from sal_height.elevation.search import SEARCHES_HELD, PeakSearches, _searches
 from sal_height.numeric.range_profiles import _deconvolution
 from sal_height.numeric.windows import HELD, _half_power_width, broadening, window
@@ -51,11 +52,13 @@ def new_contrast(samples: int) -> Any:
         (axis_looks, lambda number, _: axis_looks(Window(np.ones(2), 2), 10 + number, None)),
         (_speckle_contrast, lambda number, _: new_contrast(10 + number)),
         (inverse_table, lambda number, _: inverse_table(make_beams(count=2), number)),
+        (squared_pull, lambda *_: squared_pull(make_beams(count=2))),
+        (shares_of_pixels, lambda number, _: shares_of_pixels(AxisResponse("taylor", 1.3), 1 + number)),
         (_searches, lambda *_: PeakSearches.over(make_beams(), OBJECTIVES["normalised"], 0.0)),
     ],
     ids=[
         *("waveforms", "patterns", "slope tables", "beams of channels", "looks", "speckle", "inverse tables"),
-        "searches",
+        *("pulls", "shares", "searches"),
     ],
 )
 def test_caches_are_bounded(cache: Any, use: Callable[[int, Path], Any], tmp_path: Path) -> None:

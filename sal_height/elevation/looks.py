@@ -24,6 +24,9 @@ Covariance: TypeAlias = F32 | C64
 MEDIAN = 1 / 3
 """By how much the median energy of K looks of speckle is less than its mean K: what depends on its inverse is more."""
 
+NUMBERS_HELD = 2**20
+"""Elements of the covariances of all pixels up to which they are held: 4 or 8 MB, 4096 pixels of 16 detectors."""
+
 LEAST_NUMBERS = 2**19
 """Real and imaginary parts of samples whose power is worth a thread."""
 
@@ -187,14 +190,20 @@ def live_detectors(slc: C64) -> Index:
     Raises:
         Rejected: there are fewer than two.
     """
-    live = [m for m, image in enumerate(slc) if any(np.any(np.isfinite(row) & (row != 0)) for row in image)]
+    dead = np.arange(len(slc))
+    for row in range(slc.shape[1]):
+        samples = slc[dead, row]
+        dead = dead[~np.any(np.isfinite(samples) & (samples != 0), axis=-1)]
+        if not dead.size:
+            break
+    live = np.setdiff1d(np.arange(len(slc)), dead) if dead.size else np.arange(len(slc))
     if len(live) < 2:
         raise Rejected(
             "dead detectors",
             f"Of {len(slc)} detectors {len(live)} have a finite sample other than 0 in the images; elevation needs 2 "
             "or more.",
         )
-    return np.array(live)
+    return live
 
 
 def windowed_looks(
@@ -213,7 +222,8 @@ def windowed_looks(
     looks, and their errors.
 
     Args:
-        slc: images of all channels, shape (channels, rows, cols); the covariances are computed from them on demand.
+        slc: images of all channels, shape (channels, rows, cols); covariances of more than NUMBERS_HELD elements
+            are computed from them on demand.
         windows: looks in range and in azimuth.
         squint: of each column of the height image, rad, shape (cols,).
         channels: that the estimator takes, from those of the images.
@@ -264,8 +274,9 @@ def windowed_looks(
     # What depends on the inverse of the looks' energy.
     median = count / (count - MEDIAN)
     variance = by_row.between + by_row.within
+    covariances = SlcCovariance(numbers, down, across, gains, scale.astype(np.float32), hermitian)
     return Looks(
-        covariance=SlcCovariance(numbers, down, across, gains, scale.astype(np.float32), hermitian),
+        covariance=covariances[:, :] if math.prod(covariances.shape) <= NUMBERS_HELD else covariances,
         squint=squint,
         noise_powers=channels.noise_powers,
         floor=floor,

@@ -13,6 +13,8 @@ phases of speckle, its variance is
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from sal_height.beams import Beams
@@ -28,6 +30,9 @@ PULL_SPAN = 4.0
 
 PULL_STEPS = 64
 """Steps of the table per beamwidth."""
+
+LEAST_PULLS = 2**18
+"""Pulls that are worth a thread: 1 ms."""
 
 
 def sidelobe_variance(
@@ -63,11 +68,15 @@ def _add_along(place: F64, power: F64, pulled: F64, shares: F64, table: F64) -> 
     def add(columns: slice) -> None:
         add_pulls(place[:, columns], power[:, columns], pulled[:, columns], shares, table)
 
-    in_parallel(add, place.shape[1])
+    in_parallel(add, place.shape[1], -(-LEAST_PULLS // max(1, 2 * len(place) * len(shares))))
 
 
+@lru_cache(maxsize=8)
 def squared_pull(beams: Beams) -> F64:
-    """p^2 in rad^2 at distances from -PULL_SPAN to PULL_SPAN beamwidths in steps of 1 / PULL_STEPS, mid-array."""
+    """p^2 in rad^2 at distances from -PULL_SPAN to PULL_SPAN beamwidths in steps of 1 / PULL_STEPS, mid-array.
+
+    Beams are told apart by their identity.
+    """
     count = round(PULL_SPAN * PULL_STEPS)
     distance = np.arange(-count, count + 1) / PULL_STEPS * beams.beamwidth
     middle = float(np.mean(beams.span))
@@ -79,6 +88,7 @@ def squared_pull(beams: Beams) -> F64:
     return np.asarray(pull**2, dtype=np.float64)
 
 
+@lru_cache(maxsize=16)
 def shares_of_pixels(axis: AxisResponse, step: int) -> F64:
     """Share of a scatterer's energy that its sidelobes bring to a look of the pixel 1, 2, ... pixels on.
 

@@ -18,6 +18,8 @@ def joined_rows(parts: Sequence[tuple[Bool, HeightField]]) -> HeightField:
 
     Surfaces that a part has not looked for, and probabilities that it has not estimated, are NaN in its rows.
     """
+    if len(parts) == 1 and parts[0][0].all():
+        return parts[0][1]
     rows, parts_fields = [rows for rows, _ in parts], [field for _, field in parts]
     first, most = parts_fields[0], max(len(field.surfaces) for field in parts_fields)
     validity = np.full(first.validity.shape, Validity.MISSING_DATA, np.uint8)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from helpers import assert_one_sentence, circular, looks_in, multilook
 
+from sal_height.elevation import looks as looks_module
 from sal_height.elevation.look_windows import Window
-from sal_height.elevation.looks import covariance, live_detectors
+from sal_height.elevation.looks import SlcCovariance, covariance, live_detectors
 from sal_height.errors import Rejected, UserError
 
 CHANNELS, ROWS, COLS = 3, 7, 9
@@ -76,9 +79,13 @@ def test_noise_in_weighted_looks_has_mean_and_variance_of_so_many_looks() -> Non
     assert np.var(looks.power) == pytest.approx(count, rel=3.5 * np.sqrt((2 + 6 / count * 1.6) / 40_000))
 
 
-def test_pixels_are_indexed_as_those_of_an_array(slc: np.ndarray) -> None:
+def test_pixels_are_indexed_as_those_of_an_array(slc: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The covariance of a small image is held, that of a large one computed from its samples when it is indexed."""
+    whole = multilook(slc, 2, 2, hermitian=True).covariance
+    monkeypatch.setattr(looks_module, "NUMBERS_HELD", math.prod(whole.shape) - 1)
     on_demand = multilook(slc, 2, 2, hermitian=True).covariance
-    whole = on_demand[:, :]
+    assert isinstance(whole, np.ndarray)
+    assert isinstance(on_demand, SlcCovariance)
     row, col = np.array([3, 0, 1]), np.array([4, 4, 2])
     for index in ((row, col), (slice(1, 3), col), (row, slice(None)), (row[:, None], col), (slice(2, 2), slice(0, 3))):
         np.testing.assert_array_equal(on_demand[index], whole[index])

@@ -39,6 +39,7 @@ GROUPS = {
     "ground": "ground:throughput",
     "relief-tracking": "relief_tracking:throughput",
     "figures": "figures:all_figures",
+    "simulator": "simulator:over_transforms",
     "memory": "memory:peak_memory",
     "accuracy-array": "array_accuracy:against_theory",
     "accuracy-array-search": "array_accuracy:against_dense_search",

@@ -6,6 +6,7 @@ multiples of a fixed spacing, and a value depends on the 4 x 4 nodes around its 
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -20,8 +21,11 @@ NODES_PER_BEAMWIDTH = 20
 LATTICE_ERROR = 4e-5
 """Greatest error between nodes, as a share of the beams' peak."""
 
-BLOCK = 32
-"""The table ends at multiples of so many nodes, so that dwells over alike scenes have the same."""
+LEAST_REACH = 32
+"""Nodes to each side of the middle that a table has at least; wider ones have a power of 2 times as many.
+
+So the dwells of a flight share one or two.
+"""
 
 
 def response_of(beams: Beams, offset: F64, squint: F64) -> F32 | C64:
@@ -37,11 +41,11 @@ def response_of(beams: Beams, offset: F64, squint: F64) -> F32 | C64:
     """
     spacing = min(beams.beamwidth, beams.beamwidth_beside) / NODES_PER_BEAMWIDTH
     offset, squint = (np.ascontiguousarray(angle, dtype=np.float64) for angle in (offset, squint))
-    rows, cols = _extent(offset, spacing), _extent(squint, spacing)
+    rows, cols = _reach(offset, spacing), _reach(squint, spacing)
     parts, rough = _table(beams, spacing, rows, cols)
     bins, weights = np.empty((2, len(offset)), np.int32), np.empty((8, len(offset)), np.float32)
-    place_in_lattice(offset, spacing, rows[0], bins[0], weights[:4])
-    place_in_lattice(squint, spacing, cols[0], bins[1], weights[4:])
+    place_in_lattice(offset, spacing, -rows, bins[0], weights[:4])
+    place_in_lattice(squint, spacing, -cols, bins[1], weights[4:])
     read = []
     for table in parts:
         read.append(np.empty((len(offset), beams.count), np.float32))
@@ -52,20 +56,20 @@ def response_of(beams: Beams, offset: F64, squint: F64) -> F32 | C64:
     return response
 
 
-def _extent(angle: F64, spacing: float) -> tuple[int, int]:
-    """First and last node, multiples of BLOCK, of a table that holds angles, and two nodes to each side."""
-    first, last = float(np.min(angle)) / spacing - 2, float(np.max(angle)) / spacing + 2
-    return BLOCK * int(first // BLOCK), BLOCK * int(last // BLOCK + 1)
+def _reach(angle: F64, spacing: float) -> int:
+    """Nodes to each side of 0 of a table that holds angles, and two nodes more."""
+    least = float(np.max(np.abs(angle))) / spacing + 2
+    return LEAST_REACH * 2 ** math.ceil(max(0.0, math.log2(least / LEAST_REACH)))
 
 
 @lru_cache(maxsize=8)
-def _table(beams: Beams, spacing: float, rows: tuple[int, int], cols: tuple[int, int]) -> tuple[list[F32], Bool]:
-    """Responses on nodes in elevation (rows) and squint (cols), and where they are too rough to be interpolated.
+def _table(beams: Beams, spacing: float, rows: int, cols: int) -> tuple[list[F32], Bool]:
+    """Responses on nodes to `rows` in elevation and `cols` in squint, and where they are too rough to be interpolated.
 
     Real and, if they are complex, imaginary parts have the shape (rows, cols * detectors); `rough` tells it of the
     4 x 4 nodes that begin at each.
     """
-    row, col = (np.arange(first, last + 1, dtype=np.float64) for first, last in (rows, cols))
+    row, col = (np.arange(-reach, reach + 1, dtype=np.float64) for reach in (rows, cols))
     values = beams.response(row[:, None] * spacing + beams.axis_middle, col * spacing)
     halves = np.array([-1, 9, 9, -1]) / 16
     along = np.lib.stride_tricks.sliding_window_view(values, (4, 4), axis=(0, 1))

@@ -22,6 +22,7 @@ from sal_height.numeric import (
     OVERSAMPLING,
     TAPS,
     Complex,
+    in_parallel,
     kernel_transform,
     spectra_of_profiles,
     tap_polynomials,
@@ -32,8 +33,24 @@ from sal_height.sensor import Sensor
 from sal_height.simulation._kernels import place_echoes, spread_echoes
 from sal_height.simulation.pulse_groups import PulseGroup
 
+KERNEL = tap_polynomials()
+"""The interpolator's kernel."""
+
+WORTH_A_THREAD = 20_000
+"""Scatterers, each counted in every group, that a thread takes a few milliseconds for."""
+
 Response = Callable[[int], Complex | F32]
 """Response of all detectors to the scatterers in a pulse of the dwell, by its number: shape (scatterers, detectors)."""
+
+
+def for_each_group(fill: Callable[[PulseGroup], None], groups: list[PulseGroup], scatterers: int) -> None:
+    """Fill the samples of all groups, in threads if there are scatterers enough."""
+
+    def fill_some(part: slice) -> None:
+        for group in groups[part]:
+            fill(group)
+
+    in_parallel(fill_some, len(groups), least=-(-WORTH_A_THREAD // scatterers))
 
 
 def sum_of_echoes(
@@ -84,11 +101,13 @@ def _grids(sensor: Sensor, positions: F64, strengths: C64, response: Response, g
         positions, ends, group.steps[list(group.ends)], scales, periods, strengths, echoes, turn, bins, fractions
     )
     bins += 1
-    taps = tap_polynomials()
-    weights, rate_weights = (tap_weights(fraction, taps) for fraction in fractions)
-    if group.count == 1:
+    weights = tap_weights(fractions[0], KERNEL)
+    if group.count > 1:
+        rate_weights = tap_weights(fractions[1], KERNEL)
+    else:
         bins[1], rate_weights = 0, np.ones((1, count), dtype=np.float32)
-    beside = np.concatenate([response(group.pulses.start + int(node)) for node in group.nodes], axis=1)
+    responses = [response(group.pulses.start + int(node)) for node in group.nodes]
+    beside = responses[0] if len(responses) == 1 else np.concatenate(responses, axis=1)
     grids = []
     for values in (echoes, -2j * np.pi * turn * echoes)[: 1 + group.migrates]:
         rows = rates + TAPS if group.count > 1 else 1

@@ -43,7 +43,7 @@ def form_channels(samples: C64, sensor: Sensor) -> C64:
     """Channel matrix times the detectors' samples, shape (detectors, pulses, samples)."""
     if not sensor.channel_matrix:
         return samples
-    return np.tensordot(sensor.mixing, samples, axes=1).astype(np.complex64)
+    return np.tensordot(sensor.mixing.astype(np.complex64), samples.astype(np.complex64, copy=False), axes=1)
 
 
 def receiver_noise(sensor: Sensor, pulses: int, rng: np.random.Generator) -> C64:

@@ -175,9 +175,11 @@ class VisibleSurface:
         """The surface with its positions at a time (s) after these; how it was seen stays."""
         return replace(self, positions=self.positions + seconds * self.velocity)
 
-    def at_rest_and_moving(self) -> list[Index]:
-        """Numbers of the scatterers at rest and of those that move, where there are any."""
-        moves = np.any(self.velocity, axis=-1) if np.any(self.velocity) else np.zeros(len(self.power), dtype=bool)
+    def at_rest_and_moving(self) -> list[Index | slice]:
+        """Which scatterers are at rest and which move, where there are any."""
+        if not np.any(self.velocity):
+            return [slice(None)]
+        moves = np.any(self.velocity, axis=-1)
         return [numbers for numbers in (np.flatnonzero(~moves), np.flatnonzero(moves)) if numbers.size]
 
     def where(self, chosen: Bool | Index) -> Self:

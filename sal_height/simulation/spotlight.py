@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sal_height.numeric import C64, F64, Complex, Index
 from sal_height.sensor import Sensor
 from sal_height.simulation.beam_lattice import response_of
-from sal_height.simulation.echoes import sum_of_echoes
+from sal_height.simulation.echoes import for_each_group, sum_of_echoes
 from sal_height.simulation.pulse_groups import PulseGroup, outermost, pulse_groups, single_pulse, smooth_group
 from sal_height.simulation.scene import VisibleSurface
 
@@ -67,7 +67,7 @@ def simulate_dwell(
     samples = np.zeros((sensor.detector_count, len(antenna), sensor.sample_count), dtype=np.complex64)
     turned = (pointing - pointing[0])[:, None] / sensor.beams.track_beamwidth
 
-    def add(chosen: Index) -> None:
+    def add(chosen: Index | slice) -> None:
         """Add the echoes of scatterers that are all at rest, or all move: those are placed anew in every pulse."""
         offset, squint = surface.elevation[chosen] - sensor.beams.axis_middle, surface.squint[chosen]
         at = lru_cache(maxsize=1)(lambda angle: response_of(sensor.beams, offset, squint - angle))
@@ -79,12 +79,16 @@ def simulate_dwell(
             return smooth_group(sensor, probes, antenna, turned[pulses], pulses)
 
         groups = pulse_groups(count, smooth) if at_rest else []
-        for group in groups or [single_pulse(probes, antenna, pulse) for pulse in range(count)]:
+        at(float(pointing[0]))  # once, not in every thread
+
+        def fill(group: PulseGroup) -> None:
             there = positions if at_rest else positions + seconds[group.pulses.start] * velocity
             reference = reference_range[group.pulses]
             samples[:, group.pulses] += sum_of_echoes(
                 sensor, there, strengths, lambda pulse: at(float(pointing[pulse])), group, reference
             )
+
+        for_each_group(fill, groups or [single_pulse(probes, antenna, pulse) for pulse in range(count)], offset.size)
 
     for chosen in surface.at_rest_and_moving():
         add(chosen)

@@ -13,7 +13,7 @@ from sal_height.numeric import C64, F32, F64, Complex, Index, unit_phasors
 from sal_height.sensor import Sensor, lit_angle
 from sal_height.simulation._kernels import angles_in
 from sal_height.simulation.beam_lattice import response_of
-from sal_height.simulation.echoes import sum_of_echoes
+from sal_height.simulation.echoes import for_each_group, sum_of_echoes
 from sal_height.simulation.pulse_groups import PulseGroup, outermost, pulse_groups, single_pulse, smooth_group
 from sal_height.simulation.scene import VisibleSurface
 
@@ -66,7 +66,8 @@ def simulate_block(
     view = _View(sensor, antenna, rotation, reference_range)
     samples = np.zeros((sensor.detector_count, len(antenna), sensor.sample_count), dtype=np.complex64)
     for chosen in surface.at_rest_and_moving():
-        eastwards = chosen[np.argsort(surface.positions[chosen, 0], kind="stable")]
+        numbers = np.arange(len(amplitudes))[chosen]
+        eastwards = numbers[np.argsort(surface.positions[numbers, 0], kind="stable")]
         strengths = amplitudes[eastwards].astype(np.complex64)
         _add_echoes(view, surface, eastwards, strengths, seconds, quartic_phase, samples)
     return samples
@@ -93,15 +94,16 @@ def _add_echoes(
         return smooth_group(sensor, lit, antenna, view.beam_angles(np.mean(lit, axis=0), pulses), pulses)
 
     groups = pulse_groups(count, smooth) if at_rest and not quartic_phase else []
-    for group in groups or [single_pulse(probes, antenna, pulse) for pulse in range(count)]:
+
+    def fill(group: PulseGroup) -> None:
         lit = slice(*np.searchsorted(east, view.lit((group.pulses.start + group.pulses.stop) // 2)))
         if lit.stop == lit.start:
-            continue
+            return
         there = positions[:, lit].copy()
         if not at_rest:
             there += seconds[group.pulses.start] * velocity[:, lit]
 
-        def response(pulse: int, there: F64 = there) -> F32 | C64:
+        def response(pulse: int) -> F32 | C64:
             offset, squint = view.angles(there, pulse)
             seen = response_of(view.beams, offset, squint)
             if not quartic_phase:
@@ -111,6 +113,8 @@ def _add_echoes(
 
         reference = view.reference_range[group.pulses]
         samples[:, group.pulses] += sum_of_echoes(sensor, there, strengths[lit], response, group, reference)
+
+    for_each_group(fill, groups or [single_pulse(probes, antenna, pulse) for pulse in range(count)], east.size)
 
 
 class _View:

@@ -56,13 +56,13 @@ def test_tables_are_bounded_and_alike_dwells_share_one() -> None:
     for number in range(20):
         response_of(beams, np.array([0.001 * number, 1.0]) * BEAMWIDTH, np.zeros(2))
     assert _table.cache_info().currsize == 1
-    for number in range(20):
-        response_of(beams, np.array([2.0 * number]) * BEAMWIDTH, np.zeros(1))
+    for number in range(12):
+        response_of(beams, np.array([2.0]) ** number * BEAMWIDTH, np.zeros(1))
     assert _table.cache_info().currsize == 8
 
 
 def test_beams_of_every_pattern_are_smooth_between_nodes() -> None:
     for name, pitch in (("jinc", 0.5), ("sinc", 0.5)):
         beams = beams_named(name)
-        _, rough = _table(beams, beams.beamwidth / 20, (-64, 64), (-32, 32))
+        _, rough = _table(beams, beams.beamwidth / 20, 64, 32)
         assert not rough.any(), (name, pitch)

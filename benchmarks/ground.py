@@ -20,16 +20,27 @@ APERTURE = ApertureState(np.array([0.0, 3535, 3535]), np.array([50.0, 0, 0]), np
 
 
 def throughput() -> Iterator[Row]:
-    """A dwell entered beside others and the estimate renewed around it; and all dwells estimated at once."""
+    """Dwells entered one by one, with the estimate at the end; and all dwells estimated at once."""
     rng = np.random.default_rng(1)
     fields = [dwell_of_spotlight(number, rng) for number in range(DWELLS)]
-    ground = GroundMap(fine_cell_size(fields[0].grid), max(SPACINGS), 10**6)
-    for field in fields:
-        ground.add(field, APERTURE)
-    last, whole = medians(lambda: ground.add(fields[-1], APERTURE), ground.settle)
-    estimate = ground.estimate()
+
+    def mapped() -> GroundMap:
+        ground = GroundMap(fine_cell_size(fields[0].grid), max(SPACINGS), 10**6)
+        for field in fields:
+            ground.add(field, APERTURE)
+        ground.estimate()
+        return ground
+
+    one_by_one, whole = medians(mapped, mapped().settle)
+    estimate = mapped().estimate()
     cells = 0 if estimate is None else estimate.height.size
-    yield Row("ground, a dwell of sal_spotlight", 1e3 * last, "ms", "<= 10", f"{ROWS} × {COLS} pixels, kerb and car")
+    yield Row(
+        "ground, a dwell of sal_spotlight",
+        1e3 * one_by_one / DWELLS,
+        "ms",
+        "<= 10",
+        f"{ROWS} × {COLS} pixels, kerb and car; of {DWELLS} dwells and the estimate at the end",
+    )
     yield Row("ground, all at once", cells / 1e6 / whole, "Mcell/s", ">= 0.2", f"{cells} cells: {1e3 * whole:.0f} ms")
 
 

@@ -1,7 +1,8 @@
 """Map of the ground: what dwells have measured of it so far, and the estimate that follows.
 
 What is kept of the dwells are merged layers (`layers`), in square tiles. A new dwell changes the estimate on the ground
-that it has seen and a little around it, which is estimated anew; `settle` estimates all of it at once.
+that it has seen and a little around it, which is estimated anew; `settle` estimates all of it at once. Small dwells
+side by side are estimated together, for an estimate of few cells takes as long as one of many.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ TILE = 128
 MARGIN = 4
 """Cells around what a dwell has seen in which the estimate may change, and as many more that are taken into account."""
 
+LEAST_CELLS = 2**14
+"""Cells that are worth an estimate, if nobody asks for it: ten dwells of sal_spotlight, 50 ms."""
+
 ARRAYS = ("height", "sigma", "kind", "count")
 """Names of the arrays of an estimate."""
 
@@ -39,7 +43,7 @@ def fine_cell_size(grid: Grid) -> float:
 
 
 class GroundMap:
-    """The estimate of all ground that was seen, brought up to date with each dwell.
+    """The estimate of all ground that was seen, up to date whenever it is asked for.
 
     Its memory is proportional to the area, not to the number of dwells.
     """
@@ -63,16 +67,25 @@ class GroundMap:
         self._silent: dict[tuple[int, int], Bool] = {}  # cells of tiles that pixels without a signal show in shadow
         self._estimate: GroundEstimate | None = None  # of whole tiles
         self._corners = np.zeros((2, 2), dtype=np.int64)  # row and column of the first and of the last cell seen
+        self._stale: I64 | None = None  # the same of the cells seen since they were estimated
 
     def add(self, field: HeightField, aperture: ApertureState) -> None:
-        """Enter all surfaces that a dwell saw from `aperture`, and bring the estimate up to date.
+        """Enter all surfaces that a dwell saw from `aperture`, and estimate what has become worth it.
 
         Raises:
             Rejected: the map would have more than `max_cells` cells; it does not change.
         """
         seen = self.enter(field, aperture)
-        if seen is not None:
-            self._renew(seen + MARGIN * np.array([[-1], [1]]))
+        if seen is None:
+            return
+        together = seen if self._stale is None else _hull(self._stale, seen)
+        if _count(together) < LEAST_CELLS:
+            self._stale = together
+        else:
+            self._renew()
+            self._stale = seen
+            if _count(seen) >= LEAST_CELLS:
+                self._renew()
 
     def enter(self, field: HeightField, aperture: ApertureState) -> I64 | None:
         """Enter all surfaces that a dwell saw from `aperture`; the estimate is not brought up to date.
@@ -108,10 +121,12 @@ class GroundMap:
     def settle(self) -> None:
         """Estimate all ground at once."""
         if self._estimate is not None:
-            self._renew(self._corners)
+            self._stale = self._corners
+            self._renew()
 
     def estimate(self) -> GroundEstimate | None:
         """Return the estimate as it stands; None if nothing was seen yet."""
+        self._renew()
         if self._estimate is None:
             return None
         return _part(self._estimate, self._corners)
@@ -137,7 +152,7 @@ class GroundMap:
     def _grow(self, seen: I64) -> None:
         """Make the estimate large enough for cells from seen[0] to seen[1]."""
         known = seen if self._estimate is None else self._corners
-        corners = np.stack([np.minimum(seen[0], known[0]), np.maximum(seen[1], known[1])])
+        corners = _hull(seen, known)
         rows, cols = (corners[1] - corners[0] + 1).tolist()
         if rows * cols > self.max_cells:
             raise Rejected(
@@ -155,12 +170,13 @@ class GroundMap:
         if old is not None:
             _paste(old, self._estimate)
 
-    def _renew(self, corners: I64) -> None:
-        """Estimate the cells from corners[0] to corners[1] anew, as far as they have been seen."""
-        inner = np.stack([np.maximum(corners[0], self._corners[0]), np.minimum(corners[1], self._corners[1])])
-        outer = np.stack(
-            [np.maximum(inner[0] - MARGIN, self._corners[0]), np.minimum(inner[1] + MARGIN, self._corners[1])]
-        )
+    def _renew(self) -> None:
+        """Estimate the stale cells and MARGIN around them anew, as far as they have been seen."""
+        if self._stale is None:
+            return
+        inner = _common(self._stale + MARGIN * OUTWARDS, self._corners)
+        outer = _common(inner + MARGIN * OUTWARDS, self._corners)
+        self._stale = None
         rows, cols = (outer[1] - outer[0] + 1).tolist()
         grid = GroundGrid((int(outer[0, 0]), int(outer[0, 1])), (rows, cols), self.cell_size, self.spacing)
         assert self._estimate is not None  # noqa: S101 (`_grow` made it)
@@ -189,6 +205,25 @@ class GroundMap:
         row, col = corners[0] - first * TILE
         rows, cols = corners[1] - corners[0] + 1
         return np.block(tiles)[row : row + rows, col : col + cols]
+
+
+OUTWARDS = np.array([[-1], [1]])
+"""Makes a rectangle of cells, given by row and column of its first and of its last cell, larger by a cell."""
+
+
+def _hull(one: I64, other: I64) -> I64:
+    """The smallest rectangle around two."""
+    return np.stack([np.minimum(one[0], other[0]), np.maximum(one[1], other[1])])
+
+
+def _common(one: I64, other: I64) -> I64:
+    """The rectangle that two have in common."""
+    return np.stack([np.maximum(one[0], other[0]), np.minimum(one[1], other[1])])
+
+
+def _count(corners: I64) -> int:
+    """Number of cells of a rectangle."""
+    return int(np.prod(corners[1] - corners[0] + 1))
 
 
 def _corners_of(estimate: GroundEstimate) -> I64:

@@ -195,6 +195,35 @@ def find_semidefinite(matrices: F64, rounding: float, found: Bool) -> None:
         found[i] = alone and pairs and whole >= -rounding * a * b * c
 
 
+@compiled
+def average_windows(values: F64, half: int, means: F64) -> None:
+    """Fill the means over the square windows of half-width `half` around each pixel, by sums that move along.
+
+    Args:
+        values: shape (rows, cols); beyond the edge they count as 0.
+        half: in pixels.
+        means: to be filled, same shape.
+    """
+    rows, cols = values.shape
+    column, share = np.zeros(cols), 1 / (2 * half + 1) ** 2
+    for i in range(min(half, rows)):
+        column += values[i]
+    for i in range(rows):
+        if i + half < rows:
+            column += values[i + half]
+        if i > half:
+            column -= values[i - half - 1]
+        total = 0.0
+        for c in range(min(half, cols)):
+            total += column[c]
+        for c in range(cols):
+            if c + half < cols:
+                total += column[c + half]
+            if c > half:
+                total -= column[c - half - 1]
+            means[i, c] = total * share
+
+
 @compiled_with_nan
 def fit_planes(
     points: F64, mean: F64, seen: Bool, half: int, part: slice, slope: F64, steepness: F64, off: F64

@@ -32,7 +32,7 @@ from sal_height.numeric import F32, F64, I64, U8, Bool, in_parallel
 from sal_height.relief._kernels import average_cells, update_cells
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import STEEPEST, variance_at_place
-from sal_height.relief.slope import LEAST_ROWS, ground_slope
+from sal_height.relief.slope import LEAST_PIXELS, ground_slope
 from sal_height.relief.tracked import ground_spacings
 
 TILE = 256
@@ -214,16 +214,16 @@ def _pixels(surface: Surface, there: Bool, spacing: float) -> _Pixels:
     def fill(part: slice) -> None:
         points[:, part] = sphere_coordinates(surface.positions[part])
 
-    in_parallel(fill, len(there), LEAST_ROWS)
+    in_parallel(fill, len(there), LEAST_PIXELS // there.shape[1] + 1)
     slope, error = ground_slope(points, surface.own_covariance, spacing)
     own = variance_at_place(surface.own_covariance, slope)
     common = np.zeros_like(own)
     if surface.common_covariance is not None:
         common = variance_at_place(surface.common_covariance, slope)
-    seen = there & np.isfinite(points.sum(axis=0) + own + common) & (own > 0)
-    return _Pixels(
-        points[:2, seen], points[2, seen], np.nan_to_num(slope[seen].T), error[seen], own[seen], common[seen]
-    )
+    seen = np.flatnonzero(there & np.isfinite(points.sum(axis=0) + own + common) & (own > 0))
+    place = points.reshape(3, -1)[:, seen]
+    known = np.nan_to_num(slope.reshape(-1, 2)[seen].T)
+    return _Pixels(place[:2], place[2], known, *(values.ravel()[seen] for values in (error, own, common)))
 
 
 def _joined(parts: list[_Pixels]) -> _Pixels:
@@ -247,17 +247,17 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, 
     Returns:
         Row and column of the cells, in the order of rows, their heights (m) and 1 / their variances (1/m^2).
     """
-    first = cells.min(axis=1)
-    shape = tuple(cells.max(axis=1) - first + 1)
-    index = np.ravel_multi_index(tuple(cells - first[:, None]), shape)
-    seen = np.flatnonzero(np.bincount(index))
-    row, col = (numbers + start for numbers, start in zip(np.unravel_index(seen, shape), first, strict=True))
-    numbers = np.zeros(shape, np.intp)
-    numbers.ravel()[seen] = np.arange(len(seen))
+    first, last = cells.min(axis=1), cells.max(axis=1)
+    rows, cols = (last - first + 1).tolist()
+    index = (cells[0] - first[0]) * cols + (cells[1] - first[1])
+    occupied = np.zeros(rows * cols, np.bool_)
+    occupied[index] = True
+    seen, numbers = np.flatnonzero(occupied), np.cumsum(occupied) - 1
+    row, col = seen // cols + first[0], seen % cols + first[1]
     centre = cell_size * (np.stack([col, row], axis=-1) + 0.5)
     sums = np.zeros((len(seen), 12))
     average_cells(
-        numbers.ravel()[index],
+        numbers[index],
         pixels.place,
         pixels.height,
         pixels.slope,

@@ -10,10 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import uniform_filter
 
 from sal_height.numeric import F64, Bool, in_parallel
-from sal_height.relief._kernels import fit_planes
+from sal_height.relief._kernels import average_windows, fit_planes
 from sal_height.relief.position_error import variance_at_place
 
 SLOPE_ERROR = 0.03
@@ -31,8 +30,8 @@ LEAST_SHARE = 0.25
 WIDEST = 32
 """Greatest half-width of a window in pixels."""
 
-LEAST_ROWS = 64
-"""Rows that are worth a thread."""
+LEAST_PIXELS = 2**14
+"""Pixels that are worth a thread."""
 
 
 def ground_slope(points: F64, covariance: F64, spacing: float) -> tuple[F64, F64]:
@@ -80,7 +79,9 @@ def _planes(points: F64, covariance: F64, seen: Bool, half: int) -> tuple[F64, F
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         means = np.stack(totals) / share
         in_parallel(
-            lambda part: fit_planes(from_middle, means, seen, half, part, slope, steepness, off), len(seen), LEAST_ROWS
+            lambda part: fit_planes(from_middle, means, seen, half, part, slope, steepness, off),
+            len(seen),
+            LEAST_PIXELS // seen.shape[1] + 1,
         )
         count = share * (2 * half + 1) ** 2
         spread = _window_means([np.nan_to_num(off)], half)[0] / share * count / (count - 1)
@@ -108,7 +109,7 @@ def _window_means(values: Sequence[F64], half: int) -> F64:
 
     def average(part: slice) -> None:
         for image, mean in zip(values[part], means[part], strict=True):
-            uniform_filter(image, 2 * half + 1, mean, mode="constant")
+            average_windows(image, half, mean)
 
-    in_parallel(average, len(values))
+    in_parallel(average, len(values), LEAST_PIXELS // values[0].size + 1)
     return means

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.ndimage import uniform_filter
 
 from sal_height.relief import _kernels as kernels
 from sal_height.relief import _tracking_kernels as tracking
@@ -123,6 +124,13 @@ def test_covariances_are_the_matrices_without_a_negative_eigenvalue() -> None:
     expected = (least >= -1e-12) & (np.arange(400) != 1)
     np.testing.assert_array_equal(found, expected)
     assert 100 < np.count_nonzero(found) < 300
+
+
+@pytest.mark.parametrize(("shape", "half"), [((20, 11), 1), ((20, 11), 4), ((3, 30), 5), ((1, 1), 2)])
+def test_means_of_windows(shape: tuple[int, int], half: int) -> None:
+    values, means = np.random.default_rng(3).standard_normal(shape), np.empty(shape)
+    kernels.average_windows(values, half, means)
+    np.testing.assert_allclose(means, uniform_filter(values, 2 * half + 1, mode="constant"), atol=1e-14)
 
 
 def test_planes_of_windows() -> None:

@@ -9,12 +9,11 @@ import pytest
 
 from sal_height.beams import Beams
 from sal_height.calibration import Calibration
-from sal_height.elevation import ESTIMATORS, MEASURED, MlSettings, Validity
+from sal_height.elevation import ESTIMATORS, MEASURED, MlSettings, Validity, scatterer_count
 from sal_height.errors import UserError
 from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.pipeline import Compressor, channels_and_beams, heights
-from sal_height.relief import scatterer_count
 from sal_height.sensor import Channels, PhaseHistory, clipped, whitened_channels
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.receivers import receiver_noise

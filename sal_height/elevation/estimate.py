@@ -45,8 +45,16 @@ MEASURED = tuple(SCATTERERS)
 USABLE = (*MEASURED, Validity.INTERPOLATED)
 """Validities of the pixels that have a height."""
 
+_COUNTS = np.zeros(256, np.uint8)
+_COUNTS[list(SCATTERERS)] = list(SCATTERERS.values())
+
 ORDERS = 5
 """Number of answers to what a pixel holds: 0, 1, 2 or 3 scatterers, or one extended surface."""
+
+
+def scatterer_count(validity: U8) -> U8:
+    """Number of scatterers with a height in each pixel, by its `Validity`; same shape."""
+    return _COUNTS[validity]
 
 
 @dataclass(frozen=True)
@@ -202,10 +210,15 @@ def is_explained(fit: Fit, settings: HeightSettings) -> Bool:
         fit: of one scatterer to every pixel, or of several.
         settings: rates of false alarms, and share of the explained power that may be left beyond the mean of the noise.
     """
-    law = PowerLaw.of(fit.degrees, fit.coherent, fit.beam_error)
-    left = fit.left - sidelobe_limit(fit.leaked, settings.sidelobe_rate)
-    noise = law.exceeded(left) >= settings.false_alarm_rate
-    return noise | (fit.left - fit.degrees <= settings.misfit_share * fit.explained)
+    explained = np.array(fit.left - fit.degrees <= settings.misfit_share * fit.explained)
+    unsure = np.flatnonzero(~explained)
+    if unsure.size:
+        values = fit.left, fit.degrees, fit.leaked, fit.coherent, fit.beam_error
+        left, degrees, leaked, coherent, error = (np.broadcast_to(v, explained.shape).ravel()[unsure] for v in values)
+        law = PowerLaw.of(degrees, coherent, error)
+        noise = law.exceeded(left - sidelobe_limit(leaked, settings.sidelobe_rate)) >= settings.false_alarm_rate
+        explained.flat[unsure] = noise
+    return explained
 
 
 def decide_validity(
@@ -256,9 +269,7 @@ def with_foreign_power(estimate: ElevationEstimate, variance: F64) -> ElevationE
 
 def without_imprecise(estimate: ElevationEstimate, limit: float) -> ElevationEstimate:
     """The estimate with IMPRECISE where the sigma of a scatterer that a pixel holds is above the limit (rad)."""
-    held = np.zeros(estimate.validity.shape, np.uint8)
-    for validity, number in SCATTERERS.items():
-        held[estimate.validity == validity] = number
+    held = scatterer_count(estimate.validity)
     imprecise = np.zeros(held.shape, np.bool_)
     for number, one in enumerate(estimate.scatterers):
         imprecise |= (held > number) & ~(one.sigma <= limit)

@@ -10,7 +10,7 @@ from sal_height_msgs import msg as messages
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from sal_height.elevation import ORDERS, USABLE, Validity
+from sal_height.elevation import ORDERS, USABLE, Validity, scatterer_count
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, above_place
 from sal_height.messages.basics import (
@@ -25,7 +25,7 @@ from sal_height.messages.basics import (
     to_floats,
 )
 from sal_height.numeric import F32, F64, Bool
-from sal_height.relief import HeightField, Surface, covariances_from_sigma, is_covariance, scatterer_count
+from sal_height.relief import HeightField, Surface, covariances_from_sigma, is_covariance
 
 LAYERS = ("height", "sigma", "cnr_db", "east", "north")
 """Names of the fields of a Surface message that have a number per pixel, always."""

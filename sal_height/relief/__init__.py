@@ -12,7 +12,7 @@ from sal_height.relief.field_tracking import smoothed_field
 from sal_height.relief.geotiff import check_geotiff, write_geotiff
 from sal_height.relief.ground import GroundEstimate, GroundGrid, GroundKind, estimated_ground
 from sal_height.relief.ground_map import GroundMap, fine_cell_size
-from sal_height.relief.heights import HeightField, Surface, height_field, scatterer_count
+from sal_height.relief.heights import HeightField, Surface, height_field
 from sal_height.relief.layers import Layers, layers_of, merged
 from sal_height.relief.map import Relief, ReliefMap
 from sal_height.relief.position_error import (
@@ -68,7 +68,6 @@ __all__ = [
     "layers_of",
     "level_turn",
     "merged",
-    "scatterer_count",
     "smoothed",
     "smoothed_field",
     "steady_sigmas",

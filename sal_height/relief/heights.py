@@ -9,7 +9,14 @@ from typing import Self
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation import SCATTERERS, ElevationEstimate, Looks, Scatterer, Validity, common_deviation
+from sal_height.elevation import (
+    ElevationEstimate,
+    Looks,
+    Scatterer,
+    Validity,
+    common_deviation,
+    scatterer_count,
+)
 from sal_height.geometry import ApertureState, Grid, aperture_at, height_of, locate_at_elevation
 from sal_height.numeric import F64, U8, Bool
 from sal_height.relief.position_error import (
@@ -184,13 +191,6 @@ def height_field(
     first, *others = (one.where(held > number) for number, one in enumerate(surfaces))
     others = [replace(one, cnr_db=np.where(np.isfinite(one.height), one.cnr_db, np.nan)) for one in others]
     return HeightField(grid, validity, (first, *others), estimate.order_probability)
-
-
-def scatterer_count(validity: U8) -> U8:
-    """Number of scatterers with a height in each pixel, by its `Validity`; same shape."""
-    table = np.zeros(256, np.uint8)
-    table[list(SCATTERERS)] = list(SCATTERERS.values())
-    return table[validity]
 
 
 def _checked_validity(validity: U8, surfaces: Sequence[Surface]) -> U8:

@@ -21,8 +21,8 @@ from rosbags.highlevel import AnyReader
 from sal_height import messages
 from sal_height.bag.compare import compare_heights
 from sal_height.bag.reader import BagReader
+from sal_height.elevation import scatterer_count
 from sal_height.errors import UserError
-from sal_height.relief.heights import scatterer_count
 from sal_height.relief.map import ReliefMap
 from sal_height.runs.ensemble import recorded_topics
 from sal_height.runs.profile import draw_profile

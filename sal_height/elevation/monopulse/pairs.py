@@ -72,9 +72,9 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
 
     def compare(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
         """What the whole array says: its best elevation and how well that explains a pixel, and the same of `found`."""
-        best = search.peaks(pixels).elevation
+        best = search.peaks(pixels)
         here = search.fit(pixels, found.elevation[rows, cols].reshape(-1))
-        return np.stack([best, search.fit(pixels, best)[0], *here[:2]])
+        return np.stack([best.elevation, best.height, *here[:2]])
 
     searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
     best, best_explained, explained, gain = searches.of_pixels(looks, 4, compare)

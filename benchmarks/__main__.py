@@ -38,6 +38,7 @@ GROUPS = {
     "relief-map": "relief_map:throughput",
     "ground": "ground:throughput",
     "relief-tracking": "relief_tracking:throughput",
+    "real-time": "real_time:sustained",
     "figures": "figures:all_figures",
     "simulator": "simulator:over_transforms",
     "memory": "memory:peak_memory",

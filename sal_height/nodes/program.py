@@ -16,6 +16,10 @@ from sal_height.nodes.executors import executor_for
 from sal_height.nodes.middleware import provide_shared_memory
 from sal_height.nodes.usage import announce, check_arguments, check_overrides, program_name, usage
 
+SWITCH_INTERVAL_S = 5e-4
+"""Longest time that the worker keeps the interpreter from the thread that takes messages, 5 ms in Python otherwise: it
+asks for it several times for every message."""
+
 
 def run_node(make: type[Node]) -> int:
     """Run one node until SIGINT or SIGTERM, or print what it does if --help is asked for.
@@ -33,6 +37,7 @@ def run_node(make: type[Node]) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     provide_shared_memory()
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         check_arguments(sys.argv)

@@ -90,6 +90,8 @@ class SarCompression(DwellStage):
         super().__init__("sar_compression", ChannelFrame, "phase_history", **node_arguments)
         self._odometry = OdometryHistory(self.current_parameters().odometry_held_s)
         self._last_pulse_ns = 0
+        self._awaited_ns = math.inf
+        """Earliest stamp of odometry that a dwell waits for, as far as known; infinity: none does."""
         self._compressor = Compressor()
         self._calibration: Calibration | None = None
         self._begin_calibration(self.current_parameters().calibration)
@@ -110,11 +112,13 @@ class SarCompression(DwellStage):
         """
         frame = dwell[0]
         start_ns = messages.to_ns(frame.header.stamp)
-        states = self._odometry.around(start_ns, start_ns + round(frame.pulse_time[-1] * 1e9))
+        end_ns = start_ns + round(frame.pulse_time[-1] * 1e9)
+        states = self._odometry.around(start_ns, end_ns)
         gap = max(((later.stamp_ns - earlier.stamp_ns) * 1e-9 for earlier, later in pairwise(states)), default=math.inf)
         limit = self.current_parameters().max_odometry_gap_s
         if gap <= limit:
             return Supplies(states, self._calibration_for(sensor))
+        self._awaited_ns = min(self._awaited_ns, end_ns)
         found = f"there are {gap:g} s between two" if states else self._odometry_held(start_ns)
         raise Rejected(
             "odometry gap",
@@ -197,7 +201,9 @@ class SarCompression(DwellStage):
             self.ignore("odometry out of time", UserError(_out_of_time(state, self._odometry)))
         elif arrival is not Arrival.IN_ORDER:
             self.tally.note(f"odometry.{arrival.value}")
-        self.advance()
+        if state.stamp_ns >= self._awaited_ns or arrival is not Arrival.IN_ORDER:
+            self._awaited_ns = math.inf  # dwells that go on waiting will say so
+            self.advance()
 
 
 def _out_of_time(state: PlatformState, history: OdometryHistory) -> str:

@@ -23,7 +23,7 @@ SCORING_STEPS = 12  # few pixels need more than five; those of high CNR do
 GREATEST_STEPS = (0.5, 0.5, 1.0)  # of t over s, ln s and ln p
 RIDGE = 1e-3  # added to the information of a look on each parameter, so that it can be inverted
 SMALL_RISE = 0.1  # of the likelihood, which the next step is not worth
-HOPEFUL = 20.0  # times the rise that a step promises within which a likelihood may still be reached
+HOPEFUL = 60.0  # times the rise that a step promises, over the number of steps, within which a likelihood is reached
 
 
 @compiled
@@ -56,7 +56,7 @@ def climb_surfaces(
         for k in range(3):
             place[k] = surfaces[k, i]
         likelihoods[i] = -np.finfo(np.float64).max
-        for _ in range(SCORING_STEPS):
+        for step in range(SCORING_STEPS):
             likelihood = likelihood_at(matrices[i], looks[i], place, table, (vectors, squares), gradient, information)
             if likelihood > likelihoods[i]:
                 likelihoods[i] = likelihood
@@ -69,7 +69,7 @@ def climb_surfaces(
             right[:] = gradient
             solve(damped, right, move)
             rise = gradient[0] * move[0] + gradient[1] * move[1] + gradient[2] * move[2]
-            if not (rise > SMALL_RISE and likelihood + HOPEFUL * rise > least[i]):
+            if not (rise > SMALL_RISE and likelihood + HOPEFUL / (step + 1) * rise > least[i]):
                 break
             for k in range(3):
                 move[k] = min(max(move[k], -GREATEST_STEPS[k]), GREATEST_STEPS[k])

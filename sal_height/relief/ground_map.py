@@ -7,13 +7,14 @@ side by side are estimated together, for an estimate of few cells takes as long 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import reduce
 
 import numpy as np
 
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid
-from sal_height.numeric import I64, Bool
+from sal_height.numeric import I64, Bool, Index
 from sal_height.relief.ground import GroundEstimate, GroundGrid, estimated_ground, unseen
 from sal_height.relief.heights import HeightField
 from sal_height.relief.layers import Layers, layers_of, merged
@@ -27,6 +28,9 @@ TILE = 128
 
 MARGIN = 4
 """Cells around what a dwell has seen in which the estimate may change, and as many more that are taken into account."""
+
+MOST_TILES = 2**30
+"""More than lie between the map's origin and any cell, along either axis."""
 
 LEAST_CELLS = 2**14
 """Cells that are worth an estimate, if nobody asks for it: ten dwells of sal_spotlight, 50 ms."""
@@ -102,13 +106,12 @@ class GroundMap:
         cells = layers.cells(self.cell_size)
         seen = np.stack([cells.min(axis=0), cells.max(axis=0)])
         self._grow(seen)
-        for tile in np.unique(cells // TILE, axis=0):
-            new, place = layers.where((cells // TILE == tile).all(axis=1)), (int(tile[0]), int(tile[1]))
+        for place, there in _tiles_of(cells):
+            new = layers.where(there)
             self._tiles[place] = self._joined(self._tiles[place], new, seen) if place in self._tiles else new
         silent = silent_cells(field, aperture, self.settings.gate, self.cell_size)
-        for tile in np.unique(silent // TILE, axis=0):
-            there = silent[(silent // TILE == tile).all(axis=1)] - TILE * tile
-            self._silent.setdefault((int(tile[0]), int(tile[1])), np.zeros((TILE, TILE), bool))[tuple(there.T)] = True
+        for place, there in _tiles_of(silent):
+            self._silent.setdefault(place, np.zeros((TILE, TILE), bool))[tuple((silent[there] % TILE).T)] = True
         return seen
 
     def _joined(self, old: Layers, new: Layers, seen: I64) -> Layers:
@@ -224,6 +227,16 @@ def _common(one: I64, other: I64) -> I64:
 def _count(corners: I64) -> int:
     """Number of cells of a rectangle."""
     return int(np.prod(corners[1] - corners[0] + 1))
+
+
+def _tiles_of(cells: I64) -> Iterator[tuple[tuple[int, int], Index]]:
+    """Row and column of the tiles that hold some of the cells, shape (n, 2), and the numbers of those in each."""
+    rows, cols = (cells // TILE).T
+    number = rows * (2 * MOST_TILES) + cols
+    order = np.argsort(number, kind="stable")
+    for there in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
+        if there.size:
+            yield (int(rows[there[0]]), int(cols[there[0]])), there
 
 
 def _corners_of(estimate: GroundEstimate) -> I64:

@@ -89,8 +89,9 @@ def silent_cells(field: HeightField, aperture: ApertureState, gate: float, cell_
     signals = np.cumsum(field.validity != Validity.NO_SIGNAL, axis=0)
     last = np.maximum.accumulate(np.where(seen, number, -1), axis=0)
     row, col = np.nonzero(seen[1:] & (last[:-1] >= 0) & (last[:-1] < number[:-1]))
+    silent = signals[row, col] == signals[last[row, col], col]
+    row, col = row[silent], col[silent]
     far, near = (row + 1, col), (last[row, col], col)
-    silent = signals[row, col] == signals[near]
 
     def at(pixels: tuple[I64, I64], name: str) -> F64:
         values = np.stack([getattr(surface, name)[pixels] for surface in field.surfaces])
@@ -98,7 +99,7 @@ def silent_cells(field: HeightField, aperture: ApertureState, gate: float, cell_
 
     edge, foot = (np.stack(sphere_coordinates(at(pixels, "positions")), axis=-1) for pixels in (near, far))
     drop = edge[:, 2] - foot[:, 2]
-    chosen = silent & (drop > gate * np.hypot(at(near, "sigma"), at(far, "sigma")))
+    chosen = drop > gate * np.hypot(at(near, "sigma"), at(far, "sigma"))
     points = at(far, "positions")[chosen]
     sight = points - aperture_at(points, aperture).position
     away = -sight[:, :2] / sight[:, 2:]  # how far the line of sight goes per metre that it falls

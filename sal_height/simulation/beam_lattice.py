@@ -21,18 +21,18 @@ NODES_PER_BEAMWIDTH = 20
 LATTICE_ERROR = 4e-5
 """Greatest error between nodes, as a share of the beams' peak."""
 
-LEAST_REACH = 32
-"""Nodes to each side of the middle that a table has at least; wider ones have a power of 2 times as many.
+LEAST_REACH, MOST_REACH = 32, 512
+"""Nodes to each side of the middle that a table has, and powers of 2 between, so that the dwells of a flight share one.
 
-So the dwells of a flight share one or two.
+The responses to what lies farther off, by more than 25 beamwidths, are computed one by one.
 """
 
 
 def response_of(beams: Beams, offset: F64, squint: F64) -> F32 | C64:
     """Response of every detector, float32 or complex64, shape (scatterers, detectors).
 
-    Within LATTICE_ERROR of the peak of `Beams.response`, which is asked where the table cannot keep this: at the edge
-    of a measured beam, beyond which nothing is received.
+    Within LATTICE_ERROR of the peak of `Beams.response`, which is asked where the table cannot keep this: beyond its
+    ends, and at the edge of a measured beam, beyond which nothing is received.
 
     Args:
         beams: of the detectors.
@@ -44,14 +44,16 @@ def response_of(beams: Beams, offset: F64, squint: F64) -> F32 | C64:
     rows, cols = _reach(offset, spacing), _reach(squint, spacing)
     parts, rough = _table(beams, spacing, rows, cols)
     bins, weights = np.empty((2, len(offset)), np.int32), np.empty((8, len(offset)), np.float32)
-    place_in_lattice(offset, spacing, -rows, bins[0], weights[:4])
-    place_in_lattice(squint, spacing, -cols, bins[1], weights[4:])
+    inside = (MOST_REACH - 3) * spacing
+    far = np.maximum(np.abs(offset), np.abs(squint)) > inside
+    place_in_lattice(np.clip(offset, -inside, inside), spacing, -rows, bins[0], weights[:4])
+    place_in_lattice(np.clip(squint, -inside, inside), spacing, -cols, bins[1], weights[4:])
     read = []
     for table in parts:
         read.append(np.empty((len(offset), beams.count), np.float32))
         read_lattice(table, bins, weights, read[-1])
     response = read[0] if len(read) == 1 else read[0] + 1j * read[1]
-    if np.any(rough) and (there := np.flatnonzero(rough[*bins])).size:
+    if (there := np.flatnonzero(far | rough[*bins] if np.any(rough) else far)).size:
         response[there] = beams.response(offset[there] + beams.axis_middle, squint[there])
     return response
 
@@ -59,7 +61,7 @@ def response_of(beams: Beams, offset: F64, squint: F64) -> F32 | C64:
 def _reach(angle: F64, spacing: float) -> int:
     """Nodes to each side of 0 of a table that holds angles, and two nodes more."""
     least = float(np.max(np.abs(angle))) / spacing + 2
-    return LEAST_REACH * 2 ** math.ceil(max(0.0, math.log2(least / LEAST_REACH)))
+    return min(MOST_REACH, LEAST_REACH * 2 ** math.ceil(max(0.0, math.log2(least / LEAST_REACH))))
 
 
 @lru_cache(maxsize=8)

@@ -43,7 +43,11 @@ def form_channels(samples: C64, sensor: Sensor) -> C64:
     """Channel matrix times the detectors' samples, shape (detectors, pulses, samples)."""
     if not sensor.channel_matrix:
         return samples
-    return np.tensordot(sensor.mixing.astype(np.complex64), samples.astype(np.complex64, copy=False), axes=1)
+    channels = np.zeros(samples.shape, dtype=np.complex64)
+    for (channel, detector), factor in np.ndenumerate(sensor.mixing.astype(np.complex64)):
+        if factor:
+            channels[channel] += factor * samples[detector]
+    return channels
 
 
 def receiver_noise(sensor: Sensor, pulses: int, rng: np.random.Generator) -> C64:

@@ -71,6 +71,23 @@ def test_dwell_of_a_preset_is_the_sum_over_its_scatterers(name: str, gust: float
     assert np.sqrt(np.mean(np.abs(samples - expected) ** 2)) < ERROR * np.sqrt(np.mean(np.abs(expected) ** 2))
 
 
+@pytest.mark.parametrize(("bandwidth", "groups"), [(1e7, 1), (4e7, 4)])
+def test_migration_of_many_wavelengths_has_shorter_groups(bandwidth: float, groups: int) -> None:
+    """Its second order is left out: at 10 MHz up to 2e-3 rad of an outermost scatterer, at 40 MHz 16 times as much."""
+    flight = flight_named("xband_relief")
+    sensor, times = replace(flight.sensor, bandwidth=bandwidth, config_hash=""), flight.dwell_start_ns(1) * 1e-9
+    surface, antenna = flight.surface(1), flight.position(times + flight.pulse_times)
+    surface = some_of(surface.where(np.abs(surface.slant_range - 35e3) < 0.49 * sensor.range_window), 150)
+    probes, angles = outermost(surface.positions.T), np.zeros((64, 1))
+    found = pulse_groups(64, lambda pulses: smooth_group(sensor, probes, antenna, angles[pulses], pulses))
+    assert len(found) == groups
+    strengths, reference = strengths_of(surface), np.full(64, 35e3)
+    samples = simulate_dwell(sensor, surface, strengths, antenna, reference)
+    weighted = sensor.beams.response(surface.elevation, surface.squint).T * strengths
+    expected = direct_history(sensor, surface.positions, weighted, antenna, reference)
+    assert np.sqrt(np.mean(np.abs(samples - expected) ** 2)) < ERROR * np.sqrt(np.mean(np.abs(expected) ** 2))
+
+
 @pytest.mark.parametrize("gust", [0.0, 1.0])
 def test_block_of_sal_stripmap_is_the_sum_over_what_is_lit(gust: float) -> None:
     """Each pulse sees the scatterers under its own angles: those that the middle of its group of 64 pulses lights up.

@@ -162,7 +162,7 @@ def height_field(
     points = slc_grid.points(looks.row, looks.col)
     aperture = aperture_at(points, aperture)
     sight = points - aperture.position
-    slant_range = np.linalg.norm(sight, axis=-1)
+    slant_range = np.sqrt(np.einsum("...i,...i", sight, sight))
     along = sight @ aperture.direction + slant_range * radial_velocity / np.linalg.norm(aperture.velocity)
     # The centre of the speckle is somewhere in its cell, in each look at another place.
     depth = slc_grid.row_spacing * np.abs(sight @ slc_grid.row_direction) / slant_range

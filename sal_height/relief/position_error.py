@@ -22,7 +22,7 @@ import numpy as np
 
 from sal_height.geometry import EARTH_RADIUS, ApertureState, Grid, aperture_at, locate_at_elevation
 from sal_height.numeric import F64, Bool, in_parallel
-from sal_height.relief._kernels import find_semidefinite, variances_across
+from sal_height.relief._kernels import add_squares, find_semidefinite, variances_across
 
 STEEPEST = 1.0
 """Steepest slope (height over distance) of ground whose slope is not known: 45 degrees, about the repose of rubble."""
@@ -87,9 +87,10 @@ def covariance_of(jacobian: F64, sigmas: F64) -> F64:
     Returns:
         In map axes, shape (..., 3, 3); not finite where a sigma is not.
     """
-    with np.errstate(invalid="ignore"):  # an infinite sigma times 0
-        scaled = jacobian * sigmas[..., None, :]
-    return scaled @ np.swapaxes(scaled, -1, -2)
+    covariance = np.empty(jacobian.shape)
+    flat = jacobian.reshape(-1, 3, 3), sigmas.reshape(-1, 3), covariance.reshape(-1, 3, 3)
+    in_parallel(lambda part: add_squares(flat[0][part], flat[1][part], flat[2][part]), len(flat[2]), LEAST_POINTS)
+    return covariance
 
 
 def circle_covariance(height_sigma: F64, positions: F64, aperture: ApertureState) -> F64:
@@ -160,7 +161,7 @@ def height_variance(covariance: F64, positions: F64) -> F64:
     """
     upright = vertical(positions)
     with np.errstate(invalid="ignore"):  # an infinite covariance, of scatterers without a sigma, times 0
-        return _dot((covariance @ upright[..., None])[..., 0], upright)
+        return _dot(np.einsum("...ij,...j", covariance, upright), upright)
 
 
 def is_covariance(matrices: F64) -> Bool:
@@ -177,7 +178,7 @@ def is_covariance(matrices: F64) -> Bool:
 def vertical(positions: F64) -> F64:
     """Unit vector away from the centre of the earth at positions in map (m), shape (..., 3)."""
     upright = positions + np.array([0.0, 0.0, EARTH_RADIUS])
-    return np.asarray(upright / np.linalg.norm(upright, axis=-1, keepdims=True))
+    return np.asarray(upright / np.sqrt(_dot(upright, upright))[..., None])
 
 
 def variance_at_place(covariance: F64, slope: F64) -> F64:
@@ -209,7 +210,9 @@ def _circle(sight: F64, aperture: ApertureState) -> F64:
     """Derivative c of positions by elevation, m/rad, shape (..., 3)."""
     square, sight_forward, sight_along = _products(sight, aperture)
     determinant = sight_forward * sight_along - square * (aperture.direction @ aperture.forward)
-    return np.cross(sight, aperture.direction) * ((square - sight_forward**2) / determinant)[..., None]
+    x, y, z = aperture.direction
+    turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # sight @ turn is sight x direction
+    return np.asarray(sight @ turn) * ((square - sight_forward**2) / determinant)[..., None]
 
 
 def _products(sight: F64, aperture: ApertureState) -> tuple[F64, F64, F64]:

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sal_height.geometry import PlatformState, Trajectory, look_direction
+from sal_height.elevation import Validity
+from sal_height.geometry import ApertureState, Grid, PlatformState, Trajectory, look_direction
 from sal_height.imaging import ImageSettings, Slc, image_beams
 from sal_height.pipeline import Compressor
+from sal_height.relief import HeightField, Surface
 from sal_height.sensor import PhaseHistory, Sensor, lit_angle, spectrum_sensor
 
 MOST_BLOCKS = 16
@@ -51,7 +53,7 @@ def rehearsed_slc(
     slc = None
     for block in range(1 if sensor.mode == "spotlight" else MOST_BLOCKS):
         start_s = (block + 1) * block_s
-        samples = rng.standard_normal((*shape, 2), dtype=np.float32).view(np.complex64)[..., 0]
+        samples = _normal(rng, shape).astype(np.complex64)
         history = PhaseHistory(round(start_s * 1e9), times, np.full(len(times), slant_range), samples)
         stamps = round(block_s * 1e9) * np.arange(block, block + 4)
         states = [_level(int(stamp), abeam, speed) for stamp in stamps]
@@ -78,6 +80,25 @@ def with_scatterers(slc: Slc, sensor: Sensor, rng: np.random.Generator) -> Slc:
         amplitude = np.sqrt(POWER * np.mean(slc.noise_power)) * _normal(rng, shape) * (count >= number)
         images += np.moveaxis(beams.response(elevation, 0.0) * amplitude[..., None], -1, 0)
     return replace(slc, images=images.astype(np.complex64))
+
+
+def made_up_heights(rng: np.random.Generator) -> tuple[HeightField, ApertureState]:
+    """A height image of level ground and the state of the platform that has seen it.
+
+    Args:
+        rng: of the errors.
+    """
+    height, sigma, angle = 3000.0, 0.1, np.pi / 4
+    sight, along = look_direction(angle, 0.0, 1), np.array([1.0, 0.0, 0.0])
+    abeam = np.array([0.0, 0.0, height])
+    aperture = ApertureState(abeam, 50.0 * along, np.eye(3), 0.1, np.zeros((6, 6)), sliding=False)
+    grid = Grid(abeam + height / np.cos(angle) * sight, sight, along, 0.05, 0.1, 60, 6)
+    rows, cols = np.arange(grid.rows)[:, None], np.arange(grid.cols)
+    errors = sigma * rng.standard_normal(grid.shape)
+    positions = grid.points(rows, cols) + errors[..., None] * np.array([0.0, 0.0, 1.0])
+    own = np.broadcast_to(sigma**2 * np.eye(3), (*grid.shape, 3, 3))
+    surface = Surface.seen_from(aperture, positions, own, np.full(grid.shape, 20.0))
+    return HeightField(grid, np.full(grid.shape, Validity.OK, np.uint8), (surface,)), aperture
 
 
 def _normal(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple, Self
 
 import numpy as np
 from nav_msgs.msg import Odometry
+from rclpy.serialization import deserialize_message
 from sal_height_msgs.msg import ChannelFrame, SensorInfo
 
 from sal_height import messages
@@ -39,14 +40,14 @@ class Playlist(NamedTuple):
         items: what is played.
         period_ns: time from the begin of the list to the begin of its repetition.
         dwells: number of dwells.
-        first_dwell: messages of the first dwell, by channel, and all odometry.
+        odometry: the messages of the odometry.
     """
 
     sensor_info: bytes
     items: list[Item]
     period_ns: int
     dwells: int
-    first_dwell: tuple[list[ChannelFrame], list[Odometry]]
+    odometry: list[Odometry]
 
     @classmethod
     def of_bag(cls, reader: BagReader, most_bytes: float) -> Self:
@@ -86,13 +87,12 @@ class Playlist(NamedTuple):
             )
         items = [Item(stamp, ODOMETRY, odometry[stamp][0]) for stamp in around]
         items += [Item(_last_pulse(m), FRAMES, cdr) for frames in whole.values() for cdr, m in frames]
-        first = [message for _, message in sorted(next(iter(whole.values())), key=lambda entry: entry[1].channel)]
         return cls(
             info,
             sorted(items, key=lambda item: item.due_ns),
             _period(list(whole), around),
             len(whole),
-            (first, [odometry[stamp][1] for stamp in around]),
+            [odometry[stamp][1] for stamp in around],
         )
 
     @property
@@ -100,10 +100,15 @@ class Playlist(NamedTuple):
         """Bytes of all messages."""
         return sum(len(item.cdr) for item in self.items)
 
-    @property
-    def dwell_bytes(self) -> int:
-        """Bytes of the samples of a dwell."""
-        return sum(len(frame.samples) for frame in self.first_dwell[0])
+    def frames(self) -> Iterator[list[ChannelFrame]]:
+        """The frames of each dwell, in the order of channels."""
+        dwells: dict[int, list[bytes]] = {}
+        for item in self.items:
+            if item.topic == FRAMES:
+                dwells.setdefault(stamp_ns_of(item.cdr), []).append(item.cdr)
+        for serialized in dwells.values():
+            decoded = [deserialize_message(cdr, ChannelFrame) for cdr in serialized]
+            yield sorted(decoded, key=lambda frame: frame.channel)
 
     @property
     def dwell_rate_hz(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import time
 from collections.abc import Callable
@@ -26,6 +27,9 @@ from sal_height.runs.conductor import RECORDER, Conductor, Execution, Interrupti
 from sal_height.runs.ensemble import HEIGHTS, TRACKER, Ensemble, check_parameters, consumers, suited
 from sal_height.runs.replay import contents, recorded_parameters
 from sal_height.runs.reporting import PARAMETERS, PRESET, merged, reporting
+from sal_height.runs.self_test import core_rate_hz
+
+_LOG = logging.getLogger(__name__)
 
 SOURCE = "paced_player"
 
@@ -133,6 +137,7 @@ def live(
     budget_s = how.budget_s or _budget_of(reader) or max(BUDGET_DWELLS * interval_s, LEAST_BUDGET_S)
     values = merged({name: {"latency_budget_s": budget_s / STEPS} for name in stages}, values)
     source = {"bag": str(bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
+    processors = len(os.sched_getaffinity(0))
     folder = new_folder(out)
     topics = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
     recorded = [SENSOR_INFO, ODOMETRY, "diagnostics", *topics, *(t.removeprefix("/") for t in execution.record)]
@@ -144,14 +149,28 @@ def live(
         "bag": bag.name,
         "rate": how.rate,
         "latency_budget_s": budget_s,
-        "processors": len(os.sched_getaffinity(0)),
+        "processors": processors,
     }
-    provide_shared_memory(playlist.dwell_bytes)
+    first = next(playlist.frames())
+    provide_shared_memory(sum(len(frame.samples) for frame in first))
+    warn_of_overload(core_rate_hz(playlist, sensor, stages, values, processors), 1 / interval_s, processors)
     with reporting(folder, known) as report:
         watched = _perform(plan, execution, how, playlist, topics, show)
         report.update(watched.as_json())
         report["parameters"] = values
     return watched
+
+
+def warn_of_overload(core_hz: float, sensor_hz: float, processors: int) -> None:
+    """Say that the machine is too slow for a sensor, if even the core alone is."""
+    if core_hz < sensor_hz:
+        _LOG.warning(
+            "The %d processors here can process at most %.3g dwells/s, and the sensor delivers %.3g: the others will "
+            "be left out, the oldest first. Use more processors, fewer estimators, smaller images, or a lower --rate.",
+            processors,
+            core_hz,
+            sensor_hz,
+        )
 
 
 def _perform(
@@ -179,7 +198,7 @@ def _perform(
                     raise UserError(f"Waited {execution.timeout_s:g} s in vain for {what}; the log above may say why.")
 
             wait(conductor.ready, "all nodes to be ready")
-            clock = DwellClock(how.rate, playlist.first_dwell[0][0].pulse_time[-1])
+            clock = DwellClock(how.rate, next(playlist.frames())[0].pulse_time[-1])
             for topic, latencies in watched.latencies_s.items():
                 conductor.listen_raw(HeightImage, topic, _keeper(clock, latencies))
             conductor.step(wait)

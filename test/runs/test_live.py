@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from sal_height.bag.reader import BagReader
+from sal_height.nodes.playlist import Playlist
 from sal_height.runs.conductor import Execution
-from sal_height.runs.live import Live, Watched, live
-from sal_height.runs.replay import replay
+from sal_height.runs.live import Live, Watched, live, warn_of_overload
+from sal_height.runs.replay import contents, recorded_parameters, replay
+from sal_height.runs.self_test import core_rate_hz
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 
@@ -63,3 +65,17 @@ def test_at_overload_whole_dwells_are_left_out_and_the_others_come_in_time(senso
     assert set(account.dropped) <= {"overload", "queue full", "buffer full"}
     assert account.received == account.count("processed") + sum(account.dropped.values()) + account.waiting
     assert account.count("processed") > 0
+
+
+def test_a_machine_that_is_too_slow_is_said_to_be(sensor_bag: Path, caplog: pytest.LogCaptureFixture) -> None:
+    reader = BagReader(sensor_bag)
+    sensor, _ = contents(reader)
+    stages = ["sar_compression", "monopulse", "ml_height", "relief_tracker"]
+    values = recorded_parameters(reader)
+    one, two = (core_rate_hz(Playlist.of_bag(reader, 1e9), sensor, stages, values, number) for number in (1, 2))
+    assert 0.5 < one < 1e4
+    assert two / one == pytest.approx(2.0, rel=0.9)
+    warn_of_overload(86.0, 85.9, 2)
+    assert not caplog.records
+    warn_of_overload(40.0, 86.0, 2)
+    assert "can process at most 40 dwells/s, and the sensor delivers 86" in caplog.text

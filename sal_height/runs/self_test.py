@@ -1,0 +1,61 @@
+"""How many dwells of a sensor this machine can process in a second, measured before the sensor begins."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from sal_height import messages
+from sal_height.errors import UserError
+from sal_height.geometry import Trajectory
+from sal_height.nodes.height import HeightNode
+from sal_height.nodes.playlist import Playlist
+from sal_height.pipeline import Compressor, heights
+from sal_height.relief import PriorEstimate, track
+from sal_height.runs.ensemble import NODES, TRACKER
+from sal_height.sensor import Sensor
+
+TEST_S = 1.0
+"""Processor time of the test, s, after the first dwell, which takes longer than the others."""
+
+
+def core_rate_hz(
+    playlist: Playlist, sensor: Sensor, stages: list[str], values: Mapping[str, Mapping[str, Any]], processors: int
+) -> float:
+    """Dwells in a second that so many processors could compress, turn into heights and track, without any messages.
+
+    It is an upper bound of what the graph achieves: messages take their time as well. Infinity: there are too few
+    dwells to tell.
+
+    Args:
+        playlist: dwells to process.
+        sensor: whose they are.
+        stages: names of the processing nodes.
+        values: of their parameters.
+        processors: that the nodes may use.
+    """
+    parameters = {name: NODES[name].parameters(**values.get(name, {})) for name in stages}
+    estimators = {name: NODES[name].estimator for name in stages if issubclass(NODES[name], HeightNode)}
+    way = Trajectory([messages.state_from_message(message) for message in playlist.odometry])
+    compressor, prior = Compressor(), PriorEstimate()
+    begun: float | None = None
+    dwells, spent_s = 0, 0.0
+    for frames in playlist.frames():
+        try:
+            slc = compressor.add(messages.history_from_messages(frames), way, sensor, parameters["sar_compression"])
+            if slc is None:
+                continue
+            fields = [heights(slc, sensor, estimators[name], parameters[name]) for name in estimators]
+            if TRACKER in stages:
+                _, _, prior = track(fields[0], slc.aperture, prior, parameters[TRACKER])
+        except UserError:
+            continue  # its node will say why
+        if begun is None:
+            begun = time.process_time()
+            continue
+        dwells, spent_s = dwells + 1, time.process_time() - begun
+        if spent_s > TEST_S:
+            break
+    return processors * dwells / spent_s if dwells else math.inf

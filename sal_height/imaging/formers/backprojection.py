@@ -14,6 +14,7 @@ from sal_height.numeric import (
     F32,
     F64,
     OVERSAMPLING,
+    TAPS,
     WORKERS,
     Bool,
     blocks,
@@ -85,9 +86,11 @@ def backproject_points(
         ]
     )
     size = int(np.clip(math.ceil(points.shape[1] / WORKERS), PIXELS_OF_THREAD, PIXELS_AT_ONCE))
+    apart = np.empty((PULSES_AT_ONCE, OVERSAMPLING * frequencies + TAPS, 2, detectors), dtype=np.float32)
     for block in blocks(pulses, PULSES_AT_ONCE):
         dense = dense_profiles(history.samples[:, block], range_weights)
-        profiles = np.stack([dense.real, dense.imag], axis=2)
+        profiles = apart[: len(dense)]
+        profiles[:, :, 0], profiles[:, :, 1] = dense.real, dense.imag
 
         def add(piece: slice, profiles: F32 = profiles, block: slice = block) -> None:
             add_pulses(
@@ -126,8 +129,9 @@ def valid_pixels(history: PhaseHistory, antenna: F64, sensor: Sensor, angle: flo
         )
         valid &= first & last
         partly = np.flatnonzero(first != last)
-        points = grid.points(np.arange(grid.rows)[:, None], partly).reshape(-1, 3)
-        valid[:, partly] = filled_apertures(points, antenna, direction, angle).reshape(grid.rows, -1)
+        if partly.size:
+            points = grid.points(np.arange(grid.rows)[:, None], partly).reshape(-1, 3)
+            valid[:, partly] = filled_apertures(points, antenna, direction, angle).reshape(grid.rows, -1)
     track = np.column_stack([antenna, history.reference_range, antenna @ direction])
     spacing = abs(float((antenna[-1] - antenna[0]) @ direction)) / max(1, len(antenna) - 1)
     for rows in (range(grid.rows), reversed(range(grid.rows))):

@@ -67,7 +67,7 @@ def spread_echoes(bins: I32, weights: F32, rate_weights: F32, echoes: C64, respo
     Args:
         bins: first bin of range and of range rate of each scatterer, shape (2, scatterers).
         weights: of the bins of range from there on, shape (taps, scatterers).
-        rate_weights: of the bins of range rate, shape (rate taps, scatterers).
+        rate_weights: of the bins of range rate, shape (rate taps, scatterers): one, or an even number.
         echoes: amplitude and phase.
         response: of each column to the scatterer, shape (scatterers, columns).
         grid: to add to, shape (rate bins, range bins * columns * 2): real and imaginary part of each column in turn.
@@ -92,10 +92,12 @@ def spread_echoes(bins: I32, weights: F32, rate_weights: F32, echoes: C64, respo
             weight, first = weights[j, i], j * width
             for k in range(width):
                 block[first + k] = weight * value[k]
-        for j in range(rate_weights.shape[0]):
+        for j in range(0, rate_weights.shape[0], 2):  # two rows for each reading of the block
             row, weight = grid[bins[1, i] + j, start : start + taps * width], rate_weights[j, i]
+            next_row, next_weight = grid[bins[1, i] + j + 1, start : start + taps * width], rate_weights[j + 1, i]
             for k in range(row.size):
                 row[k] += weight * block[k]
+                next_row[k] += next_weight * block[k]
 
 
 @compiled

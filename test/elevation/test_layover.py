@@ -242,3 +242,19 @@ def test_blocks_and_units_of_power_change_nothing(monkeypatch: pytest.MonkeyPatc
     for one, other in zip(parts.scatterers, whole.scatterers, strict=True):
         for name in ("elevation", "sigma", "cnr", "spread"):
             np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-3)
+
+
+def test_a_dwell_is_the_same_whatever_came_before() -> None:
+    """Tables are held between dwells: those made by one at other squints change no bit of the next."""
+    rng, beams = np.random.default_rng(47), make_beams("jinc")
+    looks = points(beams, around(1.0, 2, 200, rng), (100.0, 50.0), 4, rng)
+    here, elsewhere = (
+        replace(looks, squint=(np.linspace(-0.3, 0.3, COLUMNS) + shift) * BEAMWIDTH) for shift in (0.0, 0.0123)
+    )
+    alone = ml_elevation(here, make_beams("jinc"), MlSettings())
+    ml_elevation(elsewhere, beams, MlSettings())
+    after = ml_elevation(here, beams, MlSettings())
+    np.testing.assert_array_equal(after.validity, alone.validity)
+    for one, other in zip(after.scatterers, alone.scatterers, strict=True):
+        np.testing.assert_array_equal(one.elevation, other.elevation)
+        np.testing.assert_array_equal(one.sigma, other.sigma)

@@ -13,13 +13,14 @@ from scipy.spatial.distance import cdist
 from sal_height.geometry import Grid
 from sal_height.imaging.formers._kernels import fill_turns, read_profiles
 from sal_height.imaging.formers.accuracy import check_expected_error
-from sal_height.imaging.formers.backprojection import PULSES_AT_ONCE, valid_pixels
+from sal_height.imaging.formers.backprojection import valid_pixels
 from sal_height.imaging.weighting import Processing
-from sal_height.numeric import C64, F64, OVERSAMPLING, blocks, dense_profiles, in_threads, tap_polynomials
+from sal_height.numeric import C64, F64, OVERSAMPLING, blocks, dense_profiles, in_parallel, tap_polynomials
 from sal_height.sensor import PhaseHistory, Sensor
 
-PHASES_AT_ONCE = 2**18
-"""Phases of pixels and pulses that a thread holds: 2 MB; fewer are not worth a thread."""
+PULSES_AT_ONCE = 8  # whose dense profiles are held: half a megabyte, which stays in the cache
+PHASES_AT_ONCE = 2**15  # of pixels and pulses that a thread holds: a quarter of a megabyte
+PHASES_OF_THREAD = 2**18  # at least: fewer are not worth a thread of their own
 
 
 def focus_rows(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> C64:
@@ -35,13 +36,16 @@ def focus_rows(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: 
     track = np.vstack([antenna.T, history.reference_range, weights / (weights.sum() * frequencies)])
     image = np.empty((detectors, *grid.shape), dtype=np.complex64)
 
-    def focus(rows: slice) -> None:
-        points = grid.points(np.arange(rows.start, rows.stop)[:, None], np.arange(grid.cols))
-        turns = np.empty((*points.shape[:2], pulses), dtype=np.complex64)
-        fill_turns(points.reshape(-1, 3), track, sensor.centre_wavenumber / (2 * np.pi), turns.view(np.float32))
-        image[:, rows] = (turns @ profiles[rows]).transpose(2, 0, 1)
+    def focus(part: slice) -> None:
+        for first in range(part.start, part.stop, at_once):
+            rows = slice(first, min(first + at_once, part.stop))
+            points = grid.points(np.arange(rows.start, rows.stop)[:, None], np.arange(grid.cols))
+            turns = np.empty((*points.shape[:2], pulses), dtype=np.complex64)
+            fill_turns(points.reshape(-1, 3), track, sensor.centre_wavenumber / (2 * np.pi), turns.view(np.float32))
+            image[:, rows] = (turns @ profiles[rows]).transpose(2, 0, 1)
 
-    in_threads(focus, blocks(grid.rows, max(1, PHASES_AT_ONCE // (grid.cols * pulses))))
+    at_once, of_thread = (max(1, phases // (grid.cols * pulses)) for phases in (PHASES_AT_ONCE, PHASES_OF_THREAD))
+    in_parallel(focus, grid.rows, of_thread)
     image[:, ~valid_pixels(history, antenna, sensor, 0.0, grid)] = np.nan
     return image
 

@@ -13,7 +13,7 @@ from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
 from sal_height.imaging.formers import accuracy
 from sal_height.imaging.formers.accuracy import ALLOWED_ERROR
-from sal_height.imaging.formers.row_sums import PHASES_AT_ONCE, expected_error, focus_rows
+from sal_height.imaging.formers.row_sums import PHASES_OF_THREAD, expected_error, focus_rows
 from sal_height.imaging.pixels import ground_plane_grid
 from sal_height.imaging.weighting import Processing
 
@@ -52,7 +52,7 @@ def test_image_in_the_ground_plane_is_that_of_backprojection() -> None:
 
 def test_more_rows_than_one_thread_takes_are_those_of_few() -> None:
     case = dwell(np.random.default_rng(143), rows=500, sample_count=512)
-    assert case.grid.rows * case.grid.cols * len(case.antenna) > PHASES_AT_ONCE
+    assert case.grid.rows * case.grid.cols * len(case.antenna) > PHASES_OF_THREAD
     few = replace(case, grid=replace(case.grid, origin=case.grid.points(490, 0), rows=10))
     np.testing.assert_allclose(few.image(focus_rows), case.image(focus_rows)[:, 490:], atol=1e-6)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -45,15 +47,18 @@ def truth_of(found: GroundEstimate) -> F64:
     return np.where(north < SPACING * ROWS / 2, 0.4, 0.0)[:, None]
 
 
-def test_the_live_estimate_is_that_of_all_dwells_at_once() -> None:
+@pytest.mark.parametrize("numbers", [range(5), (0, 20)], ids=["beside each other", "far apart"])
+def test_the_live_estimate_is_that_of_all_dwells_at_once(numbers: Sequence[int]) -> None:
+    """Five dwells are estimated together; two with 31 000 cells around them one by one."""
     rng = np.random.default_rng(1)
-    ground = mapped([dwell(number, rng) for number in range(5)])
+    ground = mapped([dwell(number, rng) for number in numbers])
     live = estimate_of(ground)
     heights, kinds = live.height.copy(), live.kind.copy()
     ground.settle()
     final = estimate_of(ground)
     assert np.mean(kinds == final.kind) > 0.99
     both = np.isfinite(heights) & np.isfinite(final.height)
+    assert np.sum(both) > 600 * len(numbers)
     assert np.quantile(np.abs(heights - final.height)[both], 0.99) < 0.5 * SIGMA
 
 

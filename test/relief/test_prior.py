@@ -92,8 +92,10 @@ def test_level_ground_is_averaged_and_no_surer_than_its_level() -> None:
     off = []
     for _ in range(15):
         measured = of(5 + rng.standard_normal((60, 20)), np.ones((60, 20)))
-        along_range = smoothed(measured, PriorEstimate().after(measured, ALONG_RANGE)[0])
-        for result in (along_range, smoothed_field(measured, PriorEstimate().after(measured)[0])):
+        (alone, _), (field, _) = (PriorEstimate().after(measured, one) for one in (ALONG_RANGE, TrackingSettings()))
+        assert min(alone.sigma, field.sigma) > 1.99 / np.sqrt(1200)
+        assert (alone.mean_sigma, field.mean_sigma) == (0.0, pytest.approx(1.0, rel=0.1))
+        for result in (smoothed(measured, alone), smoothed_field(measured, field)):
             assert rms(result.height - 5) < 0.2
             off.append(rms((result.height - 5) / result.sigma))
     assert np.count_nonzero(np.array(off) > 2) <= 2

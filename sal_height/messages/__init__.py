@@ -38,11 +38,13 @@ from sal_height.messages.images import check_slc, recorded_window, slc_from_mess
 from sal_height.messages.provenance import derived, stages_of, with_stage
 from sal_height.messages.relief import relief_picture, relief_points, relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
+from sal_height.messages.serialized import SlcDecoder, serialized_images
 
 __all__ = [
     "LONGEST_DWELL",
     "MAP_FRAME",
     "POINT_FIELDS",
+    "SlcDecoder",
     "aperture_from_message",
     "bad_pixel_warning",
     "bad_pixels",
@@ -67,6 +69,7 @@ __all__ = [
     "samples_of",
     "sensor_from_message",
     "sensor_to_message",
+    "serialized_images",
     "slc_from_messages",
     "slc_to_messages",
     "stages_of",

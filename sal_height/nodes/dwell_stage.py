@@ -10,6 +10,7 @@ from collections import Counter
 from contextlib import suppress
 from typing import Any, NamedTuple
 
+from rclpy.serialization import deserialize_message
 from sal_height_msgs.msg import SensorInfo
 
 from sal_height import messages
@@ -91,8 +92,9 @@ class DwellStage(Stage):
         self._waiting = WaitingClock()
         self._absences: dict[str, Counter[int]] = {}
         self._rehearsed = False
+        self._message_type, self._topic = message_type, topic
         self.listen(SensorInfo, "sensor_info", self._on_sensor_info, LATCHED_QOS)
-        self.listen(message_type, topic, self._on_message)
+        self.listen(message_type, topic, self._on_bytes, raw=True)
         self.every(TICK_S, self._tick)
 
     @abstractmethod
@@ -119,6 +121,14 @@ class DwellStage(Stage):
         Returns:
             The number of messages published.
         """
+
+    def decode(self, cdr: bytes) -> Any:
+        """The message of one channel that these bytes are.
+
+        Raises:
+            RuntimeError: they are none.
+        """
+        return deserialize_message(cdr, self._message_type)
 
     def rehearse(self, sensor: Sensor) -> None:
         """Process a made-up dwell of `sensor`, and publish nothing (on the worker thread)."""
@@ -248,6 +258,14 @@ class DwellStage(Stage):
                     self._give_up(dwell, missing or self._incomplete(dwell, "before other sensors replaced theirs"))
         self._absences.pop(config_hash, None)
         self._assembler.forget_finished(config_hash)
+
+    def _on_bytes(self, cdr: bytes) -> None:
+        try:
+            message = self.decode(cdr)
+        except RuntimeError as error:  # rclpy's own error class is private, and a subclass of it
+            self.ignore("broken message", UserError(f"A message on {self._topic} cannot be decoded: {error}."))
+            return
+        self._on_message(message)
 
     def _on_message(self, message: Any) -> None:
         self.tally.receive()

@@ -49,6 +49,7 @@ class HeightNode(DwellStage):
         Raises:
             UserError: a parameter has a value that is not allowed.
         """
+        self._decoder = messages.SlcDecoder()
         super().__init__(self.estimator.node, ComplexImage, "slc", **node_arguments)
         self._calibrations: dict[str, Calibration] = {}
         self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS, optional=True)
@@ -59,6 +60,10 @@ class HeightNode(DwellStage):
     def identity(self, message: ComplexImage) -> str:
         """The config_hash of the sensor info that the image was made with."""
         return str(message.provenance.config_hash)
+
+    def decode(self, cdr: bytes) -> ComplexImage:
+        """The image of one channel; those of a dwell share a provenance."""
+        return self._decoder.decode(cdr)
 
     def check(self, message: ComplexImage, sensor: Sensor) -> None:
         """Size of an image; single bad pixels are marked as such."""

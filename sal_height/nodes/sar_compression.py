@@ -158,7 +158,7 @@ class SarCompression(DwellStage):
             parameters=messages.with_stage([], self.get_name(), parameters),
             autofocus_phase=slc.autofocus_phase.tolist(),
         )
-        images = messages.slc_to_messages(slc, frames[0], provenance)
+        images = messages.serialized_images(messages.slc_to_messages(slc, frames[0], provenance))
         for image in images:
             self._slc.publish(image)
         return len(images)

@@ -209,6 +209,7 @@ class Stage(Role, Node):
         qos: QoSProfile = FRAMES_QOS,
         *,
         optional: bool = False,
+        raw: bool = False,
     ) -> None:
         """Subscribe; users can adapt the QoS to a publisher of theirs by the qos_overrides parameters.
 
@@ -218,6 +219,7 @@ class Stage(Role, Node):
             callback: takes a message; an error in it is counted and logged.
             qos: quality of service.
             optional: whether the node can do its work without a message on this topic.
+            raw: whether the callback takes serialized messages.
         """
         inlet, profile = Inlet(self.resolve_topic_name(topic), latched=qos is LATCHED_QOS), copy.copy(qos)
         profile.depth = LATCHED_HELD if inlet.latched else qos.depth
@@ -229,7 +231,7 @@ class Stage(Role, Node):
             callback(message)
 
         self.create_subscription(
-            message_type, topic, guarded(receive, self._fail), profile, qos_overriding_options=QOS_OVERRIDES
+            message_type, topic, guarded(receive, self._fail), profile, qos_overriding_options=QOS_OVERRIDES, raw=raw
         )
 
     def every(self, period_s: float, callback: Callable[[], Any], clock: Clock | None = None) -> None:

@@ -7,10 +7,12 @@ their transport, though; whoever needs these (`Role.takes_message_info`) is spun
 
 from __future__ import annotations
 
+import sys
 import threading
-from contextlib import suppress
+from contextlib import redirect_stderr, suppress
 
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.context import Context
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
@@ -24,9 +26,19 @@ def needs_wait_set(node: Node) -> bool:
     return bool(getattr(node, "takes_message_info", False))
 
 
+def events_executor(context: Context) -> Executor:
+    """An executor without nodes.
+
+    rclpy has it report crashes on the standard error stream, and fails where that is no file, as in a notebook.
+    """
+    with redirect_stderr(sys.__stderr__):
+        return EventsExecutor(context=context)
+
+
 def executor_for(node: Node) -> Executor:
     """An executor of its own for a node, which has been added."""
-    executor = (SingleThreadedExecutor if needs_wait_set(node) else EventsExecutor)(context=node.context)
+    context = node.context
+    executor = SingleThreadedExecutor(context=context) if needs_wait_set(node) else events_executor(context)
     executor.add_node(node)
     return executor
 

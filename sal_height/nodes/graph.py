@@ -10,10 +10,9 @@ from typing import Self, TypeVar
 
 import rclpy
 from rclpy.context import Context
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 
-from sal_height.nodes.executors import Spinning, needs_wait_set
+from sal_height.nodes.executors import Spinning, events_executor, needs_wait_set
 from sal_height.nodes.middleware import provide_shared_memory
 
 NodeT = TypeVar("NodeT", bound=Node)
@@ -30,7 +29,7 @@ class Graph:
         provide_shared_memory()
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain_id)
-        self.executor = EventsExecutor(context=self.context)
+        self.executor = events_executor(self.context)
         self.nodes: list[Node] = []
         self._aside: dict[Node, Spinning] = {}
 

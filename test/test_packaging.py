@@ -61,6 +61,7 @@ def test_every_program_can_be_started() -> None:
         "ground_mapper",
         "psf_calibration",
         "recorder",
+        "paced_player",
         "player",
     } == set(programs)
     for value in programs.values():

@@ -112,7 +112,7 @@ def angles_in(positions: F64, antenna: F64, axes: F64, elevation: F64, squint: F
         squint: result, from the plane of both towards ahead, shape (points,).
     """
     east, north, up = positions[0], positions[1], positions[2]
-    greatest, lowest = 0.0, np.inf
+    greatest, lowest = 0.0, 1.0
     for i in range(east.size):
         x, y, z = east[i] - antenna[0], north[i] - antenna[1], up[i] - antenna[2]
         outwards = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z

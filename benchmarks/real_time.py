@@ -33,11 +33,14 @@ DWELLS = sized(32, 4)
 SECONDS = sized(20.0, 2.0)
 LONG_SECONDS = sized(60.0, 2.0)
 
-TRIALS = sized(5, 1)
+TRIALS = sized(6, 1)
 """Rates that are tried, each lower than what came out at the last."""
 
 MARGIN = 0.97
 """Of the dwells that were achieved when some were left out, what is tried next."""
+
+LEAST_STEP = 0.5
+"""From one rate to the next, at least: an overloaded graph achieves less than the same graph at a lower rate."""
 
 SLOWEST_RATE_HZ = 20.0
 """Sensors that deliver fewer dwells in a second are played faster: 20 s would not hold enough of them."""
@@ -85,7 +88,7 @@ def _sustained_rate(bag: Path, folder: Path, most: float) -> tuple[float, Watche
         achieved = min((len(ages) for ages in seen.latencies_s.values()), default=0) / expected
         if not left_out:
             return rate, seen
-        rate *= min(MARGIN, max(achieved, 0.3))
+        rate *= min(MARGIN, max(achieved, LEAST_STEP))
     return 0.0, seen
 
 

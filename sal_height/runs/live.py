@@ -38,7 +38,10 @@ BUDGET_DWELLS = 3
 """The latency budget, unless a preset states one: that many dwell intervals, or LEAST_BUDGET_S if that is more."""
 
 STEPS = 3
-"""Nodes that a dwell passes one after the other: compression, heights, and what is made of these."""
+"""Nodes that a dwell passes one after the other: compression, heights and tracker."""
+
+MAPPER, MAP_QUEUE = "relief_mapper", 256
+"""The map has no latency budget: a dwell is as good for it a second later, which it takes to publish a large one."""
 
 SHOW_PERIOD_S = 1.0
 
@@ -131,11 +134,12 @@ def live(
         sensor, [name for name in HEIGHTS.values() if f"/{name}/height" in reader.topics and name != "tracked"]
     )
     values = check_parameters(merged(merged(consumers(nodes), recorded_parameters(reader)), parameters))
-    stages = ["sar_compression", *nodes, *((TRACKER, "relief_mapper") if nodes else ())]
+    stages = ["sar_compression", *nodes, *((TRACKER, MAPPER) if nodes else ())]
     playlist = Playlist.of_bag(reader, float("inf"))
     interval_s = 1 / (playlist.dwell_rate_hz * how.rate)
     budget_s = how.budget_s or _budget_of(reader) or max(BUDGET_DWELLS * interval_s, LEAST_BUDGET_S)
-    values = merged({name: {"latency_budget_s": budget_s / STEPS} for name in stages}, values)
+    shares = {name: {"latency_budget_s": budget_s / STEPS} for name in stages if name != MAPPER}
+    values = merged({**shares, MAPPER: {"max_queued_dwells": MAP_QUEUE}}, values)
     source = {"bag": str(bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
     processors = len(os.sched_getaffinity(0))
     folder = new_folder(out)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -23,6 +22,7 @@ from sal_height.nodes.domain import ros_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.middleware import provide_shared_memory
 from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist, stamp_ns_of
+from sal_height.numeric import WORKERS
 from sal_height.runs.conductor import RECORDER, Conductor, Execution, Interruption, Plan, recording_of
 from sal_height.runs.ensemble import HEIGHTS, TRACKER, Ensemble, check_parameters, consumers, suited
 from sal_height.runs.replay import contents, recorded_parameters
@@ -141,7 +141,6 @@ def live(
     shares = {name: {"latency_budget_s": budget_s / STEPS} for name in stages if name != MAPPER}
     values = merged({**shares, MAPPER: {"max_queued_dwells": MAP_QUEUE}}, values)
     source = {"bag": str(bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
-    processors = len(os.sched_getaffinity(0))
     folder = new_folder(out)
     topics = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
     recorded = [SENSOR_INFO, ODOMETRY, "diagnostics", *topics, *(t.removeprefix("/") for t in execution.record)]
@@ -153,11 +152,11 @@ def live(
         "bag": bag.name,
         "rate": how.rate,
         "latency_budget_s": budget_s,
-        "processors": processors,
+        "processors": WORKERS,
     }
     first = next(playlist.frames())
     provide_shared_memory(sum(len(frame.samples) for frame in first))
-    warn_of_overload(core_rate_hz(playlist, sensor, stages, values, processors), 1 / interval_s, processors)
+    warn_of_overload(core_rate_hz(playlist, sensor, stages, values, WORKERS), 1 / interval_s, WORKERS)
     with reporting(folder, known) as report:
         watched = _perform(plan, execution, how, playlist, topics, show)
         report.update(watched.as_json())

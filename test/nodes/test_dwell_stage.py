@@ -362,3 +362,11 @@ def test_an_error_that_no_input_should_cause_costs_its_message_only(
     assert gate.counts()["dropped.internal error"] == 3
     gate.hear(1, 0, 1, 2)
     gate.await_counts(**{"in": 6, "processed": 3, "out": 3, "dropped.internal error": 3})
+
+
+def test_bytes_that_are_no_message_are_counted_and_end_nothing(gate: Gate) -> None:
+    gate._on_bytes(b"no message")
+    assert gate.counts()["ignored.broken message"] == 1
+    gate.describe(SENSOR)
+    gate.hear(0, 0, 1, 2)
+    gate.await_counts(**{"in": 3, "processed": 3, "out": 3, "ignored.broken message": 1})

@@ -14,6 +14,8 @@ from pathlib import Path
 
 from rclpy.logging import get_logger
 
+from sal_height.errors import UserError
+
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 """Environment variable that names the file with settings of Fast DDS; it is read when the first node starts."""
 
@@ -76,6 +78,27 @@ def segment_bytes(dwell_bytes: int, free_bytes: int) -> int | None:
     return segment if segment >= LEAST else None
 
 
+def free_bytes() -> int:
+    """Bytes that are free in the shared memory of the machine."""
+    return shutil.disk_usage(SHARED_MEMORY).free if SHARED_MEMORY.is_dir() else 0
+
+
+def settings_for(dwell_bytes: int) -> str:
+    """Settings of Fast DDS, as XML, with which a process publishes dwells of that size.
+
+    Raises:
+        UserError: too little shared memory is free.
+    """
+    free = free_bytes()
+    segment = segment_bytes(dwell_bytes, free)
+    if segment is None:
+        raise UserError(
+            f"{SHARED_MEMORY} has {free / 1e6:.0f} MB free; with less than {LEAST / SHARE / 1e6:.0f} MB frames may "
+            "come late or get lost between processes. Containers get more by --shm-size."
+        )
+    return TEMPLATE.format(segment=segment, message=segment // 4)
+
+
 def provide_shared_memory(dwell_bytes: int = 0) -> None:
     """Have the nodes of this process, and of those that it starts, use shared memory that holds dwells of that size.
 
@@ -87,16 +110,13 @@ def provide_shared_memory(dwell_bytes: int = 0) -> None:
         or PROFILES in os.environ
     ):
         return
-    free = shutil.disk_usage(SHARED_MEMORY).free if SHARED_MEMORY.is_dir() else 0
-    segment = segment_bytes(dwell_bytes, free)
-    if segment is None:
-        get_logger("sal_height").warning(
-            f"{SHARED_MEMORY} has {free / 1e6:.0f} MB free; with less than {LEAST / SHARE / 1e6:.0f} MB frames may "
-            "come late or get lost between processes. Containers get more by --shm-size."
-        )
+    try:
+        settings = settings_for(dwell_bytes)
+    except UserError as error:
+        get_logger("sal_height").warning(str(error))
         return
     folder = tempfile.mkdtemp(prefix="sal_height_")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     file = Path(folder, "fastdds.xml")
-    file.write_text(TEMPLATE.format(segment=segment, message=segment // 4), encoding="utf-8")
+    file.write_text(settings, encoding="utf-8")
     os.environ[PROFILES] = str(file)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -114,7 +115,9 @@ def test_help_has_examples_that_can_be_parsed_and_exit_statuses(
     assert "  130  interrupted" in statuses
     assert "  141  the reader" in statuses
     examples = text[text.index("examples:") :].replace("\\\n", " ")
-    lines = [line.strip().split("  ")[0].split()[1:] for line in examples.splitlines() if line.startswith("  sal-h")]
+    lines = [
+        re.split("  | > ", line.strip())[0].split()[1:] for line in examples.splitlines() if line.startswith("  sal-h")
+    ]
     assert lines
     for line in lines:
         if line[0] != "COMMAND":

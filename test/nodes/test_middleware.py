@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from sal_height.commands import main
 from sal_height.nodes.middleware import ENOUGH, LEAST, PROFILES, segment_bytes
 
 PROGRAM = """
@@ -40,6 +41,17 @@ def test_a_process_takes_shared_memory_for_dwells_and_leaves_no_file() -> None:
     assert size >= ENOUGH
     assert file.endswith("fastdds.xml")
     assert not Path(file).exists()
+
+
+def test_a_publisher_takes_as_much_by_the_settings_that_the_command_prints(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["transport", "--dwell-mb", "12"]) == 0
+    file = tmp_path / "fastdds.xml"
+    file.write_text(capsys.readouterr().out, encoding="utf-8")
+    size, used = run_program(FASTRTPS_DEFAULT_PROFILES_FILE=str(file))
+    assert used == str(file)
+    assert 24e6 <= size < 26e6
 
 
 def test_settings_of_the_user_are_kept() -> None:

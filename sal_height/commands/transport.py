@@ -1,0 +1,39 @@
+"""`sal-height transport`: settings of Fast DDS for programs that publish phase histories."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
+from sal_height.commands._options import DONE, PROCESSING, command
+
+EXAMPLES = """
+  sal-height transport > fastdds.xml
+  export FASTRTPS_DEFAULT_PROFILES_FILE=$PWD/fastdds.xml
+  sal-height transport --dwell-mb 134 > fastdds.xml
+"""
+
+app = command("transport", PROCESSING, EXAMPLES)
+
+
+@app.default
+def transport(
+    *,
+    dwell_mb: Annotated[float, Parameter(metavar="MB", validator=Number(gte=0, lte=16_000))] = 8.0,
+) -> int:
+    """Print settings of Fast DDS for a program that publishes phase histories.
+
+    Fast DDS takes half a megabyte of shared memory for a process, less than a
+    dwell needs: frames get lost or come late, and odometry with them. The nodes
+    take more by themselves. A publisher of your own, in any language, does so
+    if it is started with the variable of the second example.
+
+    Args:
+        dwell_mb: Size of the samples of a dwell, in megabytes.
+    """
+    from sal_height.nodes.middleware import settings_for
+
+    print(settings_for(int(dwell_mb * 1e6)), end="")
+    return DONE

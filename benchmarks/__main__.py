@@ -39,6 +39,7 @@ GROUPS = {
     "ground": "ground:throughput",
     "relief-tracking": "relief_tracking:throughput",
     "real-time": "real_time:sustained",
+    "endurance": "real_time:endurance",
     "figures": "figures:all_figures",
     "simulator": "simulator:over_transforms",
     "memory": "memory:peak_memory",

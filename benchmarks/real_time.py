@@ -1,138 +1,219 @@
 """The graph beside a sensor that does not wait: `sal-height live`, with every node in a process of its own.
 
-The sensor is played from memory. Besides heights and diagnostics, its phase history is recorded.
+The sensor is played from memory. Besides heights and diagnostics, its phase history is recorded. What the graph
+sustains is set against the two limits of the machine, measured in the same run: transport alone (the same player,
+recorder and messages, with nodes that do nothing), and the core alone (the functions of the pipeline on all processors,
+without messages).
 """
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 import tempfile
-import time
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.core_limit import CoreRate, core_rate
+from benchmarks.live_runs import Seen, highest_rate, watch, watch_idle
 from benchmarks.row import Row, sized
 from sal_height.bag.reader import BagReader
-from sal_height.elevation import ESTIMATORS
-from sal_height.imaging import ImageSettings
-from sal_height.nodes.account import CPU
 from sal_height.nodes.playlist import Playlist
-from sal_height.pipeline import Compressor, heights
-from sal_height.relief import PriorEstimate, track
-from sal_height.runs.conductor import Execution
-from sal_height.runs.ensemble import suited
-from sal_height.runs.live import SOURCE, Live, Watched, live
+from sal_height.numeric import WORKERS
+from sal_height.runs.ensemble import ONE_THREAD
 from sal_height.runs.sensor_bag import record_sensor
-from sal_height.simulation import Preset, SimulatedFlight, flight_of, load_preset
+from sal_height.simulation import load_preset
 
-PRESETS = ("sal_spotlight", "sal_stripmap", "xband_relief", "xband_sumdiff")
+PRESETS = sized(("sal_spotlight", "sal_stripmap", "xband_relief", "xband_sumdiff"), ("small",))
+ENDURANCE = sized("sal_spotlight", "small")
 
-DWELLS = sized(32, 4)
+DWELLS = sized(32, 2)
 SECONDS = sized(20.0, 2.0)
-LONG_SECONDS = sized(60.0, 2.0)
+CORE_SECONDS = sized(10.0, 0.2)
+LATENCY_SECONDS = sized(60.0, 2.0)
+ENDURANCE_SECONDS = sized(600.0, 4.0)
+MINUTE_S = sized(60.0, 2.0)
 
-TRIALS = sized(6, 1)
-"""Rates that are tried at most."""
+SEARCHED = sized(True, False)
+"""Whether the rate of endurance is searched for."""
 
-STEP = 0.7
-"""From one rate that is tried to the next."""
+SHARE_OF_CORE = sized(0.5, 0.05)
+"""Rate that is tried first, over that of the core alone."""
 
-SLOWEST_RATE_HZ = 20.0
-"""Sensors that deliver fewer dwells in a second are played faster: 20 s would not hold enough of them."""
+
+@dataclass(frozen=True)
+class Sensor:
+    """A sensor as a bag, the rate of its dwells, and what the core achieves on them."""
+
+    name: str
+    bag: Path
+    dwells_hz: float
+    core: CoreRate
+
+    @classmethod
+    def of_preset(cls, name: str, folder: Path) -> Sensor:
+        """Simulate the dwells of a preset, and measure the core."""
+        bag = record_sensor(replace(load_preset(name), dwells=DWELLS), 1, folder / "sensor")
+        return cls(name, bag, Playlist.of_bag(BagReader(bag), np.inf).dwell_rate_hz, core_rate(bag, CORE_SECONDS))
+
+    @property
+    def core_rate(self) -> float:
+        """Seconds of the sensor in a second that the core alone processes on all processors."""
+        return self.core.dwells_hz / self.dwells_hz
+
+    @property
+    def first_guess(self) -> float:
+        """Rate that is tried first."""
+        return SHARE_OF_CORE * self.core_rate
+
+    def sustained(self) -> tuple[float, Seen]:
+        """The highest rate at which no dwell is left out, and what was seen at it."""
+        return highest_rate(lambda rate: watch(self.bag, rate, SECONDS), self.first_guess)
+
+    def transported(self, guess: float) -> tuple[float, Seen]:
+        """The highest rate at which nodes that do nothing leave no dwell out, and what was seen at it."""
+        return highest_rate(lambda rate: watch_idle(self.bag, rate, SECONDS), guess)
 
 
 def sustained() -> Iterator[Row]:
-    """The highest rate at which no dwell is left out; what the graph takes beside the core; latency at half of it."""
+    """The highest rate at which no dwell is left out; its share of the limits; the graph over the core; latency."""
     for name in PRESETS:
-        preset = replace(load_preset(name), dwells=DWELLS)
         with tempfile.TemporaryDirectory() as folder:
-            bag = record_sensor(preset, 1, Path(folder, "sensor"))
-            rate_hz = Playlist.of_bag(BagReader(bag), np.inf).dwell_rate_hz
-            rate, seen = _sustained_rate(bag, Path(folder), max(1.0, SLOWEST_RATE_HZ / rate_hz))
-            core = core_of(flight_of(preset, 1), preset)
-            load = _load(seen)
-            yield Row(
-                f"real time, {name}",
-                0.0 if _left_out(seen) else rate,
-                "1",
-                ">= 1",
-                f"seconds of the sensor in a second without any drop, {SECONDS:g} s long; the sensor delivers "
-                f"{rate_hz:.3g} dwells/s; processor seconds per second: {load}",
-            )
-            used = sum(_cpu(seen, node) for node in seen.accounts if node != SOURCE) * seen.elapsed_s
-            dwells = max(seen.accounts["sar_compression"].numbers["processed"] / preset.sensor.detectors, 1)
-            yield Row(
-                f"graph in separate processes over the core, {name}",
-                used / dwells / core,
-                "1",
-                "<= 1.25",
-                f"processor time a dwell: {1e3 * used / dwells:.1f} ms in all nodes but the source, "
-                f"{1e3 * core:.1f} ms in the core alone",
-            )
-            slow = _watch(bag, Path(folder, "half"), rate / 2, LONG_SECONDS)
-            yield from _latency(name, slow, rate / 2)
+            sensor = Sensor.of_preset(name, Path(folder))
+            rate, seen = sensor.sustained()
+            yield _real_time(sensor, rate, seen)
+            yield _share(sensor, rate)
+            yield from _over_core(sensor, rate, seen)
+            if name != ENDURANCE:
+                slow = watch(sensor.bag, rate / 2, LATENCY_SECONDS)
+                yield from _latency(sensor, rate / 2, slow)
 
 
-def _sustained_rate(bag: Path, folder: Path, most: float) -> tuple[float, Watched]:
-    """The highest rate of those tried, `most` first, at which no dwell is left out, or the last; and what was seen."""
-    for trial in range(TRIALS):
-        rate = most * STEP**trial
-        seen = _watch(bag, folder / f"trial_{trial}", rate, SECONDS)
-        if not _left_out(seen):
-            break
-    return rate, seen
+def endurance() -> Iterator[Row]:
+    """Ten minutes at half the rate that is sustained: latency and drops, and what the processes grow."""
+    with tempfile.TemporaryDirectory() as folder:
+        sensor = Sensor.of_preset(ENDURANCE, Path(folder))
+        rate = sensor.sustained()[0] if SEARCHED else sensor.first_guess
+        seen = watch(sensor.bag, rate / 2, ENDURANCE_SECONDS, record=())
+    yield _growth(sensor, rate / 2, seen)
+    yield from _latency(sensor, rate / 2, seen)
 
 
-def _left_out(seen: Watched) -> int:
-    """Messages that any node has dropped."""
-    return sum(sum(account.dropped.values()) for account in seen.accounts.values())
+def _real_time(sensor: Sensor, rate: float, seen: Seen) -> Row:
+    stages = seen.usage.cpu_per_second
+    per_sensor_second = {name: used * sensor.dwells_hz / seen.watched.offered_hz for name, used in stages.items()}
+    recorded = seen.recorded_bytes / (seen.watched.offered_hz * seen.watched.elapsed_s)
+    return Row(
+        f"real time, {sensor.name}",
+        rate,
+        "1",
+        ">= 1",
+        f"seconds of the sensor in a second, the highest rate without any drop in {SECONDS:g} s; the sensor delivers "
+        f"{sensor.dwells_hz:.3g} dwells/s; processor seconds for a second of the sensor: {_listed(per_sensor_second)}; "
+        f"{1e-6 * recorded * sensor.dwells_hz:.3g} MB recorded for it; {_load()}",
+        {
+            "dwells_hz": sensor.dwells_hz,
+            "recorded_bytes_per_dwell": recorded,
+            "cpu_s_per_dwell": {name: used / sensor.dwells_hz for name, used in per_sensor_second.items()},
+            "core_s_per_dwell": sensor.core.stages_s,
+            "resident_bytes": seen.usage.samples[-1].resident,
+        },
+    )
 
 
-def _watch(bag: Path, folder: Path, rate: float, seconds: float) -> Watched:
-    execution = Execution(processes=True, record=("phase_history",))
-    return live(bag, folder, {}, Live(rate, seconds), execution, lambda _: None)
+def _share(sensor: Sensor, rate: float) -> Row:
+    transported, idle = sensor.transported(sensor.core_rate)
+    limit = min(transported, sensor.core_rate)
+    return Row(
+        f"real time over the limit, {sensor.name}",
+        rate / limit if limit else np.nan,
+        "1",
+        ">= 0.8",
+        f"{rate:.3g} of the lower one of two limits: transport alone {transported:.3g} (nodes that do nothing, "
+        f"{_listed(idle.usage.cpu_per_second)} processors busy at it), the core alone on {WORKERS} processors "
+        f"{sensor.core_rate:.3g} seconds of the sensor in a second; {_load()}",
+        {
+            "transport_rate": transported,
+            "transport_cpu_s_per_dwell": {
+                name: used / idle.watched.offered_hz for name, used in idle.usage.cpu_per_second.items()
+            },
+            "core_rate": sensor.core_rate,
+        },
+    )
 
 
-def _cpu(seen: Watched, node: str) -> float:
-    return seen.cpu_per_second(node) if CPU in seen.accounts[node].numbers else 0.0
+def _over_core(sensor: Sensor, rate: float, seen: Seen) -> Iterator[Row]:
+    nodes = {name: used for name, used in seen.usage.cpu_per_second.items() if name in sensor.core.stages_s}
+    separate = sum(nodes.values()) / seen.watched.offered_hz
+    command = [sys.executable, "-m", "benchmarks.live_runs", str(sensor.bag), str(rate / 2), str(SECONDS)]
+    done = subprocess.run(  # noqa: S603 (our own module)
+        command, check=True, stdout=subprocess.PIPE, text=True, env={**os.environ, **ONE_THREAD}
+    )
+    together, alone = json.loads(done.stdout), core_rate(sensor.bag, CORE_SECONDS, 1).cpu_s
+    yield Row(
+        f"graph in one process over the core, {sensor.name}",
+        together / alone,
+        "1",
+        "<= 1.1",
+        f"processor time a dwell: {1e3 * together:.1f} ms without source and recorder, at a rate of {rate / 2:.3g}; "
+        f"{1e3 * alone:.1f} ms in the core alone, in one process; {_load()}",
+    )
+    yield Row(
+        f"graph in separate processes over the core, {sensor.name}",
+        separate / sensor.core.cpu_s,
+        "1",
+        "<= 1.25",
+        f"processor time a dwell: {1e3 * separate:.1f} ms in the nodes that process it, at a rate of {rate:.3g}; "
+        f"{1e3 * sensor.core.cpu_s:.1f} ms in the core alone, on {WORKERS} processors at the same time; {_load()}",
+    )
 
 
-def _load(seen: Watched) -> str:
-    return ", ".join(f"{node} {_cpu(seen, node):.2f}" for node in seen.accounts if _cpu(seen, node))
-
-
-def _latency(name: str, seen: Watched, rate: float) -> Iterator[Row]:
+def _latency(sensor: Sensor, rate: float, seen: Seen) -> Iterator[Row]:
     """From the last pulse of a dwell to its heights."""
-    for topic, ages in seen.latencies_s.items():
+    for topic, ages in seen.watched.latencies_s.items():
         p50, p95, p999 = 1e3 * np.percentile(ages, [50, 95, 99.9]) if ages else 3 * [np.nan]
-        budget = 1e3 * max(0.2, 3 / seen.offered_hz)
+        budget = 1e3 * max(0.2, 3 / seen.watched.offered_hz)
         yield Row(
-            f"latency of {topic}, {name}, p99.9",
+            f"latency of {topic}, {sensor.name}, p99.9",
             p999,
             "ms",
             f"<= {budget:.0f}",
-            f"at a rate of {rate:.2f} for {seen.elapsed_s:.0f} s, {len(ages)} images; p50 {p50:.1f}, p95 {p95:.1f} ms",
+            f"from the last pulse of a dwell, at a rate of {rate:.3g} for {seen.watched.elapsed_s:.0f} s: {len(ages)} "
+            f"images, {seen.left_out} messages dropped; p50 {p50:.1f}, p95 {p95:.1f} ms; {_load()}",
         )
 
 
-def core_of(flight: SimulatedFlight, preset: Preset) -> float:
-    """Median processor time of the core for a dwell, all default steps, s."""
-    images = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
-    estimators = {e.node: e for e in ESTIMATORS.values()}
-    chosen = [estimators[node] for node in suited(flight.sensor, preset.estimators)]
-    compressor, prior, times = Compressor(), PriorEstimate(), []
-    for dwell in range(preset.dwells):
-        history, states = flight.phase_history(dwell), flight.track(dwell)
-        began = time.process_time()
-        slc = compressor.add(history, states, flight.sensor, images)
-        if slc is None:
-            continue
-        for estimator in chosen:
-            settings = estimator.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
-            field = heights(slc, flight.sensor, estimator, settings)
-            if estimator.name == "ml":
-                _, _, prior = track(field, slc.aperture, prior)
-        times.append(time.process_time() - began)
-    return float(np.median(times))
+def _growth(sensor: Sensor, rate: float, seen: Seen) -> Row:
+    """From the median of the second minute to that of the last one, of the process that grows most."""
+    samples = seen.usage.samples
+    begin_s, end_s = samples[0].at_s, samples[-1].at_s
+    second = [one.resident for one in samples if MINUTE_S <= one.at_s - begin_s < 2 * MINUTE_S]
+    last = [one.resident for one in samples if end_s - one.at_s < MINUTE_S]
+    before, after = (
+        {name: float(np.median([resident[name] for resident in minute])) for name in minute[0]}
+        for minute in (second, last)
+    )
+    growth = {name: 100 * (after[name] / before[name] - 1) for name in before}
+    shown = ", ".join(f"{name} {growth[name]:+.2f} % of {1e-6 * before[name]:.0f} MB" for name in growth)
+    return Row(
+        f"endurance, {sensor.name}, growth of memory",
+        max(growth.values()),
+        "%",
+        "<= 1",
+        f"resident memory in the last minute over that in the second one, of the process that grows most; {shown}; "
+        f"{seen.watched.elapsed_s:.0f} s at a rate of {rate:.3g}, phase history not recorded, {seen.left_out} messages "
+        f"dropped; {_load()}",
+    )
+
+
+def _listed(seconds: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {used:.2f}" for name, used in seconds.items())
+
+
+def _load() -> str:
+    return f"load {os.getloadavg()[0]:.1f} of {WORKERS} processors"

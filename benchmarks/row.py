@@ -6,9 +6,9 @@ import operator
 import os
 import statistics
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import TypeVar
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, TypeVar
 
 Size = TypeVar("Size")
 
@@ -37,6 +37,7 @@ class Row:
         unit: unit of value and target; "1" for a ratio.
         target: "<= number" or ">= number".
         reference: what it was measured against, or on.
+        details: numbers behind it, by name, for pages and pictures that are made of the results.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Row:
     unit: str
     target: str
     reference: str
+    details: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:

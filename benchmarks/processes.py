@@ -1,0 +1,89 @@
+"""Processor time and memory of this process and of those that it has started, from /proc."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+PROC = Path("/proc")
+TICKS_HZ = os.sysconf("SC_CLK_TCK")
+PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+
+OWN = "live"
+"""Name of this process among those it has started."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What processes have used up to a moment.
+
+    Attributes:
+        at_s: the moment, s of the monotonic clock.
+        cpu_s: processor time by name of the process, s.
+        resident: resident memory by name of the process, bytes.
+    """
+
+    at_s: float
+    cpu_s: dict[str, float]
+    resident: dict[str, int]
+
+
+@dataclass
+class Usage:
+    """What processes use while they are watched."""
+
+    samples: list[Sample] = field(default_factory=list)
+
+    def take(self) -> None:
+        """Take note of this process and of all that it has started."""
+        own, cpu_s, resident = os.getpid(), {}, {}
+        for folder in PROC.iterdir():
+            if not folder.name.isdecimal():
+                continue
+            try:
+                parent, used_s = _parent_and_cpu(folder)
+                if own not in {parent, int(folder.name)}:
+                    continue
+                name = OWN if int(folder.name) == own else _name_of(folder)
+                pages = int((folder / "statm").read_text(encoding="ascii").split()[1])
+            except (OSError, IndexError):  # it has ended meanwhile
+                continue
+            cpu_s[name], resident[name] = used_s, pages * PAGE_BYTES
+        self.samples.append(Sample(time.monotonic(), cpu_s, resident))
+
+    @property
+    def cpu_per_second(self) -> dict[str, float]:
+        """Processor seconds in a second by name of the process, from the first sample to the last."""
+        if len(self.samples) < 2:
+            return {}
+        first, last = self.samples[0], self.samples[-1]
+        seconds = last.at_s - first.at_s
+        return {name: (used - first.cpu_s.get(name, 0.0)) / seconds for name, used in last.cpu_s.items()}
+
+
+def thread_cpu_s() -> dict[str, float]:
+    """Processor time of every Python thread of this process by its name, s."""
+    used = {}
+    for thread in threading.enumerate():
+        folder = PROC / "self" / "task" / str(thread.native_id)
+        if folder.exists():
+            used[thread.name] = _parent_and_cpu(folder)[1]
+    return used
+
+
+def _parent_and_cpu(folder: Path) -> tuple[int, float]:
+    """Who started a process, and its processor time, s (proc_pid_stat(5): fields 4, 14 and 15)."""
+    fields = (folder / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+    return int(fields[1]), (int(fields[11]) + int(fields[12])) / TICKS_HZ
+
+
+def _name_of(folder: Path) -> str:
+    """The word after the module of `python -m MODULE NAME ...`: the node that the process runs.
+
+    Raises:
+        IndexError: its command line is another one, or it has ended.
+    """
+    return (folder / "cmdline").read_text(encoding="utf-8", errors="replace").split("\0")[3]

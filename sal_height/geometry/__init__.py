@@ -8,7 +8,14 @@ Angles are in rad, lengths in m, times in s.
 """
 
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
-from sal_height.geometry.frames import ApertureState, angles_of, aperture_at, look_direction, squint_on_cone
+from sal_height.geometry.frames import (
+    ApertureState,
+    angles_of,
+    antennas_of,
+    aperture_at,
+    look_direction,
+    squint_on_cone,
+)
 from sal_height.geometry.grid import Grid, pixels_at, without_range_phase
 from sal_height.geometry.locate import locate_at_elevation, locate_at_height
 from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
@@ -25,6 +32,7 @@ __all__ = [
     "Trajectory",
     "above_place",
     "angles_of",
+    "antennas_of",
     "aperture_at",
     "height_of",
     "locate_at_elevation",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.geometry import _kernels as kernels
 from sal_height.numeric import F64
 
 EARTH_RADIUS = 6_371_008.8  # m, mean earth radius (IUGG)
@@ -29,11 +30,11 @@ def sphere_point(east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLik
 
 def sphere_coordinates(points: F64) -> tuple[F64, F64, F64]:
     """Return arc distances east and north (m) and height (m) of map positions, shape (..., 3): undo `sphere_point`."""
-    x, y, z = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
-    level = np.hypot(x, y)
-    angle = np.arctan2(level, z + EARTH_RADIUS)
-    scale = np.where(level > 0, EARTH_RADIUS * angle / np.where(level > 0, level, 1), 1.0)
-    return scale * x, scale * y, height_of(points)
+    points = np.asarray(points, dtype=np.float64)
+    places = np.empty((3, *points.shape[:-1]))
+    kernels.place_on_sphere(_flat(points), EARTH_RADIUS, places.reshape(3, -1))
+    east, north, height = places
+    return east, north, height
 
 
 def height_of(points: F64) -> F64:
@@ -41,9 +42,16 @@ def height_of(points: F64) -> F64:
 
     It is sqrt(x^2 + y^2 + (z + R)^2) - R, with the difference of the two large numbers taken analytically.
     """
-    x, y, z = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
-    radius = np.sqrt(x**2 + y**2 + (z + EARTH_RADIUS) ** 2)
-    return (x**2 + y**2 + z**2 + 2 * EARTH_RADIUS * z) / (radius + EARTH_RADIUS)
+    points = np.asarray(points, dtype=np.float64)
+    heights = np.empty(points.shape[:-1])
+    kernels.fill_heights(_flat(points), EARTH_RADIUS, heights.reshape(-1))
+    found: F64 = heights[()]  # a number for a single point
+    return found
+
+
+def _flat(points: F64) -> F64:
+    """Points as compiled loops take them, shape (n, 3)."""
+    return np.ascontiguousarray(points.reshape(-1, 3))
 
 
 def above_place(x: npt.ArrayLike, y: npt.ArrayLike, height: npt.ArrayLike) -> F64:

@@ -72,6 +72,18 @@ def aperture_at(points: F64, aperture: ApertureState) -> ApertureState:
     return replace(aperture, position=aperture.position + seconds[..., None] * aperture.velocity, sliding=False)
 
 
+def antennas_of(aperture: ApertureState, shape: tuple[int, ...]) -> F64:
+    """Positions (m) of an aperture that does not slide, for compiled loops over points of that shape.
+
+    Returns:
+        One for all points, shape (1, 3), or one for each, shape (points, 3).
+    """
+    position = aperture.position
+    if position.ndim > 1:
+        position = np.broadcast_to(position, (*shape, 3))
+    return np.ascontiguousarray(position.reshape(-1, 3), dtype=np.float64)
+
+
 def squint_on_cone(elevation: npt.ArrayLike, cone: npt.ArrayLike, aperture: ApertureState, look_side: int) -> F64:
     """Return the squint (rad) of the direction at `elevation` (rad) whose component along the flight is `cone`.
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.geometry.earth import EARTH_RADIUS, height_of
-from sal_height.geometry.frames import ApertureState, look_direction, squint_on_cone
-from sal_height.numeric import F64
+from sal_height.geometry import _kernels as kernels
+from sal_height.geometry.earth import EARTH_RADIUS
+from sal_height.geometry.frames import ApertureState, antennas_of
+from sal_height.numeric import F64, in_parallel
+
+LEAST_POINTS = 2**14
+"""Points that are worth a thread."""
 
 
 def locate_at_elevation(
@@ -25,9 +29,18 @@ def locate_at_elevation(
     Returns:
         Positions of the broadcast shape (..., 3); NaN where no such direction exists.
     """
-    squint = squint_on_cone(elevation, np.asarray(along) / slant_range, aperture, look_side)
-    direction = look_direction(elevation, squint, look_side) @ aperture.rotation.T
-    return aperture.position + np.asarray(slant_range)[..., None] * direction
+    shape, numbers = _pixels(elevation, slant_range, along, aperture)
+    antennas, places = antennas_of(aperture, shape), np.empty((*shape, 3))
+    velocity, rotation = np.ascontiguousarray(aperture.velocity), np.ascontiguousarray(aperture.rotation)
+    found = places.reshape(-1, 3)
+
+    def fill(part: slice) -> None:
+        of_part = antennas[part] if len(antennas) > 1 else antennas
+        angles, ranges, ahead = numbers[:, part]
+        kernels.place_at_elevations(angles, ranges, ahead, of_part, velocity, rotation, look_side, found[part])
+
+    in_parallel(fill, len(found), LEAST_POINTS)
+    return places
 
 
 def locate_at_height(
@@ -42,18 +55,26 @@ def locate_at_height(
     Arguments and result are those of `locate_at_elevation`, with the height in place of the elevation; NaN where no
     point has that range, Doppler and height.
     """
-    height, slant_range, along = (np.asarray(value, dtype=np.float64) for value in (height, slant_range, along))
-    platform = height_of(aperture.position)
-    centre = aperture.position + np.array([0.0, 0.0, EARTH_RADIUS])
-    ahead = centre @ aperture.direction
-    upright = centre - ahead[..., None] * aperture.direction
-    distance = np.linalg.norm(upright, axis=-1)
-    upward = upright / distance[..., None]
-    aside = look_side * np.cross(aperture.direction, upward)
-    # (e + s)^2 - e^2 = 2 e s + s^2, with the difference of the squares taken analytically.
-    growth = (height - platform) * (2 * EARTH_RADIUS + height + platform)
-    up = ((growth - slant_range**2) / 2 - along * ahead) / distance
-    with np.errstate(invalid="ignore"):
-        across = np.sqrt(slant_range**2 - along**2 - up**2)
-    parts = (along, aperture.direction), (up, upward), (across, aside)
-    return aperture.position + sum(np.asarray(length)[..., None] * axis for length, axis in parts)
+    shape, numbers = _pixels(height, slant_range, along, aperture)
+    antennas, places = antennas_of(aperture, shape), np.empty((*shape, 3))
+    velocity, found = np.ascontiguousarray(aperture.velocity), places.reshape(-1, 3)
+
+    def fill(part: slice) -> None:
+        of_part = antennas[part] if len(antennas) > 1 else antennas
+        heights, ranges, ahead = numbers[:, part]
+        kernels.place_at_heights(heights, ranges, ahead, of_part, velocity, look_side, EARTH_RADIUS, found[part])
+
+    in_parallel(fill, len(found), LEAST_POINTS)
+    return places
+
+
+def _pixels(
+    first: npt.ArrayLike, second: npt.ArrayLike, third: npt.ArrayLike, aperture: ApertureState
+) -> tuple[tuple[int, ...], F64]:
+    """The shape to which numbers of pixels and the aperture's positions broadcast, and the numbers, shape (3, n)."""
+    arrays = np.asarray(first), np.asarray(second), np.asarray(third)
+    shape = np.broadcast_shapes(*(array.shape for array in arrays), aperture.position.shape[:-1])
+    numbers = np.empty((3, *shape))
+    for number, array in enumerate(arrays):
+        numbers[number] = array
+    return shape, numbers.reshape(3, -1)

@@ -2,8 +2,8 @@
 
 Read `arrays` (types of arrays), `jit` (how kernels are compiled) and `threads` (how work is spread over processors)
 first, then `windows` (spectral weights), `phasors` (exp(j phase) with the phase reduced in float64), `chirp_z` and
-`fft` (transforms of many rows) and `range_profiles` (interpolation of band-limited profiles). Nothing here knows of
-sensors or images.
+`fft` (transforms of many rows), `range_profiles` (interpolation of band-limited profiles) and `vectors` (of three
+numbers, within compiled loops). Nothing here knows of sensors or images.
 """
 
 from sal_height.numeric._kernels import cosine_and_sine, tap_weights
@@ -21,6 +21,7 @@ from sal_height.numeric.range_profiles import (
     tap_polynomials,
 )
 from sal_height.numeric.threads import WORKERS, in_parallel, in_threads
+from sal_height.numeric.vectors import Vector, cross, dot, total, vector
 from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, window
 
 __all__ = [
@@ -39,13 +40,16 @@ __all__ = [
     "ChirpZ",
     "Complex",
     "Index",
+    "Vector",
     "blocks",
     "broadening",
     "chirp_z",
     "compiled",
     "compiled_with_nan",
     "cosine_and_sine",
+    "cross",
     "dense_profiles",
+    "dot",
     "fast_length",
     "frequencies",
     "in_parallel",
@@ -57,6 +61,8 @@ __all__ = [
     "spectra_of_profiles",
     "tap_polynomials",
     "tap_weights",
+    "total",
     "unit_phasors",
+    "vector",
     "window",
 ]

@@ -177,24 +177,6 @@ def variances_across(covariance: F64, slope: F64, steepest: float, variance: F64
 
 
 @compiled_with_nan
-def add_squares(jacobian: F64, sigmas: F64, covariance: F64) -> None:
-    """Fill the covariances of `position_error.covariance_of`.
-
-    Args:
-        jacobian: shape (n, 3, 3).
-        sigmas: shape (n, 3).
-        covariance: to be filled, shape (n, 3, 3).
-    """
-    for i in range(len(covariance)):
-        for row in range(3):
-            for col in range(3):
-                total = 0.0
-                for k in range(3):
-                    total += (jacobian[i, row, k] * sigmas[i, k]) * (jacobian[i, col, k] * sigmas[i, k])
-                covariance[i, row, col] = total
-
-
-@compiled_with_nan
 def find_semidefinite(matrices: F64, rounding: float, found: Bool) -> None:
     """Mark the covariances of `position_error.is_covariance`.
 

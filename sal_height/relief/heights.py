@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -12,7 +11,6 @@ from sal_height.beams import Beams
 from sal_height.elevation import (
     ElevationEstimate,
     Looks,
-    Scatterer,
     Validity,
     common_deviation,
     scatterer_count,
@@ -20,11 +18,9 @@ from sal_height.elevation import (
 from sal_height.geometry import ApertureState, Grid, aperture_at, height_of, locate_at_elevation
 from sal_height.numeric import F64, U8, Bool
 from sal_height.relief.position_error import (
-    covariance_of,
     height_variance,
+    measured_covariance,
     pose_covariance,
-    position_jacobian,
-    vertical,
 )
 
 
@@ -70,8 +66,9 @@ class Surface:
 
         Spread None: a surface of single points. Beam covariance None: the beams are known.
         """
-        known = [part for part in (pose_covariance(positions, aperture), beam_covariance) if part is not None]
-        common = np.sum(known, axis=0) if known else None
+        common = pose_covariance(positions, aperture)
+        if beam_covariance is not None:
+            common = beam_covariance if common is None else common + beam_covariance
         variance = height_variance(own_covariance if common is None else own_covariance + common, positions)
         height = height_of(positions)
         spread = np.zeros_like(height) if spread is None else spread
@@ -89,6 +86,22 @@ class Surface:
             sigma = self.sigma.astype(np.float32)
         east, north, up = np.moveaxis(self.positions, -1, 0)
         return np.isfinite(east + north + up) & np.isfinite(sigma) & (sigma > 0)
+
+    def each(self) -> tuple[Surface, ...]:
+        """The surfaces of which all arrays of this one have one more axis, the first."""
+        common = self.common_covariance
+        return tuple(
+            Surface(
+                height=self.height[number],
+                sigma=self.sigma[number],
+                cnr_db=self.cnr_db[number],
+                positions=self.positions[number],
+                spread=self.spread[number],
+                own_covariance=self.own_covariance[number],
+                common_covariance=None if common is None else common[number],
+            )
+            for number in range(len(self.height))
+        )
 
     def where(self, there: Bool) -> Surface:
         """The surface only `there`, and NaN elsewhere; the CNR stays."""
@@ -142,11 +155,11 @@ def height_field(
     """Compute height, its standard deviation and the ground position of every pixel.
 
     Range and Doppler are those of the looks' power-weighted centre; the elevation selects the point on their circle.
-    The errors of elevation, of range and of Doppler are independent (`position_error.covariance_of`); those of range
-    and Doppler are there because the centre of the speckle within its cell is unknown, which limits the height at high
-    CNR. What the platform's pose adds (`position_error.pose_covariance`) is common to all pixels of the dwell, and what
-    uncertain beams add (`beam_error.common_deviation`) to those of one elevation. The variance of height is that of
-    both parts along the vertical.
+    The errors of elevation, of range and of Doppler are independent (`position_error.measured_covariance`); those
+    of range and Doppler are there because the centre of the speckle within its cell is unknown, which limits the
+    height at high CNR. What the platform's pose adds (`position_error.pose_covariance`) is common to all pixels of
+    the dwell, and what uncertain beams add (`beam_error.common_deviation`) to those of one elevation. The variance
+    of height is that of both parts along the vertical.
 
     Args:
         estimate: elevations.
@@ -169,38 +182,47 @@ def height_field(
     width = slc_grid.col_spacing * np.abs(slc_grid.col_direction @ aperture.direction)
     range_sigma, along_sigma = depth * np.sqrt(looks.row_variance), width * np.sqrt(looks.col_variance)
 
-    def surface(scatterer: Scatterer) -> Surface:
-        """Height and position of scatterers; NaN where there is no such direction."""
-        positions = locate_at_elevation(scatterer.elevation, slant_range, along, aperture, look_side)
-        jacobian = position_jacobian(positions, aperture)
-        sigma, by_beams = scatterer.sigma, None
-        if beams and beams.uncertainty:
-            shared = np.minimum(common_deviation(beams, scatterer.elevation, looks.squint), sigma)
-            with np.errstate(invalid="ignore"):
-                sigma = np.where(np.isfinite(sigma), np.sqrt(sigma**2 - shared**2), sigma)
-            by_beams = covariance_of(jacobian, shared[..., None] * np.array([1.0, 0.0, 0.0]))
-        own = covariance_of(jacobian, np.stack([sigma, range_sigma, along_sigma], axis=-1))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            cnr_db = 10 * np.log10(np.where(scatterer.cnr > 0, scatterer.cnr, np.nan))
-        spread = scatterer.spread * np.abs(np.sum(jacobian[..., 0] * vertical(positions), axis=-1))
-        return Surface.seen_from(aperture, positions, own, cnr_db, spread, by_beams)
-
-    surfaces = [surface(scatterer) for scatterer in estimate.scatterers]
+    # All scatterers of the pixels at once, shape (scatterers, rows, cols).
+    elevation, sigma, cnr, spread = (
+        np.stack([getattr(scatterer, name) for scatterer in estimate.scatterers])
+        for name in ("elevation", "sigma", "cnr", "spread")
+    )
+    positions = locate_at_elevation(elevation, slant_range, along, aperture, look_side)
+    by_beams = None
+    if beams and beams.uncertainty:
+        shared = np.minimum(common_deviation(beams, elevation, looks.squint), sigma)
+        by_beams, _ = measured_covariance(positions, aperture, shared, 0.0, 0.0)
+        with np.errstate(invalid="ignore"):
+            sigma = np.where(np.isfinite(sigma), np.sqrt(sigma**2 - shared**2), sigma)
+    own, climb = measured_covariance(positions, aperture, sigma, range_sigma, along_sigma)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cnr_db = 10 * np.log10(np.where(cnr > 0, cnr, np.nan))
+    surfaces = Surface.seen_from(aperture, positions, own, cnr_db, spread * climb, by_beams)
     validity = _checked_validity(estimate.validity, surfaces)
-    held = scatterer_count(validity)
-    first, *others = (one.where(held > number) for number, one in enumerate(surfaces))
-    others = [replace(one, cnr_db=np.where(np.isfinite(one.height), one.cnr_db, np.nan)) for one in others]
-    return HeightField(grid, validity, (first, *others), estimate.order_probability)
+    held = _holding(validity, len(elevation))
+    cnr_db[1:][~held[1:]] = np.nan
+    return HeightField(grid, validity, surfaces.where(held).each(), estimate.order_probability)
 
 
-def _checked_validity(validity: U8, surfaces: Sequence[Surface]) -> U8:
+def _holding(validity: U8, surfaces: int) -> Bool:
+    """Which pixels have a scatterer in each of so many surfaces, by their validity, shape (surfaces, rows, cols)."""
+    return scatterer_count(validity) > np.arange(surfaces)[:, None, None]
+
+
+def _checked_validity(validity: U8, surfaces: Surface) -> U8:
     """The validity with a reason where measurements could be used, but a height or its sigma is not determined.
 
     OUTSIDE_ARRAY: no place on the ground has that range, Doppler and elevation. LOW_CNR: sigma is infinite, as without
     a signal. NOT_ONE_SCATTERER: one or more of several scatterers are not determined.
+
+    Args:
+        validity: by the elevations, shape (rows, cols).
+        surfaces: all of them, arrays of shape (surfaces, rows, cols, ...).
     """
-    held = scatterer_count(validity)
-    determined = sum(one.is_determined & (held > number) for number, one in enumerate(surfaces))
-    placed = np.isfinite(surfaces[0].positions).all(axis=-1)
-    reason = np.select([held > 1, placed], [Validity.NOT_ONE_SCATTERER, Validity.LOW_CNR], Validity.OUTSIDE_ARRAY)
-    return np.where(determined < held, reason, validity).astype(np.uint8)
+    lacking = _holding(validity, len(surfaces.height)) & ~surfaces.is_determined
+    if not lacking.any():
+        return validity
+    placed = np.isfinite(surfaces.positions[0]).all(axis=-1)
+    several = scatterer_count(validity) > 1
+    reason = np.select([several, placed], [Validity.NOT_ONE_SCATTERER, Validity.LOW_CNR], Validity.OUTSIDE_ARRAY)
+    return np.where(lacking.any(axis=0), reason, validity).astype(np.uint8)

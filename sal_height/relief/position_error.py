@@ -18,11 +18,15 @@ is too high by e_up - g e_horizontal. That is the error that a map of heights ha
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
-from sal_height.geometry import EARTH_RADIUS, ApertureState, Grid, aperture_at, locate_at_elevation
+from sal_height.geometry import EARTH_RADIUS, ApertureState, Grid, antennas_of, aperture_at, locate_at_elevation
 from sal_height.numeric import F64, Bool, in_parallel
-from sal_height.relief._kernels import add_squares, find_semidefinite, variances_across
+from sal_height.relief import _error_kernels as kernels
+from sal_height.relief._kernels import find_semidefinite, variances_across
 
 STEEPEST = 1.0
 """Steepest slope (height over distance) of ground whose slope is not known: 45 degrees, about the repose of rubble."""
@@ -49,13 +53,9 @@ def position_jacobian(positions: F64, aperture: ApertureState) -> F64:
     Returns:
         Matrices whose columns are the three derivatives, shape (..., 3, 3).
     """
-    forward, along = aperture.forward, aperture.direction
-    sight = _sight(positions, aperture)
-    square, sight_forward, sight_along = (values[..., None] for values in _products(sight, aperture))
-    determinant = sight_forward * sight_along - square * (along @ forward)
-    by_range = np.sqrt(square) * (forward * sight_along - sight * (along @ forward)) / determinant
-    by_along = (sight * sight_forward - forward * square) / determinant
-    return np.stack([_circle(sight, aperture), by_range, by_along], axis=-1)
+    jacobians = np.empty((*positions.shape, 3))
+    _fill(kernels.fill_jacobians, aperture, positions, jacobians)
+    return jacobians
 
 
 def level_turn(elevation: float, grid: Grid, aperture: ApertureState, look_side: int) -> float:
@@ -77,20 +77,27 @@ def level_turn(elevation: float, grid: Grid, aperture: ApertureState, look_side:
     return float(abs(depth * by_range / by_elevation))
 
 
-def covariance_of(jacobian: F64, sigmas: F64) -> F64:
-    """Covariance (m^2) of positions from independent errors.
+def measured_covariance(
+    positions: F64, aperture: ApertureState, sigma: F64, range_sigma: F64 | float, along_sigma: F64 | float
+) -> tuple[F64, F64]:
+    """Covariance (m^2) of positions from the independent errors of what is measured.
 
     Args:
-        jacobian: derivatives of the positions, shape (..., 3, 3).
-        sigmas: standard deviation of elevation (rad), slant range and distance along the flight (m), shape (..., 3).
+        positions: of scatterers in map, m, shape (..., 3).
+        aperture: from which they were seen.
+        sigma: standard deviation of elevation, rad, shape (...) or one that broadcasts to it.
+        range_sigma: of the slant range, m, same shapes.
+        along_sigma: of the distance along the flight, m, same shapes.
 
     Returns:
-        In map axes, shape (..., 3, 3); not finite where a sigma is not.
+        The covariance in map axes, shape (..., 3, 3), not finite where a sigma is not; and the derivative of height by
+        elevation, without its sign, m/rad, shape (...).
     """
-    covariance = np.empty(jacobian.shape)
-    flat = jacobian.reshape(-1, 3, 3), sigmas.reshape(-1, 3), covariance.reshape(-1, 3, 3)
-    in_parallel(lambda part: add_squares(flat[0][part], flat[1][part], flat[2][part]), len(flat[2]), LEAST_POINTS)
-    return covariance
+    sigmas, covariance = np.empty(positions.shape), np.empty((*positions.shape, 3))
+    climb = np.empty(positions.shape[:-1])
+    sigmas[..., 0], sigmas[..., 1], sigmas[..., 2] = sigma, range_sigma, along_sigma
+    _fill(kernels.fill_covariances, aperture, positions, sigmas, covariance, climb)
+    return covariance, climb
 
 
 def circle_covariance(height_sigma: F64, positions: F64, aperture: ApertureState) -> F64:
@@ -104,9 +111,9 @@ def circle_covariance(height_sigma: F64, positions: F64, aperture: ApertureState
     Returns:
         In map axes, shape (..., 3, 3).
     """
-    circle = _circle(_sight(positions, aperture), aperture)
-    circle *= (height_sigma / _dot(circle, vertical(positions)))[..., None]
-    return _outer(circle, circle)
+    covariance = np.empty((*positions.shape, 3))
+    _fill(kernels.fill_circle_covariances, aperture, positions, height_sigma, covariance)
+    return covariance
 
 
 def covariances_from_sigma(height_sigma: F64, positions: F64, aperture: ApertureState) -> tuple[F64, F64 | None]:
@@ -142,14 +149,10 @@ def pose_covariance(positions: F64, aperture: ApertureState) -> F64 | None:
     """
     if not (np.all(np.isfinite(aperture.covariance)) and np.any(aperture.covariance)):
         return None
-    place, mixed, turn = aperture.covariance[:3, :3], aperture.covariance[:3, 3:], aperture.covariance[3:, 3:]
-    sight = _sight(positions, aperture)
-    square, sight_forward, _ = (values[..., None] for values in _products(sight, aperture))
-    turned = (aperture.forward * square - sight * sight_forward) / (square - sight_forward**2)
-    circle = _circle(sight, aperture)
-    half = turned @ mixed.T + _dot(turned @ turn, turned)[..., None] / 2 * circle
-    product = _outer(half, circle)
-    return place + product + np.swapaxes(product, -1, -2)
+    covariance = np.empty((*positions.shape, 3))
+    pose = np.ascontiguousarray(aperture.covariance, dtype=np.float64)
+    _fill(partial(kernels.fill_pose_covariances, pose), aperture, positions, covariance)
+    return covariance
 
 
 def height_variance(covariance: F64, positions: F64) -> F64:
@@ -159,9 +162,16 @@ def height_variance(covariance: F64, positions: F64) -> F64:
         covariance: m^2, in map axes, shape (..., 3, 3).
         positions: m, in map, shape (..., 3).
     """
-    upright = vertical(positions)
-    with np.errstate(invalid="ignore"):  # an infinite covariance, of scatterers without a sigma, times 0
-        return _dot(np.einsum("...ij,...j", covariance, upright), upright)
+    variance = np.empty(positions.shape[:-1])
+    flat = (
+        np.ascontiguousarray(positions.reshape(-1, 3)),
+        np.ascontiguousarray(covariance.reshape(-1, 3, 3)),
+        variance.reshape(-1),
+    )
+    in_parallel(
+        lambda part: kernels.fill_height_variances(*(array[part] for array in flat)), len(flat[2]), LEAST_POINTS
+    )
+    return variance
 
 
 def is_covariance(matrices: F64) -> Bool:
@@ -178,7 +188,7 @@ def is_covariance(matrices: F64) -> Bool:
 def vertical(positions: F64) -> F64:
     """Unit vector away from the centre of the earth at positions in map (m), shape (..., 3)."""
     upright = positions + np.array([0.0, 0.0, EARTH_RADIUS])
-    return np.asarray(upright / np.sqrt(_dot(upright, upright))[..., None])
+    return np.asarray(upright / np.linalg.norm(upright, axis=-1, keepdims=True))
 
 
 def variance_at_place(covariance: F64, slope: F64) -> F64:
@@ -201,28 +211,21 @@ def variance_at_place(covariance: F64, slope: F64) -> F64:
     return variance
 
 
-def _sight(positions: F64, aperture: ApertureState) -> F64:
-    """Line of sight s, m, shape (..., 3)."""
-    return np.asarray(positions - aperture_at(positions, aperture).position)
+def _fill(loop: Callable[..., None], aperture: ApertureState, positions: F64, *arrays: F64) -> None:
+    """Run a compiled loop over points that were seen from an aperture; it fills some of the arrays.
 
+    Args:
+        loop: of `_error_kernels`.
+        aperture: from which they were seen.
+        positions: of the points in map, m, shape (..., 3).
+        arrays: those that the loop takes after the positions, shapes (...) with any further axes.
+    """
+    shape = positions.shape[:-1]
+    antenna = antennas_of(aperture_at(positions, aperture), shape)
+    flat = [np.ascontiguousarray(array.reshape(-1, *array.shape[len(shape) :])) for array in (positions, *arrays)]
+    velocity, forward = np.ascontiguousarray(aperture.velocity), np.ascontiguousarray(aperture.forward)
 
-def _circle(sight: F64, aperture: ApertureState) -> F64:
-    """Derivative c of positions by elevation, m/rad, shape (..., 3)."""
-    square, sight_forward, sight_along = _products(sight, aperture)
-    determinant = sight_forward * sight_along - square * (aperture.direction @ aperture.forward)
-    x, y, z = aperture.direction
-    turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # sight @ turn is sight x direction
-    return np.asarray(sight @ turn) * ((square - sight_forward**2) / determinant)[..., None]
+    def fill(part: slice) -> None:
+        loop(antenna[part] if len(antenna) > 1 else antenna, velocity, forward, *(array[part] for array in flat))
 
-
-def _products(sight: F64, aperture: ApertureState) -> tuple[F64, F64, F64]:
-    """s^2 (m^2), s f and s v (m), each of shape (...)."""
-    return _dot(sight, sight), sight @ aperture.forward, sight @ aperture.direction
-
-
-def _dot(one: F64, other: F64) -> F64:
-    return np.einsum("...i,...i", one, other)
-
-
-def _outer(one: F64, other: F64) -> F64:
-    return one[..., :, None] * other[..., None, :]
+    in_parallel(fill, len(flat[0]), LEAST_POINTS)

@@ -15,9 +15,9 @@ from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.locate import locate_at_elevation, locate_at_height
 from sal_height.relief.position_error import (
-    covariance_of,
     height_variance,
     level_turn,
+    measured_covariance,
     pose_covariance,
     position_jacobian,
     variance_at_place,
@@ -76,9 +76,9 @@ def test_level_flight_abeam_has_the_jacobian_of_a_right_triangle(side: int) -> N
     expected = np.column_stack([circle, [0.0, -side * sine, -cosine], [1.0, 0.0, 0.0]])
     np.testing.assert_allclose(position_jacobian(point, aperture), expected, atol=1e-9)
     sigmas = np.array([1e-5, 0.03, 0.05])
-    np.testing.assert_allclose(
-        covariance_of(expected, sigmas), expected @ np.diag(sigmas**2) @ expected.T, rtol=1e-12, atol=1e-18
-    )
+    covariance, climb = measured_covariance(point, aperture, *sigmas)
+    np.testing.assert_allclose(covariance, expected @ np.diag(sigmas**2) @ expected.T, rtol=1e-12, atol=1e-13)
+    assert climb == pytest.approx(slant_range * sine, rel=1e-3)  # the vertical leans by the arc to the place
 
 
 @SIDES

@@ -1,0 +1,120 @@
+"""Compiled loops over points: their places from range, Doppler and elevation or height, and on the sphere."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sal_height.numeric import F64, Vector, compiled_with_nan, cross, dot, inlined, total, vector
+
+
+@inlined
+def height_above(point: Vector, earth: float) -> float:
+    """Height (m) above the sphere of the radius `earth` (m), as `earth.height_of`."""
+    x, y, z = point
+    square = x * x + y * y
+    return (square + z * z + 2 * earth * z) / (np.sqrt(square + (z + earth) ** 2) + earth)
+
+
+@compiled_with_nan
+def fill_heights(points: F64, earth: float, heights: F64) -> None:
+    """Fill the heights (m) of `earth.height_of`, shape (n,), of points, m, shape (n, 3)."""
+    for i in range(len(points)):
+        heights[i] = height_above(vector(points[i]), earth)
+
+
+@compiled_with_nan
+def place_at_elevations(
+    elevation: F64,
+    slant_range: F64,
+    along: F64,
+    position: F64,
+    velocity: F64,
+    rotation: F64,
+    look_side: int,
+    places: F64,
+) -> None:
+    """Fill the places of `locate.locate_at_elevation`.
+
+    The direction fulfils A sin(squint) + B cos(squint) = cone, as in `frames.squint_on_cone`, which gives
+
+        sin(squint) = (A cone - B root) / (A^2 + B^2),    cos(squint) = (B cone + A root) / (A^2 + B^2)
+
+    with the root of A^2 + B^2 - cone^2.
+
+    Args:
+        elevation: rad, shape (n,).
+        slant_range: m, shape (n,).
+        along: m, shape (n,).
+        position: of the antenna, m, shape (n, 3), or (1, 3) for all points.
+        velocity: m/s, shape (3,).
+        rotation: from body to map axes, shape (3, 3).
+        look_side: +1 right, -1 left.
+        places: to be filled, m, shape (n, 3).
+    """
+    flight = vector(velocity)
+    speed = np.sqrt(dot(flight, flight))
+    forward = dot(flight, vector(rotation[:, 0])) / speed
+    left, up = dot(flight, vector(rotation[:, 1])) / speed, dot(flight, vector(rotation[:, 2])) / speed
+    each = 0 if len(position) == 1 else 1
+    for i in range(len(elevation)):
+        sine, cosine = np.sin(elevation[i]), np.cos(elevation[i])
+        cone, down = along[i] / slant_range[i], -look_side * left * sine - up * cosine
+        square = forward**2 + down**2
+        root = np.sqrt(square - cone**2)
+        ahead, level = (forward * cone - down * root) / square, (down * cone + forward * root) / square
+        body = ahead, -look_side * level * sine, -level * cosine
+        for axis in range(3):
+            places[i, axis] = position[i * each, axis] + slant_range[i] * dot(vector(rotation[axis]), body)
+
+
+@compiled_with_nan
+def place_at_heights(
+    height: F64,
+    slant_range: F64,
+    along: F64,
+    position: F64,
+    velocity: F64,
+    look_side: int,
+    earth: float,
+    places: F64,
+) -> None:
+    """Fill the places of `locate.locate_at_height`.
+
+    Arguments as of `place_at_elevations`, with heights and the radius of the `earth` in m.
+    """
+    flight = vector(velocity)
+    speed = np.sqrt(dot(flight, flight))
+    direction = total(1 / speed, flight, 0.0, flight)
+    each = 0 if len(position) == 1 else 1
+    for i in range(len(height)):
+        antenna = vector(position[i * each])
+        platform = height_above(antenna, earth)
+        centre = antenna[0], antenna[1], antenna[2] + earth
+        ahead = dot(centre, direction)
+        upright = total(1.0, centre, -ahead, direction)
+        distance = np.sqrt(dot(upright, upright))
+        upward = total(1 / distance, upright, 0.0, upright)
+        aside = cross(direction, upward)
+        # (e + s)^2 - e^2 = 2 e s + s^2, with the difference of the squares taken analytically.
+        growth = (height[i] - platform) * (2 * earth + height[i] + platform)
+        up = ((growth - slant_range[i] ** 2) / 2 - along[i] * ahead) / distance
+        across = look_side * np.sqrt(slant_range[i] ** 2 - along[i] ** 2 - up**2)
+        for axis in range(3):
+            sight = along[i] * direction[axis] + up * upward[axis] + across * aside[axis]
+            places[i, axis] = antenna[axis] + sight
+
+
+@compiled_with_nan
+def place_on_sphere(points: F64, earth: float, places: F64) -> None:
+    """Fill the arc distances east and north and the height of `earth.sphere_coordinates`.
+
+    Args:
+        points: m, shape (n, 3).
+        earth: radius, m.
+        places: to be filled, m, shape (3, n).
+    """
+    for i in range(len(points)):
+        x, y, z = vector(points[i])
+        level = np.sqrt(x * x + y * y)
+        scale = earth * np.arctan2(level, z + earth) / level if level > 0 else 1.0
+        places[0, i], places[1, i], places[2, i] = scale * x, scale * y, height_above((x, y, z), earth)

@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.core_limit import CoreRate, core_rate
 from benchmarks.live_runs import Seen, highest_rate, watch, watch_idle
-from benchmarks.row import Row, sized
+from benchmarks.row import Row, load, sized
 from sal_height.bag.reader import BagReader
 from sal_height.nodes.playlist import Playlist
 from sal_height.numeric import WORKERS
@@ -115,7 +115,7 @@ def _real_time(sensor: Sensor, rate: float, seen: Seen) -> Row:
         ">= 1",
         f"seconds of the sensor in a second, the highest rate without any drop in {SECONDS:g} s; the sensor delivers "
         f"{sensor.dwells_hz:.3g} dwells/s; processor seconds for a second of the sensor: {_listed(per_sensor_second)}; "
-        f"{1e-6 * recorded * sensor.dwells_hz:.3g} MB recorded for it; {_load()}",
+        f"{1e-6 * recorded * sensor.dwells_hz:.3g} MB recorded for it; {load()}",
         {
             "dwells_hz": sensor.dwells_hz,
             "recorded_bytes_per_dwell": recorded,
@@ -136,7 +136,7 @@ def _share(sensor: Sensor, rate: float) -> Row:
         ">= 0.8",
         f"{rate:.3g} of the lower one of two limits: transport alone {transported:.3g} (nodes that do nothing, "
         f"{_listed(idle.usage.cpu_per_second)} processors busy at it), the core alone on {WORKERS} processors "
-        f"{sensor.core_rate:.3g} seconds of the sensor in a second; {_load()}",
+        f"{sensor.core_rate:.3g} seconds of the sensor in a second; {load()}",
         {
             "transport_rate": transported,
             "transport_cpu_s_per_dwell": {
@@ -161,7 +161,7 @@ def _over_core(sensor: Sensor, rate: float, seen: Seen) -> Iterator[Row]:
         "1",
         "<= 1.1",
         f"processor time a dwell: {1e3 * together:.1f} ms without source and recorder, at a rate of {rate / 2:.3g}; "
-        f"{1e3 * alone:.1f} ms in the core alone, in one process; {_load()}",
+        f"{1e3 * alone:.1f} ms in the core alone, in one process; {load()}",
     )
     yield Row(
         f"graph in separate processes over the core, {sensor.name}",
@@ -169,7 +169,7 @@ def _over_core(sensor: Sensor, rate: float, seen: Seen) -> Iterator[Row]:
         "1",
         "<= 1.25",
         f"processor time a dwell: {1e3 * separate:.1f} ms in the nodes that process it, at a rate of {rate:.3g}; "
-        f"{1e3 * sensor.core.cpu_s:.1f} ms in the core alone, on {WORKERS} processors at the same time; {_load()}",
+        f"{1e3 * sensor.core.cpu_s:.1f} ms in the core alone, on {WORKERS} processors at the same time; {load()}",
     )
 
 
@@ -184,7 +184,7 @@ def _latency(sensor: Sensor, rate: float, seen: Seen) -> Iterator[Row]:
             "ms",
             f"<= {budget:.0f}",
             f"from the last pulse of a dwell, at a rate of {rate:.3g} for {seen.watched.elapsed_s:.0f} s: {len(ages)} "
-            f"images, {seen.left_out} messages dropped; p50 {p50:.1f}, p95 {p95:.1f} ms; {_load()}",
+            f"images, {seen.left_out} messages dropped; p50 {p50:.1f}, p95 {p95:.1f} ms; {load()}",
         )
 
 
@@ -207,13 +207,9 @@ def _growth(sensor: Sensor, rate: float, seen: Seen) -> Row:
         "<= 1",
         f"resident memory in the last minute over that in the second one, of the process that grows most; {shown}; "
         f"{seen.watched.elapsed_s:.0f} s at a rate of {rate:.3g}, phase history not recorded, {seen.left_out} messages "
-        f"dropped; {_load()}",
+        f"dropped; {load()}",
     )
 
 
 def _listed(seconds: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {used:.2f}" for name, used in seconds.items())
-
-
-def _load() -> str:
-    return f"load {os.getloadavg()[0]:.1f} of {WORKERS} processors"

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.ground import APERTURE, dwell_of_spotlight
+from benchmarks.ground import PIXELS
 from benchmarks.row import Row, medians, sized
+from benchmarks.sizes import APERTURE, heights_of_street
 from sal_height.relief import MeasuredHeights, PriorEstimate, ReliefPrior, smoothed, smoothed_field, track
 
 ROWS, COLS = sized((1024, 1024), (64, 64))
@@ -56,7 +57,7 @@ def throughput() -> Iterator[Row]:
 def _one_dwell(rng: np.random.Generator, large: MeasuredHeights) -> Iterator[Row]:
     """A dwell like those of sal_spotlight, its prior brought up to date; and per pixel beside a large image."""
     before = PriorEstimate()
-    fields = [dwell_of_spotlight(number, rng) for number in range(DWELLS)]
+    fields = [heights_of_street(*PIXELS, number, rng) for number in range(DWELLS)]
     for field in fields[:-1]:
         *_, before = track(field, APERTURE, before)
 

@@ -58,11 +58,11 @@ class Row:
         return {**asdict(self), "value": float(self.value), "ok": self.ok}
 
 
-def medians(*functions: Callable[[], object]) -> list[float]:
+def medians(*functions: Callable[[], object], repeats: int = REPEATS) -> list[float]:
     """Median times (s) of some functions, measured in turn, so that other load of the machine affects all alike."""
     for function in functions:
         function()
-    times = [[_time(function) for function in functions] for _ in range(REPEATS)]
+    times = [[_time(function) for function in functions] for _ in range(repeats)]
     return [statistics.median(column) for column in zip(*times, strict=True)]
 
 
@@ -70,3 +70,8 @@ def _time(function: Callable[[], object]) -> float:
     start = time.perf_counter()
     function()
     return time.perf_counter() - start
+
+
+def load() -> str:
+    """The load of the machine now, for the reference of a row."""
+    return f"load {os.getloadavg()[0]:.1f} of {os.cpu_count()} processors"

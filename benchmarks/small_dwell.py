@@ -1,68 +1,183 @@
-"""Heights of a dwell as it flies: a few hundred pixels must not cost more than their share of a large image."""
+"""A dwell as it flies: a few hundred pixels must not cost more than their share of a large image, nor their node.
+
+All rows compare with the core at a large size, measured in the same run.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message, serialize_message
+from sal_height_msgs.msg import ChannelFrame, HeightImage, Provenance
+from std_msgs.msg import Header
 
-from benchmarks.row import Row, medians, sized
-from sal_height.elevation import ESTIMATORS
+from benchmarks.row import REPEATS, Row, load, medians, sized
+from benchmarks.sizes import APERTURE, COLS, PRESET, ROWS, heights_of_street, lidar, made_up_dwell, tiled
+from sal_height import messages
+from sal_height.elevation import ESTIMATORS, ElevationEstimator, HeightSettings
 from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings, Slc
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.relief_mapper import ReliefMapper
+from sal_height.nodes.relief_tracker import ReliefTracker
+from sal_height.nodes.sar_compression import SarCompression, Supplies
 from sal_height.pipeline import Compressor, heights
+from sal_height.relief import PriorEstimate, ReliefMap, track
+from sal_height.relief.map import fitting_cell_size
 from sal_height.sensor import Sensor
-from sal_height.simulation import Preset, flight_of, load_preset
+from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 
-CASES = (("sal_spotlight", "monopulse"), ("sal_spotlight", "ml"), ("xband_sumdiff", "sum_difference"))
+CASES = ((PRESET, "ml"), (PRESET, "monopulse"), ("xband_sumdiff", "sum_difference"))
 """Presets and estimators."""
 
 PIXELS = sized(1_000_000, 2000)
-"""Height pixels of the large image, about."""
+"""Height pixels of a large image, about."""
+
+LARGER = sized(8, 2)
+"""The large phase history has so many times the pulses, samples, rows and columns of a dwell."""
+
+LARGE_REPEATS = sized(3, 1)
+"""How often what is large is timed."""
 
 MARGIN, REST = 1.5, 1e-3
 """A dwell may take so many times its share of a large image, and so long (s) besides."""
 
+FRAME = ChannelFrame(header=Header(stamp=messages.to_stamp(0), frame_id=messages.MAP_FRAME))
+
+
+@dataclass(frozen=True)
+class Large:
+    """What the core takes for something large.
+
+    Attributes:
+        what: it is, for people.
+        per_pixel_s: time for a pixel, s.
+    """
+
+    what: str
+    per_pixel_s: float
+
+    def row(self, name: str, seconds: float, pixels: float, note: str = "") -> Row:
+        """Time (s) of a dwell of so many pixels over what is allowed by that of a large one."""
+        allowed = MARGIN * self.per_pixel_s * pixels + REST
+        return Row(
+            name,
+            seconds / allowed,
+            "1",
+            "<= 1",
+            f"{seconds * 1e3:.2f} ms{note}; {MARGIN:g} times its share of {self.what} and {REST * 1e3:g} ms are "
+            f"{allowed * 1e3:.2f} ms; {load()}",
+        )
+
 
 def against_large_images() -> Iterator[Row]:
-    """Time of one dwell over what is allowed by the time per pixel of an image tiled from it."""
-    for name, estimator_name in CASES:
-        preset = load_preset(name)
-        flight = flight_of(replace(preset, dwells=1), seed=1)
-        image = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
-        track = Trajectory(flight.platform_states(0))
-        slc = Compressor().add(flight.phase_history(0), track, flight.sensor, image)
-        if slc is None:
-            raise RuntimeError(f"Preset {name} makes no image of one dwell.")
-        yield _row(preset, estimator_name, slc, flight.sensor)
+    """Time of one dwell, in its node and in the core, over what is allowed by the core's time for a large one."""
+    flights = {name: flight_of(replace(load_preset(name), dwells=1), seed=1) for name in {name for name, _ in CASES}}
+    with Graph() as graph:
+        for name, estimator in CASES:
+            yield from _heights(graph, flights[name], estimator)
+        yield _compression(graph, flights[PRESET])
+        yield from _tracker_and_mapper(graph)
 
 
-def _row(preset: Preset, name: str, slc: Slc, sensor: Sensor) -> Row:
-    estimator = ESTIMATORS[name]
+def _heights(graph: Graph, flight: SimulatedFlight, name: str) -> Iterator[Row]:
+    estimator, preset = ESTIMATORS[name], load_preset(flight.sensor.name)
+    looks = dict(zip(("range_looks", "azimuth_looks"), preset.looks, strict=True))
     settings = estimator.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
-    pixels = slc.images[0].size / (preset.looks[0] * preset.looks[1])
+    slc = _images(flight)
+    pixels = slc.images[0].size // (preset.looks[0] * preset.looks[1])
+    allowed = _large_heights(slc, flight.sensor, estimator, settings, pixels)
+    node = graph.add(HEIGHT_NODES[estimator.node](context=graph.context, parameter_overrides=_overrides(looks)))
+    provenance = Provenance(config_hash=flight.sensor.config_hash)
+    sent = messages.serialized_images(messages.slc_to_messages(slc, FRAME, provenance))
+    through, alone, taken = medians(
+        lambda: node.process([node.decode(cdr) for cdr in sent], flight.sensor, None),
+        lambda: heights(slc, flight.sensor, estimator, settings),
+        lambda: [node.decode(cdr) for cdr in sent],
+    )
+    yield allowed.row(f"node {estimator.node}, {flight.sensor.name} dwell", through, pixels, _with(taken))
+    yield allowed.row(f"{name}, one dwell of {flight.sensor.name}", alone, pixels)
+
+
+def _large_heights(
+    slc: Slc, sensor: Sensor, estimator: ElevationEstimator, settings: HeightSettings, pixels: int
+) -> Large:
+    """What heights of an image take that consists of many of `pixels` height pixels, side by side."""
     tiles = max(1, round(np.sqrt(PIXELS / pixels)))
-    large, wide = tiled(slc, sensor, tiles)
-    small_time, large_time = medians(
-        lambda: heights(slc, sensor, estimator, settings), lambda: heights(large, wide, estimator, settings)
-    )
-    allowed = MARGIN * large_time / tiles**2 + REST
-    return Row(
-        f"{name}, one dwell of {preset.name}",
-        small_time / allowed,
-        "1",
-        "<= 1",
-        f"{small_time * 1e3:.2f} ms; {MARGIN:g} times its share of an image of {pixels * tiles**2:.2g} pixels and "
-        f"{REST * 1e3:g} ms are {allowed * 1e3:.2f} ms",
-    )
+    large, wide = tiled(slc, sensor, tiles, tiles)
+    (seconds,) = medians(lambda: heights(large, wide, estimator, settings), repeats=LARGE_REPEATS)
+    return Large(f"an image of {pixels * tiles**2:.2g} pixels", seconds / (pixels * tiles**2))
 
 
-def tiled(slc: Slc, sensor: Sensor, tiles: int) -> tuple[Slc, Sensor]:
-    """The images side by side, so many times along each axis, and a sensor with beams as wide as they are then."""
-    grid = slc.grid
-    rows, cols = tiles * grid.rows, tiles * grid.cols
-    origin = grid.points((grid.rows - rows) / 2, (grid.cols - cols) / 2)
-    images = np.tile(slc.images, (1, tiles, tiles))
-    wide = replace(sensor, azimuth_diameter=sensor.azimuth_diameter / tiles, config_hash="")
-    return replace(slc, images=images, grid=replace(grid, origin=origin, rows=rows, cols=cols)), wide
+def _compression(graph: Graph, flight: SimulatedFlight) -> Row:
+    preset = load_preset(flight.sensor.name)
+    image = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
+    sensor = lidar(
+        flight.sensor.detector_count, LARGER * preset.sensor.pulse_count, LARGER * preset.sensor.sample_count
+    )
+    large = made_up_dwell(sensor, LARGER * image.rows, LARGER * image.cols)
+    (large_time,) = medians(large.compress, repeats=LARGE_REPEATS)
+    pixels = image.rows * image.cols
+    what = f"{LARGER**2 * pixels:.2g} pixels of {LARGER} times the pulses and samples"
+    allowed = Large(what, large_time / (LARGER**2 * pixels))
+    node = graph.add(SarCompression(context=graph.context, parameter_overrides=_overrides(_size(image))))
+    states, history = flight.platform_states(0), flight.phase_history(0)
+    frames = messages.history_to_messages(history, flight.sensor, 0, messages.to_stamp(history.stamp_ns))
+    sent, supplies = [serialize_message(frame) for frame in frames], Supplies(list(states), None)
+    through, taken = medians(
+        lambda: node.process([node.decode(cdr) for cdr in sent], flight.sensor, supplies),
+        lambda: [node.decode(cdr) for cdr in sent],
+    )
+    return allowed.row(f"node sar_compression, {preset.name} dwell", through, pixels, _with(taken))
+
+
+def _tracker_and_mapper(graph: Graph) -> Iterator[Row]:
+    rng, side = np.random.default_rng(1), round(np.sqrt(PIXELS))
+    field, large = heights_of_street(ROWS // 2, COLS // 2, 0, rng), heights_of_street(side, side, 0, rng)
+    relief_map = ReliefMap(fitting_cell_size(large.grid, APERTURE), 10**7)
+    track_time, map_time = medians(
+        lambda: track(large, APERTURE, PriorEstimate()), lambda: relief_map.add(large), repeats=LARGE_REPEATS
+    )
+    what, pixels = f"an image of {side * side:.2g} pixels", field.validity.size
+    image = messages.height_to_message(field, APERTURE, (2, 2), "ml", FRAME, Provenance())
+    sent = serialize_message(image)
+    tracker, mapper = graph.add(ReliefTracker(context=graph.context)), graph.add(ReliefMapper(context=graph.context))
+    tracked, mapped, taken = medians(
+        lambda: tracker.process(_taken(sent)),
+        lambda: mapper._enter(_taken(sent)),
+        lambda: _taken(sent),
+        repeats=REPEATS,
+    )
+    for node, seconds, large_time in ((tracker, tracked, track_time), (mapper, mapped, map_time)):
+        allowed = Large(what, large_time / side**2)
+        yield allowed.row(f"node {node.get_name()}, {PRESET} dwell", seconds, pixels, _with(taken))
+
+
+def _images(flight: SimulatedFlight) -> Slc:
+    preset = load_preset(flight.sensor.name)
+    image = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
+    slc = Compressor().add(flight.phase_history(0), Trajectory(flight.platform_states(0)), flight.sensor, image)
+    if slc is None:
+        raise RuntimeError(f"Preset {preset.name} makes no image of one dwell.")
+    return slc
+
+
+def _size(image: ImageSettings) -> dict[str, int]:
+    return {"rows": image.rows, "cols": image.cols}
+
+
+def _overrides(values: dict[str, int]) -> list[Any]:
+    return [Parameter(key, value=value) for key, value in values.items()]
+
+
+def _taken(cdr: bytes) -> Any:
+    return deserialize_message(cdr, HeightImage)
+
+
+def _with(seconds: float) -> str:
+    return f" from the bytes of its messages to published ones, {seconds * 1e3:.2f} ms of it to decode these"

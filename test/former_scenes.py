@@ -12,6 +12,7 @@ from helpers import circular, direct_history, make_sensor
 from sal_height.geometry.frames import ApertureState, look_direction
 from sal_height.geometry.grid import Grid
 from sal_height.imaging.formers.backprojection import backproject
+from sal_height.imaging.formers.choice import choose_former
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.imaging.weighting import Processing
 from sal_height.sensor.phase_history import PhaseHistory
@@ -43,6 +44,11 @@ class Case:
     def with_targets(self, positions: Array, amplitudes: npt.ArrayLike) -> Case:
         """The echoes of targets instead; amplitudes of shape (detectors, targets)."""
         return replace(self, history=echoes(self, positions, amplitudes))
+
+
+def chosen(case: Case, name: str = "auto", **grid: int) -> Callable[..., npt.NDArray[np.complex64]]:
+    """The former that is chosen by its name, perhaps for an image of another size."""
+    return choose_former(name, case.antenna, case.sensor, case.processing, replace(case.grid, **grid))
 
 
 def db(power: float) -> float:

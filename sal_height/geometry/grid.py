@@ -38,6 +38,11 @@ class Grid:
         """(rows, cols)."""
         return self.rows, self.cols
 
+    @property
+    def col_step(self) -> F64:
+        """Way from a column to the next, m, shape (3,)."""
+        return self.col_spacing * self.col_direction
+
     def points(self, row: npt.ArrayLike, col: npt.ArrayLike) -> F64:
         """Return the positions (m) of fractional pixel indices, shape (..., 3)."""
         down = np.asarray(row, dtype=np.float64)[..., None] * (self.row_spacing * self.row_direction)

@@ -6,7 +6,7 @@ first, then `windows` (spectral weights), `phasors` (exp(j phase) with the phase
 numbers, within compiled loops). Nothing here knows of sensors or images.
 """
 
-from sal_height.numeric._kernels import cosine_and_sine, tap_weights
+from sal_height.numeric._kernels import cosine_and_sine, cosine_and_sine_of_part, tap_weights
 from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, Complex, Index
 from sal_height.numeric.chirp_z import ChirpZ, chirp_z
 from sal_height.numeric.fft import blocks, fast_length, frequencies, rows_at_once
@@ -47,6 +47,7 @@ __all__ = [
     "compiled",
     "compiled_with_nan",
     "cosine_and_sine",
+    "cosine_and_sine_of_part",
     "cross",
     "dense_profiles",
     "dot",

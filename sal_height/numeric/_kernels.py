@@ -12,8 +12,13 @@ PER_TURN = 1 / (2 * np.pi)
 
 @compiled
 def cosine_and_sine(turns: float) -> tuple[np.float32, np.float32]:
-    """Cosine and sine of 2 pi `turns`, float32, by the series of the half angle, which lies within a quarter turn."""
-    y = np.float32(turns - np.floor(turns + 0.5))
+    """Cosine and sine of 2 pi `turns`, float32."""
+    return cosine_and_sine_of_part(np.float32(turns - np.floor(turns + 0.5)))
+
+
+@compiled
+def cosine_and_sine_of_part(y: np.float32) -> tuple[np.float32, np.float32]:
+    """Cosine and sine of 2 pi `y`, within half a turn, by the series of the half angle, within a quarter turn."""
     q = y * y
     s = np.float32(-0.599264529321) + q * (np.float32(0.0821458866111) - q * np.float32(0.00737043094571))
     s = y * (np.float32(3.14159265359) + q * (np.float32(-5.16771278005) + q * (np.float32(2.55016403988) + q * s)))
@@ -52,12 +57,15 @@ def fill_padded(spectra: C64, factor: F32, padded: C64) -> None:
     Args:
         spectra: frequencies from the lowest to the highest, shape (detectors, pulses, frequencies).
         factor: of the frequencies.
-        padded: zeros to fill, shape (pulses, length, detectors).
+        padded: to fill, shape (pulses, length, detectors).
     """
     detectors, pulses, count = spectra.shape
     middle, length = count // 2, padded.shape[1]
     for pulse in range(pulses):
-        for frequency in range(count):
-            place = frequency - middle if frequency >= middle else frequency - middle + length
-            for detector in range(detectors):
-                padded[pulse, place, detector] = factor[frequency] * spectra[detector, pulse, frequency]
+        padded[pulse, count - middle : length - middle] = 0
+        for detector in range(detectors):
+            spectrum, rising, falling = spectra[detector, pulse], padded[pulse], padded[pulse, length - middle :]
+            for frequency in range(middle, count):
+                rising[frequency - middle, detector] = factor[frequency] * spectrum[frequency]
+            for frequency in range(middle):
+                falling[frequency, detector] = factor[frequency] * spectrum[frequency]

@@ -50,10 +50,12 @@ def dense_profiles(spectra: C64, weights: F64) -> C64:
     detectors, pulses, count = spectra.shape
     dense = OVERSAMPLING * count
     factor = (weights * _deconvolution(count)).astype(np.float32)
-    ready = np.zeros((pulses, dense + TAPS, detectors), dtype=np.complex64)
+    ready = np.empty((pulses, dense + TAPS, detectors), dtype=np.complex64)
     period = ready[:, TAPS // 2 : -TAPS // 2]
     fill_padded(spectra, factor, period)
-    period[:] = scipy.fft.ifft(period, axis=1, norm="forward", overwrite_x=True)
+    transformed = scipy.fft.ifft(period, axis=1, norm="forward", overwrite_x=True)
+    if not np.may_share_memory(transformed, period):  # it is made in place where the backend of scipy.fft can
+        period[:] = transformed
     ready[:, : TAPS // 2] = ready[:, dense : dense + TAPS // 2]
     ready[:, -(TAPS // 2) :] = ready[:, TAPS // 2 : TAPS]
     return ready

@@ -9,7 +9,19 @@ import math
 
 import numpy as np
 
-from sal_height.numeric import F32, F64, I32, TAPS, Bool, compiled, cosine_and_sine, tap_weights
+from sal_height.numeric import (
+    F32,
+    F64,
+    I32,
+    TAPS,
+    Bool,
+    compiled,
+    cosine_and_sine,
+    cosine_and_sine_of_part,
+    tap_weights,
+)
+
+SURELY_WITHIN = 1 - 1e-6  # share of the range window within which rounding does not matter
 
 
 @compiled
@@ -92,32 +104,50 @@ def read_profiles(
 
 
 @compiled
-def fill_turns(points: F64, track: F64, turns_per_metre: float, result: F32) -> None:
-    """Weight times exp(j 2 pi turns) of the delay of every point in every pulse.
+def fill_turns(starts: F64, step: F64, track: F64, turns_per_metre: float, result: F32) -> None:
+    """Weight times exp(j 2 pi turns) of the delay of every pixel in every pulse.
 
     Args:
-        points: m, shape (points, 3).
+        starts: first pixel of every row, m, shape (rows, 3).
+        step: from pixel to pixel of a row, m, shape (3,).
         track: x, y, z of the antenna, reference range (m) and weight of the pulses, shape (5, pulses).
         turns_per_metre: of the phase, with the delay.
-        result: to fill, real and imaginary parts in turn, of points x pulses x 2 numbers.
+        result: to fill, real and imaginary parts in turn, shape (rows, columns, 2 pulses).
     """
-    x, y, z, reference, weight = track[0], track[1], track[2], track[3], track[4].astype(np.float32)
-    flat = result.reshape(points.shape[0], -1, 2)
-    delay, cosine, sine = np.empty(x.size), np.empty(x.size, np.float32), np.empty(x.size, np.float32)
-    for i in range(points.shape[0]):
-        _distances(x, y, z, points[i, 0], points[i, 1], points[i, 2], reference, delay)
-        _phasors(delay, turns_per_metre, weight, cosine, sine)
-        for pulse in range(x.size):
-            flat[i, pulse, 0] = cosine[pulse]
-            flat[i, pulse, 1] = sine[pulse]
+    weight = track[4].astype(np.float32)
+    turn, cosine, sine = np.empty((3, weight.size), np.float32)
+    for row in range(result.shape[0]):
+        for col in range(result.shape[1]):
+            x, y, z = _point(starts[row], step, col)
+            _turns(track, x, y, z, turns_per_metre, turn)
+            _weighted_phasors(turn, weight, cosine, sine)
+            pairs = result[row, col]
+            for pulse in range(weight.size):
+                pairs[2 * pulse] = cosine[pulse]
+                pairs[2 * pulse + 1] = sine[pulse]
 
 
 @compiled
-def _distances(x: F64, y: F64, z: F64, px: float, py: float, pz: float, reference: F64, delay: F64) -> None:
-    """As `_delays`, of one point in many pulses."""
-    for i in range(delay.size):
+def _point(start: F64, step: F64, count: float) -> tuple[float, float, float]:
+    """A number of steps after the start."""
+    return start[0] + count * step[0], start[1] + count * step[1], start[2] + count * step[2]
+
+
+@compiled
+def _turns(track: F64, px: float, py: float, pz: float, turns_per_metre: float, turn: F32) -> None:
+    """Turns of the phase of a point in every pulse, less the whole ones."""
+    x, y, z, reference = track[0], track[1], track[2], track[3]
+    for i in range(turn.size):
         dx, dy, dz = x[i] - px, y[i] - py, z[i] - pz
-        delay[i] = math.sqrt(dx * dx + dy * dy + dz * dz) - reference[i]
+        turns = (math.sqrt(dx * dx + dy * dy + dz * dz) - reference[i]) * turns_per_metre
+        turn[i] = np.float32(turns - np.floor(turns + 0.5))
+
+
+@compiled
+def _weighted_phasors(turn: F32, weight: F32, cosine: F32, sine: F32) -> None:
+    for i in range(turn.size):
+        c, s = cosine_and_sine_of_part(turn[i])
+        cosine[i], sine[i] = weight[i] * c, weight[i] * s
 
 
 @compiled
@@ -158,20 +188,89 @@ def _within(delay: F64, gain: F32, half_window: float, weight: F64, valid: Bool)
 
 
 @compiled
+def keep_filled(starts: F64, step: F64, ends: F64, direction: F64, angle: float, valid: Bool) -> None:
+    """Set `valid` False where the pulses do not fill the processed angle; as `backprojection.filled_apertures`.
+
+    Args:
+        starts: first pixel of every row, m, shape (rows, 3).
+        step: from pixel to pixel of a row, m, shape (3,).
+        ends: antenna at the first and the last pulse, m, shape (2, 3).
+        direction: unit vector of flight, shape (3,).
+        angle: processed, rad.
+        valid: shape (rows, columns).
+    """
+    for row in range(valid.shape[0]):
+        for col in range(valid.shape[1]):
+            x, y, z = _point(starts[row], step, col)
+            first, last = _sine(x, y, z, ends[0], direction), _sine(x, y, z, ends[1], direction)
+            valid[row, col] &= (min(first, last) <= -angle / 2) and (max(first, last) >= angle / 2)
+
+
+@compiled
+def _sine(x: float, y: float, z: float, antenna: F64, direction: F64) -> float:
+    """Sine of the angle between abeam and the antenna, seen from a point."""
+    dx, dy, dz = antenna[0] - x, antenna[1] - y, antenna[2] - z
+    return (dx * direction[0] + dy * direction[1] + dz * direction[2]) / math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@compiled
 def keep_reached(
-    points: F64, along: F64, track: F64, half_window: float, angle: float, spacing: float, reached: Bool
+    starts: F64, step: F64, direction: F64, track: F64, half_window: float, angle: float, spacing: float, valid: Bool
 ) -> None:
-    """Set `reached` False where, in a pulse of its aperture, a point is beyond the range window; as `_within`."""
-    delay = np.empty(along.size)
+    """Set `valid` False where, in a pulse of its aperture, a pixel is beyond the range window; as `_within`.
+
+    Range grows with the rows, so that they are looked at from both ends, until one is within the window everywhere.
+
+    Args:
+        starts: first pixel of every row, m, shape (rows, 3).
+        step: from pixel to pixel of a row, m, shape (3,).
+        direction: unit vector of flight, shape (3,).
+        track: x, y, z of the antenna, reference range and place along the flight, m, shape (pulses, 5).
+        half_window: half the range window, m.
+        angle: processed, rad; 0 in spotlight.
+        spacing: way from pulse to pulse, m.
+        valid: shape (rows, columns).
+    """
+    for row in range(len(starts)):
+        if row_is_reached(starts[row], step, direction, track, half_window, angle, spacing, valid[row]):
+            break
+    for row in range(len(starts) - 1, -1, -1):
+        if row_is_reached(starts[row], step, direction, track, half_window, angle, spacing, valid[row]):
+            break
+
+
+@compiled
+def row_is_reached(
+    start: F64, step: F64, direction: F64, track: F64, half_window: float, angle: float, spacing: float, valid: Bool
+) -> bool:
+    """Whether all pixels of a row are reached; set `valid` False where they are not. Arguments as of `keep_reached`."""
+    all_reached, last = True, valid.size - 1.0
+    square = step[0] * step[0] + step[1] * step[1] + step[2] * step[2]
     for pulse in range(track.shape[0]):
-        x, y, z, reference, place = track[pulse]
-        _delays(points[0], points[1], points[2], x, y, z, reference, delay)
-        if np.abs(delay).max() <= half_window:
+        reference = track[pulse, 3]
+        # Along a row the distance is greatest at one of its ends, and least where the row is square to the sight.
+        x, y, z = track[pulse, 0] - start[0], track[pulse, 1] - start[1], track[pulse, 2] - start[2]
+        abeam = min(max((x * step[0] + y * step[1] + z * step[2]) / square, 0.0), last)
+        longest = max(_distance(start, step, 0.0, track[pulse]), _distance(start, step, last, track[pulse])) - reference
+        shortest = _distance(start, step, abeam, track[pulse]) - reference
+        if max(longest, -shortest) <= SURELY_WITHIN * half_window:
             continue
-        for i in range(delay.size):
-            distance = delay[i] + reference
-            share = (angle / 2 - abs((place - along[i]) / distance)) * distance / spacing + 0.5
-            reached[i] &= (abs(delay[i]) <= half_window) or (angle > 0 and share <= 0)
+        for col in range(valid.size):
+            distance = _distance(start, step, col, track[pulse])
+            x, y, z = _point(start, step, col)
+            sine = (track[pulse, 4] - (x * direction[0] + y * direction[1] + z * direction[2])) / distance
+            share = (angle / 2 - abs(sine)) * distance / spacing + 0.5
+            if abs(distance - reference) > half_window and not (angle > 0 and share <= 0):
+                valid[col] = all_reached = False
+    return all_reached
+
+
+@compiled
+def _distance(start: F64, step: F64, count: float, antenna: F64) -> float:
+    """Distance (m) of the antenna from the pixel a number of steps after the start of its row."""
+    x, y, z = _point(start, step, count)
+    dx, dy, dz = antenna[0] - x, antenna[1] - y, antenna[2] - z
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @compiled

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sal_height.geometry import Grid
-from sal_height.imaging.formers._kernels import add_pulses, keep_reached
+from sal_height.imaging.formers._kernels import add_pulses, keep_filled, keep_reached
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import (
     C64,
@@ -115,30 +115,22 @@ def filled_apertures(points: F64, antenna: F64, direction: F64, angle: float) ->
     return np.asarray((np.minimum(*ends) <= -angle / 2) & (np.maximum(*ends) >= angle / 2)) if angle else np.array(True)
 
 
-def valid_pixels(history: PhaseHistory, antenna: F64, sensor: Sensor, angle: float, grid: Grid) -> Bool:
-    """Where `backproject` gives values and not NaN, (rows, cols), for the processed `angle` (rad; 0 in spotlight).
+def blank_invalid(
+    image: C64, history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid
+) -> None:
+    """Make an image NaN where that of `backproject` is."""
+    valid = valid_pixels(history, antenna, sensor, processing.angle, grid)
+    if not valid.all():
+        image[:, ~valid] = np.nan
 
-    Range grows with the rows, so that they are looked at from both ends, until one is within the window everywhere.
-    """
+
+def valid_pixels(history: PhaseHistory, antenna: F64, sensor: Sensor, angle: float, grid: Grid) -> Bool:
+    """Where `backproject` gives values and not NaN, (rows, cols), for the processed `angle` (rad; 0 in spotlight)."""
     valid = np.ones(grid.shape, dtype=np.bool_)
-    direction, cols = grid.col_direction, np.arange(grid.cols)
+    starts, step, direction = grid.points(np.arange(grid.rows), 0.0), grid.col_step, grid.col_direction
     if angle:
-        first, last = (
-            filled_apertures(grid.points(np.full(grid.cols, row), cols), antenna, direction, angle)
-            for row in (0, grid.rows - 1)
-        )
-        valid &= first & last
-        partly = np.flatnonzero(first != last)
-        if partly.size:
-            points = grid.points(np.arange(grid.rows)[:, None], partly).reshape(-1, 3)
-            valid[:, partly] = filled_apertures(points, antenna, direction, angle).reshape(grid.rows, -1)
+        keep_filled(starts, step, antenna[[0, -1]], direction, angle, valid)
     track = np.column_stack([antenna, history.reference_range, antenna @ direction])
     spacing = abs(float((antenna[-1] - antenna[0]) @ direction)) / max(1, len(antenna) - 1)
-    for rows in (range(grid.rows), reversed(range(grid.rows))):
-        for row in rows:
-            points, reached = grid.points(np.full(grid.cols, row), cols), np.ones(grid.cols, dtype=np.bool_)
-            keep_reached(points.T.copy(), points @ direction, track, sensor.range_window / 2, angle, spacing, reached)
-            if reached.all():
-                break
-            valid[row] &= reached
+    keep_reached(starts, step, direction, track, sensor.range_window / 2, angle, spacing, valid)
     return valid

@@ -66,7 +66,8 @@ def choose_former(name: str, antenna: F64, sensor: Sensor, processing: Processin
         grid: pixels.
 
     Raises:
-        UserError: there is no former of that name, or it does not work in the sensor's mode.
+        UserError: there is no former of that name, it does not work in the sensor's mode, or its image would differ
+            from backprojection's by more than accuracy.ALLOWED_ERROR.
     """
     allowed = {key: former for key, former in FORMERS.items() if sensor.mode in former.modes}
     if name == "auto":
@@ -82,4 +83,5 @@ def choose_former(name: str, antenna: F64, sensor: Sensor, processing: Processin
         raise UserError(f"The former is {name!r}; allowed are auto, {', '.join(FORMERS)}.")
     if name not in allowed:
         raise UserError(f"The former {name} does not work in {sensor.mode}; allowed are {' and '.join(allowed)}.")
+    accuracy.check_expected_error(name, allowed[name].expected_error(antenna, sensor, grid))
     return allowed[name].form

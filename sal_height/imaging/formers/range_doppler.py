@@ -18,8 +18,7 @@ from scipy.spatial.distance import cdist
 
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
-from sal_height.imaging.formers.accuracy import check_expected_error
-from sal_height.imaging.formers.backprojection import valid_pixels
+from sal_height.imaging.formers.backprojection import blank_invalid
 from sal_height.imaging.formers.straight_track import StraightTrack, resampling, straight_track
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import (
@@ -79,14 +78,12 @@ def focus_stripmap(history: PhaseHistory, antenna: F64, sensor: Sensor, processi
     """Images of all detectors, (detectors, rows, cols); parameters and result as of `backprojection.backproject`.
 
     Raises:
-        UserError: pulses so far apart that they do not sample the processed aperture, or the image would differ from
-            backprojection's by more than accuracy.ALLOWED_ERROR, by geometry.
+        UserError: pulses so far apart that they do not sample the processed aperture.
     """
-    check_expected_error("range_doppler", expected_error(antenna, sensor, grid))
     filters = filters_of(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
     in_threads(lambda samples, made: _focus(samples, filters, made), history.samples, image)
-    image[:, ~valid_pixels(history, antenna, sensor, processing.angle, grid)] = np.nan
+    blank_invalid(image, history, antenna, sensor, processing, grid)
     return image
 
 

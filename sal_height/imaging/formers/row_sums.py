@@ -12,8 +12,7 @@ from scipy.spatial.distance import cdist
 
 from sal_height.geometry import Grid
 from sal_height.imaging.formers._kernels import fill_turns, read_profiles
-from sal_height.imaging.formers.accuracy import check_expected_error
-from sal_height.imaging.formers.backprojection import valid_pixels
+from sal_height.imaging.formers.backprojection import blank_invalid
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import C64, F64, OVERSAMPLING, blocks, dense_profiles, in_parallel, tap_polynomials
 from sal_height.sensor import PhaseHistory, Sensor
@@ -24,29 +23,24 @@ PHASES_OF_THREAD = 2**18  # at least: fewer are not worth a thread of their own
 
 
 def focus_rows(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> C64:
-    """Images of all detectors, (detectors, rows, cols); parameters and result as of `backprojection.backproject`.
-
-    Raises:
-        UserError: the image would differ from backprojection's by more than accuracy.ALLOWED_ERROR.
-    """
-    check_expected_error("row_sums", expected_error(antenna, sensor, grid))
+    """Images of all detectors, (detectors, rows, cols); parameters and result as of `backprojection.backproject`."""
     profiles = row_profiles(history, antenna, sensor, processing, grid)
     detectors, pulses, frequencies = history.samples.shape
     weights = processing.azimuth_weights(pulses)
     track = np.vstack([antenna.T, history.reference_range, weights / (weights.sum() * frequencies)])
     image = np.empty((detectors, *grid.shape), dtype=np.complex64)
+    starts, turns_per_metre = grid.points(np.arange(grid.rows), 0.0), sensor.centre_wavenumber / (2 * np.pi)
 
     def focus(part: slice) -> None:
         for first in range(part.start, part.stop, at_once):
             rows = slice(first, min(first + at_once, part.stop))
-            points = grid.points(np.arange(rows.start, rows.stop)[:, None], np.arange(grid.cols))
-            turns = np.empty((*points.shape[:2], pulses), dtype=np.complex64)
-            fill_turns(points.reshape(-1, 3), track, sensor.centre_wavenumber / (2 * np.pi), turns.view(np.float32))
+            turns = np.empty((rows.stop - rows.start, grid.cols, pulses), dtype=np.complex64)
+            fill_turns(starts[rows], grid.col_step, track, turns_per_metre, turns.view(np.float32))
             image[:, rows] = (turns @ profiles[rows]).transpose(2, 0, 1)
 
     at_once, of_thread = (max(1, phases // (grid.cols * pulses)) for phases in (PHASES_AT_ONCE, PHASES_OF_THREAD))
     in_parallel(focus, grid.rows, of_thread)
-    image[:, ~valid_pixels(history, antenna, sensor, 0.0, grid)] = np.nan
+    blank_invalid(image, history, antenna, sensor, processing, grid)
     return image
 
 

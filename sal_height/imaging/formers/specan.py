@@ -12,8 +12,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from sal_height.geometry import Grid
-from sal_height.imaging.formers.accuracy import check_expected_error
-from sal_height.imaging.formers.backprojection import valid_pixels
+from sal_height.imaging.formers.backprojection import blank_invalid
 from sal_height.imaging.formers.straight_track import straight_track
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import (
@@ -30,16 +29,11 @@ from sal_height.sensor import PhaseHistory, Sensor
 
 
 def focus_spotlight(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> C64:
-    """Images of all detectors, (detectors, rows, cols); parameters and result as of `backprojection.backproject`.
-
-    Raises:
-        UserError: the image would differ from backprojection's by more than accuracy.ALLOWED_ERROR.
-    """
-    check_expected_error("specan", expected_error(antenna, sensor, grid))
+    """Images of all detectors, (detectors, rows, cols); parameters and result as of `backprojection.backproject`."""
     by_range, by_azimuth = transforms(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
     in_threads(lambda samples, made: _focus(samples, by_range, by_azimuth, made), history.samples, image)
-    image[:, ~valid_pixels(history, antenna, sensor, 0.0, grid)] = np.nan
+    blank_invalid(image, history, antenna, sensor, processing, grid)
     return image
 
 

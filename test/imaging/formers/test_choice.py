@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from former_scenes import EAST, SAL, XBAND, Case, difference_db, dwell, on_the_ground, strip
+from former_scenes import EAST, SAL, XBAND, Case, chosen, difference_db, dwell, on_the_ground, strip
 from helpers import assert_one_sentence
 
 from sal_height.errors import UserError
@@ -22,10 +22,6 @@ from sal_height.imaging.weighting import Processing
 from sal_height.sensor.sensor import MODES
 
 FORMERS_OF = {"spotlight": "specan", "stripmap": "range_doppler"}
-
-
-def chosen(case: Case, name: str = "auto", **grid: int) -> object:
-    return choose_former(name, case.antenna, case.sensor, case.processing, replace(case.grid, **grid))
 
 
 @pytest.fixture(scope="module")

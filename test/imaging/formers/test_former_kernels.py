@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.imaging.formers._kernels import add_pulses, fill_turns, keep_reached, read_profiles
+from sal_height.imaging.formers._kernels import add_pulses, fill_turns, read_profiles, row_is_reached
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
 
@@ -69,10 +69,14 @@ def test_pulses_are_added_as_the_formula_of_backprojection_says(detectors: int, 
     expected = np.einsum("jpx,pxjd->xpd", taps, samples)
     np.testing.assert_allclose(values, expected, atol=2e-6 * np.abs(expected).max())
 
-    turns = np.empty((points, pulses), np.complex64)
-    fill_turns(spots.T.copy(), track.T[[0, 1, 2, 3, 5]], WAVENUMBER / (2 * np.pi), turns.view(np.float32))
-    np.testing.assert_allclose(turns, (track[:, 5:] * np.exp(1j * WAVENUMBER * delay)).T, atol=2e-6)
+    # Every spot is the second pixel of a row of its own.
+    step, turns = np.array([0.03, 0.1, -0.2]), np.empty((points, 2, pulses), np.complex64)
+    starts = spots.T - step
+    fill_turns(starts, step, track.T[[0, 1, 2, 3, 5]], WAVENUMBER / (2 * np.pi), turns.view(np.float32))
+    np.testing.assert_allclose(turns[:, 1], (track[:, 5:] * np.exp(1j * WAVENUMBER * delay)).T, atol=2e-6)
 
-    reached = np.ones(points, bool)
-    keep_reached(spots, spots[0].copy(), track[:, :5].copy(), WINDOW / 2, angle, SPACING, reached)
-    np.testing.assert_array_equal(reached, valid)
+    reached, along = np.ones((points, 2), bool), np.array([1.0, 0.0, 0.0])
+    for start, row in zip(starts, reached, strict=True):
+        whole = row_is_reached(start, step, along, track[:, :5].copy(), WINDOW / 2, angle, SPACING, row)
+        assert whole == row.all()
+    np.testing.assert_array_equal(reached[:, 1], valid)

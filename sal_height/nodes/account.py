@@ -1,4 +1,4 @@
-"""The account of a node: its message counts, as its status on /diagnostics carries them.
+"""The account of a node: its message counts, as its status on /diagnostics and /progress carries them.
 
 Nodes write their account with `to_values`, and whoever watches a graph reads it with `of_status`: no other module knows
 how the counts are called on /diagnostics.
@@ -16,6 +16,10 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 RECEIVED, PROCESSED, PUBLISHED, WAITING = "in", "processed", "out", "waiting"
 JOBS, READY = "jobs", "ready"
 DROPPED, IGNORED = "dropped.", "ignored."
+DIAGNOSTICS = "/diagnostics"
+"""Topic of the accounts, at regular times."""
+PROGRESS = "/progress"
+"""Topic of the accounts at regular times and after every piece of work, made only while somebody listens."""
 UNWRITTEN, RECORDED = "unwritten", "recorded."
 PUBLISHED_ON, SUBSCRIBERS = "published.", "subscribers."
 LAST_DROP = "last_drop"

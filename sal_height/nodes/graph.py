@@ -12,7 +12,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from sal_height.nodes.executors import Spinning, events_executor, needs_wait_set
+from sal_height.nodes.executors import events_executor
 from sal_height.nodes.middleware import provide_shared_memory
 
 NodeT = TypeVar("NodeT", bound=Node)
@@ -31,15 +31,11 @@ class Graph:
         rclpy.init(context=self.context, domain_id=domain_id)
         self.executor = events_executor(self.context)
         self.nodes: list[Node] = []
-        self._aside: dict[Node, Spinning] = {}
 
     def add(self, node: NodeT) -> NodeT:
-        """Spin `node` from now on, with the others or, if these have no executor for it, in a thread; returns it."""
+        """Spin `node` from now on; returns it."""
         self.nodes.append(node)
-        if needs_wait_set(node):
-            self._aside[node] = Spinning(node)
-        else:
-            self.executor.add_node(node)
+        self.executor.add_node(node)
         return node
 
     def spin_until(self, predicate: Callable[[], bool], timeout_s: float = math.inf) -> bool:
@@ -54,10 +50,7 @@ class Graph:
     def close(self) -> None:
         """Destroy the nodes in order and shut the context down; may be called twice."""
         for node in self.nodes:
-            if node in self._aside:
-                self._aside.pop(node).stop()
-            else:
-                self.executor.remove_node(node)
+            self.executor.remove_node(node)
             node.destroy_node()
         self.nodes.clear()
         self.executor.shutdown()

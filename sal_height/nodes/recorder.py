@@ -2,41 +2,42 @@
 
 from __future__ import annotations
 
-import sys
 import threading
+import time
 import traceback
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 
 from sal_height.bag.definitions import message_class
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
-from sal_height.nodes.account import DROPPED, IGNORED, RECORDED, UNWRITTEN, Account
+from sal_height.nodes.account import DIAGNOSTICS, DROPPED, IGNORED, PROGRESS, RECORDED, UNWRITTEN, Account
+from sal_height.nodes.executors import with_times
 from sal_height.nodes.guard import guarded
-from sal_height.nodes.jobs import Job, JobQueue
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Role, Topics
 from sal_height.settings import Settings, setting
 
-DIAGNOSTICS = "/diagnostics"
+ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in turn, without end
 QUEUE_FULL, FAILED = f"{DROPPED}queue full", f"{IGNORED}internal error"
-NEVER_BY_DEFAULT = ("/rosout", "/parameter_events")
+NEVER_BY_DEFAULT = ("/rosout", "/parameter_events", PROGRESS)
 QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node takes them
-JOB_BYTES = 1000  # memory of a message that waits, besides its own bytes
+ITEM_BYTES = 1000  # memory of a message that waits, besides its own bytes
 DISCOVERY_PERIOD_S = 0.1
 DIAGNOSTICS_PERIOD_S = 0.5
-NEWS_DELAY_S = 0.02  # from the first message written to the account that counts it, for whoever waits for it
+GATHER_S = 0.01  # from the first message that waits to its writing: the thread wakes once for all that come meanwhile
 FLUSH_PERIOD_S = 1.0  # at most this much is lost when the process is killed
 
 
@@ -45,7 +46,9 @@ class Parameters(Settings):
 
     directory: str = setting("", "new or empty folder for the bag", read_only=True)
     topics: tuple[str, ...] = setting(
-        (), f"topics to record; none: every topic except {' and '.join(NEVER_BY_DEFAULT)}", read_only=True
+        (),
+        f"topics to record; none: every topic except {', '.join(NEVER_BY_DEFAULT[:-1])} and {NEVER_BY_DEFAULT[-1]}",
+        read_only=True,
     )
     custom_data: tuple[str, ...] = setting(
         (), "texts to store in the bag, each as NAME=TEXT, as with ros2 bag record --custom-data", read_only=True
@@ -53,6 +56,19 @@ class Parameters(Settings):
     max_memory_mb: int = setting(
         2048, "memory for messages that wait to be written to the disk", unit="MB", minimum=1, maximum=1_000_000
     )
+
+
+class _Item(NamedTuple):
+    """A message that waits to be written, with the times of its reception and publication, ns."""
+
+    topic: str
+    cdr: bytes
+    times: tuple[int, int]
+
+    @property
+    def size(self) -> int:
+        """Memory that it takes, bytes."""
+        return len(self.cdr) + ITEM_BYTES
 
 
 class Recorder(Role, Node):
@@ -65,7 +81,6 @@ class Recorder(Role, Node):
     parameters = Parameters
     inputs: ClassVar[Topics] = {"<topics>": "whatever is published"}
     completes_file = True
-    takes_message_info = True
 
     def __init__(self, directory: Path | None = None, **node_arguments: Any) -> None:
         """Record into the new folder `directory` (None: the parameter of that name).
@@ -91,16 +106,17 @@ class Recorder(Role, Node):
         self._last_loss = ""
         self._reported = False
         self._closed = False
-        self._lock = threading.Lock()  # of the bag, which several threads write to
-        self._queue = JobQueue()
+        self._lock = threading.RLock()  # of the bag, which several threads write to
+        self._waiting: deque[_Item] = deque()
+        self._put_bytes, self._taken_bytes = 0, 0  # each counted by one thread; their difference waits
+        self._arrival, self._ending = threading.Event(), threading.Event()
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+        self._progress = self.create_publisher(DiagnosticArray, PROGRESS, 10)
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
         self.context.on_shutdown(self.close_bag)
-        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._every(DISCOVERY_PERIOD_S, self._discover)
-        self._every(FLUSH_PERIOD_S, lambda: self._put(self._flush))
         self._every(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
-        self._news = self._every(NEWS_DELAY_S, self._publish_diagnostics)
         self._discover()
 
     @property
@@ -125,11 +141,13 @@ class Recorder(Role, Node):
 
     def close_bag(self) -> None:
         """Write what has arrived so far and complete the bag; later messages are ignored. May be called twice."""
-        self._queue.close()
+        self._ending.set()
+        self._arrival.set()
         self._worker.join()
         with self._lock:
             if self._closed:
                 return
+            self._write_waiting()
             for topic, subscription in self._subscribed.items():
                 for cdr, info in _taken(subscription):
                     self._write(topic, cdr, self._times(info))
@@ -144,9 +162,9 @@ class Recorder(Role, Node):
         self.close_bag()
         super().destroy_node()
 
-    def _every(self, period_s: float, callback: Callable[[], None]) -> Timer:
+    def _every(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call `callback` again and again by a clock that never stands still; an error in it does not end the node."""
-        return self.create_timer(period_s, guarded(callback, self._fail), clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(period_s, guarded(callback, self._fail), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _discover(self) -> None:
         """Subscribe to the wanted topics that have a publisher by now."""
@@ -175,57 +193,78 @@ class Recorder(Role, Node):
                 self._report(error)
             self._recorded[name] = 0
             self._subscribed[name] = self.create_subscription(
-                message_type, name, guarded(self._taker_of(name), self._fail), _matching(offered), raw=True
+                message_type, name, guarded(with_times(self._taker_of(name)), self._fail), _matching(offered), raw=True
             )
 
-    def _taker_of(self, topic: str) -> Callable[..., None]:
-        """A callback that hands the messages of a topic to the thread that writes."""
+    def _taker_of(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
+        """A callback that hands the messages of a topic to the thread that writes, unless too much waits for it."""
 
         def take(cdr: bytes, info: dict[str, Any]) -> None:
-            self._receive(topic, cdr, info)
-            # What has come as well needs no wait set of its own.
-            for more, its_info in _taken(self._subscribed[topic]):
-                self._receive(topic, more, its_info)
-            # An account of the accounts recorded would be recorded in turn, without end.
-            if topic != DIAGNOSTICS and self._news.is_canceled():
-                self._news.reset()
+            item, most_mb = _Item(topic, cdr, self._times(info)), self._parameters_now.current.max_memory_mb
+            waiting = self._put_bytes - self._taken_bytes
+            if self._ending.is_set():
+                return
+            if waiting and waiting + item.size > most_mb * 1_000_000:
+                self._leave_out(most_mb)
+                return
+            self._put_bytes += item.size
+            self._waiting.append(item)
+            if not self._arrival.is_set():
+                self._arrival.set()
 
         return take
 
-    def _receive(self, topic: str, cdr: bytes, info: dict[str, Any]) -> None:
-        times = self._times(info)
-        self._put(lambda: self._write(topic, cdr, times), 1, len(cdr) + JOB_BYTES)
-
-    def _put(self, run: Callable[[], None], messages: int = 0, size: int = 0) -> None:
-        """Have something done by the thread that writes, unless too much waits for it."""
-        limit_mb = self._parameters_now.current.max_memory_mb
-        lost = self._queue.put(Job(run, messages, size), sys.maxsize, limit_mb * 1_000_000, "newest")
-        if self._queue.closed or not any(job.messages for job in lost):
-            return
+    def _leave_out(self, most_mb: int) -> None:
+        """Count a message for which there is no memory."""
         self._lost[QUEUE_FULL] += 1
         self._last_loss = (
-            f"The disk falls behind: {limit_mb} MB (max_memory_mb) of messages wait for it, and what comes is left out "
+            f"The disk falls behind: {most_mb} MB (max_memory_mb) of messages wait for it, and what comes is left out "
             "of the bag; record fewer topics, or on a faster disk."
         )
         self.get_logger().warning(self._last_loss, throttle_duration_sec=1.0)
 
     def _work(self) -> None:
-        while job := self._queue.get():
-            with self._lock:
-                guarded(job.run, self._fail)()
+        """Write what comes until the bag is closed, and hand it to the operating system at regular times."""
+        flush, report = guarded(self._flush, self._fail), guarded(self._report_progress, self._fail)
+        flush_due: float | None = None
+        while not self._ending.is_set():
+            self._arrival.wait(None if flush_due is None else max(0.0, flush_due - time.monotonic()))
+            self._ending.wait(GATHER_S)
+            self._arrival.clear()
+            topics, now = self._write_waiting(), time.monotonic()
+            if topics - ACCOUNTS:
+                report()
+            if topics and flush_due is None:
+                flush_due = now + FLUSH_PERIOD_S
+            if flush_due is not None and now >= flush_due:
+                flush_due = None
+                flush()
+
+    def _write_waiting(self) -> set[str]:
+        """Write the messages that wait, and return their topics."""
+        write, topics = guarded(self._write, self._fail), set()
+        while self._waiting:
+            item = self._waiting.popleft()
+            self._taken_bytes += item.size
+            write(item.topic, item.cdr, item.times)
+            topics.add(item.topic)
+        return topics
 
     def _times(self, info: dict[str, Any]) -> tuple[int, int]:
         """When a message was received and when it was published, ns; a bag cannot hold times before 1970."""
         clock = self.get_clock()
-        now_ns = max(0, clock.now().nanoseconds)
-        if isinstance(clock, ROSClock) and clock.ros_time_is_active:  # the middleware's times are not of this clock
-            return now_ns, now_ns
-        received_ns = max(0, info["received_timestamp"]) or now_ns
+        other = isinstance(clock, ROSClock) and clock.ros_time_is_active  # than that of the middleware's times
+        received_ns = 0 if other else info["received_timestamp"]
+        if received_ns <= 0:
+            received_ns = max(0, clock.now().nanoseconds)
+        if other:
+            return received_ns, received_ns
         return received_ns, max(0, info["source_timestamp"]) or received_ns
 
     def _write(self, topic: str, cdr: bytes, times: tuple[int, int]) -> None:
         try:
-            self._bag.write(topic, cdr, *times)
+            with self._lock:
+                self._bag.write(topic, cdr, *times)
         except Exception as error:
             self._unwritten += 1
             if not isinstance(error, OSError):
@@ -235,9 +274,18 @@ class Recorder(Role, Node):
             self._recorded[topic] += 1
 
     def _publish_diagnostics(self) -> None:
-        """Publish how many messages of each topic are in the bag (recorded.<topic>) and how many were lost."""
-        if not self._queue.unfinished:
-            self._news.cancel()
+        message = self.diagnostics()
+        self._diagnostics.publish(message)
+        self._progress.publish(message)
+
+    def _report_progress(self) -> None:
+        """Publish the account for whoever waits for messages to be in the bag."""
+        with suppress(RCLError):  # the context may end meanwhile
+            if self._progress.get_subscription_count():
+                self._progress.publish(self.diagnostics())
+
+    def diagnostics(self) -> DiagnosticArray:
+        """How many messages of each topic are in the bag (recorded.<topic>) and how many were lost."""
         recorded = {f"{RECORDED}{topic}": count for topic, count in self._recorded.items()}
         missing = self._unwritten + self.dropped
         status = DiagnosticStatus(
@@ -248,11 +296,12 @@ class Recorder(Role, Node):
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
+        return message
 
     def _flush(self) -> None:
         try:
-            self._bag.flush()
+            with self._lock:
+                self._bag.flush()
         except OSError as error:
             self._report(error)
 

@@ -35,6 +35,3 @@ class Role:
 
     completes_file: ClassVar[bool] = False
     """Whether the node completes a file when it ends, so that it has to be asked to and waited for."""
-
-    takes_message_info: ClassVar[bool] = False
-    """Whether callbacks take times of transport beside a message, which only an executor with wait sets hands over."""

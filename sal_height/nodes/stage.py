@@ -25,7 +25,18 @@ from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from std_srvs.srv import Trigger
 
 from sal_height.errors import Rejected, UserError
-from sal_height.nodes.account import CPU, DROPPED, IGNORED, JOBS, PUBLISHED_ON, READY, SUBSCRIBERS, Account
+from sal_height.nodes.account import (
+    CPU,
+    DIAGNOSTICS,
+    DROPPED,
+    IGNORED,
+    JOBS,
+    PROGRESS,
+    PUBLISHED_ON,
+    READY,
+    SUBSCRIBERS,
+    Account,
+)
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.jobs import Job, JobQueue
 from sal_height.nodes.parameters import LiveParameters
@@ -65,10 +76,6 @@ CALIBRATION = {"calibration": "calibration of receivers and beams, latched"}
 """What a calibration is published on."""
 
 DIAGNOSTICS_PERIOD_S = 0.5
-
-NEWS_PERIOD_S = 0.02
-"""Shortest time between two reports of progress on /diagnostics, beside those at regular times: more would cost a
-fast stage a part of its time, and fewer would keep whoever waits for a dwell waiting."""
 
 RECENT_S = 10.0
 """The level of the diagnostics tells what was lost in this time; the counts tell what was lost at all."""
@@ -181,13 +188,11 @@ class Stage(Role, Node):
         self._jobs = JobQueue()
         self._lost_at = -math.inf
         self._pace = Pace()
-        self._reported_at = -math.inf
-        self._has_news = False
         self._offered: list[Outlet] = []
         self._inlets: list[Inlet] = []
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+        self._progress = self.create_publisher(DiagnosticArray, PROGRESS, 10)
         self.every(DIAGNOSTICS_PERIOD_S, self._measure_pace)
-        self.every(NEWS_PERIOD_S, self._publish_news)
         self._worker = threading.Thread(target=self._work, name=name, daemon=True)
         self._worker.start()
 
@@ -339,23 +344,20 @@ class Stage(Role, Node):
         self.get_logger().warning(f"Ignored {what}: {error}", throttle_duration_sec=1.0)
 
     def _report_progress(self) -> None:
-        """Publish the account, now or as soon as the last one is NEWS_PERIOD_S old (on the worker thread)."""
-        if time.monotonic() - self._reported_at < NEWS_PERIOD_S:
-            self._has_news = True
-        else:
-            self.publish_diagnostics()
-
-    def _publish_news(self) -> None:
-        if self._has_news:
-            self.publish_diagnostics()
+        """Publish the account for whoever waits for a dwell (on the worker thread)."""
+        with suppress(RCLError):  # the context may end meanwhile
+            if self._progress.get_subscription_count():
+                self._progress.publish(self.diagnostics())
 
     def _measure_pace(self) -> None:
         self._pace.sample(time.monotonic(), self.tally.offered, self.tally.finished)
-        self.publish_diagnostics()
+        message = self.diagnostics()
+        with suppress(RCLError):
+            self._diagnostics.publish(message)
+            self._progress.publish(message)
 
-    def publish_diagnostics(self) -> None:
-        """Publish the stage's account on /diagnostics."""
-        self._reported_at, self._has_news = time.monotonic(), False
+    def diagnostics(self) -> DiagnosticArray:
+        """The stage's account."""
         summary = self.tally.summary()  # first: what is processed then has been published
         lost = sum(int(count) for name, count in summary.items() if name.startswith((DROPPED, IGNORED)))
         account = Account(
@@ -376,8 +378,7 @@ class Stage(Role, Node):
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
-        with suppress(RCLError):  # the context may end meanwhile
-            self._diagnostics.publish(message)
+        return message
 
     def silent_topics(self) -> list[str]:
         """The topics that the node needs and on which no message has come lately."""

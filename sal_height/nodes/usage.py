@@ -13,9 +13,15 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from sal_height.errors import UserError
+from sal_height.nodes.account import DIAGNOSTICS, PROGRESS
 from sal_height.settings import settings_of, unknown_name
 
 WIDTH = 100
+
+ACCOUNTS = {
+    DIAGNOSTICS: "message counts and state of the node",
+    PROGRESS: "the same, also after every piece of work, made while somebody listens",
+}
 
 QOS = """The parameters qos_overrides./TOPIC.subscription.POLICY and qos_overrides./TOPIC.publisher.POLICY set the
 quality of service of a topic; POLICY is history, depth, reliability or durability."""
@@ -34,7 +40,7 @@ def usage(node: type[Any], program: str) -> str:
         f"usage: {program} [--ros-args -p {example}:=VALUE --params-file FILE -r TOPIC:=OTHER …]",
         inspect.getdoc(node) or "",
         _listed("Topics that the node subscribes to:", node.inputs),
-        _listed("Topics that it publishes:", {**node.outputs, "/diagnostics": "message counts and state of the node"}),
+        _listed("Topics that it publishes:", {**node.outputs, **ACCOUNTS}),
         "Parameters (-p NAME:=VALUE):",
         *(
             _entry(

@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 from tqdm import tqdm
 
 from sal_height.errors import UserError
-from sal_height.nodes.account import READY, RECEIVED, UNWRITTEN, WAITING, Account
+from sal_height.nodes.account import DIAGNOSTICS, PROGRESS, READY, RECEIVED, UNWRITTEN, WAITING, Account
 from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.player import INPUTS
@@ -136,10 +136,15 @@ class Interruption:
 
 
 class Conductor(Node):
-    """Reads the accounts of all nodes on /diagnostics, and asks the source for dwells."""
+    """Reads the accounts of all nodes, and asks the source for dwells."""
 
-    def __init__(self, plan: Plan, **node_arguments: Any) -> None:
+    def __init__(self, plan: Plan, accounts_on: str = DIAGNOSTICS, **node_arguments: Any) -> None:
         """Conduct the nodes of a plan.
+
+        Args:
+            plan: the plan.
+            accounts_on: topic on which the accounts are read, DIAGNOSTICS or PROGRESS.
+            node_arguments: passed to rclpy's Node.
 
         Raises:
             UserError: a stage takes heights that no other stage makes.
@@ -154,7 +159,7 @@ class Conductor(Node):
         self.answer = ""
         """What the source has last answered."""
         self._step = self.create_client(Trigger, f"{plan.source}/{NODES[plan.source].begin_service}")
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+        self.create_subscription(DiagnosticArray, accounts_on, self._on_diagnostics, 100)
 
     def connected(self) -> bool:
         """Whether every topic has its subscribers, as its publisher counts them: nothing will be lost.
@@ -280,7 +285,7 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
     played, interrupted = 0, False
     failure: UserError | None = None
     with ros_domain(execution.domain), Graph() as graph:
-        conductor = graph.add(Conductor(plan, context=graph.context))
+        conductor = graph.add(Conductor(plan, PROGRESS, context=graph.context))
         if execution.domain != "free":
             _refuse_company(graph, conductor)
         with Interruption() as interruption, Ensemble(graph, names, values, execution.processes) as ensemble:

@@ -45,6 +45,9 @@ MAPPER, MAP_QUEUE = "relief_mapper", 256
 
 SHOW_PERIOD_S = 1.0
 
+LOOK_PERIOD_S = 0.05
+"""Period at which the run looks whether its processes still run, and whether it has been interrupted."""
+
 
 @dataclass(frozen=True)
 class Live:
@@ -188,17 +191,19 @@ def _perform(
         values = {**plan.parameters, RECORDER: recording_of(plan)}
         with Ensemble(graph, names, values, execution.processes) as ensemble, suppress(KeyboardInterrupt):
 
-            def spin(condition: Callable[[], bool], seconds: float) -> bool:
-                def reached() -> bool:
-                    interruption.check()
-                    ensemble.check()
-                    return condition()
-
-                return graph.spin_until(reached, seconds)
+            def spin(seconds: float) -> None:
+                graph.spin_until(lambda: False, seconds)
+                interruption.check()
+                ensemble.check()
 
             def wait(condition: Callable[[], bool], what: str) -> None:
-                if not spin(condition, execution.timeout_s):
-                    raise UserError(f"Waited {execution.timeout_s:g} s in vain for {what}; the log above may say why.")
+                deadline = time.monotonic() + execution.timeout_s
+                while not condition():
+                    if time.monotonic() > deadline:
+                        raise UserError(
+                            f"Waited {execution.timeout_s:g} s in vain for {what}; the log above may say why."
+                        )
+                    spin(LOOK_PERIOD_S)
 
             wait(conductor.ready, "all nodes to be ready")
             clock = DwellClock(how.rate, next(playlist.frames())[0].pulse_time[-1])
@@ -207,10 +212,13 @@ def _perform(
             conductor.step(wait)
             watched.cpu_at_start_s = {name: a.numbers.get(CPU, 0.0) for name, a in watched.accounts.items()}
             clock.begin_ns, began = int(conductor.answer), time.monotonic()
+            due_s = SHOW_PERIOD_S
             while watched.elapsed_s < how.seconds:
-                spin(lambda: False, min(SHOW_PERIOD_S, how.seconds - watched.elapsed_s))
+                spin(min(LOOK_PERIOD_S, how.seconds - watched.elapsed_s))
                 watched.elapsed_s = time.monotonic() - began
-                show(watched)
+                if watched.elapsed_s >= min(due_s, how.seconds):
+                    due_s += SHOW_PERIOD_S
+                    show(watched)
     return watched
 
 

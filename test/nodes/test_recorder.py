@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -18,6 +19,7 @@ from mcap.reader import make_reader
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Log
 from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -31,6 +33,8 @@ from std_msgs.msg import String
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import salvage
 from sal_height.errors import UserError
+from sal_height.nodes import recorder as module
+from sal_height.nodes.account import PROGRESS
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.recorder import Recorder
 
@@ -281,6 +285,40 @@ def test_an_error_in_a_callback_does_not_end_the_recorder(
     publish(graph, recorder, publisher, [String(data="after")])
     assert recorder.failures == len(failed)
     assert recorder.unwritten == (1 if part == "write" else 0)
+
+
+def test_what_is_in_the_bag_is_told_at_once_to_whoever_listens(
+    graph: Graph, source: Node, bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "DIAGNOSTICS_PERIOD_S", 1000.0)
+    publisher = source.create_publisher(String, "/note", 1)
+    recorder = start(graph, bag, topics=["/note", PROGRESS])
+    status: dict[str, str] = {}
+    source.create_subscription(DiagnosticArray, PROGRESS, lambda message: status.update(values(message)), 10)
+    assert graph.spin_until(lambda: recorder._progress.get_subscription_count() == 2, TIMEOUT_S)
+    for number in ("1", "2"):
+        publish(graph, recorder, publisher, [String()])
+        assert graph.spin_until(lambda n=number: status.get("recorded./note") == n, TIMEOUT_S)
+    graph.executor.spin_once(timeout_sec=0.1)
+    assert recorder.recorded[PROGRESS] <= 2, "accounts of accounts"
+
+
+def test_the_times_of_transport_come_from_every_executor(graph: Graph, source: Node, bag: Path) -> None:
+    """They are no later than now, and no earlier than the message."""
+    publisher = source.create_publisher(String, "/note", 1)
+    recorder = unspun(graph, bag)
+    wait_until_matched(graph, publisher)
+    executor, before = SingleThreadedExecutor(context=graph.context), time.time_ns()
+    executor.add_node(recorder)
+    publisher.publish(String())
+    while not recorder.recorded["/note"] and time.time_ns() < before + TIMEOUT_S * 1e9:
+        executor.spin_once(timeout_sec=0.1)
+    executor.remove_node(recorder)
+    recorder.destroy_node()
+    executor.shutdown()
+    with (bag / "run_0.mcap").open("rb") as stream:
+        ((_, _, message),) = make_reader(stream).iter_messages()
+    assert before <= message.publish_time <= message.log_time <= time.time_ns()
 
 
 def test_a_bag_gets_no_times_before_1970(graph: Graph, bag: Path) -> None:

@@ -31,6 +31,7 @@ from sal_height.elevation.estimate import Validity
 from sal_height.errors import UserError
 from sal_height.geometry.earth import sphere_coordinates, sphere_point
 from sal_height.geometry.grid import Grid
+from sal_height.nodes.account import PROGRESS
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, StageParameters
@@ -78,7 +79,7 @@ class Mapped:
         node.create_subscription(ReliefMap, "map/relief", self.maps.append, LATCHED_QOS)
         node.create_subscription(Image, "map/image", self.images.append, LATCHED_QOS)
         node.create_subscription(PointCloud2, "map/points", self.points.append, LATCHED_QOS)
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._watch, 10)
+        node.create_subscription(DiagnosticArray, PROGRESS, self._watch, 10)
         self.wait(lambda: self.publisher.get_subscription_count() == 1, "the mapper")
         topics = ("map/relief", "map/image", "map/points")
         self.wait(lambda: all(node.count_publishers(topic) == 1 for topic in topics), "its products")

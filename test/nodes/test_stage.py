@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from std_srvs.srv import Trigger
 from sal_height import messages
 from sal_height.errors import UserError
 from sal_height.nodes import stage
+from sal_height.nodes.account import DIAGNOSTICS, PROGRESS
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES, HELD_CALIBRATIONS
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage
@@ -146,6 +148,22 @@ def state(graph: Graph, node: Stage) -> Any:
     watcher.create_subscription(DiagnosticArray, "/diagnostics", lambda message: seen.extend(message.status), 10)
     assert graph.spin_until(lambda: bool(seen), TIMEOUT_S)
     return seen[-1].level, seen[-1].message, seen[-1].hardware_id, node.get_name() == seen[-1].name
+
+
+def test_progress_is_told_at_once_to_whoever_listens(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stage, "DIAGNOSTICS_PERIOD_S", 1000.0)
+    listening, told = Listening(graph), Counter[str]()
+    watcher = graph.add(Node("watcher", context=graph.context))
+    for topic in (DIAGNOSTICS, PROGRESS):
+        watcher.create_subscription(
+            DiagnosticArray, topic, lambda message, topic=topic: told.update([topic] * len(message.status)), 10
+        )
+    assert graph.spin_until(lambda: listening._progress.get_subscription_count() == 1, TIMEOUT_S)
+    assert graph.spin_until(lambda: watcher.count_publishers(PROGRESS) == 1, TIMEOUT_S)
+    for number in range(1, 4):
+        listening.submit(0, lambda: 0)
+        assert graph.spin_until(lambda n=number: told[PROGRESS] == n, TIMEOUT_S)
+    assert told[DIAGNOSTICS] == 0
 
 
 def test_a_node_that_gets_nothing_is_stale_and_says_what_it_waits_for(graph: Graph) -> None:

@@ -69,7 +69,7 @@ def test_the_topics_that_help_names_are_those_of_the_node(graph: Graph, node: ty
     overrides = [Parameter(name, value=value) for name, value in NODES[node].items()]
     made = graph.add(node(context=graph.context, parameter_overrides=overrides))
     ours = {name.lstrip("/") for name, _ in made.get_topic_names_and_types()} - {"rosout", "parameter_events"}
-    named = {*node.inputs, *node.outputs, "diagnostics"}
+    named = {*node.inputs, *node.outputs, "diagnostics", "progress"}
     assert ours == {name.replace("<estimator>", "ml") for name in named}
 
 

@@ -18,7 +18,7 @@ from sal_height.elevation.monopulse.inverse_table import inverse_table
 from sal_height.elevation.monopulse.sum_difference import _slope_table
 from sal_height.elevation.noise_floor import _speckle_contrast
 from sal_height.elevation.response_spread import shares_of_pixels, squared_pull
-from sal_height.elevation.search import SEARCHES_HELD, PeakSearches, _searches
+from sal_height.elevation.search import SEARCHES_HELD, SQUINTS_AT_ONCE, PeakSearches, _searches
 from sal_height.numeric.range_profiles import _deconvolution
 from sal_height.numeric.windows import HELD, _half_power_width, broadening, window
 from sal_height.pipeline import _channels_and_beams
@@ -74,11 +74,12 @@ def test_caches_are_bounded(cache: Any, use: Callable[[int, Path], Any], tmp_pat
 def test_searches_at_the_squints_of_columns_are_bounded(columns: int) -> None:
     squint = np.linspace(-0.1, 0.1, columns) * BEAMWIDTH
     searches = PeakSearches.over(make_beams(), OBJECTIVES["normalised"], 0.0)
-    for one in squint:
-        searches.at(float(one))
-    of_part: Any = searches.of_part
-    info = of_part.cache_info()
-    assert (info.misses, info.currsize) == (columns, min(columns, SEARCHES_HELD))
+    for cols in searches.alike(squint, columns):
+        tables = searches.at(squint[cols]).tables
+        assert len(tables.grid) <= SQUINTS_AT_ONCE
+    of_parts: Any = searches.of_parts
+    info, blocks = of_parts.cache_info(), -(-columns // SQUINTS_AT_ONCE)
+    assert (info.misses, info.currsize) == (blocks, min(blocks, SEARCHES_HELD // SQUINTS_AT_ONCE))
 
 
 def test_windows_and_what_follows_from_them_are_bounded() -> None:

@@ -36,6 +36,7 @@ from sal_height.elevation import (
     Looks,
     PeakSearch,
     PeakSearches,
+    Pixels,
     is_explained,
     search_guard,
 )
@@ -217,18 +218,17 @@ def _sum_over_scene(found: BeamCalibration, looks: Looks, beams: Beams, settings
     (first, last), channels = beams.span, beams.count
     of_blocks: dict[tuple[int, int], tuple[Normal, Index]] = {}
 
-    def work(search: PeakSearch, rows: slice, cols: Index) -> None:
-        pixels = looks.covariance[rows, cols].reshape(-1, channels, channels) * undone
-        count, finite = looks.count[rows, cols].reshape(-1), looks.finite[rows, cols].reshape(-1)
-        across = np.broadcast_to(squint[cols], looks.count[rows, cols].shape).reshape(-1)
+    def work(search: PeakSearch, here: Pixels) -> None:
+        pixels = looks.covariance[here] * undone
+        count, finite, across = looks.count[here], looks.finite[here], squint[here[1]]
         elevation = search.peaks(pixels).elevation
         explained = search.fit(pixels, elevation)[0]
         left = np.trace(pixels, axis1=1, axis2=2).real - explained
         usable = finite & is_explained(Fit(explained, left, (channels - 1) * count - 0.5, channels), rules)
         usable &= (explained - count >= settings.min_energy) & (elevation >= first) & (elevation <= last)
         curve = curve_of(wide, amplitudes, elevation[usable], across[usable])
-        column = np.broadcast_to(cols, looks.count[rows, cols].shape).reshape(-1)[usable]
-        of_blocks[rows.start, int(cols[0])] = with_unknown_angles(curve, pixels[usable], count[usable]), column
+        block = int(here[0][0]), int(here[1][0])
+        of_blocks[block] = with_unknown_angles(curve, pixels[usable], count[usable]), here[1][usable]
 
     searches.each(squint, looks.covariance.shape[0], work)
     # Floating-point sums depend on their order, so that it must not be the one in which threads finish.

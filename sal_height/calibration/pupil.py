@@ -30,11 +30,12 @@ from sal_height.elevation import (
     Looks,
     PeakSearch,
     PeakSearches,
+    Pixels,
     is_explained,
     search_guard,
 )
 from sal_height.errors import NotDetermined
-from sal_height.numeric import C128, F64, Bool, Index
+from sal_height.numeric import C128, F64, Bool
 
 MOST_STEPS = 20
 GAIN_PRIOR = 0.1
@@ -155,20 +156,19 @@ def _sum_over_scene(values: F64, looks: Looks, beams: Beams, settings: Calibrati
     searches = PeakSearches.over(seen, OBJECTIVES["normalised"], search_guard(beams))
     of_blocks: dict[tuple[int, int], _Sums] = {}
 
-    def work(search: PeakSearch, rows: slice, cols: Index) -> None:
-        pixels = (looks.covariance[rows, cols] / looks.receiver_noise).reshape(-1, channels, channels)
-        count = looks.count[rows, cols].reshape(-1)
-        squint = np.broadcast_to(looks.squint[cols], looks.count[rows, cols].shape).reshape(-1)
+    def work(search: PeakSearch, here: Pixels) -> None:
+        pixels, count = looks.covariance[here] / looks.receiver_noise, looks.count[here]
+        squint = looks.squint[here[1]]
         elevation = search.peaks(pixels).elevation
         usable, left = _usable(search, pixels, count, elevation, beams, settings, share)
-        usable &= looks.finite[rows, cols].reshape(-1)
+        usable &= looks.finite[here]
         basis = _derivatives(seen, bends, elevation[usable], squint[usable])
         freedom = float(np.sum((channels - 1) * count[usable] - 0.5))
         score, information, variance = _normal(
             seen, basis, elevation[usable], squint[usable], pixels[usable], count[usable]
         )
         left_over = float(np.sum(left[usable]))
-        of_blocks[rows.start, int(cols[0])] = _Sums(
+        of_blocks[int(here[0][0]), int(here[1][0])] = _Sums(
             score, information, variance, int(np.sum(usable)), left_over, freedom
         )
 

@@ -60,7 +60,7 @@ from sal_height.elevation.monopulse.inversion import invert
 from sal_height.elevation.profile import PROFILES, ElevationProfile
 from sal_height.elevation.registry import ESTIMATORS, ElevationEstimator, MakeChannels
 from sal_height.elevation.response_spread import sidelobe_variance
-from sal_height.elevation.search import Objective, PeakSearch, PeakSearches
+from sal_height.elevation.search import Objective, PeakSearch, PeakSearches, Pixels
 from sal_height.elevation.settings import MISFIT_SHARE, HeightSettings
 
 __all__ = [
@@ -88,6 +88,7 @@ __all__ = [
     "Objective",
     "PeakSearch",
     "PeakSearches",
+    "Pixels",
     "Scatterer",
     "Validity",
     "Window",

@@ -1,7 +1,7 @@
 """Compiled loops of the fit of extended surfaces.
 
 Each has a twin in plain NumPy in the tests. Matrices are real or complex, as the beams are; positions and spreads are
-in steps of the table of unit responses, `PeakSearch.unit_pieces`. The compiler takes all numbers to be finite.
+in steps of the table of unit responses, `SearchTables.unit_pieces`. The compiler takes all numbers to be finite.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.elevation._several_kernels import inner, invert_positive, multiply, product, solve
-from sal_height.numeric import F32, F64, compiled
+from sal_height.numeric import F32, F64, Index, compiled
 
 Numbers = npt.NDArray[Any]
 Table = tuple[Numbers, F32, F64, F64, F64]
-"""Pieces of unit responses and of |a|^2; for each quadrature the places of its nodes (in spreads) and their weights,
-(quadratures, nodes), those of few nodes first and filled up with zeros; and the greatest spread it is for."""
+"""Pieces of unit responses and of |a|^2, at one squint or at all; for each quadrature the places of its nodes (in
+spreads) and their weights, (quadratures, nodes), those of few nodes first and filled up with zeros; and the greatest
+spread it is for."""
 
 SCORING_STEPS = 12  # few pixels need more than five; those of high CNR do
 GREATEST_STEPS = (0.5, 0.5, 1.0)  # of t over s, ln s and ln p
@@ -29,9 +30,10 @@ HOPEFUL = 60.0  # times the rise that a step promises, over the number of steps,
 @compiled
 def climb_surfaces(
     matrices: Numbers,
+    squints: Index,
     looks: F64,
     least: F64,
-    table: Table,
+    tables: Table,
     spreads: tuple[float, float],
     found: tuple[F64, F64, F64],
 ) -> None:
@@ -39,20 +41,22 @@ def climb_surfaces(
 
     Args:
         matrices: R, (pixels, M, M), double precision.
+        squints: number of the squint of each pixel, (pixels,).
         looks: K, (pixels,).
         least: log-likelihood of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
-        table: of the unit responses and the quadratures.
+        tables: of the unit responses at all squints, and the quadratures.
         spreads: least and greatest one.
         found: t, s and p of the start, replaced by those found, (3, pixels); to fill with the log-likelihood,
             (pixels,), and the information there, (pixels, 3, 3).
     """
     surfaces, likelihoods, informations = found
-    pieces, kind, count = table[0], matrices.dtype, table[2].shape[1]
-    vectors, squares = np.empty((3, count, pieces.shape[2]), kind), np.empty((7, count, count), kind)
+    pieces, kind, count = tables[0], matrices.dtype, tables[2].shape[1]
+    vectors, squares = np.empty((3, count, pieces.shape[3]), kind), np.empty((7, count, count), kind)
     place, gradient, information = np.empty(3), np.empty(3), np.empty((3, 3))
     damped, right, move = np.empty((3, 3)), np.empty(3), np.empty(3)
-    last = float(len(pieces))
+    last = float(pieces.shape[1])
     for i in range(len(matrices)):
+        table = at_squint(tables, squints[i])
         for k in range(3):
             place[k] = surfaces[k, i]
         likelihoods[i] = -np.finfo(np.float64).max
@@ -204,12 +208,22 @@ def take_product(left: Numbers, right: Numbers, result: Numbers, count: int) -> 
 
 
 @compiled
-def all_responses(surfaces: F64, table: Table, responses: Numbers) -> None:
-    """Rows of B of every pixel, (pixels, nodes, M), for t, s and p, (3, pixels); zeros where nodes are fewer."""
+def at_squint(tables: Table, squint: int) -> Table:
+    """The tables with the unit responses at one squint."""
+    return tables[0][squint], tables[1][squint], tables[2], tables[3], tables[4]
+
+
+@compiled
+def all_responses(surfaces: F64, squints: Index, tables: Table, responses: Numbers) -> None:
+    """Rows of B of every pixel, (pixels, nodes, M), for t, s and p, (3, pixels); zeros where nodes are fewer.
+
+    `squints` are the numbers of the pixels' squints, `tables` those of all squints.
+    """
     turns, place = np.empty(responses.shape[1:], responses.dtype), np.empty(3)
     for i in range(len(responses)):
         for k in range(3):
             place[k] = surfaces[k, i]
+        table = at_squint(tables, squints[i])
         rule, count = quadrature(place[1], table)
         fill_responses(place, table, rule, responses[i, :count], turns[:count])
         responses[i, count:] = 0

@@ -41,25 +41,39 @@ by as much and count as several scatterers (`estimate.is_explained`).
 
 
 @compiled
-def evaluate_on_grid(matrices: F32, entries: Index, grid: F32) -> F32:
+def evaluate_on_grid(matrices: F32, squints: Index, entries: Index, grid: F32) -> F32:
     """Objective of every pixel at every node of the grid, (pixels, grid nodes).
 
-    A matrix product, in tiles of four pixels and four entries that stay in registers. That of BLAS takes half the
-    time alone, but many times as long beside the threads that are at work here already.
+    A matrix product, in tiles of four entries and four pixels in a row of the same squint, that stay in registers. That
+    of BLAS takes half the time alone, but many times as long beside the threads that are at work here already.
+
+    Args:
+        matrices: of the quadratic forms, shape (pixels, detectors, detectors).
+        squints: number of the squint of each pixel, shape (pixels,).
+        entries: of `SearchTables`.
+        grid: of `SearchTables`.
     """
     pixels, size = len(matrices), matrices.shape[1] ** 2
-    flat, values = matrices.reshape(pixels, size), np.zeros((pixels + TILE - 1, grid.shape[1]), np.float32)
-    for i in range(0, pixels, TILE):
-        r0, r1 = flat[i], flat[min(i + 1, pixels - 1)]
-        r2, r3 = flat[min(i + 2, pixels - 1)], flat[min(i + 3, pixels - 1)]
-        v0, v1, v2, v3 = values[i], values[i + 1], values[i + 2], values[i + 3]
+    flat, values = matrices.reshape(pixels, size), np.zeros((pixels + TILE - 1, grid.shape[2]), np.float32)
+    i, spare = 0, values[pixels:]
+    while i < pixels:
+        alike = 1
+        while alike < TILE and i + alike < pixels and squints[i + alike] == squints[i]:
+            alike += 1
+        lines, last = grid[squints[i]], i + alike - 1
+        r0, r1, r2, r3 = flat[i], flat[min(i + 1, last)], flat[min(i + 2, last)], flat[last]
+        v0 = values[i]
+        v1 = values[i + 1] if alike > 1 else spare[0]
+        v2 = values[i + 2] if alike > 2 else spare[1]
+        v3 = values[i + 3] if alike > 3 else spare[2]
+        i += alike
         for p in range(0, entries.size, TILE):
             a, b, c, d = entries[p], entries[p + 1], entries[p + 2], entries[p + 3]
             a0, b0, c0, d0 = r0[a], r0[b], r0[c], r0[d]
             a1, b1, c1, d1 = r1[a], r1[b], r1[c], r1[d]
             a2, b2, c2, d2 = r2[a], r2[b], r2[c], r2[d]
             a3, b3, c3, d3 = r3[a], r3[b], r3[c], r3[d]
-            ga, gb, gc, gd = grid[p], grid[p + 1], grid[p + 2], grid[p + 3]
+            ga, gb, gc, gd = lines[p], lines[p + 1], lines[p + 2], lines[p + 3]
             for g in range(ga.size):
                 v0[g] += a0 * ga[g] + b0 * gb[g] + c0 * gc[g] + d0 * gd[g]
                 v1[g] += a1 * ga[g] + b1 * gb[g] + c1 * gc[g] + d1 * gd[g]
@@ -69,19 +83,23 @@ def evaluate_on_grid(matrices: F32, entries: Index, grid: F32) -> F32:
 
 
 @compiled
-def climb_highest(matrices: F32, values: F32, margin: np.float32, pieces: F32, found: tuple[F64, F64, F64]) -> None:
+def climb_highest(
+    matrices: F32, squints: Index, values: F32, margins: F32, pieces: F32, found: tuple[F64, F64, F64]
+) -> None:
     """Climb from the high nodes of the grid; keep the highest peak and the height of the second.
 
     Args:
         matrices: of the quadratic forms, shape (pixels, detectors, detectors).
+        squints: number of the squint of each pixel, shape (pixels,).
         values: of the objective on the grid, shape (pixels, grid nodes).
-        margin: by which second peaks may be lower.
-        pieces: of `PeakSearch`.
+        margins: by which second peaks may be lower, at each squint.
+        pieces: of `SearchTables`.
         found: to fill with the place of the peak in steps of the table, its height, and that of the second, (pixels,).
     """
-    work, last = np.empty((3, pieces.shape[2]), np.float32), values.shape[1] - 1
+    work, last = np.empty((3, pieces.shape[3]), np.float32), values.shape[1] - 1
     position, height, second = found
     for i in range(len(values)):
+        table, margin = pieces[squints[i]], margins[squints[i]]
         line, top, bottom = values[i], values[i, 0], values[i, 0]
         for g in range(line.size):
             top = max(top, line[g])
@@ -96,7 +114,7 @@ def climb_highest(matrices: F32, values: F32, margin: np.float32, pieces: F32, f
             rises, falls = g == 0 or line[g] >= line[g - 1], g == last or line[g] > line[g + 1]
             if not (rises and falls) and not is_behind_a_dip(line, g):
                 continue
-            place, value = _climb(matrices[i], pieces, max(g - 1, 0), start_of_climb(line, g), min(g + 1, last), work)
+            place, value = _climb(matrices[i], table, max(g - 1, 0), start_of_climb(line, g), min(g + 1, last), work)
             if value > height[i]:
                 position[i], height[i], second[i] = place, value, height[i]
             else:
@@ -104,16 +122,16 @@ def climb_highest(matrices: F32, values: F32, margin: np.float32, pieces: F32, f
 
 
 @compiled
-def climb_uphill(matrices: F32, values: F32, pieces: F32, nodes: Index, position: F64) -> None:
+def climb_uphill(matrices: F32, squints: Index, values: F32, pieces: F32, nodes: Index, position: F64) -> None:
     """Climb from one node of each pixel's grid; arguments as of `climb_highest`."""
-    work, last = np.empty((3, pieces.shape[2]), np.float32), values.shape[1] - 1
+    work, last = np.empty((3, pieces.shape[3]), np.float32), values.shape[1] - 1
     for i in range(len(values)):
-        line, g = values[i], nodes[i]
+        table, line, g = pieces[squints[i]], values[i], nodes[i]
         while g < last and line[g + 1] >= line[g]:
             g += 1
         while g > 0 and line[g - 1] > line[g]:
             g -= 1
-        position[i], _ = _climb(matrices[i], pieces, max(g - 1, 0), start_of_climb(line, g), min(g + 1, last), work)
+        position[i], _ = _climb(matrices[i], table, max(g - 1, 0), start_of_climb(line, g), min(g + 1, last), work)
 
 
 @compiled
@@ -178,14 +196,17 @@ def _objective_at(place: float, matrix: F32, pieces: F32, work: F32) -> tuple[fl
 
 
 @compiled
-def fit_scatterer(matrices: F32, position: F64, pieces: F32, power: F32, complex_beams: bool, found: F64) -> None:
+def fit_scatterer(
+    matrices: F32, squints: Index, position: F64, pieces: F32, power: F32, complex_beams: bool, found: F64
+) -> None:
     """See `PeakSearch.fit`; `found` of shape (3, pixels), the last per step of the table."""
-    size = pieces.shape[2]
+    size = pieces.shape[3]
     half = size // 2
     weight, slope = np.empty(size, np.float32), np.empty(size, np.float32)
     for i in range(len(position)):
-        node = min(int(position[i]), len(pieces) - 1)
-        piece, t, two, three = pieces[node], np.float32(position[i] - node), np.float32(2), np.float32(3)
+        node = min(int(position[i]), pieces.shape[1] - 1)
+        piece, share = pieces[squints[i], node], power[squints[i], node]
+        t, two, three = np.float32(position[i] - node), np.float32(2), np.float32(3)
         for m in range(size):
             weight[m] = piece[0, m] + t * (piece[1, m] + t * (piece[2, m] + t * piece[3, m]))
             slope[m] = piece[1, m] + t * (two * piece[2, m] + three * t * piece[3, m])
@@ -202,7 +223,7 @@ def fit_scatterer(matrices: F32, position: F64, pieces: F32, power: F32, complex
             for m in range(half):
                 across += weight[m] * slope[half + m] - weight[half + m] * slope[m]
         found[0, i] = value / norm if norm > 0 else 0.0
-        found[1, i] = power[node, 0] + t * (power[node, 1] + t * (power[node, 2] + t * power[node, 3]))
+        found[1, i] = share[0] + t * (share[1] + t * (share[2] + t * share[3]))
         found[2, i] = (square - (along * along + across * across) / norm) / norm if norm > 0 else 0.0
 
 

@@ -1,7 +1,7 @@
 """Compiled loops of the search for several scatterers in a pixel.
 
 Each has a twin in plain NumPy in the tests. Matrices are real or complex, as the beams are; positions are in steps of
-the table of unit responses, `PeakSearch.unit_pieces`. The compiler takes all numbers to be finite.
+the table of unit responses, `SearchTables.unit_pieces`. The compiler takes all numbers to be finite.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.elevation._kernels import TABLE_STEPS
-from sal_height.numeric import F32, F64, compiled
+from sal_height.numeric import F32, F64, Index, compiled
 
 Numbers = npt.NDArray[Any]
 
@@ -30,7 +30,9 @@ POWER_RIDGE = 1e-6  # added to the information of a look on each power
 
 
 @compiled
-def gain_beside_one(matrices: Numbers, values: F32, position: F64, pieces: Numbers, units: Numbers, found: F64) -> None:
+def gain_beside_one(
+    matrices: Numbers, squints: Index, values: F32, position: F64, pieces: Numbers, units: Numbers, found: F64
+) -> None:
     """Power that one more scatterer explains beside the single one, at the best node of the grid and along its slope.
 
     With the unit response u of the single one and u_j of node j, what the node adds is the power along the part of
@@ -39,24 +41,25 @@ def gain_beside_one(matrices: Numbers, values: F32, position: F64, pieces: Numbe
 
     Args:
         matrices: R, (pixels, M, M).
+        squints: number of the squint of each pixel, (pixels,).
         values: u_j^H R u_j, (pixels, nodes).
         position: of the single scatterer, (pixels,).
-        pieces: of the table of unit responses, (table nodes - 1, 4, M).
-        units: u_j, (M, nodes).
+        pieces: of the table of unit responses, (squints, table nodes - 1, 4, M).
+        units: u_j, (squints, M, nodes).
         found: to fill with the gain at the best node, and with that along the slope, (2, pixels).
     """
-    size, nodes = units.shape
+    _, size, nodes = units.shape
     unit, slope, output = np.empty(size, units.dtype), np.empty(size, units.dtype), np.empty(size, units.dtype)
     overlap, cross = np.empty(nodes, units.dtype), np.empty(nodes, units.dtype)
     for i in range(len(position)):
-        matrix, line = matrices[i], values[i]
-        unit_at(position[i], pieces, unit, slope)
+        matrix, line, table = matrices[i], values[i], units[squints[i]]
+        unit_at(position[i], pieces[squints[i]], unit, slope)
         multiply(matrix, unit, output)
         own = inner(unit, output).real
         overlap[:] = 0
         cross[:] = 0
         for m in range(size):
-            row, u, y = units[m], unit[m], output[m]
+            row, u, y = table[m], unit[m], output[m]
             for j in range(nodes):
                 overlap[j] += np.conj(row[j]) * u
                 cross[j] += np.conj(row[j]) * y
@@ -77,7 +80,13 @@ def gain_beside_one(matrices: Numbers, values: F32, position: F64, pieces: Numbe
 
 @compiled
 def search_beside(
-    matrices: Numbers, values: F32, start: F64, least: F64, table: tuple[Numbers, Numbers], found: tuple[F64, F64, F64]
+    matrices: Numbers,
+    squints: Index,
+    values: F32,
+    start: F64,
+    least: F64,
+    tables: tuple[Numbers, Numbers],
+    found: tuple[F64, F64, F64],
 ) -> None:
     """The scatterers that together explain most: one more than given, where that is worth a climb.
 
@@ -88,18 +97,20 @@ def search_beside(
 
     Args:
         matrices: R, (pixels, M, M), double precision.
+        squints: number of the squint of each pixel, (pixels,).
         values: u_j^H R u_j, (pixels, nodes).
         start: positions of one scatterer less, (pixels, S - 1).
         least: power that the best node must explain beside them to be worth a climb, (pixels,).
-        table: unit responses at the nodes of the grid, (M, nodes), and the pieces of their table.
+        tables: unit responses at the nodes of the grid, (squints, M, nodes), and the pieces of their tables.
         found: to fill with the positions, (pixels, S), with the power that they explain, 0 without a climb, and with
             that of the best node beside the given ones, (pixels,).
     """
-    (units, pieces), (positions, explained, gains) = table, found
+    positions, explained, gains = found
     count = positions.shape[1]
     other = np.empty(count)
     for i in range(len(matrices)):
         matrix, own, place = matrices[i], values[i], positions[i]
+        units, pieces = tables[0][squints[i]], tables[1][squints[i]]
         place[: count - 1] = start[i]
         node, gain = best_node(matrix, own, units, pieces, place[: count - 1])
         place[count - 1], explained[i], gains[i] = TABLE_STEPS * node, 0.0, gain
@@ -253,20 +264,31 @@ def newton_step(
 
 @compiled
 def weigh_together(
-    matrices: Numbers, positions: F64, pieces: Numbers, found: tuple[F64, Numbers, Numbers, Numbers, Numbers]
+    matrices: Numbers,
+    squints: Index,
+    positions: F64,
+    tables: tuple[Numbers, F32],
+    found: tuple[F64, F64, Numbers, Numbers, Numbers, Numbers],
 ) -> None:
     """Products of unit responses U, their slopes and R for scatterers at known positions, (pixels, S).
 
-    To fill: the power that they explain, (pixels,); U^H U; U^H R U; the sums of products of the fitted amplitudes; and
-    those of the slopes' parts perpendicular to U, per step of the table squared, all (pixels, S, S).
+    `squints` are the numbers of the pixels' squints, and `tables` the pieces of unit responses and of |a|^2 at all.
+
+    To fill: the power that they explain, (pixels,); |a|^2, (pixels, S); U^H U; U^H R U; the sums of products of the
+    fitted amplitudes; and those of the slopes' parts perpendicular to U, per step of the table squared, all
+    (pixels, S, S).
     """
-    explained, grams, seen, fitted, turning = found
+    explained, powers, grams, seen, fitted, turning = found
     count, size, kind = positions.shape[1], matrices.shape[1], matrices.dtype
     vectors, squares, output = np.empty((4, count, size), kind), np.empty((2, count, count), kind), np.empty(size, kind)
     units, slopes, basis, rows = vectors[0], vectors[1], vectors[2], vectors[3]
     factor, inverse = squares[0], squares[1]
     for i in range(len(matrices)):
+        pieces, power = tables[0][squints[i]], tables[1][squints[i]]
         for s in range(count):
+            node = min(int(positions[i, s]), len(power) - 1)
+            t = positions[i, s] - node
+            powers[i, s] = power[node, 0] + t * (power[node, 1] + t * (power[node, 2] + t * power[node, 3]))
             unit_at(positions[i, s], pieces, units[s], slopes[s])
         orthonormalise(units, basis, factor)
         explained[i] = fit_amplitudes(matrices[i], basis, (factor, inverse, output), rows, fitted[i])

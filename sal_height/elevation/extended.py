@@ -21,7 +21,7 @@ import numpy as np
 from sal_height.elevation._extended_kernels import RIDGE, Table, all_responses, climb_surfaces
 from sal_height.elevation.beam_error import beam_deviation
 from sal_height.elevation.bounds import Numbers
-from sal_height.elevation.search import PeakSearch
+from sal_height.elevation.search import PeakSearch, SearchTables
 from sal_height.elevation.several import adjoint
 from sal_height.numeric import F32, F64, Bool, Index
 
@@ -43,9 +43,6 @@ WIDE = 0.25  # beamwidths; spreads from which on the middle of the power is a be
 NOISE_LIKE = 0.1  # mean power in a direction, in noise powers, below which the surface has none there
 
 
-Runs = list[tuple[PeakSearch, slice]]
-
-
 class Surfaces(NamedTuple):
     """Extended surfaces; arrays of shape (pixels,).
 
@@ -59,10 +56,10 @@ class Surfaces(NamedTuple):
     spread: F64
     cnr: F64
 
-    def within_bounds(self, search: PeakSearch, beamwidth: float) -> Surfaces:
+    def within_bounds(self, tables: SearchTables, beamwidth: float) -> Surfaces:
         """The surfaces as the model allows them: of some spread, and with a good part where the search is."""
         spread = np.clip(self.spread, LEAST_SPREAD * beamwidth, GREATEST_SPREAD * beamwidth)
-        return Surfaces(np.clip(self.elevation, search.first - spread, search.last + spread), spread, self.cnr.copy())
+        return Surfaces(np.clip(self.elevation, tables.first - spread, tables.last + spread), spread, self.cnr.copy())
 
     def at(self, index: Index | Bool | slice) -> Surfaces:
         """Some of the surfaces."""
@@ -72,9 +69,9 @@ class Surfaces(NamedTuple):
         """These surfaces `there`, and the others elsewhere."""
         return Surfaces(*(np.where(there, mine, theirs) for mine, theirs in zip(self, other, strict=True)))
 
-    def in_steps(self, search: PeakSearch) -> F64:
+    def in_steps(self, tables: SearchTables) -> F64:
         """T and s in steps of the table, and p, (3, pixels), as the compiled loops take them."""
-        return np.stack([(self.elevation - search.first) / search.step, self.spread / search.step, self.cnr])
+        return np.array([(self.elevation - tables.first) / tables.step, self.spread / tables.step, self.cnr])
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,25 +91,26 @@ class ExtendedSurfaces:
     information: F64
 
     @classmethod
-    def fit(cls, runs: Runs, covariance: Numbers, looks: F64, start: Surfaces, least: F64, beamwidth: float) -> Self:
+    def fit(
+        cls, search: PeakSearch, covariance: Numbers, looks: F64, start: Surfaces, least: F64, beamwidth: float
+    ) -> Self:
         """Fit a surface to each pixel.
 
         Args:
-            runs: searches of the normalised objective over the same elevations, and the pixels at the squint of each.
+            search: of the normalised objective, of these pixels.
             covariance: R in noise powers, (pixels, M, M).
             looks: K, (pixels,).
             start: of the climb.
             least: log-likelihood of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
             beamwidth: rad.
         """
-        search = runs[0][0]
-        values = start.within_bounds(search, beamwidth).in_steps(search)
+        tables, squints = search.tables, search.every(len(looks))
+        values = start.within_bounds(tables, beamwidth).in_steps(tables)
         likelihood, information = np.empty(len(looks)), np.empty((len(looks), 3, 3))
-        spreads = LEAST_SPREAD * beamwidth / search.step, GREATEST_SPREAD * beamwidth / search.step
-        for one, part in runs:
-            found = values[:, part], likelihood[part], information[part]
-            climb_surfaces(covariance[part], looks[part], least[part], table_of(one, beamwidth), spreads, found)
-        surfaces = Surfaces(search.first + search.step * values[0], search.step * values[1], values[2])
+        spreads = LEAST_SPREAD * beamwidth / tables.step, GREATEST_SPREAD * beamwidth / tables.step
+        found = values, likelihood, information
+        climb_surfaces(covariance, squints, looks, least, table_of(tables, beamwidth), spreads, found)
+        surfaces = Surfaces(search.elevation(values[0]), tables.step * values[1], values[2])
         variance = np.linalg.inv(information + RIDGE * looks[:, None, None] * np.eye(3))[:, 0, 0]
         sigma = np.sqrt(variance * looks / free_looks(looks)) * surfaces.spread
         return cls(surfaces, sigma, likelihood, information)
@@ -126,28 +124,29 @@ class ExtendedSurfaces:
         return replace(self, sigma=np.hypot(self.sigma, beam_deviation(turning, uncertainty)))
 
 
-def first_surfaces(runs: Runs, values: F32, looks: F64, narrow: Surfaces, beamwidth: float) -> Surfaces:
+def first_surfaces(search: PeakSearch, values: F32, looks: F64, narrow: Surfaces, beamwidth: float) -> Surfaces:
     """Surfaces from which to climb: the middle and the width of the power over elevation, or `narrow` ones.
 
     Args:
-        runs: as of `ExtendedSurfaces.fit`.
+        search: as of `ExtendedSurfaces.fit`.
         values: of the objective `on_grid`.
         looks: K, (pixels,).
         narrow: at the peak of a single scatterer; where the power is hardly wider than that of a point.
         beamwidth: rad.
     """
-    middle, variance = _moments(runs[0][0].grid_nodes, values - looks[:, None])
-    of_point = np.concatenate([np.full(part.stop - part.start, _point_variance(search)) for search, part in runs])
+    middle, variance = _moments(search.tables.grid_nodes, values - looks[:, None])
+    of_point = _point_variance(search.tables)[search.every(len(looks))]
     spread = np.sqrt(np.maximum(variance - of_point, 0.0))
     bounded = np.clip(spread, LEAST_SPREAD * beamwidth, GREATEST_SPREAD * beamwidth)
     return Surfaces(middle, bounded, narrow.cnr).where(spread > WIDE * beamwidth, narrow)
 
 
-@lru_cache(maxsize=64)
-def _point_variance(search: PeakSearch) -> float:
-    """Variance of elevation (rad^2) weighted by the power of a point in the middle of the array."""
-    middle = search.unit_nodes[len(search.unit_nodes) // 2]
-    return float(_moments(search.grid_nodes, np.abs(search.unit_nodes.conj() @ middle)[None] ** 2)[1][0])
+@lru_cache(maxsize=8)
+def _point_variance(tables: SearchTables) -> F64:
+    """Variance of elevation (rad^2) weighted by the power of a point in the middle of the array, (squints,)."""
+    units = tables.precise_units_across
+    middle = units[:, :, units.shape[2] // 2]
+    return _moments(tables.grid_nodes, np.abs(np.einsum("smg,sm->sg", units.conj(), middle)) ** 2)[1]
 
 
 def _moments(nodes: F64, power: F64) -> tuple[F64, F64]:
@@ -158,15 +157,14 @@ def _moments(nodes: F64, power: F64) -> tuple[F64, F64]:
     return mean, np.sum(weight * (nodes - mean[:, None]) ** 2, axis=1)
 
 
-def explained_by(runs: Runs, covariance: Numbers, surfaces: Surfaces, beamwidth: float) -> tuple[F64, F64]:
+def explained_by(search: PeakSearch, covariance: Numbers, surfaces: Surfaces, beamwidth: float) -> tuple[F64, F64]:
     """Power of the pixels in the directions in which surfaces are not NOISE_LIKE, and the number of these, (pixels,).
 
     It is the sum over looks, in noise powers. Arguments as of `ExtendedSurfaces.fit`.
     """
-    most, places = QUADRATURES[-1][0], surfaces.in_steps(runs[0][0])
+    most, tables, squints = QUADRATURES[-1][0], search.tables, search.every(len(covariance))
     rows = np.empty((len(covariance), most, covariance.shape[-1]), covariance.dtype)
-    for search, part in runs:
-        all_responses(places[:, part], table_of(search, beamwidth), rows[part])
+    all_responses(surfaces.in_steps(tables), squints, table_of(tables, beamwidth), rows)
     responses = np.swapaxes(rows, 1, 2)
     strength, turn = np.linalg.eigh(adjoint(responses) @ responses)
     along = responses @ turn
@@ -176,10 +174,10 @@ def explained_by(runs: Runs, covariance: Numbers, surfaces: Surfaces, beamwidth:
     return np.sum(seen * counted / np.maximum(strength, NOISE_LIKE), axis=1), counted.sum(axis=1).astype(np.float64)
 
 
-def table_of(search: PeakSearch, beamwidth: float) -> Table:
-    """The unit responses and the quadratures, as the compiled loops take them."""
-    greatest = np.array([spread for _, spread in QUADRATURES]) * beamwidth / search.step
-    return search.unit_pieces, search.power, PLACES, SHARES, greatest
+def table_of(tables: SearchTables, beamwidth: float) -> Table:
+    """The unit responses at all squints and the quadratures, as the compiled loops take them."""
+    greatest = np.array([spread for _, spread in QUADRATURES]) * beamwidth / tables.step
+    return tables.unit_pieces, tables.power, PLACES, SHARES, greatest
 
 
 def free_looks(looks: F64) -> F64:

@@ -22,9 +22,9 @@ from sal_height.elevation.beam_error import beam_deviation
 from sal_height.elevation.bounds import stochastic_deviation, unit_vectors
 from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
 from sal_height.elevation.looks import Covariance, Looks
-from sal_height.elevation.search import Find, Objective, Peaks, PeakSearch, PeakSearches
+from sal_height.elevation.search import Find, Objective, Peaks, PeakSearch, PeakSearches, Pixels
 from sal_height.elevation.settings import HeightSettings
-from sal_height.numeric import F64, Index
+from sal_height.numeric import F64
 from sal_height.settings import setting
 
 GUARD = 3.0
@@ -150,8 +150,8 @@ class SinglePeaks:
 def peaks_at(elevation: F64, looks: Looks, beams: Beams) -> SinglePeaks:
     """Scatterers whose likelihood peaks at known elevations (rad, (rows, cols)); other peaks are not looked at."""
 
-    def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
-        found = elevation[rows, cols].reshape(-1)
+    def find(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
+        found = elevation[here]
         beside = search.gain_beside(pixels, search.on_grid(pixels), found)
         return np.vstack([found, np.full_like(found, np.inf), search.fit(pixels, found), beside])
 
@@ -165,7 +165,7 @@ def highest_peaks(looks: Looks, beams: Beams, settings: ArraySettings) -> Single
         UserError: a real covariance of complex beams.
     """
 
-    def find(search: PeakSearch, pixels: Covariance, *_: object) -> F64:
+    def find(search: PeakSearch, pixels: Covariance, _here: Pixels) -> F64:
         values = search.on_grid(pixels)
         peaks = search.peaks_of(pixels, values, settings.margin * looks.receiver_noise)
         return np.vstack([_with_lead(search, pixels, peaks), search.gain_beside(pixels, values, peaks.elevation)])
@@ -176,7 +176,7 @@ def highest_peaks(looks: Looks, beams: Beams, settings: ArraySettings) -> Single
 def highest_peaks_of(objective: Objective, looks: Looks, beams: Beams, settings: ArraySettings) -> SinglePeaks:
     """The highest peak of one of OBJECTIVES, as `highest_peaks`; one more scatterer is not looked for."""
 
-    def find(search: PeakSearch, pixels: Covariance, *_: object) -> F64:
+    def find(search: PeakSearch, pixels: Covariance, _here: Pixels) -> F64:
         peaks = search.peaks(pixels, settings.margin * looks.receiver_noise)
         return np.vstack([_with_lead(search, pixels, peaks), np.zeros((2, len(pixels)))])
 
@@ -190,8 +190,8 @@ def estimate_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, setting
     those of `highest_peaks`.
     """
 
-    def find(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
-        found = search.peaks(spectrum(pixels, looks.count[rows, cols].reshape(-1))).elevation
+    def find(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
+        found = search.peaks(spectrum(pixels, looks.count[here])).elevation
         likely = search.peaks(pixels, settings.margin * looks.receiver_noise)
         at_it = np.abs(likely.elevation - found) < SAME_PEAK * beams.beamwidth
         fit = search.fit(pixels, found)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -128,56 +126,25 @@ class Suspects:
         covariance: R in noise powers, double precision, (pixels, M, M).
         values: of the objective on the grid.
         looks: K.
-        runs: searches, and the pixels at the squint of each.
+        search: of the normalised objective.
     """
 
     covariance: Numbers
     values: F32
     looks: F64
-    runs: list[tuple[PeakSearch, slice]]
+    search: PeakSearch
 
     @classmethod
-    def of(cls, here: tuple[Index, Index], raised: F64, looks: Looks, beams: Beams, searches: PeakSearches) -> Self:
+    def at(cls, here: tuple[Index, Index], raised: F64, looks: Looks, beams: Beams, searches: PeakSearches) -> Self:
         """The pixels in the rows and columns `here`, whose noise is `raised` over the receivers'."""
         covariance: Numbers = looks.covariance[here] / (looks.receiver_noise * raised[:, None, None])
-        squint = np.rint(looks.squint[here[1]] / searches.part)
-        ends = [0, *(np.flatnonzero(np.diff(squint)) + 1).tolist(), len(squint)]
-        inside = [slice(*pair) for pair in pairwise(ends)]
-        runs = [(searches.of_part(int(squint[run.start])), run) for run in inside]
         covariance = covariance.astype(np.complex128) if beams.is_complex else covariance.real.astype(np.float64)
-        values = np.concatenate([search.on_grid(covariance[run]) for search, run in runs])
-        return cls(covariance, values, looks.count[here], runs)
+        search = searches.at(looks.squint[here[1]])
+        return cls(covariance, search.on_grid(covariance), looks.count[here], search)
 
-    def each(self, some: Index) -> Iterator[tuple[PeakSearch, slice]]:
-        """The searches of `some` pixels, in increasing order, and the part of `some` at the squint of each."""
-        for search, run in self.runs:
-            part = slice(*np.searchsorted(some, (run.start, run.stop)).tolist())
-            if part.start < part.stop:
-                yield search, part
-
-    def several(self, some: Index, start: F64, least: F64) -> tuple[F64, F64, F64]:
-        """`search_several` in some of the pixels; the other arguments and the results are those of that function."""
-        found, (explained, gain) = np.empty((len(some), start.shape[1] + 1)), np.empty((2, len(some)))
-        for search, part in self.each(some):
-            here = some[part]
-            found[part], explained[part], gain[part] = search_several(
-                search, self.covariance[here], self.values[here], start[part], least[part]
-            )
-        return found, explained, gain
-
-    def weighed(self, some: Index, elevation: F64) -> SeveralScatterers:
-        """Scatterers at these elevations (rad, (pixels, S)) of some of the pixels."""
-        parts = [
-            SeveralScatterers.at(search, self.covariance[some[part]], self.looks[some[part]], elevation[part])
-            for search, part in self.each(some)
-        ]
-        return SeveralScatterers.together(parts)
-
-    def surfaces(self, some: Index, narrow: Surfaces, least: F64, beamwidth: float) -> ExtendedSurfaces:
-        """Extended surfaces fitted to some of the pixels, as `ExtendedSurfaces.fit` does from `first_surfaces`."""
-        runs, looks = list(self.each(some)), self.looks[some]
-        first = first_surfaces(runs, self.values[some], looks, narrow, beamwidth)
-        return ExtendedSurfaces.fit(runs, self.covariance[some], looks, first, least, beamwidth)
+    def of(self, some: Index) -> Suspects:
+        """Some of the pixels."""
+        return Suspects(self.covariance[some], self.values[some], self.looks[some], self.search.of(some))
 
 
 def fit_models(
@@ -194,13 +161,12 @@ def fit_models(
     """
     models = Models.of_single(single, evidence, looks, here)
     searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
-    order = np.argsort(looks.squint[here[1]], kind="stable")
-    blocks = [order[first : first + PIXELS_AT_ONCE] for first in range(0, len(order), PIXELS_AT_ONCE)]
+    blocks = searches.alike(looks.squint[here[1]], PIXELS_AT_ONCE)
 
     def work(share: slice) -> None:
         for part in blocks[share]:
             pixels = here[0][part], here[1][part]
-            suspects = Suspects.of(pixels, single.noise.raised[pixels], looks, beams, searches)
+            suspects = Suspects.at(pixels, single.noise.raised[pixels], looks, beams, searches)
             _fit_several(models, part, pixels, suspects, single, beams)
             _fit_extended(models, part, pixels, suspects, single, beams)
 
@@ -218,13 +184,15 @@ def _fit_several(
     for number in range(TWO, min(MOST, beams.count - 1) + 1):
         if not some.size:
             return
-        elevation, explained, gain = suspects.several(some, start, tried[some])
+        these = suspects.of(some)
+        elevation, explained, gain = search_several(these.search, these.covariance, these.values, start, tried[some])
         more = log_evidence_of_one(gain, looks[some], turning[some], domain)
         models.evidence[number, part[some]] = models.evidence[number - 1, part[some]] + more
         climbed = explained > 0
         some, start = some[climbed], elevation[climbed]
         if some.size:
-            several = suspects.weighed(some, start)
+            these = these.of(np.flatnonzero(climbed))
+            several = SeveralScatterers.at(these.search, these.covariance, these.looks, start)
             weighed = log_evidence_of_several(several, domain)
             models.put_several(several, raised[some], beams.uncertainty, weighed, part[some])
 
@@ -239,10 +207,12 @@ def _fit_extended(
     if not some.size:
         return
     chosen, whole = part[some], (pixels[0][some], pixels[1][some])
-    power = power_of(peaks.explained[whole], suspects.looks[some])
+    these = suspects.of(some)
+    power = power_of(peaks.explained[whole], these.looks)
     narrow = Surfaces(peaks.elevation[whole], single.spread.own[whole], power / peaks.array_power[whole])
     least = models.evidence[TWO : THREE + 1, chosen].max(axis=0) - IMPROBABLE
-    surfaces = suspects.surfaces(some, narrow, least, beams.beamwidth)
+    first = first_surfaces(these.search, these.values, these.looks, narrow, beams.beamwidth)
+    surfaces = ExtendedSurfaces.fit(these.search, these.covariance, these.looks, first, least, beams.beamwidth)
     # Of surfaces that were given up no more is known than how improbable they are.
     models.evidence[SPREAD, chosen] = surfaces.log_likelihood
     likely = np.flatnonzero(surfaces.log_likelihood > least)
@@ -251,6 +221,6 @@ def _fit_extended(
     some, whole, surfaces = some[likely], (whole[0][likely], whole[1][likely]), surfaces.at(likely)
     surfaces = surfaces.with_uncertain_beams(beams.uncertainty, peaks.turning[whole] * peaks.array_power[whole])
     weighed = log_evidence_of_extended(surfaces, domain, beams.beamwidth)
-    covariance = suspects.covariance[some]
-    explained = explained_by(list(suspects.each(some)), covariance, surfaces.found, beams.beamwidth)
+    these = these.of(likely)
+    explained = explained_by(these.search, these.covariance, surfaces.found, beams.beamwidth)
     models.put_extended(surfaces, explained, single.noise.raised[whole], weighed, part[some])

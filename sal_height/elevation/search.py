@@ -7,7 +7,7 @@ between the nodes of a table of w. The beams may be of any pattern: complex, tur
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple, Self
 
@@ -27,14 +27,15 @@ from sal_height.elevation._several_kernels import gain_beside_one
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.errors import UserError
-from sal_height.numeric import F32, F64, Index, in_parallel
+from sal_height.numeric import F32, F64, I64, Index, in_parallel
 
 Objective = Callable[[F64, F64], tuple[F64, F64]]
 """Gives the weights and their slope from response and slope of the beams, all real and of shape (..., detectors)."""
 
 PIXELS_OF_THREAD = 2048  # number of pixels from which on another thread is worthwhile
 PIXELS_AT_ONCE = 2048  # pixels whose covariance and objective are held at a time: they fit into a processor's cache
-SEARCHES_HELD = 64  # squints whose search is held: several blocks of pixels have the same one
+SQUINTS_AT_ONCE = 16  # squints whose tables are made together, of 0.2 MB each with 16 detectors
+SEARCHES_HELD = 64  # squints whose tables are held: several blocks of pixels have the same ones
 ARRAYS_HELD = 4  # arrays of beams whose searches are held: a calibration makes ever new ones
 
 SQUINT_STEP = 1 / 16
@@ -66,19 +67,19 @@ class Peaks(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PeakSearch:
-    """The search at one squint.
+class SearchTables:
+    """The weights w at some squints.
 
     Attributes:
         first: lowest elevation searched, rad.
         step: of the table, rad; the grid takes every TABLE_STEPS-th node.
         entries: positions of the upper triangle in a flattened matrix, padded by zeros to a multiple of TILE.
-        grid: products w_m w_n at each node of the grid, those of m < n doubled, shape (entries, grid nodes); 0 where
-            `entries` is padded.
+        grid: products w_m w_n at each node of the grid, those of m < n doubled, shape (squints, entries, grid nodes); 0
+            where `entries` is padded.
         pieces: cubic polynomials for w between the nodes of the table (Hermite: w and w' are exact at the nodes),
-            coefficients of rising powers, shape (table nodes - 1, 4, detectors). For the aperture's beams, whose
-            shortest period is 2 beamwidths, the error is 5e-8 in w and 5e-6 per beamwidth in w'.
-        power: such polynomials for |a|^2, shape (table nodes - 1, 4).
+            coefficients of rising powers, shape (squints, table nodes - 1, 4, detectors). For the aperture's beams,
+            whose shortest period is 2 beamwidths, the error is 5e-8 in w and 5e-6 per beamwidth in w'.
+        power: such polynomials for |a|^2, shape (squints, table nodes - 1, 4).
         complex_beams: whether w stands for complex numbers: their real parts, then their imaginary parts.
     """
 
@@ -92,24 +93,95 @@ class PeakSearch:
 
     @classmethod
     def of(cls, nodes: F64, response: F64, slope: F64, objective: Objective) -> Self:
-        """The search on a table whose `nodes` (rad) hold the beams' response and slope, shape (nodes, detectors)."""
+        """Tables whose `nodes` (rad) hold the beams' response and slope, shape (squints, nodes, detectors)."""
         step = float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
         response, slope, complex_beams = _as_real(response), _as_real(slope), np.iscomplexobj(response)
         weight, weight_slope = objective(response, slope)
         power, power_slope = np.sum(response**2, axis=-1), 2 * np.sum(response * slope, axis=-1)
-        coarse = weight[::TABLE_STEPS]
-        m, n = np.triu_indices(coarse.shape[1])
-        products = coarse[:, m] * coarse[:, n] * np.where(m == n, 1, 2)
+        coarse = weight[:, ::TABLE_STEPS]
+        m, n = np.triu_indices(coarse.shape[2])
+        products = coarse[..., m] * coarse[..., n] * np.where(m == n, 1, 2)
         padding = (0, -len(m) % TILE)
+        grid = np.pad(np.swapaxes(products, 1, 2), ((0, 0), padding, (0, 0)))
         return cls(
             first=float(nodes[0]),
             step=step,
-            entries=np.pad(m * coarse.shape[1] + n, padding),
-            grid=np.ascontiguousarray(np.pad(products.T, (padding, (0, 0))), dtype=np.float32),
+            entries=np.pad(m * coarse.shape[2] + n, padding),
+            grid=np.ascontiguousarray(grid, dtype=np.float32),
             pieces=np.ascontiguousarray(_hermite(weight, weight_slope * step), dtype=np.float32),
             power=np.ascontiguousarray(_hermite(power, power_slope * step), dtype=np.float32),
             complex_beams=complex_beams,
         )
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of the table."""
+        return self.pieces.shape[1]
+
+    @property
+    def last(self) -> float:
+        """Highest elevation searched, rad."""
+        return self.first + self.step * self.steps
+
+    @cached_property
+    def grid_nodes(self) -> F64:
+        """Elevations of the grid, rad."""
+        return self.first + self.step * TABLE_STEPS * np.arange(self.grid.shape[2], dtype=np.float64)
+
+    @cached_property
+    def greatest(self) -> F32:
+        """Greatest |w|^2 at the nodes of the table, shape (squints,)."""
+        return np.asarray(np.max(np.sum(self.pieces[:, :, 0] ** 2, axis=-1), axis=-1))
+
+    @cached_property
+    def unit_pieces(self) -> Numbers:
+        """`pieces`, complex if the beams are, shape (squints, table nodes - 1, 4, channels)."""
+        if not self.complex_beams:
+            return self.pieces
+        channels = self.pieces.shape[3] // 2
+        return np.ascontiguousarray(self.pieces[..., :channels] + np.complex64(1j) * self.pieces[..., channels:])
+
+    @cached_property
+    def units_across(self) -> Numbers:
+        """Weights at the nodes of the grid, complex if the beams are, shape (squints, channels, grid nodes)."""
+        last = self.unit_pieces[:, -1:].sum(axis=2)
+        nodes = np.concatenate([self.unit_pieces[:, :, 0], last], axis=1)[:, ::TABLE_STEPS]
+        return np.ascontiguousarray(np.swapaxes(nodes, 1, 2))
+
+    @cached_property
+    def precise_units_across(self) -> Numbers:
+        """`units_across` in double precision."""
+        return self.units_across.astype(np.result_type(self.units_across, np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class PeakSearch:
+    """The search of some pixels, each at its own squint.
+
+    Attributes:
+        tables: at the squints.
+        squints: number of the squint of each pixel in the tables, shape (pixels,); or one for all, shape (1,). Pixels
+            of the same squint are best neighbours.
+    """
+
+    tables: SearchTables
+    squints: Index
+
+    def of(self, some: Index | slice) -> Self:
+        """The search of some of the pixels."""
+        return replace(self, squints=self.squints[some])
+
+    def every(self, pixels: int) -> Index:
+        """Number of the squint of each of so many pixels."""
+        return self.squints if len(self.squints) == pixels else np.repeat(self.squints, pixels)
+
+    def position(self, elevation: F64) -> F64:
+        """Elevations (rad, any shape) in steps of the table; those beyond the domain count as its ends."""
+        return np.clip((elevation - self.tables.first) / self.tables.step, 0.0, self.tables.steps)
+
+    def elevation(self, position: F64) -> F64:
+        """Elevations (rad) of positions in steps of the table, of any shape."""
+        return self.tables.first + self.tables.step * position
 
     def peaks(self, covariance: Covariance, margin: float = 0.0) -> Peaks:
         """Find the highest peak of the objective in the search domain, and the height of the second highest.
@@ -125,16 +197,20 @@ class PeakSearch:
         Raises:
             UserError: the beams are complex and the covariance is not.
         """
-        blocks = [covariance[i : i + PIXELS_AT_ONCE] for i in range(0, len(covariance), PIXELS_AT_ONCE)]
-        parts = [self.peaks_of(block, self.on_grid(block), margin) for block in blocks]
-        return Peaks(*np.concatenate([np.empty((3, 0)), *parts], axis=1))
+        squints, parts = self.every(len(covariance)), [np.empty((3, 0))]
+        for first in range(0, len(covariance), PIXELS_AT_ONCE):
+            block = covariance[first : first + PIXELS_AT_ONCE]
+            search = replace(self, squints=squints[first : first + PIXELS_AT_ONCE])
+            parts.append(np.array(search.peaks_of(block, search.on_grid(block), margin)))
+        return Peaks(*np.concatenate(parts, axis=1))
 
     def peaks_of(self, covariance: Covariance, values: F32, margin: float) -> Peaks:
         """The same as `peaks` from the objective `on_grid`."""
+        squints, tables = self.every(len(covariance)), self.tables
         position, height, second = np.empty((3, len(covariance)))
-        margin *= float(np.max(np.sum(self.pieces[:, 0].astype(np.float64) ** 2, axis=-1)))
-        climb_highest(self._real(covariance), values, np.float32(margin), self.pieces, (position, height, second))
-        return Peaks(self.first + self.step * position, height, second)
+        margins = np.float32(margin) * tables.greatest
+        climb_highest(self._real(covariance), squints, values, margins, tables.pieces, (position, height, second))
+        return Peaks(self.elevation(position), height, second)
 
     def gain_beside(self, covariance: Covariance, values: F32, elevation: F64) -> F64:
         """What one more scatterer beside a single one would explain, in the unit of the covariance, (2, pixels).
@@ -146,9 +222,10 @@ class PeakSearch:
             values: of the normalised objective `on_grid`.
             elevation: of the single one, within the domain, rad, shape (pixels,).
         """
-        position = np.clip((elevation - self.first) / self.step, 0.0, len(self.pieces))
-        found, matrices = np.empty((2, len(covariance))), covariance if self.complex_beams else self._real(covariance)
-        gain_beside_one(matrices, values, position, self.unit_pieces, self.units_across, found)
+        found, tables, squints = np.empty((2, len(covariance))), self.tables, self.every(len(covariance))
+        matrices = covariance if tables.complex_beams else self._real(covariance)
+        position = self.position(elevation)
+        gain_beside_one(matrices, squints, values, position, tables.unit_pieces, tables.units_across, found)
         return found
 
     def fit(self, covariance: Covariance, elevation: F64) -> F64:
@@ -162,67 +239,34 @@ class PeakSearch:
             The power that the scatterer explains, w^H R w / |w|^2; |a|^2; and how fast the direction of w turns,
             D / |a|^2 in 1/rad^2 (`bounds.information`). Shape (3, pixels); NaN where the elevation is.
         """
-        position = np.clip((elevation - self.first) / self.step, 0.0, len(self.pieces))
+        position, tables, squints = self.position(elevation), self.tables, self.every(len(elevation))
         found = np.empty((3, len(position)))
         known = np.isfinite(position)
-        place = np.where(known, position, 0.0)
-        fit_scatterer(self._real(covariance), place, self.pieces, self.power, self.complex_beams, found)
-        found[2] /= self.step**2
+        place, kind = np.where(known, position, 0.0), tables.complex_beams
+        fit_scatterer(self._real(covariance), squints, place, tables.pieces, tables.power, kind, found)
+        found[2] /= tables.step**2
         found[:, ~known] = np.nan
         return found
 
-    @property
-    def last(self) -> float:
-        """Highest elevation searched, rad."""
-        return self.first + self.step * len(self.pieces)
-
-    @cached_property
-    def grid_nodes(self) -> F64:
-        """Elevations of the grid, rad."""
-        return self.first + self.step * TABLE_STEPS * np.arange(self.grid.shape[1], dtype=np.float64)
-
-    @cached_property
-    def unit_pieces(self) -> Numbers:
-        """`pieces`, complex if the beams are, shape (table nodes - 1, 4, channels)."""
-        if not self.complex_beams:
-            return self.pieces
-        channels = self.pieces.shape[2] // 2
-        return np.ascontiguousarray(self.pieces[..., :channels] + np.complex64(1j) * self.pieces[..., channels:])
-
-    @cached_property
-    def unit_nodes(self) -> Numbers:
-        """Weights at the nodes of the grid, complex if the beams are, shape (grid nodes, channels)."""
-        last = self.unit_pieces[-1:].sum(axis=1)
-        return np.ascontiguousarray(np.concatenate([self.unit_pieces[:, 0], last])[::TABLE_STEPS])
-
-    @cached_property
-    def units_across(self) -> Numbers:
-        """`unit_nodes` with the channels first."""
-        return np.ascontiguousarray(self.unit_nodes.T)
-
     def responses_at(self, elevation: F64) -> tuple[Numbers, Numbers, F64]:
-        """Weights at elevations (rad, shape (...)) within the domain, their slopes (1/rad), and |a|^2, from the table.
+        """Weights at elevations (rad, (pixels, ...)) within the domain, their slopes (1/rad), and |a|^2, by the table.
 
-        Shapes (..., channels), (..., channels) and (...); complex if the beams are.
+        Shapes (pixels, ..., channels), (pixels, ..., channels) and (pixels, ...); complex if the beams are.
         """
-        position = np.clip((elevation - self.first) / self.step, 0.0, len(self.pieces))
-        node = np.minimum(position.astype(np.intp), len(self.pieces) - 1)
+        position, tables = self.position(elevation), self.tables
+        number = self.every(len(elevation)).reshape(-1, *(1 for _ in elevation.shape[1:]))
+        node = np.minimum(position.astype(np.intp), tables.steps - 1)
         powers = (position - node)[..., None] ** np.arange(4)
-        rise = np.arange(1, 4) * powers[..., :3] / self.step
-        pieces = self.unit_pieces[node]
+        rise = np.arange(1, 4) * powers[..., :3] / tables.step
+        pieces = tables.unit_pieces[number, node]
         weight = (powers[..., None, :] @ pieces)[..., 0, :]
         slope = (rise[..., None, :] @ pieces[..., 1:, :])[..., 0, :]
-        return weight, slope, np.sum(powers * self.power[node], axis=-1)
-
-    def power_at(self, position: F64) -> F64:
-        """|a|^2 at positions in steps of the table, of any shape."""
-        node = np.minimum(position.astype(np.intp), len(self.pieces) - 1)
-        piece, t = self.power[node], position - node
-        return np.asarray(piece[..., 0] + t * (piece[..., 1] + t * (piece[..., 2] + t * piece[..., 3])))
+        return weight, slope, np.sum(powers * tables.power[number, node], axis=-1)
 
     def on_grid(self, covariance: Covariance) -> F32:
         """Evaluate the objective of some pixels at all nodes of the grid, (pixels, grid nodes); errors as `peaks`."""
-        return evaluate_on_grid(self._real(covariance), self.entries, self.grid)
+        squints = self.every(len(covariance))
+        return evaluate_on_grid(self._real(covariance), squints, self.tables.entries, self.tables.grid)
 
     def peaks_uphill(self, covariance: Covariance, nodes: Index) -> F64:
         """Find the elevation (rad) of the peak uphill of a node of the grid in each pixel; errors as `peaks`.
@@ -231,14 +275,14 @@ class PeakSearch:
             covariance: shape (pixels, channels, channels).
             nodes: of the grid, one for each pixel, shape (pixels,).
         """
-        position, matrices = np.empty(len(covariance)), self._real(covariance)
-        values = evaluate_on_grid(matrices, self.entries, self.grid)
-        climb_uphill(matrices, values, self.pieces, nodes, position)
-        return self.first + self.step * position
+        position, matrices, squints = np.empty(len(covariance)), self._real(covariance), self.every(len(covariance))
+        values = evaluate_on_grid(matrices, squints, self.tables.entries, self.tables.grid)
+        climb_uphill(matrices, squints, values, self.tables.pieces, nodes, position)
+        return self.elevation(position)
 
     def _real(self, covariance: Covariance) -> F32:
         """Real matrices whose quadratic form with the real weights is that of the covariance."""
-        if not self.complex_beams:
+        if not self.tables.complex_beams:
             return np.ascontiguousarray(covariance.real, dtype=np.float32)
         if not np.iscomplexobj(covariance):
             raise UserError(REAL_COVARIANCE)
@@ -248,24 +292,26 @@ class PeakSearch:
 
 REAL_COVARIANCE = "The covariance of complex beams is real; it must be complex (looks with hermitian=True)."
 
-Find = Callable[[PeakSearch, Covariance, slice, Index], F64]
-"""Gives numbers (count, pixels) from the search at the pixels' squint, their covariance (pixels, channels, channels),
-and the rows and columns of the image they come from."""
+Pixels = tuple[Index, Index]
+"""Rows and columns of some pixels of an image, each of shape (pixels,)."""
+
+Find = Callable[[PeakSearch, Covariance, Pixels], F64]
+"""Gives numbers (count, pixels) from the search of some pixels and their covariance (pixels, channels, channels)."""
 
 
 @dataclass(frozen=True, eq=False)
 class PeakSearches:
-    """Searches over the same elevations at several squints.
+    """Searches over the same elevations at any squints.
 
     Attributes:
-        nodes: elevations of the table, rad.
-        part: least difference of squints that have searches of their own, rad.
-        of_part: gives the search at a multiple of `part`.
+        grid_nodes: elevations of the grid, rad.
+        part: least difference of squints that have tables of their own, rad.
+        of_parts: gives the tables at multiples of `part`.
     """
 
-    nodes: F64
+    grid_nodes: F64
     part: float
-    of_part: Callable[[int], PeakSearch]
+    of_parts: Callable[[tuple[int, ...]], SearchTables]
 
     @classmethod
     def over(cls, beams: Beams, objective: Objective, guard: float) -> PeakSearches:
@@ -279,44 +325,48 @@ class PeakSearches:
         """
         return _searches(beams, objective, guard)
 
-    def at(self, squint: float) -> PeakSearch:
-        """The search at a squint (rad)."""
-        return self.of_part(round(squint / self.part))
+    def at(self, squint: F64 | float) -> PeakSearch:
+        """The search of pixels at these squints (rad, shape (pixels,)), or of any pixels at a single one."""
+        parts, squints = np.unique(self._parts(np.atleast_1d(squint)), return_inverse=True)
+        return PeakSearch(self.of_parts(tuple(parts.tolist())), squints)
+
+    def alike(self, squint: F64, most: int) -> list[Index]:
+        """Numbers of the squints (rad, shape (n,)) in their order, `most` or fewer of SQUINTS_AT_ONCE at a time."""
+        _, number = np.unique(self._parts(squint), return_inverse=True)
+        order = np.argsort(number, kind="stable")
+        ends = np.flatnonzero(np.diff(number[order] // SQUINTS_AT_ONCE)) + 1
+        groups = np.split(order, ends)
+        return [group[first : first + most] for group in groups for first in range(0, len(group), most)]
 
     def of_pixels(self, looks: Looks, count: int, find: Find) -> F64:
-        """Find `count` numbers for every pixel, shape (count, rows, cols), block by block on all processors.
-
-        `find` gives them for the pixels of a block, which all have the same squint.
-        """
+        """Find `count` numbers for every pixel, shape (count, rows, cols), block by block on all processors."""
         result = np.empty((count, *looks.count.shape))
 
-        def work(search: PeakSearch, rows: slice, cols: Index) -> None:
-            pixels = looks.covariance[rows, cols]
-            found = find(search, pixels.reshape(-1, *pixels.shape[2:]), rows, cols)
-            result[:, rows, cols] = found.reshape(count, *pixels.shape[:2])
+        def work(search: PeakSearch, pixels: Pixels) -> None:
+            result[:, *pixels] = find(search, looks.covariance[pixels], pixels)
 
         self.each(looks.squint, len(looks.count), work)
         return result
 
-    def each(self, squint: F64, rows: int, work: Callable[[PeakSearch, slice, Index], object]) -> None:
-        """Call `work` with the search, the rows and the columns of each block of the image, on all processors.
+    def each(self, squint: F64, rows: int, work: Callable[[PeakSearch, Pixels], object]) -> None:
+        """Call `work` with the search and the pixels of each block of the image, on all processors.
 
-        A block has up to PIXELS_AT_ONCE pixels, or a row of them, and one of the squints (rad, shape (cols,)).
+        A block has up to PIXELS_AT_ONCE pixels, column by column. Squints (rad, shape (cols,)) are of the columns.
         """
-        parts, part_of = np.unique(np.rint(squint / self.part), return_inverse=True)
-        blocks: list[tuple[int, slice, Index]] = []
-        for index, part in enumerate(parts.tolist()):
-            alike = np.flatnonzero(part_of == index)
-            for first in range(0, len(alike), PIXELS_AT_ONCE):
-                cols = alike[first : first + PIXELS_AT_ONCE]
-                high = max(1, PIXELS_AT_ONCE // len(cols))
-                blocks += [(int(part), slice(row, min(row + high, rows)), cols) for row in range(0, rows, high)]
+        high = min(max(rows, 1), PIXELS_AT_ONCE)
+        columns = self.alike(squint, PIXELS_AT_ONCE // high)
+        blocks = [(cols, np.arange(top, min(top + high, rows))) for cols in columns for top in range(0, rows, high)]
 
         def work_on(share: slice) -> None:
-            for part, some_rows, cols in blocks[share]:
-                work(self.of_part(part), some_rows, cols)
+            for cols, down in blocks[share]:
+                search, each = self.at(squint[cols]), np.repeat(np.arange(len(cols)), len(down))
+                work(search.of(each), (np.tile(down, len(cols)), cols[each]))
 
         in_parallel(work_on, len(blocks), -(-PIXELS_OF_THREAD * len(blocks) // max(1, rows * len(squint))))
+
+    def _parts(self, squint: F64) -> I64:
+        """Squints (rad) in the unit `part`."""
+        return np.rint(squint / self.part).astype(np.int64)
 
 
 def _as_real(values: F64) -> F64:
@@ -337,15 +387,19 @@ def _searches(beams: Beams, objective: Objective, guard: float) -> PeakSearches:
         squint = number * squint_step
         return beams.response(nodes, squint), beams.slope(nodes, squint)
 
-    @lru_cache(SEARCHES_HELD)
-    def of_part(part: int) -> PeakSearch:
+    def at_squint(part: int) -> tuple[F64, F64]:
         number, rest = divmod(part, SQUINT_PARTS)
         weights = _lagrange(rest / SQUINT_PARTS)
         used = [(weight, *exact(number + k)) for weight, k in zip(weights, NEAREST.tolist(), strict=True) if weight]
         response, slope = (sum(weight * values[n] for weight, *values in used) for n in (0, 1))
-        return PeakSearch.of(nodes, np.asarray(response), np.asarray(slope), objective)
+        return np.asarray(response), np.asarray(slope)
 
-    return PeakSearches(nodes, squint_step / SQUINT_PARTS, of_part)
+    @lru_cache(SEARCHES_HELD // SQUINTS_AT_ONCE)
+    def of_parts(parts: tuple[int, ...]) -> SearchTables:
+        responses, slopes = zip(*map(at_squint, parts), strict=True)
+        return SearchTables.of(nodes, np.stack(responses), np.stack(slopes), objective)
+
+    return PeakSearches(nodes[::TABLE_STEPS], squint_step / SQUINT_PARTS, of_parts)
 
 
 def _lagrange(place: float) -> list[float]:
@@ -355,6 +409,6 @@ def _lagrange(place: float) -> list[float]:
 
 
 def _hermite(value: F64, slope: F64) -> F64:
-    """Cubics from node to node with these values and slopes (per step) at both; shape (nodes - 1, 4, ...)."""
-    rise, start, end = np.diff(value, axis=0), slope[:-1], slope[1:]
-    return np.stack([value[:-1], start, 3 * rise - 2 * start - end, start + end - 2 * rise], axis=1)
+    """Cubics from node to node with these values and slopes (per step) at both; shape (squints, nodes - 1, 4, ...)."""
+    rise, start, end = np.diff(value, axis=1), slope[:, :-1], slope[:, 1:]
+    return np.stack([value[:, :-1], start, 3 * rise - 2 * start - end, start + end - 2 * rise], axis=2)

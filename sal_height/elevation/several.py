@@ -13,7 +13,7 @@ U diag(p) U^H + I.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -52,16 +52,12 @@ class SeveralScatterers:
     def at(cls, search: PeakSearch, covariance: Numbers, looks: F64, elevation: F64) -> Self:
         """Fit scatterers at known elevations (rad, (pixels, S)); the other arguments are those of `search_several`."""
         pixels, count = elevation.shape
-        position = np.clip((elevation - search.first) / search.step, 0.0, len(search.pieces))
-        explained, products = np.empty(pixels), np.empty((4, pixels, count, count), covariance.dtype)
-        weigh_together(covariance, position, search.unit_pieces, (explained, *products))
-        gram, seen, fitted, turning = products
-        return cls(elevation, explained, search.power_at(position), gram, seen, fitted, turning / search.step**2, looks)
-
-    @classmethod
-    def together(cls, parts: list[Self]) -> Self:
-        """Those of several searches, one after the other."""
-        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+        tables = search.tables
+        explained, power = np.empty(pixels), np.empty((pixels, count))
+        gram, seen, fitted, turning = products = np.empty((4, pixels, count, count), covariance.dtype)
+        pieces, squints = (tables.unit_pieces, tables.power), search.every(pixels)
+        weigh_together(covariance, squints, search.position(elevation), pieces, (explained, power, *products))
+        return cls(elevation, explained, power, gram, seen, fitted, turning / tables.step**2, looks)
 
     @property
     def power(self) -> F64:
@@ -103,7 +99,7 @@ def search_several(
     """Find one scatterer more than `start` in some pixels.
 
     Args:
-        search: of the normalised objective, at the squint of the pixels.
+        search: of the normalised objective, of these pixels.
         covariance: R in noise powers, double precision, (pixels, M, M).
         values: of the objective `on_grid`.
         start: elevations of the best S - 1 scatterers, rad, (pixels, S - 1).
@@ -114,9 +110,10 @@ def search_several(
         Elevations, rad, (pixels, S); the power that they explain; and that of the best node beside `start`, (pixels,).
     """
     found, (explained, gain) = np.empty((len(start), start.shape[1] + 1)), np.empty((2, len(start)))
-    table = search.units_across.astype(covariance.dtype), search.unit_pieces
-    search_beside(covariance, values, (start - search.first) / search.step, least, table, (found, explained, gain))
-    return search.first + search.step * np.sort(found, axis=1), explained, gain
+    tables, squints = search.tables, search.every(len(start))
+    responses = tables.precise_units_across, tables.unit_pieces
+    search_beside(covariance, squints, values, search.position(start), least, responses, (found, explained, gain))
+    return search.elevation(np.sort(found, axis=1)), explained, gain
 
 
 def deviations(information: F64) -> F64:

@@ -23,7 +23,7 @@ from sal_height.beams import Beams
 from sal_height.elevation._kernels import send_along
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation, search_guard
 from sal_height.elevation.looks import Looks
-from sal_height.elevation.search import PeakSearch, PeakSearches
+from sal_height.elevation.search import PeakSearch, PeakSearches, Pixels
 from sal_height.numeric import F32, F64, Bool, Index, in_parallel
 
 RECOMMENDED_STRENGTH = 0.75
@@ -101,18 +101,16 @@ def _log_likelihood(looks: Looks, tile: _Tile, searches: PeakSearches) -> tuple[
     amplitudes. Shapes (rows, cols, grid nodes) and (rows, cols).
     """
     shape, angles = (tile.rows.size, tile.cols.size), looks.squint[tile.cols]
-    own = np.empty((*shape, searches.at(float(angles[0])).grid.shape[1]), np.float32)
+    own = np.empty((*shape, len(searches.grid_nodes)), np.float32)
     has_data = np.empty(shape, dtype=np.bool_)
 
-    def work(search: PeakSearch, some: slice, columns: Index) -> None:
-        here = tile.rows[some, None], tile.cols[columns]
-        pixels, count = looks.covariance[here], looks.count[here]
-        has_data[some, columns] = np.any(np.diagonal(pixels, axis1=-2, axis2=-1) != 0, axis=-1)
-        values = search.on_grid(pixels.reshape(-1, *pixels.shape[2:]))
-        order = count.reshape(-1, 1).astype(np.float32)
-        noise = looks.noise_power[here].reshape(-1, 1).astype(np.float32)
-        q = np.maximum(values / (order * noise), np.float32(1))
-        own[some, columns] = (order * (q - 1 - np.log(q))).reshape(*count.shape, -1)
+    def work(search: PeakSearch, pixels: Pixels) -> None:
+        here = tile.rows[pixels[0]], tile.cols[pixels[1]]
+        covariance, order = looks.covariance[here], looks.count[here][:, None].astype(np.float32)
+        has_data[pixels] = np.any(np.diagonal(covariance, axis1=-2, axis2=-1) != 0, axis=-1)
+        noise = looks.noise_power[here][:, None].astype(np.float32)
+        q = np.maximum(search.on_grid(covariance) / (order * noise), np.float32(1))
+        own[pixels] = order * (q - 1 - np.log(q))
 
     searches.each(angles, len(tile.rows), work)
     return own, has_data
@@ -145,16 +143,16 @@ def _move(elevation: F64, total: F32, messages: F32, looks: Looks, tile: _Tile, 
     `total` and `messages` are of the core: log-likelihood with what the neighbours say of each node, and that alone.
     """
     rows, cols = tile.rows[tile.core[0]], tile.cols[tile.core[1]]
-    grid_step = (searches.nodes[-1] - searches.nodes[0]) / (total.shape[2] - 1)
-    alone = np.rint((elevation[rows[:, None], cols] - searches.nodes[0]) / grid_step).astype(np.intp)
+    nodes = searches.grid_nodes
+    alone = np.rint((elevation[rows[:, None], cols] - nodes[0]) / (nodes[1] - nodes[0])).astype(np.intp)
     together = np.argmax(total, axis=2)
     heard, before = (np.take_along_axis(messages, node[..., None], axis=2)[..., 0] for node in (together, alone))
     changed = (heard > before) & (together != alone)
 
-    def work(search: PeakSearch, part: slice, columns: Index) -> None:
-        row, col = np.nonzero(changed[part, columns])
-        row, col = row + part.start, columns[col]
+    def work(search: PeakSearch, pixels: Pixels) -> None:
+        moved = np.flatnonzero(changed[pixels])
+        row, col = pixels[0][moved], pixels[1][moved]
         there = rows[row], cols[col]
-        elevation[there] = search.peaks_uphill(looks.covariance[there], together[row, col])
+        elevation[there] = search.of(moved).peaks_uphill(looks.covariance[there], together[row, col])
 
     searches.each(looks.squint[cols], len(rows), work)

@@ -340,7 +340,7 @@ def test_the_order_in_which_threads_finish_changes_no_bit(monkeypatch: pytest.Mo
         calls: list[tuple[object, ...]] = []
         each(searches, squint, rows, lambda *call: calls.append(call))
         blocks.append(len(calls))
-        for call in sorted(calls, key=lambda call: call[1].start, reverse=True):
+        for call in sorted(calls, key=lambda call: [int(part[0]) for part in call[1]], reverse=True):
             work(*call)
 
     monkeypatch.setattr(PeakSearches, "each", backwards)

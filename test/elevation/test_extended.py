@@ -51,7 +51,7 @@ def log_likelihood(
     places = np.sqrt(3) * nodes
     elevation = surfaces.elevation[:, None] + surfaces.spread[:, None] * places
     units, slopes, array_power = search.responses_at(elevation)
-    inside = (elevation >= search.first) & (elevation <= search.last)
+    inside = (elevation >= search.tables.first) & (elevation <= search.tables.last)
     amplitude = np.sqrt(inside * weights / 2 * array_power * surfaces.cnr[:, None])[..., None]
     responses = np.swapaxes(units * amplitude, 1, 2)
     turns = np.swapaxes(slopes * amplitude, 1, 2) * surfaces.spread[:, None, None]
@@ -73,18 +73,16 @@ def test_likelihood_is_that_of_its_formula(pattern: str) -> None:
     beams, rng, looks = beams_named(pattern), np.random.default_rng(70), np.full(20, 4.0)
     covariance, search = covariance_of(beams, np.zeros(20), 0.4, 20.0, 4, rng), search_of(beams)
     offset, spread, cnr = rng.uniform(-4, 4, 20), np.linspace(0.05, 0.8, 20), 10 ** rng.uniform(0, 2, 20)
-    offset[0] = offset_of(search.last) - 0.3
+    offset[0] = offset_of(search.tables.last) - 0.3
     surfaces = Surfaces(elevation_at(offset), spread * BEAMWIDTH, cnr)
     of_counts = {count: log_likelihood(search, covariance, looks, surfaces, count) for count, _ in QUADRATURES}
-    table, kind = table_of(search, BEAMWIDTH), covariance.dtype
+    table, kind = kernels.at_squint(table_of(search.tables, BEAMWIDTH), 0), covariance.dtype
+    places = surfaces.in_steps(search.tables).T.copy()
     for pixel in range(20):
         expected = of_counts[next(count for count, greatest in QUADRATURES if spread[pixel] <= greatest)]
-        place = np.array(
-            [(surfaces.elevation[pixel] - search.first) / search.step, surfaces.spread[pixel] / search.step, cnr[pixel]]
-        )
         work = np.empty((3, 9, beams.count), kind), np.empty((7, 9, 9), kind)
         gradient, information = np.empty(3), np.empty((3, 3))
-        likelihood = kernels.likelihood_at(covariance[pixel], 4.0, place, table, work, gradient, information)
+        likelihood = kernels.likelihood_at(covariance[pixel], 4.0, places[pixel], table, work, gradient, information)
         scale = np.sqrt(np.diag(expected[2][pixel]))
         assert likelihood == pytest.approx(expected[0][pixel], rel=1e-5, abs=1e-3)
         np.testing.assert_allclose(gradient / scale, expected[1][pixel] / scale, rtol=1e-3, atol=1e-3)
@@ -99,7 +97,8 @@ def test_quadratures_are_as_exact_as_stated(rule: int, error: float) -> None:
     search, (_, spread) = search_of(make_beams("jinc")), QUADRATURES[rule]
     surfaces = Surfaces(elevation_at(np.array([0.3])), np.array([spread * BEAMWIDTH]), np.ones(1))
     rows = np.empty((1, 9, 16))
-    kernels.all_responses(surfaces.in_steps(search), table_of(search, BEAMWIDTH), rows)
+    table = table_of(search.tables, BEAMWIDTH)
+    kernels.all_responses(surfaces.in_steps(search.tables), np.zeros(1, np.intp), table, rows)
     nodes, weights = np.polynomial.legendre.leggauss(41)
     units, _, power = search.responses_at(surfaces.elevation + surfaces.spread * np.sqrt(3) * nodes)
     exact = np.einsum("i,im,in->mn", weights / 2 * power, units, units)
@@ -134,16 +133,14 @@ def test_surfaces_are_found_within_their_sigma(cnr_db: int, looks: int, spread: 
     covariance, search = covariance_of(beams, middle, spread, 10 ** (cnr_db / 10), looks, rng), search_of(beams)
     values = search.on_grid(covariance)
     narrow = Surfaces(search.peaks_of(covariance, values, 0.0).elevation, np.zeros(1000), np.full(1000, 10.0))
-    first = first_surfaces([(search, slice(0, 1000))], values, count, narrow, BEAMWIDTH)
-    found = ExtendedSurfaces.fit(
-        [(search, slice(0, 1000))], covariance, count, first, np.full(1000, -np.inf), BEAMWIDTH
-    )
+    first = first_surfaces(search, values, count, narrow, BEAMWIDTH)
+    found = ExtendedSurfaces.fit(search, covariance, count, first, np.full(1000, -np.inf), BEAMWIDTH)
     score = np.abs(offset_of(found.found.elevation) - middle) * BEAMWIDTH / found.sigma
     assert np.mean(score < 1) == pytest.approx(0.66, abs=0.06)
     assert np.mean(score > 5) < 5e-3
     assert np.median(found.found.spread) / BEAMWIDTH == pytest.approx(spread, rel=0.05)
     # What it leaves is noise.
-    explained, directions = explained_by([(search, slice(0, 1000))], covariance, found.found, BEAMWIDTH)
+    explained, directions = explained_by(search, covariance, found.found, BEAMWIDTH)
     left = np.trace(covariance, axis1=1, axis2=2) - explained
     assert np.mean(left) / np.mean((beams.count - directions) * count) == pytest.approx(1, abs=0.03)
 
@@ -153,10 +150,8 @@ def test_pixels_that_cannot_reach_the_likelihood_of_interest_are_left() -> None:
     beams, rng, count = make_beams("jinc"), np.random.default_rng(73), np.full(50, 4.0)
     covariance, search = covariance_of(beams, np.zeros(50), 0.3, 1000.0, 4, rng), search_of(beams)
     start = Surfaces(elevation_at(np.full(50, 1.5)), np.full(50, 0.1 * BEAMWIDTH), np.full(50, 100.0))
-    to_the_end = ExtendedSurfaces.fit(
-        [(search, slice(0, 50))], covariance, count, start, np.full(50, -np.inf), BEAMWIDTH
-    )
-    given_up = ExtendedSurfaces.fit([(search, slice(0, 50))], covariance, count, start, np.full(50, np.inf), BEAMWIDTH)
+    to_the_end = ExtendedSurfaces.fit(search, covariance, count, start, np.full(50, -np.inf), BEAMWIDTH)
+    given_up = ExtendedSurfaces.fit(search, covariance, count, start, np.full(50, np.inf), BEAMWIDTH)
     np.testing.assert_array_equal(given_up.found.elevation, start.elevation)
     assert np.all(to_the_end.log_likelihood > given_up.log_likelihood)
 

@@ -10,14 +10,23 @@ from sal_height.beams.array import Beams
 from sal_height.elevation import _kernels as kernels
 from sal_height.elevation import _look_kernels as look_kernels
 from sal_height.elevation.likelihood import OBJECTIVES
-from sal_height.elevation.search import PeakSearch, PeakSearches
+from sal_height.elevation.search import PeakSearches, SearchTables
 
 Array = np.ndarray
 RNG_SEED = 80
 
 
-def search_of(beams: Beams, objective: str = "normalised") -> PeakSearch:
-    return PeakSearches.over(beams, OBJECTIVES[objective], 3 * BEAMWIDTH).at(0.0)
+SQUINTS = np.array([-0.3, 0.0, 0.4]) * BEAMWIDTH
+
+
+def tables_of(beams: Beams, objective: str = "normalised") -> SearchTables:
+    """Tables at SQUINTS."""
+    return PeakSearches.over(beams, OBJECTIVES[objective], 3 * BEAMWIDTH).at(SQUINTS).tables
+
+
+def mixed_squints(pixels: int) -> Array:
+    """Numbers of squints of pixels in no order, runs of several lengths among them."""
+    return np.random.default_rng(RNG_SEED).integers(0, 3, pixels // 2 + 1).repeat(2)[:pixels]
 
 
 def pixels_of(channels: int, pixels: int, looks: int) -> Array:
@@ -28,11 +37,11 @@ def pixels_of(channels: int, pixels: int, looks: int) -> Array:
     return np.ascontiguousarray(np.einsum("mpk,npk->pmn", slc, slc.conj()).real, dtype=np.float32)
 
 
-def weights_at(search: PeakSearch, position: Array) -> Array:
-    """Weights (..., detectors) at positions in steps of the table, in double precision."""
-    node = np.minimum(position.astype(int), len(search.pieces) - 1)
+def weights_at(tables: SearchTables, squint: int | Array, position: Array) -> Array:
+    """Weights (..., detectors) at squints and positions in steps of the table, in double precision."""
+    node = np.minimum(position.astype(int), tables.steps - 1)
     powers = (position - node)[..., None] ** np.arange(4)
-    return np.einsum("...k,...km->...m", powers, search.pieces[node].astype(float))
+    return np.einsum("...k,...km->...m", powers, tables.pieces[squint, node].astype(float))
 
 
 def forms(matrices: Array, weights: Array) -> Array:
@@ -43,20 +52,25 @@ def forms(matrices: Array, weights: Array) -> Array:
 @pytest.mark.parametrize("channels", [2, 3, 5, 16])
 @pytest.mark.parametrize("pixels", [1, 4, 7])
 def test_grid_is_the_quadratic_form_at_its_nodes(channels: int, pixels: int) -> None:
-    search, matrices = search_of(make_beams("jinc", channels)), pixels_of(channels, pixels, 4)
-    nodes = np.arange(search.grid.shape[1]) * float(kernels.TABLE_STEPS)
-    expected = forms(matrices, weights_at(search, nodes))
-    found = kernels.evaluate_on_grid(matrices, search.entries, search.grid)
+    tables, matrices = tables_of(make_beams("jinc", channels)), pixels_of(channels, pixels, 4)
+    nodes, squints = np.arange(tables.grid.shape[2]) * float(kernels.TABLE_STEPS), mixed_squints(pixels)
+    expected = np.concatenate(
+        [
+            forms(matrix[None], weights_at(tables, squint, nodes))
+            for matrix, squint in zip(matrices, squints, strict=True)
+        ]
+    )
+    found = kernels.evaluate_on_grid(matrices, squints, tables.entries, tables.grid)
     np.testing.assert_allclose(found, expected, atol=2e-6 * expected.max())
 
 
-def highest_peaks(search: PeakSearch, matrices: Array) -> tuple[Array, Array, Array]:
+def highest_peaks(tables: SearchTables, squint: int, matrices: Array) -> tuple[Array, Array, Array]:
     """The search in plain NumPy: place (in steps of the table), height, and second height of the peaks on a fine grid.
 
     Peaks are vertices of parabolas through 64 points in each step of the table.
     """
-    fine = np.linspace(0, len(search.pieces), 64 * len(search.pieces) + 1)
-    value = forms(matrices, weights_at(search, fine))
+    fine = np.linspace(0, tables.steps, 64 * tables.steps + 1)
+    value = forms(matrices, weights_at(tables, squint, fine))
     padded = np.pad(value, ((0, 0), (1, 1)), constant_values=-np.inf)
     peak = (value >= padded[:, :-2]) & (value > padded[:, 2:])
     heights = np.sort(np.where(peak, value, -np.inf), axis=1)
@@ -70,11 +84,14 @@ def highest_peaks(search: PeakSearch, matrices: Array) -> tuple[Array, Array, Ar
 @pytest.mark.parametrize(("channels", "looks"), [(3, 1), (5, 4), (16, 1), (16, 16)])
 def test_highest_and_second_peak_are_those_of_a_dense_search(channels: int, looks: int, objective: str) -> None:
     """But for ties within the errors of float32: 1e-4 of the height."""
-    search, matrices = search_of(make_beams("jinc", channels), objective), pixels_of(channels, 300, looks)
-    place, height, second = highest_peaks(search, matrices)
-    values = kernels.evaluate_on_grid(matrices, search.entries, search.grid)
+    tables, matrices = tables_of(make_beams("jinc", channels), objective), pixels_of(channels, 300, looks)
+    squints = np.arange(300) // 100
+    parts = [highest_peaks(tables, squint, matrices[squints == squint]) for squint in range(3)]
+    place, height, second = (np.concatenate(part) for part in zip(*parts, strict=True))
+    values = kernels.evaluate_on_grid(matrices, squints, tables.entries, tables.grid)
     found = tuple(np.empty((3, len(matrices))))
-    kernels.climb_highest(matrices, values, np.float32(np.max(height)), search.pieces, found)
+    margins = np.full(3, np.max(height), np.float32)
+    kernels.climb_highest(matrices, squints, values, margins, tables.pieces, found)
     np.testing.assert_allclose(found[1], height, rtol=1e-4)
     clear = height - second > 1e-3 * height
     assert np.mean(clear) > 0.95
@@ -89,12 +106,12 @@ def test_highest_and_second_peak_are_those_of_a_dense_search(channels: int, look
 @pytest.mark.parametrize("complex_beams", [False, True])
 def test_fit_is_that_of_the_weights_at_a_place(complex_beams: bool) -> None:
     """Explained power and how fast the weights turn; complex ones, real parts first, but for a turn of phase."""
-    rng, search, matrices = np.random.default_rng(RNG_SEED), search_of(make_beams("jinc", 6)), pixels_of(6, 50, 4)
-    place, found = rng.uniform(0, len(search.pieces), 50), np.empty((3, 50))
-    kernels.fit_scatterer(matrices, place, search.pieces, search.power, complex_beams, found)
+    rng, tables, matrices = np.random.default_rng(RNG_SEED), tables_of(make_beams("jinc", 6)), pixels_of(6, 50, 4)
+    place, found, squints = rng.uniform(0, tables.steps, 50), np.empty((3, 50)), mixed_squints(50)
+    kernels.fit_scatterer(matrices, squints, place, tables.pieces, tables.power, complex_beams, found)
     step = 1e-4
-    weight = weights_at(search, place)
-    slope = (weights_at(search, place + step) - weights_at(search, place - step)) / (2 * step)
+    weight, after, before = (weights_at(tables, squints, place + moved) for moved in (0, step, -step))
+    slope = (after - before) / (2 * step)
     both = [part[:, :3] + 1j * part[:, 3:] if complex_beams else part for part in (weight, slope)]
     norm = np.sum(np.abs(both[0]) ** 2, axis=1)
     overlap = np.abs(np.sum(both[0].conj() * both[1], axis=1)) ** 2
@@ -105,11 +122,11 @@ def test_fit_is_that_of_the_weights_at_a_place(complex_beams: bool) -> None:
 
 
 def test_uphill_ends_at_the_peak_beside_the_highest_node_reached() -> None:
-    search, matrices = search_of(make_beams("jinc")), pixels_of(16, 200, 4)
-    values = kernels.evaluate_on_grid(matrices, search.entries, search.grid)
+    tables, matrices, squints = tables_of(make_beams("jinc")), pixels_of(16, 200, 4), mixed_squints(200)
+    values = kernels.evaluate_on_grid(matrices, squints, tables.entries, tables.grid)
     start = np.random.default_rng(RNG_SEED).integers(0, values.shape[1], len(values))
     found = np.empty(len(values))
-    kernels.climb_uphill(matrices, values, search.pieces, start, found)
+    kernels.climb_uphill(matrices, squints, values, tables.pieces, start, found)
     for line, node, place in zip(values, start, found, strict=True):
         top = node
         while top + 1 < line.size and line[top + 1] >= line[top]:

@@ -235,7 +235,8 @@ def test_climb_that_starts_on_the_peak_stays_there() -> None:
     """One detector with w = 1 - x^2 / 144 from step to step of the table: the slope at the start is 0 exactly."""
     steps = np.arange(-peak_search.TABLE_STEPS, peak_search.TABLE_STEPS + 1.0)
     nodes, response, slope = np.pi / 4 + 1e-5 * steps, 1 - steps[:, None] ** 2 / 144, -steps[:, None] / 72e-5
-    search = peak_search.PeakSearch.of(nodes, response, slope, OBJECTIVES["numerator"])
+    tables = peak_search.SearchTables.of(nodes, response[None], slope[None], OBJECTIVES["numerator"])
+    search = peak_search.PeakSearch(tables, np.zeros(1, np.intp))
     assert (search.peaks(np.ones((1, 1, 1))).elevation[0] - np.pi / 4) / 1e-5 == pytest.approx(0, abs=1e-6)
 
 

@@ -104,7 +104,7 @@ def test_gain_beside_is_that_of_projectors(name: str) -> None:
     covariance = pixels_of(beams, rng.uniform(-3.5, 3.5, (20, 2)), (10.0, 3.0), 4, rng)[:, 0]
     search, first = search_of(beams), elevation_at(rng.uniform(-3.5, 3.5, 20))
     gain, along = search.gain_beside(covariance, search.on_grid(covariance), first)
-    nodes = beams.response(search.first + search.step * kernels.TABLE_STEPS * np.arange(len(search.unit_nodes)), 0.0)
+    nodes = beams.response(search.tables.grid_nodes, 0.0)
     for pixel, matrix in enumerate(covariance):
         one = beams.response(first[pixel], 0.0)
         beyond = nodes - np.outer(nodes @ one.conj(), one) / np.linalg.norm(one) ** 2
@@ -128,24 +128,23 @@ def test_best_node_and_newton_step_are_those_of_projectors(name: str, count: int
     kind = complex if beams.is_complex else float
     matrix = np.ascontiguousarray(matrix if beams.is_complex else matrix.real)
     values = search.on_grid(matrix[None].astype(np.complex64 if beams.is_complex else np.float32))[0]
-    place, table = np.array([100.0, 130.0, 171.0])[:count], search.unit_nodes.astype(kind)
-    node, gain = kernels.best_node(matrix, values, np.ascontiguousarray(table.T), search.unit_pieces, place)
+    place, table = np.array([100.0, 130.0, 171.0])[:count], search.tables.precise_units_across[0]
+    pieces = search.tables.unit_pieces[0]
+    node, gain = kernels.best_node(matrix, values, table, pieces, place)
 
     def explained(positions: np.ndarray) -> float:
-        return float(explained_by(beams, offset_of(search.first + search.step * positions)[None], matrix[None])[0])
+        return float(explained_by(beams, offset_of(search.elevation(positions))[None], matrix[None])[0])
 
-    whole = [explained(np.append(place, kernels.TABLE_STEPS * j)) for j in range(len(table))]
+    whole = [explained(np.append(place, kernels.TABLE_STEPS * j)) for j in range(table.shape[1])]
     assert gain == pytest.approx(whole[node] - explained(place), rel=1e-3)
     assert whole[node] == pytest.approx(np.max(whole), rel=1e-3)
     step, tiny = np.zeros(count), 1e-3
     work = np.empty((4, count, 16), kind), np.empty((3, count, count), kind), np.empty(16, kind)
-    assert kernels.newton_step(matrix, place, search.unit_pieces, step, work) == pytest.approx(
-        explained(place), rel=1e-5
-    )
+    assert kernels.newton_step(matrix, place, pieces, step, work) == pytest.approx(explained(place), rel=1e-5)
     gradient = [(explained(place + tiny * e) - explained(place - tiny * e)) / (2 * tiny) for e in np.eye(count)]
-    several = SeveralScatterers.at(search, matrix[None], np.ones(1), search.first + search.step * place[None])
+    several = SeveralScatterers.at(search, matrix[None], np.ones(1), search.elevation(place[None]))
     turning = several.turning * np.swapaxes(several.fitted, 1, 2)
-    curvature = 2 * search.step**2 * turning[0].real
+    curvature = 2 * search.tables.step**2 * turning[0].real
     np.testing.assert_allclose(curvature @ step, gradient, rtol=5e-3, atol=2e-3 * np.max(np.abs(gradient)))
 
 

@@ -23,7 +23,7 @@ from sal_height.elevation.monopulse.estimators import (
 )
 from sal_height.elevation.monopulse.inverse_table import invert_pairs
 from sal_height.elevation.monopulse.inversion import Reason
-from sal_height.elevation.search import PIXELS_AT_ONCE, PeakSearch, PeakSearches
+from sal_height.elevation.search import PIXELS_AT_ONCE, PeakSearch, PeakSearches, Pixels
 from sal_height.elevation.settings import HeightSettings
 from sal_height.errors import Rejected
 from sal_height.numeric import F64, Index, in_parallel
@@ -70,11 +70,10 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
     found = invert_pairs(beams, mu, pair, looks.squint)
     sigma, cnr = accuracy(sums, found, noise_powers, beams.uncertainty)
 
-    def compare(search: PeakSearch, pixels: Covariance, rows: slice, cols: Index) -> F64:
+    def compare(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
         """What the whole array says: its best elevation and how well that explains a pixel, and the same of `found`."""
         best = search.peaks(pixels)
-        here = search.fit(pixels, found.elevation[rows, cols].reshape(-1))
-        return np.stack([best.elevation, best.height, *here[:2]])
+        return np.stack([best.elevation, best.height, *search.fit(pixels, found.elevation[here])[:2]])
 
     searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
     best, best_explained, explained, gain = searches.of_pixels(looks, 4, compare)

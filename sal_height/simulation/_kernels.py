@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.numeric import C64, F32, F64, I32, compiled, cosine_and_sine, inlined
+from sal_height.numeric import C64, F32, F64, I32, I64, compiled, cosine_and_sine, inlined
 
 SMALL = 0.05
 """Tangent up to which angles are taken from a series."""
@@ -19,7 +19,6 @@ def place_echoes(
     periods: F64,
     strengths: C64,
     echoes: C64,
-    turn: F32,
     bins: I32,
     fractions: F32,
 ) -> None:
@@ -30,10 +29,9 @@ def place_echoes(
         ends: two positions of the antenna, m, and the range there that is taken off, m: shape (2, 4).
         steps: the pulses at which it is there; alike: range rates are 0.
         scales: phase in turns per m; bins of range per m; bins of range rate per m and pulse.
-        periods: numbers of bins, in range and in range rate; range 0 is in the middle, range rate 0 is bin 0.
+        periods: numbers of bins, in range and in range rate, both even; range 0 and range rate 0 are in the middle.
         strengths: amplitude of the scatterers.
         echoes: result, with the phase of the range at step 0, shape (scatterers,).
-        turn: result, phase by which its echo grows from pulse to pulse, turns, shape (scatterers,).
         bins: result, the bin before each place, shape (2, scatterers).
         fractions: result, how far each place is past it, shape (2, scatterers).
     """
@@ -53,8 +51,7 @@ def place_echoes(
         place = (place - np.floor(place)) * periods[0]
         range_bin[i] = np.int32(place)
         range_fraction[i] = np.float32(place - np.floor(place))
-        place = rate * scales[2] / periods[1]
-        turn[i] = np.float32(place)
+        place = rate * scales[2] / periods[1] + 0.5
         place = (place - np.floor(place)) * periods[1]
         rate_bin[i] = np.int32(place)
         rate_fraction[i] = np.float32(place - np.floor(place))
@@ -140,52 +137,67 @@ def arctangent(t: float) -> float:
 
 
 @compiled
-def place_in_lattice(places: F64, spacing: float, first: int, bins: I32, weights: F32) -> None:
-    """Find the 4 nodes around each place, and their weights in Lagrange's cubic.
-
-    Args:
-        places: shape (n,), in the unit of the spacing.
-        spacing: of the nodes.
-        first: number of the table's first node, counted from that at 0.
-        bins: result, the first of the 4 nodes, counted from the table's first, shape (n,).
-        weights: result, shape (4, n).
-    """
-    before, here, after, beyond = weights[0], weights[1], weights[2], weights[3]
-    for i in range(places.size):
-        place = places[i] / spacing
-        node = np.floor(place)
-        t = np.float32(place - node)
-        a, b, c = t + np.float32(1), t - np.float32(1), t - np.float32(2)
-        bins[i] = np.int32(node) - np.int32(first + 1)
-        before[i] = t * b * c * np.float32(-1 / 6)
-        here[i] = a * b * c * np.float32(1 / 2)
-        after[i] = a * t * c * np.float32(-1 / 2)
-        beyond[i] = a * t * b * np.float32(1 / 6)
-
-
-@compiled
-def read_lattice(table: F32, bins: I32, weights: F32, result: F32) -> None:
-    """Sum 4 x 4 nodes of a table around each place, by their weights.
+def read_lattice(table: F32, spacing: float, middle: I64, offset: F64, squint: F64, first: int, result: F32) -> None:
+    """Read a table on nodes in two angles at many places, by Lagrange's cubic of the 4 x 4 nodes around each.
 
     Args:
         table: shape (rows, cols * columns): the columns of each node side by side.
-        bins: row and col of each place's first node, shape (2, places).
-        weights: of 4 rows and then of 4 cols, shape (8, places).
-        result: shape (places, columns).
+        spacing: of the nodes, rad.
+        middle: row and col of the node at 0, shape (2,).
+        offset: angle along the rows of each place, rad, shape (places,); two nodes or more off the table's ends.
+        squint: angle along the cols, alike.
+        first: where in the rows of the result the columns begin.
+        result: shape (places, first + columns or more).
     """
-    columns = result.shape[1]
+    columns = table.shape[1] // (2 * middle[1] + 1)
     mixed = np.empty(4 * columns, np.float32)
-    for i in range(result.shape[0]):
-        start = bins[1, i] * columns
-        a = table[bins[0, i], start : start + 4 * columns]
-        b = table[bins[0, i] + 1, start : start + 4 * columns]
-        c = table[bins[0, i] + 2, start : start + 4 * columns]
-        d = table[bins[0, i] + 3, start : start + 4 * columns]
-        p, q, r, s = weights[0, i], weights[1, i], weights[2, i], weights[3, i]
+    per_angle = 1 / spacing
+    for i in range(offset.size):
+        place, beside = offset[i] * per_angle, squint[i] * per_angle
+        node, col = np.floor(place), np.floor(beside)
+        row, start = int(node) + middle[0] - 1, (int(col) + middle[1] - 1) * columns
+        p, q, r, s = cubic_weights(np.float32(place - node))
+        above, here = table[row, start : start + 4 * columns], table[row + 1, start : start + 4 * columns]
+        below, beyond = table[row + 2, start : start + 4 * columns], table[row + 3, start : start + 4 * columns]
         for k in range(mixed.size):
-            mixed[k] = p * a[k] + q * b[k] + r * c[k] + s * d[k]
-        p, q, r, s = weights[4, i], weights[5, i], weights[6, i], weights[7, i]
+            mixed[k] = p * above[k] + q * here[k] + r * below[k] + s * beyond[k]
+        p, q, r, s = cubic_weights(np.float32(beside - col))
+        there = result[i, first : first + columns]
         for k in range(columns):
-            result[i, k] = (
-                p * mixed[k] + q * mixed[columns + k] + r * mixed[2 * columns + k] + s * mixed[3 * columns + k]
-            )
+            there[k] = p * mixed[k] + q * mixed[columns + k] + r * mixed[2 * columns + k] + s * mixed[3 * columns + k]
+
+
+@inlined
+def cubic_weights(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Weights in Lagrange's cubic of the nodes at -1, 0, 1 and 2, at a place from 0 to 1."""
+    a, b, c = t + np.float32(1), t - np.float32(1), t - np.float32(2)
+    return (
+        t * b * c * np.float32(-1 / 6),
+        a * b * c * np.float32(1 / 2),
+        a * t * c * np.float32(-1 / 2),
+        a * t * b * np.float32(1 / 6),
+    )
+
+
+@compiled
+def mix_beams(rates: C64, steps: I64, nodes: F32, phasors: C64, result: C64) -> None:
+    """Range profiles of pulses from those of the beams in their nodes.
+
+    Args:
+        rates: transform over the bins of range rate, shape (rates, range bins, nodes * detectors).
+        steps: row of each pulse in it, shape (pulses,).
+        nodes: weights of the nodes in each pulse, shape (nodes, pulses).
+        phasors: factor of each pulse and range, shape (pulses, range bins).
+        result: shape (pulses, range bins, detectors).
+    """
+    detectors = result.shape[2]
+    for pulse in range(result.shape[0]):
+        for place in range(result.shape[1]):
+            source, there, factor = rates[steps[pulse], place], result[pulse, place], phasors[pulse, place]
+            weight = nodes[0, pulse] * factor
+            for k in range(detectors):
+                there[k] = weight * source[k]
+            for node in range(1, nodes.shape[0]):
+                weight, first = nodes[node, pulse] * factor, node * detectors
+                for k in range(detectors):
+                    there[k] += weight * source[first + k]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sal_height.geometry import EARTH_RADIUS
-from sal_height.numeric import F64, I32, I64, Bool, compiled_with_nan
+from sal_height.numeric import F64, I32, I64, Bool, compiled_with_nan, inlined
 
 SMALL_ANGLE = 0.02
 """Angle at the centre of the earth, rad, up to which series replace sine and cosine: off by less than 1e-17."""
@@ -48,9 +48,10 @@ def see(
         glide: how far a sliding aperture moves per m of way forward, shape (3,); 0 if it does not slide.
         rotation: body into map axes, shape (3, 3).
         side: +1 looking right, -1 left.
-        positions: result, m, shape (n, 3).
+        positions: result, m, shape (3, n).
         seen: result, shape (3, n).
     """
+    xs, ys, zs = positions[0], positions[1], positions[2]
     for i in range(east.size):
         square = (east[i] * east[i] + north[i] * north[i]) / EARTH_RADIUS**2
         if square <= SMALL_ANGLE**2:
@@ -61,18 +62,40 @@ def see(
             sinc = math.sin(angle) / angle
             fall = 2 * math.sin(angle / 2) ** 2
         scale = (1 + height[i] / EARTH_RADIUS) * sinc
-        x, y, z = scale * east[i], scale * north[i], height[i] * (1 - fall) - EARTH_RADIUS * fall
-        positions[i, 0], positions[i, 1], positions[i, 2] = x, y, z
-        x, y, z = x - antenna[0], y - antenna[1], z - antenna[2]
+        xs[i], ys[i], zs[i] = scale * east[i], scale * north[i], height[i] * (1 - fall) - EARTH_RADIUS * fall
+    distance, elevation, squint = seen[0], seen[1], seen[2]
+    for i in range(east.size):  # a loop of its own, which is vectorised
+        x, y, z = xs[i] - antenna[0], ys[i] - antenna[1], zs[i] - antenna[2]
         way = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]
         x, y, z = x - way * glide[0], y - way * glide[1], z - way * glide[2]
         ahead = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]
         left = x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1]
         up = x * rotation[0, 2] + y * rotation[1, 2] + z * rotation[2, 2]
-        distance = math.sqrt(ahead * ahead + left * left + up * up)
-        seen[0, i] = distance
-        seen[1, i] = math.atan2(-side * left, -up)
-        seen[2, i] = math.asin(ahead / distance)
+        across = left * left + up * up
+        distance[i] = math.sqrt(ahead * ahead + across)
+        elevation[i] = angle_of(-side * left, -up)
+        squint[i] = angle_of(ahead, math.sqrt(across))
+
+
+@inlined
+def angle_of(y: float, x: float) -> float:
+    """Angle of the point (x, y), atan2(y, x), within 3e-16; without branches, so that loops are vectorised.
+
+    It is taken off 0, 45 or 90 degrees, whichever lies within 22.5 of it; NaN at x = y = 0.
+    """
+    a, b = abs(x), abs(y)
+    steep, flat = b > 2.414213562373095 * a, b <= 0.41421356237309503 * a
+    rise, run = (-a if steep else (b if flat else b - a)), (b if steep else (a if flat else b + a))
+    t = rise / run
+    q = t * t
+    high = 0.07690633498721493 - q * (
+        0.06646135792330424 - q * (0.05719186455520228 - q * (0.04436956155129065 - q * 0.02222139626242128))
+    )
+    series = 0.1111110825562648 - q * (0.09090821352646508 - q * high)
+    series = 1 - q * (0.3333333333333126 - q * (0.1999999999947823 - q * (0.1428571423180624 - q * series)))
+    angle = t * series + (0.5 * math.pi if steep else (0.0 if flat else 0.25 * math.pi))
+    angle = math.pi - angle if x < 0 else angle
+    return -angle if y < 0 else angle
 
 
 @compiled_with_nan

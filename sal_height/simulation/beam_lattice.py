@@ -13,7 +13,7 @@ import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.numeric import C64, F32, F64, Bool
-from sal_height.simulation._kernels import place_in_lattice, read_lattice
+from sal_height.simulation._kernels import read_lattice
 
 NODES_PER_BEAMWIDTH = 20
 """Nodes of the table in a beamwidth: Lagrange's cubics are then off by at most 9/384 (pi / 20)^4 = 1.4e-5 per axis."""
@@ -32,7 +32,9 @@ def response_of(beams: Beams, offset: F64, squint: F64) -> F32 | C64:
     """Response of every detector, float32 or complex64, shape (scatterers, detectors).
 
     Within LATTICE_ERROR of the peak of `Beams.response`, which is asked where the table cannot keep this: beyond its
-    ends, and at the edge of a measured beam, beyond which nothing is received.
+    ends, and at the edge of a measured beam, beyond which nothing is received. Scatterers that are seen in several
+    directions, shape (directions, scatterers), have the detectors of each in turn: (scatterers, directions *
+    detectors).
 
     Args:
         beams: of the detectors.
@@ -40,28 +42,30 @@ def response_of(beams: Beams, offset: F64, squint: F64) -> F32 | C64:
         squint: rad, same shape.
     """
     spacing = min(beams.beamwidth, beams.beamwidth_beside) / NODES_PER_BEAMWIDTH
-    offset, squint = (np.ascontiguousarray(angle, dtype=np.float64) for angle in (offset, squint))
-    rows, cols = _reach(offset, spacing), _reach(squint, spacing)
+    offset, squint = (np.atleast_2d(np.ascontiguousarray(angle, dtype=np.float64)) for angle in (offset, squint))
+    widest = [max(float(angle.max()), -float(angle.min())) for angle in (offset, squint)]
+    rows, cols = (_reach(angle / spacing) for angle in widest)
     parts, rough = _table(beams, spacing, rows, cols)
-    bins, weights = np.empty((2, len(offset)), np.int32), np.empty((8, len(offset)), np.float32)
     inside = (MOST_REACH - 3) * spacing
-    far = np.maximum(np.abs(offset), np.abs(squint)) > inside
-    place_in_lattice(np.clip(offset, -inside, inside), spacing, -rows, bins[0], weights[:4])
-    place_in_lattice(np.clip(squint, -inside, inside), spacing, -cols, bins[1], weights[4:])
-    read = []
-    for table in parts:
-        read.append(np.empty((len(offset), beams.count), np.float32))
-        read_lattice(table, bins, weights, read[-1])
+    near = [np.clip(angle, -inside, inside) if max(widest) > inside else angle for angle in (offset, squint)]
+    read = [np.empty((offset.shape[1], len(offset) * beams.count), np.float32) for _ in parts]
+    for table, values in zip(parts, read, strict=True):
+        for number in range(len(offset)):
+            first = number * beams.count
+            read_lattice(table, spacing, np.array([rows, cols]), near[0][number], near[1][number], first, values)
     response = read[0] if len(read) == 1 else read[0] + 1j * read[1]
-    if (there := np.flatnonzero(far | rough[*bins] if np.any(rough) else far)).size:
-        response[there] = beams.response(offset[there] + beams.axis_middle, squint[there])
+    if max(widest) > inside or np.any(rough):
+        node = [np.floor(angle / spacing).astype(np.intp) for angle in near]
+        asked = (np.maximum(np.abs(offset), np.abs(squint)) > inside) | rough[node[0] + rows - 1, node[1] + cols - 1]
+        direction, there = np.nonzero(asked)
+        exact = beams.response(offset[direction, there] + beams.axis_middle, squint[direction, there])
+        response.reshape(offset.shape[1], len(offset), -1)[there, direction] = exact
     return response
 
 
-def _reach(angle: F64, spacing: float) -> int:
-    """Nodes to each side of 0 of a table that holds angles, and two nodes more."""
-    least = float(np.max(np.abs(angle))) / spacing + 2
-    return min(MOST_REACH, LEAST_REACH * 2 ** math.ceil(max(0.0, math.log2(least / LEAST_REACH))))
+def _reach(nodes: float) -> int:
+    """Nodes to each side of 0 of a table that holds as many, and two nodes more."""
+    return min(MOST_REACH, LEAST_REACH * 2 ** math.ceil(max(0.0, math.log2((nodes + 2) / LEAST_REACH))))
 
 
 @lru_cache(maxsize=8)

@@ -30,7 +30,7 @@ from sal_height.numeric import (
     unit_phasors,
 )
 from sal_height.sensor import Sensor
-from sal_height.simulation._kernels import place_echoes, spread_echoes
+from sal_height.simulation._kernels import mix_beams, place_echoes, spread_echoes
 from sal_height.simulation.pulse_groups import PulseGroup
 
 KERNEL = tap_polynomials()
@@ -39,8 +39,8 @@ KERNEL = tap_polynomials()
 WORTH_A_THREAD = 20_000
 """Scatterers, each counted in every group, that a thread takes a few milliseconds for."""
 
-Response = Callable[[int], Complex | F32]
-"""Response of all detectors to the scatterers in a pulse of the dwell, by its number: shape (scatterers, detectors)."""
+Response = Callable[[list[int]], Complex | F32]
+"""Response of all detectors to the scatterers in pulses of the dwell: shape (scatterers, pulses * detectors)."""
 
 
 def for_each_group(fill: Callable[[PulseGroup], None], groups: list[PulseGroup], scatterers: int) -> None:
@@ -71,8 +71,8 @@ def sum_of_echoes(
     Returns:
         Shape (detectors, pulses, frequencies).
     """
-    grids = _grids(sensor, positions, strengths, response, group)
-    samples = [spectra_of_profiles(_profiles(grid, group, sensor)) for grid in grids]
+    grid = _grid(sensor, positions, strengths, response, group)
+    samples = [spectra_of_profiles(profiles) for profiles in _profiles(grid, group, sensor)]
     frequency = np.arange(sensor.sample_count) - sensor.sample_count // 2
     if group.migrates:
         stretch = frequency * (sensor.wavenumber_step / sensor.centre_wavenumber)
@@ -80,62 +80,70 @@ def sum_of_echoes(
     wavenumber = sensor.centre_wavenumber + sensor.wavenumber_step * frequency
     factor = unit_phasors(-(group.common - reference_range)[:, None] * wavenumber)
     if group.count > 1:
-        factor /= kernel_transform(group.steps / _rate_bins(group)).astype(np.float32)[:, None]
+        signs = np.where(group.steps % 2, -1, 1)  # range rate 0 is in the middle of its bins
+        factor *= (signs / kernel_transform(group.steps / _rate_bins(group))).astype(np.float32)[:, None]
     return np.asarray(samples[0] * factor)
 
 
 def _rate_bins(group: PulseGroup) -> int:
-    return int(scipy.fft.next_fast_len(OVERSAMPLING * group.count)) if group.count > 1 else 1
+    return OVERSAMPLING * int(scipy.fft.next_fast_len(group.count)) if group.count > 1 else 1
 
 
-def _grids(sensor: Sensor, positions: F64, strengths: C64, response: Response, group: PulseGroup) -> list[C64]:
-    """Echoes over bins of range rate, and of range, node and detector; also their derivative over the pulse."""
+def _grid(sensor: Sensor, positions: F64, strengths: C64, response: Response, group: PulseGroup) -> C64:
+    """Echoes over bins of range rate, and of range, node and detector."""
     dense, rates, count = OVERSAMPLING * sensor.sample_count, _rate_bins(group), len(strengths)
     turns = sensor.centre_wavenumber / (2 * np.pi)
     ends = np.array([[*group.antenna[end], group.common[end]] for end in group.ends])
     scales = np.array([turns, dense / sensor.range_window, turns * rates])
-    echoes, turn = np.empty(count, dtype=np.complex64), np.empty(count, dtype=np.float32)
+    echoes = np.empty(count, dtype=np.complex64)
     bins, fractions = np.empty((2, count), dtype=np.int32), np.empty((2, count), dtype=np.float32)
     periods = np.array([dense, rates], dtype=np.float64)
-    place_echoes(
-        positions, ends, group.steps[list(group.ends)], scales, periods, strengths, echoes, turn, bins, fractions
-    )
+    place_echoes(positions, ends, group.steps[list(group.ends)], scales, periods, strengths, echoes, bins, fractions)
     bins += 1
     weights = tap_weights(fractions[0], KERNEL)
     if group.count > 1:
         rate_weights = tap_weights(fractions[1], KERNEL)
     else:
         bins[1], rate_weights = 0, np.ones((1, count), dtype=np.float32)
-    responses = [response(group.pulses.start + int(node)) for node in group.nodes]
-    beside = responses[0] if len(responses) == 1 else np.concatenate(responses, axis=1)
-    grids = []
-    for values in (echoes, -2j * np.pi * turn * echoes)[: 1 + group.migrates]:
-        rows = rates + TAPS if group.count > 1 else 1
-        grid = np.zeros((rows, (dense + TAPS) * beside.shape[1] * 2), dtype=np.float32)
-        spread_echoes(bins, weights, rate_weights, values, np.ascontiguousarray(beside.real), grid)
-        if np.iscomplexobj(beside):
-            spread_echoes(bins, weights, rate_weights, 1j * values, np.ascontiguousarray(beside.imag), grid)
-        grids.append(grid.view(np.complex64))
-    return grids
+    beside = response([group.pulses.start + int(node) for node in group.nodes])
+    rows = rates + TAPS if group.count > 1 else 1
+    grid = np.zeros((rows, (dense + TAPS) * beside.shape[1] * 2), dtype=np.float32)
+    spread_echoes(bins, weights, rate_weights, echoes, np.ascontiguousarray(beside.real), grid)
+    if np.iscomplexobj(beside):
+        spread_echoes(bins, weights, rate_weights, 1j * echoes, np.ascontiguousarray(beside.imag), grid)
+    return grid.view(np.complex64)
 
 
-def _profiles(grid: C64, group: PulseGroup, sensor: Sensor) -> C64:
+def _profiles(grid: C64, group: PulseGroup, sensor: Sensor) -> list[C64]:
     """Dense range profiles of the pulses, shape (pulses, range bins, detectors).
 
-    From bins of range rate to pulses, with the beams between their nodes and the curvature of the ranges.
+    From bins of range rate to pulses, with the beams between their nodes and the curvature of the ranges; then their
+    derivative over the pulse, if the group migrates. The transform G(q) of the bins g is that of the echoes, A(q),
+    times that of the kernel, K(q). So the derivative of A, times K, is that of G, which is the transform of
+    -2 pi j (rate) g, less G times that of log K.
     """
     dense = OVERSAMPLING * sensor.sample_count
     if group.count == 1:
-        return grid.reshape(1, dense + TAPS, -1)
+        return [grid.reshape(1, dense + TAPS, -1)]
     half, rates = TAPS // 2, _rate_bins(group)
-    period = grid[half:-half]
-    period[-half:] += grid[:half]
-    period[:half] += grid[-half:]
-    pulses = scipy.fft.fft(period, axis=0)[group.steps.astype(np.intp) % rates]
-    pulses = pulses.reshape(group.count, dense + TAPS, len(group.nodes), -1)
-    if len(group.nodes) > 1:
-        mixed = np.einsum("kp,pmkd->pmd", group.interpolation.astype(np.float32), pulses)
-    else:
-        mixed = pulses[:, :, 0]
+    grids = [grid]
+    if group.migrates:
+        rate = (np.arange(len(grid)) - half) / rates - 0.5
+        grids.append(grid * (-2j * np.pi * rate).astype(np.complex64)[:, None])
     ranges = np.asarray(np.arange(dense + TAPS) - half - dense // 2, np.float64) * (sensor.range_window / dense)
-    return np.asarray(mixed * unit_phasors(-sensor.centre_wavenumber * group.curvature(ranges).T)[:, :, None])
+    curvature = unit_phasors(-sensor.centre_wavenumber * group.curvature(ranges).T)
+    nodes, steps = group.interpolation.astype(np.float32), group.steps.astype(np.int64) % rates
+    profiles = []
+    for bins in grids:
+        period = bins[half:-half]
+        period[-half:] += bins[:half]
+        period[:half] += bins[-half:]
+        over_pulses = scipy.fft.fft(period, axis=0).reshape(rates, dense + TAPS, -1)
+        profiles.append(np.empty((group.count, dense + TAPS, over_pulses.shape[2] // len(nodes)), np.complex64))
+        mix_beams(over_pulses, steps, nodes, curvature, profiles[-1])
+    if group.migrates:
+        step = 1e-3  # pulses, of the difference
+        before, after = (kernel_transform((group.steps + side) / rates) for side in (-step, step))
+        slope = np.log(after / before) / (2 * step)
+        profiles[1] -= slope.astype(np.float32)[:, None, None] * profiles[0]
+    return profiles

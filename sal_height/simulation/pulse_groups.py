@@ -27,12 +27,18 @@ MOST_NODES = 6
 PHASE_ERROR = 3e-4
 """Greatest phase (rad) of an outermost scatterer that a group leaves out; the rms over scatterers is far below it."""
 
-LEAST_MIGRATION, MOST_MIGRATION = 6e-4, 0.07
+LEAST_MIGRATION, MOST_MIGRATION = 8e-4, 0.07
 """Phase (rad) of an outermost scatterer by range migration, at the ends of group and band, from which on it is made
 good, and up to which its first order suffices.
 
 It grows linearly with time, frequency and squint, each counted from the middle, and beams weigh great squints least:
-the rms is a tenth of the first, and a twentieth of the second order. So samples are off by less than 1e-4 of their rms.
+the rms is an eighth of the first, and a twentieth of the second order. So samples are off by less than 1e-4 of their
+rms.
+"""
+
+MOST_TURN = 0.505
+"""Greatest phase, in turns from pulse to pulse, of an outermost scatterer whose range migration is made good: what
+turns by more than half is mistaken for what turns the other way. At the edge of the main lobe, the 1 % weighs nothing.
 """
 
 BEAM_ERROR = 2e-4
@@ -108,19 +114,26 @@ class PulseGroup:
 def pulse_groups(count: int, group_of: Callable[[slice], PulseGroup | None]) -> list[PulseGroup]:
     """All pulses in the groups that make least work; empty if groups of LEAST_PULSES are too long.
 
+    Work is counted in the beams that scatterers are spread with; transforms of what migrates are half as much again.
+
     Args:
         count: number of pulses.
         group_of: makes the group of some pulses, or None if its errors would be too great (`smooth_group`).
     """
     best: list[PulseGroup] = []
     cost, parts = float("inf"), 1
-    while count >= LEAST_PULSES * parts and parts <= cost:
+    while count >= LEAST_PULSES * parts and parts < cost:
         edges = np.linspace(0, count, parts + 1).round().astype(int).tolist()
-        found = [group for ends in pairwise(edges) if (group := group_of(slice(*ends)))]
-        work = sum((1 + group.migrates) * len(group.nodes) for group in found)
-        if len(found) == parts and work <= cost:
+        found, work = list[PulseGroup](), 0.0
+        for ends in pairwise(edges):
+            group = group_of(slice(*ends))
+            work += len(group.nodes) * (1.5 if group.migrates else 1) if group else float("inf")
+            if group is None or work >= cost:
+                break
+            found.append(group)
+        if len(found) == parts:
             best, cost = found, work
-        parts *= 2
+        parts = parts + 1 if parts < 4 else parts * 3 // 2
     return best
 
 
@@ -158,8 +171,10 @@ def smooth_group(sensor: Sensor, probes: F64, antenna: F64, beam_angles: F64, pu
     left = rest - group.curvature(np.mod(start + window / 2, window) - window / 2)
     if sensor.centre_wavenumber * np.abs(left).max() > PHASE_ERROR:
         return None
-    migration = float(np.abs(rate).max()) * group.count / 2 * sensor.wavenumber_step * sensor.sample_count / 2
-    if migration > MOST_MIGRATION:
+    fastest = float(np.abs(rate).max())
+    migration = fastest * group.count / 2 * sensor.wavenumber_step * sensor.sample_count / 2
+    turn = fastest * sensor.centre_wavenumber / (2 * np.pi)
+    if migration > MOST_MIGRATION or (migration > LEAST_MIGRATION and turn > MOST_TURN):
         return None
     return replace(group, migrates=migration > LEAST_MIGRATION)
 

@@ -184,13 +184,18 @@ class VisibleSurface:
 
     def where(self, chosen: Bool | Index) -> Self:
         """Some of the scatterers."""
-        return type(self)(*(getattr(self, entry.name)[chosen] for entry in fields(self)))
+        numbers = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen
+        return type(self)(*(np.take(getattr(self, entry.name).T, numbers, axis=-1).T for entry in fields(self)))
 
 
 def joined(surfaces: Sequence[VisibleSurface]) -> VisibleSurface:
     """All scatterers of some surfaces."""
+    filled = [surface for surface in surfaces if surface.power.size] or surfaces[:1]
+    if len(filled) == 1:
+        return filled[0]
     names = [entry.name for entry in fields(VisibleSurface)]
-    return VisibleSurface(*(np.concatenate([getattr(surface, name) for surface in surfaces]) for name in names))
+    parts = ([getattr(surface, name).T for surface in filled] for name in names)
+    return VisibleSurface(*(np.concatenate(values, axis=-1).T for values in parts))
 
 
 SAMPLES_PER_CELL = 2
@@ -235,7 +240,7 @@ def visible_surface(
     ground, lit = _terrain_scatterers(scene, aperture, look_side, cell, east_extent, range_extent, strips_per_cell)
     targets = _targets(scene.points, aperture, look_side)
     east = np.array([point.east for point in scene.points])
-    ground = ground.where(np.flatnonzero(lit & _within(ground.slant_range, range_extent)))
+    ground = ground.where(lit & _within(ground.slant_range, range_extent))
     targets = targets.where(
         _within(targets.slant_range, range_extent) & (east >= east_extent[0]) & (east < east_extent[1])
     )
@@ -348,10 +353,10 @@ def _seen(
 
     That is slant range, m, elevation and squint, rad, in that shape; in stripmap from abeam.
     """
-    positions, seen = np.empty((height.size, 3)), np.empty((3, height.size))
+    positions, seen = np.empty((3, height.size)), np.empty((3, height.size))
     glide = aperture.velocity / (aperture.velocity @ aperture.forward) if aperture.sliding else np.zeros(3)
     x, y, z = (np.ascontiguousarray(values, dtype=np.float64).reshape(-1) for values in (east, north, height))
     rotation = np.ascontiguousarray(aperture.rotation, dtype=np.float64)
     see(x, y, z, np.asarray(aperture.position, dtype=np.float64), glide, rotation, look_side, positions, seen)
     slant_range, elevation, squint = seen.reshape(3, *height.shape)
-    return positions, (slant_range, elevation, squint)
+    return positions.T, (slant_range, elevation, squint)

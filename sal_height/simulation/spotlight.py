@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric import C64, F64, Complex, Index
+from sal_height.numeric import C64, F32, F64, Complex, Index
 from sal_height.sensor import Sensor
 from sal_height.simulation.beam_lattice import response_of
 from sal_height.simulation.echoes import for_each_group, sum_of_echoes
@@ -70,22 +70,26 @@ def simulate_dwell(
     def add(chosen: Index | slice) -> None:
         """Add the echoes of scatterers that are all at rest, or all move: those are placed anew in every pulse."""
         offset, squint = surface.elevation[chosen] - sensor.beams.axis_middle, surface.squint[chosen]
-        at = lru_cache(maxsize=1)(lambda angle: response_of(sensor.beams, offset, squint - angle))
         positions, velocity = (np.ascontiguousarray(v[chosen].T) for v in (surface.positions, surface.velocity))
         strengths, at_rest = amplitudes[chosen].astype(np.complex64), not np.any(velocity)
+
+        @lru_cache(maxsize=1)
+        def at(angles: tuple[float, ...]) -> F32 | C64:
+            return response_of(sensor.beams, np.tile(offset, (len(angles), 1)), squint - np.array(angles)[:, None])
+
         probes, count = outermost(positions), len(antenna)
 
         def smooth(pulses: slice) -> PulseGroup | None:
             return smooth_group(sensor, probes, antenna, turned[pulses], pulses)
 
         groups = pulse_groups(count, smooth) if at_rest else []
-        at(float(pointing[0]))  # once, not in every thread
+        at((float(pointing[0]),))  # once, not in every thread
 
         def fill(group: PulseGroup) -> None:
             there = positions if at_rest else positions + seconds[group.pulses.start] * velocity
             reference = reference_range[group.pulses]
             samples[:, group.pulses] += sum_of_echoes(
-                sensor, there, strengths, lambda pulse: at(float(pointing[pulse])), group, reference
+                sensor, there, strengths, lambda pulses: at(tuple(pointing[pulses].tolist())), group, reference
             )
 
         for_each_group(fill, groups or [single_pulse(probes, antenna, pulse) for pulse in range(count)], offset.size)

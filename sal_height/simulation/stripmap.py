@@ -68,7 +68,7 @@ def simulate_block(
     for chosen in surface.at_rest_and_moving():
         numbers = np.arange(len(amplitudes))[chosen]
         eastwards = numbers[np.argsort(surface.positions[numbers, 0], kind="stable")]
-        strengths = amplitudes[eastwards].astype(np.complex64)
+        strengths = amplitudes.astype(np.complex64)[eastwards]
         _add_echoes(view, surface, eastwards, strengths, seconds, quartic_phase, samples)
     return samples
 
@@ -84,7 +84,7 @@ def _add_echoes(
 ) -> None:
     """Add the echoes of some scatterers, from west to east, that are all at rest or all move (`simulate_block`)."""
     sensor, antenna, count = view.sensor, view.antenna, len(view.antenna)
-    positions, velocity = (np.ascontiguousarray(values[chosen].T) for values in (surface.positions, surface.velocity))
+    positions, velocity = (np.take(values.T, chosen, axis=1) for values in (surface.positions, surface.velocity))
     east, at_rest = positions[0], not np.any(velocity)
     probes = outermost(positions)
 
@@ -103,12 +103,12 @@ def _add_echoes(
         if not at_rest:
             there += seconds[group.pulses.start] * velocity[:, lit]
 
-        def response(pulse: int) -> F32 | C64:
-            offset, squint = view.angles(there, pulse)
+        def response(pulses: list[int]) -> F32 | C64:
+            offset, squint = view.angles(there, pulses)
             seen = response_of(view.beams, offset, squint)
             if not quartic_phase:
                 return seen
-            phase = quartic_phase * np.square(np.square(squint * (2 / sensor.beams.track_beamwidth)))
+            phase = quartic_phase * np.square(np.square(squint[0] * (2 / sensor.beams.track_beamwidth)))
             return np.asarray(seen * unit_phasors(phase)[:, None])
 
         reference = view.reference_range[group.pulses]
@@ -135,10 +135,11 @@ class _View:
         aim = float(self.antenna[pulse, 0] + reference * self._boresight[pulse, 0])
         return aim - reach, aim + reach
 
-    def angles(self, positions: F64, pulse: int) -> tuple[F64, F64]:
-        """Elevation from the middle of the beams and squint, rad, under which positions (3, n) are seen in a pulse."""
-        elevation, squint = np.empty(positions.shape[1]), np.empty(positions.shape[1])
-        angles_in(positions, self.antenna[pulse], self._axes[pulse], elevation, squint)
+    def angles(self, positions: F64, pulses: list[int]) -> tuple[F64, F64]:
+        """Elevation from the middle of the beams and squint, rad, of positions (3, n) in pulses, shape (pulses, n)."""
+        elevation, squint = np.empty((2, len(pulses), positions.shape[1]))
+        for number, pulse in enumerate(pulses):
+            angles_in(positions, self.antenna[pulse], self._axes[pulse], elevation[number], squint[number])
         return elevation, squint
 
     def beam_angles(self, point: F64, pulses: slice) -> F64:

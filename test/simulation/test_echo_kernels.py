@@ -7,7 +7,7 @@ import pytest
 from helpers import circular
 from scipy.spatial.transform import Rotation
 
-from sal_height.simulation._kernels import angles_in, place_echoes, place_in_lattice, read_lattice, spread_echoes
+from sal_height.simulation._kernels import angles_in, mix_beams, place_echoes, read_lattice, spread_echoes
 
 
 @pytest.mark.parametrize("rate_taps", [1, 6])
@@ -42,15 +42,14 @@ def test_echoes_are_placed_by_range_and_range_rate(steps: tuple[float, float]) -
         ends[1] = ends[0]
     scales, periods = np.array([1e5, 20.0, 3e4]), np.array([64.0, 24.0])
     strengths = circular(rng, (count,)).astype(np.complex64)
-    echoes, turn = np.empty(count, np.complex64), np.empty(count, np.float32)
+    echoes = np.empty(count, np.complex64)
     bins, fractions = np.empty((2, count), np.int32), np.empty((2, count), np.float32)
-    place_echoes(positions, ends, np.array(steps), scales, periods, strengths, echoes, turn, bins, fractions)
+    place_echoes(positions, ends, np.array(steps), scales, periods, strengths, echoes, bins, fractions)
     first, last = (np.linalg.norm(positions.T - end[:3], axis=-1) - end[3] for end in ends)
     rate = (last - first) / (steps[1] - steps[0]) if steps[1] > steps[0] else np.zeros(count)
     delay = first - steps[0] * rate
     np.testing.assert_allclose(echoes, strengths * np.exp(-2j * np.pi * scales[0] * delay), atol=5e-6)
-    np.testing.assert_allclose(turn, scales[2] * rate / periods[1], rtol=1e-6, atol=1e-12)
-    places = np.mod([delay * scales[1] + 32, rate * scales[2]], periods[:, None])
+    places = np.mod([delay * scales[1] + 32, rate * scales[2] + 12], periods[:, None])
     off = np.mod(bins + fractions - places + periods[:, None] / 2, periods[:, None]) - periods[:, None] / 2
     assert np.abs(off).max() < 2e-6
     assert fractions.min() >= 0
@@ -59,18 +58,19 @@ def test_echoes_are_placed_by_range_and_range_rate(steps: tuple[float, float]) -
     assert np.unique(bins[0]).size > 20
 
 
-def test_lattice_is_read_as_a_weighted_sum_of_nodes() -> None:
-    rng, columns, count = np.random.default_rng(112), 5, 30
-    table = rng.uniform(-1, 1, (9, 11, columns)).astype(np.float32)
-    bins = np.stack([rng.integers(0, 6, count), rng.integers(0, 8, count)]).astype(np.int32)
-    weights = rng.uniform(-1, 1, (8, count)).astype(np.float32)
-    result = np.empty((count, columns), np.float32)
-    read_lattice(table.reshape(9, -1), bins, weights, result)
-    expected = [
-        np.einsum("rck,r,c->k", table[row : row + 4, col : col + 4], weights[:4, i], weights[4:, i])
-        for i, (row, col) in enumerate(bins.T)
-    ]
-    np.testing.assert_allclose(result, expected, atol=1e-5)
+def test_lattice_is_read_by_lagranges_cubic() -> None:
+    """Exact for polynomials of the third degree in each angle; the columns of a result lie side by side."""
+    rng, columns, spacing, count = np.random.default_rng(112), 5, 0.25, 30
+    rows, cols = np.arange(-4, 5) * spacing, np.arange(-5, 6) * spacing
+    factors = rng.uniform(-1, 1, (columns, 4, 4))
+    table = np.stack([np.polynomial.polynomial.polygrid2d(rows, cols, c) for c in factors], axis=-1)
+    offset, squint = rng.uniform(-0.7, 0.7, count), rng.uniform(-0.9, 0.9, count)
+    result = np.zeros((count, 2 + columns), np.float32)
+    flat = np.ascontiguousarray(table.reshape(9, -1), np.float32)
+    read_lattice(flat, spacing, np.array([4, 5]), offset, squint, 2, result)
+    expected = [np.polynomial.polynomial.polyval2d(offset, squint, c) for c in factors]
+    np.testing.assert_allclose(result[:, 2:].T, expected, atol=1e-5)
+    np.testing.assert_array_equal(result[:, :2], 0)
 
 
 @pytest.mark.parametrize("spread", [10.0, 4000.0], ids=["near the axis", "all around"])
@@ -86,13 +86,11 @@ def test_angles_are_those_of_the_line_of_sight_in_the_axes(spread: float) -> Non
     np.testing.assert_allclose(squint, np.arctan2(ahead, np.hypot(outwards, down)), atol=1e-14)
 
 
-def test_places_in_a_lattice_have_the_weights_of_a_cubic() -> None:
-    """Exact for polynomials of the third degree."""
-    rng, spacing, first = np.random.default_rng(114), 0.25, -40
-    places = rng.uniform(-9, 9, 200)
-    bins, weights = np.empty(200, np.int32), np.empty((4, 200), np.float32)
-    place_in_lattice(places, spacing, first, bins, weights)
-    nodes = (bins + np.arange(4)[:, None] + first) * spacing
-    assert np.all((nodes[1] <= places) & (places < nodes[2]))
-    for power in range(4):
-        np.testing.assert_allclose(np.sum(weights * (nodes / 9) ** power, axis=0), (places / 9) ** power, atol=3e-7)
+def test_beams_of_nodes_are_mixed_in_each_pulse() -> None:
+    rng, pulses, places, nodes, detectors = np.random.default_rng(114), 3, 5, 2, 4
+    rates = circular(rng, (7, places, nodes * detectors)).astype(np.complex64)
+    weights, steps = rng.uniform(-1, 1, (nodes, pulses)).astype(np.float32), np.array([5, 0, 2])
+    phasors, result = (circular(rng, shape).astype(np.complex64) for shape in ((3, 5), (3, 5, 4)))
+    mix_beams(rates, steps, weights, phasors, result)
+    expected = np.einsum("pmkd,kp,pm->pmd", rates[steps].reshape(pulses, places, nodes, detectors), weights, phasors)
+    np.testing.assert_allclose(result, expected, atol=1e-6)

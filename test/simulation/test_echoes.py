@@ -49,7 +49,7 @@ def groups_of(flight: SimulatedFlight, surface: VisibleSurface, antenna: np.ndar
 @pytest.mark.parametrize(
     ("name", "gust", "groups"),
     [
-        ("sal_spotlight", 0.0, 2),
+        ("sal_spotlight", 0.0, 1),
         ("sal_spotlight", 1.0, 2),
         ("small", 0.0, 1),
         ("xband_relief", 0.0, 1),
@@ -71,7 +71,7 @@ def test_dwell_of_a_preset_is_the_sum_over_its_scatterers(name: str, gust: float
     assert np.sqrt(np.mean(np.abs(samples - expected) ** 2)) < ERROR * np.sqrt(np.mean(np.abs(expected) ** 2))
 
 
-@pytest.mark.parametrize(("bandwidth", "groups"), [(1e7, 1), (4e7, 4)])
+@pytest.mark.parametrize(("bandwidth", "groups"), [(1e7, 1), (4e7, 3)])
 def test_migration_of_many_wavelengths_has_shorter_groups(bandwidth: float, groups: int) -> None:
     """Its second order is left out: at 10 MHz up to 2e-3 rad of an outermost scatterer, at 40 MHz 16 times as much."""
     flight = flight_named("xband_relief")
@@ -90,7 +90,7 @@ def test_migration_of_many_wavelengths_has_shorter_groups(bandwidth: float, grou
 
 @pytest.mark.parametrize("gust", [0.0, 1.0])
 def test_block_of_sal_stripmap_is_the_sum_over_what_is_lit(gust: float) -> None:
-    """Each pulse sees the scatterers under its own angles: those that the middle of its group of 64 pulses lights up.
+    """Each pulse sees the scatterers under its own angles: those that the middle of its third of the block lights up.
 
     In gusts groups are shorter, and only scatterers are tried that are lit in all pulses.
     """
@@ -105,7 +105,7 @@ def test_block_of_sal_stripmap_is_the_sum_over_what_is_lit(gust: float) -> None:
     boresight, lit = (rotation @ np.array([0, -1, -1]) * np.sqrt(0.5))[:, 0], lit_angle(sensor.beams) * 5000
     error = power = 0.0
     for pulse in range(0, len(times), 17):
-        middle = pulse // 64 * 64 + 32
+        middle = (42, 128, 213)[np.searchsorted((85, 171), pulse, side="right")]
         off = surface.positions[:, 0] - antenna[middle, 0] - 5000 * boresight[middle]
         state = replace(flight.aperture(4), position=antenna[pulse], rotation=rotation[pulse])
         _, elevation, squint = angles_of(surface.positions, state, sensor.look_side)

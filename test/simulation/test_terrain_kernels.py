@@ -39,10 +39,10 @@ def test_points_are_seen_as_by_the_formulas_of_the_earth_and_of_frames(far: floa
     )
     aperture = replace(make_aperture(angles=(0.02, -0.03, 0.1), velocity=(50.0, 1.0, -2.0)), sliding=sliding)
     glide = aperture.velocity / (aperture.velocity @ aperture.forward) * sliding
-    positions, seen = np.empty((300, 3)), np.empty((3, 300))
+    positions, seen = np.empty((3, 300)), np.empty((3, 300))
     see(east, north, height, aperture.position, glide, aperture.rotation, -1, positions, seen)
     expected = sphere_point(east, north, height)
-    np.testing.assert_allclose(positions, expected, rtol=1e-14, atol=1e-15 * 6.4e6)
+    np.testing.assert_allclose(positions.T, expected, rtol=1e-14, atol=1e-15 * 6.4e6)
     angles = angles_of(expected, aperture_at(expected, aperture), -1)
     np.testing.assert_allclose(seen[0], angles[0], rtol=1e-12)
     np.testing.assert_allclose(seen[1:], angles[1:], atol=2e-12)

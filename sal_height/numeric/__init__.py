@@ -22,7 +22,7 @@ from sal_height.numeric.range_profiles import (
 )
 from sal_height.numeric.threads import WORKERS, in_parallel, in_threads
 from sal_height.numeric.vectors import Vector, cross, dot, total, vector
-from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, window
+from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, taylor, window
 
 __all__ = [
     "C64",
@@ -62,6 +62,7 @@ __all__ = [
     "spectra_of_profiles",
     "tap_polynomials",
     "tap_weights",
+    "taylor",
     "total",
     "unit_phasors",
     "vector",

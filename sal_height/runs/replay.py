@@ -32,7 +32,6 @@ from sal_height.runs.ensemble import (
     recorded_topics,
     suited,
 )
-from sal_height.runs.picture import draw_image
 from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
 from sal_height.sensor import Sensor
@@ -137,6 +136,8 @@ def replay(
 
 def _measure_images(folder: Path) -> list[dict[str, Any]]:
     """Draw each image recorded in `folder`/bag and measure its brightest target."""
+    from sal_height.runs.picture import draw_image  # noqa: PLC0415 (brings Matplotlib)
+
     measured = []
     for _, message, image, grid, _ in recorded_slc(folder / "bag"):
         response = measure_brightest(image)

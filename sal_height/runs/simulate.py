@@ -13,7 +13,6 @@ import yaml
 
 from sal_height.io import new_folder, write_text, writing
 from sal_height.runs.accuracy import Accuracy, read_accuracy
-from sal_height.runs.cloud_picture import cloud_of, draw_cloud
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.ensemble import (
     HEIGHTS,
@@ -25,9 +24,6 @@ from sal_height.runs.ensemble import (
     recorded_topics,
     suited,
 )
-from sal_height.runs.ground_picture import draw_ground
-from sal_height.runs.height_picture import draw_heights
-from sal_height.runs.profile import draw_profile
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
@@ -121,6 +117,11 @@ def processing_of(preset: Preset, estimators: list[str]) -> dict[str, dict[str, 
 
 def _draw(flown: Flown, preset: Preset, folder: Path) -> None:
     """Write the pictures of a flight beside its bag."""
+    from sal_height.runs.cloud_picture import cloud_of, draw_cloud  # noqa: PLC0415 (brings Matplotlib)
+    from sal_height.runs.ground_picture import draw_ground  # noqa: PLC0415
+    from sal_height.runs.height_picture import draw_heights  # noqa: PLC0415
+    from sal_height.runs.profile import draw_profile  # noqa: PLC0415
+
     accuracy, source = flown.accuracy, flown.source
     if source in accuracy.grounds:
         with writing(folder / "ground.png"):

@@ -20,7 +20,7 @@ import numpy as np
 from scipy import fft
 from scipy.special import diric
 
-from sal_height.numeric import C64, F64, Complex
+from sal_height.numeric import C64, F64, Complex, fast_length
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 
@@ -147,10 +147,10 @@ class _Chirp:
         with a point of amplitude 1 in the middle of the window of W delays has the mean spectrum sum of rho(l) m(l)
         over the window, and that with white noise of power 1 the mean power sum of (W - |l|) rho(l) m(l).
         """
-        from scipy.signal import correlate  # noqa: PLC0415 (brings scipy.stats, 0.4 s of every node's start)
-
-        lag = np.arange(1 - len(self._pulse), len(self._pulse))
-        rho = correlate(self._pulse, self._pulse, method="fft").real
+        count = len(self._pulse)
+        lag = np.arange(1 - count, count)
+        power_spectrum = np.abs(fft.fft(self._pulse, fast_length(2 * count))) ** 2
+        rho = fft.ifft(power_spectrum)[lag].real
         rho *= diric(2 * np.pi * lag / self._delays, self._band)
         amplitude = float(rho[np.abs(lag) <= self._delays / 2].sum())
         power = float(np.sum(np.maximum(0, self._delays - np.abs(lag)) * rho))

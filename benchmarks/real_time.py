@@ -25,7 +25,7 @@ from benchmarks.row import Row, load, sized
 from sal_height.bag.reader import BagReader
 from sal_height.nodes.playlist import Playlist
 from sal_height.numeric import WORKERS
-from sal_height.runs.ensemble import ONE_THREAD
+from sal_height.runs.processes import ONE_THREAD
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 

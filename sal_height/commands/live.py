@@ -72,6 +72,11 @@ def live(
     import dataclasses
     import math
 
+    from sal_height.runs.processes import use_one_thread
+
+    if not one_process:
+        use_one_thread()
+
     from rich.console import Console
     from rich.live import Live as Display
 

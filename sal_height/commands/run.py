@@ -74,6 +74,11 @@ def run(
         processes: Run each node in a process of its own.
         out: Output folder, new or empty. Default: out/PRESET, or the next free of out/PRESET_2, ….
     """
+    from sal_height.runs.processes import use_one_thread
+
+    if processes:
+        use_one_thread()
+
     from sal_height.runs.simulate import RELIEF_MAP
     from sal_height.runs.simulate import run as simulate
     from sal_height.runs.tables import results_table

@@ -20,7 +20,7 @@ from sal_height.numeric.range_profiles import (
     spectra_of_profiles,
     tap_polynomials,
 )
-from sal_height.numeric.threads import WORKERS, in_parallel, in_threads
+from sal_height.numeric.threads import WORKERS, available_processors, in_parallel, in_threads
 from sal_height.numeric.vectors import Vector, cross, dot, total, vector
 from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, taylor, window
 
@@ -41,6 +41,7 @@ __all__ = [
     "Complex",
     "Index",
     "Vector",
+    "available_processors",
     "blocks",
     "broadening",
     "chirp_z",

@@ -11,7 +11,6 @@ from scipy.optimize import brentq
 from sal_height.errors import UserError
 from sal_height.numeric.arrays import F64
 
-
 SIDELOBES_LEVEL = 5
 """Number n of a Taylor window: n - 1 sidelobes on each side fall off little."""
 

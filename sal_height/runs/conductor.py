@@ -284,11 +284,13 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
     values = {**plan.parameters, RECORDER: recording_of(plan)}
     played, interrupted = 0, False
     failure: UserError | None = None
-    with ros_domain(execution.domain), Graph() as graph:
-        conductor = graph.add(Conductor(plan, PROGRESS, context=graph.context))
+    stage_inputs(plan.stages, plan.parameters)  # refuses a plan before anything is started
+    with ros_domain(execution.domain):
         if execution.domain != "free":
-            _refuse_company(graph, conductor)
-        with Interruption() as interruption, Ensemble(graph, names, values, execution.processes) as ensemble:
+            _refuse_company(plan)
+        with Interruption() as interruption, Ensemble(names, values, execution.processes) as ensemble:
+            graph = ensemble.graph
+            conductor = graph.add(Conductor(plan, PROGRESS, context=graph.context))
 
             def wait(condition: Callable[[], bool], what: str) -> None:
                 began = time.monotonic()
@@ -332,15 +334,17 @@ def recording_of(plan: Plan) -> dict[str, Any]:
     return {"directory": str(plan.bag), "topics": topics, **({"custom_data": custom_data} if custom_data else {})}
 
 
-def _refuse_company(graph: Graph, conductor: Conductor) -> None:
+def _refuse_company(plan: Plan) -> None:
     """Look for other sensors as long as it takes to discover them.
 
     Raises:
         UserError: there is one.
     """
+    with Graph() as graph:
+        conductor = graph.add(Conductor(plan, context=graph.context))
 
-    def found() -> bool:
-        conductor.refuse_company(own=0)
-        return False
+        def found() -> bool:
+            conductor.refuse_company(own=0)
+            return False
 
-    graph.spin_until(found, COMPANY_TIMEOUT_S)
+        graph.spin_until(found, COMPANY_TIMEOUT_S)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import signal
@@ -29,6 +28,7 @@ from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.nodes.sar_compression import HEARD, SarCompression
 from sal_height.nodes.simulator import Simulator
+from sal_height.runs.processes import ONE_THREAD, Forked, can_fork, end_with_parent
 from sal_height.sensor import Sensor
 from sal_height.settings import settings_of, unknown_name
 
@@ -58,14 +58,8 @@ TRACKER = "relief_tracker"
 CALIBRATOR = "psf_calibration"
 """Node that calibrates the sensor on its images."""
 
-ONE_THREAD = {"SAL_HEIGHT_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-"""Environment of nodes in processes of their own: these share the processors among them, one thread each."""
-
 NodeParameters = Mapping[str, Mapping[str, Any]]
 """Parameter values by node name and parameter name."""
-
-PR_SET_PDEATHSIG = 1
-"""Option of prctl: the signal that a process gets when the one that started it ends (Linux)."""
 
 
 def check_parameters(parameters: NodeParameters, settable: Sequence[str] = SETTABLE) -> dict[str, dict[str, Any]]:
@@ -170,17 +164,20 @@ def stage_inputs(stages: list[str], parameters: NodeParameters) -> dict[str, str
 
 
 class Ensemble:
-    """The nodes of a run, all in this process or each in its own; a context manager.
+    """The nodes of a run, all in this process or each in its own, and a graph beside them; a context manager.
 
     At the end the recorder is ended first and the source last.
+
+    Attributes:
+        graph: context and executor of this process; once it is entered.
     """
 
-    def __init__(self, graph: Graph, names: list[str], parameters: NodeParameters, processes: bool) -> None:
+    def __init__(self, names: list[str], parameters: NodeParameters, processes: bool) -> None:
         """Choose the nodes `names` and their parameters; they are started on entering."""
-        self._graph = graph
+        self.graph: Graph
         self._parameters = {name: parameters.get(name, {}) for name in names}
         self._separate = processes
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._processes: dict[str, subprocess.Popen[bytes] | Forked] = {}
 
     def check(self) -> None:
         """Make sure that all processes still run.
@@ -192,9 +189,35 @@ class Ensemble:
             if process.poll() is not None:
                 raise UserError(f"Node {name} ended with status {process.returncode}; its message is above.")
 
-    def close(self) -> None:
-        """End all nodes; those in processes get SIGTERM and have time to finish what they hold."""
-        self._graph.close()
+    def __enter__(self) -> Self:
+        """Start the nodes; if one cannot be, none is left.
+
+        Those in processes come before the graph, whose threads would be in the way of `Forked`.
+
+        Raises:
+            UserError: a node refuses its parameters, or its process cannot be started.
+        """
+        with ExitStack() as on_failure:
+            on_failure.callback(self._end_processes)
+            if self._separate:
+                forks = can_fork()
+                for name, values in self._parameters.items():
+                    self._processes[name] = _process_of(name, values, forks)
+            self.graph = on_failure.enter_context(Graph())
+            if not self._separate:
+                for name, values in self._parameters.items():
+                    overrides = [Parameter(key, value=value) for key, value in values.items()]
+                    self.graph.add(NODES[name](context=self.graph.context, parameter_overrides=overrides))
+            self._at_end = on_failure.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._at_end.close()
+
+    def _end_processes(self) -> None:
+        """Send SIGTERM, and give time to finish what is held."""
         for process in self._processes.values():
             if process.poll() is None:
                 process.terminate()
@@ -203,54 +226,43 @@ class Ensemble:
             except subprocess.TimeoutExpired:
                 process.kill()
 
-    def __enter__(self) -> Self:
-        """Start the nodes; if one cannot be, none is left.
 
-        Raises:
-            UserError: a node refuses its parameters, or its process cannot be started.
-        """
-        with ExitStack() as on_failure:
-            on_failure.callback(self.close)
-            for name, values in self._parameters.items():
-                self._start(name, values)
-            on_failure.pop_all()
-        return self
+def _process_of(name: str, values: Mapping[str, Any], forks: bool) -> subprocess.Popen[bytes] | Forked:
+    """Start a node in a process of its own; parameter values in YAML, of which JSON is a part.
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+    Args:
+        name: of the node.
+        values: of its parameters.
+        forks: whether the process goes on with what this one has imported and computed, or begins anew.
 
-    def _start(self, name: str, values: Mapping[str, Any]) -> None:
-        if not self._separate:
-            overrides = [Parameter(key, value=value) for key, value in values.items()]
-            self._graph.add(NODES[name](context=self._graph.context, parameter_overrides=overrides))
-            return
-        try:
-            self._processes[name] = subprocess.Popen(  # noqa: S603 (our own nodes)
-                _command(name, values), start_new_session=True, env=ONE_THREAD | os.environ
-            )
-        except OSError as error:
-            raise UserError(f"Node {name} cannot be started in a process of its own: {error.strerror}.") from error
+    Raises:
+        UserError: it cannot be started.
+    """
+    words = [word for key, value in values.items() for word in ("-p", f"{key}:={json.dumps(value)}")]
+    arguments, parent = ["--ros-args", *words], os.getpid()
+    try:
+        if forks:
+            return Forked(lambda: _run(name, parent, arguments), name)
+        command = [sys.executable, "-m", __name__, name, str(parent), *arguments]
+        return subprocess.Popen(command, start_new_session=True, env=ONE_THREAD | os.environ)  # noqa: S603 (our nodes)
+    except OSError as error:
+        raise UserError(f"Node {name} cannot be started in a process of its own: {error.strerror}.") from error
 
 
-def _command(name: str, values: Mapping[str, Any]) -> list[str]:
-    """Command line of a node in a process of its own; parameter values in YAML, of which JSON is a part."""
-    arguments = [word for key, value in values.items() for word in ("-p", f"{key}:={json.dumps(value)}")]
-    return [sys.executable, "-m", __name__, name, str(os.getpid()), "--ros-args", *arguments]
-
-
-def main() -> int:
-    """Run the node argv[1] until process argv[2], which started this one, ends, even if it is killed.
+def _run(name: str, parent: int, arguments: list[str]) -> int:
+    """Run a node until the process `parent`, which started this one, ends, even if it is killed.
 
     Those that complete a file are then asked to end; the others hold nothing that anybody waits for.
     """
-    name, parent = sys.argv[1], int(sys.argv[2])
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM if NODES[name].completes_file else signal.SIGKILL)
-    if os.getppid() != parent:  # it has ended already
+    if not end_with_parent(parent, signal.SIGTERM if NODES[name].completes_file else signal.SIGKILL):
         return 1
-    del sys.argv[1:3]  # what is left is for ROS
+    sys.argv[1:] = arguments
     return run_node(NODES[name])
+
+
+def main() -> int:
+    """Run the node argv[1] until process argv[2], which started this one, ends."""
+    return _run(sys.argv[1], int(sys.argv[2]), sys.argv[3:])
 
 
 if __name__ == "__main__":

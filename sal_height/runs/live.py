@@ -19,10 +19,9 @@ from sal_height.errors import UserError
 from sal_height.io import new_folder
 from sal_height.nodes.account import CPU, Account
 from sal_height.nodes.domain import ros_domain
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.middleware import provide_shared_memory
 from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist, stamp_ns_of
-from sal_height.numeric import WORKERS
+from sal_height.numeric import available_processors
 from sal_height.runs.conductor import RECORDER, Conductor, Execution, Interruption, Plan, recording_of
 from sal_height.runs.ensemble import HEIGHTS, TRACKER, Ensemble, check_parameters, consumers, suited
 from sal_height.runs.replay import contents, recorded_parameters
@@ -151,15 +150,16 @@ def live(
     plan = Plan(
         SOURCE, stages, list(dict.fromkeys(recorded)), folder / "bag", {**values, SOURCE: source}, 0, custom_data
     )
+    processors = available_processors()
     known = {
         "bag": bag.name,
         "rate": how.rate,
         "latency_budget_s": budget_s,
-        "processors": WORKERS,
+        "processors": processors,
     }
     first = next(playlist.frames())
     provide_shared_memory(sum(len(frame.samples) for frame in first))
-    warn_of_overload(core_rate_hz(playlist, sensor, stages, values, WORKERS), 1 / interval_s, WORKERS)
+    warn_of_overload(core_rate_hz(playlist, sensor, stages, values, processors), 1 / interval_s, processors)
     with reporting(folder, known) as report:
         watched = _perform(plan, execution, how, playlist, topics, show)
         report.update(watched.as_json())
@@ -185,40 +185,43 @@ def _perform(
     """Start the nodes of a plan and the sensor, and watch them."""
     names = [RECORDER, *reversed(plan.stages), plan.source]
     watched = Watched(0.0, playlist.dwell_rate_hz * how.rate, {}, {topic: [] for topic in topics})
-    with ros_domain(execution.domain), Graph() as graph, Interruption() as interruption:
+    values = {**plan.parameters, RECORDER: recording_of(plan)}
+    with (
+        ros_domain(execution.domain),
+        Interruption() as interruption,
+        Ensemble(names, values, execution.processes) as ensemble,
+        suppress(KeyboardInterrupt),
+    ):
+        graph = ensemble.graph
         conductor = graph.add(Conductor(plan, context=graph.context))
         watched.accounts = conductor.accounts
-        values = {**plan.parameters, RECORDER: recording_of(plan)}
-        with Ensemble(graph, names, values, execution.processes) as ensemble, suppress(KeyboardInterrupt):
 
-            def spin(seconds: float) -> None:
-                graph.spin_until(lambda: False, seconds)
-                interruption.check()
-                ensemble.check()
+        def spin(seconds: float) -> None:
+            graph.spin_until(lambda: False, seconds)
+            interruption.check()
+            ensemble.check()
 
-            def wait(condition: Callable[[], bool], what: str) -> None:
-                deadline = time.monotonic() + execution.timeout_s
-                while not condition():
-                    if time.monotonic() > deadline:
-                        raise UserError(
-                            f"Waited {execution.timeout_s:g} s in vain for {what}; the log above may say why."
-                        )
-                    spin(LOOK_PERIOD_S)
+        def wait(condition: Callable[[], bool], what: str) -> None:
+            deadline = time.monotonic() + execution.timeout_s
+            while not condition():
+                if time.monotonic() > deadline:
+                    raise UserError(f"Waited {execution.timeout_s:g} s in vain for {what}; the log above may say why.")
+                spin(LOOK_PERIOD_S)
 
-            wait(conductor.ready, "all nodes to be ready")
-            clock = DwellClock(how.rate, next(playlist.frames())[0].pulse_time[-1])
-            for topic, latencies in watched.latencies_s.items():
-                conductor.listen_raw(HeightImage, topic, _keeper(clock, latencies))
-            conductor.step(wait)
-            watched.cpu_at_start_s = {name: a.numbers.get(CPU, 0.0) for name, a in watched.accounts.items()}
-            clock.begin_ns, began = int(conductor.answer), time.monotonic()
-            due_s = SHOW_PERIOD_S
-            while watched.elapsed_s < how.seconds:
-                spin(min(LOOK_PERIOD_S, how.seconds - watched.elapsed_s))
-                watched.elapsed_s = time.monotonic() - began
-                if watched.elapsed_s >= min(due_s, how.seconds):
-                    due_s += SHOW_PERIOD_S
-                    show(watched)
+        wait(conductor.ready, "all nodes to be ready")
+        clock = DwellClock(how.rate, next(playlist.frames())[0].pulse_time[-1])
+        for topic, latencies in watched.latencies_s.items():
+            conductor.listen_raw(HeightImage, topic, _keeper(clock, latencies))
+        conductor.step(wait)
+        watched.cpu_at_start_s = {name: a.numbers.get(CPU, 0.0) for name, a in watched.accounts.items()}
+        clock.begin_ns, began = int(conductor.answer), time.monotonic()
+        due_s = SHOW_PERIOD_S
+        while watched.elapsed_s < how.seconds:
+            spin(min(LOOK_PERIOD_S, how.seconds - watched.elapsed_s))
+            watched.elapsed_s = time.monotonic() - began
+            if watched.elapsed_s >= min(due_s, how.seconds):
+                due_s += SHOW_PERIOD_S
+                show(watched)
     return watched
 
 

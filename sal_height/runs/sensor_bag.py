@@ -21,6 +21,8 @@ from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.runs.simulate import processing_of
 from sal_height.simulation import Preset, flight_of
 
+tqdm.monitor_interval = 0  # no thread that refreshes slow bars: it would be in the way of `runs.processes.Forked`
+
 
 def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
     """Simulate the flight of a preset and write what its sensor delivers to a bag; returns the bag.

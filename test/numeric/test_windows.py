@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from helpers import assert_one_sentence
 from scipy.optimize import brentq
+from scipy.signal import windows
 
 from sal_height.errors import UserError
-from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, window
+from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, taylor, window
 
 COUNT = 1024
 
@@ -69,3 +70,11 @@ def test_one_sample_has_no_width() -> None:
     with pytest.raises(UserError) as refusal:
         broadening(np.ones(1))
     assert_one_sentence(str(refusal.value), "1 samples", "must have more samples")
+
+
+@pytest.mark.parametrize("count", [1, 2, 63, 256, 4097])
+@pytest.mark.parametrize("sidelobe_db", [13.0, 35.0, 60.0])
+def test_taylor_weights_are_those_of_scipy(count: int, sidelobe_db: float) -> None:
+    """To the last digit."""
+    expected = windows.taylor(count, nbar=5, sll=sidelobe_db)
+    np.testing.assert_array_equal(taylor(count, sidelobe_db), expected)

@@ -19,9 +19,19 @@ import rasterio
 from mcap.reader import make_reader
 
 from sal_height.errors import UserError
-from sal_height.nodes.graph import Graph
 from sal_height.runs.ensemble import Ensemble
 from sal_height.runs.replay import replay
+
+NODES_OF_A_RUN = [
+    "ml_height",
+    "monopulse",
+    "recorder",
+    "relief_mapper",
+    "relief_tracker",
+    "sar_compression",
+    "simulator",
+]
+"""Each process is called like its node: it was forked from the run, and did not start anew."""
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 60) -> None:
@@ -51,8 +61,8 @@ class Ended:
     out: Path
     status: int
     log: str
-    nodes: list[int]
-    """Its processes."""
+    nodes: dict[int, str]
+    """Its processes by number, and what they are called in lists of processes."""
 
 
 def ended_run(out: Path, number: signal.Signals) -> Ended:
@@ -63,7 +73,7 @@ def ended_run(out: Path, number: signal.Signals) -> Ended:
         [sys.executable, "-m", "sal_height", *words], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as program:
         wait_for(lambda: bag.is_file() and bag.stat().st_size > 600_000)
-        nodes = children(program.pid)
+        nodes = {node: Path(f"/proc/{node}/comm").read_text().strip() for node in children(program.pid)}
         program.send_signal(number)
         _, log = program.communicate(timeout=60)
     return Ended(out, program.returncode, log, nodes)
@@ -84,7 +94,7 @@ def test_no_process_survives_the_run_and_its_files_are_whole(
     kind: str, status: int, request: pytest.FixtureRequest
 ) -> None:
     ended: Ended = request.getfixturevalue(kind)
-    assert len(ended.nodes) == 7
+    assert sorted(ended.nodes.values()) == NODES_OF_A_RUN
     wait_for(lambda: not any(runs(node) for node in ended.nodes))
     assert ended.status == status
     assert "Traceback" not in ended.log
@@ -118,7 +128,7 @@ def test_a_node_whose_parent_has_ended_does_not_begin() -> None:
     assert subprocess.run(words, timeout=60, check=False).returncode == 1  # noqa: S603
 
 
-def test_when_a_node_cannot_be_started_the_others_end(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_when_a_node_cannot_be_started_the_others_end(monkeypatch: pytest.MonkeyPatch) -> None:
     real, started = subprocess.Popen, []
 
     def popen(*arguments: Any, **keywords: Any) -> Any:
@@ -129,6 +139,6 @@ def test_when_a_node_cannot_be_started_the_others_end(graph: Graph, monkeypatch:
 
     monkeypatch.setattr(subprocess, "Popen", popen)
     names = ["ml_height", "monopulse", "sar_compression"]
-    with pytest.raises(UserError, match="Node sar_compression cannot be started"), Ensemble(graph, names, {}, True):
+    with pytest.raises(UserError, match="Node sar_compression cannot be started"), Ensemble(names, {}, True):
         pass
     assert [process.poll() is None for process in started] == [False, False]

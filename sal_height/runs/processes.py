@@ -1,0 +1,143 @@
+"""Processes that go on with what this one has imported, loaded and computed, which saves them seconds of start."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+ONE_THREAD = {"SAL_HEIGHT_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+"""Environment of nodes in processes of their own: these share the processors among them, one thread each."""
+
+PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
+"""Options of prctl (Linux): the signal that a process gets when the one that started it ends; its name in lists."""
+
+POLL_S = 0.02
+
+
+def use_one_thread() -> None:
+    """Work in one thread, and so do the processes that this one starts, unless the environment says otherwise.
+
+    It has an effect before NumPy is imported only. Without other threads, `Forked` can be used.
+    """
+    os.environ.update(ONE_THREAD | os.environ)
+
+
+def can_fork() -> bool:
+    """Whether a process can go on with the memory of this one.
+
+    Neither Python nor the middleware may have other threads, which a copy lacks and might wait for; nor may NumPy have
+    been imported to use any. The two that LTTng starts with rclpy only listen for its tools.
+    """
+    tasks = Path("/proc/self/task")  # Linux
+    limited = all(os.environ.get(name) == count for name, count in ONE_THREAD.items())
+    if not (limited and tasks.is_dir() and threading.active_count() == 1):
+        return False
+    names = [(task / "comm").read_text(encoding="utf-8") for task in tasks.iterdir()]
+    return not any(name.startswith("dds") for name in names)
+
+
+def end_with_parent(parent: int, number: signal.Signals) -> bool:
+    """Have this process get a signal when its parent ends, even if that is killed.
+
+    Args:
+        parent: number of the parent's process.
+        number: the signal.
+
+    Returns:
+        False if the parent has ended already.
+    """
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, number)
+    return os.getppid() == parent
+
+
+class Forked:
+    """A copy of this process that runs a function; used as a `subprocess.Popen` is.
+
+    It has a session of its own, the signal handlers of a new process, and ends without what this one does at its end.
+
+    Attributes:
+        pid: number of the process.
+        returncode: its exit status, or minus the number of the signal that ended it; None: it runs.
+    """
+
+    def __init__(self, run: Callable[[], int], name: str) -> None:
+        """Begin.
+
+        Args:
+            run: returns the exit status.
+            name: of the process, in lists of processes.
+
+        Raises:
+            OSError: there cannot be another process.
+        """
+        self.returncode: int | None = None
+        sys.stdout.flush()
+        sys.stderr.flush()
+        gc.freeze()  # what lives now lives on: looking through it would copy its memory
+        self.pid = os.fork()
+        if self.pid == 0:
+            _run_alone(run, name)
+
+    def poll(self) -> int | None:
+        """The exit status, if the process has ended."""
+        if self.returncode is None:
+            ended, status = os.waitpid(self.pid, os.WNOHANG)
+            if ended:
+                self.returncode = os.waitstatus_to_exitcode(status)
+        return self.returncode
+
+    def wait(self, timeout: float) -> int:
+        """Wait until it has ended.
+
+        Raises:
+            subprocess.TimeoutExpired: it has not within `timeout` seconds.
+        """
+        deadline = time.monotonic() + timeout
+        while (status := self.poll()) is None:
+            if time.monotonic() > deadline:
+                raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
+            time.sleep(POLL_S)
+        return status
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        self._send(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """End it."""
+        self._send(signal.SIGKILL)
+
+    def _send(self, number: signal.Signals) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+
+def _run_alone(run: Callable[[], int], name: str) -> None:
+    """Run a function in a process that has just been forked, and end it."""
+    status = 1
+    try:
+        os.setsid()
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, signal.SIG_DFL)
+        ctypes.CDLL(None).prctl(PR_SET_NAME, name.encode()[:15])
+        status = run()
+    except SystemExit as ended:
+        status = ended.code if isinstance(ended.code, int) else 1
+    except BaseException:  # noqa: BLE001 (the copy must not go on as the original does)
+        traceback.print_exc()
+    finally:
+        with suppress(OSError):  # nobody may read it any more
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(status)

@@ -1,0 +1,129 @@
+"""Processes that go on with the memory of the one that starts them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+PRELUDE = """
+import json, os, signal, sys, threading
+from sal_height.runs.processes import Forked, can_fork, use_one_thread
+use_one_thread()
+"""
+
+
+def said_by(code: str) -> object:
+    """What a program in an interpreter of its own prints as JSON: tests have threads, beside which nothing can fork."""
+    result = subprocess.run(  # noqa: S603 (our own code)
+        [sys.executable, "-c", PRELUDE + code], capture_output=True, text=True, timeout=60, check=True
+    )
+    return json.loads(result.stdout)
+
+
+def test_a_copy_has_the_memory_of_its_original_and_a_session_of_its_own() -> None:
+    code = """
+held = ["from before"]
+read, write = os.pipe()
+def run():
+    held.append("from the copy")
+    os.write(write, json.dumps([held, os.getsid(0) == os.getpid(), os.getppid()]).encode())
+    return 7
+copy = Forked(run, "some_node_with_a_long_name")
+status = copy.wait(30.0)
+said = json.loads(os.read(read, 1000))
+print(json.dumps([said[0], said[1], said[2] == os.getpid(), held, status, copy.poll()]))
+"""
+    assert said_by(code) == [["from before", "from the copy"], True, True, ["from before"], 7, 7]
+
+
+@pytest.mark.parametrize(
+    ("run", "status"),
+    [
+        ("lambda: sys.exit(3)", 3),
+        ("lambda: 1 / 0", 1),
+        ("lambda: os.kill(os.getpid(), signal.SIGTERM) or signal.pause()", -15),
+    ],
+)
+def test_a_copy_ends_as_a_program_of_its_own(run: str, status: int) -> None:
+    """Whatever the original does about signals, exceptions and its own end."""
+    code = f"""
+import atexit
+atexit.register(lambda: print("end of the original"))
+signal.signal(signal.SIGTERM, lambda *_: None)
+print(json.dumps(Forked({run}, "node").wait(30.0)))
+atexit._clear()
+"""
+    assert said_by(code) == status
+
+
+def test_a_copy_is_ended_by_the_signals_that_end_a_process() -> None:
+    code = """
+copies = [Forked(lambda: signal.pause() or 0, "node") for _ in range(2)]
+running = [copy.poll() for copy in copies]
+copies[0].terminate()
+copies[1].kill()
+print(json.dumps([running, [copy.wait(30.0) for copy in copies]]))
+copies[0].terminate()
+"""
+    assert said_by(code) == [[None, None], [-15, -9]]
+
+
+def test_the_wait_for_a_copy_has_an_end() -> None:
+    code = """
+import subprocess
+copy = Forked(lambda: signal.pause() or 0, "node")
+try:
+    copy.wait(0.01)
+except subprocess.TimeoutExpired:
+    print(json.dumps(copy.poll()))
+copy.kill()
+"""
+    assert said_by(code) is None
+
+
+def test_nothing_forks_beside_other_threads() -> None:
+    """Of Python or of the middleware, or where NumPy may use some; those that rclpy starts are allowed."""
+    code = """
+import numpy, rclpy
+found = [can_fork()]
+ended = threading.Event()
+thread = threading.Thread(target=ended.wait)
+thread.start()
+found.append(can_fork())
+ended.set()
+thread.join()
+found.append(can_fork())
+os.environ["SAL_HEIGHT_THREADS"] = "2"
+found.append(can_fork())
+os.environ["SAL_HEIGHT_THREADS"] = "1"
+from sal_height.nodes.domain import free_domain
+from sal_height.nodes.graph import Graph
+with free_domain() as domain, Graph(domain) as graph:
+    graph.add(rclpy.create_node("node", context=graph.context))
+    found.append(can_fork())
+print(json.dumps(found))
+"""
+    assert said_by(code) == [True, False, True, False, False]
+
+
+def test_one_thread_is_used_unless_the_environment_says_otherwise() -> None:
+    code = "print(json.dumps([os.environ['SAL_HEIGHT_THREADS'], os.environ['OPENBLAS_NUM_THREADS']]))"
+    wanted = os.environ | {"SAL_HEIGHT_THREADS": "5"}
+    wanted.pop("OPENBLAS_NUM_THREADS", None)
+    result = subprocess.run(  # noqa: S603 (our own code)
+        [sys.executable, "-c", PRELUDE + code], capture_output=True, text=True, timeout=60, check=True, env=wanted
+    )
+    assert json.loads(result.stdout) == ["5", "1"]
+
+
+def test_runs_import_nothing_that_only_pictures_and_statistics_need() -> None:
+    code = """
+import sal_height.runs.live, sal_height.runs.simulate, sal_height.runs.replay
+slow = ("matplotlib", "scipy.stats", "scipy.signal", "rasterio", "cyclopts")
+print(json.dumps([name for name in slow if name in sys.modules]))
+"""
+    assert said_by(code) == []

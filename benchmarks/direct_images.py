@@ -15,7 +15,7 @@ import numpy as np
 from sal_height.geometry import ApertureState, Grid, look_direction, pixels_at, sphere_point
 from sal_height.imaging import Processing, Slc, azimuth_resolution
 from sal_height.imaging.pixels import slant_plane_grid, slc_noise_power
-from sal_height.numeric import C64, Complex, blocks, broadening, chirp_z, in_parallel, rows_at_once
+from sal_height.numeric import C64, Complex, blocks, broadening, chirp_z, in_parallel
 from sal_height.sensor import Sensor
 from sal_height.simulation import Scene, VisibleSurface, load_preset
 from sal_height.simulation.scene import visible_surface
@@ -166,12 +166,7 @@ def image_of(spectrum: C64, sensor: Sensor, aperture: ApertureState, grid: Grid,
     beside = chirp_z(np.array([2 * np.pi * turns[1]]), pulses, pulses // 2, cols, (cols - 1) / 2)
     image = np.empty((len(lines), cols), dtype=np.complex64)
 
-    def transform(part: slice) -> None:
-        for block in blocks(part.stop - part.start, rows_at_once(beside.length)):
-            there = slice(part.start + block.start, part.start + block.stop)
-            image[there] = beside.apply(lines[there], there)
-
-    in_parallel(transform, len(lines))
+    in_parallel(lambda part: beside.fill_rows(lines[part], image[part]), len(lines))
     return image.reshape(detectors, rows, cols)
 
 

@@ -12,7 +12,7 @@ from benchmarks.cases import Case, spotlight, stripmap, with_targets
 from benchmarks.row import Row, medians, sized
 from sal_height.imaging import FormImages, backproject
 from sal_height.imaging.formers import range_doppler, specan
-from sal_height.numeric import WORKERS
+from sal_height.numeric import WORKERS, ChirpZ
 
 DETECTORS, PULSES, FREQUENCIES = sized((16, 512, 1024), (1, 512, 128))
 ROWS, COLS = sized((1024, 512), (64, 64))
@@ -66,13 +66,17 @@ def specan_passes(case: Case) -> list[Pass]:
 
 
 def range_doppler_passes(case: Case) -> list[Pass]:
-    """Pulses to Doppler; chirp z-transform of frequencies to rows, forward and backward; Doppler to columns."""
+    """Pulses to Doppler; chirp z-transform of frequencies to rows, forward and backward; Doppler to columns.
+
+    Few frequencies and rows are transformed by products with matrices instead.
+    """
     filters = range_doppler.filters_of(case.history, case.antenna, case.sensor, case.processing, case.grid)
     detectors, _, frequencies = case.history.samples.shape
     length = filters.azimuth.shape[1]
+    to_rows = filters.range
     return [
         Pass((detectors, length, frequencies), 1),
-        Pass((detectors, length, filters.range.length), 2, count=2),
+        *([Pass((detectors, length, to_rows.length), 2, count=2)] if isinstance(to_rows, ChirpZ) else []),
         Pass((detectors, case.grid.rows, length // filters.fold), 2),
     ]
 

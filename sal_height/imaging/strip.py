@@ -125,7 +125,7 @@ class Strip:
             stamp_ns=self.history.stamp_ns + dropped_ns,
             pulse_times=self.history.pulse_times[held] - dropped_ns * 1e-9,
             reference_range=self.history.reference_range[held],
-            samples=self.history.samples[:, held].copy(),
+            samples=self.history.samples[:, held],
             saturated_share=self.history.shares[:, held],
         )
         return replace(self, history=history, antenna=self.antenna[held], lattice=lattice)

@@ -1,13 +1,14 @@
 """Numerics without physics: what NumPy and SciPy lack, and how kernels are compiled.
 
 Read `arrays` (types of arrays), `jit` (how kernels are compiled) and `threads` (how work is spread over processors)
-first, then `windows` (spectral weights), `phasors` (exp(j phase) with the phase reduced in float64), `chirp_z` and
-`fft` (transforms of many rows), `range_profiles` (interpolation of band-limited profiles) and `vectors` (of three
-numbers, within compiled loops). Nothing here knows of sensors or images.
+first, then `windows` (spectral weights), `phasors` (exp(j phase) with the phase reduced in float64), `chirp_z`,
+`centred_sums` and `fft` (transforms of many rows), `range_profiles` (interpolation of band-limited profiles) and
+`vectors` (of three numbers, within compiled loops). Nothing here knows of sensors or images.
 """
 
 from sal_height.numeric._kernels import cosine_and_sine, cosine_and_sine_of_part, tap_weights
 from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, Complex, Index
+from sal_height.numeric.centred_sums import LARGEST, CentredSums
 from sal_height.numeric.chirp_z import ChirpZ, chirp_z
 from sal_height.numeric.fft import blocks, fast_length, frequencies, rows_at_once
 from sal_height.numeric.jit import compiled, compiled_with_nan, inlined
@@ -31,12 +32,14 @@ __all__ = [
     "F64",
     "I32",
     "I64",
+    "LARGEST",
     "OVERSAMPLING",
     "TAPS",
     "U8",
     "WINDOWS",
     "WORKERS",
     "Bool",
+    "CentredSums",
     "ChirpZ",
     "Complex",
     "Index",

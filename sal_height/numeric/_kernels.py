@@ -69,3 +69,83 @@ def fill_padded(spectra: C64, factor: F32, padded: C64) -> None:
                 rising[frequency - middle, detector] = factor[frequency] * spectrum[frequency]
             for frequency in range(middle):
                 falling[frequency, detector] = factor[frequency] * spectrum[frequency]
+
+
+@compiled
+def fill_even_and_odd(values: C64, even: F32, odd: F32) -> None:
+    """Sums and differences of the numbers at the same distance after and before number inputs // 2 of every line.
+
+    Args:
+        values: shape (lines, inputs).
+        even: to fill, real parts of all lines and then imaginary parts, shape (2 lines, inputs // 2 + 1).
+        odd: of the same shape.
+    """
+    lines, inputs = values.shape
+    middle = inputs // 2
+    for line in range(lines):
+        numbers = values[line]
+        real_even, real_odd, imag_even, imag_odd = even[line], odd[line], even[lines + line], odd[lines + line]
+        for n in range(inputs - middle):
+            after, before = numbers[middle + n], numbers[middle - n]
+            real_even[n], real_odd[n] = after.real + before.real, after.real - before.real
+            imag_even[n], imag_odd[n] = after.imag + before.imag, after.imag - before.imag
+        if inputs == 2 * middle:  # the first number has no counterpart
+            real_even[middle], real_odd[middle] = numbers[0].real, -numbers[0].real
+            imag_even[middle], imag_odd[middle] = numbers[0].imag, -numbers[0].imag
+
+
+@compiled
+def fill_from_halves(in_phase: F32, across: F32, result: C64) -> None:
+    """The sum and the difference of `in_phase` and j `across` as the last and the first rows of the result.
+
+    Args:
+        in_phase: real parts of all lines and then imaginary parts, shape (half of the outputs, 2 lines).
+        across: of the same shape.
+        result: to fill, shape (outputs, lines or more).
+    """
+    halves, lines, last = in_phase.shape[0], in_phase.shape[1] // 2, result.shape[0] - 1
+    for half in range(halves):
+        place = last - halves + 1 + half
+        after, before = result[place], result[last - place]
+        real, imag = in_phase[half, :lines], in_phase[half, lines:]
+        across_real, across_imag = across[half, :lines], across[half, lines:]
+        for line in range(lines):
+            after[line] = complex(real[line] - across_imag[line], imag[line] + across_real[line])
+        for line in range(lines):
+            before[line] = complex(real[line] + across_imag[line], imag[line] - across_real[line])
+
+
+@compiled
+def fill_products(values: C64, factors: C64, padded: C64) -> None:
+    """Numbers times factors, and zeros behind them.
+
+    Args:
+        values: shape (lines, inputs).
+        factors: of every line or of all alike, shape (lines or 1, inputs).
+        padded: to fill, shape (lines, inputs or more).
+    """
+    lines, inputs = values.shape
+    for line in range(lines):
+        number, factor, product = values[line], factors[min(line, factors.shape[0] - 1)], padded[line]
+        for i in range(inputs):
+            product[i] = number[i] * factor[i]
+        for i in range(inputs, product.size):
+            product[i] = 0
+
+
+@compiled
+def fill_columns(values: C64, factors: C64, first: int, columns: C64) -> None:
+    """Numbers times factors as columns of a matrix; a few numbers of all lines at a time, as the cache has them.
+
+    Args:
+        values: shape (lines, outputs or more).
+        factors: of every line or of all alike, shape (lines or 1, outputs).
+        first: number of the first column to fill.
+        columns: to fill, shape (outputs, columns).
+    """
+    outputs = columns.shape[0]
+    for begin in range(0, outputs, 8):
+        for line in range(values.shape[0]):
+            number, factor = values[line], factors[min(line, factors.shape[0] - 1)]
+            for i in range(begin, min(begin + 8, outputs)):
+                columns[i, first + line] = number[i] * factor[i]

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy.fft
 
+from sal_height.numeric._kernels import fill_columns, fill_products
 from sal_height.numeric.arrays import C64, F64
-from sal_height.numeric.fft import fast_length
+from sal_height.numeric.fft import blocks, fast_length, rows_at_once
 from sal_height.numeric.phasors import unit_phasors
 from sal_height.numeric.threads import WORKERS
-
-PRODUCT = 2**15
-"""Complex multiplications of one product of matrices: for more OpenBLAS starts threads, which spin while they wait."""
-
-SMALL_MATRIX = 2**13
-"""Entries up to which a product of matrices is faster than two FFTs (measured: 0.3 against 0.6 us a line for 2944)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,32 +47,28 @@ class ChirpZ:
         """Whether all lines have the same factors."""
         return len(self.before) == len(self.spectrum) == len(self.after) == 1
 
-    @cached_property
-    def _matrix(self) -> C64 | None:
-        """The transform of all lines, shape (inputs, outputs), where a product with it is faster than the FFTs."""
-        inputs = self.before.shape[-1]
-        if not self.is_common or inputs * self.outputs > SMALL_MATRIX:
-            return None
-        return self._by_fft(np.eye(inputs, dtype=np.complex64), slice(0, inputs))
+    def fill_rows(self, values: C64, result: C64) -> None:
+        """The sums of all lines: complex64, from shape (lines, inputs) to fill one of (lines, outputs)."""
+        for lines in blocks(len(values), rows_at_once(self.length)):
+            np.multiply(self._sums(values, lines), _of(self.after, lines), out=result[lines])
 
-    def apply(self, values: C64, lines: slice) -> C64:
-        """The sums of the numbers of some lines: complex64, from shape (these lines, inputs) to (these, outputs)."""
-        if self._matrix is None:
-            return self._by_fft(values, lines)
-        few = PRODUCT // self._matrix.size
-        whole = len(values) // few * few
-        many = values[:whole].reshape(-1, few, values.shape[1]) @ self._matrix
-        return np.concatenate([many.reshape(whole, self.outputs), values[whole:] @ self._matrix])
+    def fill_columns(self, values: C64, result: C64) -> None:
+        """The sums of all lines as columns: complex64, from shape (lines, inputs) to (outputs, lines or more)."""
+        for lines in blocks(len(values), rows_at_once(self.length)):
+            fill_columns(self._sums(values, lines), _of(self.after, lines), lines.start, result)
 
-    def _by_fft(self, values: C64, lines: slice) -> C64:
-        before, spectrum, after = (
-            factor[lines] if len(factor) > 1 else factor for factor in (self.before, self.spectrum, self.after)
-        )
-        spectra = scipy.fft.fft(values * before, self.length, overwrite_x=True)
-        spectra *= spectrum
-        sums: C64 = scipy.fft.ifft(spectra, norm="forward", overwrite_x=True)[:, : after.shape[1]]
-        sums *= after
-        return sums
+    def _sums(self, values: C64, lines: slice) -> C64:
+        """The sums of some lines before the last factors, shape (these lines, outputs)."""
+        numbers = np.empty((lines.stop - lines.start, self.length), np.complex64)
+        fill_products(values[lines], _of(self.before, lines), numbers)
+        spectra = scipy.fft.fft(numbers, overwrite_x=True)
+        spectra *= _of(self.spectrum, lines)
+        return np.asarray(scipy.fft.ifft(spectra, norm="forward", overwrite_x=True)[:, : self.outputs])
+
+
+def _of(factor: C64, lines: slice) -> C64:
+    """The factors of some lines, or the one that all have."""
+    return factor[lines] if len(factor) > 1 else factor
 
 
 def chirp_z(steps: F64, inputs: int, n0: float, outputs: int, m0: float) -> ChirpZ:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.numeric.chirp_z import SMALL_MATRIX, chirp_z
+from sal_height.numeric.chirp_z import chirp_z
+from sal_height.numeric.fft import BUFFER, rows_at_once
 
 
 @pytest.mark.parametrize(
@@ -22,17 +23,23 @@ def test_factors_give_the_sum_written_out(inputs: int, outputs: int, n0: float, 
     expected = np.einsum("ln,lnm->lm", numbers, np.exp(1j * steps[:, None, None] * product))
     transform = chirp_z(steps, inputs, n0, outputs, m0)
     numbers = numbers.astype(np.complex64)
-    np.testing.assert_allclose(transform.apply(numbers, slice(None)), expected, atol=1e-6 * inputs)
-    some = slice(1, 3)
-    np.testing.assert_allclose(transform.apply(numbers[some], some), expected[some], atol=1e-6 * inputs)
+    rows, columns = np.empty(expected.shape, np.complex64), np.full((outputs, len(steps) + 1), 7, np.complex64)
+    transform.fill_rows(numbers, rows)
+    np.testing.assert_allclose(rows, expected, atol=1e-6 * inputs)
+    transform.fill_columns(numbers, columns)
+    np.testing.assert_allclose(columns[:, :-1], expected.T, atol=1e-6 * inputs)
+    assert np.all(columns[:, -1] == 7)
 
 
-@pytest.mark.parametrize(("count", "by_matrix"), [(48, True), (90, True), (91, False)])
-def test_a_step_of_one_turn_over_the_numbers_is_the_fourier_transform(count: int, by_matrix: bool) -> None:
-    """One step serves any number of lines; small transforms are products with a matrix."""
-    numbers = circular(np.random.default_rng(61), (5, count)).astype(np.complex64)
+@pytest.mark.parametrize(("lines", "count"), [(5, 48), (2 * BUFFER // 512, 150)], ids=["few lines", "several blocks"])
+def test_a_step_of_one_turn_over_the_numbers_is_the_fourier_transform(lines: int, count: int) -> None:
+    """One step serves any number of lines."""
+    numbers = circular(np.random.default_rng(61), (lines, count)).astype(np.complex64)
     transform = chirp_z(np.array([-2 * np.pi / count]), count, 0.0, count, 0.0)
-    made = transform.apply(numbers, slice(10, 15))
-    assert (count**2 <= SMALL_MATRIX) == by_matrix
-    np.testing.assert_allclose(made, np.fft.fft(numbers), atol=2e-5)
-    assert made.dtype == np.complex64
+    assert (lines > rows_at_once(transform.length)) == (lines > 5)
+    made = np.empty(numbers.shape, np.complex64)
+    transform.fill_rows(numbers, made)
+    np.testing.assert_allclose(made, np.fft.fft(numbers), atol=5e-5)
+    columns = np.empty((count, lines), np.complex64)
+    transform.fill_columns(numbers, columns)
+    np.testing.assert_allclose(columns, made.T, atol=1e-5)

@@ -10,11 +10,13 @@ import math
 import numpy as np
 
 from sal_height.numeric import (
+    C64,
     F32,
     F64,
     I32,
     TAPS,
     Bool,
+    Index,
     compiled,
     cosine_and_sine,
     cosine_and_sine_of_part,
@@ -101,6 +103,54 @@ def read_profiles(
             ta, tb, tc, td, te, tf = tap[0, i], tap[1, i], tap[2, i], tap[3, i], tap[4, i], tap[5, i]
             for k in range(value.size):
                 value[k] = ta * a[k] + tb * b[k] + tc * c[k] + td * d[k] + te * e[k] + tf * f[k]
+
+
+@compiled
+def fill_replica(distance: F64, place: F64, near: Index, taper: F32, scales: F64, replica: C64) -> None:
+    """Echo of a point along the track, by the weight that `Processing.angle_weights` gives to each angle.
+
+    Args:
+        distance: of the points from the track, m, shape (points,).
+        place: of the pulses along the track, from abeam of the points, m, shape (pulses,).
+        near: index of each pulse in the replica, shape (pulses,).
+        taper: azimuth window over the processed angle.
+        scales: processed angle, rad; way from pulse to pulse, m; turns per m; distance at which the phase is 0, m.
+        replica: zeros to fill, shape (points, length); weights over their sum and the length.
+    """
+    angle, step, turns_per_metre, middle = scales
+    slant, gain = np.empty(place.size), np.empty(place.size, np.float32)
+    cosine, sine = np.empty(place.size, np.float32), np.empty(place.size, np.float32)
+    for point in range(distance.size):
+        for i in range(place.size):
+            slant[i] = math.sqrt(distance[point] * distance[point] + place[i] * place[i])
+        _angle_weights(slant, -place, 0.0, 0.0, angle, step, taper, gain)
+        total = 0.0
+        for i in range(place.size):
+            total += gain[i]
+            slant[i] = middle - slant[i]
+        gain *= np.float32(1 / (total * replica.shape[1]))
+        _phasors(slant, turns_per_metre, gain, cosine, sine)
+        for i in range(place.size):
+            replica[point, near[i]] = complex(cosine[i], sine[i])
+
+
+@compiled
+def fill_folded(spectra: C64, factors: C64, folded: C64) -> None:
+    """Sum of the products of spectra and factors that are a whole number of lengths of `folded` apart.
+
+    Args:
+        spectra: shape (rows, length).
+        factors: of the same shape.
+        folded: to fill, shape (rows, part of the length).
+    """
+    part = folded.shape[1]
+    for row in range(folded.shape[0]):
+        found = folded[row]
+        found[:] = 0
+        for first in range(0, spectra.shape[1], part):
+            spectrum, factor = spectra[row, first : first + part], factors[row, first : first + part]
+            for i in range(part):
+                found[i] += spectrum[i] * factor[i]
 
 
 @compiled

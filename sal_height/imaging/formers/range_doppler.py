@@ -18,13 +18,15 @@ from scipy.spatial.distance import cdist
 
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
+from sal_height.imaging.formers._kernels import fill_folded, fill_replica
 from sal_height.imaging.formers.backprojection import blank_invalid
 from sal_height.imaging.formers.straight_track import StraightTrack, resampling, straight_track
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import (
     C64,
     F64,
-    WORKERS,
+    LARGEST,
+    CentredSums,
     ChirpZ,
     blocks,
     chirp_z,
@@ -35,6 +37,7 @@ from sal_height.numeric import (
 )
 from sal_height.sensor import PhaseHistory, Sensor, processed_angle
 
+SAMPLES_OF_THREAD = 2**19  # at least: fewer are not worth a thread of their own
 STRAY_CELLS = 0.2  # migration, in range cells, beyond which strong sidelobes far along the track matter
 WIDE_BAND = 0.05
 """Bandwidth over carrier up to which the low sidelobes of tapered windows do not matter.
@@ -69,7 +72,7 @@ class Filters:
 
     compensation: C64
     resampling: csr_array | None
-    range: ChirpZ
+    range: ChirpZ | CentredSums
     azimuth: C64
     fold: int
 
@@ -82,7 +85,12 @@ def focus_stripmap(history: PhaseHistory, antenna: F64, sensor: Sensor, processi
     """
     filters = filters_of(history, antenna, sensor, processing, grid)
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
-    in_threads(lambda samples, made: _focus(samples, filters, made), history.samples, image)
+
+    def focus(detectors: slice) -> None:
+        for samples, made in zip(history.samples[detectors], image[detectors], strict=True):
+            _focus(samples, filters, made)
+
+    in_threads(focus, blocks(len(image), max(1, SAMPLES_OF_THREAD // history.samples[0].size)))
     blank_invalid(image, history, antenna, sensor, processing, grid)
     return image
 
@@ -92,17 +100,16 @@ def _focus(samples: C64, filters: Filters, image: C64) -> None:
     (rows, cols), length = image.shape, filters.azimuth.shape[1]
     compressed = _range_first(samples, filters) if filters.range.is_common else _doppler_first(samples, filters)
     for block in blocks(rows, rows_at_once(length // filters.fold)):
-        spectra = (compressed[block] * filters.azimuth[block]).reshape(-1, filters.fold, length // filters.fold)
-        image[block] = scipy.fft.ifft(spectra.sum(axis=1), norm="forward", overwrite_x=True)[:, :cols]
+        spectra = np.empty((block.stop - block.start, length // filters.fold), dtype=np.complex64)
+        fill_folded(compressed[block], filters.azimuth[block], spectra)
+        image[block] = scipy.fft.ifft(spectra, norm="forward", overwrite_x=True)[:, :cols]
 
 
 def _range_first(samples: C64, filters: Filters) -> C64:
     """Doppler spectra of the rows, (rows, length), where range does not depend on Doppler: that of the pulses alone."""
-    pulses = np.empty((len(samples), filters.range.outputs), dtype=np.complex64)
-    for block in blocks(len(samples), rows_at_once(filters.range.length)):
-        pulses[block] = filters.range.apply(samples[block] * filters.compensation[block], block)
-    spectra: C64 = scipy.fft.fft(np.ascontiguousarray(_resampled(pulses, filters).T), filters.azimuth.shape[1])
-    return spectra
+    compressed = np.zeros(filters.azimuth.shape, dtype=np.complex64)
+    filters.range.fill_columns(_resampled(samples * filters.compensation, filters), compressed)
+    return np.asarray(scipy.fft.fft(compressed, overwrite_x=True))
 
 
 def _doppler_first(samples: C64, filters: Filters) -> C64:
@@ -113,8 +120,7 @@ def _doppler_first(samples: C64, filters: Filters) -> C64:
     for block in blocks(frequencies, rows_at_once(length)):
         pulses = _resampled(samples[:, block] * filters.compensation[:, block], filters)
         doppler[:, block] = scipy.fft.fft(pulses, length, axis=0)
-    for block in blocks(length, rows_at_once(filters.range.length)):
-        compressed[:, block] = filters.range.apply(doppler[block], block).T
+    filters.range.fill_columns(doppler, compressed)
     return compressed
 
 
@@ -219,7 +225,9 @@ def _is_even(sensor: Sensor, processing: Processing, layout: _Layout) -> bool:
     return len(pulses) == len(steps) and bool(np.abs(steps - pulses).max() * edge < EVEN_PHASE)
 
 
-def _range_transform(sensor: Sensor, processing: Processing, wavenumber: F64, layout: _Layout, doppler: F64) -> ChirpZ:
+def _range_transform(
+    sensor: Sensor, processing: Processing, wavenumber: F64, layout: _Layout, doppler: F64
+) -> ChirpZ | CentredSums:
     """Transform from frequencies to rows for each Doppler, or one for all if those processed hardly differ.
 
     It removes the migration and secondary compression of the middle range (stationary phase), and stretches range
@@ -232,9 +240,12 @@ def _range_transform(sensor: Sensor, processing: Processing, wavenumber: F64, la
     processed = np.abs(doppler) <= central * processing.angle / 2
     if np.ptp(scale[processed]) * frequencies / 2 * rows / 2 < SMALL_PHASE:
         scale = scale[:1]
-    scaled = chirp_z(scale, frequencies, frequencies // 2, rows, (rows - 1) / 2)
     edges = _migration(layout.middle, doppler[processed], wavenumber[[0, -1]], central)
-    if np.abs(edges).max() < SMALL_PHASE:
+    still = bool(np.abs(edges).max() < SMALL_PHASE)
+    if still and len(scale) == 1 and frequencies * rows <= LARGEST:
+        return CentredSums.of(float(scale[0]), frequencies, rows)
+    scaled = chirp_z(scale, frequencies, frequencies // 2, rows, (rows - 1) / 2)
+    if still:
         return scaled
     before = scaled.before * unit_phasors(_migration(layout.middle, doppler, wavenumber, central))
     return ChirpZ(before, scaled.spectrum, scaled.after)
@@ -262,18 +273,17 @@ def _azimuth_filters(sensor: Sensor, processing: Processing, layout: _Layout) ->
     whole = step * round((layout.first_column - begin) / step)
     place = step * length * scipy.fft.fftfreq(length) + (begin + whole - layout.first_column)
     near = np.flatnonzero(np.abs(place) <= processing.angle / 2 * distance.max() * 1.01 + step)
-    replica = np.zeros((len(distance), length), dtype=np.complex64)
+    scales = np.array([processing.angle, step, sensor.centre_wavenumber / (2 * np.pi), layout.middle])
+    taper, shift = processing.taper(), unit_phasors(layout.doppler * whole)
+    spectra = np.empty((len(distance), length), dtype=np.complex64)
 
     def fill(block: slice) -> None:
-        slant = np.sqrt(distance[block, None] ** 2 + place[near] ** 2)
-        weight = processing.angle_weights(place[near] / slant, step / slant)
-        weight /= weight.sum(axis=-1, keepdims=True) * length
-        phase = -sensor.centre_wavenumber * (slant - layout.middle)
-        replica[block, near] = weight.astype(np.float32) * unit_phasors(phase)
+        replica = np.zeros((block.stop - block.start, length), dtype=np.complex64)
+        fill_replica(distance[block], place[near], near, taper, scales, replica)
+        found = scipy.fft.fft(replica, overwrite_x=True)
+        np.multiply(np.conjugate(found, out=found), shift, out=spectra[block])
 
     in_threads(fill, blocks(len(distance), rows_at_once(length)))
-    spectra = np.asarray(scipy.fft.fft(replica, axis=-1, overwrite_x=True, workers=WORKERS)).conj()
-    spectra *= unit_phasors(layout.doppler * whole)
     return spectra
 
 

@@ -19,10 +19,8 @@ from sal_height.numeric import (
     C64,
     F64,
     ChirpZ,
-    blocks,
     chirp_z,
     in_threads,
-    rows_at_once,
     unit_phasors,
 )
 from sal_height.sensor import PhaseHistory, Sensor
@@ -40,10 +38,8 @@ def focus_spotlight(history: PhaseHistory, antenna: F64, sensor: Sensor, process
 def _focus(samples: C64, by_range: ChirpZ, by_azimuth: ChirpZ, image: C64) -> None:
     """Focus one detector: range, corner turn, azimuth."""
     compressed = np.empty((len(image), len(samples)), dtype=np.complex64)
-    for block in blocks(len(samples), rows_at_once(by_range.length)):
-        compressed[:, block] = by_range.apply(samples[block], block).T
-    for block in blocks(len(image), rows_at_once(by_azimuth.length)):
-        image[block] = by_azimuth.apply(compressed[block], block)
+    by_range.fill_columns(samples, compressed)
+    by_azimuth.fill_rows(compressed, image)
 
 
 def transforms(

@@ -1,0 +1,69 @@
+"""A discrete Fourier transform of few numbers onto any even spacing around the middle, as products of real matrices.
+
+With n and m counted from the middles, sum over n of x[n] exp(j step n m) is the sum over n >= 0 of
+(x[n] + x[-n]) cos(step n m) + j (x[n] - x[-n]) sin(step n m), and for -m the same with the other sign of the sines: an
+eighth of the multiplications of the complex matrix, and fewer than two FFTs take of up to LARGEST numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sal_height.numeric._kernels import fill_even_and_odd, fill_from_halves
+from sal_height.numeric.arrays import C64, F32
+from sal_height.numeric.fft import blocks
+
+LARGEST = 2**14
+"""Inputs times outputs up to which this is faster than two FFTs (measured: 0.15 against 0.6 us a line for 2944)."""
+
+PRODUCT = 2**18
+"""Multiplications of one product of real matrices: for more OpenBLAS starts threads, which spin while they wait."""
+
+
+@dataclass(frozen=True, eq=False)
+class CentredSums:
+    """The sums y[m] = sum over n of x[n] exp(j step (n - n0) (m - m0)) of lines of numbers.
+
+    n0 is inputs // 2 and m0 is (outputs - 1) / 2.
+
+    Attributes:
+        cosines: float32, shape (half of the outputs, inputs // 2 + 1).
+        sines: of the same shape.
+        outputs: numbers out.
+    """
+
+    cosines: F32
+    sines: F32
+    outputs: int
+
+    @classmethod
+    def of(cls, step: float, inputs: int, outputs: int) -> CentredSums:
+        """Sums of `inputs` to `outputs` numbers; step: phase (rad) per input and output index."""
+        after = np.arange(outputs // 2, outputs) - (outputs - 1) / 2
+        turns = step * np.outer(after, np.arange(inputs // 2 + 1))
+        cosines, sines = np.cos(turns), np.sin(turns)
+        cosines[:, 0] /= 2  # the number in the middle is its own counterpart
+        return cls(cosines.astype(np.float32), sines.astype(np.float32), outputs)
+
+    @property
+    def is_common(self) -> bool:
+        """Whether all lines have the same factors: they have."""
+        return True
+
+    def fill_columns(self, values: C64, result: C64) -> None:
+        """The sums of some lines as the columns of a matrix.
+
+        Args:
+            values: complex64, shape (lines, inputs).
+            result: to fill, shape (outputs, lines or more).
+        """
+        halves, count = self.cosines.shape
+        even, odd = np.empty((2, 2 * len(values), count), np.float32)
+        fill_even_and_odd(values, even, odd)
+        in_phase, across = np.empty((2, halves, 2 * len(values)), np.float32)
+        for part in blocks(2 * len(values), max(1, PRODUCT // self.cosines.size)):
+            np.matmul(self.cosines, even[part].T, out=in_phase[:, part])
+            np.matmul(self.sines, odd[part].T, out=across[:, part])
+        fill_from_halves(in_phase, across, result)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric import F64, Bool, Index, compiled, compiled_with_nan
+from sal_height.numeric import F32, F64, Bool, Index, compiled, compiled_with_nan, inlined
 
 LEAST_PRECISION = 1e-12  # of a height that no measurement reaches, 1/m^2: its sigma is 1000 km
 
@@ -156,6 +156,18 @@ def mark_bends(height: F64, limit: F64, joined: Bool, lags: Index, bend: F64) ->
                         bend[way, j, c] = max(bend[way, j, c], square)
 
 
+@inlined
+def _variance_across(c: F64, east: float, north: float, steepest: float) -> float:
+    """Variance at a place of `position_error.variance_at_place`, of one covariance `c` on ground of that slope."""
+    if np.isfinite(east + north):
+        level = c[0, 0] * east**2 + 2 * c[0, 1] * east * north + c[1, 1] * north**2
+        variance = c[2, 2] - 2 * (c[0, 2] * east + c[1, 2] * north) + level
+    else:
+        greatest = (c[0, 0] + c[1, 1]) / 2 + np.hypot((c[0, 0] - c[1, 1]) / 2, c[0, 1])
+        variance = (np.sqrt(c[2, 2]) + steepest * np.sqrt(greatest)) ** 2
+    return variance
+
+
 @compiled_with_nan
 def variances_across(covariance: F64, slope: F64, steepest: float, variance: F64) -> None:
     """Fill the variances at a place of `position_error.variance_at_place`.
@@ -167,13 +179,7 @@ def variances_across(covariance: F64, slope: F64, steepest: float, variance: F64
         variance: to be filled, m^2, shape (n,).
     """
     for i in range(len(variance)):
-        c, east, north = covariance[i], slope[i, 0], slope[i, 1]
-        if np.isfinite(east + north):
-            level = c[0, 0] * east**2 + 2 * c[0, 1] * east * north + c[1, 1] * north**2
-            variance[i] = c[2, 2] - 2 * (c[0, 2] * east + c[1, 2] * north) + level
-        else:
-            greatest = (c[0, 0] + c[1, 1]) / 2 + np.hypot((c[0, 0] - c[1, 1]) / 2, c[0, 1])
-            variance[i] = (np.sqrt(c[2, 2]) + steepest * np.sqrt(greatest)) ** 2
+        variance[i] = _variance_across(covariance[i], slope[i, 0], slope[i, 1], steepest)
 
 
 @compiled_with_nan
@@ -225,42 +231,152 @@ def average_windows(values: F64, half: int, means: F64) -> None:
 
 
 @compiled_with_nan
-def fit_planes(
-    points: F64, mean: F64, seen: Bool, half: int, part: slice, slope: F64, steepness: F64, off: F64
-) -> None:
+def centre_points(points: F64, covariance: F64, centred: F64) -> None:
+    """Fill the points less their mean, and which of them count, as `slope.ground_slope` averages them.
+
+    Args:
+        points: m, shape (3, rows, cols); NaN where there is none.
+        covariance: m^2, shape (rows, cols, 3, 3).
+        centred: to be filled, shape (4, rows, cols): m, and 1 where a point counts; all 0 where it does not.
+    """
+    _, rows, cols = points.shape
+    sums, count = np.zeros(3), 0
+    for i in range(rows):
+        for j in range(cols):
+            place = points[0, i, j] + points[1, i, j] + points[2, i, j]
+            seen = np.isfinite(place) and np.isfinite(covariance[i, j, 2, 2])
+            centred[3, i, j] = 1.0 if seen else 0.0
+            if seen:
+                count += 1
+                for axis in range(3):
+                    sums[axis] += points[axis, i, j]
+    for axis in range(3):
+        mean = sums[axis] / max(count, 1)
+        for i in range(rows):
+            for j in range(cols):
+                centred[axis, i, j] = points[axis, i, j] - mean if centred[3, i, j] > 0 else 0.0
+
+
+@compiled_with_nan
+def fit_planes(centred: F64, means: F64, half: int, part: slice, slope: F64, steepness: F64, off: F64) -> None:
     """Fill the slopes of the planes of `slope.ground_slope` in some rows, and how far pixels lie off them.
 
     The slope g fulfils step_up = g step_horizontal for the steps of the means down and across: Cramer's rule.
 
     Args:
-        points: m, shape (3, rows, cols).
-        mean: of the windows, m, same shape.
-        seen: the points that count, shape (rows, cols).
+        centred: filled by `centre_points`, shape (4, rows, cols).
+        means: of that over windows, same shape; the last one is the share of points that count.
         half: half-width of the windows in pixels.
         part: rows to be filled.
         slope: to be filled, m/m, shape (rows, cols, 2).
         steepness: sum of the squares of both horizontal steps over their squared area, to be filled, 1/m^2, shape
             (rows, cols).
         off: squared distance in height from the plane through the mean, to be filled, m^2, shape (rows, cols); 0 where
-            points do not count.
+            points do not count, or there is no plane.
     """
-    rows, cols = seen.shape
+    _, rows, cols = means.shape
+    down, across, beside = np.empty(3), np.empty(3), np.empty(3)
     for i in range(part.start, part.stop):
         below, above = max(i - half, 0), min(i + half, rows - 1)
         for j in range(cols):
             left, right = max(j - half, 0), min(j + half, cols - 1)
-            down_x, across_x = mean[0, above, j] - mean[0, below, j], mean[0, i, right] - mean[0, i, left]
-            down_y, across_y = mean[1, above, j] - mean[1, below, j], mean[1, i, right] - mean[1, i, left]
-            down_z, across_z = mean[2, above, j] - mean[2, below, j], mean[2, i, right] - mean[2, i, left]
-            area = down_x * across_y - down_y * across_x
-            east = (down_z * across_y - down_y * across_z) / area
-            north = (down_x * across_z - down_z * across_x) / area
+            for axis in range(3):
+                mean, share = means[axis], means[3]
+                down[axis] = mean[above, j] / share[above, j] - mean[below, j] / share[below, j]
+                across[axis] = mean[i, right] / share[i, right] - mean[i, left] / share[i, left]
+                beside[axis] = centred[axis, i, j] - mean[i, j] / share[i, j]
+            area = down[0] * across[1] - down[1] * across[0]
+            east = (down[2] * across[1] - down[1] * across[2]) / area
+            north = (down[0] * across[2] - down[2] * across[0]) / area
             slope[i, j, 0], slope[i, j, 1] = east, north
-            steepness[i, j] = (down_x**2 + down_y**2 + across_x**2 + across_y**2) / area**2
-            off[i, j] = 0.0
-            if seen[i, j]:
-                beside_x, beside_y = points[0, i, j] - mean[0, i, j], points[1, i, j] - mean[1, i, j]
-                off[i, j] = (points[2, i, j] - mean[2, i, j] - east * beside_x - north * beside_y) ** 2
+            steepness[i, j] = (down[0] ** 2 + down[1] ** 2 + across[0] ** 2 + across[1] ** 2) / area**2
+            misfit = (beside[2] - east * beside[0] - north * beside[1]) ** 2
+            off[i, j] = misfit if centred[3, i, j] > 0 and misfit < np.inf else 0.0
+
+
+@compiled_with_nan
+def judge_planes(
+    covariance: F64,
+    slope: F64,
+    steepness: F64,
+    share: F64,
+    spread: F64,
+    half: int,
+    limits: tuple[float, float],
+    counts: F64,
+    error: F64,
+) -> None:
+    """Fill the standard deviations of slopes, infinite where pixels lie on no plane, see `slope.ground_slope`.
+
+    Args:
+        covariance: of the pixels, m^2, shape (rows, cols, 3, 3).
+        slope: as filled by `fit_planes`.
+        steepness: as filled by `fit_planes`.
+        share: of the points in each window that count, shape (rows, cols).
+        spread: means of `off` over the windows, m^2, same shape.
+        half: half-width of the windows in pixels.
+        limits: least share, and greatest spread over the variance.
+        counts: 1 where a pixel counts, else 0, same shape.
+        error: to be filled, m/m, same shape.
+    """
+    rows, cols = share.shape
+    (least, misfit), size = limits, (2 * half + 1) ** 2
+    for i in range(rows):
+        for j in range(cols):
+            variance, count = (
+                _variance_across(covariance[i, j], slope[i, j, 0], slope[i, j, 1], 1.0),
+                share[i, j] * size,
+            )
+            # Each of the two steps has twice the variance of a mean, at most.
+            square = 2 * variance / count * steepness[i, j]
+            even = spread[i, j] / share[i, j] * count / (count - 1) <= misfit * variance
+            planar = counts[i, j] > 0 and share[i, j] >= least and even and square < np.inf
+            error[i, j] = np.sqrt(square) if planar else np.inf
+
+
+@compiled_with_nan
+def gather_pixels(
+    points: F64,
+    own: F64,
+    common: F64,
+    there: Bool,
+    slope: F64,
+    slope_error: F64,
+    steepest: float,
+    pixels: F64,
+    start: int,
+) -> int:
+    """Fill the columns of a table from `start` on with the pixels of a surface that enter a map; returns their end.
+
+    Args:
+        points: east, north and height, m, shape (3, rows, cols).
+        own: covariance of their own errors, m^2, shape (rows, cols, 3, 3).
+        common: covariance of the errors that they share, same shape; with 0 rows: there are none.
+        there: which pixels may enter, shape (rows, cols).
+        slope: of the ground, m/m, shape (rows, cols, 2); NaN where it is not known.
+        slope_error: m/m, shape (rows, cols).
+        steepest: slope where it is not known, m/m.
+        pixels: to be filled, shape (8, n): east, north, height (m), slope towards east and north, 0 where it is not
+            known, its standard deviation (m/m), and the variances of the height at the place, own and common (m^2).
+        start: first column to be filled.
+    """
+    rows, cols = there.shape
+    for i in range(rows):
+        for j in range(cols):
+            if not there[i, j]:
+                continue
+            east, north, shared = slope[i, j, 0], slope[i, j, 1], 0.0
+            alone = _variance_across(own[i, j], east, north, steepest)
+            if len(common) > 0:
+                shared = _variance_across(common[i, j], east, north, steepest)
+            place = points[0, i, j] + points[1, i, j] + points[2, i, j]
+            if np.isfinite(place + alone + shared) and alone > 0:
+                for axis in range(3):
+                    pixels[axis, start] = points[axis, i, j]
+                pixels[3, start], pixels[4, start] = (0.0, 0.0) if np.isnan(east + north) else (east, north)
+                pixels[5, start], pixels[6, start], pixels[7, start] = slope_error[i, j], alone, shared
+                start += 1
+    return start
 
 
 @compiled_with_nan
@@ -345,3 +461,24 @@ def update_cells(index: Index, height: F64, weight: F64, cells: F64) -> None:
         cell[0] += step
         cell[1] += weight[i]
         cell[3] += 1
+
+
+@compiled_with_nan
+def read_cells(cells: F64, height: F32, sigma: F32, disagreement: F32, count: npt.NDArray[np.uint32]) -> None:
+    """Fill the heights of cells that were seen, their sigma, disagreement and count, as in `map.Relief`.
+
+    Args:
+        cells: mean height, 1 / its variance, chi-square and count of each cell, shape (rows, cols, 4).
+        height: to be filled, m, shape (rows, cols), like all others.
+        sigma: to be filled, m.
+        disagreement: to be filled where two dwells or more have seen the cell.
+        count: to be filled.
+    """
+    rows, cols, _ = cells.shape
+    for i in range(rows):
+        for j in range(cols):
+            mean, weight, chi_square, dwells = cells[i, j, 0], cells[i, j, 1], cells[i, j, 2], cells[i, j, 3]
+            if dwells > 0:
+                height[i, j], sigma[i, j], count[i, j] = mean, 1 / np.sqrt(weight), np.uint32(dwells)
+            if dwells > 1:
+                disagreement[i, j] = np.sqrt(chi_square / (dwells - 1))

@@ -20,7 +20,7 @@ slowly drifting pose errs in the same way for several dwells, or if a spatial pr
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -29,9 +29,9 @@ from sal_height.elevation import ORDERS
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, sphere_coordinates
 from sal_height.numeric import F32, F64, I64, U8, Bool, in_parallel
-from sal_height.relief._kernels import average_cells, update_cells
+from sal_height.relief._kernels import average_cells, gather_pixels, read_cells, update_cells
 from sal_height.relief.heights import HeightField, Surface
-from sal_height.relief.position_error import STEEPEST, variance_at_place
+from sal_height.relief.position_error import STEEPEST
 from sal_height.relief.slope import LEAST_PIXELS, ground_slope
 from sal_height.relief.tracked import ground_spacings
 
@@ -97,10 +97,7 @@ class ReliefMap:
         Raises:
             Rejected: the map would have more than `max_cells` cells.
         """
-        spacing = min(ground_spacings(field.grid))
-        pixels = _joined(
-            [_pixels(surface, there, spacing) for surface, there in zip(field.surfaces, _supported(field), strict=True)]
-        )
+        pixels = _pixels_of(field)
         if not pixels.height.size:
             return
         cells = np.floor(pixels.place[::-1] / self.cell_size).astype(np.int64)
@@ -125,37 +122,35 @@ class ReliefMap:
             for tile_col in range(tile_cols.min(), tile_cols.max() + 1):
                 here = first + np.flatnonzero(tile_cols[first:end] == tile_col)
                 if here.size:
-                    tile = self._tiles.setdefault((tile_row, tile_col), np.zeros((TILE * TILE, 4)))
-                    update_cells(index[here], height[here], weight[here], tile)
+                    place = tile_row, tile_col
+                    if place not in self._tiles:
+                        self._tiles[place] = np.zeros((TILE * TILE, 4))
+                    update_cells(index[here], height[here], weight[here], self._tiles[place])
 
     def relief(self) -> Relief | None:
         """Return the map as it stands; None if nothing was seen yet."""
         if self._corners is None:
             return None
         first, last = self._corners
-        origin = first // TILE * TILE  # of the tile that holds the first cell
-        whole = tuple((last // TILE * TILE + TILE - origin).tolist())
-        height, sigma, disagreement = (np.full(whole, np.nan, np.float32) for _ in range(3))
-        count = np.zeros(whole, np.uint32)
+        height, sigma, disagreement = np.full((3, *(last - first + 1)), np.nan, np.float32)
+        count = np.zeros(height.shape, np.uint32)
         for place, tile in self._tiles.items():
-            south, west = (TILE * np.array(place) - origin).tolist()
-            there = np.s_[south : south + TILE, west : west + TILE]
-            mean, weight, chi_square, dwells = tile.T.reshape(4, TILE, TILE)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                height[there] = np.where(dwells > 0, mean, np.nan)
-                sigma[there] = np.where(dwells > 0, 1 / np.sqrt(weight), np.nan)
-                disagreement[there] = np.where(dwells > 1, np.sqrt(chi_square / (dwells - 1)), np.nan)
-            count[there] = dwells
-        seen = tuple(slice(start, end) for start, end in zip(first - origin, last + 1 - origin, strict=True))
+            corner = TILE * np.array(place)
+            (south, west), (end_row, end_col) = np.maximum(first, corner), np.minimum(last + 1, corner + TILE)
+            of_tile = np.s_[south - corner[0] : end_row - corner[0], west - corner[1] : end_col - corner[1]]
+            there = np.s_[south - first[0] : end_row - first[0], west - first[1] : end_col - first[1]]
+            read_cells(
+                tile.reshape(TILE, TILE, 4)[of_tile], height[there], sigma[there], disagreement[there], count[there]
+            )
         centre = self.cell_size / 2
         return Relief(
             east=float(first[1]) * self.cell_size + centre,
             north=float(first[0]) * self.cell_size + centre,
             cell_size=self.cell_size,
-            height=height[seen],
-            sigma=sigma[seen],
-            disagreement=disagreement[seen],
-            count=count[seen],
+            height=height,
+            sigma=sigma,
+            disagreement=disagreement,
+            count=count,
         )
 
 
@@ -207,28 +202,36 @@ def _supported(field: HeightField) -> list[Bool]:
     return [always, *weaker]
 
 
-def _pixels(surface: Surface, there: Bool, spacing: float) -> _Pixels:
-    """The scatterers of a surface that enter a map; `spacing` of pixels on the ground, m."""
+def _pixels_of(field: HeightField) -> _Pixels:
+    """The scatterers of a dwell that enter a map."""
+    supported = _supported(field)
+    table, end = np.empty((8, sum(int(np.count_nonzero(there)) for there in supported))), 0
+    spacing = min(ground_spacings(field.grid))
+    for surface, there in zip(field.surfaces, supported, strict=True):
+        if there.any():
+            end = _gather(surface, there, spacing, table, end)
+    place, (height, *slope, error, own, common) = table[:2, :end], table[2:, :end]
+    return _Pixels(place, height, np.stack(slope), error, own, common)
+
+
+def _gather(surface: Surface, there: Bool, spacing: float, table: F64, start: int) -> int:
+    """Fill the columns of a table from `start` on with the scatterers of a surface `there`, see `gather_pixels`.
+
+    The `spacing` of pixels is that on the ground, m.
+
+    Returns:
+        The column after the last one filled.
+    """
     points = np.empty((3, *there.shape))
 
     def fill(part: slice) -> None:
         points[:, part] = sphere_coordinates(surface.positions[part])
 
     in_parallel(fill, len(there), LEAST_PIXELS // there.shape[1] + 1)
-    slope, error = ground_slope(points, surface.own_covariance, spacing)
-    own = variance_at_place(surface.own_covariance, slope)
-    common = np.zeros_like(own)
-    if surface.common_covariance is not None:
-        common = variance_at_place(surface.common_covariance, slope)
-    seen = np.flatnonzero(there & np.isfinite(points.sum(axis=0) + own + common) & (own > 0))
-    place = points.reshape(3, -1)[:, seen]
-    known = np.nan_to_num(slope.reshape(-1, 2)[seen].T)
-    return _Pixels(place[:2], place[2], known, *(values.ravel()[seen] for values in (error, own, common)))
-
-
-def _joined(parts: list[_Pixels]) -> _Pixels:
-    joined = (np.concatenate([getattr(part, one.name) for part in parts], axis=-1) for one in fields(_Pixels))
-    return _Pixels(*(np.ascontiguousarray(values) for values in joined))
+    own, common = np.ascontiguousarray(surface.own_covariance), surface.common_covariance
+    slope, error = ground_slope(points, own, spacing)
+    shared = np.empty((0, 0, 3, 3)) if common is None else np.ascontiguousarray(common)
+    return int(gather_pixels(points, own, shared, there, slope, error, STEEPEST, table, start))
 
 
 def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, F64, F64]:

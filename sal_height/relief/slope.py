@@ -7,13 +7,10 @@ plane, whichever of them are missing, so that the differences of a few means fix
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from sal_height.numeric import F64, Bool, in_parallel
-from sal_height.relief._kernels import average_windows, fit_planes
-from sal_height.relief.position_error import variance_at_place
+from sal_height.numeric import F64, in_parallel
+from sal_height.relief import _kernels as kernels
 
 SLOPE_ERROR = 0.03
 """Standard deviation of slopes (m/m) that windows are made wide enough for; sigma at a place is then good to 3 %."""
@@ -51,45 +48,56 @@ def ground_slope(points: F64, covariance: F64, spacing: float) -> tuple[F64, F64
         Slope towards east and north, m/m, shape (rows, cols, 2), and the root of the sum of both variances, shape
         (rows, cols); NaN where the slope is not known.
     """
-    seen = np.isfinite(points[0] + points[1] + points[2]) & np.isfinite(covariance[..., 2, 2])
+    points, covariance = np.ascontiguousarray(points), np.ascontiguousarray(covariance)
+    centred = np.empty((4, *points.shape[1:]))
+    kernels.centre_points(points, covariance, centred)
+    seen = centred[3] > 0
     if not seen.any():
         return np.full((*seen.shape, 2), np.nan), np.full(seen.shape, np.nan)
-    half = _half_width(float(np.sqrt(np.median(covariance[seen, 2, 2]))), spacing)
-    slope, error = _planes(points, covariance, seen, half)
-    median = float(np.median(error[seen]))
+    half = _half_width(float(np.sqrt(_median(covariance[..., 2, 2][seen]))), spacing)
+    slope, error = _planes(centred, covariance, half)
+    median = _median(error[seen])
     if SLOPE_ERROR < median < np.inf and half < WIDEST:  # errors fall as the square of the width
         half = min(int(np.ceil(half * np.sqrt(median / SLOPE_ERROR))), WIDEST)
-        slope, error = _planes(points, covariance, seen, half)
+        slope, error = _planes(centred, covariance, half)
     known = error <= KNOWN
     return np.where(known[..., None], slope, np.nan), np.where(known, error, np.nan)
 
 
-def _planes(points: F64, covariance: F64, seen: Bool, half: int) -> tuple[F64, F64]:
+def _planes(centred: F64, covariance: F64, half: int) -> tuple[F64, F64]:
     """Slopes of the planes in windows, and their standard deviation (m/m), infinite where there is no plane.
 
     Args:
-        points: m, shape (3, rows, cols).
+        centred: points and whether they count, as filled by `centre_points`, shape (4, rows, cols).
         covariance: of their own errors, m^2, shape (rows, cols, 3, 3).
-        seen: the points that count, shape (rows, cols).
         half: half-width of the windows in pixels.
     """
-    from_middle = np.stack([np.where(seen, axis - axis[seen].mean(), 0.0) for axis in points])
-    *totals, share = _window_means([*from_middle, seen.astype(np.float64)], half)
-    slope, (steepness, off) = np.empty((*seen.shape, 2)), np.empty((2, *seen.shape))
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        means = np.stack(totals) / share
-        in_parallel(
-            lambda part: fit_planes(from_middle, means, seen, half, part, slope, steepness, off),
-            len(seen),
-            LEAST_PIXELS // seen.shape[1] + 1,
+    shape = centred.shape[1:]
+    least, limits = LEAST_PIXELS // shape[1] + 1, (LEAST_SHARE, MISFIT**2)
+    means = _window_means(centred, half)
+    slope, (steepness, off, error) = np.empty((*shape, 2)), np.empty((3, *shape))
+    in_parallel(
+        lambda part: kernels.fit_planes(centred, means, half, part, slope, steepness, off),
+        shape[0],
+        least,
+    )
+    (spread,) = _window_means(off[None], half)
+
+    def judge(part: slice) -> None:
+        share, counts = means[3, part], centred[3, part]
+        kernels.judge_planes(
+            covariance[part], slope[part], steepness[part], share, spread[part], half, limits, counts, error[part]
         )
-        count = share * (2 * half + 1) ** 2
-        spread = _window_means([np.nan_to_num(off)], half)[0] / share * count / (count - 1)
-        variance = variance_at_place(covariance, slope)
-        # Each of the two steps has twice the variance of a mean, at most.
-        error = 2 * variance / count * steepness
-        planar = seen & (share >= LEAST_SHARE) & (spread <= MISFIT**2 * variance) & np.isfinite(error)
-    return slope, np.where(planar, np.sqrt(error), np.inf)
+
+    in_parallel(judge, shape[0], least)
+    return slope, error
+
+
+def _median(values: F64) -> float:
+    """Median of some numbers, one at least."""
+    middle = len(values) // 2
+    ordered = np.partition(values, (max(middle - 1, 0), middle))
+    return float(ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2)
 
 
 def _half_width(sigma: float, spacing: float) -> int:
@@ -98,18 +106,17 @@ def _half_width(sigma: float, spacing: float) -> int:
     The difference of the means of (2 k + 1)^2 pixels each, 2 k pixels apart, has the variance 2 sigma^2 / (2 k + 1)^2
     at most; both axes together give the slope the standard deviation sigma / (k (2 k + 1) spacing).
     """
-    half = np.arange(1, WIDEST + 1)
-    wide_enough = half[sigma / spacing / (half * (2 * half + 1)) <= SLOPE_ERROR]
-    return int(wide_enough[0]) if wide_enough.size else WIDEST
+    pixels = sigma / spacing
+    return next((half for half in range(1, WIDEST) if pixels / (half * (2 * half + 1)) <= SLOPE_ERROR), WIDEST)
 
 
-def _window_means(values: Sequence[F64], half: int) -> F64:
-    """Means over the window around each pixel; values beyond the edge count as 0."""
-    means = np.empty((len(values), *values[0].shape))
+def _window_means(values: F64, half: int) -> F64:
+    """Means of images over the window around each pixel, shape (images, rows, cols); beyond the edge they are 0."""
+    means = np.empty(values.shape)
 
     def average(part: slice) -> None:
         for image, mean in zip(values[part], means[part], strict=True):
-            average_windows(image, half, mean)
+            kernels.average_windows(image, half, mean)
 
     in_parallel(average, len(values), LEAST_PIXELS // values[0].size + 1)
     return means

@@ -136,10 +136,11 @@ def test_means_of_windows(shape: tuple[int, int], half: int) -> None:
 def test_planes_of_windows() -> None:
     rng = np.random.default_rng(5)
     points, mean, half = rng.standard_normal((3, 12, 9)), rng.standard_normal((3, 12, 9)), 2
-    seen = rng.uniform(size=(12, 9)) < 0.8
+    seen, share = rng.uniform(size=(12, 9)) < 0.8, rng.uniform(0.3, 1.0, (12, 9))
     slope, steepness, off = np.full((12, 9, 2), np.nan), np.full((12, 9), np.nan), np.full((12, 9), np.nan)
+    centred, means = np.concatenate([points, seen[None]]), np.concatenate([mean * share, share[None]])
     for part in (slice(0, 5), slice(5, 12)):
-        kernels.fit_planes(points, mean, seen, half, part, slope, steepness, off)
+        kernels.fit_planes(centred, means, half, part, slope, steepness, off)
     row, col = np.arange(12), np.arange(9)
     down = mean[:, np.minimum(row + half, 11)] - mean[:, np.maximum(row - half, 0)]
     across = mean[..., np.minimum(col + half, 8)] - mean[..., np.maximum(col - half, 0)]
@@ -151,6 +152,44 @@ def test_planes_of_windows() -> None:
     beside = points - mean
     height = beside[2] - np.einsum("ijk,kij->ij", expected, beside[:2])
     np.testing.assert_allclose(off, np.where(seen, height**2, 0), rtol=1e-9)
+
+
+def test_a_pixel_without_a_plane_has_no_distance_from_it() -> None:
+    """A window without points has no mean; what is not finite would stay in the sums that move along."""
+    centred, means = np.ones((4, 5, 5)), np.ones((4, 5, 5))
+    means[3, 2, 4], means[2, 2, 4] = 0.0, 1e-18
+    slope, steepness, off = np.empty((5, 5, 2)), np.empty((5, 5)), np.empty((5, 5))
+    kernels.fit_planes(centred, means, 1, slice(0, 5), slope, steepness, off)
+    assert np.isfinite(off).all()
+
+
+def test_points_are_centred_on_those_that_count() -> None:
+    rng = np.random.default_rng(9)
+    points, covariance = rng.standard_normal((3, 6, 5)), np.ones((6, 5, 3, 3))
+    points[1, 2, 3], covariance[4, 1, 2, 2] = np.nan, np.inf
+    seen = np.ones((6, 5), np.bool_)
+    seen[2, 3] = seen[4, 1] = False
+    centred = np.empty((4, 6, 5))
+    kernels.centre_points(points, covariance, centred)
+    means = points[:, seen].mean(axis=1)
+    expected = np.where(seen, points - means[:, None, None], 0.0)
+    np.testing.assert_allclose(centred, [*expected, seen], atol=1e-14)
+
+
+def test_planes_are_judged_by_their_points() -> None:
+    """Error of the slope from the variance across it; none where points are few, spread or do not count."""
+    rng = np.random.default_rng(10)
+    root, slope = rng.standard_normal((4, 5, 3, 3)), rng.standard_normal((4, 5, 2))
+    covariance = root @ np.swapaxes(root, -1, -2)
+    steepness, share, spread = rng.uniform(1, 2, (4, 5)), rng.uniform(0.3, 1, (4, 5)), np.zeros((4, 5))
+    counts, error, half = np.ones((4, 5)), np.empty((4, 5)), 2
+    normal = np.concatenate([-slope, np.ones((4, 5, 1))], axis=-1)
+    variance = np.einsum("...i,...ij,...j", normal, covariance, normal)
+    share[0, 0], counts[1, 1], spread[2, 2], steepness[3, 3] = 0.2, 0.0, 30 * variance[2, 2], np.inf
+    kernels.judge_planes(covariance, slope, steepness, share, spread, half, (0.25, 6.25), counts, error)
+    expected = np.sqrt(2 * variance / (25 * share) * steepness)
+    expected[[0, 1, 2, 3], [0, 1, 2, 3]] = np.inf
+    np.testing.assert_allclose(error, expected, rtol=1e-12)
 
 
 def test_means_of_cells() -> None:

@@ -32,7 +32,8 @@ def beside_compression() -> Iterator[Row]:
 def _beside_compression(name: str) -> Iterator[Row]:
     flight = flight_of(load_preset(name), seed=1)
     sensor = messages.sensor_from_message(messages.sensor_to_message(flight.sensor, messages.to_stamp(0)))
-    frames = messages.history_to_messages(flight.phase_history(0), flight.sensor, 0, messages.to_stamp(0))
+    sent = messages.history_to_messages(flight.phase_history(0), flight.sensor, 0, messages.to_stamp(0))
+    frames = [messages.ReceivedFrame.of(frame) for frame in sent]
     unweighted = [Parameter("range_window", value="rectangular"), Parameter("cols", value=flight.preset.image.cols)]
     with Graph() as graph:
         compression = graph.add(SarCompression(context=graph.context, parameter_overrides=unweighted))
@@ -56,7 +57,9 @@ def _beside_compression(name: str) -> Iterator[Row]:
     )
 
 
-def _images(graph: Graph, compression: SarCompression, frames: list[object], sensor: Sensor) -> list[ComplexImage]:
+def _images(
+    graph: Graph, compression: SarCompression, frames: list[messages.ReceivedFrame], sensor: Sensor
+) -> list[ComplexImage]:
     """The images that node sar_compression publishes of a dwell."""
     images: list[ComplexImage] = []
     listener = graph.add(Node("listener", context=graph.context))

@@ -94,7 +94,7 @@ def _heights(graph: Graph, flight: SimulatedFlight, name: str) -> Iterator[Row]:
     allowed = _large_heights(slc, flight.sensor, estimator, settings, pixels)
     node = graph.add(HEIGHT_NODES[estimator.node](context=graph.context, parameter_overrides=_overrides(looks)))
     provenance = Provenance(config_hash=flight.sensor.config_hash)
-    sent = messages.serialized_images(messages.slc_to_messages(slc, FRAME, provenance))
+    sent = messages.serialized_slc(slc, FRAME, provenance)
     through, alone, taken = medians(
         lambda: node.process([node.decode(cdr) for cdr in sent], flight.sensor, None),
         lambda: heights(slc, flight.sensor, estimator, settings),

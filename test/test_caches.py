@@ -19,6 +19,7 @@ from sal_height.elevation.monopulse.sum_difference import _slope_table
 from sal_height.elevation.noise_floor import _speckle_contrast
 from sal_height.elevation.response_spread import shares_of_pixels, squared_pull
 from sal_height.elevation.search import SEARCHES_HELD, SQUINTS_AT_ONCE, PeakSearches, _searches
+from sal_height.messages.frames import _fault_of_pulses
 from sal_height.numeric.range_profiles import _deconvolution
 from sal_height.numeric.windows import HELD, _half_power_width, broadening, window
 from sal_height.pipeline import _channels_and_beams
@@ -54,11 +55,12 @@ def new_contrast(samples: int) -> Any:
         (inverse_table, lambda number, _: inverse_table(make_beams(count=2), number)),
         (squared_pull, lambda *_: squared_pull(make_beams(count=2))),
         (shares_of_pixels, lambda number, _: shares_of_pixels(AxisResponse("taylor", 1.3), 1 + number)),
+        (_fault_of_pulses, lambda number, _: _fault_of_pulses(np.arange(2.0).tobytes(), np.full(2, number).tobytes())),
         (_searches, lambda *_: PeakSearches.over(make_beams(), OBJECTIVES["normalised"], 0.0)),
     ],
     ids=[
         *("waveforms", "patterns", "slope tables", "beams of channels", "looks", "speckle", "inverse tables"),
-        *("pulls", "shares", "searches"),
+        *("pulls", "shares", "pulse times", "searches"),
     ],
 )
 def test_caches_are_bounded(cache: Any, use: Callable[[int, Path], Any], tmp_path: Path) -> None:

@@ -36,15 +36,17 @@ from sal_height.messages.heights import (
 )
 from sal_height.messages.images import check_slc, recorded_window, slc_from_messages, slc_to_messages
 from sal_height.messages.provenance import derived, stages_of, with_stage
+from sal_height.messages.received import ReceivedFrame, ReceivedImage, received_frame, received_image
 from sal_height.messages.relief import relief_picture, relief_points, relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
-from sal_height.messages.serialized import SlcDecoder, serialized_images
+from sal_height.messages.serialized import serialized_slc
 
 __all__ = [
     "LONGEST_DWELL",
     "MAP_FRAME",
     "POINT_FIELDS",
-    "SlcDecoder",
+    "ReceivedFrame",
+    "ReceivedImage",
     "aperture_from_message",
     "bad_pixel_warning",
     "bad_pixels",
@@ -62,6 +64,8 @@ __all__ = [
     "height_to_message",
     "history_from_messages",
     "history_to_messages",
+    "received_frame",
+    "received_image",
     "recorded_window",
     "relief_picture",
     "relief_points",
@@ -69,7 +73,7 @@ __all__ = [
     "samples_of",
     "sensor_from_message",
     "sensor_to_message",
-    "serialized_images",
+    "serialized_slc",
     "slc_from_messages",
     "slc_to_messages",
     "stages_of",

@@ -70,7 +70,7 @@ def to_bytes(values: U8) -> array.array[int]:
     return array.array("B", values.tobytes())
 
 
-def complex_view(floats: Sequence[float], shape: tuple[int, ...]) -> C64:
+def complex_view(floats: Sequence[float] | F32, shape: tuple[int, ...]) -> C64:
     """Read a float32[] field as complex64 samples of `shape`, without a copy."""
     return np.frombuffer(memoryview(floats), np.complex64).reshape(shape)  # type: ignore[arg-type]
 

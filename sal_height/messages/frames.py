@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import array
+import functools
 import math
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -22,7 +24,8 @@ from sal_height.messages.basics import (
     to_ns,
     xyz,
 )
-from sal_height.numeric import C64, F32, F64
+from sal_height.messages.received import ReceivedFrame
+from sal_height.numeric import C64
 from sal_height.sensor import PhaseHistory, Sensor
 
 LONGEST_DWELL = 3600.0
@@ -30,6 +33,9 @@ LONGEST_DWELL = 3600.0
 
 GREATEST_RANGE = 1e8
 """Greatest reference range of a frame, m."""
+
+Frame: TypeAlias = messages.ChannelFrame | ReceivedFrame
+"""A frame, as a message or as received."""
 
 SAMPLE_BYTES = {messages.ChannelFrame.COMPLEX_FLOAT32: 8, messages.ChannelFrame.COMPLEX_INT16: 4}
 """Bytes per complex sample by ChannelFrame.encoding."""
@@ -99,7 +105,7 @@ def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp
     ]
 
 
-def check_frame(frame: messages.ChannelFrame, sensor: Sensor) -> None:
+def check_frame(frame: Frame, sensor: Sensor) -> None:
     """Check that a frame has the sizes that its sensor states, and values that can be processed.
 
     Raises:
@@ -127,27 +133,39 @@ def check_frame(frame: messages.ChannelFrame, sensor: Sensor) -> None:
             )
     if frame.encoding == messages.ChannelFrame.COMPLEX_INT16 and not 0 < frame.scale < np.inf:
         raise Rejected("wrong scale", f"{where}: scale is {frame.scale}; it must be finite and greater than 0.")
-    times, ranges = np.frombuffer(frame.pulse_time), np.frombuffer(frame.reference_range)
-    values: list[tuple[str, F32 | F64]]
-    values = [("samples", samples_of(frame).view(np.float32)), ("pulse_time", times), ("reference_range", ranges)]
-    for field, numbers in values:
+    if not np.isfinite(samples_of(frame).view(np.float32)).all():
+        raise Rejected("not finite", f"{where}: samples has NaN or infinite entries; all must be finite.")
+    if fault := _fault_of_pulses(frame.pulse_time.tobytes(), frame.reference_range.tobytes()):
+        raise Rejected(fault[0], f"{where}: {fault[1]}")
+
+
+@functools.lru_cache(maxsize=2)
+def _fault_of_pulses(pulse_time: bytes, reference_range: bytes) -> tuple[str, str] | None:
+    """What is wrong with the times and ranges of a dwell's pulses, which all its frames share: reason and sentence."""
+    times, ranges = np.frombuffer(pulse_time), np.frombuffer(reference_range)
+    for field, numbers in (("pulse_time", times), ("reference_range", ranges)):
         if not np.isfinite(numbers).all():
-            raise Rejected("not finite", f"{where}: {field} has NaN or infinite entries; all must be finite.")
+            return "not finite", f"{field} has NaN or infinite entries; all must be finite."
     if (times[1:] < times[:-1]).any() or times[0] < 0 or not times[0] < times[-1] <= LONGEST_DWELL:
-        raise Rejected(
+        return (
             "wrong pulse times",
-            f"{where}: pulse_time runs from {times[0]:g} to {times[-1]:g} s; it must not decrease, must not be "
-            f"constant, and must lie between 0 and {LONGEST_DWELL:g} s.",
+            (
+                f"pulse_time runs from {times[0]:g} to {times[-1]:g} s; it must not decrease, must not be constant, "
+                f"and must lie between 0 and {LONGEST_DWELL:g} s."
+            ),
         )
     if not (ranges.min() > 0 and ranges.max() <= GREATEST_RANGE):
-        raise Rejected(
+        return (
             "wrong reference range",
-            f"{where}: reference_range runs from {ranges.min():g} to {ranges.max():g} m; it must be greater than 0 and "
-            f"at most {GREATEST_RANGE:g} m.",
+            (
+                f"reference_range runs from {ranges.min():g} to {ranges.max():g} m; it must be greater than 0 and at "
+                f"most {GREATEST_RANGE:g} m."
+            ),
         )
+    return None
 
 
-def samples_of(frame: messages.ChannelFrame) -> C64:
+def samples_of(frame: Frame) -> C64:
     """Return the samples of a frame in the unit of the receiver, complex64, shape (pulses, samples).
 
     Of "complex_float32" they are a view, of "complex_int16" a copy multiplied by the scale.
@@ -166,7 +184,7 @@ def _bytes_of(samples: C64) -> array.array[int]:
     return data
 
 
-def history_from_messages(frames: Sequence[messages.ChannelFrame]) -> PhaseHistory:
+def history_from_messages(frames: Sequence[Frame]) -> PhaseHistory:
     """Return the phase history of a dwell from the frames of all channels, in order, that `check_frame` has passed.
 
     Raises:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from sal_height_msgs import msg as messages
@@ -22,21 +24,37 @@ from sal_height.messages.basics import (
     to_floats,
 )
 from sal_height.messages.provenance import recorded
+from sal_height.messages.received import ReceivedImage
 from sal_height.numeric import WINDOWS
 from sal_height.sensor import Sensor
 
+Image: TypeAlias = messages.ComplexImage | ReceivedImage
+"""An image, as a message or as received."""
+
+
+class Labelled(Protocol):
+    """What says which dwell it is of: a frame or an image, as a message or as received."""
+
+    @property
+    def header(self) -> Header:
+        """Stamp and name of a frame of coordinates."""
+
+    @property
+    def dwell(self) -> int:
+        """Number of the dwell."""
+
 
 def slc_to_messages(
-    slc: Slc, frame: messages.ChannelFrame, provenance: messages.Provenance
+    slc: Slc, frame: Labelled, provenance: messages.Provenance, channels: int | None = None
 ) -> list[messages.ComplexImage]:
-    """Return one ComplexImage per channel, with the stamp and the dwell of `frame`.
+    """Return one ComplexImage for each of the first `channels` channels (None: all), labelled as `frame`.
 
     They share one grid, one aperture and one provenance, which are to be left as they are.
     """
-    grid, aperture = grid_to_message(slc.grid), aperture_to_message(slc.aperture)
+    grid, aperture, stamp = grid_to_message(slc.grid), aperture_to_message(slc.aperture), frame.header.stamp
     return [
         messages.ComplexImage(
-            header=Header(stamp=frame.header.stamp, frame_id=MAP_FRAME),
+            header=Header(stamp=stamp, frame_id=MAP_FRAME),
             dwell=frame.dwell,
             channel=channel,
             grid=grid,
@@ -46,11 +64,11 @@ def slc_to_messages(
             samples=to_floats(image),
             provenance=provenance,
         )
-        for channel, image in enumerate(slc.images)
+        for channel, image in enumerate(slc.images[:channels])
     ]
 
 
-def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
+def check_slc(image: Image, sensor: Sensor) -> None:
     """Check that an image has the size that its grid states, and values that can be processed.
 
     Raises:
@@ -58,23 +76,27 @@ def check_slc(image: messages.ComplexImage, sensor: Sensor) -> None:
     """
     where = f"ComplexImage of dwell {image.dwell}, channel {image.channel}"
     check_channel(image.channel, sensor, where)
-    count = 2 * image.grid.rows * image.grid.cols
+    grid = image.grid
+    count = 2 * grid.rows * grid.cols
     if len(image.samples) != count or count == 0:
         raise Rejected(
             "wrong size",
-            f"{where}: samples has {len(image.samples)} entries, {image.grid.rows} x {image.grid.cols} complex "
-            f"pixels need {count}.",
+            f"{where}: samples has {len(image.samples)} entries, {grid.rows} x {grid.cols} complex pixels need "
+            f"{count}.",
         )
-    if not np.isfinite(image.noise_power) or np.isinf(image.saturated_share):
+    if not math.isfinite(image.noise_power) or math.isinf(image.saturated_share):
         raise Rejected(
             "not finite",
             f"{where}: noise_power is {image.noise_power}, saturated_share {image.saturated_share}; both must be "
             "finite (saturated_share may be NaN: not known).",
         )
-    check_geometry(image.grid, image.aperture, where)
+    if not (isinstance(image, ReceivedImage) and image.geometry.checked):
+        check_geometry(grid, image.aperture, where)
+    if isinstance(image, ReceivedImage):
+        image.geometry.checked = True
 
 
-def slc_from_messages(images: Sequence[messages.ComplexImage]) -> Slc:
+def slc_from_messages(images: Sequence[Image]) -> Slc:
     """Return the images of all channels of a dwell, in order, from messages that `check_slc` has passed.
 
     Raises:
@@ -82,7 +104,8 @@ def slc_from_messages(images: Sequence[messages.ComplexImage]) -> Slc:
     """
     first = images[0]
     for image in images[1:]:
-        if image.grid != first.grid or image.aperture != first.aperture:
+        shared = image.grid is first.grid and image.aperture is first.aperture
+        if not shared and (image.grid != first.grid or image.aperture != first.aperture):
             raise Rejected(
                 "channels disagree",
                 f"Dwell {first.dwell}: channel {image.channel} has another grid or aperture than channel "

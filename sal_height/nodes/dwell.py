@@ -50,6 +50,11 @@ class Dwell(Generic[Item]):
         return [self.items[channel] for channel in sorted(self.items)]
 
     @property
+    def is_whole(self) -> bool:
+        """Whether the messages of all channels have come."""
+        return len(self.items) == self.sensor.detector_count
+
+    @property
     def absent(self) -> list[int]:
         """The channels of which no message has come."""
         return sorted(set(range(self.sensor.detector_count)) - set(self.items))
@@ -62,21 +67,28 @@ class DwellAssembler(Generic[Item]):
         self._dwells: dict[Key, Dwell[Item]] = {}
         self._finished: deque[Key] = deque(maxlen=FINISHED_KEPT)
         self._newest_ns: dict[str, int] = {}
+        self._size = 0
 
-    def add(self, key: Key, sensor: Sensor, channel: int, item: Item, now: float, size: int = 0) -> None:
-        """Take a message of `size` bytes in.
+    def add(self, key: Key, sensor: Sensor, channel: int, item: Item, now: float, size: int = 0) -> Dwell[Item]:
+        """Take a message of `size` bytes in, and return its dwell.
 
         Raises:
             Rejected: "duplicate" (this channel has come already) or "late" (the dwell has been finished or dropped).
         """
-        if key in self._finished:
-            raise Rejected("late", f"Dwell {key.number}, channel {channel}: the dwell was finished or dropped before.")
-        dwell = self._dwells.setdefault(key, Dwell(key, sensor, now))
+        dwell = self._dwells.get(key)
+        if dwell is None:
+            if key in self._finished:
+                raise Rejected(
+                    "late", f"Dwell {key.number}, channel {channel}: the dwell was finished or dropped before."
+                )
+            dwell = self._dwells[key] = Dwell(key, sensor, now)
         if channel in dwell.items:
             raise Rejected("duplicate", f"Dwell {key.number}, channel {channel}: the same message came twice.")
         dwell.items[channel] = item
         dwell.size += size
+        self._size += size
         self._newest_ns[key.config_hash] = max(key.stamp_ns, self._newest_ns.get(key.config_hash, key.stamp_ns))
+        return dwell
 
     def __contains__(self, dwell: Dwell[Item]) -> bool:
         """Whether a dwell is unfinished."""
@@ -88,13 +100,18 @@ class DwellAssembler(Generic[Item]):
 
     def surplus(self, capacity: int, capacity_bytes: float) -> list[Dwell[Item]]:
         """The oldest dwells that are too many, or whose messages take too much memory; one may always stay."""
-        dwells = self.held()
-        excess = sum(dwell.size for dwell in dwells)
+        if not self.is_crowded(capacity, capacity_bytes):
+            return []
+        dwells, excess = self.held(), self._size
         for count, dwell in enumerate(dwells[:-1]):
             if len(dwells) - count <= capacity and excess <= capacity_bytes:
                 return dwells[:count]
             excess -= dwell.size
         return dwells[:-1]
+
+    def is_crowded(self, capacity: int, capacity_bytes: float) -> bool:
+        """Whether the dwells are too many, or their messages take too much memory."""
+        return len(self._dwells) > capacity or self._size > capacity_bytes
 
     def is_passed(self, dwell: Dwell[Item], seconds: float) -> bool:
         """Whether a message of the same sensor has come that is stamped later than the dwell by that many seconds."""
@@ -103,6 +120,7 @@ class DwellAssembler(Generic[Item]):
     def take(self, dwell: Dwell[Item]) -> None:
         """Remove a dwell; what comes of it afterwards is late."""
         del self._dwells[dwell.key]
+        self._size -= dwell.size
         self._finished.append(dwell.key)
 
     def forget_finished(self, config_hash: str) -> None:

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import array
 import copy
 import time
 from abc import abstractmethod
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from rclpy.serialization import deserialize_message
-from sal_height_msgs.msg import SensorInfo
+import numpy as np
+from sal_height_msgs.msg import ChannelFrame, ComplexImage, SensorInfo
 
 from sal_height import messages
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.dwell import Dwell, DwellAssembler, Key, WaitingClock
-from sal_height.nodes.stage import LATCHED_QOS, Stage, StageParameters, payload_bytes
+from sal_height.nodes.stage import LATCHED_QOS, Stage, StageParameters
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
 
@@ -31,6 +31,13 @@ GONE_AFTER = 3
 
 TICK_S = 0.1
 """Period at which the node looks for dwells that are overdue."""
+
+
+READERS: dict[type, Callable[[bytes], Any]] = {
+    ChannelFrame: messages.received_frame,
+    ComplexImage: messages.received_image,
+}
+"""What makes a message of its bytes, by its type."""
 
 
 class DwellParameters(StageParameters):
@@ -59,11 +66,10 @@ class DwellParameters(StageParameters):
 
 
 class _Early(NamedTuple):
-    """A message that waits for its sensor info: when it came, s of a steady clock, and the bytes it holds."""
+    """A message that waits for its sensor info, and when it came, s of a steady clock."""
 
     message: Any
     came: float
-    size: int
 
 
 class DwellStage(Stage):
@@ -128,7 +134,7 @@ class DwellStage(Stage):
         Raises:
             RuntimeError: they are none.
         """
-        return deserialize_message(cdr, self._message_type)
+        return READERS[self._message_type](cdr)
 
     def rehearse(self, sensor: Sensor) -> None:
         """Process a made-up dwell of `sensor`, and publish nothing (on the worker thread)."""
@@ -137,10 +143,6 @@ class DwellStage(Stage):
     def is_ready(self) -> bool:
         """Whether a sensor is described and the node has rehearsed for it: the first dwell takes no longer then."""
         return self._rehearsed
-
-    def identity(self, message: Any) -> str:
-        """The config_hash of the sensor info that a message was made with."""
-        return str(message.config_hash)
 
     def advance(self) -> None:
         """Hand over what is complete; give up what has waited too long or is too much to hold."""
@@ -213,8 +215,8 @@ class DwellStage(Stage):
         kept: list[_Early] = []
         size = 0
         for early in reversed(self._early):
-            size += early.size
-            passed_s = (self._newest_ns - messages.to_ns(early.message.header.stamp)) * 1e-9
+            size += early.message.size
+            passed_s = (self._newest_ns - early.message.stamp_ns) * 1e-9
             overdue = idle or min(now - early.came, passed_s) > parameters.timeout_s
             if overdue or len(kept) == HELD_EARLY or size > parameters.max_memory_bytes:
                 self.reject(1, self._unmatched(early.message))
@@ -233,6 +235,7 @@ class DwellStage(Stage):
             self.submit(0, lambda: self._rehearse(sensor))
         self._sensors.pop(sensor.config_hash, None)  # to be the last that is forgotten
         self._sensors[sensor.config_hash] = sensor
+        self._absences.setdefault(sensor.config_hash, Counter())
         self._assembler.forget_finished(sensor.config_hash)
         if len(self._sensors) > HELD_SENSORS:
             self._forget(next(iter(self._sensors)))
@@ -270,23 +273,29 @@ class DwellStage(Stage):
     def _on_message(self, message: Any) -> None:
         self.tally.receive()
         self._waiting.restart()
-        self._take_in(message, time.monotonic())
-        self.advance()
+        if self._take_in(message, time.monotonic()):
+            self.advance()
 
-    def _take_in(self, message: Any, now: float) -> None:
+    def _take_in(self, message: Any, now: float) -> bool:
+        """Add a message to its dwell; whether there may be something to hand over or to give up now."""
         try:
-            sensor = self._sensors.get(self.identity(message))
-            stamp_ns, size = messages.to_ns(message.header.stamp), payload_bytes(message)
+            sensor = self._sensors.get(message.config_hash)
             if sensor is None:
-                self._early.append(_Early(message, now, size))
-            else:
-                self.check(message, sensor)
-                self._absences.setdefault(sensor.config_hash, Counter()).pop(message.channel, None)
-                key = Key(sensor.config_hash, message.dwell, stamp_ns)
-                self._assembler.add(key, sensor, message.channel, message, now, size)
-            self._newest_ns = max(self._newest_ns, stamp_ns)
+                self._early.append(_Early(message, now))
+                self._newest_ns = max(self._newest_ns, message.stamp_ns)
+                return True
+            self.check(message, sensor)
+            absences = self._absences[sensor.config_hash]
+            absences.pop(message.channel, None)
+            key = Key(sensor.config_hash, message.dwell, message.stamp_ns)
+            dwell = self._assembler.add(key, sensor, message.channel, message, now, message.size)
+            self._newest_ns = max(self._newest_ns, message.stamp_ns)
         except Exception as error:  # noqa: BLE001 (no message may end the node)
             self.reject(1, self.unexpected(error))
+            return False
+        parameters = self.current_parameters()
+        crowded = self._assembler.is_crowded(parameters.max_unfinished_dwells, parameters.max_memory_bytes)
+        return dwell.is_whole or crowded or bool(absences)
 
     def _incomplete(self, dwell: Dwell[Any], when: str) -> Rejected:
         return Rejected("incomplete dwell", f"Dwell {dwell.key.number}: channels {dwell.absent} did not come {when}.")
@@ -305,7 +314,7 @@ class DwellStage(Stage):
         known = ", ".join(self._sensors)
         return Rejected(
             "contradicts sensor info",
-            f"Dwell {message.dwell}, channel {message.channel}: config_hash {self.identity(message)!r} is none of "
+            f"Dwell {message.dwell}, channel {message.channel}: config_hash {message.config_hash!r} is none of "
             f"those on sensor_info ({known}).",
         )
 
@@ -314,5 +323,5 @@ def _blank(message: Any, channel: int) -> Any:
     """A message of zeros in the place of one that has not come: estimators leave such a channel out as dead."""
     blank = copy.copy(message)
     blank.channel = channel
-    blank.samples = array.array(message.samples.typecode, bytes(message.samples.itemsize * len(message.samples)))
+    blank.samples = np.zeros_like(message.samples)
     return blank

@@ -17,6 +17,7 @@ from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, Validity
 from sal_height.errors import Rejected, UserError
 from sal_height.imaging import ImageSettings
+from sal_height.messages import ReceivedImage
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
@@ -49,7 +50,6 @@ class HeightNode(DwellStage):
         Raises:
             UserError: a parameter has a value that is not allowed.
         """
-        self._decoder = messages.SlcDecoder()
         super().__init__(self.estimator.node, ComplexImage, "slc", **node_arguments)
         self._calibrations: dict[str, Calibration] = {}
         self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS, optional=True)
@@ -57,19 +57,11 @@ class HeightNode(DwellStage):
         self._image = self.offer(Image, f"{self.product}/image")
         self._points = self.offer(PointCloud2, f"{self.product}/points")
 
-    def identity(self, message: ComplexImage) -> str:
-        """The config_hash of the sensor info that the image was made with."""
-        return str(message.provenance.config_hash)
-
-    def decode(self, cdr: bytes) -> ComplexImage:
-        """The image of one channel; those of a dwell share a provenance."""
-        return self._decoder.decode(cdr)
-
-    def check(self, message: ComplexImage, sensor: Sensor) -> None:
+    def check(self, message: ReceivedImage, sensor: Sensor) -> None:
         """Size of an image; single bad pixels are marked as such."""
         messages.check_slc(message, sensor)
 
-    def supplies(self, dwell: list[ComplexImage], sensor: Sensor) -> Calibration | None:
+    def supplies(self, dwell: list[ReceivedImage], sensor: Sensor) -> Calibration | None:
         """The calibration that the images were made with: it may have changed the beams."""
         return self._calibration_of(dwell[0], sensor)
 
@@ -80,7 +72,7 @@ class HeightNode(DwellStage):
         if slc is not None:
             heights(with_scatterers(slc, sensor, rng), sensor, self.estimator, self.current_parameters())
 
-    def process(self, images: list[ComplexImage], sensor: Sensor, calibration: Calibration | None) -> int:
+    def process(self, images: list[ReceivedImage], sensor: Sensor, calibration: Calibration | None) -> int:
         """Estimate the heights of a dwell and publish them."""
         parameters, first = self.current_parameters(), images[0]
         slc = messages.slc_from_messages(images)
@@ -101,7 +93,7 @@ class HeightNode(DwellStage):
         self._height.publish(image)
         return 1
 
-    def _calibration_of(self, image: ComplexImage, sensor: Sensor) -> Calibration | None:
+    def _calibration_of(self, image: ReceivedImage, sensor: Sensor) -> Calibration | None:
         """The calibration that an image was made with; None: the sensor's own, or none.
 
         Raises:

@@ -15,6 +15,7 @@ from sal_height import messages
 from sal_height.calibration import CalibrationSettings, Calibrator, save_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import sphere_point
+from sal_height.messages import ReceivedImage
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
@@ -80,11 +81,7 @@ class PsfCalibration(DwellStage):
         self._calibration = self.offer(Calibration, "calibration", LATCHED_QOS)
         self.context.on_shutdown(self.conclude)
 
-    def identity(self, message: ComplexImage) -> str:
-        """The config_hash of the sensor info that the image was made with."""
-        return str(message.provenance.config_hash)
-
-    def check(self, message: ComplexImage, sensor: Sensor) -> None:
+    def check(self, message: ReceivedImage, sensor: Sensor) -> None:
         """Check the size of an image, and that no calibration has been applied to it."""
         messages.check_slc(message, sensor)
         applied = message.provenance.calibration_id
@@ -96,7 +93,7 @@ class PsfCalibration(DwellStage):
                 "sar_compression).",
             )
 
-    def process(self, images: list[ComplexImage], sensor: Sensor, _: None) -> int:
+    def process(self, images: list[ReceivedImage], sensor: Sensor, _: None) -> int:
         """Use the images of every n-th dwell; publish a calibration when there are enough of them."""
         parameters = self.current_parameters()
         self._dwells += 1

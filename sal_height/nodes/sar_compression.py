@@ -17,6 +17,7 @@ from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings
+from sal_height.messages import ReceivedFrame
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.odometry import Arrival, OdometryHistory
 from sal_height.nodes.program import run_node
@@ -98,20 +99,20 @@ class SarCompression(DwellStage):
         self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS)
         self._slc = self.offer(ComplexImage, "slc")
 
-    def check(self, message: ChannelFrame, sensor: Sensor) -> None:
+    def check(self, message: ReceivedFrame, sensor: Sensor) -> None:
         """Check size, samples and pulse times of a frame."""
         messages.check_frame(message, sensor)
-        end_ns = messages.to_ns(message.header.stamp) + round(message.pulse_time[-1] * 1e9)
+        end_ns = message.stamp_ns + round(message.pulse_time[-1] * 1e9)
         self._last_pulse_ns = max(self._last_pulse_ns, end_ns)
 
-    def supplies(self, dwell: list[ChannelFrame], sensor: Sensor) -> Supplies:
+    def supplies(self, dwell: list[ReceivedFrame], sensor: Sensor) -> Supplies:
         """Odometry from before the first pulse to after the last without gaps, and the calibration in force.
 
         Raises:
             Rejected: the odometry does not cover the pulses yet, or has a gap.
         """
         frame = dwell[0]
-        start_ns = messages.to_ns(frame.header.stamp)
+        start_ns = frame.stamp_ns
         end_ns = start_ns + round(frame.pulse_time[-1] * 1e9)
         states = self._odometry.around(start_ns, end_ns)
         gap = max(((later.stamp_ns - earlier.stamp_ns) * 1e-9 for earlier, later in pairwise(states)), default=math.inf)
@@ -137,7 +138,7 @@ class SarCompression(DwellStage):
         """Compress made-up dwells."""
         rehearsed_slc(sensor, self.current_parameters(), Compressor(), np.random.default_rng(0))
 
-    def process(self, frames: list[ChannelFrame], sensor: Sensor, supplies: Supplies) -> int:
+    def process(self, frames: list[ReceivedFrame], sensor: Sensor, supplies: Supplies) -> int:
         """Compress a dwell, or the columns that a block completes of a strip, and publish the image of each channel."""
         parameters = self.current_parameters()
         history, calibration = messages.history_from_messages(frames), supplies.calibration
@@ -158,7 +159,7 @@ class SarCompression(DwellStage):
             parameters=messages.with_stage([], self.get_name(), parameters),
             autofocus_phase=slc.autofocus_phase.tolist(),
         )
-        images = messages.serialized_images(messages.slc_to_messages(slc, frames[0], provenance))
+        images = messages.serialized_slc(slc, frames[0], provenance)
         for image in images:
             self._slc.publish(image)
         return len(images)

@@ -1,0 +1,332 @@
+"""Frames and images as nodes receive them: views of their bytes.
+
+rclpy makes an object of every part of a message and copies all samples: for the images of a small dwell this takes
+longer than their transport. Here samples stay where they are, the few numbers beside them are read by their place, and
+what the messages of a dwell share is made once. Bytes that are not laid out as expected (another byte order, a text
+without its end, too few bytes) are left to rclpy, which reads or refuses them.
+
+The layout is that of plain CDR (OMG DDS-XTypes 1.3, section 7.4.3), which ROS middlewares use.
+"""
+
+from __future__ import annotations
+
+import functools
+import struct
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from rclpy.serialization import deserialize_message, serialize_message
+from sal_height_msgs import msg as messages
+from std_msgs.msg import Header
+
+from sal_height.numeric import F32, F64, U8
+
+HELD = 8
+"""Provenances held, and as many geometries: those that were used last."""
+
+LITTLE_ENDIAN = b"\x00\x01"
+"""First bytes of a message in plain CDR; offsets within a message count from ENCAPSULATION."""
+
+ENCAPSULATION = 4
+
+STAMP, UINT, PAIR, TRIPLE = (struct.Struct(layout) for layout in ("<iI", "<I", "<II", "<III"))
+SCALE, NOISE = struct.Struct("<d"), struct.Struct("<dfI")
+
+GEOMETRY_BYTES = 8 * 11 + 2 * 4 + 8 * (7 + 36 + 3 + 1) + 1
+"""From origin to cols of a grid, and from pose to sliding of an aperture, without padding."""
+
+NO_PROVENANCE = 3 * b"\x01\x00\x00\x00\x00\x00\x00\x00" + 8 * b"\x00"
+"""An empty provenance: three empty texts and two empty lists."""
+
+
+@dataclass(slots=True, eq=False)
+class Received:
+    """What frames and images have in common.
+
+    Attributes:
+        stamp: of the header, s and ns.
+        frame_id: of the header.
+        dwell: number of the dwell.
+        channel: number of the channel.
+        size: bytes of the message.
+    """
+
+    stamp: tuple[int, int]
+    frame_id: str
+    dwell: int
+    channel: int
+    size: int
+
+    @property
+    def stamp_ns(self) -> int:
+        """The stamp in nanoseconds."""
+        return self.stamp[0] * 1_000_000_000 + self.stamp[1]
+
+    @property
+    def header(self) -> Header:
+        """The header, made anew."""
+        return Header(stamp=Time(sec=self.stamp[0], nanosec=self.stamp[1]), frame_id=self.frame_id)
+
+
+@dataclass(slots=True, eq=False)
+class ReceivedFrame(Received):
+    """A ChannelFrame; further attributes are its fields, arrays as NumPy has them."""
+
+    config_hash: str
+    pulse_count: int
+    sample_count: int
+    pulse_time: F64
+    reference_range: F64
+    encoding: str
+    scale: float
+    samples: U8
+
+    @classmethod
+    def of(cls, message: messages.ChannelFrame) -> Self:
+        """The same content as a message."""
+        samples = np.frombuffer(message.samples, np.uint8) if message.samples else np.empty(0, np.uint8)
+        return cls(
+            (message.header.stamp.sec, message.header.stamp.nanosec),
+            message.header.frame_id,
+            message.dwell,
+            message.channel,
+            samples.nbytes,
+            message.config_hash,
+            message.pulse_count,
+            message.sample_count,
+            np.array(message.pulse_time),
+            np.array(message.reference_range),
+            message.encoding,
+            message.scale,
+            samples,
+        )
+
+
+@dataclass(slots=True, eq=False)
+class Geometry:
+    """Where the pixels of images lie, and from where they are seen; the images of a dwell share it.
+
+    Attributes:
+        grid: of the pixels.
+        aperture: that they are seen from.
+        checked: whether it was found to be possible.
+    """
+
+    grid: messages.ImageGrid
+    aperture: messages.Aperture
+    checked: bool = False
+
+
+@dataclass(slots=True, eq=False)
+class ReceivedImage(Received):
+    """A ComplexImage; further attributes are its fields, samples as NumPy has them.
+
+    Its geometry and provenance are to be left as they are: other images share them.
+    """
+
+    geometry: Geometry
+    noise_power: float
+    saturated_share: float
+    samples: F32
+    provenance: messages.Provenance
+
+    @classmethod
+    def of(cls, message: messages.ComplexImage) -> Self:
+        """The same content as a message."""
+        samples = np.array(message.samples, dtype=np.float32)
+        return cls(
+            (message.header.stamp.sec, message.header.stamp.nanosec),
+            message.header.frame_id,
+            message.dwell,
+            message.channel,
+            samples.nbytes,
+            Geometry(message.grid, message.aperture),
+            message.noise_power,
+            message.saturated_share,
+            samples,
+            message.provenance,
+        )
+
+    @property
+    def grid(self) -> messages.ImageGrid:
+        """Where its pixels lie."""
+        return self.geometry.grid
+
+    @property
+    def aperture(self) -> messages.Aperture:
+        """From where they are seen."""
+        return self.geometry.aperture
+
+    @property
+    def config_hash(self) -> str:
+        """The config_hash of the sensor that it was made with."""
+        return str(self.provenance.config_hash)
+
+
+def received_frame(cdr: bytes) -> ReceivedFrame:
+    """The frame that these bytes are.
+
+    Raises:
+        RuntimeError: they are none.
+    """
+    try:
+        return _frame(cdr)
+    except (struct.error, ValueError):
+        return ReceivedFrame.of(deserialize_message(cdr, messages.ChannelFrame))
+
+
+def received_image(cdr: bytes) -> ReceivedImage:
+    """The image that these bytes are; images with the same bytes of geometry or provenance share these.
+
+    Raises:
+        RuntimeError: they are none.
+    """
+    try:
+        return _image(cdr)
+    except (struct.error, ValueError):
+        return ReceivedImage.of(deserialize_message(cdr, messages.ComplexImage))
+
+
+def _frame(cdr: bytes) -> ReceivedFrame:
+    """Read a frame by the places of its fields.
+
+    Raises:
+        ValueError: the bytes are not laid out so.
+        struct.error: they are too few.
+    """
+    stamp, frame_id, at = _header(cdr)
+    dwell, channel = PAIR.unpack_from(cdr, at)
+    config_hash, at = _text(cdr, at + PAIR.size)
+    pulse_count, sample_count, times = TRIPLE.unpack_from(cdr, at)
+    pulse_time, at = _doubles(cdr, at + 12, times)
+    (ranges,) = UINT.unpack_from(cdr, at)
+    reference_range, at = _doubles(cdr, at + 4, ranges)
+    encoding, at = _text(cdr, at)
+    at = _aligned(at)
+    (scale,) = SCALE.unpack_from(cdr, at)
+    (count,) = UINT.unpack_from(cdr, at + 8)
+    samples = np.frombuffer(cdr, np.uint8, count, at + 12)
+    return ReceivedFrame(
+        stamp,
+        frame_id,
+        dwell,
+        channel,
+        len(cdr),
+        config_hash,
+        pulse_count,
+        sample_count,
+        pulse_time,
+        reference_range,
+        encoding,
+        scale,
+        samples,
+    )
+
+
+def _image(cdr: bytes) -> ReceivedImage:
+    """Read an image by the places of its fields.
+
+    Raises:
+        ValueError: the bytes are not laid out so.
+        struct.error: they are too few.
+    """
+    stamp, frame_id, at = _header(cdr)
+    dwell, channel = PAIR.unpack_from(cdr, at)
+    at = _aligned(at + PAIR.size)
+    geometry = cdr[at : at + GEOMETRY_BYTES]
+    at = _aligned(at + GEOMETRY_BYTES)
+    noise_power, saturated_share, count = NOISE.unpack_from(cdr, at)
+    at += NOISE.size
+    samples = np.frombuffer(cdr, np.float32, count, at)
+    return ReceivedImage(
+        stamp,
+        frame_id,
+        dwell,
+        channel,
+        len(cdr),
+        _geometry_of(geometry),
+        noise_power,
+        saturated_share,
+        samples,
+        _provenance_of(cdr[at + 4 * count :], count % 2),
+    )
+
+
+@functools.lru_cache(maxsize=HELD)
+def _geometry_of(numbers: bytes) -> Geometry:
+    """Grid and aperture of their bytes."""
+    head = _empty_image()[0]
+    padding = bytes(-(len(head) + len(numbers) - ENCAPSULATION) % 8)
+    cdr = head + numbers + padding + NOISE.pack(0.0, 0.0, 0) + NO_PROVENANCE
+    image = deserialize_message(cdr, messages.ComplexImage)
+    return Geometry(image.grid, image.aperture)
+
+
+@functools.lru_cache(maxsize=HELD)
+def _provenance_of(tail: bytes, odd: int) -> messages.Provenance:
+    """The provenance of its bytes, the last ones of an image whose number of samples is even (0) or odd (1).
+
+    Numbers of eight bytes among them lie at other places after an odd number of samples.
+    """
+    cdr = _empty_image()[1] + UINT.pack(odd) + odd * UINT.pack(0) + tail
+    return deserialize_message(cdr, messages.ComplexImage).provenance
+
+
+@functools.cache
+def _empty_image() -> tuple[bytes, bytes]:
+    """The bytes of an image without content, up to its geometry and up to the number of its samples."""
+    cdr = serialize_message(messages.ComplexImage())
+    return cdr[: _aligned(channel_offset(cdr) + 4)], cdr[: noise_offset(cdr) + NOISE.size - 4]
+
+
+def channel_offset(cdr: bytes) -> int:
+    """Where a serialized image has the number of its channel.
+
+    Raises:
+        ValueError: the bytes are not laid out so.
+        struct.error: they are too few.
+    """
+    return _header(cdr)[-1] + 4
+
+
+def noise_offset(cdr: bytes) -> int:
+    """Where a serialized image has its noise power, which saturated share and samples follow.
+
+    Raises:
+        ValueError: the bytes are not laid out so.
+        struct.error: they are too few.
+    """
+    return _aligned(_aligned(channel_offset(cdr) + 4) + GEOMETRY_BYTES)
+
+
+def _header(cdr: bytes) -> tuple[tuple[int, int], str, int]:
+    """Stamp (s and ns) and frame_id of the header, the first field, and the offset of the next number."""
+    if cdr[:2] != LITTLE_ENDIAN:
+        raise ValueError("another encoding")
+    return STAMP.unpack_from(cdr, ENCAPSULATION), *_text(cdr, ENCAPSULATION + STAMP.size)
+
+
+def _text(cdr: bytes, at: int) -> tuple[str, int]:
+    """The text at an offset, and the offset of the next number of four bytes."""
+    (length,) = UINT.unpack_from(cdr, at)
+    end = at + 4 + length
+    text = cdr[at + 4 : end]
+    if text.find(0) != length - 1 or not length:
+        raise ValueError("a text that does not end where it says")
+    return text[:-1].decode("utf-8", "replace"), end + -end % 4
+
+
+def _doubles(cdr: bytes, at: int, count: int) -> tuple[F64, int]:
+    """So many numbers of eight bytes at the next offset that these may have, and the offset after them."""
+    start = _aligned(at)
+    end = start + 8 * count
+    if count == 0 or end > len(cdr):
+        raise ValueError("no numbers")
+    return np.frombuffer(cdr[start:end]), end  # a copy: in place they are not aligned in memory
+
+
+def _aligned(at: int) -> int:
+    """The next offset that a number of eight bytes may have."""
+    return at + -(at - ENCAPSULATION) % 8

@@ -41,6 +41,7 @@ GROUPS = {
     "real-time": "real_time:sustained",
     "endurance": "real_time:endurance",
     "figures": "figures:all_figures",
+    "growth": "growth:growth",
     "simulator": "simulator:over_transforms",
     "memory": "memory:peak_memory",
     "accuracy-array": "array_accuracy:against_theory",

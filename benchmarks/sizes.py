@@ -9,9 +9,10 @@ import numpy as np
 from sal_height.calibration import Calibration
 from sal_height.elevation import Validity
 from sal_height.geometry import ApertureState, Grid, Trajectory, sphere_point
-from sal_height.imaging import ImageSettings, Slc
+from sal_height.imaging import ImageSettings, Slc, image_beams
+from sal_height.numeric import C128
 from sal_height.pipeline import Compressor
-from sal_height.rehearsal import rehearsed_slc, with_scatterers
+from sal_height.rehearsal import rehearsed_slc
 from sal_height.relief import HeightField, Surface, circle_covariance
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.simulation import load_preset
@@ -19,6 +20,12 @@ from sal_height.simulation import load_preset
 PRESET = "sal_spotlight"
 ROWS, COLS, PULSES, SAMPLES = 184, 12, 64, 256
 """Of a dwell of the preset: pixels before looks are averaged, pulses, and samples of a pulse."""
+
+SHARES = (0.3, 0.66, 0.03, 0.01)
+"""Of the rows of images: those with no, one, two and three scatterers, as found in dwells of the preset."""
+
+POWER = 100.0
+"""Of each scatterer over the noise."""
 
 SIGMA = 0.012  # m
 SPACINGS = (0.085, 0.097)
@@ -73,12 +80,18 @@ def made_up_dwell(sensor: Sensor, rows: int, cols: int) -> CompressorInput:
 
 
 def made_up_images(sensor: Sensor, rows: int, cols: int) -> Slc:
-    """Images in whose rows lie no, one, two or three scatterers in noise."""
-    rng = np.random.default_rng(2)
-    slc = made_up_dwell(sensor, rows, cols).compress()
+    """Images in whose rows lie as many scatterers as in those of a street (SHARES), in noise."""
+    rng, slc = np.random.default_rng(2), made_up_dwell(sensor, rows, cols).compress()
     if slc is None:
         raise RuntimeError(f"Sensor {sensor.name} makes no image of one dwell.")
-    return with_scatterers(slc, sensor, rng)
+    beams, noise = image_beams(sensor, slc.azimuth_window), np.sqrt(np.mean(slc.noise_power))
+    count = rng.permutation(np.repeat(np.arange(len(SHARES)), np.round(rows * np.array(SHARES)).astype(int)))
+    images = noise * _normal(rng, slc.images.shape)
+    for number in range(1, len(SHARES)):
+        elevation = rng.uniform(beams.boresights.min(), beams.boresights.max(), rows)
+        amplitude = np.sqrt(POWER) * noise * _normal(rng, (rows, cols)) * (np.resize(count, rows) >= number)[:, None]
+        images += np.moveaxis(beams.response(elevation[:, None], 0.0) * amplitude[..., None], -1, 0)
+    return replace(slc, images=images.astype(np.complex64))
 
 
 def tiled(slc: Slc, sensor: Sensor, down: int, across: int) -> tuple[Slc, Sensor]:
@@ -110,3 +123,8 @@ def heights_of_street(rows: int, cols: int, number: int, rng: np.random.Generato
     sight = np.array([0.0, -1.0, -1.0]) / np.sqrt(2)
     grid = Grid(np.zeros(3), sight, np.array([1.0, 0.0, 0.0]), SPACINGS[0] / np.sqrt(2), SPACINGS[1], rows, cols)
     return HeightField(grid, np.full(north.shape, Validity.OK, np.uint8), (surface,))
+
+
+def _normal(rng: np.random.Generator, shape: tuple[int, ...]) -> C128:
+    """Complex normal numbers of unit power."""
+    return rng.standard_normal((*shape, 2)).view(np.complex128)[..., 0] * np.sqrt(0.5)

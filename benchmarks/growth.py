@@ -57,6 +57,8 @@ LENGTHS = sized((1, 2, 4, 8, 16, 32, 64), (1, 2))
 
 DWELLS = sized((8, 16, 32, 64, 128, 256), (2, 4))
 
+SEARCH = "the highest peak, by all pairs of detectors at each elevation of a swath that grows with them"
+
 MARGIN = 0.1
 """By which the exponent of a curve may exceed its law's."""
 
@@ -120,18 +122,10 @@ def curves() -> Iterator[Curve]:
     for name in ("monopulse", "ml"):
         pixels = [Point(pixels=count) for count in PIXELS]
         yield Curve(name, "pixels", 1.0, images, pixels, partial(_heights, name))
-        cubic = name == "ml"
-        because = "every entry of the covariance"
-        yield Curve(
-            name,
-            "detectors",
-            3.0 if cubic else 2.0,
-            f"{because} at every elevation searched" if cubic else because,
-            [Point(detectors=count) for count in COUNTS],
-            partial(_heights, name),
-        )
+        detectors = [Point(detectors=count) for count in COUNTS]
+        yield Curve(name, "detectors", 3.0, SEARCH, detectors, partial(_heights, name))
         looks = [Point(looks=count) for count in MANY_LOOKS]
-        yield Curve(name, "looks", 1.0, "a covariance is a sum over looks", looks, partial(_heights, name))
+        yield Curve(name, "looks", 1.0, "covariances are sums over looks", looks, partial(_heights, name))
     transforms = "transforms, N log N"
     counts = [Point(detectors=count) for count in COUNTS]
     yield Curve("compression", "detectors", 1.0, "every detector on its own", counts, _compression)
@@ -224,9 +218,10 @@ def _compression_of_length(point: Point) -> Run:
 
 def _tracker(point: Point) -> Run:
     fields = _fields(point)
+    _, _, before = track(fields[0], APERTURE, PriorEstimate())
 
     def run() -> None:
-        prior = PriorEstimate()
+        prior = before
         for field in fields:
             _, _, prior = track(field, APERTURE, prior)
 

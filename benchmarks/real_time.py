@@ -23,7 +23,7 @@ from benchmarks.core_limit import CoreRate, core_rate
 from benchmarks.live_runs import Seen, highest_rate, watch, watch_idle
 from benchmarks.row import Row, load, sized
 from sal_height.bag.reader import BagReader
-from sal_height.nodes.playlist import Playlist
+from sal_height.nodes.playlist import FRAMES, Playlist
 from sal_height.numeric import WORKERS
 from sal_height.runs.processes import ONE_THREAD
 from sal_height.runs.sensor_bag import record_sensor
@@ -48,18 +48,32 @@ SHARE_OF_CORE = sized(0.5, 0.05)
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor as a bag, the rate of its dwells, and what the core achieves on them."""
+    """A sensor as a bag, and what the core achieves on its dwells.
+
+    Attributes:
+        name: of its preset.
+        bag: what it delivers.
+        dwells_hz: dwells in a second.
+        frame_bytes: of the phase history of a dwell.
+        messages: frames and odometry of a dwell.
+        core: what the core achieves.
+    """
 
     name: str
     bag: Path
     dwells_hz: float
+    frame_bytes: float
+    messages: float
     core: CoreRate
 
     @classmethod
     def of_preset(cls, name: str, folder: Path) -> Sensor:
         """Simulate the dwells of a preset, and measure the core."""
         bag = record_sensor(replace(load_preset(name), dwells=DWELLS), 1, folder / "sensor")
-        return cls(name, bag, Playlist.of_bag(BagReader(bag), np.inf).dwell_rate_hz, core_rate(bag, CORE_SECONDS))
+        playlist = Playlist.of_bag(BagReader(bag), np.inf)
+        frame_bytes = sum(len(item.cdr) for item in playlist.items if item.topic == FRAMES) / playlist.dwells
+        messages = len(playlist.items) / playlist.dwells
+        return cls(name, bag, playlist.dwell_rate_hz, frame_bytes, messages, core_rate(bag, CORE_SECONDS))
 
     @property
     def core_rate(self) -> float:
@@ -70,6 +84,10 @@ class Sensor:
     def first_guess(self) -> float:
         """Rate that is tried first."""
         return SHARE_OF_CORE * self.core_rate
+
+    def half_of(self, rate: float) -> float:
+        """Half of the rate that is sustained; of a low guess, if none that was tried is."""
+        return rate / 2 if rate else self.first_guess / 10
 
     def sustained(self) -> tuple[float, Seen]:
         """The highest rate at which no dwell is left out, and what was seen at it."""
@@ -90,18 +108,18 @@ def sustained() -> Iterator[Row]:
             yield _share(sensor, rate)
             yield from _over_core(sensor, rate, seen)
             if name != ENDURANCE:
-                slow = watch(sensor.bag, rate / 2, LATENCY_SECONDS)
-                yield from _latency(sensor, rate / 2, slow)
+                half = sensor.half_of(rate)
+                yield from _latency(sensor, half, watch(sensor.bag, half, LATENCY_SECONDS))
 
 
 def endurance() -> Iterator[Row]:
     """Ten minutes at half the rate that is sustained: latency and drops, and what the processes grow."""
     with tempfile.TemporaryDirectory() as folder:
         sensor = Sensor.of_preset(ENDURANCE, Path(folder))
-        rate = sensor.sustained()[0] if SEARCHED else sensor.first_guess
-        seen = watch(sensor.bag, rate / 2, ENDURANCE_SECONDS, record=())
-    yield _growth(sensor, rate / 2, seen)
-    yield from _latency(sensor, rate / 2, seen)
+        half = sensor.half_of(sensor.sustained()[0] if SEARCHED else 0.0)
+        seen = watch(sensor.bag, half, ENDURANCE_SECONDS, record=())
+    yield _growth(sensor, half, seen)
+    yield from _latency(sensor, half, seen)
 
 
 def _real_time(sensor: Sensor, rate: float, seen: Seen) -> Row:
@@ -117,7 +135,11 @@ def _real_time(sensor: Sensor, rate: float, seen: Seen) -> Row:
         f"{sensor.dwells_hz:.3g} dwells/s; processor seconds for a second of the sensor: {_listed(per_sensor_second)}; "
         f"{1e-6 * recorded * sensor.dwells_hz:.3g} MB recorded for it; {load()}",
         {
+            "preset": sensor.name,
             "dwells_hz": sensor.dwells_hz,
+            "rate": rate,
+            "frame_bytes_per_dwell": sensor.frame_bytes,
+            "messages_per_dwell": sensor.messages,
             "recorded_bytes_per_dwell": recorded,
             "cpu_s_per_dwell": {name: used / sensor.dwells_hz for name, used in per_sensor_second.items()},
             "core_s_per_dwell": sensor.core.stages_s,
@@ -138,6 +160,7 @@ def _share(sensor: Sensor, rate: float) -> Row:
         f"{_listed(idle.usage.cpu_per_second)} processors busy at it), the core alone on {WORKERS} processors "
         f"{sensor.core_rate:.3g} seconds of the sensor in a second; {load()}",
         {
+            "preset": sensor.name,
             "transport_rate": transported,
             "transport_cpu_s_per_dwell": {
                 name: used / idle.watched.offered_hz for name, used in idle.usage.cpu_per_second.items()
@@ -150,18 +173,21 @@ def _share(sensor: Sensor, rate: float) -> Row:
 def _over_core(sensor: Sensor, rate: float, seen: Seen) -> Iterator[Row]:
     nodes = {name: used for name, used in seen.usage.cpu_per_second.items() if name in sensor.core.stages_s}
     separate = sum(nodes.values()) / seen.watched.offered_hz
-    command = [sys.executable, "-m", "benchmarks.live_runs", str(sensor.bag), str(rate / 2), str(SECONDS)]
+    half = sensor.half_of(rate)
+    command = [sys.executable, "-m", "benchmarks.live_runs", str(sensor.bag), str(half), str(SECONDS)]
     done = subprocess.run(  # noqa: S603 (our own module)
         command, check=True, stdout=subprocess.PIPE, text=True, env={**os.environ, **ONE_THREAD}
     )
-    together, alone = json.loads(done.stdout), core_rate(sensor.bag, CORE_SECONDS, 1).cpu_s
+    together, one = json.loads(done.stdout), core_rate(sensor.bag, CORE_SECONDS, 1)
     yield Row(
         f"graph in one process over the core, {sensor.name}",
-        together / alone,
+        together / one.cpu_s,
         "1",
         "<= 1.1",
-        f"processor time a dwell: {1e3 * together:.1f} ms without source and recorder, at a rate of {rate / 2:.3g}; "
-        f"{1e3 * alone:.1f} ms in the core alone, in one process; {load()}",
+        f"processor time a dwell: {1e3 * together:.1f} ms without source and recorder, at a rate of {half:.3g}; "
+        f"{1e3 * one.cpu_s:.1f} ms in the core alone, in one process; {WORKERS} of these at the same time process "
+        f"{sensor.core.dwells_hz / one.dwells_hz:.2f} times as many dwells as one; {load()}",
+        {"preset": sensor.name, "speedup": sensor.core.dwells_hz / one.dwells_hz},
     )
     yield Row(
         f"graph in separate processes over the core, {sensor.name}",

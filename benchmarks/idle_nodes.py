@@ -1,8 +1,7 @@
 """Nodes that do nothing: they gather dwells as the real ones do, and publish products of the same size.
 
-`python -m benchmarks.idle_nodes NAME PARENT --ros-args ...` runs one in place of the real one of that name. It
-processes dwells until one has products, and publishes the bytes of these again, with a new stamp, for every dwell that
-follows.
+Each processes dwells until one has products, and publishes the bytes of these again, with a new stamp, for every dwell
+that follows.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.stage import Outlet
-from sal_height.runs import ensemble
 
 
 class KeepingOutlet(Outlet):
@@ -79,8 +77,3 @@ IDLE: dict[str, type[Any]] = {
     "relief_mapper": IdleMapper,
 }
 """Nodes that do nothing by the name of those that they stand for."""
-
-
-if __name__ == "__main__":
-    ensemble.NODES.update(IDLE)
-    raise SystemExit(ensemble.main())

@@ -1,20 +1,27 @@
-"""Live graphs at one rate or another, and the highest that they sustain."""
+"""Live graphs at one rate or another, and the highest that they sustain.
+
+`python -m benchmarks.live_runs BAG RATE SECONDS NODES RESULT TOPIC...` runs one, in a process that begins as
+`sal-height live` does. NODES is one of `Nodes`, RESULT the file of what was seen, and TOPICs are recorded besides
+heights and diagnostics.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from enum import Enum
 from pathlib import Path
-from unittest.mock import patch
 
-from benchmarks.processes import Usage, thread_cpu_s
+from benchmarks.processes import Sample, Usage, thread_cpu_s
 from benchmarks.row import sized
-from sal_height.runs import ensemble
-from sal_height.runs.conductor import RECORDER, Execution
-from sal_height.runs.live import SOURCE, Live, Watched, live
+from sal_height.runs.processes import ONE_THREAD
+
+PHASE_HISTORY = ("phase_history",)
 
 TRIALS = sized(5, 1)
 """Rates that are tried at most in search of the highest."""
@@ -29,47 +36,67 @@ BACKOFF = (0.5, 0.9)
 """From a rate with drops to the next: the share of dwells that were processed, but at least and at most so much."""
 
 
+class Nodes(Enum):
+    """What processes a graph consists of."""
+
+    SEPARATE = "separate"
+    """Every node has a process of its own."""
+    TOGETHER = "together"
+    """All nodes are in one process."""
+    IDLE = "idle"
+    """Every node has a process of its own, and does nothing but receive and publish (`idle_nodes`)."""
+
+
 @dataclass(frozen=True)
 class Seen:
-    """What was seen of a live graph, and what its processes have used."""
+    """What was seen of a live graph, and what its processes have used.
 
-    watched: Watched
+    Attributes:
+        offered_hz: dwells in a second that the sensor delivered.
+        elapsed_s: how long.
+        left_out: messages that any node has dropped.
+        latencies_s: from the last pulse of a dwell to each of its height images, by topic.
+        usage: of processors and memory.
+        beside_s: processor time of the threads of source and recorder in a graph of one process, while it was watched.
+        recorded_bytes: size of the bag.
+    """
+
+    offered_hz: float
+    elapsed_s: float
+    left_out: int
+    latencies_s: dict[str, list[float]]
     usage: Usage
+    beside_s: float
     recorded_bytes: int
-
-    @property
-    def left_out(self) -> int:
-        """Messages that any node has dropped."""
-        return sum(sum(account.dropped.values()) for account in self.watched.accounts.values())
 
     @property
     def achieved(self) -> float:
         """Share of the dwells offered that have become heights."""
-        offered = self.watched.offered_hz * self.watched.elapsed_s
-        return min((len(ages) for ages in self.watched.latencies_s.values()), default=0) / offered
+        made = min((len(ages) for ages in self.latencies_s.values()), default=0)
+        return made / (self.offered_hz * self.elapsed_s)
 
 
-def watch(bag: Path, rate: float, seconds: float, record: tuple[str, ...] = ("phase_history",)) -> Seen:
-    """Run a graph with every node in a process of its own.
+def watch(
+    bag: Path, rate: float, seconds: float, nodes: Nodes = Nodes.SEPARATE, record: Sequence[str] = PHASE_HISTORY
+) -> Seen:
+    """Run a graph.
 
     Args:
         bag: what the sensor delivers.
         rate: seconds of the sensor in a second.
         seconds: how long, s.
+        nodes: what it consists of.
         record: topics recorded besides heights and diagnostics.
     """
-    usage = Usage()
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder, "live")
-        watched = live(bag, out, {}, Live(rate, seconds), Execution(True, record=record), lambda _: usage.take())
-        recorded = sum(file.stat().st_size for file in (out / "bag").iterdir())
-    return Seen(watched, usage, recorded)
-
-
-def watch_idle(bag: Path, rate: float, seconds: float) -> Seen:
-    """Run the same graph with nodes that do nothing: what is left is transport (`idle_nodes`)."""
-    with patch.object(ensemble, "__name__", "benchmarks.idle_nodes"):  # the module that child processes run
-        return watch(bag, rate, seconds)
+        result = Path(folder, "seen.json")
+        words = [str(bag), str(rate), str(seconds), nodes.value, str(result), *record]
+        subprocess.run(  # noqa: S603 (our own module)
+            [sys.executable, "-m", "benchmarks.live_runs", *words], check=True, env=ONE_THREAD | os.environ
+        )
+        seen = json.loads(result.read_text(encoding="utf-8"))
+    usage = Usage([Sample(**sample) for sample in seen.pop("usage")["samples"]])
+    return Seen(**seen, usage=usage)
 
 
 def highest_rate(run: Callable[[float], Seen], guess: float) -> tuple[float, Seen]:
@@ -93,14 +120,16 @@ def highest_rate(run: Callable[[float], Seen], guess: float) -> tuple[float, See
     return low, best or seen
 
 
-def cpu_in_one_process(bag: Path, rate: float, seconds: float) -> float:
-    """Processor time (s) that a graph in this process takes for a dwell, without its source and its recorder.
+def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tuple[str, ...]) -> Seen:
+    """Run a graph from this process, which must not have made any node yet."""
+    from sal_height.runs import ensemble  # noqa: PLC0415 (what only starts such processes needs none of this)
+    from sal_height.runs.conductor import RECORDER, Execution  # noqa: PLC0415
+    from sal_height.runs.live import SOURCE, Live, Watched, live  # noqa: PLC0415
 
-    Args:
-        bag: what the sensor delivers.
-        rate: seconds of the sensor in a second, at which nothing is left out.
-        seconds: how long, s.
-    """
+    if nodes is Nodes.IDLE:
+        from benchmarks.idle_nodes import IDLE  # noqa: PLC0415
+
+        ensemble.NODES.update(IDLE)
     usage, threads = Usage(), []
 
     def show(_: Watched) -> None:
@@ -108,14 +137,26 @@ def cpu_in_one_process(bag: Path, rate: float, seconds: float) -> float:
         threads.append(thread_cpu_s())
 
     with tempfile.TemporaryDirectory() as folder:
-        execution = Execution(processes=False, record=("phase_history",))
-        watched = live(bag, Path(folder, "live"), {}, Live(rate, seconds), execution, show)
-    first, last = usage.samples[0], usage.samples[-1]
-    used = sum(last.cpu_s.values()) - sum(first.cpu_s.values())
+        out = Path(folder, "live")
+        execution = Execution(processes=nodes is not Nodes.TOGETHER, record=record)
+        watched = live(bag, out, {}, Live(rate, seconds), execution, show)
+        recorded = sum(file.stat().st_size for file in (out / "bag").iterdir())
     beside = (SOURCE, RECORDER, f"spin {RECORDER}")
-    used -= sum(threads[-1].get(name, 0.0) - threads[0].get(name, 0.0) for name in beside)
-    return used / (watched.offered_hz * (last.at_s - first.at_s))
+    return Seen(
+        offered_hz=watched.offered_hz,
+        elapsed_s=watched.elapsed_s,
+        left_out=sum(sum(account.dropped.values()) for account in watched.accounts.values()),
+        latencies_s=watched.latencies_s,
+        usage=usage,
+        beside_s=sum(threads[-1].get(name, 0.0) - threads[0].get(name, 0.0) for name in beside),
+        recorded_bytes=recorded,
+    )
+
+
+def _main(bag: str, rate: str, seconds: str, nodes: str, result: str, *record: str) -> None:
+    seen = _watch_here(Path(bag), float(rate), float(seconds), Nodes(nodes), record)
+    Path(result).write_text(json.dumps(asdict(seen)), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(cpu_in_one_process(Path(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3]))) + "\n")
+    _main(*sys.argv[1:])

@@ -22,7 +22,7 @@ class Sample:
 
     Attributes:
         at_s: the moment, s of the monotonic clock.
-        cpu_s: processor time by name of the process, s.
+        cpu_s: processor time by name of the process (its first 15 letters), s.
         resident: resident memory by name of the process, bytes.
     """
 
@@ -31,9 +31,9 @@ class Sample:
     resident: dict[str, int]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Usage:
-    """What processes use while they are watched."""
+    """What processes have used while they were watched."""
 
     samples: list[Sample] = field(default_factory=list)
 
@@ -47,21 +47,24 @@ class Usage:
                 parent, used_s = _parent_and_cpu(folder)
                 if own not in {parent, int(folder.name)}:
                     continue
-                name = OWN if int(folder.name) == own else _name_of(folder)
+                name = (folder / "comm").read_text(encoding="utf-8", errors="replace").strip()
                 pages = int((folder / "statm").read_text(encoding="ascii").split()[1])
-            except (OSError, IndexError):  # it has ended meanwhile
+            except OSError:  # it has ended meanwhile
                 continue
+            name = OWN if int(folder.name) == own else name
             cpu_s[name], resident[name] = used_s, pages * PAGE_BYTES
         self.samples.append(Sample(time.monotonic(), cpu_s, resident))
 
     @property
+    def seconds(self) -> float:
+        """From the first sample to the last."""
+        return self.samples[-1].at_s - self.samples[0].at_s
+
+    @property
     def cpu_per_second(self) -> dict[str, float]:
         """Processor seconds in a second by name of the process, from the first sample to the last."""
-        if len(self.samples) < 2:
-            return {}
-        first, last = self.samples[0], self.samples[-1]
-        seconds = last.at_s - first.at_s
-        return {name: (used - first.cpu_s.get(name, 0.0)) / seconds for name, used in last.cpu_s.items()}
+        first, last = self.samples[0].cpu_s, self.samples[-1].cpu_s
+        return {name: (used - first.get(name, 0.0)) / self.seconds for name, used in last.items()}
 
 
 def thread_cpu_s() -> dict[str, float]:
@@ -78,12 +81,3 @@ def _parent_and_cpu(folder: Path) -> tuple[int, float]:
     """Who started a process, and its processor time, s (proc_pid_stat(5): fields 4, 14 and 15)."""
     fields = (folder / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
     return int(fields[1]), (int(fields[11]) + int(fields[12])) / TICKS_HZ
-
-
-def _name_of(folder: Path) -> str:
-    """The word after the module of `python -m MODULE NAME ...`: the node that the process runs.
-
-    Raises:
-        IndexError: its command line is another one, or it has ended.
-    """
-    return (folder / "cmdline").read_text(encoding="utf-8", errors="replace").split("\0")[3]

@@ -8,10 +8,6 @@ without messages).
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -20,12 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.core_limit import CoreRate, core_rate
-from benchmarks.live_runs import Seen, highest_rate, watch, watch_idle
+from benchmarks.live_runs import Nodes, Seen, highest_rate, watch
 from benchmarks.row import Row, load, sized
 from sal_height.bag.reader import BagReader
 from sal_height.nodes.playlist import FRAMES, Playlist
 from sal_height.numeric import WORKERS
-from sal_height.runs.processes import ONE_THREAD
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 
@@ -95,7 +90,7 @@ class Sensor:
 
     def transported(self, guess: float) -> tuple[float, Seen]:
         """The highest rate at which nodes that do nothing leave no dwell out, and what was seen at it."""
-        return highest_rate(lambda rate: watch_idle(self.bag, rate, SECONDS), guess)
+        return highest_rate(lambda rate: watch(self.bag, rate, SECONDS, Nodes.IDLE), guess)
 
 
 def sustained() -> Iterator[Row]:
@@ -124,8 +119,8 @@ def endurance() -> Iterator[Row]:
 
 def _real_time(sensor: Sensor, rate: float, seen: Seen) -> Row:
     stages = seen.usage.cpu_per_second
-    per_sensor_second = {name: used * sensor.dwells_hz / seen.watched.offered_hz for name, used in stages.items()}
-    recorded = seen.recorded_bytes / (seen.watched.offered_hz * seen.watched.elapsed_s)
+    per_sensor_second = {name: used * sensor.dwells_hz / seen.offered_hz for name, used in stages.items()}
+    recorded = seen.recorded_bytes / (seen.offered_hz * seen.elapsed_s)
     return Row(
         f"real time, {sensor.name}",
         rate,
@@ -163,7 +158,7 @@ def _share(sensor: Sensor, rate: float) -> Row:
             "preset": sensor.name,
             "transport_rate": transported,
             "transport_cpu_s_per_dwell": {
-                name: used / idle.watched.offered_hz for name, used in idle.usage.cpu_per_second.items()
+                name: used / idle.offered_hz for name, used in idle.usage.cpu_per_second.items()
             },
             "core_rate": sensor.core_rate,
         },
@@ -171,14 +166,13 @@ def _share(sensor: Sensor, rate: float) -> Row:
 
 
 def _over_core(sensor: Sensor, rate: float, seen: Seen) -> Iterator[Row]:
-    nodes = {name: used for name, used in seen.usage.cpu_per_second.items() if name in sensor.core.stages_s}
-    separate = sum(nodes.values()) / seen.watched.offered_hz
+    working = {name[:15] for name in sensor.core.stages_s}  # as lists of processes show them
+    nodes = {name: used for name, used in seen.usage.cpu_per_second.items() if name in working}
+    separate = sum(nodes.values()) / seen.offered_hz
     half = sensor.half_of(rate)
-    command = [sys.executable, "-m", "benchmarks.live_runs", str(sensor.bag), str(half), str(SECONDS)]
-    done = subprocess.run(  # noqa: S603 (our own module)
-        command, check=True, stdout=subprocess.PIPE, text=True, env={**os.environ, **ONE_THREAD}
-    )
-    together, one = json.loads(done.stdout), core_rate(sensor.bag, CORE_SECONDS, 1)
+    whole, one = watch(sensor.bag, half, SECONDS, Nodes.TOGETHER), core_rate(sensor.bag, CORE_SECONDS, 1)
+    used_s = sum(whole.usage.cpu_per_second.values()) - whole.beside_s / whole.usage.seconds
+    together = used_s / whole.offered_hz
     yield Row(
         f"graph in one process over the core, {sensor.name}",
         together / one.cpu_s,
@@ -201,15 +195,15 @@ def _over_core(sensor: Sensor, rate: float, seen: Seen) -> Iterator[Row]:
 
 def _latency(sensor: Sensor, rate: float, seen: Seen) -> Iterator[Row]:
     """From the last pulse of a dwell to its heights."""
-    for topic, ages in seen.watched.latencies_s.items():
+    for topic, ages in seen.latencies_s.items():
         p50, p95, p999 = 1e3 * np.percentile(ages, [50, 95, 99.9]) if ages else 3 * [np.nan]
-        budget = 1e3 * max(0.2, 3 / seen.watched.offered_hz)
+        budget = 1e3 * max(0.2, 3 / seen.offered_hz)
         yield Row(
             f"latency of {topic}, {sensor.name}, p99.9",
             p999,
             "ms",
             f"<= {budget:.0f}",
-            f"from the last pulse of a dwell, at a rate of {rate:.3g} for {seen.watched.elapsed_s:.0f} s: {len(ages)} "
+            f"from the last pulse of a dwell, at a rate of {rate:.3g} for {seen.elapsed_s:.0f} s: {len(ages)} "
             f"images, {seen.left_out} messages dropped; p50 {p50:.1f}, p95 {p95:.1f} ms; {load()}",
         )
 
@@ -232,7 +226,7 @@ def _growth(sensor: Sensor, rate: float, seen: Seen) -> Row:
         "%",
         "<= 1",
         f"resident memory in the last minute over that in the second one, of the process that grows most; {shown}; "
-        f"{seen.watched.elapsed_s:.0f} s at a rate of {rate:.3g}, phase history not recorded, {seen.left_out} messages "
+        f"{seen.elapsed_s:.0f} s at a rate of {rate:.3g}, phase history not recorded, {seen.left_out} messages "
         f"dropped; {load()}",
     )
 

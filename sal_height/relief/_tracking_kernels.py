@@ -121,45 +121,42 @@ def _update(gain: float, shrink: float, column: F64, state: F64, spread: F64) ->
 
 
 @compiled
-def log_likelihoods(
-    deviation: F64,
-    precision: F64,
-    variances: tuple[float, float],
-    steps: tuple[float, float],
-    outliers: tuple[float, float],
-    found: F64,
+def likelihoods(
+    deviation: F64, precision: F64, variances: F64, steps: F64, outliers: tuple[float, float], found: F64
 ) -> None:
-    """Fill the log-likelihood of each measurement given those before it; their sum is that of all.
+    """Fill the likelihood of each measurement given those before it, under each of some priors.
 
     Args:
         deviation: of windows, as in `MeasuredHeights.deviations`, m, shape (windows, rows, size).
         precision: 1/m^2, same shape; 0: not measured.
-        variances: of the relief, and of its mean, m^2.
-        steps: correlation from row to row, and from column to column.
+        variances: of the relief, and of its mean, m^2, shape (priors, 2).
+        steps: correlation from row to row, and from column to column, shape (priors, 2).
         outliers: their share, and the density of their heights, 1/m.
-        found: to be filled, same shape; 0 where not measured.
+        found: to be filled, 1/m, shape (priors, windows, rows, size); 1 where not measured.
     """
-    (phi, beside), (share, density) = steps, outliers
-    windows, rows, size = deviation.shape
-    covariance, column = _row_covariance(variances, beside, size), np.empty(size + 1)
-    for w in range(windows):
-        state, spread = np.zeros(size + 1), covariance.copy()
-        for i in range(rows):
-            if i > 0:
-                _predict_row(phi, covariance, state, spread)
-            for c in range(size):
-                found[w, i, c] = 0.0
-                if precision[w, i, c] > 0:
-                    for k in range(size + 1):
-                        column[k] = spread[c, k] + spread[size, k]
-                    innovation = deviation[w, i, c] - state[c] - state[size]
-                    variance = max(column[c] + column[size], 0.0) + 1 / precision[w, i, c]
-                    near = (1 - share) * np.exp(-(innovation**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
-                    likelihood = near + share * density
-                    inlier = near / likelihood
-                    found[w, i, c] = np.log(likelihood)
-                    shrink = inlier / variance * (1 - (1 - inlier) * innovation**2 / variance)
-                    _update(inlier * innovation / variance, shrink, column, state, spread)
+    (share, density), (windows, rows, size) = outliers, deviation.shape
+    column = np.empty(size + 1)
+    for prior in range(len(found)):
+        phi = steps[prior, 0]
+        covariance = _row_covariance((variances[prior, 0], variances[prior, 1]), steps[prior, 1], size)
+        for w in range(windows):
+            state, spread = np.zeros(size + 1), covariance.copy()
+            for i in range(rows):
+                if i > 0:
+                    _predict_row(phi, covariance, state, spread)
+                for c in range(size):
+                    found[prior, w, i, c] = 1.0
+                    if precision[w, i, c] > 0:
+                        for k in range(size + 1):
+                            column[k] = spread[c, k] + spread[size, k]
+                        innovation = deviation[w, i, c] - state[c] - state[size]
+                        variance = max(column[c] + column[size], 0.0) + 1 / precision[w, i, c]
+                        near = (1 - share) * np.exp(-(innovation**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
+                        likelihood = near + share * density
+                        inlier = near / likelihood
+                        found[prior, w, i, c] = likelihood
+                        shrink = inlier / variance * (1 - (1 - inlier) * innovation**2 / variance)
+                        _update(inlier * innovation / variance, shrink, column, state, spread)
 
 
 @compiled
@@ -177,8 +174,8 @@ def filter_rows(
     Args:
         deviation: of a window, m, shape (rows, size).
         precision: 1/m^2, same shape; 0: not measured.
-        variances: as in `log_likelihoods`.
-        steps: as in `log_likelihoods`.
+        variances: of the relief, and of its mean, m^2.
+        steps: correlation from row to row, and from column to column.
         columns: covariances P H^T of the state with the height H x, to be filled, m^2, shape (rows, size, size + 1).
         state: H x less the mean of the prior, to be filled, m, shape (rows, size).
         variance: H P H^T, to be filled, m^2, shape (rows, size).
@@ -241,3 +238,51 @@ def smooth_rows(deviation: F64, precision: F64, phi: float, columns: F64, state:
                 for k in (c, size):
                     information[j, k] += weight + weight**2 * square
         _take_back_row(phi, score, information)
+
+
+@compiled_with_nan
+def mark_company(height: F64, variance: F64, outlier: Bool, same: float, least: int, company: Bool) -> None:
+    """Mark the outliers of `tracked.in_company`.
+
+    Args:
+        height: m, shape (rows, cols), like all arrays.
+        variance: of the heights, m^2.
+        outlier: which pixels are outliers.
+        same: standard deviations of their difference up to which two heights count as the same.
+        least: number of outliers of the same height that must be around one.
+        company: to be filled.
+    """
+    rows, cols = outlier.shape
+    for i in range(rows):
+        for j in range(cols):
+            count = 0
+            if outlier[i, j]:
+                for row in range(max(i - 1, 0), min(i + 2, rows)):
+                    for col in range(max(j - 1, 0), min(j + 2, cols)):
+                        if outlier[row, col] and (row != i or col != j):
+                            limit = same**2 * (variance[row, col] + variance[i, j])
+                            count += (height[row, col] - height[i, j]) ** 2 <= limit
+            company[i, j] = count >= least if outlier[i, j] else False
+
+
+@compiled
+def mark_between(tracked: Bool, measured: Bool, between: Bool) -> None:
+    """Mark the pixels of which the next measured ones before and after them in their column exist and were tracked.
+
+    Args:
+        tracked: shape (rows, cols), like all arrays.
+        measured: which pixels are measured; one of them counts as the next to itself.
+        between: to be filled.
+    """
+    rows, cols = tracked.shape
+    for c in range(cols):
+        last = False
+        for i in range(rows):
+            if measured[i, c]:
+                last = tracked[i, c]
+            between[i, c] = last
+        last = False
+        for i in range(rows - 1, -1, -1):
+            if measured[i, c]:
+                last = tracked[i, c]
+            between[i, c] &= last

@@ -55,6 +55,9 @@ ROWS_OF_PRIOR = 256
 DIFFERENCE = 0.05
 """Difference of logarithms from which slopes of the likelihood are computed, to a part in a thousand."""
 
+AROUND = DIFFERENCE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+"""Where the likelihood is evaluated for its slopes, from the place where they are sought."""
+
 LONGEST_STEP = 1.5
 """Longest step of the search in either logarithm; farther away the likelihood is another."""
 
@@ -93,7 +96,7 @@ class PriorEstimate:
         heights = _Heights.of(measured, settings, 1 if self.information.any() else LEAST_STEPS)
         kept, vague = 1 - 1 / settings.prior_dwells, heights.vague()
         known = kept * self.information + vague.information
-        expected = np.asarray(np.linalg.solve(known, kept * self.moment + vague.moment))
+        expected = _solved(known, kept * self.moment + vague.moment)
         logs, gained, surprise = _most_likely(heights, expected, known, settings)
         if surprise > SURPRISE and self.information.any():
             return PriorEstimate().after(measured, settings)
@@ -176,24 +179,30 @@ class _Heights:
         lowest = length or self.spacings[0] / 3, sigma or self.flattest
         return np.log([lowest, (length or math.inf, sigma or math.inf)])
 
+    def log_likelihoods(self, logs: F64) -> F64:
+        """Log-likelihood of each measurement given those before it, under priors of these logarithms.
+
+        Args:
+            logs: of each prior, shape (priors, 2).
+
+        Returns:
+            Shape (priors, measurements), with 0 where nothing was measured.
+        """
+        length, sigma = np.exp(logs).T
+        steps = np.exp(-np.array(self.spacings) / length[:, None])
+        variances = np.stack([sigma**2, np.full(len(sigma), self.mean_sigma**2)], axis=-1)
+        found = np.empty((len(logs), *self.deviation.shape))
+        kernels.likelihoods(self.deviation, self.precision, variances, steps, self.outliers, found)
+        return np.log(found).reshape(len(logs), -1)
+
     def log_likelihood(self, logs: F64) -> float:
         """Log-likelihood of all measurements under the prior of these logarithms."""
-        return float(self.log_likelihoods(logs).sum())
-
-    def log_likelihoods(self, logs: F64) -> F64:
-        """Log-likelihood of each measurement given those before it, under the prior of these logarithms."""
-        length, sigma = np.exp(logs).tolist()
-        steps = math.exp(-self.spacings[0] / length), math.exp(-self.spacings[1] / length)
-        found = np.empty_like(self.deviation)
-        variances = sigma**2, self.mean_sigma**2
-        kernels.log_likelihoods(self.deviation, self.precision, variances, steps, self.outliers, found)
-        return found.ravel()
+        return float(self.log_likelihoods(logs[None]).sum())
 
     def slopes(self, logs: F64) -> F64:
         """Derivatives of `log_likelihoods` by both logarithms, shape (2, measurements)."""
-        steps = DIFFERENCE * np.eye(2)
-        differences = [self.log_likelihoods(logs + step) - self.log_likelihoods(logs - step) for step in steps]
-        return np.stack(differences) / (2 * DIFFERENCE)
+        above_first, below_first, above_second, below_second = self.log_likelihoods(logs + AROUND)
+        return np.stack([above_first - below_first, above_second - below_second]) / (2 * DIFFERENCE)
 
 
 def _windows(seen: Bool, settings: TrackingSettings) -> list[tuple[slice, slice]]:
@@ -227,7 +236,7 @@ def _most_likely(heights: _Heights, expected: F64, known: F64, settings: Trackin
         return float(away @ known @ away) / 2
 
     starts = [np.clip(start, lowest, highest) for start in (expected, *heights.starts())]
-    likelihoods = [heights.log_likelihood(start) for start in starts]
+    likelihoods = heights.log_likelihoods(np.stack(starts)).sum(axis=1).tolist()
     merits = [likelihood - doubt(start) for likelihood, start in zip(likelihoods, starts, strict=True)]
     logs, merit = starts[int(np.argmax(merits))], max(merits)
     for _ in range(STEPS):
@@ -236,7 +245,7 @@ def _most_likely(heights: _Heights, expected: F64, known: F64, settings: Trackin
         rise = slopes.sum(axis=1) - known @ (logs - expected)
         free = np.where(rise > 0, logs < highest, logs > lowest)
         total = np.where(np.outer(free, free), known + gained, np.eye(2))
-        step = np.linalg.solve(total, rise * free)
+        step = _solved(total, rise * free)
         step *= LONGEST_STEP / max(LONGEST_STEP, float(np.abs(step).max()))
         while (length := math.sqrt(step @ total @ step)) > TOLERANCE:
             there = np.clip(logs + step, lowest, highest)
@@ -249,3 +258,11 @@ def _most_likely(heights: _Heights, expected: F64, known: F64, settings: Trackin
             break
         merit = found
     return logs, gained, max(likelihoods) - heights.log_likelihood(logs)
+
+
+def _solved(matrix: F64, vector: F64) -> F64:
+    """The solution of two linear equations, by Cramer's rule."""
+    (a, b), (c, d) = matrix.tolist()
+    x, y = vector.tolist()
+    determinant = a * d - b * c
+    return np.array([d * x - b * y, a * y - c * x]) / determinant

@@ -7,6 +7,7 @@ import numpy as np
 from sal_height.elevation import Validity
 from sal_height.geometry import ApertureState, Grid, locate_at_height
 from sal_height.numeric import F64, Bool
+from sal_height.relief._tracking_kernels import mark_between, mark_company
 from sal_height.relief.field_tracking import smoothed_field
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import circle_covariance, height_variance
@@ -86,12 +87,12 @@ def tracked_field(
     slant_range, along = np.linalg.norm(sight, axis=-1), sight @ aperture.direction
     positions = locate_at_height(relief.height, slant_range, along, aperture, look_side_of(field.grid, aperture))
     located = np.isfinite(positions).all(axis=-1)
-    whole = np.isin(field.validity, (Validity.OK, Validity.INTERPOLATED))
+    whole = (field.validity == Validity.OK) | (field.validity == Validity.INTERPOLATED)
     step = in_company(field.first, relief.outlier)
     kept, outlier = measured & (~whole | step), relief.outlier & whole & ~step
     used = measured & ~relief.outlier
     tracked = located & used & ~kept
-    unknown = np.isin(field.validity, UNKNOWN) & (relief.sigma <= greatest_sigma)
+    unknown = _UNKNOWN[field.validity] & (relief.sigma <= greatest_sigma)
     filled = located & unknown & _between(tracked, measured)
     validity = np.select(
         [kept, tracked, filled, used, outlier],
@@ -108,14 +109,15 @@ UNKNOWN = (Validity.LOW_CNR, Validity.AMBIGUOUS, Validity.MISSING_DATA, Validity
 """Reasons that say nothing of the ground; the others say that it is not one surface, or not there."""
 
 
+_UNKNOWN = np.zeros(256, np.bool_)
+_UNKNOWN[list(UNKNOWN)] = True
+
+
 def _between(tracked: Bool, measured: Bool) -> Bool:
     """Pixels of which the next measured ones before and after them in their column exist and were tracked."""
-    rows, col = tracked.shape[0], np.arange(tracked.shape[1])
-    number = np.broadcast_to(np.arange(rows)[:, None], tracked.shape)
-    before = np.maximum.accumulate(np.where(measured, number, -1))
-    after = np.minimum.accumulate(np.where(measured, number, rows)[::-1])[::-1]
-    there = np.pad(tracked, ((0, 1), (0, 0)))  # none in row -1, which is the one after the last
-    return there[before, col] & there[after, col]
+    between = np.empty(tracked.shape, np.bool_)
+    mark_between(tracked, measured, between)
+    return between
 
 
 COMPANY = 3
@@ -127,26 +129,23 @@ SAME = 3.0
 
 def in_company(surface: Surface, outlier: Bool) -> Bool:
     """Outliers that have COMPANY or more of the same height around them, shape (rows, cols)."""
-    rows, cols = outlier.shape
-    height = np.pad(np.where(outlier, surface.height, np.nan), 1, constant_values=np.nan)
-    variance = np.pad(surface.sigma**2, 1)
-    same = np.zeros(outlier.shape, dtype=np.int64)
-    for row, col in ((row, col) for row in range(3) for col in range(3) if (row, col) != (1, 1)):
-        beside = np.s_[row : row + rows, col : col + cols]
-        same += (height[beside] - surface.height) ** 2 <= SAME**2 * (variance[beside] + surface.sigma**2)
-    return outlier & (same >= COMPANY)
+    company = np.empty(outlier.shape, np.bool_)
+    height, variance = np.ascontiguousarray(surface.height), np.ascontiguousarray(surface.sigma**2)
+    mark_company(height, variance, outlier, SAME, COMPANY, company)
+    return company
 
 
 def _joined(surface: Surface, other: Surface, there: Bool) -> Surface:
     """A surface with the values of another one `there`."""
-    kept = other.where(there)
+    if not there.any():
+        return surface
 
     def chosen(first: F64, second: F64) -> F64:
         return np.where(there.reshape(there.shape + (1,) * (first.ndim - 2)), second, first)
 
     common = surface.common_covariance
-    if common is not None and kept.common_covariance is not None:
-        common = chosen(common, kept.common_covariance)
+    if common is not None and other.common_covariance is not None:
+        common = chosen(common, other.common_covariance)
     names = ("height", "sigma", "cnr_db", "positions", "spread", "own_covariance")
-    values = {name: chosen(getattr(surface, name), getattr(kept, name)) for name in names}
+    values = {name: chosen(getattr(surface, name), getattr(other, name)) for name in names}
     return Surface(**values, common_covariance=common)

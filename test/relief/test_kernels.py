@@ -67,7 +67,7 @@ def test_smoother() -> None:
     np.testing.assert_allclose(variance, variances, rtol=1e-12)
 
 
-def test_log_likelihoods() -> None:
+def test_likelihoods() -> None:
     """An innovation is normal or, with the probability `share`, an outlier; the filter weighs it by the former.
 
     The twin holds the covariance of all cells of a window and of their mean, and has no rows to predict.
@@ -93,9 +93,35 @@ def test_log_likelihoods() -> None:
                 state = state + inlier * gain * innovation
                 shrink = inlier * variance - inlier * (1 - inlier) * innovation**2
                 spread = spread - shrink * np.outer(gain, gain)
-    found = np.empty(shape)
-    tracking.log_likelihoods(deviation, precision, variances, steps, (share, density), found)
-    np.testing.assert_allclose(found, expected, atol=1e-12)
+    found = np.empty((2, *shape))
+    others = np.array([[0.2, 1.0], variances]), np.array([[0.5, 0.6], steps])
+    tracking.likelihoods(deviation, precision, *others, (share, density), found)
+    np.testing.assert_allclose(np.log(found[1]), expected, atol=1e-12)
+
+
+def test_outliers_in_company_have_others_of_the_same_height_around_them() -> None:
+    rng = np.random.default_rng(3)
+    height, variance = 2 * rng.standard_normal((12, 9)), rng.uniform(0.05, 0.3, (12, 9))
+    outlier, company = rng.random((12, 9)) < 0.6, np.empty((12, 9), np.bool_)
+    tracking.mark_company(height, variance, outlier, 3.0, 3, company)
+    expected = np.zeros((12, 9), np.bool_)
+    for i, c in np.argwhere(outlier):
+        around = np.s_[max(i - 1, 0) : i + 2, max(c - 1, 0) : c + 2]
+        same = outlier & ((height - height[i, c]) ** 2 <= 9 * (variance + variance[i, c]))
+        expected[i, c] = np.count_nonzero(same[around]) - 1 >= 3
+    np.testing.assert_array_equal(company, expected)
+    assert 10 < np.count_nonzero(company) < 50
+
+
+def test_between_tracked_pixels() -> None:
+    rng = np.random.default_rng(4)
+    measured = rng.random((20, 30)) < 0.4
+    tracked, between = measured & (rng.random((20, 30)) < 0.7), np.empty((20, 30), np.bool_)
+    tracking.mark_between(tracked, measured, between)
+    for i, c in np.ndindex(20, 30):
+        before, after = np.flatnonzero(measured[: i + 1, c]), i + np.flatnonzero(measured[i:, c])
+        both = before.size and after.size and tracked[before[-1], c] and tracked[after[0], c]
+        assert between[i, c] == bool(both)
 
 
 def test_variances_across_the_ground_are_those_of_a_product_of_matrices() -> None:

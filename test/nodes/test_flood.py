@@ -1,0 +1,91 @@
+"""A node that is offered more than it can do: whole dwells go, the oldest first, and each is counted."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, SensorInfo
+
+from sal_height import messages
+from sal_height.imaging import ImageSettings
+from sal_height.nodes import stage
+from sal_height.nodes.account import DIAGNOSTICS, Account
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.playlist import restamped
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
+from sal_height.pipeline import Compressor
+from sal_height.simulation.flight import SimulatedFlight
+
+TIMEOUT_S = 20.0
+START_NS = 1_000_000_000_000
+INTERVAL_NS = 10_000_000
+
+QUEUED = 3
+BURST, BURSTS = 24, 6
+"""Dwells published at once, fewer than wait in the middleware, and how often."""
+
+
+def images_of(flight: SimulatedFlight) -> list[bytes]:
+    """The serialized images of a dwell."""
+    slc = Compressor().add(flight.phase_history(0), flight.track(0), flight.sensor, ImageSettings(rows=46, cols=12))
+    assert slc
+    frame = messages.history_to_messages(flight.phase_history(0), flight.sensor, 0, messages.to_stamp(START_NS))[0]
+    return messages.serialized_slc(slc, frame, Provenance(config_hash=flight.sensor.config_hash))
+
+
+def test_of_a_flood_whole_dwells_go_the_oldest_first_and_each_is_counted(
+    graph: Graph, flight: SimulatedFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stage, "DIAGNOSTICS_PERIOD_S", 0.05)
+    overrides = [Parameter("max_queued_dwells", value=QUEUED)]
+    node = graph.add(HEIGHT_NODES["monopulse"](context=graph.context, parameter_overrides=overrides))
+    source, heights, states = graph.add(Node("source", context=graph.context)), [], []
+    source.create_subscription(HeightImage, "monopulse/height", heights.append, FRAMES_QOS)
+    source.create_subscription(DiagnosticArray, DIAGNOSTICS, lambda message: states.extend(message.status), 100)
+    publisher = source.create_publisher(ComplexImage, "slc", FRAMES_QOS)
+    source.create_publisher(SensorInfo, "sensor_info", LATCHED_QOS).publish(
+        messages.sensor_to_message(flight.sensor, messages.to_stamp(0))
+    )
+    images, channels = images_of(flight), flight.sensor.detector_count
+    assert graph.spin_until(lambda: publisher.get_subscription_count() == 1 and node.is_ready, TIMEOUT_S)
+    assert graph.spin_until(lambda: source.count_publishers("monopulse/height") == 1, TIMEOUT_S)
+
+    def publish(dwell: int) -> None:
+        for image in images:
+            publisher.publish(restamped(image, dwell * INTERVAL_NS))
+
+    for burst in range(BURSTS):
+        for dwell in range(BURST * burst, BURST * (burst + 1)):
+            publish(dwell)
+        sent = BURST * (burst + 1) * channels
+        assert graph.spin_until(lambda sent=sent: node.tally.summary()["in"] == sent, TIMEOUT_S), node.tally.summary()
+    assert graph.spin_until(lambda: node.tally.summary()["waiting"] == 0, TIMEOUT_S), node.tally.summary()
+    summary = node.tally.summary()
+    lost = {name: count for name, count in summary.items() if name.startswith("dropped.")}
+    assert list(lost) == ["dropped.queue full"]
+    assert summary["processed"] + lost["dropped.queue full"] == BURSTS * BURST * channels
+    assert lost["dropped.queue full"] % channels == 0
+    assert graph.spin_until(lambda: len(heights) == summary["processed"] // channels, TIMEOUT_S), len(heights)
+    stamps = [messages.to_ns(height.header.stamp) for height in heights]
+    newest = [START_NS + dwell * INTERVAL_NS for dwell in range(BURSTS * BURST - QUEUED, BURSTS * BURST)]
+    assert stamps[-QUEUED:] == newest
+    assert stamps == sorted(set(stamps))
+    told = [Account.of_status(status).numbers for status in states]
+    assert any(one.get("offered_hz", 0.0) > one.get("achieved_hz", 0.0) > 0 for one in told)
+    assert states[-1].level == DiagnosticStatus.WARN
+    monkeypatch.setattr(stage, "RECENT_S", 0.3)
+    later = itertools.count(BURSTS * BURST)
+
+    def is_well() -> bool:
+        """Whether the node says so while dwells come that it can process."""
+        if node.tally.summary()["waiting"] == 0:
+            publish(next(later))
+        return bool(states[-1].level == DiagnosticStatus.OK)
+
+    assert graph.spin_until(is_well, TIMEOUT_S), states[-1]
+    assert node.tally.summary()["dropped.queue full"] == lost["dropped.queue full"]

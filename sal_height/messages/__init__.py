@@ -23,6 +23,7 @@ from sal_height.messages.frames import (
     history_to_messages,
     samples_of,
     state_from_message,
+    state_of_pose,
     state_to_message,
 )
 from sal_height.messages.heights import (
@@ -36,7 +37,7 @@ from sal_height.messages.heights import (
 )
 from sal_height.messages.images import check_slc, recorded_window, slc_from_messages, slc_to_messages
 from sal_height.messages.provenance import derived, stages_of, with_stage
-from sal_height.messages.received import ReceivedFrame, ReceivedImage, received_frame, received_image
+from sal_height.messages.received import ReceivedFrame, ReceivedImage, received_frame, received_image, received_pose
 from sal_height.messages.relief import relief_picture, relief_points, relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 from sal_height.messages.serialized import serialized_slc
@@ -66,6 +67,7 @@ __all__ = [
     "history_to_messages",
     "received_frame",
     "received_image",
+    "received_pose",
     "recorded_window",
     "relief_picture",
     "relief_points",
@@ -78,6 +80,7 @@ __all__ = [
     "slc_to_messages",
     "stages_of",
     "state_from_message",
+    "state_of_pose",
     "state_to_message",
     "to_bytes",
     "to_floats",

@@ -24,7 +24,7 @@ from sal_height.messages.basics import (
     to_ns,
     xyz,
 )
-from sal_height.messages.received import ReceivedFrame
+from sal_height.messages.received import Pose, ReceivedFrame
 from sal_height.numeric import C64
 from sal_height.sensor import PhaseHistory, Sensor
 
@@ -56,20 +56,27 @@ def state_from_message(message: Odometry) -> PlatformState:
     """Return the platform state that an Odometry describes, with the velocity in the axes of map.
 
     Raises:
+        Rejected: as `state_of_pose` does.
+    """
+    return state_of_pose(Pose.of(message))
+
+
+def state_of_pose(pose: Pose) -> PlatformState:
+    """Return the platform state of the pose in an Odometry, with the velocity in the axes of map.
+
+    Raises:
         Rejected: the frames are not map and base_link, a value is not finite, or the quaternion of the orientation has
             not the norm 1.
     """
-    frames = (message.header.frame_id, message.child_frame_id)
+    frames = (pose.frame_id, pose.child_frame_id)
     if frames != (MAP_FRAME, BODY_FRAME):
         raise Rejected(
             "wrong frames",
             f"Odometry has child_frame_id {frames[1]!r} and frame_id {frames[0]!r}; it must be of {BODY_FRAME!r} (x "
             f"forward, y left, z up) in {MAP_FRAME!r} (east, north, up).",
         )
-    pose, twist = message.pose.pose, message.twist.twist.linear
-    orientation = (pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w)
-    place, body_velocity = (pose.position.x, pose.position.y, pose.position.z), (twist.x, twist.y, twist.z)
-    if not all(map(math.isfinite, (*orientation, *place, *body_velocity))):
+    orientation = pose.orientation
+    if not all(map(math.isfinite, (*orientation, *pose.position, *pose.velocity))):
         raise Rejected(
             "not finite", "Odometry has NaN or infinite values; position, orientation and velocity must be finite."
         )
@@ -78,11 +85,11 @@ def state_from_message(message: Odometry) -> PlatformState:
             "no rotation", f"Odometry has the orientation {list(orientation)}; a rotation must have the norm 1."
         )
     return PlatformState(
-        stamp_ns=to_ns(message.header.stamp),
-        position=np.array(place),
+        stamp_ns=pose.stamp_ns,
+        position=np.array(pose.position),
         orientation=np.array(orientation),
-        velocity=rotation_matrix(orientation) @ body_velocity,
-        covariance=np.array(message.pose.covariance).reshape(6, 6),
+        velocity=rotation_matrix(orientation) @ pose.velocity,
+        covariance=pose.covariance.reshape(6, 6),
     )
 
 

@@ -1,4 +1,4 @@
-"""Frames and images as nodes receive them: views of their bytes.
+"""Frames, images and odometry as nodes receive them: views of their bytes.
 
 rclpy makes an object of every part of a message and copies all samples: for the images of a small dwell this takes
 longer than their transport. Here samples stay where they are, the few numbers beside them are read by their place, and
@@ -13,14 +13,16 @@ from __future__ import annotations
 import functools
 import struct
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from sal_height_msgs import msg as messages
 from std_msgs.msg import Header
 
+from sal_height.messages.basics import to_ns
 from sal_height.numeric import F32, F64, U8
 
 HELD = 8
@@ -33,6 +35,9 @@ ENCAPSULATION = 4
 
 STAMP, UINT, PAIR, TRIPLE = (struct.Struct(layout) for layout in ("<iI", "<I", "<II", "<III"))
 SCALE, NOISE = struct.Struct("<d"), struct.Struct("<dfI")
+
+ODOMETRY = struct.Struct("<7d288x3d312x")
+"""Pose, its covariance (passed over), velocity, and what is not used of an Odometry: rotation rate and covariance."""
 
 GEOMETRY_BYTES = 8 * 11 + 2 * 4 + 8 * (7 + 36 + 3 + 1) + 1
 """From origin to cols of a grid, and from pose to sliding of an aperture, without padding."""
@@ -187,6 +192,60 @@ def received_image(cdr: bytes) -> ReceivedImage:
         return _image(cdr)
     except (struct.error, ValueError):
         return ReceivedImage.of(deserialize_message(cdr, messages.ComplexImage))
+
+
+class Pose(NamedTuple):
+    """What is used of an Odometry.
+
+    Attributes:
+        stamp_ns: of the header, ns.
+        frame_id: of the header.
+        child_frame_id: whose pose it is.
+        position: of the child in the frame.
+        orientation: of the child in the frame, a quaternion x, y, z, w.
+        velocity: of the child in its own axes.
+        covariance: of the pose, 36 numbers.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    child_frame_id: str
+    position: tuple[float, ...]
+    orientation: tuple[float, ...]
+    velocity: tuple[float, ...]
+    covariance: F64
+
+    @classmethod
+    def of(cls, message: Odometry) -> Self:
+        """The same content as a message."""
+        place, turn, velocity = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist.linear
+        return cls(
+            to_ns(message.header.stamp),
+            message.header.frame_id,
+            message.child_frame_id,
+            (place.x, place.y, place.z),
+            (turn.x, turn.y, turn.z, turn.w),
+            (velocity.x, velocity.y, velocity.z),
+            np.array(message.pose.covariance),
+        )
+
+
+def received_pose(cdr: bytes) -> Pose:
+    """What is used of the Odometry that these bytes are.
+
+    Raises:
+        RuntimeError: they are none.
+    """
+    try:
+        (seconds, nanoseconds), frame_id, at = _header(cdr)
+        child_frame_id, at = _text(cdr, at)
+        at = _aligned(at)
+        numbers = ODOMETRY.unpack_from(cdr, at)
+        covariance = np.frombuffer(cdr[at + 8 * 7 : at + 8 * (7 + 36)])
+    except (struct.error, ValueError):
+        return Pose.of(deserialize_message(cdr, Odometry))
+    stamp_ns = seconds * 1_000_000_000 + nanoseconds
+    return Pose(stamp_ns, frame_id, child_frame_id, numbers[:3], numbers[3:7], numbers[7:10], covariance)
 
 
 def _frame(cdr: bytes) -> ReceivedFrame:

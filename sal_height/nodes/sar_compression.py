@@ -96,7 +96,7 @@ class SarCompression(DwellStage):
         self._compressor = Compressor()
         self._calibration: Calibration | None = None
         self._begin_calibration(self.current_parameters().calibration)
-        self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS)
+        self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS, raw=True)
         self._slc = self.offer(ComplexImage, "slc")
 
     def check(self, message: ReceivedFrame, sensor: Sensor) -> None:
@@ -189,11 +189,14 @@ class SarCompression(DwellStage):
         except UserError as error:
             self.ignore("calibration", error)
 
-    def _on_odometry(self, message: Odometry) -> None:
+    def _on_odometry(self, cdr: bytes) -> None:
         try:
-            state = messages.state_from_message(message)
+            state = messages.state_of_pose(messages.received_pose(cdr))
         except Rejected as error:
             self.ignore("odometry", error)
+            return
+        except RuntimeError as error:  # rclpy's own error class is private, and a subclass of it
+            self.ignore("odometry", UserError(f"A message on platform/odometry cannot be decoded: {error}."))
             return
         if state.stamp_ns <= self._last_pulse_ns:
             self.note_progress()  # what dwells still wait for is on its way

@@ -1,4 +1,4 @@
-"""Frames and images read from their bytes, and images written to them, are those of rclpy."""
+"""Frames, images and odometry read from their bytes, and images written to them, are those of rclpy."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import make_aperture, make_sensor
+from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from sal_height_msgs.msg import ChannelFrame, ComplexImage, Provenance
 
 from sal_height import messages
-from sal_height.bag.codec import _plain, typestore
+from sal_height.bag.codec import _plain, _type_name, typestore
 from sal_height.bag.definitions import installed_definition
 from sal_height.errors import Rejected
 from sal_height.geometry import Grid
 from sal_height.imaging import Slc
-from sal_height.messages import received, received_frame, received_image
-from sal_height.messages.received import HELD, _geometry_of, _provenance_of
+from sal_height.messages import received, received_frame, received_image, received_pose
+from sal_height.messages.received import HELD, Pose, _geometry_of, _provenance_of
 
 
 @pytest.fixture
@@ -27,7 +28,7 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(5)
 
 
-READERS = {ChannelFrame: received_frame, ComplexImage: received_image}
+READERS = {ChannelFrame: received_frame, ComplexImage: received_image, Odometry: received_pose}
 
 
 def frame_of(frame_id: str = "sensor", config_hash: str = "abc", pulses: int = 3) -> ChannelFrame:
@@ -53,6 +54,19 @@ def image_of(frame_id: str = "map", samples: int = 4, version: str = "0.1.0", pa
     return image
 
 
+def odometry_of(frame_id: str = "map", child: str = "base_link") -> Odometry:
+    odometry = Odometry(child_frame_id=child)
+    odometry.header.frame_id, odometry.header.stamp.sec = frame_id, 8
+    place, turn, velocity = odometry.pose.pose.position, odometry.pose.pose.orientation, odometry.twist.twist.linear
+    place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w, velocity.x, velocity.y, velocity.z = np.arange(
+        1.0, 11.0
+    ).tolist()
+    odometry.pose.covariance = 0.5 * np.arange(36)
+    odometry.twist.twist.angular.x = 99.0
+    odometry.twist.covariance[0] = 98.0
+    return odometry
+
+
 def same(one: Any, other: Any) -> bool:
     """Whether a field has the same value in a message and as it was read."""
     if isinstance(other, array.array):
@@ -61,6 +75,9 @@ def same(one: Any, other: Any) -> bool:
 
 
 def assert_same(view: Any, message: Any) -> None:
+    if isinstance(message, Odometry):
+        assert str(view) == str(Pose.of(message))
+        return
     for name in message.get_fields_and_field_types():
         assert same(getattr(view, name), getattr(message, name)), name
 
@@ -81,15 +98,22 @@ def test_images_are_those_of_rclpy(frame_id: str, samples: int, version: str, pa
     assert_same(received_image(cdr), deserialize_message(cdr, ComplexImage))
 
 
-@pytest.mark.parametrize("message", [frame_of(), image_of()], ids=["frame", "image"])
+@pytest.mark.parametrize("frame_id", ["", "map", "maps"])
+@pytest.mark.parametrize("child", ["", "base_link", "of_another"])
+def test_odometry_is_that_of_rclpy(frame_id: str, child: str) -> None:
+    cdr = serialize_message(odometry_of(frame_id, child))
+    assert_same(received_pose(cdr), deserialize_message(cdr, Odometry))
+
+
+@pytest.mark.parametrize("message", [frame_of(), image_of(), odometry_of()], ids=["frame", "image", "odometry"])
 def test_messages_of_the_other_byte_order_are_read(message: Any) -> None:
-    name = f"sal_height_msgs/msg/{type(message).__name__}"
+    name = _type_name(message)
     store = typestore(name, installed_definition(name))
     cdr = bytes(store.serialize_cdr(_plain(message, store), name, little_endian=False))
     assert_same(READERS[type(message)](cdr), message)
 
 
-@pytest.mark.parametrize("message", [frame_of(), image_of()], ids=["frame", "image"])
+@pytest.mark.parametrize("message", [frame_of(), image_of(), odometry_of()], ids=["frame", "image", "odometry"])
 def test_whatever_bytes_come_are_read_or_refused_as_by_rclpy(message: Any, rng: np.random.Generator) -> None:
     """Bytes at random places are changed, as they are or to small numbers, and the end is cut off now and then."""
     whole, read, refused = np.frombuffer(serialize_message(message), np.uint8), 0, 0

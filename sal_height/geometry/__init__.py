@@ -19,7 +19,7 @@ from sal_height.geometry.frames import (
 from sal_height.geometry.grid import Grid, pixels_at, without_range_phase
 from sal_height.geometry.locate import locate_at_elevation, locate_at_height
 from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
-from sal_height.geometry.quaternion import rotation_matrix
+from sal_height.geometry.quaternion import quaternion_of, rotation_matrix
 from sal_height.geometry.trajectory import PlatformState, Trajectory
 
 __all__ = [
@@ -39,6 +39,7 @@ __all__ = [
     "locate_at_height",
     "look_direction",
     "pixels_at",
+    "quaternion_of",
     "rotation_matrix",
     "sphere_coordinates",
     "sphere_point",

@@ -28,6 +28,21 @@ def rotation_matrix(quaternion: Sequence[float] | F64) -> F64:
     )
 
 
+def quaternion_of(matrix: F64) -> tuple[float, float, float, float]:
+    """The unit quaternion that turns as a rotation matrix does, by its greatest component (Shepperd, JGCD 1, 1978)."""
+    m = matrix.tolist()
+    trace = m[0][0] + m[1][1] + m[2][2]
+    if trace >= max(m[0][0], m[1][1], m[2][2]):
+        q = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1], 1 + trace]
+    else:
+        i = max(range(3), key=lambda axis: m[axis][axis])
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q = [0.0, 0.0, 0.0, m[k][j] - m[j][k]]
+        q[i], q[j], q[k] = 1 - trace + 2 * m[i][i], m[j][i] + m[i][j], m[k][i] + m[i][k]
+    norm = math.hypot(*q)
+    return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
+
+
 def attitude_between(first: F64, second: F64, share: float) -> F64:
     """The quaternion at a `share` of the way from one to another, along the shorter arc (Shoemake, SIGGRAPH 1985)."""
     first, second = first / math.hypot(*first), second / math.hypot(*second)

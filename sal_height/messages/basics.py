@@ -11,10 +11,9 @@ import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Quaternion, Vector3
 from sal_height_msgs import msg as messages
-from scipy.spatial.transform import Rotation
 
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import ApertureState, Grid, rotation_matrix
+from sal_height.geometry import ApertureState, Grid, quaternion_of, rotation_matrix
 from sal_height.numeric import C64, C128, F32, F64, U8
 from sal_height.sensor import Sensor
 
@@ -124,8 +123,8 @@ def aperture_to_message(aperture: ApertureState) -> messages.Aperture:
     message = messages.Aperture(velocity=Vector3(**xyz(aperture.velocity)), length=aperture.length)
     message.sliding = aperture.sliding
     message.pose.pose.position = Point(**xyz(aperture.position))
-    quaternion = Rotation.from_matrix(aperture.rotation).as_quat().tolist()
-    message.pose.pose.orientation = Quaternion(**dict(zip("xyzw", quaternion, strict=True)))
+    x, y, z, w = quaternion_of(aperture.rotation)
+    message.pose.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
     message.pose.covariance = aperture.covariance.ravel()
     return message
 

@@ -25,7 +25,7 @@ from sal_height.messages.basics import (
     to_floats,
 )
 from sal_height.numeric import F32, F64, Bool
-from sal_height.relief import HeightField, Surface, covariances_from_sigma, is_covariance
+from sal_height.relief import HeightField, Surface, covariances_from_sigma, folded, is_covariance, unfolded
 
 LAYERS = ("height", "sigma", "cnr_db", "east", "north")
 """Names of the fields of a Surface message that have a number per pixel, always."""
@@ -33,11 +33,8 @@ LAYERS = ("height", "sigma", "cnr_db", "east", "north")
 OPTIONAL = {"spread": 1, "covariance": 6, "common_covariance": 6}
 """Its other fields, with their numbers per pixel; they may be empty."""
 
-TRIANGLE = np.triu_indices(3)
-"""Rows and columns of the six numbers of a covariance, in the order of the message."""
-
-SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-"""Which of them stands where in the matrix."""
+_USABLE = np.zeros(256, np.bool_)
+_USABLE[list(USABLE)] = True
 
 POINT_FIELDS = (
     *("x", "y", "z", "height", "sigma", "cnr_db", "spread", "surface"),
@@ -79,9 +76,9 @@ def _surface_to_message(surface: Surface, grid: Grid) -> messages.Surface:
     message = messages.Surface(**{name: to_floats(numbers) for name, numbers in zip(LAYERS, values, strict=True)})
     message.spread = to_floats(surface.spread)
     if np.isfinite(surface.own_covariance[..., 0, 0]).any():
-        message.covariance = to_floats(surface.own_covariance[..., *TRIANGLE])
+        message.covariance = to_floats(folded(surface.own_covariance))
     if surface.common_covariance is not None:
-        message.common_covariance = to_floats(surface.common_covariance[..., *TRIANGLE])
+        message.common_covariance = to_floats(folded(surface.common_covariance))
     return message
 
 
@@ -106,17 +103,16 @@ def field_from_message(image: messages.HeightImage) -> HeightField:
     validity = np.array(image.validity, dtype=np.uint8).reshape(grid.shape)
     held = np.where(validity == Validity.INTERPOLATED, 1, scatterer_count(validity))
     aperture = aperture_from_message(image.aperture)
-    surfaces = [_surface_from_message(surface, grid, aperture) for surface in image.surfaces]
-    sound = held <= len(surfaces)
-    for number, surface in enumerate(surfaces):
-        sound &= _is_sound(surface) | (held <= number)
+    surfaces = _surfaces_from_messages(image.surfaces, grid, aperture)
+    number = np.arange(len(image.surfaces))[:, None, None]
+    sound = (held <= len(image.surfaces)) & (_is_sound(surfaces) | (held <= number)).all(axis=0)
     validity[~sound] = Validity.MISSING_DATA
     held[~sound] = 0
     probability = float_view(image.order_probability, (*grid.shape, ORDERS)) if image.order_probability else None
     return HeightField(
         grid,
         validity,
-        tuple(surface.where(held > number) for number, surface in enumerate(surfaces)),
+        surfaces.where(held > number).each(),
         None if probability is None else probability.astype(np.float64),
     )
 
@@ -145,37 +141,49 @@ def _check_sizes(image: messages.HeightImage, grid: Grid, where: str) -> None:
             )
 
 
-def _surface_from_message(message: messages.Surface, grid: Grid, aperture: ApertureState) -> Surface:
-    """A surface seen from `aperture`; spread that is not told is 0, covariance that is not told follows from sigma."""
-    height, sigma, cnr_db, east, north = (
-        float_view(getattr(message, name), grid.shape).astype(np.float64) for name in LAYERS
-    )
+def _surfaces_from_messages(surfaces: Sequence[messages.Surface], grid: Grid, aperture: ApertureState) -> Surface:
+    """Surfaces seen from `aperture`, arrays of shape (surfaces, rows, cols, ...).
+
+    Spread that is not told is 0, covariance that is not told follows from sigma.
+    """
+    shape = len(surfaces), *grid.shape
+    height, sigma, cnr_db, east, north, spread = np.zeros((6, *shape))
+    for number, message in enumerate(surfaces):
+        for name, layer in zip((*LAYERS, "spread"), (height, sigma, cnr_db, east, north, spread), strict=True):
+            if numbers := getattr(message, name):
+                layer[number] = float_view(numbers, grid.shape)
     positions = above_place(grid.origin[0] + east, grid.origin[1] + north, height)
-    spread = float_view(message.spread, grid.shape).astype(np.float64) if message.spread else np.zeros(grid.shape)
-    if message.covariance:
-        own = _covariance(message.covariance, grid)
-        common = _covariance(message.common_covariance, grid) if message.common_covariance else None
-    else:
-        own, common = covariances_from_sigma(sigma, positions, aperture)
+    own = _covariances([message.covariance for message in surfaces], grid)
+    told = [message.common_covariance for message in surfaces]
+    common = _covariances(told, grid) if any(told) else None
+    for number, message in enumerate(surfaces):
+        if not message.covariance and np.isfinite(sigma[number]).any():
+            own[number], by_pose = covariances_from_sigma(sigma[number], positions[number], aperture)
+            if by_pose is not None:
+                common = np.zeros_like(own) if common is None else common
+                common[number] = by_pose
     return Surface(height, sigma, cnr_db, positions, spread, own, common)
 
 
 def _is_sound(surface: Surface) -> Bool:
-    """Where a surface can be used: place, height, sigma and the covariances are possible values, (rows, cols)."""
+    """Where surfaces can be used: place, height, sigma and the covariances are possible values, same shape."""
     sound = surface.is_determined & is_covariance(surface.own_covariance)
     return sound if surface.common_covariance is None else sound & is_covariance(surface.common_covariance)
 
 
-def _covariance(numbers: Sequence[float], grid: Grid) -> F64:
-    """Symmetric matrices, shape (rows, cols, 3, 3), from their upper triangles."""
-    triangle = float_view(numbers, (*grid.shape, len(TRIANGLE[0])))
-    return triangle[..., SYMMETRIC].astype(np.float64)
+def _covariances(triangles: Sequence[Sequence[float]], grid: Grid) -> F64:
+    """Symmetric matrices, shape (surfaces, rows, cols, 3, 3), from their upper triangles; of none told they are 0."""
+    numbers = np.zeros((len(triangles), *grid.shape, OPTIONAL["covariance"]), np.float32)
+    for surface, triangle in zip(numbers, triangles, strict=True):
+        if triangle:
+            surface[...] = float_view(triangle, surface.shape)
+    return unfolded(numbers)
 
 
 def bad_pixels(image: messages.HeightImage, field: HeightField) -> int:
     """Return the number of pixels that are usable by their validity in `image` but masked in `field`, made of it."""
-    said = np.isin(np.array(image.validity, dtype=np.uint8), USABLE)
-    return int(np.count_nonzero(said & ~np.isin(field.validity.ravel(), USABLE)))
+    said = _USABLE[np.frombuffer(image.validity, np.uint8)]
+    return int(np.count_nonzero(said & ~_USABLE[field.validity.ravel()]))
 
 
 def bad_pixel_warning(image: messages.HeightImage, count: int) -> UserError:
@@ -224,6 +232,6 @@ def _points(surface: Surface, number: int) -> F32:
     seen = np.isfinite(surface.height)
     layers = (surface.height, surface.sigma, surface.cnr_db, surface.spread)
     columns = [*surface.positions[seen].T, *(layer[seen] for layer in layers)]
-    covariance = surface.covariance[seen][:, *TRIANGLE]
+    covariance = folded(surface.covariance[seen])
     which = np.full(len(covariance), number)
     return np.ascontiguousarray(np.column_stack([*columns, which, covariance]), dtype=np.float32)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,9 @@ from sal_height_msgs.msg import Provenance
 
 from sal_height import __version__
 from sal_height.settings import Settings
+
+HELD_PARAMETERS = 256
+"""Messages of parameters held, the last that were used: nearly all are the same from dwell to dwell."""
 
 
 def derived(before: Provenance, stage: str, values: Settings | Mapping[str, Any]) -> Provenance:
@@ -43,7 +47,19 @@ def with_stage(
     """
     flat = _flat(values, f"{stage}.")
     kept = [parameter for parameter in before if not parameter.name.startswith(f"{stage}.")]
-    return kept + [Parameter(name, value=value).to_parameter_msg() for name, value in flat.items()]
+    return kept + [_parameter(name, value) for name, value in flat.items()]
+
+
+def _parameter(name: str, value: Any) -> ParameterMessage:
+    """The message of a parameter, to be left as it is."""
+    if isinstance(value, Hashable):
+        return _held_parameter(name, value)
+    return Parameter(name, value=value).to_parameter_msg()
+
+
+@lru_cache(maxsize=HELD_PARAMETERS, typed=True)
+def _held_parameter(name: str, value: Hashable) -> ParameterMessage:
+    return Parameter(name, value=value).to_parameter_msg()
 
 
 def stages_of(parameters: Sequence[ParameterMessage]) -> dict[str, dict[str, Any]]:

@@ -18,9 +18,11 @@ from sal_height.relief.map import Relief, ReliefMap
 from sal_height.relief.position_error import (
     circle_covariance,
     covariances_from_sigma,
+    folded,
     height_variance,
     is_covariance,
     level_turn,
+    unfolded,
     variance_at_place,
 )
 from sal_height.relief.prior import PriorEstimate
@@ -59,6 +61,7 @@ __all__ = [
     "estimated_ground",
     "filtered",
     "fine_cell_size",
+    "folded",
     "ground_slope",
     "ground_spacings",
     "height_field",
@@ -72,6 +75,7 @@ __all__ = [
     "smoothed_field",
     "steady_sigmas",
     "track",
+    "unfolded",
     "variance_at_place",
     "write_geotiff",
 ]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.geometry import EARTH_RADIUS
-from sal_height.numeric import F64, Vector, compiled_with_nan, cross, dot, inlined, total, vector
+from sal_height.numeric import F32, F64, Vector, compiled_with_nan, cross, dot, inlined, total, vector
 
 
 @inlined
@@ -151,3 +151,25 @@ def fill_height_variances(positions: F64, covariances: F64, variances: F64) -> N
         variances[i] = 0.0
         for row in range(3):
             variances[i] += upright[row] * dot(vector(covariances[i, row]), upright)
+
+
+@compiled_with_nan
+def fold_covariances(covariances: F64, triangles: F32) -> None:
+    """Fill the upper triangles of symmetric matrices, row by row, shape (n, 6)."""
+    for i in range(len(covariances)):
+        number = 0
+        for row in range(3):
+            for col in range(row, 3):
+                triangles[i, number] = covariances[i, row, col]
+                number += 1
+
+
+@compiled_with_nan
+def unfold_covariances(triangles: F32, covariances: F64) -> None:
+    """Fill the symmetric matrices of upper triangles, shape (n, 6)."""
+    for i in range(len(covariances)):
+        number = 0
+        for row in range(3):
+            for col in range(row, 3):
+                covariances[i, row, col] = covariances[i, col, row] = triangles[i, number]
+                number += 1

@@ -24,7 +24,7 @@ from functools import partial
 import numpy as np
 
 from sal_height.geometry import EARTH_RADIUS, ApertureState, Grid, antennas_of, aperture_at, locate_at_elevation
-from sal_height.numeric import F64, Bool, in_parallel
+from sal_height.numeric import F32, F64, Bool, in_parallel
 from sal_height.relief import _error_kernels as kernels
 from sal_height.relief._kernels import find_semidefinite, variances_across
 
@@ -183,6 +183,20 @@ def is_covariance(matrices: F64) -> Bool:
     flat = matrices.reshape(-1, 3, 3), found.reshape(-1)
     in_parallel(lambda part: find_semidefinite(flat[0][part], ROUNDING, flat[1][part]), len(flat[1]), LEAST_POINTS)
     return found
+
+
+def folded(covariances: F64) -> F32:
+    """Upper triangles of symmetric matrices, shape (..., 3, 3), row by row in single precision, shape (..., 6)."""
+    triangles = np.empty((*covariances.shape[:-2], 6), np.float32)
+    kernels.fold_covariances(np.ascontiguousarray(covariances.reshape(-1, 3, 3)), triangles.reshape(-1, 6))
+    return triangles
+
+
+def unfolded(triangles: F32) -> F64:
+    """The symmetric matrices, shape (..., 3, 3), of upper triangles as of `folded`, shape (..., 6)."""
+    covariances = np.empty((*triangles.shape[:-1], 3, 3))
+    kernels.unfold_covariances(np.ascontiguousarray(triangles.reshape(-1, 6)), covariances.reshape(-1, 3, 3))
+    return covariances
 
 
 def vertical(positions: F64) -> F64:

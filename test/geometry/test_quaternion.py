@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from sal_height.geometry.quaternion import STILL, attitude_between, rotation_matrix
+from sal_height.geometry.quaternion import STILL, attitude_between, quaternion_of, rotation_matrix
 
 
 def test_matrices_are_those_of_scipy_whatever_the_norm() -> None:
     for quaternion in np.random.default_rng(131).standard_normal((100, 4)):
         expected = Rotation.from_quat(quaternion).as_matrix()
         np.testing.assert_allclose(rotation_matrix(quaternion), expected, atol=1e-15)
+
+
+def test_quaternions_are_those_of_scipy_whichever_component_is_greatest() -> None:
+    for rotation in Rotation.from_quat(np.random.default_rng(133).standard_normal((100, 4))):
+        np.testing.assert_allclose(quaternion_of(rotation.as_matrix()), rotation.as_quat(), atol=1e-14)
+    for half_turn in np.diag([2.0, 2.0, 2.0]):
+        np.testing.assert_allclose(quaternion_of(np.diag(half_turn - 1)), [*half_turn / 2, 0.0], atol=1e-15)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, STILL, 1e-6, 0.1, 3.0])

@@ -414,6 +414,27 @@ def test_where_no_covariance_is_told_it_follows_from_sigma_and_the_pose() -> Non
     np.testing.assert_allclose(surface.own_covariance[..., 1, 2], -0.24, rtol=1e-2)  # up and towards the flight
 
 
+@pytest.mark.parametrize("lacking", [0, 1])
+def test_a_surface_that_tells_no_covariance_takes_none_from_another(lacking: int) -> None:
+    """A weaker surface without any scatterer tells none; the first keeps its own."""
+    grid = Grid(np.array([10.0, -3500.0, 0.0]), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, 1, 2)
+    aperture = ApertureState(
+        np.array([0.0, 0.0, 3500.0]), np.array([50.0, 0.0, 0.0]), np.eye(3), 1.0, np.diag([0.01] * 3 + [1e-12] * 3)
+    )
+    told = np.broadcast_to(np.diag([1.0, 2.0, 4.0]), (1, 2, 3, 3))
+    surface = Surface.at(grid.pixels(), *np.full((3, 1, 2), 0.5))
+    known = replace(surface, own_covariance=told, common_covariance=told / 4)
+    surfaces = [known, known]
+    surfaces[lacking] = surface
+    field = HeightField(grid, np.full((1, 2), Validity.TWO_SCATTERERS, np.uint8), tuple(surfaces))
+    slc = ComplexImage(header=Header(frame_id="map"))
+    message = messages.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance())
+    read = messages.field_from_message(message).surfaces
+    np.testing.assert_allclose(read[1 - lacking].own_covariance, told)
+    np.testing.assert_allclose(read[1 - lacking].common_covariance, told / 4)
+    np.testing.assert_allclose(read[lacking].covariance[..., 2, 2], 0.25, rtol=2e-3)
+
+
 def test_validity_values_are_those_of_the_message() -> None:
     for reason in Validity:
         assert getattr(HeightImage, reason.name) == reason

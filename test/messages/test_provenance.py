@@ -5,7 +5,7 @@ from __future__ import annotations
 from sal_height_msgs.msg import Provenance
 
 from sal_height import __version__, messages
-from sal_height.messages.provenance import recorded
+from sal_height.messages.provenance import HELD_PARAMETERS, _held_parameter, recorded
 from sal_height.settings import Settings
 
 
@@ -37,3 +37,18 @@ def test_a_stage_that_comes_again_replaces_what_it_had() -> None:
     assert messages.stages_of(made) == {"ml": {"range_looks": 4}}
     assert recorded(made, "ml", "range_looks") == 4
     assert recorded(made, "ml", "azimuth_looks") is None
+
+
+def test_equal_values_of_other_types_are_other_parameters() -> None:
+    for value in (1, True, 1.0, "1", [1, 2]):
+        (parameter,) = messages.with_stage([], "ml", {"value": value})
+        found = messages.stages_of([parameter])["ml"]["value"]
+        assert (type(found), found) == (type(value), value)
+
+
+def test_parameters_held_are_bounded() -> None:
+    _held_parameter.cache_clear()
+    for number in range(HELD_PARAMETERS + 9):
+        messages.with_stage([], "ml", {"value": number})
+    info = _held_parameter.cache_info()
+    assert (info.misses, info.currsize) == (HELD_PARAMETERS + 9, HELD_PARAMETERS)

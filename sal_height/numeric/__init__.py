@@ -12,7 +12,7 @@ from sal_height.numeric.centred_sums import LARGEST, CentredSums
 from sal_height.numeric.chirp_z import ChirpZ, chirp_z
 from sal_height.numeric.fft import blocks, fast_length, frequencies, rows_at_once
 from sal_height.numeric.jit import compiled, compiled_with_nan, inlined
-from sal_height.numeric.phasors import unit_phasors
+from sal_height.numeric.phasors import outer_phasors, unit_phasors
 from sal_height.numeric.range_profiles import (
     OVERSAMPLING,
     TAPS,
@@ -62,6 +62,7 @@ __all__ = [
     "inlined",
     "kernel_transform",
     "noise_gain",
+    "outer_phasors",
     "rows_at_once",
     "spectra_of_profiles",
     "tap_polynomials",

@@ -38,6 +38,23 @@ def fill_phasors(phase: F64, result: F32) -> None:
 
 
 @compiled
+def fill_outer_phasors(first: F64, second: F64, result: F32) -> None:
+    """Cosine and sine in turn of the product (rad) of every number and every other one: (first, 2 second)."""
+    turn, cosine, sine = np.empty((3, second.size), np.float32)
+    for row in range(first.size):
+        per_turn = first[row] * PER_TURN
+        for i in range(second.size):
+            turns = per_turn * second[i]
+            turn[i] = np.float32(turns - np.floor(turns + 0.5))
+        for i in range(second.size):
+            cosine[i], sine[i] = cosine_and_sine_of_part(turn[i])
+        pairs = result[row]
+        for i in range(second.size):
+            pairs[2 * i] = cosine[i]
+            pairs[2 * i + 1] = sine[i]
+
+
+@compiled
 def tap_weights(fraction: F32, taps: F32) -> F32:
     """Values of `tap_polynomials` at each fraction, shape (TAPS, fractions); written out so that it is vectorised."""
     weights = np.empty((taps.shape[0], fraction.size), np.float32)
@@ -116,26 +133,8 @@ def fill_from_halves(in_phase: F32, across: F32, result: C64) -> None:
 
 
 @compiled
-def fill_products(values: C64, factors: C64, padded: C64) -> None:
-    """Numbers times factors, and zeros behind them.
-
-    Args:
-        values: shape (lines, inputs).
-        factors: of every line or of all alike, shape (lines or 1, inputs).
-        padded: to fill, shape (lines, inputs or more).
-    """
-    lines, inputs = values.shape
-    for line in range(lines):
-        number, factor, product = values[line], factors[min(line, factors.shape[0] - 1)], padded[line]
-        for i in range(inputs):
-            product[i] = number[i] * factor[i]
-        for i in range(inputs, product.size):
-            product[i] = 0
-
-
-@compiled
 def fill_columns(values: C64, factors: C64, first: int, columns: C64) -> None:
-    """Numbers times factors as columns of a matrix; a few numbers of all lines at a time, as the cache has them.
+    """Numbers times factors as columns of a matrix; a few lines at a time, of which a cache has what comes next.
 
     Args:
         values: shape (lines, outputs or more).
@@ -143,9 +142,8 @@ def fill_columns(values: C64, factors: C64, first: int, columns: C64) -> None:
         first: number of the first column to fill.
         columns: to fill, shape (outputs, columns).
     """
-    outputs = columns.shape[0]
-    for begin in range(0, outputs, 8):
-        for line in range(values.shape[0]):
-            number, factor = values[line], factors[min(line, factors.shape[0] - 1)]
-            for i in range(begin, min(begin + 8, outputs)):
-                columns[i, first + line] = number[i] * factor[i]
+    lines, common = values.shape[0], factors.shape[0] == 1
+    for begin in range(0, lines, 8):
+        for i in range(columns.shape[0]):
+            for line in range(begin, min(begin + 8, lines)):
+                columns[i, first + line] = values[line, i] * factors[0 if common else line, i]

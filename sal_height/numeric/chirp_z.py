@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
 
-from sal_height.numeric._kernels import fill_columns, fill_products
+from sal_height.numeric._kernels import fill_columns
 from sal_height.numeric.arrays import C64, F64
 from sal_height.numeric.fft import blocks, fast_length, rows_at_once
-from sal_height.numeric.phasors import unit_phasors
+from sal_height.numeric.phasors import outer_phasors
 from sal_height.numeric.threads import WORKERS
 
 
@@ -49,21 +50,25 @@ class ChirpZ:
 
     def fill_rows(self, values: C64, result: C64) -> None:
         """The sums of all lines: complex64, from shape (lines, inputs) to fill one of (lines, outputs)."""
-        for lines in blocks(len(values), rows_at_once(self.length)):
-            np.multiply(self._sums(values, lines), _of(self.after, lines), out=result[lines])
+        for lines, sums in self._sums(values):
+            np.multiply(sums, _of(self.after, lines), out=result[lines])
 
     def fill_columns(self, values: C64, result: C64) -> None:
         """The sums of all lines as columns: complex64, from shape (lines, inputs) to (outputs, lines or more)."""
-        for lines in blocks(len(values), rows_at_once(self.length)):
-            fill_columns(self._sums(values, lines), _of(self.after, lines), lines.start, result)
+        for lines, sums in self._sums(values):
+            fill_columns(sums, _of(self.after, lines), lines.start, result)
 
-    def _sums(self, values: C64, lines: slice) -> C64:
-        """The sums of some lines before the last factors, shape (these lines, outputs)."""
-        numbers = np.empty((lines.stop - lines.start, self.length), np.complex64)
-        fill_products(values[lines], _of(self.before, lines), numbers)
-        spectra = scipy.fft.fft(numbers, overwrite_x=True)
-        spectra *= _of(self.spectrum, lines)
-        return np.asarray(scipy.fft.ifft(spectra, norm="forward", overwrite_x=True)[:, : self.outputs])
+    def _sums(self, values: C64) -> Iterator[tuple[slice, C64]]:
+        """The sums before the last factors, shape (lines, outputs), of as many lines at a time as the cache holds."""
+        count, inputs = values.shape
+        buffer = np.empty((min(count, rows_at_once(self.length)), self.length), np.complex64)
+        for lines in blocks(count, len(buffer)):
+            numbers = buffer[: lines.stop - lines.start]
+            np.multiply(values[lines], _of(self.before, lines), out=numbers[:, :inputs])
+            numbers[:, inputs:] = 0
+            spectra = scipy.fft.fft(numbers, overwrite_x=True)
+            spectra *= _of(self.spectrum, lines)
+            yield lines, scipy.fft.ifft(spectra, norm="forward", overwrite_x=True)[:, : self.outputs]
 
 
 def _of(factor: C64, lines: slice) -> C64:
@@ -82,14 +87,14 @@ def chirp_z(steps: F64, inputs: int, n0: float, outputs: int, m0: float) -> Chir
         m0: index out that has no phase.
     """
     length = fast_length(inputs + outputs - 1)
-    half = steps[:, None] / 2
+    half = steps / 2
     index = np.arange(length, dtype=np.float64)
     index[outputs:] -= length
-    chirp = unit_phasors(-half * (index - m0 + n0) ** 2)
+    chirp = outer_phasors(-half, (index - m0 + n0) ** 2)
     spectrum = scipy.fft.fft(chirp, axis=-1, overwrite_x=True, workers=WORKERS)
     spectrum *= np.float32(1 / length)
     return ChirpZ(
-        unit_phasors(half * (np.arange(inputs) - n0) ** 2),
+        outer_phasors(half, (np.arange(inputs, dtype=np.float64) - n0) ** 2),
         spectrum,
-        unit_phasors(half * (np.arange(outputs) - m0) ** 2),
+        outer_phasors(half, (np.arange(outputs, dtype=np.float64) - m0) ** 2),
     )

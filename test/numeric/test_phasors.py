@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sal_height.numeric._kernels import cosine_and_sine
-from sal_height.numeric.phasors import SMALL, unit_phasors
+from sal_height.numeric.phasors import SMALL, outer_phasors, unit_phasors
 
 
 @pytest.mark.parametrize("largest", [np.pi, 1e3, 1e7])
@@ -29,6 +29,15 @@ def test_phasors_of_any_shape_however_they_are_shared_among_threads(shape: tuple
     made = unit_phasors(phase)
     assert made.shape == shape
     np.testing.assert_allclose(made, np.exp(1j * phase), atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 5), (4, SMALL), (0, 3)])
+def test_phasors_of_products_are_those_of_all_pairs(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(66)
+    first, second = rng.uniform(-1e3, 1e3, shape[0]), rng.uniform(-1e4, 1e4, shape[1])
+    made = outer_phasors(first, second)
+    assert made.dtype == np.complex64
+    np.testing.assert_allclose(made, np.exp(1j * np.outer(first, second)), atol=1e-6)
 
 
 def test_cosine_and_sine_count_turns() -> None:

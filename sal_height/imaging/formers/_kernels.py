@@ -241,6 +241,8 @@ def _within(delay: F64, gain: F32, half_window: float, weight: F64, valid: Bool)
 def keep_filled(starts: F64, step: F64, ends: F64, direction: F64, angle: float, valid: Bool) -> None:
     """Set `valid` False where the pulses do not fill the processed angle; as `backprojection.filled_apertures`.
 
+    Apertures grow with range, that is from one end of a column to the other.
+
     Args:
         starts: first pixel of every row, m, shape (rows, 3).
         step: from pixel to pixel of a row, m, shape (3,).
@@ -249,11 +251,22 @@ def keep_filled(starts: F64, step: F64, ends: F64, direction: F64, angle: float,
         angle: processed, rad.
         valid: shape (rows, columns).
     """
-    for row in range(valid.shape[0]):
-        for col in range(valid.shape[1]):
-            x, y, z = _point(starts[row], step, col)
-            first, last = _sine(x, y, z, ends[0], direction), _sine(x, y, z, ends[1], direction)
-            valid[row, col] &= (min(first, last) <= -angle / 2) and (max(first, last) >= angle / 2)
+    for col in range(valid.shape[1]):
+        nearest = _is_filled(starts[0], step, col, ends, direction, angle)
+        farthest = _is_filled(starts[-1], step, col, ends, direction, angle)
+        if nearest and farthest:
+            continue
+        for row in range(valid.shape[0]):
+            some = nearest or farthest
+            valid[row, col] &= some and _is_filled(starts[row], step, col, ends, direction, angle)
+
+
+@compiled
+def _is_filled(start: F64, step: F64, count: float, ends: F64, direction: F64, angle: float) -> bool:
+    """Whether the pulses fill the processed angle of the pixel a number of steps after the start of its row."""
+    x, y, z = _point(start, step, count)
+    first, last = _sine(x, y, z, ends[0], direction), _sine(x, y, z, ends[1], direction)
+    return bool((min(first, last) <= -angle / 2) and (max(first, last) >= angle / 2))
 
 
 @compiled

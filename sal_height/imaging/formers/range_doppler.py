@@ -32,6 +32,7 @@ from sal_height.numeric import (
     chirp_z,
     fast_length,
     in_threads,
+    outer_phasors,
     rows_at_once,
     unit_phasors,
 )
@@ -107,8 +108,10 @@ def _focus(samples: C64, filters: Filters, image: C64) -> None:
 
 def _range_first(samples: C64, filters: Filters) -> C64:
     """Doppler spectra of the rows, (rows, length), where range does not depend on Doppler: that of the pulses alone."""
-    compressed = np.zeros(filters.azimuth.shape, dtype=np.complex64)
-    filters.range.fill_columns(_resampled(samples * filters.compensation, filters), compressed)
+    compressed = np.empty(filters.azimuth.shape, dtype=np.complex64)
+    pulses = _resampled(samples * filters.compensation, filters)
+    filters.range.fill_columns(pulses, compressed)
+    compressed[:, len(pulses) :] = 0
     return np.asarray(scipy.fft.fft(compressed, overwrite_x=True))
 
 
@@ -213,7 +216,7 @@ def _motion_compensation(
     abeam = layout.abeam / layout.distance[0] * layout.middle
     aim = track.middle + track.places[:, None] * track.direction + abeam
     delay = np.linalg.norm(aim - antenna, axis=-1) - history.reference_range
-    compensation = unit_phasors(delay[:, None] * wavenumber)
+    compensation = outer_phasors(delay, wavenumber)
     compensation *= (processing.range_weights(len(wavenumber)) / len(wavenumber)).astype(np.float32)
     return compensation
 

@@ -19,8 +19,11 @@ from sal_height.numeric import (
     C64,
     F64,
     ChirpZ,
+    blocks,
     chirp_z,
     in_threads,
+    outer_phasors,
+    rows_at_once,
     unit_phasors,
 )
 from sal_height.sensor import PhaseHistory, Sensor
@@ -57,7 +60,7 @@ def transforms(
     row_range, scale = _rows(antenna, grid)
     step = (row_range[-1] - row_range[0]) / max(1, grid.rows - 1)
     by_range = chirp_z(np.array([sensor.wavenumber_step * step]), frequencies, frequencies // 2, grid.rows, middle[0])
-    dechirp = unit_phasors(delay[:, None] * wavenumber)
+    dechirp = outer_phasors(delay, wavenumber)
     dechirp *= by_range.before * processing.range_weights(frequencies).astype(np.float32)
     dechirp *= (processing.azimuth_weights(pulses) / (pulses * frequencies)).astype(np.float32)[:, None]
     # Azimuth: the middle of each row keeps its phase, then columns lie at even steps of the row's own scale.
@@ -70,14 +73,18 @@ def transforms(
         middle[1],
     )
     middles = grid.points(np.arange(grid.rows), np.full(grid.rows, middle[1]))
-    row_phase = unit_phasors(sensor.centre_wavenumber * (cdist(middles, antenna) - to_centre))
-    row_phase *= by_azimuth.before
-    # A row bows: over its columns, the range from the middle of the track is not that of its middle.
-    row_middle = np.linalg.norm(middles - track.middle, axis=-1)
-    along = (np.arange(grid.cols) - middle[1])[:, None] * grid.col_spacing * grid.col_direction
-    bow = cdist(middles, track.middle - along) - row_middle[:, None]
-    after = by_azimuth.after * unit_phasors(sensor.centre_wavenumber * bow)
-    return ChirpZ(dechirp, by_range.spectrum, by_range.after), ChirpZ(row_phase, by_azimuth.spectrum, after)
+    along = (np.arange(grid.cols) - middle[1])[:, None] * grid.col_step
+
+    def add_phases(rows: slice) -> None:
+        to_pulses = cdist(middles[rows], antenna) - to_centre
+        by_azimuth.before[rows] *= unit_phasors(sensor.centre_wavenumber * to_pulses)
+        # A row bows: over its columns, the range from the middle of the track is not that of its middle.
+        row_middle = np.linalg.norm(middles[rows] - track.middle, axis=-1)
+        bow = cdist(middles[rows], track.middle - along) - row_middle[:, None]
+        by_azimuth.after[rows] *= unit_phasors(sensor.centre_wavenumber * bow)
+
+    in_threads(add_phases, blocks(grid.rows, rows_at_once(max(pulses, grid.cols))))
+    return ChirpZ(dechirp, by_range.spectrum, by_range.after), by_azimuth
 
 
 def _rows(antenna: F64, grid: Grid) -> tuple[F64, F64]:

@@ -76,9 +76,8 @@ def test_caches_are_bounded(cache: Any, use: Callable[[int, Path], Any], tmp_pat
 def test_searches_at_the_squints_of_columns_are_bounded(columns: int) -> None:
     squint = np.linspace(-0.1, 0.1, columns) * BEAMWIDTH
     searches = PeakSearches.over(make_beams(), OBJECTIVES["normalised"], 0.0)
-    for cols in searches.alike(squint, columns):
-        tables = searches.at(squint[cols]).tables
-        assert len(tables.grid) <= SQUINTS_AT_ONCE
+    for block in searches.blocks(squint, np.arange(columns), columns):
+        assert len(searches.of(block).tables.grid) <= SQUINTS_AT_ONCE
     of_parts: Any = searches.of_parts
     info, blocks = of_parts.cache_info(), -(-columns // SQUINTS_AT_ONCE)
     assert (info.misses, info.currsize) == (blocks, min(blocks, SEARCHES_HELD // SQUINTS_AT_ONCE))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import cached_property, reduce
 from typing import Any, Self
 
 import numpy as np
@@ -159,7 +159,7 @@ class Beams:
         """Number of detectors."""
         return self.boresights.size
 
-    @property
+    @cached_property
     def is_complex(self) -> bool:
         """Whether `response` is complex, so that estimators need the phases between channels (`looks.covariance`)."""
         return np.iscomplexobj(self.response(self.domain(0.0)[0], 0.0))

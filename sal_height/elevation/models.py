@@ -135,11 +135,10 @@ class Suspects:
     search: PeakSearch
 
     @classmethod
-    def at(cls, here: tuple[Index, Index], raised: F64, looks: Looks, beams: Beams, searches: PeakSearches) -> Self:
+    def at(cls, here: tuple[Index, Index], raised: F64, looks: Looks, beams: Beams, search: PeakSearch) -> Self:
         """The pixels in the rows and columns `here`, whose noise is `raised` over the receivers'."""
         covariance: Numbers = looks.covariance[here] / (looks.receiver_noise * raised[:, None, None])
         covariance = covariance.astype(np.complex128) if beams.is_complex else covariance.real.astype(np.float64)
-        search = searches.at(looks.squint[here[1]])
         return cls(covariance, search.on_grid(covariance), looks.count[here], search)
 
     def of(self, some: Index) -> Suspects:
@@ -161,12 +160,13 @@ def fit_models(
     """
     models = Models.of_single(single, evidence, looks, here)
     searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
-    blocks = searches.alike(looks.squint[here[1]], PIXELS_AT_ONCE)
+    blocks = searches.blocks(looks.squint, here[1], PIXELS_AT_ONCE)
 
     def work(share: slice) -> None:
-        for part in blocks[share]:
+        for block in blocks[share]:
+            part = block.items
             pixels = here[0][part], here[1][part]
-            suspects = Suspects.at(pixels, single.noise.raised[pixels], looks, beams, searches)
+            suspects = Suspects.at(pixels, single.noise.raised[pixels], looks, beams, searches.of(block))
             _fit_several(models, part, pixels, suspects, single, beams)
             _fit_extended(models, part, pixels, suspects, single, beams)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -299,6 +300,20 @@ Find = Callable[[PeakSearch, Covariance, Pixels], F64]
 """Gives numbers (count, pixels) from the search of some pixels and their covariance (pixels, channels, channels)."""
 
 
+class Block(NamedTuple):
+    """Columns or pixels that are searched at a time.
+
+    Attributes:
+        parts: squints for which there are tables, in the unit of `PeakSearches.part`.
+        squints: number of the squint of each item among them.
+        items: numbers of the columns or pixels, shape (items,).
+    """
+
+    parts: tuple[int, ...]
+    squints: Index
+    items: Index
+
+
 @dataclass(frozen=True, eq=False)
 class PeakSearches:
     """Searches over the same elevations at any squints.
@@ -330,13 +345,29 @@ class PeakSearches:
         parts, squints = np.unique(self._parts(np.atleast_1d(squint)), return_inverse=True)
         return PeakSearch(self.of_parts(tuple(parts.tolist())), squints)
 
-    def alike(self, squint: F64, most: int) -> list[Index]:
-        """Numbers of the squints (rad, shape (n,)) in their order, `most` or fewer of SQUINTS_AT_ONCE at a time."""
-        _, number = np.unique(self._parts(squint), return_inverse=True)
-        order = np.argsort(number, kind="stable")
-        ends = np.flatnonzero(np.diff(number[order] // SQUINTS_AT_ONCE)) + 1
-        groups = np.split(order, ends)
-        return [group[first : first + most] for group in groups for first in range(0, len(group), most)]
+    def of(self, block: Block) -> PeakSearch:
+        """The search of the items of a block."""
+        return PeakSearch(self.of_parts(block.parts), block.squints)
+
+    def blocks(self, squint: F64, cols: Index, most: int) -> list[Block]:
+        """Items in the order of their squints, `most` or fewer of SQUINTS_AT_ONCE squints at a time.
+
+        Args:
+            squint: of all columns of an image, rad, shape (cols,). Tables are made for all of them, so that the next
+                image, in which other columns have items, finds them.
+            cols: column of each item, shape (items,).
+            most: number of items.
+        """
+        parts, number = np.unique(self._parts(squint), return_inverse=True)
+        tables = [tuple(parts[i : i + SQUINTS_AT_ONCE].tolist()) for i in range(0, len(parts), SQUINTS_AT_ONCE)]
+        squint_of = number[cols]
+        order = np.argsort(squint_of, kind="stable")
+        ends = np.searchsorted(squint_of[order], SQUINTS_AT_ONCE * np.arange(len(tables) + 1)).tolist()
+        return [
+            Block(tables[group], squint_of[some] - SQUINTS_AT_ONCE * group, some)
+            for group, (first, end) in enumerate(pairwise(ends))
+            for some in (order[i : min(i + most, end)] for i in range(first, end, most))
+        ]
 
     def of_pixels(self, looks: Looks, count: int, find: Find) -> F64:
         """Find `count` numbers for every pixel, shape (count, rows, cols), block by block on all processors."""
@@ -354,13 +385,13 @@ class PeakSearches:
         A block has up to PIXELS_AT_ONCE pixels, column by column. Squints (rad, shape (cols,)) are of the columns.
         """
         high = min(max(rows, 1), PIXELS_AT_ONCE)
-        columns = self.alike(squint, PIXELS_AT_ONCE // high)
-        blocks = [(cols, np.arange(top, min(top + high, rows))) for cols in columns for top in range(0, rows, high)]
+        columns = self.blocks(squint, np.arange(len(squint)), PIXELS_AT_ONCE // high)
+        blocks = [(block, np.arange(top, min(top + high, rows))) for block in columns for top in range(0, rows, high)]
 
         def work_on(share: slice) -> None:
-            for cols, down in blocks[share]:
-                search, each = self.at(squint[cols]), np.repeat(np.arange(len(cols)), len(down))
-                work(search.of(each), (np.tile(down, len(cols)), cols[each]))
+            for block, down in blocks[share]:
+                each = np.repeat(np.arange(len(block.items)), len(down))
+                work(self.of(block).of(each), (np.tile(down, len(block.items)), block.items[each]))
 
         in_parallel(work_on, len(blocks), -(-PIXELS_OF_THREAD * len(blocks) // max(1, rows * len(squint))))
 

@@ -268,17 +268,17 @@ def weigh_together(
     squints: Index,
     positions: F64,
     tables: tuple[Numbers, F32],
-    found: tuple[F64, F64, Numbers, Numbers, Numbers, Numbers],
+    found: tuple[F64, F64, Numbers, Numbers, Numbers, Numbers, Numbers],
 ) -> None:
     """Products of unit responses U, their slopes and R for scatterers at known positions, (pixels, S).
 
     `squints` are the numbers of the pixels' squints, and `tables` the pieces of unit responses and of |a|^2 at all.
 
-    To fill: the power that they explain, (pixels,); |a|^2, (pixels, S); U^H U; U^H R U; the sums of products of the
-    fitted amplitudes; and those of the slopes' parts perpendicular to U, per step of the table squared, all
-    (pixels, S, S).
+    To fill: the power that they explain, (pixels,); |a|^2, (pixels, S); U^H U; its inverse; U^H R U; the sums of
+    products of the fitted amplitudes; and those of the slopes' parts perpendicular to U, per step of the table squared,
+    all (pixels, S, S).
     """
-    explained, powers, grams, seen, fitted, turning = found
+    explained, powers, grams, inverses, seen, fitted, turning = found
     count, size, kind = positions.shape[1], matrices.shape[1], matrices.dtype
     vectors, squares, output = np.empty((4, count, size), kind), np.empty((2, count, count), kind), np.empty(size, kind)
     units, slopes, basis, rows = vectors[0], vectors[1], vectors[2], vectors[3]
@@ -292,6 +292,7 @@ def weigh_together(
             unit_at(positions[i, s], pieces, units[s], slopes[s])
         orthonormalise(units, basis, factor)
         explained[i] = fit_amplitudes(matrices[i], basis, (factor, inverse, output), rows, fitted[i])
+        square(inverse, inverses[i])
         for r in range(count):
             multiply(matrices[i], units[r], output)
             for s in range(count):
@@ -374,6 +375,17 @@ def fit_amplitudes(
             for q in range(r, count):
                 amplitudes[s, r] += inner(fitted[s], basis[q]) * np.conj(inverse[r, q])
     return height
+
+
+@compiled
+def square(factor: Numbers, result: Numbers) -> None:
+    """The product of an upper triangular matrix with its adjoint."""
+    count = len(factor)
+    for s in range(count):
+        for r in range(count):
+            result[s, r] = factor[s, count - 1] * np.conj(factor[r, count - 1])
+            for q in range(max(s, r), count - 1):
+                result[s, r] += factor[s, q] * np.conj(factor[r, q])
 
 
 @compiled

@@ -235,11 +235,13 @@ def decide_validity(
         settings: when a scatterer is detected, and is the only one.
     """
     detected = fit.explained >= detection_limit(looks, fit.directions, settings)
-    return np.select(
-        [~looks.finite, ~detected, ~strong, ~inside, ~is_explained(fit, settings)],
-        [Validity.MISSING_DATA, Validity.NO_SIGNAL, Validity.LOW_CNR, outside, Validity.NOT_ONE_SCATTERER],
-        Validity.OK,
-    ).astype(np.uint8)
+    validity = np.where(is_explained(fit, settings), np.uint8(Validity.OK), np.uint8(Validity.NOT_ONE_SCATTERER))
+    # The first reason that applies is written last.
+    validity[~inside] = outside
+    validity[~strong] = Validity.LOW_CNR
+    validity[~detected] = Validity.NO_SIGNAL
+    validity[~looks.finite] = Validity.MISSING_DATA
+    return validity
 
 
 def explained_power(covariance: Covariance, response: F64) -> F64:
@@ -258,13 +260,14 @@ def with_foreign_power(estimate: ElevationEstimate, variance: F64) -> ElevationE
 
     It is that of a scatterer with all the energy of a pixel; one of several has the share of its CNR.
     """
-    total = np.sum([np.nan_to_num(one.cnr) for one in estimate.scatterers], axis=0)
-
-    def widened(one: Scatterer) -> Scatterer:
-        parts = np.divide(total, one.cnr, where=one.cnr > 0, out=np.ones_like(total))
-        return replace(one, sigma=np.sqrt(one.sigma**2 + parts * variance))
-
-    return replace(estimate, scatterers=tuple(widened(one) for one in estimate.scatterers))
+    sigma, cnr = (np.array([getattr(one, name) for one in estimate.scatterers]) for name in ("sigma", "cnr"))
+    total = np.sum(cnr, axis=0, where=np.isfinite(cnr))
+    parts = np.divide(total, cnr, where=cnr > 0, out=np.ones_like(cnr))
+    widened = np.sqrt(sigma**2 + parts * variance)
+    return replace(
+        estimate,
+        scatterers=tuple(replace(one, sigma=wide) for one, wide in zip(estimate.scatterers, widened, strict=True)),
+    )
 
 
 def without_imprecise(estimate: ElevationEstimate, limit: float) -> ElevationEstimate:

@@ -22,6 +22,10 @@ from sal_height.numeric import F64, Index
 LEAST_APART = 0.3  # beamwidths between the scatterers of a pixel; closer ones are those of one extended surface
 MOST_SPREAD = 0.5  # beamwidths; the middle of a surface that is spread wider is nobody's height
 LEAST_PROBABILITY = 0.5  # of the model that a pixel is given
+DETECTED = np.ones(256, np.bool_)
+DETECTED[[Validity.NO_SIGNAL, Validity.LOW_CNR, Validity.MISSING_DATA]] = False
+"""Whether a pixel of each `Validity` holds anything."""
+
 GREATEST_SIGMA = 0.25  # beamwidths; where sigma is greater, bounds to first order do not hold
 
 
@@ -86,14 +90,13 @@ def _taken(
     for order in (TWO, THREE):
         apart = np.diff(models.elevation[order, :, :order], axis=1) / beams.beamwidth
         holds[order] &= apart.min(axis=1) >= LEAST_APART
-    total, count, channels = looks.power[here] / looks.receiver_noise, looks.count[here], beams.count
-    leaked, beam_error = looks.leaked[here], noise.beam_error[here]
-    for order, number in enumerate(models.directions[ONE:], ONE):
-        explained = noise.raised[here] * models.explained[order]
-        # Each direction takes an amplitude of every look, and an elevation.
-        degrees, coherent = (channels - number) * count - number / 2, np.maximum(channels - 1.5 * number, 0.0)
-        fit = Fit(explained, total - explained, degrees, channels, leaked, coherent, beam_error)
-        holds[order] &= is_explained(fit, settings)
+    explained, number, channels = noise.raised[here] * models.explained[ONE:], models.directions[ONE:], beams.count
+    # Each direction takes an amplitude of every look, and an elevation.
+    degrees, coherent = (channels - number) * looks.count[here] - number / 2, np.maximum(channels - 1.5 * number, 0.0)
+    left, leaked = looks.power[here] / looks.receiver_noise - explained, looks.leaked[here]
+    holds[ONE:] &= is_explained(
+        Fit(explained, left, degrees, channels, leaked, coherent, noise.beam_error[here]), settings
+    )
     score = np.where(holds, chances, -np.inf)
     return np.where(holds.any(axis=0), np.argmax(score, axis=0), NONE)
 
@@ -122,26 +125,27 @@ def _published(
     order = np.argsort(np.where(usable, -cnr, np.inf), axis=1)
     found = np.take_along_axis(np.where(usable, found, np.nan), order[None], axis=2)
     count = usable.sum(axis=1)
-    detected = ~np.isin(validity[here], (Validity.NO_SIGNAL, Validity.LOW_CNR, Validity.MISSING_DATA))
+    detected = DETECTED[validity[here]]
     resolved = detected & (taken > NONE) & (count > 0)
     rows, cols = here[0][resolved], here[1][resolved]
     fields[:, :, rows, cols] = np.swapaxes(found[:, resolved], 1, 2)
     # A spread far below a beamwidth is that of level ground.
     is_spread = (taken == SPREAD) & (found[3, :, 0] > LEAST_SPREAD * beams.beamwidth)
     # A point and a surface that is spread about it have the same height.
-    chance = np.take_along_axis(probability[here], taken[:, None], axis=1)[:, 0]
-    chance = np.where(np.isin(taken, (ONE, SPREAD)), probability[here][:, [ONE, SPREAD]].sum(axis=1), chance)
+    chances = probability[here]
+    chance = np.take_along_axis(chances, taken[:, None], axis=1)[:, 0]
+    chance = np.where((taken == ONE) | (taken == SPREAD), chances[:, ONE] + chances[:, SPREAD], chance)
     is_none = (
         (taken == NONE)
         | (chance < LEAST_PROBABILITY)
         | ((taken == SPREAD) & (found[3, :, 0] > MOST_SPREAD * beams.beamwidth))
     )
     reasons = np.array([Validity.NOT_ONE_SCATTERER, Validity.OK, Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS])
-    reason = np.select(
-        [is_none, ~inside.any(axis=1), count == 0, is_spread],
-        [Validity.NOT_ONE_SCATTERER, Validity.OUTSIDE_ARRAY, Validity.IMPRECISE, Validity.EXTENDED],
-        reasons[count],
-    )
+    reason = reasons[count]
+    reason[is_spread] = Validity.EXTENDED
+    reason[count == 0] = Validity.IMPRECISE
+    reason[~inside.any(axis=1)] = Validity.OUTSIDE_ARRAY
+    reason[is_none] = Validity.NOT_ONE_SCATTERER
     validity[here[0][detected], here[1][detected]] = reason[detected]
     scatterers = tuple(Scatterer(*fields[:, n]) for n in range(MOST))
     return ElevationEstimate(scatterers, validity.astype(np.uint8), probability)

@@ -16,12 +16,13 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import uniform_filter
 from scipy.special import gammaincc, gammainccinv
 
 from sal_height.beams import Beams
 from sal_height.elevation._kernels import GRID_STEP
+from sal_height.elevation._order_kernels import learn_from_neighbours, log_determinants
 from sal_height.elevation.bounds import information
+from sal_height.elevation.estimate import ORDERS
 from sal_height.elevation.extended import GREATEST_SPREAD, LEAST_SPREAD, ExtendedSurfaces, free_looks
 from sal_height.elevation.several import SeveralScatterers, fit_powers, power_of
 from sal_height.numeric import F64, Index
@@ -75,8 +76,8 @@ def log_evidence_of_several(several: SeveralScatterers, domain: float) -> F64:
     count = several.elevation.shape[1]
     fit = fit_powers(several.gram, several.seen, several.looks, several.power * several.array_power)
     # Information on the elevations if the amplitudes are independent and have these powers.
-    signal = fit.power[:, :, None] * np.eye(count)
-    known = signal @ np.linalg.inv(signal + np.linalg.inv(several.gram)) @ signal
+    certain = np.linalg.inv(fit.power[:, :, None] * np.eye(count) + several.inverse)
+    known = fit.power[:, :, None] * certain * fit.power[:, None]
     turning = (several.turning * np.swapaxes(known, 1, 2)).real
     places = _log_volume_of(2 * several.looks[:, None, None] * turning, domain)
     return fit.log_likelihood + places + _log_volume_of(fit.information, CNR_RANGE) + math.lgamma(count + 1)
@@ -141,23 +142,12 @@ def log_probabilities(log_evidence: F64, here: tuple[Index, Index]) -> F64:
     forests do not. For each of the pixels `here` it is estimated from the others of NEIGHBOURS pixels each way (the EM
     algorithm; Dempster, Laird and Rubin, J. Royal Statistical Society B 39, 1977), and one more with shares as PRIOR.
     """
-    found = _normalised(log_evidence + np.log(PRIOR))
-    some, evidence = found[here], log_evidence[here]
-    prior, usual = np.tile(PRIOR, (len(some), 1)), PRIOR[TWO:] / PRIOR[TWO:].sum()
-    for _ in range(EM_STEPS):
-        single = np.logaddexp(some[:, NONE], some[:, ONE]) > math.log(0.5)
-        shares = np.zeros((*log_evidence.shape[:2], len(usual)))
-        shares[here] = np.where(single[:, None], 0.0, np.exp(some[:, TWO:]))
-        around = uniform_filter(shares, (NEIGHBOURS, NEIGHBOURS, 1), mode="constant")[here] * NEIGHBOURS**2
-        around = np.maximum(around - shares[here], 0.0) + usual
-        prior[:, TWO:] = PRIOR[TWO:].sum() * around / around.sum(axis=1, keepdims=True)
-        some = _normalised(evidence + np.log(prior))
+    found = log_evidence + np.log(PRIOR)
+    found -= _log_sum(found, axis=-1)
+    some, shares = found[here], np.zeros((*log_evidence.shape[:2], ORDERS - TWO))
+    learn_from_neighbours(log_evidence[here], here, PRIOR, NEIGHBOURS // 2, EM_STEPS, some, shares)
     found[here] = some
     return found
-
-
-def _normalised(logarithm: F64) -> F64:
-    return logarithm - _log_sum(logarithm, axis=-1)
 
 
 def _log_sum(logarithm: F64, axis: int) -> F64:
@@ -172,10 +162,12 @@ def _log_volume(information: F64, prior_range: float) -> F64:
 
 
 def _log_volume_of(information: F64, prior_range: float | F64) -> F64:
-    """The same for several parameters, (pixels, n, n); their ranges are alike, or (pixels, n)."""
+    """The same for several parameters, (pixels, n, n), positive; their ranges are alike, or (pixels, n)."""
     ranges = np.broadcast_to(prior_range, information.shape[:2]) / np.sqrt(2 * np.pi)
     scaled = information * ranges[:, :, None] * ranges[:, None] + np.eye(information.shape[1])
-    return -0.5 * np.linalg.slogdet(scaled)[1]
+    logarithms = np.empty(len(scaled))
+    log_determinants(scaled, logarithms)
+    return -0.5 * logarithms
 
 
 @lru_cache(maxsize=64)

@@ -14,10 +14,12 @@ U diag(p) U^H + I.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 
+from sal_height.elevation._order_kernels import invert_diagonals
 from sal_height.elevation._several_kernels import LEAST_POWER, maximise_powers, search_beside, weigh_together
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.search import PeakSearch
@@ -33,6 +35,7 @@ class SeveralScatterers:
         explained: power f, sum over looks, in noise powers, (pixels,).
         array_power: |a|^2 at the elevations, (pixels, S).
         gram: U^H U, (pixels, S, S).
+        inverse: (U^H U)^-1, (pixels, S, S).
         seen: U^H R U, (pixels, S, S).
         fitted: (U^H U)^-1 U^H R U (U^H U)^-1, sums over looks of products of the fitted amplitudes, (pixels, S, S).
         turning: D^H (I - P) D with D = dU/dt, 1/rad^2, (pixels, S, S).
@@ -43,6 +46,7 @@ class SeveralScatterers:
     explained: F64
     array_power: F64
     gram: Numbers
+    inverse: Numbers
     seen: Numbers
     fitted: Numbers
     turning: Numbers
@@ -54,15 +58,15 @@ class SeveralScatterers:
         pixels, count = elevation.shape
         tables = search.tables
         explained, power = np.empty(pixels), np.empty((pixels, count))
-        gram, seen, fitted, turning = products = np.empty((4, pixels, count, count), covariance.dtype)
+        gram, inverse, seen, fitted, turning = products = np.empty((5, pixels, count, count), covariance.dtype)
         pieces, squints = (tables.unit_pieces, tables.power), search.every(pixels)
         weigh_together(covariance, squints, search.position(elevation), pieces, (explained, power, *products))
-        return cls(elevation, explained, power, gram, seen, fitted, turning / tables.step**2, looks)
+        return cls(elevation, explained, power, gram, inverse, seen, fitted, turning / tables.step**2, looks)
 
-    @property
+    @cached_property
     def power(self) -> F64:
         """Carrier-to-noise power ratio of one look in a detector that looks straight at each, (pixels, S)."""
-        signal = self.fitted / self.looks[:, None, None] - np.linalg.inv(self.gram)
+        signal = self.fitted / self.looks[:, None, None] - self.inverse
         return np.diagonal(signal, axis1=1, axis2=2).real / self.array_power
 
     @property
@@ -89,7 +93,7 @@ class SeveralScatterers:
 
     def information(self) -> F64:
         """Fisher information F of the elevations, 1/rad^2, (pixels, S, S)."""
-        known = self.fitted - 2 * self.looks[:, None, None] * np.linalg.inv(self.gram)
+        known = self.fitted - 2 * self.looks[:, None, None] * self.inverse
         return 2 * (self.turning * np.swapaxes(known, 1, 2)).real
 
 
@@ -118,10 +122,9 @@ def search_several(
 
 def deviations(information: F64) -> F64:
     """Standard deviations (pixels, S) for `information` (pixels, S, S); infinite where that is not positive."""
-    positive = np.linalg.eigvalsh(information)[:, 0] > 0
-    safe = np.where(positive[:, None, None], information, np.eye(information.shape[1]))
-    variance = np.diagonal(np.linalg.inv(safe), axis1=1, axis2=2)
-    return np.where(positive[:, None], np.sqrt(np.maximum(variance, 0)), np.inf)
+    variance = np.empty(information.shape[:2])
+    invert_diagonals(information.copy(), variance)
+    return np.where(variance >= 0, np.sqrt(np.maximum(variance, 0)), np.inf)
 
 
 @dataclass(frozen=True, eq=False)

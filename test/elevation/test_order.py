@@ -6,14 +6,19 @@ import numpy as np
 import pytest
 from helpers import BEAMWIDTH, circular, elevation_at, make_beams
 from scipy import integrate, stats
+from scipy.ndimage import uniform_filter
 
 from sal_height.beams.array import Beams
+from sal_height.elevation._order_kernels import invert_diagonals, log_determinants
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.order import (
+    EM_STEPS,
+    NEIGHBOURS,
     PRIOR,
     SPREADS,
     STEEPNESS,
+    TWO,
     detection_threshold,
     log_evidence_of_one,
     log_evidence_of_spread,
@@ -142,3 +147,38 @@ def test_of_pixels_with_probability_nine_tenths_as_many_are_right(pattern: str, 
     assert np.mean(right[near]) == pytest.approx(np.mean(greatest[near]), abs=0.03 + 0.015)
     sure = greatest > 0.99
     assert np.mean(right[sure]) > 0.97
+
+
+def shared_by_filters(evidence: np.ndarray, here: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Probabilities of the models by moving averages over the whole image."""
+    weighed = np.exp(evidence - evidence.max(axis=-1, keepdims=True)) * PRIOR
+    found = weighed / weighed.sum(axis=-1, keepdims=True)
+    usual = PRIOR[TWO:] / PRIOR[TWO:].sum()
+    for _ in range(EM_STEPS):
+        shares = np.zeros((*evidence.shape[:2], len(usual)))
+        shares[here] = np.where(found[here][:, :TWO].sum(axis=1, keepdims=True) > 0.5, 0.0, found[here][:, TWO:])
+        around = uniform_filter(shares, (NEIGHBOURS, NEIGHBOURS, 1), mode="constant")[here] * NEIGHBOURS**2
+        around += usual - shares[here]
+        prior = np.tile(PRIOR, (len(around), 1))
+        prior[:, TWO:] = PRIOR[TWO:].sum() * around / around.sum(axis=1, keepdims=True)
+        weighed = np.exp(evidence[here] - evidence[here].max(axis=-1, keepdims=True)) * prior
+        found[here] = weighed / weighed.sum(axis=-1, keepdims=True)
+    return found
+
+
+def test_shares_of_the_models_are_those_of_moving_averages() -> None:
+    """Of an image with an edge on every side within reach, and of some of its pixels only."""
+    rng = np.random.default_rng(64)
+    evidence = rng.normal(0, 3, (13, 9, 5))
+    here = np.nonzero(rng.random((13, 9)) < 0.7)
+    np.testing.assert_allclose(np.exp(log_probabilities(evidence, here)), shared_by_filters(evidence, here), rtol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_small_matrices_are_inverted_as_by_lapack(count: int) -> None:
+    root = np.random.default_rng([65, count]).normal(size=(20, count, count))
+    matrices, diagonals, logarithms = root @ np.swapaxes(root, 1, 2), np.empty((20, count)), np.empty(20)
+    invert_diagonals(matrices.copy(), diagonals)
+    log_determinants(matrices.copy(), logarithms)
+    np.testing.assert_allclose(diagonals, np.diagonal(np.linalg.inv(matrices), axis1=1, axis2=2), rtol=1e-7)
+    np.testing.assert_allclose(logarithms, np.linalg.slogdet(matrices)[1], rtol=1e-7, atol=1e-9)

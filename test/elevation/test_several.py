@@ -189,6 +189,7 @@ def test_bound_is_the_inverse_fisher_information(name: str, offsets: tuple[float
     several = SeveralScatterers.at(search_of(beams), covariance, np.full(1, 4.0), elevation_at(np.array([offsets])))
     np.testing.assert_allclose(several.sigma[0] / BEAMWIDTH, numerical_bound(beams, offsets, signal), rtol=2e-3)
     np.testing.assert_allclose(several.power[0], np.diagonal(signal).real, rtol=1e-3)
+    np.testing.assert_allclose(several.inverse @ several.gram, np.eye(count)[None], atol=1e-9)
 
 
 def test_information_that_is_not_positive_bounds_nothing() -> None:

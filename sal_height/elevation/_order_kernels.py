@@ -1,0 +1,100 @@
+"""Compiled loops of the weighing of models: shares of the models among neighbours, and small matrices.
+
+Each has a twin in plain NumPy in the tests. The compiler takes all numbers to be finite.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sal_height.elevation._several_kernels import invert_positive
+from sal_height.numeric import F64, Index, compiled
+
+
+@compiled
+def learn_from_neighbours(
+    evidence: F64,
+    here: tuple[Index, Index],
+    prior: F64,
+    reach: int,
+    steps: int,
+    found: F64,
+    shares: F64,
+) -> None:
+    """See `order.log_probabilities`.
+
+    Args:
+        evidence: logarithm, of every model of some pixels, shape (pixels, models).
+        here: rows and columns of the pixels.
+        prior: probability of each model, those of the place last.
+        reach: pixels to each side that count.
+        steps: of the EM algorithm.
+        found: logarithm of the probabilities, same shape as `evidence`; changed.
+        shares: of the models of the place in all pixels of the image, 0 to begin with, shape (rows, cols, models of the
+            place); changed.
+    """
+    (rows, cols), (height, width, kinds) = here, shares.shape
+    first, around, own_prior = len(prior) - kinds, np.empty(kinds), prior.copy()
+    together = prior[first:].sum()
+    usual = prior[first:] / together
+    for _ in range(steps):
+        for i in range(len(rows)):
+            single = 0.0
+            for k in range(first):
+                single += np.exp(found[i, k])
+            for k in range(kinds):
+                shares[rows[i], cols[i], k] = 0.0 if single > 0.5 else np.exp(found[i, first + k])
+        for i in range(len(rows)):
+            around[:] = usual - shares[rows[i], cols[i]]
+            for r in range(max(rows[i] - reach, 0), min(rows[i] + reach + 1, height)):
+                for c in range(max(cols[i] - reach, 0), min(cols[i] + reach + 1, width)):
+                    for k in range(kinds):
+                        around[k] += shares[r, c, k]
+            own_prior[first:] = around * (together / around.sum())
+            weigh(evidence[i], own_prior, found[i])
+
+
+@compiled
+def weigh(evidence: F64, prior: F64, found: F64) -> None:
+    """Logarithms of probabilities by Bayes' rule, from the logarithms of the evidence and from the prior."""
+    for k in range(found.size):
+        found[k] = evidence[k] + np.log(prior[k])
+    highest, total = found.max(), 0.0
+    for k in range(found.size):
+        total += np.exp(found[k] - highest)
+    for k in range(found.size):
+        found[k] -= highest + np.log(total)
+
+
+@compiled
+def log_determinants(matrices: F64, logarithms: F64) -> None:
+    """Logarithms of the determinants of positive matrices (pixels, n, n), which are overwritten."""
+    for i in range(len(matrices)):
+        logarithms[i] = invert_positive(matrices[i], matrices.shape[1])
+
+
+@compiled
+def invert_diagonals(matrices: F64, diagonals: F64) -> None:
+    """Diagonals (pixels, n) of the inverses of matrices (pixels, n, n), which are overwritten; -1 if not positive.
+
+    A matrix is positive if all pivots of its elimination are.
+    """
+    count = matrices.shape[1]
+    for i in range(len(matrices)):
+        matrix, positive = matrices[i], True
+        for k in range(count):
+            pivot = matrix[k, k]
+            if pivot <= 0:
+                positive = False
+                break
+            matrix[k, k] = 1
+            for j in range(count):
+                matrix[k, j] /= pivot
+            for m in range(count):
+                if m != k:
+                    factor = matrix[m, k]
+                    matrix[m, k] = 0
+                    for j in range(count):
+                        matrix[m, j] -= factor * matrix[k, j]
+        for k in range(count):
+            diagonals[i, k] = matrix[k, k] if positive else -1.0

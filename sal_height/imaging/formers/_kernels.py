@@ -25,6 +25,8 @@ from sal_height.numeric import (
 
 SURELY_WITHIN = 1 - 1e-6  # share of the range window within which rounding does not matter
 
+LEAST_RUN = 16  # pixels that read the same samples, in the mean, from which on they are worth a loop of their own
+
 
 @compiled
 def add_pulses(
@@ -355,15 +357,59 @@ def _phasors(delay: F64, turns_per_metre: float, gain: F32, cosine: F32, sine: F
 
 @compiled
 def _add_one(sample: I32, tap: F32, cosine: F32, sine: F32, profile: F32, image: F32) -> None:
-    """Add a pulse of a single detector."""
+    """Add a pulse of a single detector, whose real and imaginary parts are in turn."""
+    real, imaginary = np.empty(sample.size, np.float32), np.empty(sample.size, np.float32)
+    flat_profile, flat_image = profile.reshape(-1), image.reshape(-1)
+    if _changes(sample) * LEAST_RUN <= sample.size:
+        _read_runs(sample, tap, flat_profile, real, imaginary)
+    else:
+        _read_each(sample, tap, flat_profile, real, imaginary)
     for i in range(sample.size):
-        first = sample[i]
-        real, imaginary = np.float32(0), np.float32(0)
-        for j in range(TAPS):
-            real += tap[j, i] * profile[first + j, 0, 0]
-            imaginary += tap[j, i] * profile[first + j, 1, 0]
-        image[i, 0, 0] += real * cosine[i] - imaginary * sine[i]
-        image[i, 1, 0] += real * sine[i] + imaginary * cosine[i]
+        flat_image[2 * i] += real[i] * cosine[i] - imaginary[i] * sine[i]
+        flat_image[2 * i + 1] += real[i] * sine[i] + imaginary[i] * cosine[i]
+
+
+@compiled
+def _changes(sample: I32) -> int:
+    """Number of entries that differ from the one before."""
+    number = 0
+    for i in range(1, sample.size):
+        number += sample[i] != sample[i - 1]
+    return number
+
+
+@compiled
+def _read_each(sample: I32, tap: F32, profile: F32, real: F32, imaginary: F32) -> None:
+    """Interpolate a profile, real and imaginary parts in turn, at each pixel: all taps written out."""
+    for i in range(sample.size):
+        p = profile[2 * sample[i] : 2 * (sample[i] + TAPS)]
+        ta, tb, tc, td, te, tf = tap[0, i], tap[1, i], tap[2, i], tap[3, i], tap[4, i], tap[5, i]
+        real[i] = ta * p[0] + tb * p[2] + tc * p[4] + td * p[6] + te * p[8] + tf * p[10]
+        imaginary[i] = ta * p[1] + tb * p[3] + tc * p[5] + td * p[7] + te * p[9] + tf * p[11]
+
+
+@compiled
+def _read_runs(sample: I32, tap: F32, profile: F32, real: F32, imaginary: F32) -> None:
+    """As `_read_each`, where many pixels in a row, at nearly the same range, read the same samples."""
+    start = 0
+    while start < sample.size:
+        stop = start + 1
+        while stop < sample.size and sample[stop] == sample[start]:
+            stop += 1
+        p, pixels = profile[2 * sample[start] : 2 * (sample[start] + TAPS)], slice(start, stop)
+        ta, tb, tc, td, te, tf = (
+            tap[0, pixels], tap[1, pixels], tap[2, pixels], tap[3, pixels], tap[4, pixels], tap[5, pixels]
+        )  # fmt: skip
+        _mix(ta, tb, tc, td, te, tf, p[::2], real[pixels])
+        _mix(ta, tb, tc, td, te, tf, p[1::2], imaginary[pixels])
+        start = stop
+
+
+@compiled
+def _mix(ta: F32, tb: F32, tc: F32, td: F32, te: F32, tf: F32, p: F32, value: F32) -> None:
+    a, b, c, d, e, f = p[0], p[1], p[2], p[3], p[4], p[5]
+    for i in range(value.size):
+        value[i] = ta[i] * a + tb[i] * b + tc[i] * c + td[i] * d + te[i] * e + tf[i] * f
 
 
 @compiled

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.imaging.formers._kernels import add_pulses, fill_turns, read_profiles, row_is_reached
+from sal_height.imaging.formers._kernels import _add_one, add_pulses, fill_turns, read_profiles, row_is_reached
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
 
@@ -30,6 +30,19 @@ def geometry(track: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     """Delay (m) and sine of the angle to abeam of each point in each pulse, (pulses, points)."""
     distance = np.linalg.norm(points[None] - track[:, :3, None], axis=1)
     return distance - track[:, 3, None], (track[:, 4, None] - points[0]) / distance
+
+
+@pytest.mark.parametrize("runs", [2, 30, 300], ids=["one change", "runs of 10", "hardly any run"])
+def test_pixels_that_read_the_same_samples_are_read_as_others(runs: int) -> None:
+    rng, pixels = np.random.default_rng(115), 301
+    sample = np.sort(rng.integers(0, runs, pixels)).astype(np.int32)
+    tap, cosine, sine = (rng.uniform(-1, 1, shape).astype(np.float32) for shape in ((TAPS, pixels), pixels, pixels))
+    profile = circular(rng, (runs + TAPS,)).astype(np.complex64)
+    image = np.ones((pixels, 2, 1), np.float32)
+    _add_one(sample, tap, cosine, sine, profile.view(np.float32).reshape(-1, 2, 1), image)
+    read = np.sum(tap * profile[sample + np.arange(TAPS)[:, None]], axis=0)
+    expected = 1 + 1j + read * (cosine + 1j * sine)
+    np.testing.assert_allclose(image[:, 0, 0] + 1j * image[:, 1, 0], expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("detectors", [1, 3])

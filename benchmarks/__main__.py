@@ -38,6 +38,7 @@ GROUPS = {
     "relief-map": "relief_map:throughput",
     "ground": "ground:throughput",
     "relief-tracking": "relief_tracking:throughput",
+    "start-up": "start_up:first_height",
     "real-time": "real_time:sustained",
     "endurance": "real_time:endurance",
     "figures": "figures:all_figures",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import warnings
 from collections.abc import Callable, Iterator
@@ -23,6 +24,9 @@ import pytest
 
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
+
+# A first start tells that it compiles; tests look at what else is told.
+logging.getLogger("sal_height.numeric.jit").setLevel(logging.ERROR)
 
 
 def living_participants() -> int:

@@ -2,12 +2,50 @@
 
 from __future__ import annotations
 
+import logging
+import math
+import time
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 from numba import njit
+from numba.core import event
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+_LOG = logging.getLogger(__name__)
+
+TOLD_PERIOD_S = 5.0
+
+
+class Progress(event.Listener):
+    """Tells while functions are compiled, which takes a minute for all of them at the first start on a machine.
+
+    Attributes:
+        functions: number of functions that are compiled on their first call.
+        done: number of those that this process has compiled; all others are not needed, or come from the cache.
+    """
+
+    def __init__(self) -> None:
+        self.functions = 0
+        self.done = 0
+        self._told_at = -math.inf
+
+    def on_start(self, _: event.Event) -> None:
+        """Say so, but not again and again."""
+        if time.monotonic() - self._told_at > TOLD_PERIOD_S:
+            self._told_at = time.monotonic()
+            _LOG.warning(
+                "Compiling for this processor, once: %d functions done, %d at most.", self.done, self.functions
+            )
+
+    def on_end(self, _: event.Event) -> None:
+        """Count one more."""
+        self.done += 1
+
+
+PROGRESS = Progress()
+event.register("numba:compile", PROGRESS)  # type: ignore[no-untyped-call]
 
 
 def compiled(function: Function) -> Function:
@@ -16,11 +54,13 @@ def compiled(function: Function) -> Function:
     The compiled function releases the GIL. It may reorder sums and assumes that all numbers are finite. One simple loop
     per function is compiled best.
     """
+    PROGRESS.functions += 1
     return cast("Function", njit(nogil=True, fastmath=True, error_model="numpy", cache=True)(function))
 
 
 def compiled_with_nan(function: Function) -> Function:
     """Compile as `compiled` does, but keep the meaning of NaN and of infinities, and the order of sums."""
+    PROGRESS.functions += 1
     return cast("Function", njit(nogil=True, error_model="numpy", cache=True)(function))
 
 

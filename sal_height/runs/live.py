@@ -24,6 +24,7 @@ from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist, stamp_ns_
 from sal_height.numeric import available_processors
 from sal_height.runs.conductor import RECORDER, Conductor, Execution, Interruption, Plan, recording_of
 from sal_height.runs.ensemble import HEIGHTS, TRACKER, Ensemble, check_parameters, consumers, suited
+from sal_height.runs.processes import process_age_s
 from sal_height.runs.replay import contents, recorded_parameters
 from sal_height.runs.reporting import PARAMETERS, PRESET, merged, reporting
 from sal_height.runs.self_test import core_rate_hz
@@ -73,6 +74,8 @@ class Watched:
         accounts: of all nodes by name.
         latencies_s: from the last pulse of a dwell to its height image, by topic.
         cpu_at_start_s: processor time of the nodes' processes when the sensor began.
+        start_s: time from the begin of this program to the end of each step of the start: dwells are there, the machine
+            is tested, all nodes are ready, the first height has come.
     """
 
     elapsed_s: float
@@ -80,6 +83,7 @@ class Watched:
     accounts: dict[str, Account]
     latencies_s: dict[str, list[float]] = field(default_factory=dict)
     cpu_at_start_s: dict[str, float] = field(default_factory=dict)
+    start_s: dict[str, float] = field(default_factory=dict)
 
     def cpu_per_second(self, node: str) -> float:
         """Processor seconds that the process of a node takes in a second."""
@@ -94,6 +98,7 @@ class Watched:
     def as_json(self) -> dict[str, Any]:
         """What report.json says."""
         return {
+            "start_s": self.start_s,
             "elapsed_s": self.elapsed_s,
             "sensor_dwells_per_s": self.offered_hz,
             "latency_s": {
@@ -130,6 +135,7 @@ def live(
     Raises:
         UserError: the bag or a parameter cannot be used, nodes do not come up, or one ends.
     """
+    start_s = {"dwells": process_age_s()}
     reader = BagReader(bag)
     sensor, _ = contents(reader)
     nodes = suited(
@@ -160,8 +166,10 @@ def live(
     first = next(playlist.frames())
     provide_shared_memory(sum(len(frame.samples) for frame in first))
     warn_of_overload(core_rate_hz(playlist, sensor, stages, values, processors), 1 / interval_s, processors)
+    start_s["test"] = process_age_s()
+    watched = Watched(0.0, 1 / interval_s, {}, {topic: [] for topic in topics}, start_s=start_s)
     with reporting(folder, known) as report:
-        watched = _perform(plan, execution, how, playlist, topics, show)
+        _perform(plan, execution, how, playlist, watched, show)
         report.update(watched.as_json())
         report["parameters"] = values
     return watched
@@ -180,11 +188,10 @@ def warn_of_overload(core_hz: float, sensor_hz: float, processors: int) -> None:
 
 
 def _perform(
-    plan: Plan, execution: Execution, how: Live, playlist: Playlist, topics: list[str], show: Callable[[Watched], None]
-) -> Watched:
+    plan: Plan, execution: Execution, how: Live, playlist: Playlist, watched: Watched, show: Callable[[Watched], None]
+) -> None:
     """Start the nodes of a plan and the sensor, and watch them."""
     names = [RECORDER, *reversed(plan.stages), plan.source]
-    watched = Watched(0.0, playlist.dwell_rate_hz * how.rate, {}, {topic: [] for topic in topics})
     values = {**plan.parameters, RECORDER: recording_of(plan)}
     with (
         ros_domain(execution.domain),
@@ -209,9 +216,10 @@ def _perform(
                 spin(LOOK_PERIOD_S)
 
         wait(conductor.ready, "all nodes to be ready")
+        watched.start_s["ready"] = process_age_s()
         clock = DwellClock(how.rate, next(playlist.frames())[0].pulse_time[-1])
-        for topic, latencies in watched.latencies_s.items():
-            conductor.listen_raw(HeightImage, topic, _keeper(clock, latencies))
+        for topic in watched.latencies_s:
+            conductor.listen_raw(HeightImage, topic, _keeper(topic, clock, watched))
         conductor.step(wait)
         watched.cpu_at_start_s = {name: a.numbers.get(CPU, 0.0) for name, a in watched.accounts.items()}
         clock.begin_ns, began = int(conductor.answer), time.monotonic()
@@ -222,11 +230,17 @@ def _perform(
             if watched.elapsed_s >= min(due_s, how.seconds):
                 due_s += SHOW_PERIOD_S
                 show(watched)
-    return watched
 
 
-def _keeper(clock: DwellClock, latencies: list[float]) -> Callable[[bytes], None]:
-    return lambda cdr: latencies.append(clock.age_s(cdr))
+def _keeper(topic: str, clock: DwellClock, watched: Watched) -> Callable[[bytes], None]:
+    """Takes the heights of a topic."""
+
+    def keep(cdr: bytes) -> None:
+        if not watched.heights:
+            watched.start_s["first height"] = process_age_s()
+        watched.latencies_s[topic].append(clock.age_s(cdr))
+
+    return keep
 
 
 @dataclass

@@ -60,6 +60,13 @@ def end_with_parent(parent: int, number: signal.Signals) -> bool:
     return os.getppid() == parent
 
 
+def process_age_s() -> float:
+    """Time since this process began, s, to some 10 ms (Linux)."""
+    fields = Path("/proc/self/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    began_s = int(fields[19]) / os.sysconf("SC_CLK_TCK")  # field 22, starttime, proc(5)
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - began_s
+
+
 class Forked:
     """A copy of this process that runs a function; used as a `subprocess.Popen` is.
 

@@ -17,7 +17,7 @@ from sal_height.relief import PriorEstimate, track
 from sal_height.runs.ensemble import NODES, TRACKER
 from sal_height.sensor import Sensor
 
-TEST_S = 1.0
+TEST_S = 0.25
 """Processor time of the test, s, after the first dwell, which takes longer than the others."""
 
 

@@ -54,6 +54,9 @@ def test_heights_of_a_live_sensor_are_those_of_the_lockstep_run(sensor_bag: Path
     report = json.loads((tmp_path / "live" / "report.json").read_text())
     assert report["heights"]["ml/height"] == len(watched.latencies_s["ml/height"])
     assert report["latency_s"]["ml/height"]["p50"] > 0
+    assert list(report["start_s"]) == ["dwells", "test", "ready", "first height"]
+    assert 0 < report["start_s"]["dwells"] < report["start_s"]["test"] < report["start_s"]["ready"]
+    assert 0.05 < report["start_s"]["first height"] - report["start_s"]["ready"] < 3.0  # a dwell lasts .2 s
 
 
 def test_at_overload_whole_dwells_are_left_out_and_the_others_come_in_time(sensor_bag: Path, tmp_path: Path) -> None:

@@ -13,6 +13,9 @@ export PIP_CONSTRAINT = constraints.txt
 # A ROS installation that the calling shell has sourced stays out of the environment.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
+# Bytecode is kept: without it every program, and tests start many, reads all sources anew for half a second.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help setup demo test lint bench colcon clean
 
 help:

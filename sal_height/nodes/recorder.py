@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -110,8 +111,9 @@ class Recorder(Role, Node):
         self._waiting: deque[_Item] = deque()
         self._put_bytes, self._taken_bytes = 0, 0  # each counted by one thread; their difference waits
         self._arrival, self._ending = threading.Event(), threading.Event()
-        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
-        self._progress = self.create_publisher(DiagnosticArray, PROGRESS, 10)
+        matched = PublisherEventCallbacks(matched=guarded(lambda _: self._publish_diagnostics(), self._fail))
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10, event_callbacks=matched)
+        self._progress = self.create_publisher(DiagnosticArray, PROGRESS, 10, event_callbacks=matched)
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
         self.context.on_shutdown(self.close_bag)

@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -190,8 +191,10 @@ class Stage(Role, Node):
         self._pace = Pace()
         self._offered: list[Outlet] = []
         self._inlets: list[Inlet] = []
-        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
-        self._progress = self.create_publisher(DiagnosticArray, PROGRESS, 10)
+        self._matched = PublisherEventCallbacks(matched=guarded(lambda _: self._publish_account(), self._fail))
+        """Whoever waits for a graph to be connected is told of a subscription when it comes or goes."""
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10, event_callbacks=self._matched)
+        self._progress = self.create_publisher(DiagnosticArray, PROGRESS, 10, event_callbacks=self._matched)
         self.every(DIAGNOSTICS_PERIOD_S, self._measure_pace)
         self._worker = threading.Thread(target=self._work, name=name, daemon=True)
         self._worker.start()
@@ -202,7 +205,13 @@ class Stage(Role, Node):
 
     def offer(self, message_type: type, topic: str, qos: QoSProfile = FRAMES_QOS) -> Outlet:
         """A publisher whose messages and subscribers are counted in the diagnostics."""
-        publisher = self.create_publisher(message_type, topic, copy.copy(qos), qos_overriding_options=QOS_OVERRIDES)
+        publisher = self.create_publisher(
+            message_type,
+            topic,
+            copy.copy(qos),
+            qos_overriding_options=QOS_OVERRIDES,
+            event_callbacks=self._matched,
+        )
         self._offered.append(Outlet(publisher))
         return self._offered[-1]
 
@@ -277,7 +286,10 @@ class Stage(Role, Node):
                 self.reject(messages, self.unexpected(error))
             else:
                 self.tally.finish(messages, published, time.monotonic() - arrived)
-            self._report_progress()
+            if messages:
+                self._report_progress()
+            else:
+                self._publish_account()  # the node may be ready now
 
         parameters = self.current_parameters()
         capacity, policy = parameters.max_queued_dwells, parameters.queue_policy
@@ -351,8 +363,11 @@ class Stage(Role, Node):
 
     def _measure_pace(self) -> None:
         self._pace.sample(time.monotonic(), self.tally.offered, self.tally.finished)
-        message = self.diagnostics()
-        with suppress(RCLError):
+        self._publish_account()
+
+    def _publish_account(self) -> None:
+        with suppress(RCLError):  # the context may end meanwhile
+            message = self.diagnostics()
             self._diagnostics.publish(message)
             self._progress.publish(message)
 

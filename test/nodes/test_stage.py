@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from typing import Any
 
 import pytest
@@ -17,7 +16,7 @@ from std_srvs.srv import Trigger
 from sal_height import messages
 from sal_height.errors import UserError
 from sal_height.nodes import stage
-from sal_height.nodes.account import DIAGNOSTICS, PROGRESS
+from sal_height.nodes.account import DIAGNOSTICS, PROGRESS, READY, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES, HELD_CALIBRATIONS
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage
@@ -150,20 +149,51 @@ def state(graph: Graph, node: Stage) -> Any:
     return seen[-1].level, seen[-1].message, seen[-1].hardware_id, node.get_name() == seen[-1].name
 
 
-def test_progress_is_told_at_once_to_whoever_listens(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def told(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Account]]:
+    """The accounts that come on each topic, where none comes just because it is time."""
     monkeypatch.setattr(stage, "DIAGNOSTICS_PERIOD_S", 1000.0)
-    listening, told = Listening(graph), Counter[str]()
+    accounts: dict[str, list[Account]] = {DIAGNOSTICS: [], PROGRESS: []}
     watcher = graph.add(Node("watcher", context=graph.context))
-    for topic in (DIAGNOSTICS, PROGRESS):
+    for topic, those in accounts.items():
         watcher.create_subscription(
-            DiagnosticArray, topic, lambda message, topic=topic: told.update([topic] * len(message.status)), 10
+            DiagnosticArray, topic, lambda m, those=those: those.extend(map(Account.of_status, m.status)), 100
         )
-    assert graph.spin_until(lambda: listening._progress.get_subscription_count() == 1, TIMEOUT_S)
-    assert graph.spin_until(lambda: watcher.count_publishers(PROGRESS) == 1, TIMEOUT_S)
+    return accounts
+
+
+def test_progress_is_told_at_once_to_whoever_listens(graph: Graph, told: dict[str, list[Account]]) -> None:
+    listening = Listening(graph)
+    assert graph.spin_until(lambda: all(told.values()), TIMEOUT_S)
     for number in range(1, 4):
-        listening.submit(0, lambda: 0)
-        assert graph.spin_until(lambda n=number: told[PROGRESS] == n, TIMEOUT_S)
-    assert told[DIAGNOSTICS] == 0
+        listening.tally.receive()
+        listening.submit(1, lambda: 0)
+        assert graph.spin_until(lambda n=number: told[PROGRESS][-1].count("processed") == n, TIMEOUT_S)
+    assert told[DIAGNOSTICS][-1].count("processed") == 0
+
+
+def test_subscribers_are_told_of_at_once(graph: Graph, told: dict[str, list[Account]]) -> None:
+    """Whoever waits until a graph is connected need not wait for the next account."""
+    Listening(graph).offer(String, "answers")
+    assert graph.spin_until(lambda: all(told.values()), TIMEOUT_S)
+    other = graph.add(Node("other", context=graph.context))
+    for number in (1, 2):
+        other.create_subscription(String, "answers", lambda _: None, FRAMES_QOS)
+        assert graph.spin_until(
+            lambda n=number: all(accounts[-1].subscribers == {"answers": n} for accounts in told.values()), TIMEOUT_S
+        )
+
+
+def test_what_is_done_without_messages_is_told_at_once(graph: Graph, told: dict[str, list[Account]]) -> None:
+    """As that a node is ready."""
+    listening = Listening(graph)
+    assert graph.spin_until(lambda: all(told.values()), TIMEOUT_S)
+    listening.submit(0, lambda: setattr(Listening, "is_ready", False) or 0)
+    try:
+        assert all(accounts[-1].count(READY) for accounts in told.values())
+        assert graph.spin_until(lambda: not any(those[-1].count(READY) for those in told.values()), TIMEOUT_S)
+    finally:
+        del Listening.is_ready
 
 
 def test_a_node_that_gets_nothing_is_stale_and_says_what_it_waits_for(graph: Graph) -> None:

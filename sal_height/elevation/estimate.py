@@ -211,13 +211,13 @@ def is_explained(fit: Fit, settings: HeightSettings) -> Bool:
         settings: rates of false alarms, and share of the explained power that may be left beyond the mean of the noise.
     """
     explained = np.array(fit.left - fit.degrees <= settings.misfit_share * fit.explained)
-    unsure = np.flatnonzero(~explained)
-    if unsure.size:
+    unsure = ~explained
+    if unsure.any():
         values = fit.left, fit.degrees, fit.leaked, fit.coherent, fit.beam_error
-        left, degrees, leaked, coherent, error = (np.broadcast_to(v, explained.shape).ravel()[unsure] for v in values)
+        left, degrees, leaked, coherent, error = (np.broadcast_to(v, explained.shape)[unsure] for v in values)
         law = PowerLaw.of(degrees, coherent, error)
         noise = law.exceeded(left - sidelobe_limit(leaked, settings.sidelobe_rate)) >= settings.false_alarm_rate
-        explained.flat[unsure] = noise
+        explained[unsure] = noise
     return explained
 
 

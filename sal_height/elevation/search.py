@@ -17,6 +17,7 @@ import numpy as np
 from sal_height.beams import Beams
 from sal_height.elevation._kernels import (
     GRID_STEP,
+    NEAR_HIGHEST,
     TABLE_STEPS,
     TILE,
     climb_highest,
@@ -212,6 +213,17 @@ class PeakSearch:
         margins = np.float32(margin) * tables.greatest
         climb_highest(self._real(covariance), squints, values, margins, tables.pieces, (position, height, second))
         return Peaks(self.elevation(position), height, second)
+
+    def may_peak_beyond(self, values: F32, first: float, last: float) -> Index:
+        """Numbers of the pixels whose highest peak may lie below `first` or above `last` (rad), by `on_grid`.
+
+        The node nearest to the highest peak has NEAR_HIGHEST of its height, and is half a step from it at most. The
+        objective must not be negative.
+        """
+        nodes = self.tables.grid_nodes
+        half = 0.5 * TABLE_STEPS * self.tables.step
+        near = (nodes < first + half) | (nodes > last - half)
+        return np.flatnonzero(values[:, near].max(axis=1, initial=-np.inf) >= NEAR_HIGHEST * values.max(axis=1))
 
     def gain_beside(self, covariance: Covariance, values: F32, elevation: F64) -> F64:
         """What one more scatterer beside a single one would explain, in the unit of the covariance, (2, pixels).

@@ -159,3 +159,18 @@ def test_peak_behind_a_dip_that_falls_between_nodes_is_climbed(mirrored: bool) -
     assert behind == [g == (2 if mirrored else 4) for g in range(len(line))]
     single = np.cos(np.linspace(-1.2, 1.2, 13)).astype(np.float32) ** 2
     assert not any(is_behind_a_dip(single, g) for g in range(2, 11))
+
+
+def test_pixels_whose_highest_peak_may_be_beyond_the_array_are_all_told() -> None:
+    """Of noise and of weak and strong targets around both ends; those far inside are left out."""
+    rng, beams = np.random.default_rng(51), make_beams("jinc")
+    offset = rng.uniform(-6, 6, (2000, 1))
+    slc = target_slc(beams, offset, 2000, 4, 10.0, rng)
+    slc[:, ::4] = circular(rng, slc[:, ::4].shape)
+    pixels = np.einsum("mpk,npk->pmn", slc, slc.conj()).real.astype(np.float32)
+    one, (first, last) = search(beams, 0.0), beams.span
+    told, peak = one.may_peak_beyond(one.on_grid(pixels), first, last), one.peaks(pixels).elevation
+    assert np.isin(np.flatnonzero((peak < first) | (peak > last)), told).all()
+    inside = np.abs(offset[:, 0]) < 2
+    inside[::4] = False
+    assert np.mean(inside[told]) < 0.05 * np.mean(inside)

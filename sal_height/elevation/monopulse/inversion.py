@@ -45,6 +45,11 @@ class Reason(IntEnum):
     NO_DOMAIN = 4
 
 
+UNPAIRED = np.zeros(len(Reason), np.bool_)
+UNPAIRED[[Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN]] = True
+"""Whether a discriminant is outside the domain of its pair, by its `Reason`."""
+
+
 @dataclass(frozen=True, eq=False)
 class Inversion:
     """Elevations of discriminants; all arrays have their shape.

@@ -22,7 +22,7 @@ from sal_height.elevation.monopulse.estimators import (
     sum_and_difference,
 )
 from sal_height.elevation.monopulse.inverse_table import invert_pairs
-from sal_height.elevation.monopulse.inversion import Reason
+from sal_height.elevation.monopulse.inversion import UNPAIRED
 from sal_height.elevation.search import PIXELS_AT_ONCE, PeakSearch, PeakSearches, Pixels
 from sal_height.elevation.settings import HeightSettings
 from sal_height.errors import Rejected
@@ -70,22 +70,28 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
     found = invert_pairs(beams, mu, pair, looks.squint)
     sigma, cnr = accuracy(sums, found, noise_powers, beams.uncertainty)
 
+    first, last = beams.span
+
     def compare(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
-        """What the whole array says: its best elevation and how well that explains a pixel, and the same of `found`."""
-        best = search.peaks(pixels)
-        return np.stack([best.elevation, best.height, *search.fit(pixels, found.elevation[here])[:2]])
+        """What the whole array says: the power that `found` explains, |a|^2 there, and the power of a higher peak.
+
+        The latter is 0 where the highest peak is between the boresights.
+        """
+        values, beyond = search.on_grid(pixels), np.zeros(len(pixels))
+        some = search.may_peak_beyond(values, first, last)
+        best = search.of(some).peaks_of(pixels[some], values[some], 0.0)
+        beyond[some] = np.where((best.elevation < first) | (best.elevation > last), best.height, 0.0)
+        return np.stack([*search.fit(pixels, found.elevation[here])[:2], beyond])
 
     searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
-    best, best_explained, explained, gain = searches.of_pixels(looks, 4, compare)
+    explained, gain, beyond = searches.of_pixels(looks, 3, compare)
     explained = explained / looks.receiver_noise
-    first, last = beams.span
     inside = (found.elevation >= first) & (found.elevation <= last)
     fit, strong = array_fit(looks, explained, gain, beams.uncertainty), cnr >= settings.min_cnr
     validity = decide_validity(looks, fit, strong, inside, Validity.OUTSIDE_ARRAY, settings)
-    outside = ((best < first) | (best > last)) & (best_explained / looks.receiver_noise - explained > OUTSIDE_MARGIN)
-    validity = np.where((validity == Validity.OK) & outside, Validity.OUTSIDE_ARRAY, validity)
-    unpaired = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN]) & looks.finite
-    validity = np.where(unpaired, Validity.OUTSIDE_PAIR, validity).astype(np.uint8)
+    outside = beyond / looks.receiver_noise - explained > OUTSIDE_MARGIN
+    validity[(validity == Validity.OK) & outside] = Validity.OUTSIDE_ARRAY
+    validity[UNPAIRED[found.reason] & looks.finite] = Validity.OUTSIDE_PAIR
     return ElevationEstimate.of_one(found.elevation, sigma, cnr, validity)
 
 

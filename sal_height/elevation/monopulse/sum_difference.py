@@ -33,7 +33,7 @@ from sal_height.elevation.monopulse.estimators import (
     whitened_products,
 )
 from sal_height.elevation.monopulse.inverse_table import invert_pairs
-from sal_height.elevation.monopulse.inversion import PairElevation, Reason, invert_linear
+from sal_height.elevation.monopulse.inversion import UNPAIRED, PairElevation, invert_linear
 from sal_height.elevation.monopulse.slope_table import SlopeTable, read_slope_table
 from sal_height.elevation.settings import HeightSettings
 from sal_height.errors import UserError
@@ -126,7 +126,7 @@ def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceS
     explained, left = _eigenvalues(whitened_products(sums, noise_powers)[0]) / noise_powers[0]
     # K amplitudes and one complex gamma are estimated.
     fit = Fit(explained, left, looks.count - 1, directions=2, leaked=looks.leaked)
-    outside = np.isin(found.reason, [Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN])
+    outside = UNPAIRED[found.reason]
     in_sum = sums.sum_power / noise_powers[0] >= detection_limit(looks, 1, settings)
     strong = in_sum & (cnr >= settings.min_cnr) | outside
     validity = decide_validity(looks, fit, strong, ~outside, Validity.OUTSIDE_PAIR, settings)

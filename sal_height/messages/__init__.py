@@ -37,7 +37,15 @@ from sal_height.messages.heights import (
 )
 from sal_height.messages.images import check_slc, recorded_window, slc_from_messages, slc_to_messages
 from sal_height.messages.provenance import derived, stages_of, with_stage
-from sal_height.messages.received import ReceivedFrame, ReceivedImage, received_frame, received_image, received_pose
+from sal_height.messages.received import (
+    Pose,
+    ReceivedFrame,
+    ReceivedImage,
+    received_frame,
+    received_height,
+    received_image,
+    received_pose,
+)
 from sal_height.messages.relief import relief_picture, relief_points, relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 from sal_height.messages.serialized import serialized_slc
@@ -46,6 +54,7 @@ __all__ = [
     "LONGEST_DWELL",
     "MAP_FRAME",
     "POINT_FIELDS",
+    "Pose",
     "ReceivedFrame",
     "ReceivedImage",
     "aperture_from_message",
@@ -66,6 +75,7 @@ __all__ = [
     "history_from_messages",
     "history_to_messages",
     "received_frame",
+    "received_height",
     "received_image",
     "received_pose",
     "recorded_window",

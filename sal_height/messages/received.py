@@ -248,6 +248,50 @@ def received_pose(cdr: bytes) -> Pose:
     return Pose(stamp_ns, frame_id, child_frame_id, numbers[:3], numbers[3:7], numbers[7:10], covariance)
 
 
+def received_height(cdr: bytes) -> messages.HeightImage:
+    """The height image that these bytes are; its provenance is to be left as it is, for others share it.
+
+    Raises:
+        RuntimeError: they are none.
+    """
+    try:
+        at = _end_of_heights(cdr)
+    except (struct.error, ValueError):
+        return deserialize_message(cdr, messages.HeightImage)
+    image = deserialize_message(cdr[:at] + NO_PROVENANCE, messages.HeightImage)
+    image.provenance = _provenance_at(cdr, at)
+    return image
+
+
+def _end_of_heights(cdr: bytes) -> int:
+    """Where the provenance of a serialized height image begins, its last field.
+
+    Raises:
+        ValueError: the bytes are not laid out so.
+        struct.error: they are too few.
+    """
+    *_, at = _header(cdr)
+    _, at = _text(cdr, at + 4)  # dwell, estimator
+    at = _aligned(at) + GEOMETRY_BYTES
+    at += -at % 4 + 8  # looks
+    at = _end_of_list(cdr, at, 1)  # validity
+    (surfaces,) = UINT.unpack_from(cdr, at)
+    at += 4
+    for _ in range(8 * min(surfaces, 4)):  # height to common_covariance; rclpy refuses more than three surfaces
+        at = _end_of_list(cdr, at, 4)
+    at = _end_of_list(cdr, at, 4)  # order_probability
+    if at >= len(cdr):
+        raise ValueError("nothing follows")
+    return at
+
+
+def _end_of_list(cdr: bytes, at: int, size: int) -> int:
+    """Where the next number of four bytes follows a list of numbers of `size` bytes."""
+    (count,) = UINT.unpack_from(cdr, at)
+    end = at + 4 + size * int(count)
+    return end + -end % 4
+
+
 def _frame(cdr: bytes) -> ReceivedFrame:
     """Read a frame by the places of its fields.
 
@@ -309,7 +353,7 @@ def _image(cdr: bytes) -> ReceivedImage:
         noise_power,
         saturated_share,
         samples,
-        _provenance_of(cdr[at + 4 * count :], count % 2),
+        _provenance_at(cdr, at + 4 * count),
     )
 
 
@@ -323,9 +367,18 @@ def _geometry_of(numbers: bytes) -> Geometry:
     return Geometry(image.grid, image.aperture)
 
 
+def _provenance_at(cdr: bytes, at: int) -> messages.Provenance:
+    """The provenance that ends a serialized message.
+
+    Raises:
+        RuntimeError: the bytes are none.
+    """
+    return _provenance_of(cdr[at:], (at - len(_empty_image()[1]) - 4) % 8 // 4)
+
+
 @functools.lru_cache(maxsize=HELD)
 def _provenance_of(tail: bytes, odd: int) -> messages.Provenance:
-    """The provenance of its bytes, the last ones of an image whose number of samples is even (0) or odd (1).
+    """The provenance of its bytes, made the last ones of an image with so many samples, 0 or 1.
 
     Numbers of eight bytes among them lie at other places after an odd number of samples.
     """

@@ -98,9 +98,9 @@ class DwellStage(Stage):
         self._waiting = WaitingClock()
         self._absences: dict[str, Counter[int]] = {}
         self._rehearsed = False
-        self._message_type, self._topic = message_type, topic
+        self._message_type = message_type
         self.listen(SensorInfo, "sensor_info", self._on_sensor_info, LATCHED_QOS)
-        self.listen(message_type, topic, self._on_bytes, raw=True)
+        self.listen(message_type, topic, self._on_message, read=self.decode)
         self.every(TICK_S, self._tick)
 
     @abstractmethod
@@ -261,14 +261,6 @@ class DwellStage(Stage):
                     self._give_up(dwell, missing or self._incomplete(dwell, "before other sensors replaced theirs"))
         self._absences.pop(config_hash, None)
         self._assembler.forget_finished(config_hash)
-
-    def _on_bytes(self, cdr: bytes) -> None:
-        try:
-            message = self.decode(cdr)
-        except RuntimeError as error:  # rclpy's own error class is private, and a subclass of it
-            self.ignore("broken message", UserError(f"A message on {self._topic} cannot be decoded: {error}."))
-            return
-        self._on_message(message)
 
     def _on_message(self, message: Any) -> None:
         self.tally.receive()

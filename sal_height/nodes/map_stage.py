@@ -122,7 +122,8 @@ class MapStage(Stage):
         self._relief = self.offer(ReliefMap, f"{prefix}/relief", LATCHED_QOS)
         self._image = self.offer(Image, f"{prefix}/image", LATCHED_QOS)
         self._points = self.offer(PointCloud2, f"{prefix}/points", LATCHED_QOS)
-        self.listen(HeightImage, f"{self._settings.estimator}/height", self._on_height)
+        topic = f"{self._settings.estimator}/height"
+        self.listen(HeightImage, topic, self._on_height, read=messages.received_height)
         self.every(self._settings.period_s, self._publish_when_changed)
         self.context.on_shutdown(self.conclude)
 

@@ -121,9 +121,9 @@ SENSOR_INFO, ODOMETRY, FRAMES = "sensor_info", "platform/odometry", "phase_histo
 
 def restamped(cdr: bytes, shift_ns: int) -> bytes:
     """A serialized message whose first field is a header, with a later stamp (ns); the rest byte for byte."""
-    moved = bytearray(cdr)
-    STAMP.pack_into(moved, STAMP_AT, *divmod(stamp_ns_of(cdr) + shift_ns, 1_000_000_000))
-    return bytes(moved)
+    stamp = STAMP.pack(*divmod(stamp_ns_of(cdr) + shift_ns, 1_000_000_000))
+    whole = memoryview(cdr)
+    return b"".join((whole[:STAMP_AT], stamp, whole[STAMP_AT + STAMP.size :]))
 
 
 def stamp_ns_of(cdr: bytes) -> int:

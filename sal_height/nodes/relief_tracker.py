@@ -65,7 +65,8 @@ class ReliefTracker(Stage):
         self._points = self.offer(PointCloud2, f"{PREFIX}/points")
         self._rehearsed = False
         self.submit(0, self._rehearse)
-        self.listen(HeightImage, f"{self.current_parameters().estimator}/height", self._on_height)
+        topic = f"{self.current_parameters().estimator}/height"
+        self.listen(HeightImage, topic, self._on_height, read=messages.received_height)
 
     @property
     def is_ready(self) -> bool:

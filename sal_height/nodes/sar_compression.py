@@ -17,7 +17,7 @@ from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings
-from sal_height.messages import ReceivedFrame
+from sal_height.messages import Pose, ReceivedFrame
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.odometry import Arrival, OdometryHistory
 from sal_height.nodes.program import run_node
@@ -96,7 +96,7 @@ class SarCompression(DwellStage):
         self._compressor = Compressor()
         self._calibration: Calibration | None = None
         self._begin_calibration(self.current_parameters().calibration)
-        self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS, raw=True)
+        self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS, read=messages.received_pose)
         self._slc = self.offer(ComplexImage, "slc")
 
     def check(self, message: ReceivedFrame, sensor: Sensor) -> None:
@@ -189,14 +189,11 @@ class SarCompression(DwellStage):
         except UserError as error:
             self.ignore("calibration", error)
 
-    def _on_odometry(self, cdr: bytes) -> None:
+    def _on_odometry(self, pose: Pose) -> None:
         try:
-            state = messages.state_of_pose(messages.received_pose(cdr))
+            state = messages.state_of_pose(pose)
         except Rejected as error:
             self.ignore("odometry", error)
-            return
-        except RuntimeError as error:  # rclpy's own error class is private, and a subclass of it
-            self.ignore("odometry", UserError(f"A message on platform/odometry cannot be decoded: {error}."))
             return
         if state.stamp_ns <= self._last_pulse_ns:
             self.note_progress()  # what dwells still wait for is on its way

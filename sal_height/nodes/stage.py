@@ -223,7 +223,7 @@ class Stage(Role, Node):
         qos: QoSProfile = FRAMES_QOS,
         *,
         optional: bool = False,
-        raw: bool = False,
+        read: Callable[[bytes], Any] | None = None,
     ) -> None:
         """Subscribe; users can adapt the QoS to a publisher of theirs by the qos_overrides parameters.
 
@@ -233,7 +233,7 @@ class Stage(Role, Node):
             callback: takes a message; an error in it is counted and logged.
             qos: quality of service.
             optional: whether the node can do its work without a message on this topic.
-            raw: whether the callback takes serialized messages.
+            read: makes what the callback takes of a serialized message, or raises RuntimeError; None: rclpy does.
         """
         inlet, profile = Inlet(self.resolve_topic_name(topic), latched=qos is LATCHED_QOS), copy.copy(qos)
         profile.depth = LATCHED_HELD if inlet.latched else qos.depth
@@ -242,10 +242,20 @@ class Stage(Role, Node):
 
         def receive(message: Any) -> None:
             inlet.heard_at = time.monotonic()
-            callback(message)
+            try:
+                taken = read(message) if read else message
+            except RuntimeError as error:  # rclpy's own error class is private, and a subclass of it
+                self.ignore("broken message", UserError(f"A message on {topic} cannot be decoded: {error}."))
+            else:
+                callback(taken)
 
         self.create_subscription(
-            message_type, topic, guarded(receive, self._fail), profile, qos_overriding_options=QOS_OVERRIDES, raw=raw
+            message_type,
+            topic,
+            guarded(receive, self._fail),
+            profile,
+            qos_overriding_options=QOS_OVERRIDES,
+            raw=read is not None,
         )
 
     def every(self, period_s: float, callback: Callable[[], Any], clock: Clock | None = None) -> None:

@@ -11,7 +11,7 @@ from helpers import make_aperture, make_sensor
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
-from sal_height_msgs.msg import ChannelFrame, ComplexImage, Provenance
+from sal_height_msgs.msg import ChannelFrame, ComplexImage, HeightImage, Provenance, Surface
 
 from sal_height import messages
 from sal_height.bag.codec import _plain, _type_name, typestore
@@ -19,7 +19,7 @@ from sal_height.bag.definitions import installed_definition
 from sal_height.errors import Rejected
 from sal_height.geometry import Grid
 from sal_height.imaging import Slc
-from sal_height.messages import received, received_frame, received_image, received_pose
+from sal_height.messages import received, received_frame, received_height, received_image, received_pose
 from sal_height.messages.received import HELD, Pose, _geometry_of, _provenance_of
 
 
@@ -28,7 +28,12 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(5)
 
 
-READERS = {ChannelFrame: received_frame, ComplexImage: received_image, Odometry: received_pose}
+READERS = {
+    ChannelFrame: received_frame,
+    ComplexImage: received_image,
+    Odometry: received_pose,
+    HeightImage: received_height,
+}
 
 
 def frame_of(frame_id: str = "sensor", config_hash: str = "abc", pulses: int = 3) -> ChannelFrame:
@@ -67,11 +72,25 @@ def odometry_of(frame_id: str = "map", child: str = "base_link") -> Odometry:
     return odometry
 
 
+def height_of(surfaces: int = 2, pixels: int = 3, estimator: str = "ml", version: str = "0.1.0") -> HeightImage:
+    image = HeightImage(dwell=7, estimator=estimator, grid=image_of().grid, aperture=image_of().aperture, range_looks=2)
+    image.header.frame_id, image.validity = "map", array.array("B", range(pixels))
+    for number in range(surfaces):
+        values = array.array("f", [number + 0.5] * pixels)
+        image.surfaces.append(Surface(height=values, sigma=values, covariance=values * 6))
+    image.order_probability = array.array("f", [0.2] * pixels)
+    image.provenance = image_of(version=version).provenance
+    return image
+
+
+EXAMPLES = [frame_of(), image_of(), odometry_of(), height_of()]
+
+
 def same(one: Any, other: Any) -> bool:
     """Whether a field has the same value in a message and as it was read."""
     if isinstance(other, array.array):
         return np.array_equal(np.array(one), np.array(other), equal_nan=True)
-    return bool(one == other) or str(one) == str(other) == "nan"
+    return bool(one == other) or str(one) == str(other)  # with NaN
 
 
 def assert_same(view: Any, message: Any) -> None:
@@ -105,7 +124,16 @@ def test_odometry_is_that_of_rclpy(frame_id: str, child: str) -> None:
     assert_same(received_pose(cdr), deserialize_message(cdr, Odometry))
 
 
-@pytest.mark.parametrize("message", [frame_of(), image_of(), odometry_of()], ids=["frame", "image", "odometry"])
+@pytest.mark.parametrize("surfaces", [0, 1, 3])
+@pytest.mark.parametrize("pixels", [0, 1, 2, 5])
+@pytest.mark.parametrize(("estimator", "version"), [("", "0.1.0"), ("tracked", ""), ("ml", "0.10")])
+def test_heights_are_those_of_rclpy(surfaces: int, pixels: int, estimator: str, version: str) -> None:
+    cdr = serialize_message(height_of(surfaces, pixels, estimator, version))
+    assert_same(received_height(cdr), deserialize_message(cdr, HeightImage))
+    assert received_height(cdr).provenance is received_height(cdr).provenance
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=["frame", "image", "odometry", "height"])
 def test_messages_of_the_other_byte_order_are_read(message: Any) -> None:
     name = _type_name(message)
     store = typestore(name, installed_definition(name))
@@ -113,7 +141,7 @@ def test_messages_of_the_other_byte_order_are_read(message: Any) -> None:
     assert_same(READERS[type(message)](cdr), message)
 
 
-@pytest.mark.parametrize("message", [frame_of(), image_of(), odometry_of()], ids=["frame", "image", "odometry"])
+@pytest.mark.parametrize("message", EXAMPLES, ids=["frame", "image", "odometry", "height"])
 def test_whatever_bytes_come_are_read_or_refused_as_by_rclpy(message: Any, rng: np.random.Generator) -> None:
     """Bytes at random places are changed, as they are or to small numbers, and the end is cut off now and then."""
     whole, read, refused = np.frombuffer(serialize_message(message), np.uint8), 0, 0

@@ -137,6 +137,7 @@ def _run_alone(run: Callable[[], int], name: str) -> None:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)
+        sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__  # a display of the original may have put itself before
         ctypes.CDLL(None).prctl(PR_SET_NAME, name.encode()[:15])
         status = run()
     except SystemExit as ended:
@@ -144,7 +145,7 @@ def _run_alone(run: Callable[[], int], name: str) -> None:
     except BaseException:  # noqa: BLE001 (the copy must not go on as the original does)
         traceback.print_exc()
     finally:
-        with suppress(OSError):  # nobody may read it any more
+        with suppress(Exception):  # nobody may read it any more
             sys.stdout.flush()
             sys.stderr.flush()
         os._exit(status)

@@ -60,6 +60,17 @@ atexit._clear()
     assert said_by(code) == status
 
 
+def test_a_copy_writes_past_the_display_of_its_original() -> None:
+    code = """
+import io
+shown = sys.stdout
+sys.stdout = io.StringIO()
+copy = Forked(lambda: print('"from the copy"') or 0, "node")
+sys.stdout, status = shown, copy.wait(30.0)
+"""
+    assert said_by(code) == "from the copy"
+
+
 def test_a_copy_is_ended_by_the_signals_that_end_a_process() -> None:
     code = """
 copies = [Forked(lambda: signal.pause() or 0, "node") for _ in range(2)]

@@ -107,7 +107,8 @@ def log_evidence_of_spread(
     """
     unit = power_of(explained, looks) * turning * beamwidth**2
     gains = [
-        _gain_of_spread(along_slope, looks, level - 1 + unit * spread**2) + _log_prior(spread) for spread in SPREADS
+        _gain_of_spread(along_slope, looks, level + spread**2 * unit) + prior
+        for spread, prior in zip(SPREADS.tolist(), _log_prior(SPREADS).tolist(), strict=True)
     ]
     return _log_sum(np.array(gains), axis=0)[0] - math.log(len(SPREADS))
 
@@ -120,7 +121,7 @@ def log_evidence_of_level(along_slope: F64, looks: F64, level: F64) -> F64:
         looks: K.
         level: mean power of one look of level ground along the slope, noise included, noise powers.
     """
-    return _gain_of_spread(along_slope, looks, level - 1)
+    return _gain_of_spread(along_slope, looks, level)
 
 
 def _log_prior(spread: F64) -> F64:
@@ -130,9 +131,9 @@ def _log_prior(spread: F64) -> F64:
     return -STEEPNESS * np.log(spread) - math.log(mean)
 
 
-def _gain_of_spread(along_slope: F64, looks: F64, excess: F64) -> F64:
-    """Gain in log-likelihood from a power along the slope that is `excess` times that of the noise."""
-    return along_slope * excess / (1 + excess) - free_looks(looks) * np.log1p(excess)
+def _gain_of_spread(along_slope: F64, looks: F64, level: F64) -> F64:
+    """Gain in log-likelihood from a mean power of a look along the slope that is `level` times that of the noise."""
+    return along_slope * (1 - 1 / level) - free_looks(looks) * np.log(level)
 
 
 def log_probabilities(log_evidence: F64, here: tuple[Index, Index]) -> F64:

@@ -40,7 +40,8 @@ def fill_phasors(phase: F64, result: F32) -> None:
 @compiled
 def fill_outer_phasors(first: F64, second: F64, result: F32) -> None:
     """Cosine and sine in turn of the product (rad) of every number and every other one: (first, 2 second)."""
-    turn, cosine, sine = np.empty((3, second.size), np.float32)
+    turn = np.empty(second.size, np.float32)
+    cosine, sine = np.empty_like(turn), np.empty_like(turn)
     for row in range(first.size):
         per_turn = first[row] * PER_TURN
         for i in range(second.size):

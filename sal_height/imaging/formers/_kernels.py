@@ -167,7 +167,7 @@ def fill_turns(starts: F64, step: F64, track: F64, turns_per_metre: float, resul
         result: to fill, real and imaginary parts in turn, shape (rows, columns, 2 pulses).
     """
     weight = track[4].astype(np.float32)
-    turn, cosine, sine = np.empty((3, weight.size), np.float32)
+    turn, cosine, sine = np.empty_like(weight), np.empty_like(weight), np.empty_like(weight)  # parts of one: 6 x slower
     for row in range(result.shape[0]):
         for col in range(result.shape[1]):
             x, y, z = _point(starts[row], step, col)

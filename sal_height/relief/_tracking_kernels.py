@@ -160,6 +160,28 @@ def likelihoods(
 
 
 @compiled
+def add_slopes(likelihoods: F64, distance: float, rise: F64, information: F64) -> None:
+    """Add up the slopes of the log-likelihood of each measurement along two axes, and their products.
+
+    Args:
+        likelihoods: of each measurement, a distance above and below the place along the first axis, and along the
+            second, shape (4, measurements).
+        distance: of these from the place.
+        rise: zeros, shape (2,); sums of the slopes, to be filled.
+        information: zeros, shape (2, 2); sums of their products, to be filled.
+    """
+    for i in range(likelihoods.shape[1]):
+        first = np.log(likelihoods[0, i] / likelihoods[1, i]) / (2 * distance)
+        second = np.log(likelihoods[2, i] / likelihoods[3, i]) / (2 * distance)
+        rise[0] += first
+        rise[1] += second
+        information[0, 0] += first * first
+        information[0, 1] += first * second
+        information[1, 1] += second * second
+    information[1, 0] = information[0, 1]
+
+
+@compiled
 def filter_rows(
     deviation: F64,
     precision: F64,

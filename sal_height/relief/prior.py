@@ -179,30 +179,34 @@ class _Heights:
         lowest = length or self.spacings[0] / 3, sigma or self.flattest
         return np.log([lowest, (length or math.inf, sigma or math.inf)])
 
-    def log_likelihoods(self, logs: F64) -> F64:
-        """Log-likelihood of each measurement given those before it, under priors of these logarithms.
+    def likelihoods(self, logs: F64) -> F64:
+        """Likelihood of each measurement given those before it, under priors of these logarithms.
 
         Args:
             logs: of each prior, shape (priors, 2).
 
         Returns:
-            Shape (priors, measurements), with 0 where nothing was measured.
+            1/m, shape (priors, measurements), with 1 where nothing was measured.
         """
         length, sigma = np.exp(logs).T
         steps = np.exp(-np.array(self.spacings) / length[:, None])
         variances = np.stack([sigma**2, np.full(len(sigma), self.mean_sigma**2)], axis=-1)
         found = np.empty((len(logs), *self.deviation.shape))
         kernels.likelihoods(self.deviation, self.precision, variances, steps, self.outliers, found)
-        return np.log(found).reshape(len(logs), -1)
+        return found.reshape(len(logs), -1)
 
     def log_likelihood(self, logs: F64) -> float:
         """Log-likelihood of all measurements under the prior of these logarithms."""
-        return float(self.log_likelihoods(logs[None]).sum())
+        return float(np.log(self.likelihoods(logs[None])).sum())
 
-    def slopes(self, logs: F64) -> F64:
-        """Derivatives of `log_likelihoods` by both logarithms, shape (2, measurements)."""
-        above_first, below_first, above_second, below_second = self.log_likelihoods(logs + AROUND)
-        return np.stack([above_first - below_first, above_second - below_second]) / (2 * DIFFERENCE)
+    def slopes(self, logs: F64) -> tuple[F64, F64]:
+        """Derivatives of the log-likelihood by both logarithms, shape (2,), and their information, shape (2, 2).
+
+        The information is the sum of the squares and products of the slopes of each measurement.
+        """
+        rise, information = np.zeros(2), np.zeros((2, 2))
+        kernels.add_slopes(self.likelihoods(logs + AROUND), DIFFERENCE, rise, information)
+        return rise, information
 
 
 def _windows(seen: Bool, settings: TrackingSettings) -> list[tuple[slice, slice]]:
@@ -235,16 +239,16 @@ def _most_likely(heights: _Heights, expected: F64, known: F64, settings: Trackin
         away = logs - expected
         return float(away @ known @ away) / 2
 
-    starts = [np.clip(start, lowest, highest) for start in (expected, *heights.starts())]
-    likelihoods = heights.log_likelihoods(np.stack(starts)).sum(axis=1).tolist()
+    starts = np.clip(np.stack([expected, *heights.starts()]), lowest, highest)
+    likelihoods = np.log(heights.likelihoods(starts)).sum(axis=1).tolist()
     merits = [likelihood - doubt(start) for likelihood, start in zip(likelihoods, starts, strict=True)]
     logs, merit = starts[int(np.argmax(merits))], max(merits)
     for _ in range(STEPS):
-        slopes = heights.slopes(logs)
-        gained = slopes @ slopes.T
-        rise = slopes.sum(axis=1) - known @ (logs - expected)
-        free = np.where(rise > 0, logs < highest, logs > lowest)
-        total = np.where(np.outer(free, free), known + gained, np.eye(2))
+        rise, gained = heights.slopes(logs)
+        rise -= known @ (logs - expected)
+        free, total = np.where(rise > 0, logs < highest, logs > lowest), known + gained
+        if not free.all():
+            total = np.where(np.outer(free, free), total, np.eye(2))
         step = _solved(total, rise * free)
         step *= LONGEST_STEP / max(LONGEST_STEP, float(np.abs(step).max()))
         while (length := math.sqrt(step @ total @ step)) > TOLERANCE:

@@ -99,6 +99,15 @@ def test_likelihoods() -> None:
     np.testing.assert_allclose(np.log(found[1]), expected, atol=1e-12)
 
 
+def test_slopes_are_differences_of_logarithms_and_add_up() -> None:
+    likelihoods, rise, information = np.random.default_rng(5).uniform(0.1, 2.0, (4, 50)), np.zeros(2), np.zeros((2, 2))
+    tracking.add_slopes(likelihoods, 0.05, rise, information)
+    logs = np.log(likelihoods)
+    slopes = (logs[::2] - logs[1::2]) / 0.1
+    np.testing.assert_allclose(rise, slopes.sum(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(information, slopes @ slopes.T, rtol=1e-12)
+
+
 def test_outliers_in_company_have_others_of_the_same_height_around_them() -> None:
     rng = np.random.default_rng(3)
     height, variance = 2 * rng.standard_normal((12, 9)), rng.uniform(0.05, 0.3, (12, 9))

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.serialization import serialize_message
 from sal_height_msgs.msg import ComplexImage
 
 from benchmarks.row import Row, medians, sized
@@ -40,7 +39,7 @@ def _beside_compression(name: str) -> Iterator[Row]:
         compression = graph.add(SarCompression(context=graph.context, parameter_overrides=unweighted))
         for state in flight.platform_states(0):
             message = messages.state_to_message(state, messages.to_stamp(state.stamp_ns))
-            compression._on_odometry(serialize_message(message))
+            compression._on_odometry(messages.Pose.of(message))
         images = _images(graph, compression, frames, sensor)
         supplies = compression.supplies(frames, sensor)
         calibration = graph.add(PsfCalibration(context=graph.context))

@@ -107,7 +107,9 @@ class Trajectory:
         Raises:
             UserError: a time lies outside the track.
         """
-        return self._antenna(self._offsets(stamp_ns, seconds_after))[0]
+        t = self._offsets(stamp_ns, seconds_after)
+        position = np.asarray(self._position(t))
+        return position if self.mounting.is_identity else position + self._turning(t).apply(self.mounting.lever_arm)
 
     def aperture(self, stamp_ns: int, pulse_times: F64) -> ApertureState:
         """Return the state in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).

@@ -93,3 +93,16 @@ def test_pulses_are_added_as_the_formula_of_backprojection_says(detectors: int, 
         whole = row_is_reached(start, step, along, track[:, :5].copy(), WINDOW / 2, angle, SPACING, row)
         assert whole == row.all()
     np.testing.assert_array_equal(reached[:, 1], valid)
+
+
+def test_a_row_whose_ends_are_reached_and_whose_middle_is_too_near_is_not_taken_for_reached() -> None:
+    """Of 6 m past an antenna 20 m away, of which a window of 0.2 m around 20.15 m holds the outer parts."""
+    step, along = np.array([0.1, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    start, reached = np.array([-3.0, 20.0, 0.0]), np.ones(61, bool)
+    track = np.array([[0.0, 0.0, 0.0, 20.15, 0.0]])
+    assert not row_is_reached(start, step, along, track, 0.1, 0.0, SPACING, reached)
+    distance = np.hypot(-3.0 + 0.1 * np.arange(61), 20.0)
+    np.testing.assert_array_equal(reached, np.abs(distance - 20.15) <= 0.1)
+    assert reached[0]
+    assert reached[-1]
+    assert not reached[30]

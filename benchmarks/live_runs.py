@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
 
-from benchmarks.processes import Sample, Usage, thread_cpu_s
+from benchmarks.processes import Sample, Usage, memory_bytes, thread_cpu_s
 from benchmarks.row import sized
 from sal_height.runs.processes import ONE_THREAD
 
@@ -59,6 +59,7 @@ class Seen:
         usage: of processors and memory.
         beside_s: processor time of the threads of source and recorder in a graph of one process, while it was watched.
         recorded_bytes: size of the bag.
+        memory_bytes: of all processes after a second, what they share counted once.
     """
 
     offered_hz: float
@@ -68,6 +69,7 @@ class Seen:
     usage: Usage
     beside_s: float
     recorded_bytes: int
+    memory_bytes: int
 
     @property
     def achieved(self) -> float:
@@ -130,9 +132,13 @@ def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tu
         from benchmarks.idle_nodes import IDLE  # noqa: PLC0415
 
         ensemble.NODES.update(IDLE)
-    usage, threads = Usage(), []
+    usage = Usage()
+    threads: list[dict[str, float]] = []
+    memory: list[int] = []
 
     def show(_: Watched) -> None:
+        if not memory:
+            memory.append(memory_bytes())
         usage.take()
         threads.append(thread_cpu_s())
 
@@ -150,6 +156,7 @@ def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tu
         usage=usage,
         beside_s=sum(threads[-1].get(name, 0.0) - threads[0].get(name, 0.0) for name in beside),
         recorded_bytes=recorded,
+        memory_bytes=memory[0],
     )
 
 

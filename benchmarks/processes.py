@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -65,6 +66,17 @@ class Usage:
         """Processor seconds in a second by name of the process, from the first sample to the last."""
         first, last = self.samples[0].cpu_s, self.samples[-1].cpu_s
         return {name: (used - first.get(name, 0.0)) / self.seconds for name, used in last.items()}
+
+
+def memory_bytes() -> int:
+    """Memory of this process and of all that it has started, what they share counted once (Pss), bytes."""
+    own, kilobytes = os.getpid(), 0
+    for folder in PROC.iterdir():
+        with suppress(OSError, IndexError):  # it has ended meanwhile, or is no process
+            if folder.name.isdecimal() and own in {int(folder.name), _parent_and_cpu(folder)[0]}:
+                lines = (folder / "smaps_rollup").read_text(encoding="ascii").splitlines()
+                kilobytes += next(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
+    return 1024 * kilobytes
 
 
 def thread_cpu_s() -> dict[str, float]:

@@ -138,7 +138,7 @@ def _real_time(sensor: Sensor, rate: float, seen: Seen) -> Row:
             "recorded_bytes_per_dwell": recorded,
             "cpu_s_per_dwell": {name: used / sensor.dwells_hz for name, used in per_sensor_second.items()},
             "core_s_per_dwell": sensor.core.stages_s,
-            "resident_bytes": seen.usage.samples[-1].resident,
+            "memory_bytes": seen.memory_bytes,
         },
     )
 
@@ -232,4 +232,4 @@ def _growth(sensor: Sensor, rate: float, seen: Seen) -> Row:
 
 
 def _listed(seconds: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {used:.2f}" for name, used in seconds.items())
+    return ", ".join(f"{name} {used:.2g}" for name, used in seconds.items())

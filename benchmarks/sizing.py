@@ -93,7 +93,7 @@ def _cores(measured: Sequence[tuple[Numbers, Numbers]]) -> str:
     head = (
         "preset",
         "dwells/s",
-        "cores",
+        "processors",
         "of these core",
         "transport",
         "cold caches, shared cores",
@@ -117,7 +117,7 @@ def _cores(measured: Sequence[tuple[Numbers, Numbers]]) -> str:
                 f"{core:.2g}",
                 f"{transport:.2g}",
                 f"{max(0.0, used - core - transport):.2g}",
-                f"{1e-9 * sum(graph['resident_bytes'].values()):.1f}",
+                f"{1e-9 * graph['memory_bytes']:.1f}",
                 f"{1e-6 * hz * graph['frame_bytes_per_dwell']:.3g}",
                 f"{1e-6 * hz * graph['recorded_bytes_per_dwell']:.3g}",
                 f"{graph['rate']:.2g}",
@@ -159,17 +159,15 @@ def _spread(values: Sequence[float]) -> str:
 
 
 def _constants(found: Mapping[str, Mapping[str, float]]) -> str:
-    lines = [
-        (stage, f"a {unit}", _time(value)) for stage, units in found.items() for unit, value in units.items() if value
-    ]
-    return _table(("stage", "processor time of", ""), lines)
+    lines = [(stage, unit, _time(value)) for stage, units in found.items() for unit, value in units.items() if value]
+    return _table(("stage", "for each", "processor time"), lines)
 
 
 def _time(seconds: float) -> str:
     for scale, unit in ((1e3, "ms"), (1e6, "µs"), (1e9, "ns")):
         if seconds * scale >= 1:
-            return f"{seconds * scale:.2g} {unit}"
-    return f"{seconds * 1e12:.2g} ps"
+            return f"{seconds * scale:.3g} {unit}"
+    return f"{seconds * 1e12:.3g} ps"
 
 
 def _table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:

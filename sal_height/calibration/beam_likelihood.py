@@ -8,7 +8,10 @@ difference to first order: what counts is the part of de that is orthogonal to t
 At its peak over theta the likelihood's derivatives have a mean that more pixels do not reduce (Neyman and Scott,
 Econometrica 16, 1948): the curve e(theta) is bent, so that an error along it ends nearer to the data on its inner side.
 With n the part of d^2e/dtheta^2 orthogonal to the curve over |de/dtheta|^2, that mean is -Re(n^H de) / 2 for a change
-de of the curve, whatever energy and number of the looks; it is subtracted. What remains falls off with the energy.
+de of the curve, whatever energy and number of the looks. Ground that fills a pixel has a spread of elevations, of
+variance s^2 along the curve, and energy E: it draws e the other way, by E s^2 Re(n^H de). Both are seen in the power
+along the tangent t = de/dtheta / |de/dtheta|, whose mean is t^H R t = K - 1/2 + E s^2 with K looks: the sum of the two
+means is Re(n^H de) (t^H R t - K), which is subtracted. What remains falls off with the energy.
 
 Sums are those of einsum, not of BLAS, whose threads would wait for each other beside those at work on other pixels.
 """
@@ -132,14 +135,20 @@ def with_unknown_angles(curve: Curve, pixels: Covariance, count: F64) -> Normal:
     variance, information = (
         2 * (_gram(curve, weight) - _square(along, weight)) for weight in (explained, explained - count)
     )
-    return Normal(_products(2 * left + curve.curvature / 2, curve).real, information, variance)
+    spread = _inner(curve.tangent, _times(pixels, curve.tangent)).real - count[:, None]
+    return Normal(_products(2 * left - spread * curve.curvature, curve).real, information, variance)
 
 
 def _residual(curve: Curve, pixels: Covariance) -> tuple[F64, C128]:
     """Return the power that is explained, e^H R e, (pixels,), and R e without its part along e, (pixels, channels)."""
-    output = np.einsum("pmn,pn->pm", pixels, curve.unit.astype(pixels.dtype)).astype(np.complex128)
+    output = _times(pixels, curve.unit)
     explained = _inner(curve.unit, output).real
     return explained[:, 0], output - explained * curve.unit
+
+
+def _times(pixels: Covariance, vector: C128) -> C128:
+    """Return R v of each pixel, shape (pixels, channels)."""
+    return np.einsum("pmn,pn->pm", pixels, vector.astype(pixels.dtype)).astype(np.complex128)
 
 
 def _products(direction: C128, curve: Curve) -> C128:

@@ -258,15 +258,39 @@ def test_information_is_that_of_turning_unit_vectors() -> None:
     assert unknown == pytest.approx(2 * 46 * (gram - np.outer(gram[9], gram[9]) / gram[9, 9])[:9, :9], abs=1e-3)
 
 
-def test_correction_is_half_the_curvature() -> None:
-    """Without noise the likelihood is stationary, and the score is the correction alone."""
+def test_correction_is_the_curvature_times_what_the_tangent_lacks() -> None:
+    """Without noise or spread the likelihood is stationary, and the score is the correction of one look alone."""
     beams, elevation = make_beams("sinc", 4), elevation_at([0.2, -0.4])
     curve = curve_of(beams, np.ones(4), elevation, np.zeros(2))
     pixels = np.einsum("pm,pn->pmn", curve.unit, curve.unit.conj())
     found = with_unknown_angles(curve, pixels, np.ones(2)).score
-    expected = np.sum((curve.curvature.conj() * curve.wider).real) / 2
+    expected = np.sum((curve.curvature.conj() * curve.wider).real)
     assert found[0] == pytest.approx(expected, rel=1e-9)
-    assert found[1:5] == pytest.approx(np.sum((curve.curvature.conj() * curve.unit).real, axis=0) / 2, rel=1e-9)
+    assert found[1:5] == pytest.approx(np.sum((curve.curvature.conj() * curve.unit).real, axis=0), rel=1e-9)
+
+
+def test_elevations_that_spread_within_a_pixel_do_not_draw_the_curve() -> None:
+    """Scatterers 0.1 beamwidths to each side, 20 dB over the noise: scores cancel but for the fourth order."""
+    beams = make_beams("jinc", 8)
+    curve = curve_of(beams, np.ones(8), elevation_at([0.2]), np.zeros(1))
+    sides = beams.response(elevation_at([0.1, 0.3]), 0.0)
+    norm = np.sum(sides**2) / 2
+    seen = np.eye(8) * 4 + 400 * np.einsum("km,kn->mn", sides, sides) / norm / 2
+    noise = with_unknown_angles(curve, np.eye(8)[None] * 4 + 400 * _outer(curve.unit), np.full(1, 4.0)).score
+    spread = with_unknown_angles(curve, seen[None].astype(complex), np.full(1, 4.0)).score
+    drawn = 400 * 0.01 * np.sum((curve.curvature.conj() * curve.wider).real) * _speed(beams) ** 2
+    assert abs(drawn) > 1
+    assert np.abs(spread - noise)[0] < 0.1 * abs(drawn)
+
+
+def _outer(unit: Array) -> Array:
+    return np.einsum("pm,pn->pmn", unit, unit.conj())
+
+
+def _speed(beams: Beams) -> float:
+    """Change of the unit vector at 0.2 beamwidths, per beamwidth."""
+    before, after = (beams.response(elevation_at([0.2 + step]), 0.0)[0] for step in (-1e-4, 1e-4))
+    return float(np.linalg.norm(after / np.linalg.norm(after) - before / np.linalg.norm(before)) / 2e-4)
 
 
 def test_elevations_lose_their_bias() -> None:

@@ -84,6 +84,9 @@ def test_the_oldest_dwells_are_too_many(assembler: Assembler) -> None:
     assert [dwell.key for dwell in assembler.surplus(3, 299)] == [FIRST]
     assert [dwell.key for dwell in assembler.surplus(3, 100)] == [FIRST, SECOND]
     assert [dwell.key for dwell in assembler.surplus(3, 1)] == [FIRST, SECOND]  # the newest may always stay
+    assembler.take(assembler.dwell(FIRST))
+    assert not assembler.is_crowded(2, 200)
+    assert assembler.is_crowded(2, 199)
 
 
 def test_a_dwell_is_passed_once_later_ones_of_the_same_sensor_come(assembler: Assembler) -> None:

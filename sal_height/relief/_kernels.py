@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric import F32, F64, Bool, Index, compiled, compiled_with_nan, inlined
+from sal_height.numeric import F32, F64, Bool, Index, compiled, compiled_with_nan
 
 LEAST_PRECISION = 1e-12  # of a height that no measurement reaches, 1/m^2: its sigma is 1000 km
 
@@ -156,7 +156,7 @@ def mark_bends(height: F64, limit: F64, joined: Bool, lags: Index, bend: F64) ->
                         bend[way, j, c] = max(bend[way, j, c], square)
 
 
-@inlined
+@compiled_with_nan
 def _variance_across(c: F64, east: float, north: float, steepest: float) -> float:
     """Variance at a place of `position_error.variance_at_place`, of one covariance `c` on ground of that slope."""
     if np.isfinite(east + north):

@@ -29,6 +29,11 @@ HELD_SENSORS = 4
 GONE_AFTER = 3
 """Dwells in a row that lack a channel before the next ones are no longer held back for it."""
 
+SENDERS_MEMORY = (
+    "a publisher with little shared memory loses messages or sends them late; `sal-height transport` gives it more"
+)
+"""Why messages that were published may not come."""
+
 TICK_S = 0.1
 """Period at which the node looks for dwells that are overdue."""
 
@@ -290,14 +295,19 @@ class DwellStage(Stage):
         return dwell.is_whole or crowded or bool(absences)
 
     def _incomplete(self, dwell: Dwell[Any], when: str) -> Rejected:
-        return Rejected("incomplete dwell", f"Dwell {dwell.key.number}: channels {dwell.absent} did not come {when}.")
+        return Rejected(
+            "incomplete dwell",
+            f"Dwell {dwell.key.number}: channels {dwell.absent} did not come {when}; {SENDERS_MEMORY}.",
+        )
 
     def _surplus(self, dwell: Dwell[Any]) -> Rejected:
         parameters = self.current_parameters()
+        awaited = f"channels {dwell.absent}" if dwell.absent else "what it needs besides its channels"
         return Rejected(
             "buffer full",
             f"Dwell {dwell.key.number} was the oldest unfinished one of more than {parameters.max_unfinished_dwells} "
-            f"(max_unfinished_dwells) or {parameters.max_memory_mb} MB (max_memory_mb).",
+            f"(max_unfinished_dwells) or {parameters.max_memory_mb} MB (max_memory_mb); it still waited for {awaited}. "
+            f"If these were published, {SENDERS_MEMORY}.",
         )
 
     def _unmatched(self, message: Any) -> Rejected:

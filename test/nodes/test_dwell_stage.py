@@ -134,6 +134,8 @@ def test_the_oldest_unfinished_dwell_goes_when_there_are_too_many(gate: Gate) ->
     gate.hear(8, 0)
     assert dropped(gate) == {"buffer full": 1}
     assert "Dwell 0 was the oldest" in gate.last_drop
+    assert "waited for channels [1, 2]" in gate.last_drop
+    assert "sal-height transport" in gate.last_drop
     gate.hear(1, 1, 2)
     gate.await_counts(**{"in": 11, "processed": 3, "out": 3, "waiting": 7, "dropped.buffer full": 1})
 

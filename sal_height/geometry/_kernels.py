@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.numeric import F64, Vector, compiled_with_nan, cross, dot, inlined, total, vector
+from sal_height.numeric import F64, Vector, compiled_with_nan, cross, dot, inlined, squared, total, vector
 
 
 @inlined
@@ -12,7 +12,7 @@ def height_above(point: Vector, earth: float) -> float:
     """Height (m) above the sphere of the radius `earth` (m), as `earth.height_of`."""
     x, y, z = point
     square = x * x + y * y
-    return (square + z * z + 2 * earth * z) / (np.sqrt(square + (z + earth) ** 2) + earth)
+    return (square + z * z + 2 * earth * z) / (np.sqrt(square + squared(z + earth)) + earth)
 
 
 @compiled_with_nan
@@ -59,8 +59,8 @@ def place_at_elevations(
     for i in range(len(elevation)):
         sine, cosine = np.sin(elevation[i]), np.cos(elevation[i])
         cone, down = along[i] / slant_range[i], -look_side * left * sine - up * cosine
-        square = forward**2 + down**2
-        root = np.sqrt(square - cone**2)
+        square = squared(forward) + squared(down)
+        root = np.sqrt(square - squared(cone))
         ahead, level = (forward * cone - down * root) / square, (down * cone + forward * root) / square
         body = ahead, -look_side * level * sine, -level * cosine
         for axis in range(3):
@@ -97,8 +97,8 @@ def place_at_heights(
         aside = cross(direction, upward)
         # (e + s)^2 - e^2 = 2 e s + s^2, with the difference of the squares taken analytically.
         growth = (height[i] - platform) * (2 * earth + height[i] + platform)
-        up = ((growth - slant_range[i] ** 2) / 2 - along[i] * ahead) / distance
-        across = look_side * np.sqrt(slant_range[i] ** 2 - along[i] ** 2 - up**2)
+        up = ((growth - squared(slant_range[i])) / 2 - along[i] * ahead) / distance
+        across = look_side * np.sqrt(squared(slant_range[i]) - squared(along[i]) - squared(up))
         for axis in range(3):
             sight = along[i] * direction[axis] + up * upward[axis] + across * aside[axis]
             places[i, axis] = antenna[axis] + sight

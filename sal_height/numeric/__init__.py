@@ -11,7 +11,7 @@ from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, C
 from sal_height.numeric.centred_sums import LARGEST, CentredSums
 from sal_height.numeric.chirp_z import ChirpZ, chirp_z
 from sal_height.numeric.fft import blocks, fast_length, frequencies, rows_at_once
-from sal_height.numeric.jit import compiled, compiled_with_nan, inlined
+from sal_height.numeric.jit import compiled, compiled_with_nan, inlined, squared
 from sal_height.numeric.phasors import outer_phasors, unit_phasors
 from sal_height.numeric.range_profiles import (
     OVERSAMPLING,
@@ -65,6 +65,7 @@ __all__ = [
     "outer_phasors",
     "rows_at_once",
     "spectra_of_profiles",
+    "squared",
     "tap_polynomials",
     "tap_weights",
     "taylor",

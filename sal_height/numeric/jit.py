@@ -59,7 +59,11 @@ def compiled(function: Function) -> Function:
 
 
 def compiled_with_nan(function: Function) -> Function:
-    """Compile as `compiled` does, but keep the meaning of NaN and of infinities, and the order of sums."""
+    """Compile as `compiled` does, but keep the meaning of NaN and of infinities, and the order of sums.
+
+    Powers and np.hypot are forbidden in it (`squared` instead): numba makes one loop of these for all functions of a
+    process, and if a `compiled` function was the first to need it, it takes all numbers for finite.
+    """
     PROGRESS.functions += 1
     return cast("Function", njit(nogil=True, error_model="numpy", cache=True)(function))
 
@@ -67,3 +71,9 @@ def compiled_with_nan(function: Function) -> Function:
 def inlined(function: Function) -> Function:
     """Compile the function into the `compiled` functions that call it, which saves the cost of a call."""
     return cast("Function", njit(nogil=True, fastmath=True, error_model="numpy", inline="always")(function))
+
+
+@inlined
+def squared(number: float) -> float:
+    """The square of a number, also in functions with NaN (`compiled_with_nan`)."""
+    return number * number

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.geometry import EARTH_RADIUS
-from sal_height.numeric import F32, F64, Vector, compiled_with_nan, cross, dot, inlined, total, vector
+from sal_height.numeric import F32, F64, Vector, compiled_with_nan, cross, dot, inlined, squared, total, vector
 
 
 @inlined
@@ -39,7 +39,7 @@ def _circle(sight: Vector, direction: Vector, forward: Vector) -> Vector:
     square, sight_forward, sight_along = dot(sight, sight), dot(sight, forward), dot(sight, direction)
     determinant = sight_forward * sight_along - square * dot(direction, forward)
     turn = cross(sight, direction)
-    return total((square - sight_forward**2) / determinant, turn, 0.0, turn)
+    return total((square - squared(sight_forward)) / determinant, turn, 0.0, turn)
 
 
 @inlined
@@ -131,7 +131,7 @@ def fill_pose_covariances(
     for i in range(len(positions)):
         sight = _sight(positions[i], antenna[i * each])
         square, sight_forward = dot(sight, sight), dot(sight, ahead)
-        share = 1 / (square - sight_forward**2)
+        share = 1 / (square - squared(sight_forward))
         turned = total(share * square, ahead, -share * sight_forward, sight)
         circle, variance = _circle(sight, direction, ahead), 0.0
         for axis in range(3):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric import F32, F64, Bool, Index, compiled, compiled_with_nan
+from sal_height.numeric import F32, F64, Bool, Index, compiled, compiled_with_nan, squared
 
 LEAST_PRECISION = 1e-12  # of a height that no measurement reaches, 1/m^2: its sigma is 1000 km
 
@@ -150,7 +150,7 @@ def mark_bends(height: F64, limit: F64, joined: Bool, lags: Index, bend: F64) ->
                 if lag > min(above, below):
                     break
                 found = height[i - lag, c] - 2 * height[i, c] + height[i + lag, c]
-                square, way = found**2 - limit[i, c] ** 2, 0 if found > 0 else 1
+                square, way = squared(found) - squared(limit[i, c]), 0 if found > 0 else 1
                 if square > 0:
                     for j in range(i - lag, i + lag + 1):
                         bend[way, j, c] = max(bend[way, j, c], square)
@@ -160,11 +160,11 @@ def mark_bends(height: F64, limit: F64, joined: Bool, lags: Index, bend: F64) ->
 def _variance_across(c: F64, east: float, north: float, steepest: float) -> float:
     """Variance at a place of `position_error.variance_at_place`, of one covariance `c` on ground of that slope."""
     if np.isfinite(east + north):
-        level = c[0, 0] * east**2 + 2 * c[0, 1] * east * north + c[1, 1] * north**2
+        level = c[0, 0] * squared(east) + 2 * c[0, 1] * east * north + c[1, 1] * squared(north)
         variance = c[2, 2] - 2 * (c[0, 2] * east + c[1, 2] * north) + level
     else:
-        greatest = (c[0, 0] + c[1, 1]) / 2 + np.hypot((c[0, 0] - c[1, 1]) / 2, c[0, 1])
-        variance = (np.sqrt(c[2, 2]) + steepest * np.sqrt(greatest)) ** 2
+        greatest = (c[0, 0] + c[1, 1]) / 2 + np.sqrt(squared((c[0, 0] - c[1, 1]) / 2) + squared(c[0, 1]))
+        variance = squared(np.sqrt(c[2, 2]) + steepest * np.sqrt(greatest))
     return variance
 
 
@@ -196,8 +196,8 @@ def find_semidefinite(matrices: F64, rounding: float, found: Bool) -> None:
         a, b, c, ab, ac, bc = m[0, 0], m[1, 1], m[2, 2], m[0, 1], m[0, 2], m[1, 2]
         alone = a >= 0 and b >= 0 and c >= 0 and a + b + c < np.inf
         limit = 1 + rounding
-        pairs = ab**2 <= limit * a * b and ac**2 <= limit * a * c and bc**2 <= limit * b * c
-        whole = a * b * c + 2 * ab * ac * bc - a * bc**2 - b * ac**2 - c * ab**2
+        pairs = squared(ab) <= limit * a * b and squared(ac) <= limit * a * c and squared(bc) <= limit * b * c
+        whole = a * b * c + 2 * ab * ac * bc - a * squared(bc) - b * squared(ac) - c * squared(ab)
         found[i] = alone and pairs and whole >= -rounding * a * b * c
 
 
@@ -289,8 +289,9 @@ def fit_planes(centred: F64, means: F64, half: int, part: slice, slope: F64, ste
             east = (down[2] * across[1] - down[1] * across[2]) / area
             north = (down[0] * across[2] - down[2] * across[0]) / area
             slope[i, j, 0], slope[i, j, 1] = east, north
-            steepness[i, j] = (down[0] ** 2 + down[1] ** 2 + across[0] ** 2 + across[1] ** 2) / area**2
-            misfit = (beside[2] - east * beside[0] - north * beside[1]) ** 2
+            steps = squared(down[0]) + squared(down[1]) + squared(across[0]) + squared(across[1])
+            steepness[i, j] = steps / squared(area)
+            misfit = squared(beside[2] - east * beside[0] - north * beside[1])
             off[i, j] = misfit if centred[3, i, j] > 0 and misfit < np.inf else 0.0
 
 
@@ -320,7 +321,7 @@ def judge_planes(
         error: to be filled, m/m, same shape.
     """
     rows, cols = share.shape
-    (least, misfit), size = limits, (2 * half + 1) ** 2
+    (least, misfit), size = limits, squared(2 * half + 1)
     for i in range(rows):
         for j in range(cols):
             variance, count = (
@@ -422,13 +423,13 @@ def average_cells(
         east, north = centre[cell[i], 0] - place[0, i], centre[cell[i], 1] - place[1, i]
         total[3] += weight * (height[i] + total[1] * east + total[2] * north)
         if np.isnan(slope_error[i]):
-            total[7] += weight * (steepest * np.hypot(east, north))
+            total[7] += weight * (steepest * np.sqrt(squared(east) + squared(north)))
         else:
             total[4] += weight * slope_error[i]
         total[5] += weight * east
         total[6] += weight * north
         total[8] += weight * own[i]
-        total[9] += weight**2 * own[i]
+        total[9] += squared(weight) * own[i]
         total[10] += weight * np.sqrt(common[i])
     for number in range(len(sums)):
         for k in range(3, 11):
@@ -437,7 +438,7 @@ def average_cells(
     for i in range(len(cell)):
         total, weight = sums[cell[i]], 1 / (own[i] + common[i])
         east, north = centre[cell[i], 0] - place[0, i], centre[cell[i], 1] - place[1, i]
-        total[11] += weight * (height[i] + total[1] * east + total[2] * north - total[3]) ** 2 / total[0]
+        total[11] += weight * squared(height[i] + total[1] * east + total[2] * north - total[3]) / total[0]
 
 
 @compiled_with_nan
@@ -457,7 +458,7 @@ def update_cells(index: Index, height: F64, weight: F64, cells: F64) -> None:
         cell = cells[index[i]]
         gain = weight[i] / (cell[1] + weight[i])
         step = gain * (height[i] - cell[0])
-        cell[2] += step**2 * cell[1] / gain
+        cell[2] += squared(step) * cell[1] / gain
         cell[0] += step
         cell[1] += weight[i]
         cell[3] += 1

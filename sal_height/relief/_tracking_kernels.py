@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric import F64, Bool, compiled, compiled_with_nan, inlined
+from sal_height.numeric import F64, Bool, compiled, compiled_with_nan, inlined, squared
 
 Heights = npt.NDArray[np.floating[Any]]
 
@@ -51,15 +51,15 @@ def filter_columns(
             deviation, error = np.float64(height[i, c]) - mean, np.float64(sigma[i, c])
             measured = (abs(deviation) < np.inf) & (error < np.inf) & (error > LEAST_SIGMA)
             innovations[c] = deviation - predicted[c] if measured else 0.0
-            weights[c] = 1 / error**2 if measured else 0.0
+            weights[c] = 1 / squared(error) if measured else 0.0
         for c in range(cols):  # a loop of its own, which is compiled to vector instructions
             innovation, weight = innovations[c], weights[c]
-            outlier[i, c] = innovation**2 * weight > gate**2 * (1 + spread[c] * weight)
+            outlier[i, c] = squared(innovation) * weight > squared(gate) * (1 + spread[c] * weight)
             weight = 0.0 if outlier[i, c] else weight
             variance[i, c] = spread[c] / (1 + spread[c] * weight)
             state[i, c] = predicted[c] + variance[i, c] * weight * innovation
             predicted[c] = phi * state[i, c]
-            spread[c] = phi**2 * variance[i, c] + noise
+            spread[c] = squared(phi) * variance[i, c] + noise
 
 
 @compiled
@@ -80,8 +80,10 @@ def _row_covariance(variances: tuple[float, float], beside: float, size: int) ->
     """Covariance of the state of a row before any measurement, m^2, shape (size + 1, size + 1)."""
     covariance = np.zeros((size + 1, size + 1))
     for j in range(size):
-        for k in range(size):
-            covariance[j, k] = variances[0] * beside ** abs(j - k)
+        shared = variances[0]
+        for k in range(j, size):
+            covariance[j, k] = covariance[k, j] = shared
+            shared *= beside
     covariance[size, size] = variances[1]
     return covariance
 
@@ -93,7 +95,7 @@ def _predict_row(phi: float, covariance: F64, state: F64, spread: F64) -> None:
     for j in range(size):
         state[j] *= phi
         for k in range(size):
-            spread[j, k] = covariance[j, k] + phi**2 * (spread[j, k] - covariance[j, k])
+            spread[j, k] = covariance[j, k] + squared(phi) * (spread[j, k] - covariance[j, k])
         spread[j, size] *= phi
         spread[size, j] *= phi
 
@@ -105,7 +107,7 @@ def _take_back_row(phi: float, score: F64, information: F64) -> None:
     for j in range(size):
         score[j] *= phi
         for k in range(size):
-            information[j, k] *= phi**2
+            information[j, k] *= squared(phi)
         information[j, size] *= phi
         information[size, j] *= phi
 
@@ -282,8 +284,8 @@ def mark_company(height: F64, variance: F64, outlier: Bool, same: float, least: 
                 for row in range(max(i - 1, 0), min(i + 2, rows)):
                     for col in range(max(j - 1, 0), min(j + 2, cols)):
                         if outlier[row, col] and (row != i or col != j):
-                            limit = same**2 * (variance[row, col] + variance[i, j])
-                            count += (height[row, col] - height[i, j]) ** 2 <= limit
+                            limit = squared(same) * (variance[row, col] + variance[i, j])
+                            count += squared(height[row, col] - height[i, j]) <= limit
             company[i, j] = count >= least if outlier[i, j] else False
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sal_height.geometry import EARTH_RADIUS
-from sal_height.numeric import F64, I32, I64, Bool, compiled_with_nan, inlined
+from sal_height.numeric import F64, I32, I64, Bool, compiled_with_nan, inlined, squared
 
 SMALL_ANGLE = 0.02
 """Angle at the centre of the earth, rad, up to which series replace sine and cosine: off by less than 1e-17."""
@@ -53,14 +53,14 @@ def see(
     """
     xs, ys, zs = positions[0], positions[1], positions[2]
     for i in range(east.size):
-        square = (east[i] * east[i] + north[i] * north[i]) / EARTH_RADIUS**2
-        if square <= SMALL_ANGLE**2:
+        square = (east[i] * east[i] + north[i] * north[i]) / squared(EARTH_RADIUS)
+        if square <= squared(SMALL_ANGLE):
             sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
             fall = square / 2 * (1 - square / 12 * (1 - square / 30 * (1 - square / 56)))  # 1 - cos
         else:
             angle = math.sqrt(square)
             sinc = math.sin(angle) / angle
-            fall = 2 * math.sin(angle / 2) ** 2
+            fall = 2 * squared(math.sin(angle / 2))
         scale = (1 + height[i] / EARTH_RADIUS) * sinc
         xs[i], ys[i], zs[i] = scale * east[i], scale * north[i], height[i] * (1 - fall) - EARTH_RADIUS * fall
     distance, elevation, squint = seen[0], seen[1], seen[2]

@@ -100,7 +100,8 @@ def test_a_reader_that_closes_the_output_ends_a_command_quietly(words: list[str]
     if words == ["replay"] and not also_errors:
         assert result.returncode == 2
     else:
-        assert (result.returncode, result.stderr or b"") == (141, b"")
+        said = [line for line in (result.stderr or b"").splitlines() if b"Compiling for this processor" not in line]
+        assert (result.returncode, said) == (141, [])
 
 
 @pytest.mark.parametrize("path", PATHS, ids=" ".join)

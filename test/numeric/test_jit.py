@@ -7,29 +7,30 @@ import logging
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from numba import njit
 
 import sal_height.runs.ensemble  # noqa: F401 (has all functions)
-from sal_height.numeric import jit
+from sal_height.numeric import F64, jit
 
 PACKAGE = Path(jit.__file__).parents[1]
 
 
-def compiled_functions() -> list[ast.FunctionDef]:
-    """All functions of the package that numba compiles."""
+def compiled_functions(*marks: str) -> list[ast.FunctionDef]:
+    """All functions of the package that have one of these decorators."""
     trees = [ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))]
     functions = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
     return [
         function
         for function in functions
-        if any(isinstance(mark, ast.Name) and mark.id in {"compiled", "inlined"} for mark in function.decorator_list)
+        if any(isinstance(mark, ast.Name) and mark.id in marks for mark in function.decorator_list)
     ]
 
 
 def test_compiled_functions_do_without_infinity_and_nan() -> None:
     """They are compiled for finite numbers; comparing with others, or asking for them, is undefined there."""
-    functions = compiled_functions()
+    functions = compiled_functions("compiled", "inlined")
     assert len(functions) > 20
     forbidden = {"inf", "nan", "isnan", "isinf", "isfinite"}
     used = {
@@ -39,6 +40,38 @@ def test_compiled_functions_do_without_infinity_and_nan() -> None:
         if isinstance(node, ast.Attribute) and node.attr in forbidden
     }
     assert not used
+
+
+def test_functions_with_nan_do_without_what_all_functions_share() -> None:
+    """Numba may have compiled it for finite numbers, for a function that was compiled before."""
+    functions = compiled_functions("compiled_with_nan", "inlined")
+    assert len(functions) > 20
+    nodes = [(function.name, node) for function in functions for node in ast.walk(function)]
+    powers = {name for name, node in nodes if isinstance(node, ast.Pow)}
+    distances = {name for name, node in nodes if isinstance(node, ast.Attribute) and node.attr == "hypot"}
+    assert not powers | distances
+
+
+def test_nan_stays_nan_beside_functions_without_it() -> None:
+    """The functions compiled first are those that share most."""
+    assert squares_below(np.array([2.0, 3.0]), 5.0) == 4.0
+    assert finite_square(3.0) == 9.0
+    assert finite_square(np.inf) == 0.0
+    assert finite_square(np.nan) == 0.0
+
+
+@jit.compiled
+def squares_below(numbers: F64, limit: float) -> float:
+    total = 0.0
+    for i in range(len(numbers)):
+        total += numbers[i] ** 2 if numbers[i] < limit / 2 else 0.0
+    return total
+
+
+@jit.compiled_with_nan
+def finite_square(number: float) -> float:
+    square = jit.squared(number)
+    return square if square < np.inf else 0.0
 
 
 def test_whoever_waits_for_the_compiler_is_told_once_in_a_while(

@@ -23,7 +23,7 @@ from sal_height.runs.processes import ONE_THREAD
 
 PHASE_HISTORY = ("phase_history",)
 
-TRIALS = sized(5, 1)
+TRIALS = sized(9, 1)
 """Rates that are tried at most in search of the highest."""
 
 NEAR = 1.12

@@ -29,8 +29,9 @@ HELD_SENSORS = 4
 GONE_AFTER = 3
 """Dwells in a row that lack a channel before the next ones are no longer held back for it."""
 
-SENDERS_MEMORY = (
-    "a publisher with little shared memory loses messages or sends them late; `sal-height transport` gives it more"
+MAY_BE_LOST = (
+    "messages get lost or come late where this node lags, or where the publisher has little shared memory "
+    "(`sal-height transport` gives it more)"
 )
 """Why messages that were published may not come."""
 
@@ -297,7 +298,7 @@ class DwellStage(Stage):
     def _incomplete(self, dwell: Dwell[Any], when: str) -> Rejected:
         return Rejected(
             "incomplete dwell",
-            f"Dwell {dwell.key.number}: channels {dwell.absent} did not come {when}; {SENDERS_MEMORY}.",
+            f"Dwell {dwell.key.number}: channels {dwell.absent} did not come {when}; {MAY_BE_LOST}.",
         )
 
     def _surplus(self, dwell: Dwell[Any]) -> Rejected:
@@ -306,8 +307,8 @@ class DwellStage(Stage):
         return Rejected(
             "buffer full",
             f"Dwell {dwell.key.number} was the oldest unfinished one of more than {parameters.max_unfinished_dwells} "
-            f"(max_unfinished_dwells) or {parameters.max_memory_mb} MB (max_memory_mb); it still waited for {awaited}. "
-            f"If these were published, {SENDERS_MEMORY}.",
+            f"(max_unfinished_dwells) or {parameters.max_memory_mb} MB (max_memory_mb); it still waited for {awaited}; "
+            f"{MAY_BE_LOST}.",
         )
 
     def _unmatched(self, message: Any) -> Rejected:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.elevation._several_kernels import invert_positive
+from sal_height.elevation._several_kernels import eliminate, invert_positive
 from sal_height.numeric import F64, Index, compiled
 
 
@@ -83,18 +83,9 @@ def invert_diagonals(matrices: F64, diagonals: F64) -> None:
     for i in range(len(matrices)):
         matrix, positive = matrices[i], True
         for k in range(count):
-            pivot = matrix[k, k]
-            if pivot <= 0:
-                positive = False
+            positive = matrix[k, k] > 0
+            if not positive:
                 break
-            matrix[k, k] = 1
-            for j in range(count):
-                matrix[k, j] /= pivot
-            for m in range(count):
-                if m != k:
-                    factor = matrix[m, k]
-                    matrix[m, k] = 0
-                    for j in range(count):
-                        matrix[m, j] -= factor * matrix[k, j]
+            eliminate(matrix, k, count)
         for k in range(count):
             diagonals[i, k] = matrix[k, k] if positive else -1.0

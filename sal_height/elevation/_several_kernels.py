@@ -446,18 +446,24 @@ def invert_positive(matrix: Numbers, count: int) -> float:
     """Invert the first rows and columns of a positive matrix in place; returns the logarithm of their determinant."""
     logarithm = 0.0
     for k in range(count):
-        pivot = matrix[k, k].real
-        logarithm += np.log(pivot)
-        matrix[k, k] = 1
-        for j in range(count):
-            matrix[k, j] /= pivot
-        for i in range(count):
-            if i != k:
-                factor = matrix[i, k]
-                matrix[i, k] = 0
-                for j in range(count):
-                    matrix[i, j] -= factor * matrix[k, j]
+        logarithm += np.log(matrix[k, k].real)
+        eliminate(matrix, k, count)
     return logarithm
+
+
+@compiled
+def eliminate(matrix: Numbers, k: int, count: int) -> None:
+    """Take one step of the inversion of the first rows and columns of a matrix in place: that of its k-th pivot."""
+    pivot = matrix[k, k].real
+    matrix[k, k] = 1
+    for j in range(count):
+        matrix[k, j] /= pivot
+    for i in range(count):
+        if i != k:
+            factor = matrix[i, k]
+            matrix[i, k] = 0
+            for j in range(count):
+                matrix[i, j] -= factor * matrix[k, j]
 
 
 @compiled

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -29,18 +31,13 @@ def locate_at_elevation(
     Returns:
         Positions of the broadcast shape (..., 3); NaN where no such direction exists.
     """
-    shape, numbers = _pixels(elevation, slant_range, along, aperture)
-    antennas, places = antennas_of(aperture, shape), np.empty((*shape, 3))
     velocity, rotation = np.ascontiguousarray(aperture.velocity), np.ascontiguousarray(aperture.rotation)
-    found = places.reshape(-1, 3)
 
-    def fill(part: slice) -> None:
-        of_part = antennas[part] if len(antennas) > 1 else antennas
-        angles, ranges, ahead = numbers[:, part]
-        kernels.place_at_elevations(angles, ranges, ahead, of_part, velocity, rotation, look_side, found[part])
+    def fill(numbers: F64, antennas: F64, places: F64) -> None:
+        angles, ranges, ahead = numbers
+        kernels.place_at_elevations(angles, ranges, ahead, antennas, velocity, rotation, look_side, places)
 
-    in_parallel(fill, len(found), LEAST_POINTS)
-    return places
+    return _located(fill, (elevation, slant_range, along), aperture)
 
 
 def locate_at_height(
@@ -55,26 +52,36 @@ def locate_at_height(
     Arguments and result are those of `locate_at_elevation`, with the height in place of the elevation; NaN where no
     point has that range, Doppler and height.
     """
-    shape, numbers = _pixels(height, slant_range, along, aperture)
-    antennas, places = antennas_of(aperture, shape), np.empty((*shape, 3))
-    velocity, found = np.ascontiguousarray(aperture.velocity), places.reshape(-1, 3)
+    velocity = np.ascontiguousarray(aperture.velocity)
 
-    def fill(part: slice) -> None:
-        of_part = antennas[part] if len(antennas) > 1 else antennas
-        heights, ranges, ahead = numbers[:, part]
-        kernels.place_at_heights(heights, ranges, ahead, of_part, velocity, look_side, EARTH_RADIUS, found[part])
+    def fill(numbers: F64, antennas: F64, places: F64) -> None:
+        heights, ranges, ahead = numbers
+        kernels.place_at_heights(heights, ranges, ahead, antennas, velocity, look_side, EARTH_RADIUS, places)
 
-    in_parallel(fill, len(found), LEAST_POINTS)
-    return places
+    return _located(fill, (height, slant_range, along), aperture)
 
 
-def _pixels(
-    first: npt.ArrayLike, second: npt.ArrayLike, third: npt.ArrayLike, aperture: ApertureState
-) -> tuple[tuple[int, ...], F64]:
-    """The shape to which numbers of pixels and the aperture's positions broadcast, and the numbers, shape (3, n)."""
-    arrays = np.asarray(first), np.asarray(second), np.asarray(third)
+def _located(
+    fill: Callable[[F64, F64, F64], None],
+    each: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike],
+    aperture: ApertureState,
+) -> F64:
+    """Positions of pixels, of the shape (..., 3) to which their numbers and the aperture's positions broadcast.
+
+    Args:
+        fill: fills the positions (n, 3) of some pixels from their numbers (3, n) and antennas (`antennas_of`).
+        each: three numbers of each pixel.
+        aperture: from which they are seen.
+    """
+    arrays = [np.asarray(numbers) for numbers in each]
     shape = np.broadcast_shapes(*(array.shape for array in arrays), aperture.position.shape[:-1])
-    numbers = np.empty((3, *shape))
+    numbers, places, antennas = np.empty((3, *shape)), np.empty((*shape, 3)), antennas_of(aperture, shape)
     for number, array in enumerate(arrays):
         numbers[number] = array
-    return shape, numbers.reshape(3, -1)
+    rows, found = numbers.reshape(3, -1), places.reshape(-1, 3)
+
+    def fill_part(part: slice) -> None:
+        fill(rows[:, part], antennas[part] if len(antennas) > 1 else antennas, found[part])
+
+    in_parallel(fill_part, len(found), LEAST_POINTS)
+    return places

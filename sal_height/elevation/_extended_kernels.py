@@ -6,7 +6,7 @@ in steps of the table of unit responses, `SearchTables.unit_pieces`. The compile
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +20,30 @@ Table = tuple[Numbers, F32, F64, F64, F64]
 spreads) and their weights, (quadratures, nodes), those of few nodes first and filled up with zeros; and the greatest
 spread it is for."""
 
+
+class SurfacePrior(NamedTuple):
+    """Prior density of surfaces: even over t and ln p within a range, and falling with a power of the spread.
+
+    Attributes:
+        place: range of t, steps of the table.
+        spread: range of ln s.
+        power: range of ln p.
+        steepness: the density of ln s falls with this power of s.
+        density: logarithm of the density of ln s over an even one, where s is one step of the table.
+    """
+
+    place: float
+    spread: float
+    power: float
+    steepness: float
+    density: float
+
+
 SCORING_STEPS = 12  # few pixels need more than five; those of high CNR do
 GREATEST_STEPS = (0.5, 0.5, 1.0)  # of t over s, ln s and ln p
 RIDGE = 1e-3  # added to the information of a look on each parameter, so that it can be inverted
 SMALL_RISE = 0.1  # of the likelihood, which the next step is not worth
-HOPEFUL = 60.0  # times the rise that a step promises, over the number of steps, within which a likelihood is reached
+HOPEFUL = 60.0  # times the rise that a step promises, over the number of steps, within which evidence is reached
 
 
 @compiled
@@ -35,7 +54,8 @@ def climb_surfaces(
     least: F64,
     tables: Table,
     spreads: tuple[float, float],
-    found: tuple[F64, F64, F64],
+    prior: SurfacePrior,
+    found: tuple[F64, F64, F64, F64],
 ) -> None:
     """Climb the likelihood of extended surfaces by Fisher's scoring; the best place passed is kept.
 
@@ -43,13 +63,14 @@ def climb_surfaces(
         matrices: R, (pixels, M, M), double precision.
         squints: number of the squint of each pixel, (pixels,).
         looks: K, (pixels,).
-        least: log-likelihood of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
+        least: log-evidence of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
         tables: of the unit responses at all squints, and the quadratures.
         spreads: least and greatest one.
-        found: t, s and p of the start, replaced by those found, (3, pixels); to fill with the log-likelihood,
-            (pixels,), and the information there, (pixels, 3, 3).
+        prior: of the surfaces.
+        found: t, s and p of the start, replaced by those found, (3, pixels); to fill with the log-likelihood and the
+            log-evidence, (pixels,), and the information there, (pixels, 3, 3).
     """
-    surfaces, likelihoods, informations = found
+    surfaces, likelihoods, evidences, informations = found
     pieces, kind, count = tables[0], matrices.dtype, tables[2].shape[1]
     vectors, squares = np.empty((3, count, pieces.shape[3]), kind), np.empty((7, count, count), kind)
     place, gradient, information = np.empty(3), np.empty(3), np.empty((3, 3))
@@ -67,13 +88,14 @@ def climb_surfaces(
                 for k in range(3):
                     surfaces[k, i] = place[k]
                 informations[i] = information
+                evidences[i] = likelihood + occam_factor(information, place[1], prior, damped)
             damped[:] = information
             for k in range(3):
                 damped[k, k] += RIDGE * looks[i]
             right[:] = gradient
             solve(damped, right, move)
             rise = gradient[0] * move[0] + gradient[1] * move[1] + gradient[2] * move[2]
-            if not (rise > SMALL_RISE and likelihood + HOPEFUL / (step + 1) * rise > least[i]):
+            if not (rise > SMALL_RISE and evidences[i] + HOPEFUL / (step + 1) * rise > least[i]):
                 break
             for k in range(3):
                 move[k] = min(max(move[k], -GREATEST_STEPS[k]), GREATEST_STEPS[k])
@@ -81,6 +103,17 @@ def climb_surfaces(
             place[1] = min(max(place[1] * np.exp(move[1]), spreads[0]), spreads[1])
             place[0] = min(max(place[0], -place[1]), last + place[1])
             place[2] *= np.exp(move[2])
+
+
+@compiled
+def occam_factor(information: F64, spread: float, prior: SurfacePrior, work: F64) -> float:
+    """Logarithm of the share of the prior that looks with this information leave; see `order`. `work` is (3, 3)."""
+    ranges = prior.place / spread, prior.spread, prior.power
+    for k in range(3):
+        for n in range(3):
+            work[k, n] = information[k, n] * ranges[k] * ranges[n] / (2 * np.pi)
+        work[k, k] += 1
+    return prior.density - prior.steepness * np.log(spread) - 0.5 * invert_positive(work, 3)
 
 
 @compiled

@@ -25,7 +25,7 @@ def learn_from_neighbours(
 
     Args:
         evidence: logarithm, of every model of some pixels, shape (pixels, models).
-        here: rows and columns of the pixels.
+        here: rows and columns of the pixels, row by row.
         prior: probability of each model, those of the place last.
         reach: pixels to each side that count.
         steps: of the EM algorithm.
@@ -34,7 +34,7 @@ def learn_from_neighbours(
             place); changed.
     """
     (rows, cols), (height, width, kinds) = here, shares.shape
-    first, around, own_prior = len(prior) - kinds, np.empty(kinds), prior.copy()
+    first, around, own_prior, lines = len(prior) - kinds, np.empty(kinds), prior.copy(), np.empty((width, kinds))
     together = prior[first:].sum()
     usual = prior[first:] / together
     for _ in range(steps):
@@ -45,11 +45,14 @@ def learn_from_neighbours(
             for k in range(kinds):
                 shares[rows[i], cols[i], k] = 0.0 if single > 0.5 else np.exp(found[i, first + k])
         for i in range(len(rows)):
+            if i == 0 or rows[i] != rows[i - 1]:
+                lines[:] = 0
+                for r in range(max(rows[i] - reach, 0), min(rows[i] + reach + 1, height)):
+                    lines += shares[r]
             around[:] = usual - shares[rows[i], cols[i]]
-            for r in range(max(rows[i] - reach, 0), min(rows[i] + reach + 1, height)):
-                for c in range(max(cols[i] - reach, 0), min(cols[i] + reach + 1, width)):
-                    for k in range(kinds):
-                        around[k] += shares[r, c, k]
+            for c in range(max(cols[i] - reach, 0), min(cols[i] + reach + 1, width)):
+                for k in range(kinds):
+                    around[k] += lines[c, k]
             own_prior[first:] = around * (together / around.sum())
             weigh(evidence[i], own_prior, found[i])
 

@@ -12,17 +12,18 @@ g g^H over the looks. Fisher's scoring climbs it over t, ln s and ln p; their in
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple, Self
 
 import numpy as np
 
-from sal_height.elevation._extended_kernels import RIDGE, Table, all_responses, climb_surfaces
+from sal_height.elevation._extended_kernels import RIDGE, SurfacePrior, Table, all_responses, climb_surfaces
 from sal_height.elevation.beam_error import beam_deviation
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.search import PeakSearch, SearchTables
-from sal_height.elevation.several import adjoint
+from sal_height.elevation.several import CNR_RANGE, adjoint, deviations
 from sal_height.numeric import F32, F64, Bool, Index
 
 LEAST_SPREAD, GREATEST_SPREAD = 0.05, 1.0  # standard deviation of a surface's elevation, beamwidths
@@ -37,6 +38,12 @@ PLACES, SHARES = np.zeros((2, len(QUADRATURES), QUADRATURES[-1][0]))  # of the n
 for _rule, (_count, _) in enumerate(QUADRATURES):
     _nodes, _weights = np.polynomial.legendre.leggauss(_count)
     PLACES[_rule, :_count], SHARES[_rule, :_count] = np.sqrt(3) * _nodes, _weights / 2
+
+STEEPNESS = 1.75
+"""The prior density of the logarithm of a spread falls with this power of it: wide surfaces are rarer than narrow ones.
+
+At 10 dB in four looks two scatterers a beamwidth apart and a surface half a beamwidth spread look much the same.
+"""
 
 FAINT = 0.1  # share of the greatest power over elevation below which it is not the surface's
 WIDE = 0.25  # beamwidths; spreads from which on the middle of the power is a better start than its peak
@@ -81,18 +88,26 @@ class ExtendedSurfaces:
     Attributes:
         found: the most likely ones.
         sigma: standard deviation of their elevation, rad, (pixels,).
-        log_likelihood: against noise alone, (pixels,).
+        log_likelihood, log_evidence: against noise alone, (pixels,).
         information: on t / s, ln s and ln p, (pixels, 3, 3).
     """
 
     found: Surfaces
     sigma: F64
     log_likelihood: F64
+    log_evidence: F64
     information: F64
 
     @classmethod
     def fit(
-        cls, search: PeakSearch, covariance: Numbers, looks: F64, start: Surfaces, least: F64, beamwidth: float
+        cls,
+        search: PeakSearch,
+        covariance: Numbers,
+        looks: F64,
+        start: Surfaces,
+        least: F64,
+        domain: float,
+        beamwidth: float,
     ) -> Self:
         """Fit a surface to each pixel.
 
@@ -101,27 +116,47 @@ class ExtendedSurfaces:
             covariance: R in noise powers, (pixels, M, M).
             looks: K, (pixels,).
             start: of the climb.
-            least: log-likelihood of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
+            least: log-evidence of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
+            domain: range of their elevations, rad.
             beamwidth: rad.
         """
         tables, squints = search.tables, search.every(len(looks))
         values = start.within_bounds(tables, beamwidth).in_steps(tables)
-        likelihood, information = np.empty(len(looks)), np.empty((len(looks), 3, 3))
+        (likelihood, evidence), information = np.empty((2, len(looks))), np.empty((len(looks), 3, 3))
         spreads = LEAST_SPREAD * beamwidth / tables.step, GREATEST_SPREAD * beamwidth / tables.step
-        found = values, likelihood, information
-        climb_surfaces(covariance, squints, looks, least, table_of(tables, beamwidth), spreads, found)
+        prior = _prior(domain / tables.step, beamwidth / tables.step)
+        found = values, likelihood, evidence, information
+        climb_surfaces(covariance, squints, looks, least, table_of(tables, beamwidth), spreads, prior, found)
         surfaces = Surfaces(search.elevation(values[0]), tables.step * values[1], values[2])
-        variance = np.linalg.inv(information + RIDGE * looks[:, None, None] * np.eye(3))[:, 0, 0]
-        sigma = np.sqrt(variance * looks / free_looks(looks)) * surfaces.spread
-        return cls(surfaces, sigma, likelihood, information)
+        deviation = deviations(information + RIDGE * looks[:, None, None] * np.eye(3))[:, 0]
+        sigma = deviation * np.sqrt(looks / free_looks(looks)) * surfaces.spread
+        return cls(surfaces, sigma, likelihood, evidence, information)
 
     def at(self, index: Index | Bool) -> Self:
         """Some of the surfaces."""
-        return type(self)(self.found.at(index), self.sigma[index], self.log_likelihood[index], self.information[index])
+        parts = self.sigma, self.log_likelihood, self.log_evidence, self.information
+        return type(self)(self.found.at(index), *(part[index] for part in parts))
 
     def with_uncertain_beams(self, uncertainty: float, turning: F64) -> Self:
         """The surfaces with the sigma that `beam_deviation` adds; D in 1/rad^2, (pixels,)."""
         return replace(self, sigma=np.hypot(self.sigma, beam_deviation(turning, uncertainty)))
+
+
+def log_prior(spread: F64) -> F64:
+    """Logarithm of the prior density of ln `spread` (beamwidths) over that of a uniform one between the bounds."""
+    return -STEEPNESS * np.log(spread) - math.log(_mean_density())
+
+
+def _mean_density() -> float:
+    """Mean of s^-STEEPNESS over ln s between the bounds, s in beamwidths."""
+    least, greatest = LEAST_SPREAD**-STEEPNESS, GREATEST_SPREAD**-STEEPNESS
+    return (least - greatest) / (STEEPNESS * math.log(GREATEST_SPREAD / LEAST_SPREAD))
+
+
+def _prior(domain: float, beamwidth: float) -> SurfacePrior:
+    """The prior in steps of the table, as the compiled loops take it."""
+    density = STEEPNESS * math.log(beamwidth) - math.log(_mean_density())
+    return SurfacePrior(domain, math.log(GREATEST_SPREAD / LEAST_SPREAD), CNR_RANGE, STEEPNESS, density)
 
 
 def first_surfaces(search: PeakSearch, values: F32, looks: F64, narrow: Surfaces, beamwidth: float) -> Surfaces:

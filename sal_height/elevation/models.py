@@ -18,7 +18,6 @@ from sal_height.elevation.order import (
     SPREAD,
     THREE,
     TWO,
-    log_evidence_of_extended,
     log_evidence_of_one,
     log_evidence_of_several,
 )
@@ -84,9 +83,7 @@ class Models:
         self.sigma[here] = np.hypot(several.sigma, several.deviation_by_beams(uncertainty))
         self.spread[here], self.explained[count, part], self.evidence[count, part] = 0.0, several.explained, evidence
 
-    def put_extended(
-        self, surfaces: ExtendedSurfaces, explained: tuple[F64, F64], raised: F64, evidence: F64, part: Index
-    ) -> None:
+    def put_extended(self, surfaces: ExtendedSurfaces, explained: tuple[F64, F64], raised: F64, part: Index) -> None:
         """Enter extended surfaces of the pixels `part`, fitted in noise that is `raised` over the receivers'.
 
         `explained` is their power, and the number of directions in which they have it.
@@ -95,7 +92,6 @@ class Models:
         self.elevation[here], self.spread[here], cnr = surfaces.found
         self.sigma[here], self.cnr[here] = surfaces.sigma, raised * cnr
         self.explained[SPREAD, part], self.directions[SPREAD, part] = explained
-        self.evidence[SPREAD, part] = evidence
 
     def deviation(self, elevation: F64, probability: F64) -> F64:
         """Standard deviation (rad) of elevations that may be those of any of the models, (pixels, MOST).
@@ -142,7 +138,9 @@ class Suspects:
         return cls(covariance, search.on_grid(covariance), looks.count[here], search)
 
     def of(self, some: Index) -> Suspects:
-        """Some of the pixels."""
+        """Some of the pixels, in their order."""
+        if len(some) == len(self.looks):
+            return self
         return Suspects(self.covariance[some], self.values[some], self.looks[some], self.search.of(some))
 
 
@@ -212,15 +210,14 @@ def _fit_extended(
     narrow = Surfaces(peaks.elevation[whole], single.spread.own[whole], power / peaks.array_power[whole])
     least = models.evidence[TWO : THREE + 1, chosen].max(axis=0) - IMPROBABLE
     first = first_surfaces(these.search, these.values, these.looks, narrow, beams.beamwidth)
-    surfaces = ExtendedSurfaces.fit(these.search, these.covariance, these.looks, first, least, beams.beamwidth)
+    surfaces = ExtendedSurfaces.fit(these.search, these.covariance, these.looks, first, least, domain, beams.beamwidth)
     # Of surfaces that were given up no more is known than how improbable they are.
-    models.evidence[SPREAD, chosen] = surfaces.log_likelihood
-    likely = np.flatnonzero(surfaces.log_likelihood > least)
+    models.evidence[SPREAD, chosen] = surfaces.log_evidence
+    likely = np.flatnonzero(surfaces.log_evidence > least)
     if not likely.size:
         return
     some, whole, surfaces = some[likely], (whole[0][likely], whole[1][likely]), surfaces.at(likely)
     surfaces = surfaces.with_uncertain_beams(beams.uncertainty, peaks.turning[whole] * peaks.array_power[whole])
-    weighed = log_evidence_of_extended(surfaces, domain, beams.beamwidth)
     these = these.of(likely)
     explained = explained_by(these.search, these.covariance, surfaces.found, beams.beamwidth)
-    models.put_extended(surfaces, explained, single.noise.raised[whole], weighed, part[some])
+    models.put_extended(surfaces, explained, single.noise.raised[whole], part[some])

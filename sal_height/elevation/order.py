@@ -23,8 +23,8 @@ from sal_height.elevation._kernels import GRID_STEP
 from sal_height.elevation._order_kernels import learn_from_neighbours, log_determinants
 from sal_height.elevation.bounds import information
 from sal_height.elevation.estimate import ORDERS
-from sal_height.elevation.extended import GREATEST_SPREAD, LEAST_SPREAD, ExtendedSurfaces, free_looks
-from sal_height.elevation.several import SeveralScatterers, fit_powers, power_of
+from sal_height.elevation.extended import GREATEST_SPREAD, LEAST_SPREAD, free_looks, log_prior
+from sal_height.elevation.several import CNR_RANGE, SeveralScatterers, fit_powers, power_of
 from sal_height.numeric import F64, Index
 
 NONE, ONE, TWO, THREE, SPREAD = range(5)
@@ -38,17 +38,8 @@ THRESHOLD_STEPS = 50  # of Newton's method for a threshold; a few do
 THRESHOLD_ERROR = 1e-9  # last such step, over the threshold
 EM_STEPS = 5  # its shares of the models are then within .01 of their limit
 
-CNR_RANGE = math.log(10 ** (40 / 10) / 10 ** (0 / 10))
-"""Range of the logarithm of each scatterer's CNR, within which it is uniform: 0 to 40 dB."""
-
 SPREADS = np.geomspace(LEAST_SPREAD, GREATEST_SPREAD, 10)
 """Standard deviations of elevation of extended surfaces at which the prior is summed up, beamwidths."""
-
-STEEPNESS = 1.75
-"""The prior density of the logarithm of a spread falls with this power of it: wide surfaces are rarer than narrow ones.
-
-At 10 dB in four looks two scatterers a beamwidth apart and a surface half a beamwidth spread look much the same.
-"""
 
 
 def log_evidence_of_one(explained: F64, looks: F64, turning: F64, domain: float) -> F64:
@@ -83,15 +74,6 @@ def log_evidence_of_several(several: SeveralScatterers, domain: float) -> F64:
     return fit.log_likelihood + places + _log_volume_of(fit.information, CNR_RANGE) + math.lgamma(count + 1)
 
 
-def log_evidence_of_extended(surfaces: ExtendedSurfaces, domain: float, beamwidth: float) -> F64:
-    """Log-evidence of an extended surface against none, (pixels,); `domain` is the range of its elevation, rad."""
-    spread = surfaces.found.spread
-    ranges = [domain / spread, np.full_like(spread, math.log(GREATEST_SPREAD / LEAST_SPREAD))]
-    ranges.append(np.full_like(spread, CNR_RANGE))
-    volume = _log_volume_of(surfaces.information, np.stack(ranges, axis=1))
-    return surfaces.log_likelihood + volume + _log_prior(spread / beamwidth)
-
-
 def log_evidence_of_spread(
     along_slope: F64, explained: F64, looks: F64, turning: F64, level: F64, beamwidth: float
 ) -> F64:
@@ -108,7 +90,7 @@ def log_evidence_of_spread(
     unit = power_of(explained, looks) * turning * beamwidth**2
     gains = [
         _gain_of_spread(along_slope, looks, level + spread**2 * unit) + prior
-        for spread, prior in zip(SPREADS.tolist(), _log_prior(SPREADS).tolist(), strict=True)
+        for spread, prior in zip(SPREADS.tolist(), log_prior(SPREADS).tolist(), strict=True)
     ]
     return _log_sum(np.array(gains), axis=0)[0] - math.log(len(SPREADS))
 
@@ -122,13 +104,6 @@ def log_evidence_of_level(along_slope: F64, looks: F64, level: F64) -> F64:
         level: mean power of one look of level ground along the slope, noise included, noise powers.
     """
     return _gain_of_spread(along_slope, looks, level)
-
-
-def _log_prior(spread: F64) -> F64:
-    """Logarithm of the prior density of ln `spread` (beamwidths) over that of a uniform one between the bounds."""
-    least, greatest = LEAST_SPREAD**-STEEPNESS, GREATEST_SPREAD**-STEEPNESS
-    mean = (least - greatest) / (STEEPNESS * math.log(GREATEST_SPREAD / LEAST_SPREAD))
-    return -STEEPNESS * np.log(spread) - math.log(mean)
 
 
 def _gain_of_spread(along_slope: F64, looks: F64, level: F64) -> F64:

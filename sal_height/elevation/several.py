@@ -13,6 +13,7 @@ U diag(p) U^H + I.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -24,6 +25,9 @@ from sal_height.elevation._several_kernels import LEAST_POWER, maximise_powers, 
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.search import PeakSearch
 from sal_height.numeric import F32, F64
+
+CNR_RANGE = math.log(10 ** (40 / 10) / 10 ** (0 / 10))
+"""Range of the logarithm of each scatterer's CNR, within which it is uniform: 0 to 40 dB."""
 
 
 @dataclass(frozen=True, eq=False)

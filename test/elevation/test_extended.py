@@ -9,11 +9,14 @@ from helpers import BEAMWIDTH, beams_named, circular, elevation_at, make_beams, 
 from sal_height.beams.array import Beams
 from sal_height.elevation import _extended_kernels as kernels
 from sal_height.elevation.extended import (
+    GREATEST_SPREAD,
+    LEAST_SPREAD,
     QUADRATURES,
     ExtendedSurfaces,
     Surfaces,
     explained_by,
     first_surfaces,
+    log_prior,
     spread_of,
     table_of,
 )
@@ -22,6 +25,7 @@ from sal_height.elevation.search import PeakSearch, PeakSearches
 from sal_height.elevation.several import adjoint
 
 PATTERNS = pytest.mark.parametrize("pattern", ["jinc", "complex"])
+DOMAIN = 7.5 * BEAMWIDTH
 
 
 def search_of(beams: Beams) -> PeakSearch:
@@ -134,7 +138,7 @@ def test_surfaces_are_found_within_their_sigma(cnr_db: int, looks: int, spread: 
     values = search.on_grid(covariance)
     narrow = Surfaces(search.peaks_of(covariance, values, 0.0).elevation, np.zeros(1000), np.full(1000, 10.0))
     first = first_surfaces(search, values, count, narrow, BEAMWIDTH)
-    found = ExtendedSurfaces.fit(search, covariance, count, first, np.full(1000, -np.inf), BEAMWIDTH)
+    found = ExtendedSurfaces.fit(search, covariance, count, first, np.full(1000, -np.inf), DOMAIN, BEAMWIDTH)
     score = np.abs(offset_of(found.found.elevation) - middle) * BEAMWIDTH / found.sigma
     assert np.mean(score < 1) == pytest.approx(0.66, abs=0.06)
     assert np.mean(score > 5) < 5e-3
@@ -145,13 +149,32 @@ def test_surfaces_are_found_within_their_sigma(cnr_db: int, looks: int, spread: 
     assert np.mean(left) / np.mean((beams.count - directions) * count) == pytest.approx(1, abs=0.03)
 
 
-def test_pixels_that_cannot_reach_the_likelihood_of_interest_are_left() -> None:
+def test_evidence_is_the_likelihood_less_what_the_looks_leave_of_the_prior() -> None:
+    """Of surfaces as they are found, by determinants of the information on t, ln s and ln p (Laplace)."""
+    beams, rng, count = make_beams("jinc"), np.random.default_rng(74), np.full(50, 4.0)
+    covariance, search = covariance_of(beams, np.zeros(50), 0.3, 100.0, 4, rng), search_of(beams)
+    start = Surfaces(elevation_at(np.zeros(50)), np.full(50, 0.3 * BEAMWIDTH), np.full(50, 100.0))
+    found = ExtendedSurfaces.fit(search, covariance, count, start, np.full(50, -np.inf), DOMAIN, BEAMWIDTH)
+    ranges = np.stack([DOMAIN / found.found.spread, *np.log(np.full((50, 2), [20.0, 1e4]).T)], axis=1)
+    scaled = found.information * ranges[:, :, None] * ranges[:, None] / (2 * np.pi) + np.eye(3)
+    expected = found.log_likelihood - np.linalg.slogdet(scaled)[1] / 2 + log_prior(found.found.spread / BEAMWIDTH)
+    np.testing.assert_allclose(found.log_evidence, expected, rtol=1e-9)
+
+
+def test_prior_of_the_spread_is_a_density() -> None:
+    """Over an even one between the bounds its mean is 1."""
+    log_spread = np.linspace(np.log(LEAST_SPREAD), np.log(GREATEST_SPREAD), 100_001)
+    density = np.exp(log_prior(np.exp(log_spread)))
+    assert np.trapezoid(density, log_spread) == pytest.approx(np.ptp(log_spread), rel=1e-6)
+
+
+def test_pixels_that_cannot_reach_the_evidence_of_interest_are_left() -> None:
     """A point at 30 dB is fitted neither worse nor better for it than what the first step finds."""
     beams, rng, count = make_beams("jinc"), np.random.default_rng(73), np.full(50, 4.0)
     covariance, search = covariance_of(beams, np.zeros(50), 0.3, 1000.0, 4, rng), search_of(beams)
     start = Surfaces(elevation_at(np.full(50, 1.5)), np.full(50, 0.1 * BEAMWIDTH), np.full(50, 100.0))
-    to_the_end = ExtendedSurfaces.fit(search, covariance, count, start, np.full(50, -np.inf), BEAMWIDTH)
-    given_up = ExtendedSurfaces.fit(search, covariance, count, start, np.full(50, np.inf), BEAMWIDTH)
+    to_the_end = ExtendedSurfaces.fit(search, covariance, count, start, np.full(50, -np.inf), DOMAIN, BEAMWIDTH)
+    given_up = ExtendedSurfaces.fit(search, covariance, count, start, np.full(50, np.inf), DOMAIN, BEAMWIDTH)
     np.testing.assert_array_equal(given_up.found.elevation, start.elevation)
     assert np.all(to_the_end.log_likelihood > given_up.log_likelihood)
 

@@ -49,7 +49,8 @@ def test_pixels_of_several_squints_are_fitted_as_if_alone(name: str) -> None:
         elevation, explained, gain = search_several(search, pixels, values, first, np.zeros(len(pixels)))
         several = SeveralScatterers.at(search, pixels, looks, elevation)
         start = Surfaces(first[:, 0], np.full(len(pixels), 0.3 * BEAMWIDTH), np.full(len(pixels), 10.0))
-        surfaces = ExtendedSurfaces.fit(search, pixels, looks, start, np.full(len(pixels), -np.inf), BEAMWIDTH)
+        least = np.full(len(pixels), -np.inf)
+        surfaces = ExtendedSurfaces.fit(search, pixels, looks, start, least, 8 * BEAMWIDTH, BEAMWIDTH)
         power, directions = explained_by(search, pixels, surfaces.found, BEAMWIDTH)
         return [elevation, explained, gain, several.sigma, several.power, *surfaces.found, power, directions]
 

@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter
 
 from sal_height.beams.array import Beams
 from sal_height.elevation._order_kernels import invert_diagonals, log_determinants
+from sal_height.elevation.extended import STEEPNESS
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.order import (
@@ -17,7 +18,6 @@ from sal_height.elevation.order import (
     NEIGHBOURS,
     PRIOR,
     SPREADS,
-    STEEPNESS,
     TWO,
     detection_threshold,
     log_evidence_of_one,

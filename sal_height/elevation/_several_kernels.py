@@ -51,6 +51,7 @@ def gain_beside_one(
     _, size, nodes = units.shape
     unit, slope, output = np.empty(size, units.dtype), np.empty(size, units.dtype), np.empty(size, units.dtype)
     overlap, cross = np.empty(nodes, units.dtype), np.empty(nodes, units.dtype)
+    one, two, least = np.float32(1), np.float32(2), np.float32(LEAST_RESIDUE)
     for i in range(len(position)):
         matrix, line, table = matrices[i], values[i], units[squints[i]]
         unit_at(position[i], pieces[squints[i]], unit, slope)
@@ -66,9 +67,8 @@ def gain_beside_one(
         best = np.float32(0)
         for j in range(nodes):
             shared = (overlap[j] * np.conj(overlap[j])).real
-            beyond = line[j] - 2 * (np.conj(overlap[j]) * cross[j]).real + shared * own
-            apart = max(1 - shared, np.float32(LEAST_RESIDUE))
-            best = max(best, beyond / apart if 1 - shared > LEAST_RESIDUE else np.float32(0))
+            beyond, apart = line[j] - two * (np.conj(overlap[j]) * cross[j]).real + shared * own, one - shared
+            best = max(best, beyond / max(apart, least) if apart > least else np.float32(0))
         found[0, i] = best
         turn = inner(unit, slope)
         for m in range(size):

@@ -88,11 +88,9 @@ def log_evidence_of_spread(
         beamwidth: rad.
     """
     unit = power_of(explained, looks) * turning * beamwidth**2
-    gains = [
-        _gain_of_spread(along_slope, looks, level + spread**2 * unit) + prior
-        for spread, prior in zip(SPREADS.tolist(), log_prior(SPREADS).tolist(), strict=True)
-    ]
-    return _log_sum(np.array(gains), axis=0)[0] - math.log(len(SPREADS))
+    gains = _gain_of_spread(along_slope, looks, level + np.multiply.outer(SPREADS**2, unit))
+    gains += log_prior(SPREADS).reshape(-1, *(1 for _ in unit.shape))
+    return _log_sum(gains, axis=0)[0] - math.log(len(SPREADS))
 
 
 def log_evidence_of_level(along_slope: F64, looks: F64, level: F64) -> F64:

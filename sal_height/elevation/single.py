@@ -145,7 +145,7 @@ class Spread:
         free = np.where(looks.finite, free_looks(looks.count), 0.0)
         along = np.where(looks.finite, np.minimum(peaks.along_slope, 2 * levels.spread), 0.0)
         excess, unit = along - free * noise.along_slope, np.where(looks.finite, free * power * peaks.turning, 0.0)
-        pooled, units = (uniform_filter(part, NEIGHBOURS, mode="nearest") for part in (excess, unit))
+        pooled, units = uniform_filter([excess, unit], NEIGHBOURS, axes=(1, 2), mode="nearest")
         around = np.divide(np.maximum(pooled, 0.0), units, where=units > 0, out=np.zeros_like(units))
         level = noise.along_slope
         own = spread_of(peaks.along_slope / level, looks.count, power / level, peaks.turning)

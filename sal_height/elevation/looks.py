@@ -240,7 +240,7 @@ def windowed_looks(
     if high > rows or wide > cols:
         raise UserError(f"Looks are {high} x {wide} in an image of {rows} x {cols} pixels; they must fit in it.")
     gains = np.diag(transform).astype(np.complex64)
-    if np.any(transform != np.diag(np.diag(transform))):
+    if np.count_nonzero(transform) > np.count_nonzero(np.diag(transform)):
         slc, gains = np.tensordot(transform.astype(np.complex64), slc, axes=1), np.ones_like(gains)
     numbers = np.ascontiguousarray(slc, dtype=np.complex64).view(np.float32)
     # The power of each sample over all channels; negative where one is not finite.
@@ -260,17 +260,20 @@ def windowed_looks(
     # Sums over the looks of each pixel, first along the columns, then along the rows.
     seen = np.maximum(sample_power, 0).astype(np.float64)
     along = by_col.looks.across(seen)
-    power = by_row.looks.down(along) * finite
-    scale = np.where(finite, count / np.multiply.outer(by_row.looks.sums, by_col.looks.sums), 0.0)
+    summed = by_row.looks.down(along)
+    power = summed * finite
+    sums = np.multiply.outer(by_row.looks.sums, by_col.looks.sums)
+    scale = count / sums * finite
     # The power-weighted centre; the middle of the looks where there is no power.
-    row, col = (np.broadcast_to(middle, count.shape).copy() for middle in (by_row.middle[:, None], by_col.middle))
+    row, col = np.empty((2, *count.shape))
+    row[:], col[:] = by_row.middle[:, None], by_col.middle
     np.divide(by_row.places.down(along), power, out=row, where=power > 0)
     np.divide(by_row.looks.down(by_col.places.across(seen)), power, out=col, where=power > 0)
     floor = np.ones_like(count)
     if np.all(channels.noise_powers > 0):
         noise = float(channels.noise_powers.sum())
         deviation = noise / np.sqrt(len(slc) * count)
-        floor += foreign_power(seen, noise, by_row, by_col, deviation) / channels.noise_powers.min()
+        floor += foreign_power(seen, summed / sums, noise, by_row, by_col, deviation) / channels.noise_powers.min()
     # What depends on the inverse of the looks' energy.
     median = count / (count - MEDIAN)
     variance = by_row.between + by_row.within

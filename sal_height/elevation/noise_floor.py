@@ -23,11 +23,12 @@ A pixel has 12 ordered pairs of neighbours; of those that lie between such a pai
 """
 
 
-def foreign_power(power: F64, noise: float, down: AxisLooks, across: AxisLooks, deviation: F64) -> F64:
-    """Expected power of scatterers elsewhere in each pixel, mean of its looks, shape (rows, cols) of pixels.
+def foreign_power(power: F64, mean_power: F64, noise: float, down: AxisLooks, across: AxisLooks, deviation: F64) -> F64:
+    """Expected power of scatterers elsewhere in each pixel, mean of its looks, shape of `mean_power`.
 
     Args:
         power: of each sample over all channels, shape (rows, cols) of samples.
+        mean_power: of each pixel, mean of its looks, shape (rows, cols) of pixels.
         noise: expected power of the noise in it.
         down: looks along range.
         across: looks along azimuth.
@@ -44,7 +45,7 @@ def foreign_power(power: F64, noise: float, down: AxisLooks, across: AxisLooks, 
     near = mean(signal, down.leakage.near, across.leakage.near)
     of_neighbours = near - mean(signal, down.leakage.own, across.leakage.own)
     sidelobes = mean(signal, down.leakage.whole, across.leakage.whole) - near
-    edge = is_edge_of_shadow(mean(power, down.looks, across.looks) - noise, down, across, deviation)
+    edge = is_edge_of_shadow(mean_power - noise, down, across, deviation)
     return np.maximum(sidelobes, 0.0) + np.where(edge, np.maximum(of_neighbours, 0.0), 0.0)
 
 

@@ -50,10 +50,11 @@ def sidelobe_variance(
         response: of the images.
     """
     table, noise = squared_pull(beams), looks.receiver_noise * beams.count
-    place = np.nan_to_num(elevation) * (PULL_STEPS / beams.beamwidth)
+    known = np.isfinite(elevation)
+    place = np.where(known, elevation, 0.0) * (PULL_STEPS / beams.beamwidth)
     # Mean power of the looks' scatterers over all channels.
     mean = np.divide(looks.power, looks.count, where=looks.count > 0, out=np.zeros_like(place))
-    power = np.where(np.isfinite(elevation), np.maximum(mean - noise, 0.0), 0.0)
+    power = np.where(known, np.maximum(mean - noise, 0.0), 0.0)
     pulled = np.zeros_like(place)
     _add_along(place, power, pulled, shares_of_pixels(response.down, windows[0].step), table)
     _add_along(place.T, power.T, pulled.T, shares_of_pixels(response.across, windows[1].step), table)

@@ -214,16 +214,16 @@ class PeakSearch:
         climb_highest(self._real(covariance), squints, values, margins, tables.pieces, (position, height, second))
         return Peaks(self.elevation(position), height, second)
 
-    def may_peak_beyond(self, values: F32, first: float, last: float) -> Index:
-        """Numbers of the pixels whose highest peak may lie below `first` or above `last` (rad), by `on_grid`.
+    def may_peak_beyond(self, covariance: Covariance, domain: tuple[float, float], least: F64) -> Index:
+        """Numbers of the pixels whose highest peak may be beyond the domain (rad) and `least` high or more, (pixels,).
 
         The node nearest to the highest peak has NEAR_HIGHEST of its height, and is half a step from it at most. The
-        objective must not be negative.
+        objective must not be negative; errors as `peaks`.
         """
-        nodes = self.tables.grid_nodes
-        half = 0.5 * TABLE_STEPS * self.tables.step
-        near = (nodes < first + half) | (nodes > last - half)
-        return np.flatnonzero(values[:, near].max(axis=1, initial=-np.inf) >= NEAR_HIGHEST * values.max(axis=1))
+        grid = _grid_beyond(self.tables, *domain)
+        squints = self.every(len(covariance))
+        values = evaluate_on_grid(self._real(covariance), squints, self.tables.entries, grid)
+        return np.flatnonzero(values.max(axis=1, initial=-np.inf) >= NEAR_HIGHEST * least)
 
     def gain_beside(self, covariance: Covariance, values: F32, elevation: F64) -> F64:
         """What one more scatterer beside a single one would explain, in the unit of the covariance, (2, pixels).
@@ -443,6 +443,14 @@ def _searches(beams: Beams, objective: Objective, guard: float) -> PeakSearches:
         return SearchTables.of(nodes, np.stack(responses), np.stack(slopes), objective)
 
     return PeakSearches(nodes[::TABLE_STEPS], squint_step / SQUINT_PARTS, of_parts)
+
+
+@lru_cache(SEARCHES_HELD // SQUINTS_AT_ONCE)
+def _grid_beyond(tables: SearchTables, first: float, last: float) -> F32:
+    """The part of `tables.grid` at the nodes that are nearest to elevations below `first` or above `last` (rad)."""
+    half = 0.5 * TABLE_STEPS * tables.step
+    near = (tables.grid_nodes < first + half) | (tables.grid_nodes > last - half)
+    return np.ascontiguousarray(tables.grid[:, :, near])
 
 
 def _lagrange(place: float) -> list[float]:

@@ -7,6 +7,7 @@ side, squint the angle towards the direction of flight; all angles in rad.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +36,7 @@ class ApertureState:
     covariance: F64
     sliding: bool = False
 
-    @property
+    @cached_property
     def direction(self) -> F64:
         """Unit vector of flight in map axes."""
         return self.velocity / np.linalg.norm(self.velocity)

@@ -162,15 +162,17 @@ def test_peak_behind_a_dip_that_falls_between_nodes_is_climbed(mirrored: bool) -
 
 
 def test_pixels_whose_highest_peak_may_be_beyond_the_array_are_all_told() -> None:
-    """Of noise and of weak and strong targets around both ends; those far inside are left out."""
+    """Of noise and of weak and strong targets around both ends; those far inside are left out, and too low ones."""
     rng, beams = np.random.default_rng(51), make_beams("jinc")
     offset = rng.uniform(-6, 6, (2000, 1))
     slc = target_slc(beams, offset, 2000, 4, 10.0, rng)
     slc[:, ::4] = circular(rng, slc[:, ::4].shape)
     pixels = np.einsum("mpk,npk->pmn", slc, slc.conj()).real.astype(np.float32)
     one, (first, last) = search(beams, 0.0), beams.span
-    told, peak = one.may_peak_beyond(one.on_grid(pixels), first, last), one.peaks(pixels).elevation
-    assert np.isin(np.flatnonzero((peak < first) | (peak > last)), told).all()
+    best = one.peaks(pixels)
+    told = one.may_peak_beyond(pixels, beams.span, best.height)
+    assert np.isin(np.flatnonzero((best.elevation < first) | (best.elevation > last)), told).all()
     inside = np.abs(offset[:, 0]) < 2
     inside[::4] = False
     assert np.mean(inside[told]) < 0.05 * np.mean(inside)
+    assert not len(one.may_peak_beyond(pixels, beams.span, 2 * best.height))

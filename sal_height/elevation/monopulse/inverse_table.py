@@ -105,8 +105,9 @@ def invert_pairs(beams: Beams, mu: F64, pair: Index, squint: F64) -> PairElevati
         )
     elevation, slope, sum_gain, imaginary = found
     inverse = PairElevation(elevation, slope, reason, sum_gain, np.hypot(mu, imaginary))
-    for lower in np.unique(pair[reason == UNKNOWN]).tolist():
-        here, two = (reason == UNKNOWN) & (pair == lower), beams.pair(lower)
+    unknown = reason == UNKNOWN
+    for lower in np.unique(pair[unknown]).tolist() if unknown.any() else []:
+        here, two = unknown & (pair == lower), beams.pair(lower)
         angle = np.broadcast_to(squint, mu.shape)[here]
         exact = PairElevation.of(two, invert(two, mu[here], angle), angle)
         for one in fields(inverse):
@@ -133,13 +134,12 @@ def _alike(page: I64, finite: np.ndarray) -> Iterator[tuple[int, slice | Index]]
 def _lagrange(place: F64) -> F64:
     """Weights by which polynomials through values at NEAREST give those at `place` (0 to 1), shape (places, 4)."""
     before, after, last = place + 1, place - 1, place - 2
-    cubics = (
-        -place * after * last / 6,
-        before * after * last / 2,
-        -before * place * last / 2,
-        before * place * after / 6,
-    )
-    return np.ascontiguousarray(np.stack(cubics, axis=-1))
+    weights = np.empty((len(place), len(NEAREST)))
+    weights[:, 0] = -place * after * last / 6
+    weights[:, 1] = before * after * last / 2
+    weights[:, 2] = -before * place * last / 2
+    weights[:, 3] = before * place * after / 6
+    return weights
 
 
 @lru_cache(TABLES_HELD)

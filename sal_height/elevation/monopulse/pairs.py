@@ -73,24 +73,24 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
     first, last = beams.span
 
     def compare(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
-        """What the whole array says: the power that `found` explains, |a|^2 there, and the power of a higher peak.
+        """What the whole array says: the power that `found` explains, |a|^2 there, and whether a peak beyond it wins.
 
-        The latter is 0 where the highest peak is between the boresights.
+        That is 1 where the highest peak is beyond the boresights and explains more by OUTSIDE_MARGIN.
         """
-        values, beyond = search.on_grid(pixels), np.zeros(len(pixels))
-        some = search.may_peak_beyond(values, first, last)
-        best = search.of(some).peaks_of(pixels[some], values[some], 0.0)
-        beyond[some] = np.where((best.elevation < first) | (best.elevation > last), best.height, 0.0)
-        return np.stack([*search.fit(pixels, found.elevation[here])[:2], beyond])
+        explained, gain, _ = search.fit(pixels, found.elevation[here])
+        least, wins = explained + OUTSIDE_MARGIN * looks.receiver_noise, np.zeros(len(pixels))
+        some = search.may_peak_beyond(pixels, beams.span, least)
+        best = search.of(some).peaks(pixels[some])
+        wins[some] = ((best.elevation < first) | (best.elevation > last)) & (best.height > least[some])
+        return np.stack([explained, gain, wins])
 
     searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
-    explained, gain, beyond = searches.of_pixels(looks, 3, compare)
+    explained, gain, outside = searches.of_pixels(looks, 3, compare)
     explained = explained / looks.receiver_noise
     inside = (found.elevation >= first) & (found.elevation <= last)
     fit, strong = array_fit(looks, explained, gain, beams.uncertainty), cnr >= settings.min_cnr
     validity = decide_validity(looks, fit, strong, inside, Validity.OUTSIDE_ARRAY, settings)
-    outside = beyond / looks.receiver_noise - explained > OUTSIDE_MARGIN
-    validity[(validity == Validity.OK) & outside] = Validity.OUTSIDE_ARRAY
+    validity[(validity == Validity.OK) & (outside > 0)] = Validity.OUTSIDE_ARRAY
     validity[UNPAIRED[found.reason] & looks.finite] = Validity.OUTSIDE_PAIR
     return ElevationEstimate.of_one(found.elevation, sigma, cnr, validity)
 

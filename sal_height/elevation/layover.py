@@ -114,17 +114,8 @@ def _published(
     validity = estimate.validity.copy()
     fields = np.full((4, MOST, *validity.shape), np.nan)
     fields[:, 0] = estimate.elevation, estimate.sigma, estimate.cnr, np.zeros(validity.shape)
-    # Of the others, those that are inside the array and determined, the strongest first.
-    found = np.stack([models.elevation, models.sigma, models.cnr, models.spread])
-    found = found[:, taken, np.arange(len(taken))]
-    found[1] = models.deviation(found[0], probability[here])
-    (first, last), (elevation, deviation, cnr, _) = beams.span, found
-    inside = (elevation >= first) & (elevation <= last) & (cnr >= settings.min_cnr) & (cnr > 0)
-    determined = deviation < GREATEST_SIGMA * beams.beamwidth
-    usable = inside & np.all(determined | ~inside, axis=1, keepdims=True)
-    order = np.argsort(np.where(usable, -cnr, np.inf), axis=1)
-    found = np.take_along_axis(np.where(usable, found, np.nan), order[None], axis=2)
-    count = usable.sum(axis=1)
+    greatest_sigma = GREATEST_SIGMA * beams.beamwidth
+    found, inside, count = models.chosen(taken, probability[here], beams.span, settings.min_cnr, greatest_sigma)
     detected = DETECTED[validity[here]]
     resolved = detected & (taken > NONE) & (count > 0)
     rows, cols = here[0][resolved], here[1][resolved]
@@ -144,7 +135,7 @@ def _published(
     reason = reasons[count]
     reason[is_spread] = Validity.EXTENDED
     reason[count == 0] = Validity.IMPRECISE
-    reason[~inside.any(axis=1)] = Validity.OUTSIDE_ARRAY
+    reason[inside == 0] = Validity.OUTSIDE_ARRAY
     reason[is_none] = Validity.NOT_ONE_SCATTERER
     validity[here[0][detected], here[1][detected]] = reason[detected]
     scatterers = tuple(Scatterer(*fields[:, n]) for n in range(MOST))

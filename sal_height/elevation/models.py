@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 
 from sal_height.beams import Beams
+from sal_height.elevation._layover_kernels import choose_scatterers
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.estimate import ORDERS
 from sal_height.elevation.extended import ExtendedSurfaces, Surfaces, explained_by, first_surfaces
@@ -93,25 +94,26 @@ class Models:
         self.sigma[here], self.cnr[here] = surfaces.sigma, raised * cnr
         self.explained[SPREAD, part], self.directions[SPREAD, part] = explained
 
-    def deviation(self, elevation: F64, probability: F64) -> F64:
-        """Standard deviation (rad) of elevations that may be those of any of the models, (pixels, MOST).
-
-        Each model has its own idea of the scatterer next to an elevation: the variance over all of them is the mean of
-        their variances and squared distances.
+    def chosen(
+        self, taken: Index, probability: F64, span: tuple[float, float], least_cnr: float, greatest_sigma: float
+    ) -> tuple[F64, Index, Index]:
+        """The scatterers of the model `taken` for each pixel that are inside the array, if all these are determined.
 
         Args:
-            elevation: of the scatterers of the model that a pixel is given, rad, (pixels, MOST).
+            taken: number of the model of each pixel, (pixels,).
             probability: of the models, (pixels, ORDERS).
+            span: of the elevations inside, rad.
+            least_cnr: of a scatterer.
+            greatest_sigma: from which on a scatterer is not determined, rad.
+
+        Returns:
+            Elevation, sigma over all models, CNR and spread, strongest first, (4, pixels, MOST), NaN where there are
+            fewer; and the numbers of scatterers inside, and of those chosen, (pixels,).
         """
-        distance = np.abs(self.elevation[:, :, None] - elevation[:, :, None])  # models, pixels, published, scatterers
-        nearest = np.argmin(np.where(np.isfinite(distance), distance, np.inf), axis=-1)
-        sigma = np.take_along_axis(self.sigma, nearest, axis=-1)
-        square = sigma**2 + np.take_along_axis(distance, nearest[..., None], axis=-1)[..., 0] ** 2
-        weight = np.where(np.isfinite(square), probability.T[:, :, None], 0.0)
-        total = np.sum(weight * np.where(weight > 0, square, 0.0), axis=0)
-        return np.sqrt(
-            np.divide(total, weight.sum(axis=0), where=weight.sum(axis=0) > 0, out=np.full_like(total, np.nan))
-        )
+        found, counts = np.full((4, len(taken), MOST), np.nan), np.empty((2, len(taken)), np.intp)
+        models = self.elevation, self.sigma, self.cnr, self.spread
+        choose_scatterers(models, taken, probability, (*span, least_cnr, greatest_sigma), found, counts)
+        return found, counts[0], counts[1]
 
 
 @dataclass(frozen=True, eq=False)

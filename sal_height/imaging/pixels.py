@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from sal_height.errors import UserError
@@ -23,8 +25,14 @@ def slc_noise_power(sensor: Sensor, processing: Processing, pulses: int) -> F64:
 
     A pixel is made of `pulses` pulses and all frequencies.
     """
-    gain = noise_gain(processing.range_weights(sensor.sample_count)) * noise_gain(processing.azimuth_weights(pulses))
-    return gain / (pulses * sensor.sample_count) * np.diag(sensor.noise_covariance).real
+    return _noise_share(processing, pulses, sensor.sample_count) * sensor.noise_covariance.diagonal().real
+
+
+@lru_cache(maxsize=8)
+def _noise_share(processing: Processing, pulses: int, frequencies: int) -> float:
+    """Noise power of a pixel that is made of so many samples over that of a sample."""
+    gain = noise_gain(processing.range_weights(frequencies)) * noise_gain(processing.azimuth_weights(pulses))
+    return gain / (pulses * frequencies)
 
 
 def slant_plane_size(
@@ -37,7 +45,14 @@ def slant_plane_size(
 
 def line_of_sight(sensor: Sensor, aperture: ApertureState) -> F64:
     """Unit vector (map) in the middle of all beams."""
-    return aperture.rotation @ look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
+    first, last = sensor.beams.span
+    return aperture.rotation @ _abeam((first + last) / 2, sensor.look_side)
+
+
+@lru_cache(maxsize=8)
+def _abeam(elevation: float, look_side: int) -> F64:
+    """Unit vector in body axes towards `elevation` (rad), abeam."""
+    return look_direction(elevation, 0.0, look_side)
 
 
 def aim_point(sensor: Sensor, aperture: ApertureState, reference_range: float) -> F64:

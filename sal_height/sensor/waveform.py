@@ -57,6 +57,8 @@ def to_spectrum(samples: C64, sensor: Sensor) -> C64:
 
 def range_compressed(history: PhaseHistory, sensor: Sensor) -> tuple[PhaseHistory, Sensor]:
     """Return the phase history with waveform "spectrum", and the sensor that describes it."""
+    if sensor.waveform == "spectrum":
+        return history, sensor
     return replace(history, samples=to_spectrum(history.samples, sensor)), spectrum_sensor(sensor)
 
 

@@ -90,16 +90,16 @@ def read_profiles(
         per_metre: dense samples per m.
         middle: dense sample of delay 0.
         half_window: half the range window, m.
-        values: to fill, real and imaginary parts in turn, shape (points, pulses, 2 detectors).
+        values: to fill, real and imaginary parts in turn, shape (pulses, points, 2 detectors), without gaps: the
+            compiler then vectorises over detectors.
     """
     pulses, points = delay.shape
-    sample, fraction = np.empty(delay.size, np.int32), np.empty(delay.size, np.float32)
-    _samples(delay.reshape(-1), per_metre, middle, half_window, sample, fraction)
-    tap = tap_weights(fraction, taps)
-    for point in range(points):
-        for pulse in range(pulses):
-            i = pulse * points + point
-            first, value, profile = sample[i], values[point, pulse], profiles[pulse]
+    sample, fraction = np.empty(points, np.int32), np.empty(points, np.float32)
+    for pulse in range(pulses):
+        _samples(delay[pulse], per_metre, middle, half_window, sample, fraction)
+        tap, profile = tap_weights(fraction, taps), profiles[pulse]
+        for i in range(points):
+            first, value = sample[i], values[pulse, i]
             a, b, c = profile[first], profile[first + 1], profile[first + 2]
             d, e, f = profile[first + 3], profile[first + 4], profile[first + 5]
             ta, tb, tc, td, te, tf = tap[0, i], tap[1, i], tap[2, i], tap[3, i], tap[4, i], tap[5, i]

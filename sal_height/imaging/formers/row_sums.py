@@ -17,7 +17,7 @@ from sal_height.imaging.weighting import Processing
 from sal_height.numeric import C64, F64, OVERSAMPLING, blocks, dense_profiles, in_parallel, tap_polynomials
 from sal_height.sensor import PhaseHistory, Sensor
 
-PULSES_AT_ONCE = 8  # whose dense profiles are held: half a megabyte, which stays in the cache
+PROFILES_AT_ONCE = 128  # of pulses and detectors, held densely: half a megabyte of 256 frequencies, that a cache holds
 PHASES_AT_ONCE = 2**15  # of pixels and pulses that a thread holds: a quarter of a megabyte
 PHASES_OF_THREAD = 2**18  # at least: fewer are not worth a thread of their own
 
@@ -36,7 +36,7 @@ def focus_rows(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: 
             rows = slice(first, min(first + at_once, part.stop))
             turns = np.empty((rows.stop - rows.start, grid.cols, pulses), dtype=np.complex64)
             fill_turns(starts[rows], grid.col_step, track, turns_per_metre, turns.view(np.float32))
-            image[:, rows] = (turns @ profiles[rows]).transpose(2, 0, 1)
+            image[:, rows] = (turns @ profiles[:, rows].transpose(1, 0, 2)).transpose(2, 0, 1)
 
     at_once, of_thread = (max(1, phases // (grid.cols * pulses)) for phases in (PHASES_AT_ONCE, PHASES_OF_THREAD))
     in_parallel(focus, grid.rows, of_thread)
@@ -45,15 +45,15 @@ def focus_rows(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: 
 
 
 def row_profiles(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> C64:
-    """Range profiles of every pulse at the middle of every row: complex64, shape (rows, pulses, detectors)."""
+    """Range profiles of every pulse at the middle of every row: complex64, shape (pulses, rows, detectors)."""
     detectors, pulses, frequencies = history.samples.shape
     delay = cdist(antenna, _row_middles(grid, np.arange(float(grid.rows)))) - history.reference_range[:, None]
     half_window, middle = sensor.range_window / 2, (OVERSAMPLING * frequencies) // 2
     per_metre, taps = OVERSAMPLING * frequencies / sensor.range_window, tap_polynomials()
-    weights, found = processing.range_weights(frequencies), np.empty((grid.rows, pulses, detectors), dtype=np.complex64)
-    for block in blocks(pulses, PULSES_AT_ONCE):
+    weights, found = processing.range_weights(frequencies), np.empty((pulses, grid.rows, detectors), dtype=np.complex64)
+    for block in blocks(pulses, max(1, PROFILES_AT_ONCE // detectors)):
         dense = dense_profiles(history.samples[:, block], weights)
-        numbers = found.view(np.float32)[:, block]
+        numbers = found[block].view(np.float32)
         read_profiles(delay[block], dense.view(np.float32), taps, per_metre, middle, half_window, numbers)
     return found
 

@@ -77,9 +77,9 @@ def test_pulses_are_added_as_the_formula_of_backprojection_says(detectors: int, 
     np.testing.assert_array_equal(valid, np.all(inside | (gain == 0), axis=0))
     assert 0.1 < np.mean(valid) < 0.95
 
-    values = np.empty((points, pulses, detectors), np.complex64)
+    values = np.empty((pulses, points, detectors), np.complex64)
     read_profiles(delay, dense.view(np.float32), polynomials, per_metre, middle, WINDOW / 2, values.view(np.float32))
-    expected = np.einsum("jpx,pxjd->xpd", taps, samples)
+    expected = np.einsum("jpx,pxjd->pxd", taps, samples)
     np.testing.assert_allclose(values, expected, atol=2e-6 * np.abs(expected).max())
 
     # Every spot is the second pixel of a row of its own.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.elevation._several_kernels import eliminate, invert_positive
+from sal_height.elevation._several_kernels import Numbers, eliminate, invert_positive
 from sal_height.numeric import F64, Index, compiled
 
 
@@ -70,10 +70,41 @@ def weigh(evidence: F64, prior: F64, found: F64) -> None:
 
 
 @compiled
-def log_determinants(matrices: F64, logarithms: F64) -> None:
-    """Logarithms of the determinants of positive matrices (pixels, n, n), which are overwritten."""
-    for i in range(len(matrices)):
-        logarithms[i] = invert_positive(matrices[i], matrices.shape[1])
+def weigh_priors(
+    turning: Numbers, inverses: Numbers, powers: F64, information: F64, looks: F64, ranges: F64, volumes: F64
+) -> None:
+    """Logarithms of the shares of the prior that looks of several scatterers leave, (pixels,); see `order`.
+
+    If the amplitudes are independent and have the powers P, the information on the elevations is
+
+        F = 2 K Re{(D^H (I - P_U) D) * known^T},    known = P (P + (U^H U)^-1)^-1 P
+
+    Args:
+        turning: D^H (I - P_U) D, (pixels, S, S).
+        inverses: (U^H U)^-1, (pixels, S, S).
+        powers: P of each scatterer, (pixels, S).
+        information: on the logarithms of the powers, (pixels, S, S).
+        looks: K, (pixels,).
+        ranges: of the elevations and of the logarithms of the powers, within which they are uniform, (2,).
+        volumes: to fill.
+    """
+    count = powers.shape[1]
+    certain, scaled = np.empty((count, count), inverses.dtype), np.empty((2, count, count))
+    by_place, by_power = ranges[0] * ranges[0] / (2 * np.pi), ranges[1] * ranges[1] / (2 * np.pi)
+    for i in range(len(powers)):
+        for s in range(count):
+            for r in range(count):
+                certain[s, r] = inverses[i, s, r]
+            certain[s, s] += powers[i, s]
+        invert_positive(certain, count)
+        for s in range(count):
+            for r in range(count):
+                known = powers[i, r] * certain[r, s] * powers[i, s]
+                scaled[0, s, r] = by_place * 2 * looks[i] * (turning[i, s, r] * known).real
+                scaled[1, s, r] = by_power * information[i, s, r]
+            scaled[0, s, s] += 1
+            scaled[1, s, s] += 1
+        volumes[i] = -0.5 * (invert_positive(scaled[0], count) + invert_positive(scaled[1], count))
 
 
 @compiled

@@ -20,7 +20,7 @@ from scipy.special import gammaincc, gammainccinv
 
 from sal_height.beams import Beams
 from sal_height.elevation._kernels import GRID_STEP
-from sal_height.elevation._order_kernels import learn_from_neighbours, log_determinants
+from sal_height.elevation._order_kernels import learn_from_neighbours, weigh_priors
 from sal_height.elevation.bounds import information
 from sal_height.elevation.estimate import ORDERS
 from sal_height.elevation.extended import GREATEST_SPREAD, LEAST_SPREAD, free_looks, log_prior
@@ -64,14 +64,10 @@ def log_evidence_of_several(several: SeveralScatterers, domain: float) -> F64:
         several: their fit.
         domain: range of their elevations, rad.
     """
-    count = several.elevation.shape[1]
     fit = fit_powers(several.gram, several.seen, several.looks, several.power * several.array_power)
-    # Information on the elevations if the amplitudes are independent and have these powers.
-    certain = np.linalg.inv(fit.power[:, :, None] * np.eye(count) + several.inverse)
-    known = fit.power[:, :, None] * certain * fit.power[:, None]
-    turning = (several.turning * np.swapaxes(known, 1, 2)).real
-    places = _log_volume_of(2 * several.looks[:, None, None] * turning, domain)
-    return fit.log_likelihood + places + _log_volume_of(fit.information, CNR_RANGE) + math.lgamma(count + 1)
+    ranges, volumes = np.array([domain, CNR_RANGE]), np.empty(len(fit.power))
+    weigh_priors(several.turning, several.inverse, fit.power, fit.information, several.looks, ranges, volumes)
+    return fit.log_likelihood + volumes + math.lgamma(several.elevation.shape[1] + 1)
 
 
 def log_evidence_of_spread(
@@ -133,15 +129,6 @@ def _log_sum(logarithm: F64, axis: int) -> F64:
 def _log_volume(information: F64, prior_range: float) -> F64:
     """Logarithm of the share of a uniform prior that looks with this information leave; 0 at most, about."""
     return 0.5 * np.log(2 * np.pi / (information * prior_range**2 + 2 * np.pi))
-
-
-def _log_volume_of(information: F64, prior_range: float | F64) -> F64:
-    """The same for several parameters, (pixels, n, n), positive; their ranges are alike, or (pixels, n)."""
-    ranges = np.broadcast_to(prior_range, information.shape[:2]) / np.sqrt(2 * np.pi)
-    scaled = information * ranges[:, :, None] * ranges[:, None] + np.eye(information.shape[1])
-    logarithms = np.empty(len(scaled))
-    log_determinants(scaled, logarithms)
-    return -0.5 * logarithms
 
 
 @lru_cache(maxsize=64)

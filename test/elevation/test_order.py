@@ -9,7 +9,7 @@ from scipy import integrate, stats
 from scipy.ndimage import uniform_filter
 
 from sal_height.beams.array import Beams
-from sal_height.elevation._order_kernels import invert_diagonals, log_determinants
+from sal_height.elevation._order_kernels import invert_diagonals, weigh_priors
 from sal_height.elevation.extended import STEEPNESS
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
@@ -177,8 +177,26 @@ def test_shares_of_the_models_are_those_of_moving_averages() -> None:
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_small_matrices_are_inverted_as_by_lapack(count: int) -> None:
     root = np.random.default_rng([65, count]).normal(size=(20, count, count))
-    matrices, diagonals, logarithms = root @ np.swapaxes(root, 1, 2), np.empty((20, count)), np.empty(20)
+    matrices, diagonals = root @ np.swapaxes(root, 1, 2), np.empty((20, count))
     invert_diagonals(matrices.copy(), diagonals)
-    log_determinants(matrices.copy(), logarithms)
     np.testing.assert_allclose(diagonals, np.diagonal(np.linalg.inv(matrices), axis1=1, axis2=2), rtol=1e-7)
-    np.testing.assert_allclose(logarithms, np.linalg.slogdet(matrices)[1], rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("hermitian", [False, True])
+@pytest.mark.parametrize("count", [2, 3])
+def test_shares_of_the_prior_are_those_of_matrix_algebra(count: int, hermitian: bool) -> None:
+    """Pixels of random information, real and complex."""
+    rng, looks, ranges = np.random.default_rng([66, count]), np.arange(1.0, 21), np.array([7.5, 9.2])
+
+    def positive(is_complex: bool) -> np.ndarray:
+        root = rng.normal(size=(20, count, count)) + (1j * rng.normal(size=(20, count, count)) if is_complex else 0.0)
+        return root @ np.swapaxes(root.conj(), 1, 2)
+
+    turning, inverses, information = positive(hermitian), positive(hermitian), positive(is_complex=False)
+    powers, found = rng.uniform(2, 50, (20, count)), np.empty(20)
+    weigh_priors(turning, inverses, powers, information, looks, ranges, found)
+    power = powers[:, :, None] * np.eye(count)
+    known = power @ np.linalg.inv(power + inverses) @ power
+    of_places = 2 * looks[:, None, None] * (turning * np.swapaxes(known, 1, 2)).real
+    scaled = ranges[:, None, None, None] ** 2 / (2 * np.pi) * np.stack([of_places, information]) + np.eye(count)
+    np.testing.assert_allclose(found, -0.5 * np.linalg.slogdet(scaled)[1].sum(axis=0), rtol=1e-7)

@@ -111,12 +111,16 @@ def sum_down(first: Index, weights: F64, samples: F64, sums: F64) -> None:
     for i in range(len(sums)):
         line = sums[i]
         line[:] = 0
-        for k in range(weights.shape[1]):
-            weight = weights[i, k]
-            if weight != 0:
-                sample = samples[first[i] + k]
-                for c in range(line.size):
-                    line[c] += weight * sample[c]
+        count = weights.shape[1]
+        for k in range(0, count - 3, 4):
+            w, s = weights[i, k : k + 4], samples[first[i] + k : first[i] + k + 4]
+            w0, w1, w2, w3, s0, s1, s2, s3 = w[0], w[1], w[2], w[3], s[0], s[1], s[2], s[3]
+            for c in range(line.size):
+                line[c] += w0 * s0[c] + w1 * s1[c] + w2 * s2[c] + w3 * s3[c]
+        for k in range(count // 4 * 4, count):
+            weight, sample = weights[i, k], samples[first[i] + k]
+            for c in range(line.size):
+                line[c] += weight * sample[c]
 
 
 @compiled

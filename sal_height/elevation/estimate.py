@@ -178,8 +178,9 @@ def noise_limit(degrees: F64, rate: float) -> F64:
 
     The sum of `degrees` squared moduli of circular Gaussian noise of mean power 1 has a gamma distribution.
     """
-    orders, which = np.unique(degrees, return_inverse=True)
-    return np.where(orders > 0, gammainccinv(np.maximum(orders, 0.5), rate), 0.0)[which]
+    orders = np.unique(degrees)
+    limits = np.where(orders > 0, gammainccinv(np.maximum(orders, 0.5), rate), 0.0)
+    return np.asarray(limits[np.searchsorted(orders, degrees)])
 
 
 def sidelobe_limit(leaked: F64 | float, rate: float) -> F64:
@@ -260,14 +261,13 @@ def with_foreign_power(estimate: ElevationEstimate, variance: F64) -> ElevationE
 
     It is that of a scatterer with all the energy of a pixel; one of several has the share of its CNR.
     """
-    sigma, cnr = (np.array([getattr(one, name) for one in estimate.scatterers]) for name in ("sigma", "cnr"))
-    total = np.sum(cnr, axis=0, where=np.isfinite(cnr))
-    parts = np.divide(total, cnr, where=cnr > 0, out=np.ones_like(cnr))
-    widened = np.sqrt(sigma**2 + parts * variance)
-    return replace(
-        estimate,
-        scatterers=tuple(replace(one, sigma=wide) for one, wide in zip(estimate.scatterers, widened, strict=True)),
-    )
+    total = sum(np.where(np.isfinite(one.cnr), one.cnr, 0.0) for one in estimate.scatterers)
+
+    def widened(one: Scatterer) -> Scatterer:
+        parts = np.divide(total, one.cnr, where=one.cnr > 0, out=np.ones_like(one.cnr))
+        return replace(one, sigma=np.sqrt(one.sigma**2 + parts * variance))
+
+    return replace(estimate, scatterers=tuple(map(widened, estimate.scatterers)))
 
 
 def without_imprecise(estimate: ElevationEstimate, limit: float) -> ElevationEstimate:

@@ -47,6 +47,8 @@ Over squint they are as smooth as over elevation: a polynomial through six of th
 period of 2 beamwidths, the shortest of an aperture's beams, and by 2e-5 for half of that.
 """
 
+LANES = 8  # nodes that processors multiply by at a time
+
 NEAREST = np.arange(-2, 4)  # numbers of these six squints, counted from the one below
 
 SQUINT_PARTS = 2**15
@@ -447,10 +449,13 @@ def _searches(beams: Beams, objective: Objective, guard: float) -> PeakSearches:
 
 @lru_cache(SEARCHES_HELD // SQUINTS_AT_ONCE)
 def _grid_beyond(tables: SearchTables, first: float, last: float) -> F32:
-    """The part of `tables.grid` at the nodes that are nearest to elevations below `first` or above `last` (rad)."""
+    """The part of `tables.grid` at the nodes that are nearest to elevations below `first` or above `last` (rad).
+
+    Zeros make their number a multiple of LANES.
+    """
     half = 0.5 * TABLE_STEPS * tables.step
     near = (tables.grid_nodes < first + half) | (tables.grid_nodes > last - half)
-    return np.ascontiguousarray(tables.grid[:, :, near])
+    return np.pad(tables.grid[:, :, near], ((0, 0), (0, 0), (0, -int(near.sum()) % LANES)))
 
 
 def _lagrange(place: float) -> list[float]:

@@ -184,7 +184,7 @@ def height_field(
 
     # All scatterers of the pixels at once, shape (scatterers, rows, cols).
     elevation, sigma, cnr, spread = (
-        np.stack([getattr(scatterer, name) for scatterer in estimate.scatterers])
+        np.array([getattr(scatterer, name) for scatterer in estimate.scatterers])
         for name in ("elevation", "sigma", "cnr", "spread")
     )
     positions = locate_at_elevation(elevation, slant_range, along, aperture, look_side)

@@ -11,6 +11,7 @@ from typing import Self, TypeVar
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.task import Future
 
 from sal_height.nodes.executors import events_executor
 from sal_height.nodes.middleware import provide_shared_memory
@@ -46,6 +47,10 @@ class Graph:
                 return predicate()
             self.executor.spin_once(timeout_sec=0.02)
         return True
+
+    def spin_for(self, seconds: float) -> None:
+        """Run callbacks for so long, without a step in Python from one to the next."""
+        self.executor.spin_until_future_complete(Future(), seconds)
 
     def close(self) -> None:
         """Destroy the nodes in order and shut the context down; may be called twice."""

@@ -169,7 +169,9 @@ class Recorder(Role, Node):
         self.create_timer(period_s, guarded(callback, self._fail), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _discover(self) -> None:
-        """Subscribe to the wanted topics that have a publisher by now."""
+        """Subscribe to the wanted topics that have a publisher by now, until those that were named have."""
+        if self._topics and self._refused.union(self._subscribed).issuperset(self._topics):
+            return
         for name, types in self.get_topic_names_and_types():
             wanted = name in self._topics if self._topics else name not in NEVER_BY_DEFAULT
             if wanted and name not in self._subscribed and name not in self._refused:

@@ -204,7 +204,7 @@ def _perform(
         watched.accounts = conductor.accounts
 
         def spin(seconds: float) -> None:
-            graph.spin_until(lambda: False, seconds)
+            graph.spin_for(seconds)
             interruption.check()
             ensemble.check()
 

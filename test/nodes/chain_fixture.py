@@ -20,7 +20,7 @@ from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.simulation.flight import SimulatedFlight
 
 START_NS = 1_700_000_000_123_456_789
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0
 
 DETECTORS = 8
 

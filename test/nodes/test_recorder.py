@@ -276,7 +276,7 @@ def test_an_error_in_a_callback_does_not_end_the_recorder(
         raise ZeroDivisionError(part)
 
     publisher = source.create_publisher(String, "/note", 1)
-    recorder = start(graph, bag, topics=["/note"])
+    recorder = start(graph, bag, topics=["/note", "/not_yet"])  # it goes on looking for the other
     wait_until_matched(graph, publisher)
     with monkeypatch.context() as broken:
         broken.setattr(getattr(recorder, owner, recorder), part, fail)

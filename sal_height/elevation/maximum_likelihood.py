@@ -43,9 +43,10 @@ def ml_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> ElevationE
     if settings.prior_strength:
         # The peak that suits the neighbours best.
         peaks = peaks_at(smoothed_peaks(looks, beams, settings.prior_strength), looks, beams)
-    elif settings.objective == "normalised":
+    elif settings.objective == "normalised" and settings.layover:
         peaks = highest_peaks(looks, beams, settings)
     else:
+        # Without layover nobody asks what one more scatterer would explain.
         peaks = highest_peaks_of(OBJECTIVES[settings.objective], looks, beams, settings)
     estimate = estimate_of(peaks, looks, beams, settings)
     if settings.layover and beams.count > 2:

@@ -90,26 +90,63 @@ def fill_padded(spectra: C64, factor: F32, padded: C64) -> None:
 
 
 @compiled
-def fill_even_and_odd(values: C64, even: F32, odd: F32) -> None:
-    """Sums and differences of the numbers at the same distance after and before number inputs // 2 of every line.
+def fill_products(values: C64, factors: C64, padded: C64) -> None:
+    """Numbers times factors, and zeros after them.
 
     Args:
         values: shape (lines, inputs).
+        factors: of every line or of all alike, shape (lines or 1, inputs).
+        padded: to fill, shape (lines, length).
+    """
+    lines, inputs = values.shape
+    common = factors.shape[0] == 1
+    for line in range(lines):
+        numbers, factor, products = values[line], factors[0 if common else line], padded[line]
+        for i in range(inputs):
+            products[i] = numbers[i] * factor[i]
+        products[inputs:] = 0
+
+
+@compiled
+def multiply_lines(values: C64, factors: C64) -> None:
+    """Multiply numbers by factors, in place.
+
+    Args:
+        values: shape (lines, length).
+        factors: of every line or of all alike, shape (lines or 1, length).
+    """
+    lines, length = values.shape
+    common = factors.shape[0] == 1
+    for line in range(lines):
+        numbers, factor = values[line], factors[0 if common else line]
+        for i in range(length):
+            numbers[i] *= factor[i]
+
+
+@compiled
+def fill_even_and_odd(values: C64, factors: C64, even: F32, odd: F32) -> None:
+    """Sums and differences of the products at the same distance after and before number inputs // 2 of every line.
+
+    Args:
+        values: shape (lines, inputs).
+        factors: of every line or of all alike, shape (lines or 1, inputs).
         even: to fill, real parts of all lines and then imaginary parts, shape (2 lines, inputs // 2 + 1).
         odd: of the same shape.
     """
     lines, inputs = values.shape
-    middle = inputs // 2
+    middle, common = inputs // 2, factors.shape[0] == 1
     for line in range(lines):
-        numbers = values[line]
+        numbers, factor = values[line], factors[0 if common else line]
         real_even, real_odd, imag_even, imag_odd = even[line], odd[line], even[lines + line], odd[lines + line]
         for n in range(inputs - middle):
-            after, before = numbers[middle + n], numbers[middle - n]
+            after = numbers[middle + n] * factor[middle + n]
+            before = numbers[middle - n] * factor[middle - n]
             real_even[n], real_odd[n] = after.real + before.real, after.real - before.real
             imag_even[n], imag_odd[n] = after.imag + before.imag, after.imag - before.imag
         if inputs == 2 * middle:  # the first number has no counterpart
-            real_even[middle], real_odd[middle] = numbers[0].real, -numbers[0].real
-            imag_even[middle], imag_odd[middle] = numbers[0].imag, -numbers[0].imag
+            first = numbers[0] * factor[0]
+            real_even[middle], real_odd[middle] = first.real, -first.real
+            imag_even[middle], imag_odd[middle] = first.imag, -first.imag
 
 
 @compiled

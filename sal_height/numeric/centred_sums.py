@@ -7,7 +7,7 @@ eighth of the multiplications of the complex matrix, and fewer than two FFTs tak
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,11 +32,13 @@ class CentredSums:
         cosines: float32, shape (half of the outputs, inputs // 2 + 1).
         sines: of the same shape.
         outputs: numbers out.
+        before: factors of the numbers, complex64, shape (lines or 1, inputs).
     """
 
     cosines: F32
     sines: F32
     outputs: int
+    before: C64
 
     @classmethod
     def of(cls, step: float, inputs: int, outputs: int) -> CentredSums:
@@ -45,12 +47,16 @@ class CentredSums:
         turns = step * np.outer(after, np.arange(inputs // 2 + 1))
         cosines, sines = np.cos(turns), np.sin(turns)
         cosines[:, 0] /= 2  # the number in the middle is its own counterpart
-        return cls(cosines.astype(np.float32), sines.astype(np.float32), outputs)
+        return cls(cosines.astype(np.float32), sines.astype(np.float32), outputs, np.ones((1, inputs), np.complex64))
 
     @property
     def is_common(self) -> bool:
         """Whether all lines have the same factors: they have."""
         return True
+
+    def times(self, factors: C64) -> CentredSums:
+        """The sums of numbers that are multiplied by factors before, (lines, inputs)."""
+        return replace(self, before=self.before * factors)
 
     def fill_columns(self, values: C64, result: C64) -> None:
         """The sums of some lines as the columns of a matrix.
@@ -61,7 +67,7 @@ class CentredSums:
         """
         halves, count = self.cosines.shape
         even, odd = np.empty((2, 2 * len(values), count), np.float32)
-        fill_even_and_odd(values, even, odd)
+        fill_even_and_odd(values, self.before, even, odd)
         in_phase, across = np.empty((2, halves, 2 * len(values)), np.float32)
         for part in blocks(2 * len(values), max(1, PRODUCT // self.cosines.size)):
             np.matmul(self.cosines, even[part].T, out=in_phase[:, part])

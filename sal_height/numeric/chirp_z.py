@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.fft
 
-from sal_height.numeric._kernels import fill_columns
+from sal_height.numeric._kernels import fill_columns, fill_products, multiply_lines
 from sal_height.numeric.arrays import C64, F64
 from sal_height.numeric.fft import blocks, fast_length, rows_at_once
 from sal_height.numeric.phasors import outer_phasors
@@ -48,6 +48,10 @@ class ChirpZ:
         """Whether all lines have the same factors."""
         return len(self.before) == len(self.spectrum) == len(self.after) == 1
 
+    def times(self, factors: C64) -> ChirpZ:
+        """The sums of numbers that are multiplied by factors before, (lines, inputs)."""
+        return replace(self, before=self.before * factors)
+
     def fill_rows(self, values: C64, result: C64) -> None:
         """The sums of all lines: complex64, from shape (lines, inputs) to fill one of (lines, outputs)."""
         for lines, sums in self._sums(values):
@@ -60,14 +64,13 @@ class ChirpZ:
 
     def _sums(self, values: C64) -> Iterator[tuple[slice, C64]]:
         """The sums before the last factors, shape (lines, outputs), of as many lines at a time as the cache holds."""
-        count, inputs = values.shape
+        count = len(values)
         buffer = np.empty((min(count, rows_at_once(self.length)), self.length), np.complex64)
         for lines in blocks(count, len(buffer)):
             numbers = buffer[: lines.stop - lines.start]
-            np.multiply(values[lines], _of(self.before, lines), out=numbers[:, :inputs])
-            numbers[:, inputs:] = 0
+            fill_products(values[lines], _of(self.before, lines), numbers)
             spectra = scipy.fft.fft(numbers, overwrite_x=True)
-            spectra *= _of(self.spectrum, lines)
+            multiply_lines(spectra, _of(self.spectrum, lines))
             yield lines, scipy.fft.ifft(spectra, norm="forward", overwrite_x=True)[:, : self.outputs]
 
 

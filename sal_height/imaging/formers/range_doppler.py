@@ -67,6 +67,7 @@ class Filters:
         compensation: of motion, with the range window, a factor of shape (pulses, frequencies).
         resampling: matrix from pulses to even steps; None: they are even.
         range: from frequency to rows, for each Doppler or one for all.
+        compensated: the same with the compensation, where all Dopplers have one and pulses are even; None: elsewhere.
         azimuth: matched filter of each row over Doppler, (rows, length).
         fold: Doppler spectra that fall together where columns are that many steps apart.
     """
@@ -74,6 +75,7 @@ class Filters:
     compensation: C64
     resampling: csr_array | None
     range: ChirpZ | CentredSums
+    compensated: ChirpZ | CentredSums | None
     azimuth: C64
     fold: int
 
@@ -109,8 +111,11 @@ def _focus(samples: C64, filters: Filters, image: C64) -> None:
 def _range_first(samples: C64, filters: Filters) -> C64:
     """Doppler spectra of the rows, (rows, length), where range does not depend on Doppler: that of the pulses alone."""
     compressed = np.empty(filters.azimuth.shape, dtype=np.complex64)
-    pulses = _resampled(samples * filters.compensation, filters)
-    filters.range.fill_columns(pulses, compressed)
+    if filters.compensated:
+        pulses, to_rows = samples, filters.compensated
+    else:
+        pulses, to_rows = _resampled(samples * filters.compensation, filters), filters.range
+    to_rows.fill_columns(pulses, compressed)
     compressed[:, len(pulses) :] = 0
     return np.asarray(scipy.fft.fft(compressed, overwrite_x=True))
 
@@ -178,10 +183,16 @@ def filters_of(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: 
     doppler = np.clip(layout.doppler, -widest, widest)
     azimuth = _azimuth_filters(sensor, processing, layout)
     azimuth[:, doppler != layout.doppler] = 0
+    compensation = _motion_compensation(history, antenna, processing, wavenumber, layout)
+    to_rows, is_even = (
+        _range_transform(sensor, processing, wavenumber, layout, doppler),
+        _is_even(sensor, processing, layout),
+    )
     return Filters(
-        compensation=_motion_compensation(history, antenna, processing, wavenumber, layout),
-        resampling=None if _is_even(sensor, processing, layout) else resampling(layout.track.places, layout.places),
-        range=_range_transform(sensor, processing, wavenumber, layout, doppler),
+        compensation=compensation,
+        resampling=None if is_even else resampling(layout.track.places, layout.places),
+        range=to_rows,
+        compensated=to_rows.times(compensation) if is_even and to_rows.is_common else None,
         azimuth=azimuth,
         fold=layout.fold,
     )

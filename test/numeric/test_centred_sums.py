@@ -14,7 +14,7 @@ from sal_height.numeric.centred_sums import PRODUCT, CentredSums
     [(7, 64, 46), (7, 64, 47), (7, 63, 46), (7, 63, 47), (3, 1, 1), (3, 2, 5), (900, 64, 46)],
 )
 def test_halves_give_the_sums_written_out(lines: int, inputs: int, outputs: int) -> None:
-    """Of even and odd numbers in and out; columns beyond the lines stay as they are."""
+    """Of even and odd numbers in and out, with factors before; columns beyond the lines stay as they are."""
     step = 0.9 * 2 * np.pi / inputs
     numbers = circular(np.random.default_rng(62), (lines, inputs)).astype(np.complex64)
     turns = step * np.outer(np.arange(inputs) - inputs // 2, np.arange(outputs) - (outputs - 1) / 2)
@@ -24,3 +24,6 @@ def test_halves_give_the_sums_written_out(lines: int, inputs: int, outputs: int)
     assert (2 * lines * sums.cosines.size > PRODUCT) == (lines == 900)
     np.testing.assert_allclose(made[:, :lines], (numbers @ np.exp(1j * turns)).T, atol=1e-6 * inputs)
     assert np.all(made[:, lines:] == 7)
+    factors = circular(np.random.default_rng(63), (lines, inputs)).astype(np.complex64)
+    sums.times(factors).fill_columns(numbers, made)
+    np.testing.assert_allclose(made[:, :lines], (numbers * factors @ np.exp(1j * turns)).T, atol=3e-6 * inputs)

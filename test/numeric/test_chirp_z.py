@@ -29,6 +29,8 @@ def test_factors_give_the_sum_written_out(inputs: int, outputs: int, n0: float, 
     transform.fill_columns(numbers, columns)
     np.testing.assert_allclose(columns[:, :-1], expected.T, atol=1e-6 * inputs)
     assert np.all(columns[:, -1] == 7)
+    transform.times(2j * numbers).fill_rows(np.ones_like(numbers), rows)
+    np.testing.assert_allclose(rows, 2j * expected, atol=2e-6 * inputs)
 
 
 @pytest.mark.parametrize(("lines", "count"), [(5, 48), (2 * BUFFER // 512, 150)], ids=["few lines", "several blocks"])

@@ -101,23 +101,24 @@ def focus_stripmap(history: PhaseHistory, antenna: F64, sensor: Sensor, processi
 def _focus(samples: C64, filters: Filters, image: C64) -> None:
     """Focus one detector."""
     (rows, cols), length = image.shape, filters.azimuth.shape[1]
-    compressed = _range_first(samples, filters) if filters.range.is_common else _doppler_first(samples, filters)
-    for block in blocks(rows, rows_at_once(length // filters.fold)):
+    range_is_first = filters.range.is_common
+    compressed = _range_first(samples, filters) if range_is_first else _doppler_first(samples, filters)
+    for block in blocks(rows, rows_at_once(length)):
+        doppler = scipy.fft.fft(compressed[block], length) if range_is_first else compressed[block]
         spectra = np.empty((block.stop - block.start, length // filters.fold), dtype=np.complex64)
-        fill_folded(compressed[block], filters.azimuth[block], spectra)
+        fill_folded(doppler, filters.azimuth[block], spectra)
         image[block] = scipy.fft.ifft(spectra, norm="forward", overwrite_x=True)[:, :cols]
 
 
 def _range_first(samples: C64, filters: Filters) -> C64:
-    """Doppler spectra of the rows, (rows, length), where range does not depend on Doppler: that of the pulses alone."""
-    compressed = np.empty(filters.azimuth.shape, dtype=np.complex64)
+    """The rows of every even step along the track, (rows, steps), where range does not depend on Doppler."""
     if filters.compensated:
         pulses, to_rows = samples, filters.compensated
     else:
         pulses, to_rows = _resampled(samples * filters.compensation, filters), filters.range
+    compressed = np.empty((len(filters.azimuth), len(pulses)), dtype=np.complex64)
     to_rows.fill_columns(pulses, compressed)
-    compressed[:, len(pulses) :] = 0
-    return np.asarray(scipy.fft.fft(compressed, overwrite_x=True))
+    return compressed
 
 
 def _doppler_first(samples: C64, filters: Filters) -> C64:

@@ -31,7 +31,7 @@ def throughput() -> Iterator[Row]:
     size = f"{ROWS} × {COLS} pixels, {PULSES} pulses of {FREQUENCIES} frequencies"
     mega = ROWS * COLS * PULSES / 1e6
     slow = mega * NUMPY_PULSES / PULSES / plain
-    yield Row("backprojection, one detector", mega / single, "Mpixel·pulse/s", ">= 200", size)
+    yield Row("backprojection, one detector", mega / single, "Mpixel·pulse/s", ">= 400", size)
     yield Row(
         "backprojection, one detector, times NumPy's speed",
         mega / single / slow,
@@ -40,11 +40,19 @@ def throughput() -> Iterator[Row]:
         f"vectorised NumPy (FFT, linear interpolation): {slow:.1f} Mpixel·pulse/s",
     )
     yield Row(
+        f"backprojection, {DETECTORS} detectors",
+        mega * DETECTORS / together,
+        "Mpixel·pulse·detector/s",
+        ">= 2800",
+        "seven times what is asked of one detector",
+    )
+    yield Row(
         f"backprojection, {DETECTORS} detectors, times the throughput",
         separate / together,
         "1",
-        ">= 3",
-        f"{DETECTORS} runs of one detector: {1e3 * separate:.0f} ms against {1e3 * together:.0f} ms",
+        ">= 4",
+        f"{DETECTORS} runs of one detector: {1e3 * separate:.0f} ms against {1e3 * together:.0f} ms; "
+        "the limit is the geometry's share of a single run, as each detector adds 18 multiply-adds",
     )
 
 

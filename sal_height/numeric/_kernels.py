@@ -63,8 +63,7 @@ def tap_weights(fraction: F32, taps: F32) -> F32:
         p, weight = taps[j], weights[j]
         for i in range(fraction.size):
             t = fraction[i]
-            high = p[6] + t * (p[7] + t * (p[8] + t * (p[9] + t * p[10])))
-            weight[i] = p[0] + t * (p[1] + t * (p[2] + t * (p[3] + t * (p[4] + t * (p[5] + t * high)))))
+            weight[i] = p[0] + t * (p[1] + t * (p[2] + t * (p[3] + t * (p[4] + t * (p[5] + t * (p[6] + t * p[7]))))))
     return weights
 
 

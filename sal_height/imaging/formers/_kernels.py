@@ -25,7 +25,9 @@ from sal_height.numeric import (
 
 SURELY_WITHIN = 1 - 1e-6  # share of the range window within which rounding does not matter
 
-LEAST_RUN = 16  # pixels that read the same samples, in the mean, from which on they are worth a loop of their own
+LEAST_RUN = 64  # pixels that read the same samples, in the mean, from which on they are worth a loop of their own
+
+PIXELS_AT_ONCE = 1024  # whose geometry a processor's fastest caches hold
 
 
 @compiled
@@ -52,17 +54,46 @@ def add_pulses(
         taper: azimuth window over the processed angle in stripmap.
         scales: dense samples per m; dense sample of delay 0; turns per m; half the range window, m; processed angle,
             0 in spotlight; way from pulse to pulse, m.
-        image: to add to, shape (pixels, 2, detectors).
+        image: to add to, real and imaginary parts apart, shape (detectors, 2, pixels).
         weight: sum of the azimuth weights, to add to, shape (pixels,).
         valid: set False where a profile does not reach.
     """
-    count = points.shape[1]
+    for first in range(0, along.size, PIXELS_AT_ONCE):
+        part = slice(first, min(first + PIXELS_AT_ONCE, along.size))
+        _add_pulses_to_part(
+            points[0, part], points[1, part], points[2, part], along[part], track, profiles, taps, taper, scales,
+            image[:, :, part], weight[part], valid[part],
+        )  # fmt: skip
+
+
+@compiled
+def _add_pulses_to_part(
+    px: F64,
+    py: F64,
+    pz: F64,
+    along: F64,
+    track: F64,
+    profiles: F32,
+    taps: F32,
+    taper: F32,
+    scales: F64,
+    image: F32,
+    weight: F64,
+    valid: Bool,
+) -> None:
+    """As `add_pulses`, for a few pixels, whose sums over the pulses are made in memory of their own.
+
+    Runs are added along the pixels, and scattered pixels along the detectors.
+    """
+    count = along.size
     delay, gain = np.empty(count), np.empty(count, np.float32)
     sample, fraction = np.empty(count, np.int32), np.empty(count, np.float32)
     cosine, sine = np.empty(count, np.float32), np.empty(count, np.float32)
+    sums, by_pixel = np.zeros(image.shape, np.float32), np.zeros((count, 2, len(image)), np.float32)
+    scattered = False
     for pulse in range(track.shape[0]):
         x, y, z, reference, place, pulse_weight = track[pulse]
-        _delays(points[0], points[1], points[2], x, y, z, reference, delay)
+        _delays(px, py, pz, x, y, z, reference, delay)
         if scales[4] > 0:
             _angle_weights(delay, along, place, reference, scales[4], scales[5], taper, gain)
         else:
@@ -70,11 +101,19 @@ def add_pulses(
         _within(delay, gain, scales[3], weight, valid)
         _samples(delay, scales[0], scales[1], scales[3], sample, fraction)
         _phasors(delay, scales[2], gain, cosine, sine)
-        tap = tap_weights(fraction, taps)
-        if image.shape[2] == 1:
-            _add_one(sample, tap, cosine, sine, profiles[pulse], image)
+        changes = _changes(sample)
+        if (changes + 1) * LEAST_RUN <= count:
+            _add_runs(sample, changes, fraction, cosine, sine, profiles[pulse], taps, sums)
+        elif len(sums) == 1:
+            _add_one(sample, tap_weights(fraction, taps), cosine, sine, profiles[pulse], sums)
         else:
-            _add_all(sample, tap, cosine, sine, profiles[pulse], image)
+            _add_all(sample, tap_weights(fraction, taps), cosine, sine, profiles[pulse], by_pixel)
+            scattered = True
+    image += sums
+    if scattered:
+        for k in range(len(image)):
+            image[k, 0] += by_pixel[:, 0, k]
+            image[k, 1] += by_pixel[:, 1, k]
 
 
 @compiled
@@ -356,20 +395,6 @@ def _phasors(delay: F64, turns_per_metre: float, gain: F32, cosine: F32, sine: F
 
 
 @compiled
-def _add_one(sample: I32, tap: F32, cosine: F32, sine: F32, profile: F32, image: F32) -> None:
-    """Add a pulse of a single detector, whose real and imaginary parts are in turn."""
-    real, imaginary = np.empty(sample.size, np.float32), np.empty(sample.size, np.float32)
-    flat_profile, flat_image = profile.reshape(-1), image.reshape(-1)
-    if _changes(sample) * LEAST_RUN <= sample.size:
-        _read_runs(sample, tap, flat_profile, real, imaginary)
-    else:
-        _read_each(sample, tap, flat_profile, real, imaginary)
-    for i in range(sample.size):
-        flat_image[2 * i] += real[i] * cosine[i] - imaginary[i] * sine[i]
-        flat_image[2 * i + 1] += real[i] * sine[i] + imaginary[i] * cosine[i]
-
-
-@compiled
 def _changes(sample: I32) -> int:
     """Number of entries that differ from the one before."""
     number = 0
@@ -379,53 +404,89 @@ def _changes(sample: I32) -> int:
 
 
 @compiled
-def _read_each(sample: I32, tap: F32, profile: F32, real: F32, imaginary: F32) -> None:
-    """Interpolate a profile, real and imaginary parts in turn, at each pixel: all taps written out."""
-    for i in range(sample.size):
-        p = profile[2 * sample[i] : 2 * (sample[i] + TAPS)]
-        ta, tb, tc, td, te, tf = tap[0, i], tap[1, i], tap[2, i], tap[3, i], tap[4, i], tap[5, i]
-        real[i] = ta * p[0] + tb * p[2] + tc * p[4] + td * p[6] + te * p[8] + tf * p[10]
-        imaginary[i] = ta * p[1] + tb * p[3] + tc * p[5] + td * p[7] + te * p[9] + tf * p[11]
+def _add_runs(
+    sample: I32, changes: int, fraction: F32, cosine: F32, sine: F32, profile: F32, taps: F32, image: F32
+) -> None:
+    """Add a pulse where many pixels in a row, at nearly the same range, read the same samples.
 
-
-@compiled
-def _read_runs(sample: I32, tap: F32, profile: F32, real: F32, imaginary: F32) -> None:
-    """As `_read_each`, where many pixels in a row, at nearly the same range, read the same samples."""
+    There each profile is one polynomial of the fraction: the samples times the polynomials of their taps.
+    """
+    detectors = len(image)
+    lines = profile.reshape(-1, 2 * detectors)
+    polynomials = np.empty((taps.shape[1], 2 * detectors), np.float32)
     start = 0
-    while start < sample.size:
-        stop = start + 1
-        while stop < sample.size and sample[stop] == sample[start]:
-            stop += 1
-        p, pixels = profile[2 * sample[start] : 2 * (sample[start] + TAPS)], slice(start, stop)
-        ta, tb, tc, td, te, tf = (
-            tap[0, pixels], tap[1, pixels], tap[2, pixels], tap[3, pixels], tap[4, pixels], tap[5, pixels]
-        )  # fmt: skip
-        _mix(ta, tb, tc, td, te, tf, p[::2], real[pixels])
-        _mix(ta, tb, tc, td, te, tf, p[1::2], imaginary[pixels])
+    for change in range(changes + 1):
+        stop = sample.size if change == changes else _end_of_run(sample, start)
+        _fill_polynomials(lines[sample[start] : sample[start] + TAPS], taps, polynomials)
+        for k in range(detectors):
+            _add_run(
+                polynomials[:, k], polynomials[:, detectors + k], fraction[start:stop], cosine[start:stop],
+                sine[start:stop], image[k, 0, start:stop], image[k, 1, start:stop],
+            )  # fmt: skip
         start = stop
 
 
 @compiled
-def _mix(ta: F32, tb: F32, tc: F32, td: F32, te: F32, tf: F32, p: F32, value: F32) -> None:
-    a, b, c, d, e, f = p[0], p[1], p[2], p[3], p[4], p[5]
-    for i in range(value.size):
-        value[i] = ta[i] * a + tb[i] * b + tc[i] * c + td[i] * d + te[i] * e + tf[i] * f
+def _end_of_run(sample: I32, start: int) -> int:
+    """The first entry after the start that differs from it; there is one."""
+    stop = start + 1
+    while sample[stop] == sample[start]:
+        stop += 1
+    return stop
+
+
+@compiled
+def _fill_polynomials(samples: F32, taps: F32, polynomials: F32) -> None:
+    """Coefficients of rising powers of what the taps make of samples (taps, lines), shape (powers, lines)."""
+    a, b, c, d, e, f = samples[0], samples[1], samples[2], samples[3], samples[4], samples[5]
+    for power in range(len(polynomials)):
+        ta, tb, tc = taps[0, power], taps[1, power], taps[2, power]
+        td, te, tf = taps[3, power], taps[4, power], taps[5, power]
+        line = polynomials[power]
+        for k in range(line.size):
+            line[k] = ta * a[k] + tb * b[k] + tc * c[k] + td * d[k] + te * e[k] + tf * f[k]
+
+
+@compiled
+def _add_run(p: F32, q: F32, fraction: F32, cosine: F32, sine: F32, real: F32, imaginary: F32) -> None:
+    """Add p + j q, polynomials of the fraction, times cosine + j sine."""
+    p0, p1, p2, p3, p4, p5, p6, p7 = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7]
+    q0, q1, q2, q3, q4, q5, q6, q7 = q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7]
+    for i in range(fraction.size):
+        t = fraction[i]
+        a = p0 + t * (p1 + t * (p2 + t * (p3 + t * (p4 + t * (p5 + t * (p6 + t * p7))))))
+        b = q0 + t * (q1 + t * (q2 + t * (q3 + t * (q4 + t * (q5 + t * (q6 + t * q7))))))
+        real[i] += a * cosine[i] - b * sine[i]
+        imaginary[i] += a * sine[i] + b * cosine[i]
+
+
+@compiled
+def _add_one(sample: I32, tap: F32, cosine: F32, sine: F32, profile: F32, image: F32) -> None:
+    """Add a pulse of a single detector to scattered pixels: all taps written out."""
+    flat, real, imaginary = profile.reshape(-1), image[0, 0], image[0, 1]
+    for i in range(sample.size):
+        p = flat[2 * sample[i] : 2 * (sample[i] + TAPS)]
+        ta, tb, tc, td, te, tf = tap[0, i], tap[1, i], tap[2, i], tap[3, i], tap[4, i], tap[5, i]
+        a = ta * p[0] + tb * p[2] + tc * p[4] + td * p[6] + te * p[8] + tf * p[10]
+        b = ta * p[1] + tb * p[3] + tc * p[5] + td * p[7] + te * p[9] + tf * p[11]
+        real[i] += a * cosine[i] - b * sine[i]
+        imaginary[i] += a * sine[i] + b * cosine[i]
 
 
 @compiled
 def _add_all(sample: I32, tap: F32, cosine: F32, sine: F32, profile: F32, image: F32) -> None:
-    """Add a pulse of many detectors: first interpolate all real and imaginary parts, then turn them."""
+    """Add a pulse of many detectors to scattered pixels: interpolate all parts, then turn; (pixels, 2, detectors)."""
     detectors = image.shape[2]
-    flat_profile, flat_image = profile.reshape(-1, 2 * detectors), image.reshape(-1, 2 * detectors)
+    lines, totals = profile.reshape(-1, 2 * detectors), image.reshape(-1, 2 * detectors)
     value = np.empty(2 * detectors, np.float32)
     for i in range(sample.size):
         first = sample[i]
-        a, b, c = flat_profile[first], flat_profile[first + 1], flat_profile[first + 2]
-        d, e, f = flat_profile[first + 3], flat_profile[first + 4], flat_profile[first + 5]
+        a, b, c = lines[first], lines[first + 1], lines[first + 2]
+        d, e, f = lines[first + 3], lines[first + 4], lines[first + 5]
         ta, tb, tc, td, te, tf = tap[0, i], tap[1, i], tap[2, i], tap[3, i], tap[4, i], tap[5, i]
         for k in range(2 * detectors):
             value[k] = ta * a[k] + tb * b[k] + tc * c[k] + td * d[k] + te * e[k] + tf * f[k]
-        total, turn, lift = flat_image[i], cosine[i], sine[i]
+        total, turn, lift = totals[i], cosine[i], sine[i]
         for k in range(detectors):
             total[k] += value[k] * turn - value[detectors + k] * lift
             total[detectors + k] += value[k] * lift + value[detectors + k] * turn

@@ -26,7 +26,7 @@ from sal_height.sensor import PhaseHistory, Sensor
 
 PULSES_AT_ONCE = 16  # whose dense profiles are held: a few megabytes
 PIXELS_OF_IMAGE = 3 * 2**15  # that are summed up at a time, over all pulses: bounds the memory beside history and image
-PIXELS_AT_ONCE = 4096  # whose geometry is held: what fits into a processor's cache
+PIXELS_AT_ONCE = 4096  # that a thread takes at a time
 PIXELS_OF_THREAD = 2048  # at least: fewer are not worth a thread of their own
 
 
@@ -69,7 +69,7 @@ def backproject_points(
     along = points @ direction
     points = np.ascontiguousarray(points.T)
     detectors, pulses, frequencies = history.samples.shape
-    image = np.zeros((points.shape[1], 2, detectors), dtype=np.float32)
+    image = np.zeros((detectors, 2, points.shape[1]), dtype=np.float32)
     weight, valid = np.zeros(points.shape[1]), np.ones(points.shape[1], dtype=np.bool_)
     range_weights = processing.range_weights(frequencies)
     azimuth_weights, taper = processing.azimuth_weights(pulses), processing.taper()
@@ -95,15 +95,15 @@ def backproject_points(
         def add(piece: slice, profiles: F32 = profiles, block: slice = block) -> None:
             add_pulses(
                 points[:, piece].copy(), along[piece], track[block], profiles, taps, taper, scales,
-                image[piece], weight[piece], valid[piece],
+                image[:, :, piece], weight[piece], valid[piece],
             )  # fmt: skip
 
         in_threads(add, blocks(points.shape[1], size))
     valid &= (weight > 0) & filled_apertures(points.T, antenna, direction, processing.angle)
     with np.errstate(divide="ignore", invalid="ignore"):
-        image /= np.where(valid, weight * frequencies, np.nan)[:, None, None].astype(np.float32)
+        image /= np.where(valid, weight * frequencies, np.nan).astype(np.float32)
     result = np.empty((detectors, points.shape[1]), dtype=np.complex64)
-    result.real, result.imag = image[:, 0].T, image[:, 1].T
+    result.real, result.imag = image[:, 0], image[:, 1]
     return result
 
 

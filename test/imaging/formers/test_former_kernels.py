@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.imaging.formers._kernels import _add_one, add_pulses, fill_turns, read_profiles, row_is_reached
+from sal_height.imaging.formers._kernels import (
+    _add_all,
+    _add_one,
+    _add_runs,
+    _changes,
+    add_pulses,
+    fill_turns,
+    read_profiles,
+    row_is_reached,
+)
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
 
@@ -32,17 +41,46 @@ def geometry(track: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     return distance - track[:, 3, None], (track[:, 4, None] - points[0]) / distance
 
 
-@pytest.mark.parametrize("runs", [2, 30, 300], ids=["one change", "runs of 10", "hardly any run"])
-def test_pixels_that_read_the_same_samples_are_read_as_others(runs: int) -> None:
+@pytest.mark.parametrize("detectors", [1, 3])
+@pytest.mark.parametrize("runs", [1, 2, 30, 300], ids=["no change", "one change", "runs of 10", "hardly any run"])
+def test_pixels_that_read_the_same_samples_are_read_as_others(runs: int, detectors: int) -> None:
     rng, pixels = np.random.default_rng(115), 301
     sample = np.sort(rng.integers(0, runs, pixels)).astype(np.int32)
-    tap, cosine, sine = (rng.uniform(-1, 1, shape).astype(np.float32) for shape in ((TAPS, pixels), pixels, pixels))
-    profile = circular(rng, (runs + TAPS,)).astype(np.complex64)
-    image = np.ones((pixels, 2, 1), np.float32)
-    _add_one(sample, tap, cosine, sine, profile.view(np.float32).reshape(-1, 2, 1), image)
-    read = np.sum(tap * profile[sample + np.arange(TAPS)[:, None]], axis=0)
+    fraction, cosine, sine = (rng.uniform(low, 1, pixels).astype(np.float32) for low in (0, -1, -1))
+    profile = circular(rng, (runs + TAPS, detectors)).astype(np.complex64)
+    apart = np.stack([profile.real, profile.imag], axis=1)
+    tap = tap_weights(fraction, tap_polynomials())
+    read = np.einsum("jp,jpd->dp", tap, profile[sample + np.arange(TAPS)[:, None]])
     expected = 1 + 1j + read * (cosine + 1j * sine)
-    np.testing.assert_allclose(image[:, 0, 0] + 1j * image[:, 1, 0], expected, atol=1e-5)
+    at_once, one_by_one = np.ones((2, detectors, 2, pixels), np.float32)
+    _add_runs(sample, _changes(sample), fraction, cosine, sine, apart, tap_polynomials(), at_once)
+    if detectors == 1:
+        _add_one(sample, tap, cosine, sine, apart, one_by_one)
+    else:
+        by_pixel = np.ones((pixels, 2, detectors), np.float32)
+        _add_all(sample, tap, cosine, sine, apart, by_pixel)
+        one_by_one = by_pixel.T  # (detectors, 2, pixels)
+    for image in (at_once, one_by_one):
+        np.testing.assert_allclose(image[:, 0] + 1j * image[:, 1], expected, atol=2e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("detectors", [1, 3])
+def test_pixels_in_a_row_have_the_values_that_they_have_among_others(detectors: int) -> None:
+    """1500 pixels at ranges that grow by 13 dense samples; shuffled, hardly two in a row read the same samples."""
+    rng, points = np.random.default_rng(116), 1500
+    track, _ = scene(7, 1)
+    spots = np.stack([np.full(points, 0.1), np.linspace(19.6, 20.4, points), np.zeros(points)])
+    dense = dense_profiles(circular(rng, (detectors, 7, COUNT)).astype(np.complex64), np.ones(COUNT))
+    profiles = np.stack([dense.real, dense.imag], axis=2)
+    scales = np.array([OVERSAMPLING * COUNT / WINDOW, COUNT, WAVENUMBER / (2 * np.pi), WINDOW / 2, 0.0, SPACING])
+    images = np.zeros((2, detectors, 2, points), np.float32)
+    shuffled = rng.permutation(points)
+    for image, order in zip(images, (np.arange(points), shuffled), strict=True):
+        add_pulses(
+            spots[:, order].copy(), np.zeros(points), track, profiles, tap_polynomials(), np.ones(2, np.float32),
+            scales, image, np.zeros(points), np.ones(points, bool),
+        )  # fmt: skip
+    np.testing.assert_allclose(images[0][:, :, shuffled], images[1], atol=2e-6 * np.abs(images).max())
 
 
 @pytest.mark.parametrize("detectors", [1, 3])
@@ -58,7 +96,7 @@ def test_pulses_are_added_as_the_formula_of_backprojection_says(detectors: int, 
     processing = Processing(azimuth_window="hamming", angle=angle)
     per_metre, middle = OVERSAMPLING * COUNT / WINDOW, OVERSAMPLING * COUNT // 2
     scales = np.array([per_metre, middle, WAVENUMBER / (2 * np.pi), WINDOW / 2, angle, SPACING])
-    image = np.zeros((points, 2, detectors), np.float32)
+    image = np.zeros((detectors, 2, points), np.float32)
     weight, valid = np.zeros(points), np.ones(points, bool)
     add_pulses(spots, spots[0].copy(), track, profiles, polynomials, processing.taper(), scales, image, weight, valid)
 
@@ -71,7 +109,7 @@ def test_pulses_are_added_as_the_formula_of_backprojection_says(detectors: int, 
     taps = tap_weights((position - before).astype(np.float32).ravel(), polynomials).reshape(TAPS, pulses, points)
     read = (before + 1)[..., None] + np.arange(TAPS)
     samples = dense[np.arange(pulses)[:, None, None], read]
-    expected = np.einsum("px,jpx,pxjd->xd", gain * np.exp(1j * WAVENUMBER * delay), taps, samples)
+    expected = np.einsum("px,jpx,pxjd->dx", gain * np.exp(1j * WAVENUMBER * delay), taps, samples)
     np.testing.assert_allclose(image[:, 0] + 1j * image[:, 1], expected, atol=2e-6 * np.abs(expected).max() * pulses)
     np.testing.assert_allclose(weight, gain.sum(axis=0), rtol=1e-5)
     np.testing.assert_array_equal(valid, np.all(inside | (gain == 0), axis=0))

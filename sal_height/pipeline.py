@@ -1,19 +1,23 @@
 """The whole way from phase history to heights, each step one line.
 
 `Compressor` makes the images of all channels of a dwell, or of what a block completes of a strip; `heights` makes the
-heights of one such set of images (by way of `elevations`). The ROS nodes only turn messages into these calls and back.
+heights of one such set of images, `heights_of_dwells` those of several at once. The ROS nodes only turn messages into
+these calls and back.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 
 from sal_height.beams import Beams, column_squint
 from sal_height.calibration import Calibration
 from sal_height.elevation import (
+    CellResponse,
     ElevationEstimate,
     ElevationEstimator,
     HeightSettings,
@@ -114,13 +118,41 @@ def heights(
     Where receivers are blanked, every row of pixels is estimated from the channels that receive all of it, and is
     MISSING_DATA if these are too few. Arguments and errors as of `elevations`.
     """
-    parts = []
-    for channels, rows in channel_sets(slc, sensor, settings.windows[0]):
-        estimate, looks, grid, beams = elevations(slc, sensor, estimator, settings, calibration, channels)
-        # Range, Doppler and elevation give the place on the ground.
-        side, velocity = sensor.look_side, settings.radial_velocity_mps
-        parts.append((rows, height_field(estimate, looks, slc.grid, grid, slc.aperture, side, velocity, beams)))
-    return joined_rows(parts)
+    return heights_of_dwells([slc], sensor, estimator, settings, calibration)[0]
+
+
+def heights_of_dwells(
+    slcs: Sequence[Slc],
+    sensor: Sensor,
+    estimator: ElevationEstimator,
+    settings: HeightSettings,
+    calibration: Calibration | None = None,
+) -> list[HeightField]:
+    """`heights` of several dwells, the same as one by one, in less time: elevations are estimated of all at once."""
+    dwells = [
+        [
+            (rows, Observed.of(slc, sensor, estimator, settings, calibration, channels))
+            for channels, rows in channel_sets(slc, sensor, settings.windows[0])
+        ]
+        for slc in slcs
+    ]
+    estimates = iter(estimate_together([seen for dwell in dwells for _, seen in dwell], estimator, settings))
+    # Range, Doppler and elevation give the place on the ground.
+    side, velocity = sensor.look_side, settings.radial_velocity_mps
+    return [
+        joined_rows(
+            [
+                (
+                    rows,
+                    height_field(
+                        next(estimates), seen.looks, slc.grid, seen.grid, slc.aperture, side, velocity, seen.beams
+                    ),
+                )
+                for rows, seen in dwell
+            ]
+        )
+        for slc, dwell in zip(slcs, dwells, strict=True)
+    ]
 
 
 def elevations(
@@ -145,28 +177,87 @@ def elevations(
         Rejected: too few channels have a signal, or they are not those that the estimator needs.
         UserError: looks that do not fit in the image, or noise powers that are not known.
     """
-    # Channels without any signal are left out.
-    live = live_channels(slc.images, sensor) if channels_used is None else channels_used
-    images = slc.images if len(live) == len(slc.images) else slc.images[live]
-    # The channels that the estimator takes, of equal noise, or sum and difference; and their beams.
-    channels, beams = channels_and_beams(slc, sensor, estimator, calibration, live)
-    # The height pixels, and the squint of each column; a target that moves is seen at another one than its pixel says.
-    grid = look_grid(slc.grid, *settings.windows)
-    squint = column_squint(grid, slc.aperture, sensor.beams, sensor.look_side)
-    squint = moving_squint(squint, settings.radial_velocity_mps, np.linalg.norm(slc.aperture.velocity))
-    # Looks: the covariance of the channels in each of them, and what sidelobes and other ranges bring to a pixel.
-    response = cell_response(slc, sensor)
-    turn = level_turn(float(np.mean(beams.span)), slc.grid, slc.aperture, sensor.look_side)
-    looks = windowed_looks(images, settings.windows, squint, channels, beams.is_complex, response, turn)
-    # Elevation from the ratios between channels, which clipped samples spoil.
-    estimate = estimator.estimate(looks, beams, settings)
+    seen = Observed.of(slc, sensor, estimator, settings, calibration, channels_used)
+    (estimate,) = estimate_together([seen], estimator, settings)
+    return estimate, seen.looks, seen.grid, seen.beams
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """What an estimator takes of a dwell, and what its estimate is judged by.
+
+    Attributes:
+        looks: of the channels.
+        beams: of the channels; those of the next dwell are the same object if nothing has changed.
+        grid: of the height pixels.
+        response: of the images.
+        saturated_share: the greatest of the channels.
+    """
+
+    looks: Looks
+    beams: Beams
+    grid: Grid
+    response: CellResponse
+    saturated_share: float
+
+    @classmethod
+    def of(
+        cls,
+        slc: Slc,
+        sensor: Sensor,
+        estimator: ElevationEstimator,
+        settings: HeightSettings,
+        calibration: Calibration | None,
+        channels_used: Index | None,
+    ) -> Self:
+        """The looks of a dwell; arguments and errors as of `elevations`."""
+        # Channels without any signal are left out.
+        live = live_channels(slc.images, sensor) if channels_used is None else channels_used
+        images = slc.images if len(live) == len(slc.images) else slc.images[live]
+        # The channels that the estimator takes, of equal noise, or sum and difference; and their beams.
+        channels, beams = channels_and_beams(slc, sensor, estimator, calibration, live)
+        # The height pixels, and the squint of each column; a target that moves is seen at another one than its pixel.
+        grid = look_grid(slc.grid, *settings.windows)
+        squint = column_squint(grid, slc.aperture, sensor.beams, sensor.look_side)
+        squint = moving_squint(squint, settings.radial_velocity_mps, np.linalg.norm(slc.aperture.velocity))
+        # Looks: the covariance of the channels in each of them, and what sidelobes and other ranges bring to a pixel.
+        response = cell_response(slc, sensor)
+        turn = level_turn(float(np.mean(beams.span)), slc.grid, slc.aperture, sensor.look_side)
+        looks = windowed_looks(images, settings.windows, squint, channels, beams.is_complex, response, turn)
+        return cls(looks, beams, grid, response, float(slc.saturated_share[live].max()))
+
+    @property
+    def kind(self) -> Hashable:
+        """Looks of the same kind can be put side by side; those that are too large to be held are of none."""
+        covariance = self.looks.covariance
+        held = None if isinstance(covariance, np.ndarray) else id(covariance)
+        return held, id(self.beams), covariance.shape, tuple(self.looks.noise_powers.tolist())
+
+
+def estimate_together(
+    observed: Sequence[Observed], estimator: ElevationEstimator, settings: HeightSettings
+) -> list[ElevationEstimate]:
+    """Elevation of every height pixel of some dwells; those whose looks are of one kind are estimated at once."""
+    kinds: dict[Hashable, list[int]] = {}
+    for number, seen in enumerate(observed):
+        kinds.setdefault(seen.kind, []).append(number)
+    found: dict[int, ElevationEstimate] = {}
+    for numbers in kinds.values():
+        # Elevation from the ratios between channels, which clipped samples spoil.
+        looks = Looks.side_by_side([observed[number].looks for number in numbers])
+        estimate = estimator.estimate(looks, observed[numbers[0]].beams, settings)
+        found |= dict(zip(numbers, estimate.of_dwells(len(numbers)), strict=True))
+    return [judged(found[number], seen, settings) for number, seen in enumerate(observed)]
+
+
+def judged(estimate: ElevationEstimate, seen: Observed, settings: HeightSettings) -> ElevationEstimate:
+    """The estimate with the error by scatterers elsewhere, without what is imprecise, or spoilt by clipped samples."""
+    looks, beams = seen.looks, seen.beams
     # The error by scatterers elsewhere, whose sidelobes are in the pixel, and pixels that noise leaves uncertain.
-    foreign = sidelobe_variance(estimate.elevation, looks, beams, settings.windows, response)
+    foreign = sidelobe_variance(estimate.elevation, looks, beams, settings.windows, seen.response)
     estimate = with_foreign_power(estimate, foreign)
     estimate = without_imprecise(estimate, settings.max_sigma_beamwidths * beams.beamwidth)
-    if slc.saturated_share[live].max() > settings.max_saturated_share:
-        estimate = without_saturated(estimate)
-    return estimate, looks, grid, beams
+    return without_saturated(estimate) if seen.saturated_share > settings.max_saturated_share else estimate
 
 
 def channels_and_beams(
@@ -175,7 +266,7 @@ def channels_and_beams(
     """The channels that an estimator takes, of those that are `live`, and their beams; other arguments as of `heights`.
 
     They depend on the ratios of the noise powers, which are rounded to NOISE_DIGITS, and hardly ever change from dwell
-    to dwell: these have the very same beams then, and all that is held for them.
+    to dwell: these have the very same beams then, and all that is held for them. Powers are in units of the highest.
     """
     powers = slc.noise_power[live]
     level = powers.max() if np.all(np.isfinite(powers) & (powers > 0)) else 1.0
@@ -183,7 +274,7 @@ def channels_and_beams(
     channels, beams = _channels_and_beams(
         sensor, estimator.channels, calibration, slc.azimuth_window, tuple(live.tolist()), ratios
     )
-    return replace(channels, noise_powers=level * channels.noise_powers), beams
+    return replace(channels, transform=channels.transform / np.sqrt(level)), beams
 
 
 @lru_cache(maxsize=8)

@@ -15,6 +15,7 @@ from sal_height.numeric import F64, Index, compiled
 def learn_from_neighbours(
     evidence: F64,
     here: tuple[Index, Index],
+    dwell_cols: int,
     prior: F64,
     reach: int,
     steps: int,
@@ -26,6 +27,7 @@ def learn_from_neighbours(
     Args:
         evidence: logarithm, of every model of some pixels, shape (pixels, models).
         here: rows and columns of the pixels, row by row.
+        dwell_cols: columns of each of the images that are side by side.
         prior: probability of each model, those of the place last.
         reach: pixels to each side that count.
         steps: of the EM algorithm.
@@ -50,7 +52,8 @@ def learn_from_neighbours(
                 for r in range(max(rows[i] - reach, 0), min(rows[i] + reach + 1, height)):
                     lines += shares[r]
             around[:] = usual - shares[rows[i], cols[i]]
-            for c in range(max(cols[i] - reach, 0), min(cols[i] + reach + 1, width)):
+            first_col = cols[i] // dwell_cols * dwell_cols
+            for c in range(max(cols[i] - reach, first_col), min(cols[i] + reach + 1, first_col + dwell_cols)):
                 for k in range(kinds):
                     around[k] += lines[c, k]
             own_prior[first:] = around * (together / around.sum())

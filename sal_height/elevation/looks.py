@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Protocol, Self, TypeAlias
 
 import numpy as np
@@ -67,6 +68,8 @@ class Looks:
             all its scatterers are at one elevation.
         unplaced: share of the variance of the ranges in a pixel that is within its samples: where in them their power
             comes from is not known.
+        dwells: number of images side by side, of equal width: pixels of one are no neighbours of those of another.
+            `level_spread` and `unplaced` are then those of each column, shape (cols,).
     """
 
     covariance: Covariances
@@ -80,8 +83,9 @@ class Looks:
     col: F64
     power: F64
     finite: Bool
-    level_spread: float = 0.0
-    unplaced: float = 1.0
+    level_spread: float | F64 = 0.0
+    unplaced: float | F64 = 1.0
+    dwells: int = 1
 
     @classmethod
     def of(
@@ -106,6 +110,22 @@ class Looks:
             power=np.trace(covariance.real, axis1=-2, axis2=-1, dtype=np.float64),
             finite=np.ones((rows, cols), np.bool_),
         )
+
+    @classmethod
+    def side_by_side(cls, several: Sequence[Self]) -> Self:
+        """The looks of several dwells as one image, the columns of one after those of the other.
+
+        They must have the same channels, noise powers and shape, and hold their covariances as arrays.
+        """
+        first = several[0]
+        if len(several) == 1:
+            return first
+        cols = len(first.squint)
+        each = {f.name: [getattr(looks, f.name) for looks in several] for f in fields(cls)}
+        by_pixel = {name: np.concatenate(values, axis=1) for name, values in each.items() if np.ndim(values[0]) > 1}
+        by_dwell = {name: np.repeat(each[name], cols) for name in ("level_spread", "unplaced")}
+        squint = np.concatenate(each["squint"])
+        return replace(first, **by_pixel, **by_dwell, squint=squint, dwells=len(several))
 
     @property
     def receiver_noise(self) -> float:

@@ -105,17 +105,19 @@ def _gain_of_spread(along_slope: F64, looks: F64, level: F64) -> F64:
     return along_slope * (1 - 1 / level) - free_looks(looks) * np.log(level)
 
 
-def log_probabilities(log_evidence: F64, here: tuple[Index, Index]) -> F64:
+def log_probabilities(log_evidence: F64, here: tuple[Index, Index], dwells: int = 1) -> F64:
     """Logarithm of the posterior probability of each model from log-evidences against noise, (rows, cols, ORDERS).
 
     How often TWO, THREE and SPREAD are among the pixels that are not single is a matter of the place: kerbs have pairs,
     forests do not. For each of the pixels `here` it is estimated from the others of NEIGHBOURS pixels each way (the EM
     algorithm; Dempster, Laird and Rubin, J. Royal Statistical Society B 39, 1977), and one more with shares as PRIOR.
+    `dwells` is the number of images side by side, which say nothing of each other.
     """
     found = log_evidence + np.log(PRIOR)
     found -= _log_sum(found, axis=-1)
     some, shares = found[here], np.zeros((*log_evidence.shape[:2], ORDERS - TWO))
-    learn_from_neighbours(log_evidence[here], here, PRIOR, NEIGHBOURS // 2, EM_STEPS, some, shares)
+    cols = shares.shape[1] // dwells
+    learn_from_neighbours(log_evidence[here], here, cols, PRIOR, NEIGHBOURS // 2, EM_STEPS, some, shares)
     found[here] = some
     return found
 

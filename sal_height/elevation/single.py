@@ -100,21 +100,24 @@ class Levels:
         """The levels for the number of looks of every pixel."""
         # The path over elevation changes by a thousandth in such a step of squint.
         step = SQUINT_STEP * beams.track_beamwidth
-        ends = np.rint(np.array([looks.squint.min(), looks.squint.max()]) / step) * step
-        length = max(path_length(beams, squint) for squint in ends.tolist())
+        squints = looks.squint.reshape(looks.dwells, -1)
+        ends = np.rint(np.stack([squints.min(axis=1), squints.max(axis=1)], axis=1) / step) * step
+        lengths = [max(path_length(beams, squint) for squint in of_dwell) for of_dwell in ends.tolist()]
         counts, which = np.unique(looks.count, return_inverse=True)
+        number = which.reshape(looks.count.shape), np.arange(looks.dwells).repeat(squints.shape[1])
         sidelobes = sidelobe_limit(looks.leaked, settings.sidelobe_rate)
 
         def level(of_noise: F64, rate: float) -> F64:
             # Errors of the beams are those of one look, too, but differ between directions.
             errors = sidelobe_limit(noise.beam_error, rate)
-            return (of_noise[which.reshape(looks.count.shape)] + sidelobes + errors) / noise.raised
+            return (of_noise[number] + sidelobes + errors) / noise.raised
 
         rarely = settings.layover_false_alarm
         often = min(SUSPICIOUS * rarely, 0.5)
-        spread = level(noise_limit(free_looks(counts), settings.spread_false_alarm), settings.spread_false_alarm)
+        alike = np.repeat(noise_limit(free_looks(counts), settings.spread_false_alarm)[:, None], looks.dwells, axis=1)
+        spread = level(alike, settings.spread_false_alarm)
         tried, several = (
-            np.array([detection_threshold(length, count, rate) for count in counts.tolist()])
+            np.array([[detection_threshold(length, count, rate) for length in lengths] for count in counts.tolist()])
             for rate in (often, rarely)
         )
         return cls(
@@ -145,7 +148,8 @@ class Spread:
         free = np.where(looks.finite, free_looks(looks.count), 0.0)
         along = np.where(looks.finite, np.minimum(peaks.along_slope, 2 * levels.spread), 0.0)
         excess, unit = along - free * noise.along_slope, np.where(looks.finite, free * power * peaks.turning, 0.0)
-        pooled, units = uniform_filter([excess, unit], NEIGHBOURS, axes=(1, 2), mode="nearest")
+        of_dwells = np.stack([excess, unit]).reshape(2, len(excess), looks.dwells, -1)
+        pooled, units = uniform_filter(of_dwells, NEIGHBOURS, axes=(1, 3), mode="nearest").reshape(2, *excess.shape)
         around = np.divide(np.maximum(pooled, 0.0), units, where=units > 0, out=np.zeros_like(units))
         level = noise.along_slope
         own = spread_of(peaks.along_slope / level, looks.count, power / level, peaks.turning)

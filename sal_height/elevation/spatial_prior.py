@@ -76,7 +76,7 @@ def smoothed_peaks(looks: Looks, beams: Beams, strength: float) -> F64:
     normalised, guard = OBJECTIVES["normalised"], search_guard(beams)
     elevation = peak_elevation(looks, beams, normalised, guard)
     searches = PeakSearches.over(beams, normalised, guard)
-    for tile in _tiles(*elevation.shape):
+    for tile in _tiles(*elevation.shape, looks.dwells):
         own, has_data = _log_likelihood(looks, tile, searches)
         messages = _messages(own, has_data, strength)
         own += messages
@@ -84,12 +84,14 @@ def smoothed_peaks(looks: Looks, beams: Beams, strength: float) -> F64:
     return elevation
 
 
-def _tiles(rows: int, cols: int) -> Iterator[_Tile]:
-    for top, left in product(range(0, rows, TILE), range(0, cols, TILE)):
+def _tiles(rows: int, cols: int, dwells: int) -> Iterator[_Tile]:
+    """The tiles of images side by side, each of which lies in one of them."""
+    wide = cols // dwells
+    for begin, top, left in product(range(0, cols, wide), range(0, rows, TILE), range(0, wide, TILE)):
         first_row, first_col = max(0, top - MARGIN), max(0, left - MARGIN)
         yield _Tile(
             rows=np.arange(first_row, min(top + TILE + MARGIN, rows)),
-            cols=np.arange(first_col, min(left + TILE + MARGIN, cols)),
+            cols=begin + np.arange(first_col, min(left + TILE + MARGIN, wide)),
             core=(slice(top - first_row, top - first_row + TILE), slice(left - first_col, left - first_col + TILE)),
         )
 

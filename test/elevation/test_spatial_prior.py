@@ -179,7 +179,7 @@ def test_likelihood_is_the_greatest_over_the_power_of_the_amplitudes() -> None:
     covariance[0, 1] *= np.float32(0.05)  # weaker than noise almost everywhere: P = 0 is best
     searches = PeakSearches.over(beams, NORMALISED, 0.0)
     seen = Looks.of(covariance, looks, noise_power=noise_power)
-    own, has_data = spatial_prior._log_likelihood(seen, next(spatial_prior._tiles(1, 2)), searches)
+    own, has_data = spatial_prior._log_likelihood(seen, next(spatial_prior._tiles(1, 2, 1)), searches)
     assert has_data.all()
     powers = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 4001)])
     nodes = np.linspace(*beams.domain(0.0), own.shape[2])

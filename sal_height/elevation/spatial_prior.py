@@ -76,7 +76,7 @@ def smoothed_peaks(looks: Looks, beams: Beams, strength: float) -> F64:
     normalised, guard = OBJECTIVES["normalised"], search_guard(beams)
     elevation = peak_elevation(looks, beams, normalised, guard)
     searches = PeakSearches.over(beams, normalised, guard)
-    for tile in _tiles(*elevation.shape, looks.dwells):
+    for tile in _tiles(len(elevation), len(looks.squint), looks.dwells):
         own, has_data = _log_likelihood(looks, tile, searches)
         messages = _messages(own, has_data, strength)
         own += messages

@@ -78,6 +78,20 @@ class _Early(NamedTuple):
     came: float
 
 
+class WholeDwell(NamedTuple):
+    """A dwell that waits for its processing.
+
+    Attributes:
+        messages: one of each channel, in their order.
+        sensor: that they were made with.
+        supplies: what `DwellStage.supplies` returned.
+    """
+
+    messages: list[Any]
+    sensor: Sensor
+    supplies: Any
+
+
 class DwellStage(Stage):
     """Takes one message per channel and hands over complete dwells.
 
@@ -202,7 +216,8 @@ class DwellStage(Stage):
         if dwell.absent:
             sentence = f"Dwell {dwell.key.number} is processed without channels {dwell.absent}, which have not come."
             self.ignore("missing channels", UserError(sentence))
-        self.submit(len(dwell.items), lambda: self.process(frames, dwell.sensor, supplies), dwell.size)
+        whole = WholeDwell(frames, dwell.sensor, supplies)
+        self.submit(len(dwell.items), lambda: self.process(*whole), dwell.size, whole)
         return None
 
     def _give_up(self, dwell: Dwell[Any], reason: Rejected) -> None:

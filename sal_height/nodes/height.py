@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import create_model
@@ -16,25 +17,39 @@ from sal_height import messages
 from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, Validity
 from sal_height.errors import Rejected, UserError
-from sal_height.imaging import ImageSettings
+from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import ReceivedImage
-from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
+from sal_height.nodes.dwell_stage import DwellParameters, DwellStage, WholeDwell
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS, height_topics
-from sal_height.pipeline import Compressor, heights, live_channels
+from sal_height.pipeline import Compressor, heights, heights_of_dwells, live_channels
 from sal_height.rehearsal import rehearsed_slc, with_scatterers
+from sal_height.relief import HeightField
 from sal_height.sensor import Sensor
 
 HELD_CALIBRATIONS = 4
 """Calibrations held: images made with one may come after the next."""
 
+AT_ONCE, BYTES_AT_ONCE = 4, 8_000_000
+"""Dwells that are processed at once, and bytes of their images, at most: more would save little, and be later."""
+
 LEFT_OUT = "channels_left_out"
 """Name in the provenance, beside the node's parameters, of the channels without a signal; only if there are any."""
 
 
+class Made(NamedTuple):
+    """What has been made of a dwell: its images as arrays, and heights with these parameters."""
+
+    parameters: Any
+    slc: Slc
+    field: HeightField
+
+
 class HeightNode(DwellStage):
     """Turns the images of all channels of a dwell into one height image.
+
+    Heights of small dwells that wait are made at once, which is faster, and published when their turn comes.
 
     Its parameters are the settings of its estimator, and those of DwellParameters.
     """
@@ -52,6 +67,7 @@ class HeightNode(DwellStage):
         """
         super().__init__(self.estimator.node, ComplexImage, "slc", **node_arguments)
         self._calibrations: dict[str, Calibration] = {}
+        self._made: dict[int, Made] = {}
         self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS, optional=True)
         self._height = self.offer(HeightImage, f"{self.product}/height")
         self._image = self.offer(Image, f"{self.product}/image")
@@ -75,8 +91,7 @@ class HeightNode(DwellStage):
     def process(self, images: list[ReceivedImage], sensor: Sensor, calibration: Calibration | None) -> int:
         """Estimate the heights of a dwell and publish them."""
         parameters, first = self.current_parameters(), images[0]
-        slc = messages.slc_from_messages(images)
-        field = heights(slc, sensor, self.estimator, parameters, calibration)
+        _, slc, field = self._made_of(WholeDwell(images, sensor, calibration), parameters)
         if np.any(field.validity == Validity.SATURATED):
             share, limit = slc.saturated_share.max(), parameters.max_saturated_share
             sentence = (
@@ -92,6 +107,34 @@ class HeightNode(DwellStage):
         self._points.publish_if_heard(lambda: messages.height_points(field, image))
         self._height.publish(image)
         return 1
+
+    def _made_of(self, dwell: WholeDwell, parameters: Any) -> Made:
+        """The heights of a dwell, which may have been made ahead; if not, those of dwells alike are made with them."""
+        made = self._made.pop(id(dwell.messages), None)
+        if made is None or made.parameters is not parameters:
+            slcs = {id(dwell.messages): messages.slc_from_messages(dwell.messages)}
+            for other in self._alike(dwell):
+                with suppress(UserError):  # told when its turn comes
+                    slcs[id(other.messages)] = messages.slc_from_messages(other.messages)
+            self._made = self._made_at_once(slcs, dwell, parameters)
+            made = self._made.pop(id(dwell.messages))
+        return made
+
+    def _alike(self, dwell: WholeDwell) -> list[WholeDwell]:
+        """The dwells that wait and can be processed with this one."""
+        size = sum(image.size for image in dwell.messages)
+        alike = [one for one in self.waiting() if one.sensor is dwell.sensor and one.supplies is dwell.supplies]
+        return alike[: max(0, min(AT_ONCE, BYTES_AT_ONCE // max(1, size)) - 1)]
+
+    def _made_at_once(self, slcs: dict[int, Slc], dwell: WholeDwell, parameters: Any) -> dict[int, Made]:
+        """The heights of several dwells, whose sensor and calibration are those of `dwell`, or of this one alone."""
+        try:
+            found = heights_of_dwells(list(slcs.values()), dwell.sensor, self.estimator, parameters, dwell.supplies)
+        except UserError:  # which of them is to blame is told when its turn comes
+            if len(slcs) == 1:
+                raise
+            return self._made_at_once({id(dwell.messages): slcs[id(dwell.messages)]}, dwell, parameters)
+        return {key: Made(parameters, slc, field) for (key, slc), field in zip(slcs.items(), found, strict=True)}
 
     def _calibration_of(self, image: ReceivedImage, sensor: Sensor) -> Calibration | None:
         """The calibration that an image was made with; None: the sensor's own, or none.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 QueuePolicy = Literal["oldest", "newest"]
 """Which job is dropped when there are too many: the one that waits longest, or the one that comes."""
@@ -18,11 +18,13 @@ class Job(NamedTuple):
         run: does the work; must not raise.
         messages: number of messages that it consumes.
         size: bytes that these hold.
+        item: what is worked on, for work that looks ahead.
     """
 
     run: Callable[[], None]
     messages: int
     size: int = 0
+    item: Any = None
 
 
 class JobQueue:
@@ -79,6 +81,11 @@ class JobQueue:
         with self._changed:
             self._waiting.clear()
             self._waiting_size = 0
+
+    def items(self) -> list[Any]:
+        """What the jobs that wait work on, in their order."""
+        with self._changed:
+            return [job.item for job in self._waiting if job.item is not None]
 
     @property
     def closed(self) -> bool:

@@ -272,7 +272,7 @@ class Stage(Role, Node):
 
         self.create_service(Trigger, name, respond)
 
-    def submit(self, messages: int, work: Callable[[], int], size: int = 0) -> None:
+    def submit(self, messages: int, work: Callable[[], int], size: int = 0, item: Any = None) -> None:
         """Have `work` done on the worker thread.
 
         What it rejects or fails at is counted and logged, and does not end the node.
@@ -281,6 +281,7 @@ class Stage(Role, Node):
             messages: number of messages that it consumes.
             work: returns the number of messages it published.
             size: bytes that the messages hold.
+            item: what is worked on; `waiting` gives it to work that looks ahead.
         """
         arrived = time.monotonic()
         if messages:
@@ -307,9 +308,13 @@ class Stage(Role, Node):
             f"Processing falls behind: {capacity} dwells (max_queued_dwells) or {parameters.max_memory_mb} MB "
             f"(max_memory_mb) wait already, and the {policy} dwell was dropped (queue_policy)."
         )
-        for job in self._jobs.put(Job(run, messages, size), capacity, parameters.max_memory_bytes, policy):
+        for job in self._jobs.put(Job(run, messages, size, item), capacity, parameters.max_memory_bytes, policy):
             ended = Rejected("ended", "The node is ending; what comes now is left out.")
             self.reject(job.messages, ended if self._jobs.closed else Rejected("queue full", full))
+
+    def waiting(self) -> list[Any]:
+        """The items of the jobs that wait, in their order."""
+        return self._jobs.items()
 
     def _check_budget(self, messages: int, waited_s: float) -> None:
         """Leave a dwell out that has waited too long: those that came later are worth more to whoever looks on.

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import itertools
+import threading
+from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message, serialize_message
 from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, SensorInfo
 
 from sal_height import messages
-from sal_height.imaging import ImageSettings
-from sal_height.nodes import stage
+from sal_height.imaging import ImageSettings, Slc
+from sal_height.nodes import height, stage
 from sal_height.nodes.account import DIAGNOSTICS, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.playlist import restamped
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
-from sal_height.pipeline import Compressor
+from sal_height.pipeline import Compressor, heights_of_dwells
+from sal_height.relief import HeightField
 from sal_height.simulation.flight import SimulatedFlight
 
 TIMEOUT_S = 20.0
@@ -30,11 +34,13 @@ BURST, BURSTS = 24, 6
 """Dwells published at once, fewer than wait in the middleware, and how often."""
 
 
-def images_of(flight: SimulatedFlight) -> list[bytes]:
+def images_of(flight: SimulatedFlight, dwell: int = 0) -> list[bytes]:
     """The serialized images of a dwell."""
-    slc = Compressor().add(flight.phase_history(0), flight.track(0), flight.sensor, ImageSettings(rows=46, cols=12))
+    history, settings = flight.phase_history(dwell), ImageSettings(rows=46, cols=12)
+    slc = Compressor().add(history, flight.track(dwell), flight.sensor, settings)
     assert slc
-    frame = messages.history_to_messages(flight.phase_history(0), flight.sensor, 0, messages.to_stamp(START_NS))[0]
+    stamp = messages.to_stamp(START_NS + dwell * INTERVAL_NS)
+    frame = messages.history_to_messages(history, flight.sensor, dwell, stamp)[0]
     return messages.serialized_slc(slc, frame, Provenance(config_hash=flight.sensor.config_hash))
 
 
@@ -94,3 +100,48 @@ def test_of_a_flood_whole_dwells_go_the_oldest_first_and_each_is_counted(
 
     assert graph.spin_until(is_well, TIMEOUT_S), states[-1]
     assert node.tally.summary()["dropped.queue full"] == lost["dropped.queue full"]
+
+
+def test_dwells_that_wait_are_processed_at_once_and_one_that_cannot_be_fails_alone(
+    graph: Graph, flight: SimulatedFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The heights are those of dwells that come one by one."""
+    images = [images_of(flight, dwell) for dwell in range(3)]
+    bad = deserialize_message(images[1][2], ComplexImage)
+    bad.grid.row_spacing *= 1.01  # another grid than that of the other channels
+    numbers: list[int] = []
+
+    def counted(slcs: list[Slc], *others: Any) -> list[HeightField]:
+        numbers.append(len(slcs))
+        return heights_of_dwells(slcs, *others)
+
+    monkeypatch.setattr(height, "heights_of_dwells", counted)
+    node = graph.add(HEIGHT_NODES["monopulse"](context=graph.context))
+    source, made = graph.add(Node("source", context=graph.context)), []
+    source.create_subscription(HeightImage, "monopulse/height", made.append, FRAMES_QOS)
+    publisher = source.create_publisher(ComplexImage, "slc", FRAMES_QOS)
+    source.create_publisher(SensorInfo, "sensor_info", LATCHED_QOS).publish(
+        messages.sensor_to_message(flight.sensor, messages.to_stamp(0))
+    )
+    assert graph.spin_until(lambda: publisher.get_subscription_count() == 1 and node.is_ready, TIMEOUT_S)
+    assert graph.spin_until(lambda: source.count_publishers("monopulse/height") == 1, TIMEOUT_S)
+
+    def publish(dwells: list[list[bytes]]) -> None:
+        for image in itertools.chain(*dwells):
+            publisher.publish(image)
+
+    for dwell in range(3):
+        publish(images[dwell : dwell + 1])
+        assert graph.spin_until(lambda count=dwell + 1: len(made) == count, TIMEOUT_S)
+    assert numbers == [1, 1, 1]
+    held = threading.Event()
+    node.submit(0, lambda: int(held.wait(TIMEOUT_S)))
+    later = [[restamped(image, 10 * INTERVAL_NS) for image in dwell] for dwell in images]
+    broken = [*images[1][:2], serialize_message(bad), *images[1][3:]]
+    publish([*later, [restamped(image, 20 * INTERVAL_NS) for image in broken]])
+    assert graph.spin_until(lambda: node.jobs == 5, TIMEOUT_S)
+    held.set()
+    assert graph.spin_until(lambda: len(made) == 6 and node.jobs == 0, TIMEOUT_S), node.tally.summary()
+    assert numbers == [1, 1, 1, 3]
+    assert [repr(one.surfaces) for one in made[3:]] == [repr(one.surfaces) for one in made[:3]]
+    assert node.tally.summary()["dropped.channels disagree"] == flight.sensor.detector_count

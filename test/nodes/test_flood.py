@@ -136,12 +136,13 @@ def test_dwells_that_wait_are_processed_at_once_and_one_that_cannot_be_fails_alo
     assert numbers == [1, 1, 1]
     held = threading.Event()
     node.submit(0, lambda: int(held.wait(TIMEOUT_S)))
-    later = [[restamped(image, 10 * INTERVAL_NS) for image in dwell] for dwell in images]
+    later = [[restamped(one, shift * INTERVAL_NS) for one in dwell] for shift in (10, 20) for dwell in images][:5]
     broken = [*images[1][:2], serialize_message(bad), *images[1][3:]]
-    publish([*later, [restamped(image, 20 * INTERVAL_NS) for image in broken]])
-    assert graph.spin_until(lambda: node.jobs == 5, TIMEOUT_S)
+    publish([*later, [restamped(image, 30 * INTERVAL_NS) for image in broken]])
+    assert graph.spin_until(lambda: node.jobs == 7, TIMEOUT_S)
     held.set()
-    assert graph.spin_until(lambda: len(made) == 6 and node.jobs == 0, TIMEOUT_S), node.tally.summary()
-    assert numbers == [1, 1, 1, 3]
-    assert [repr(one.surfaces) for one in made[3:]] == [repr(one.surfaces) for one in made[:3]]
+    assert graph.spin_until(lambda: len(made) == 8 and node.jobs == 0, TIMEOUT_S), node.tally.summary()
+    assert numbers == [1, 1, 1, 4, 1]
+    surfaces = [repr(one.surfaces) for one in made]
+    assert surfaces[3:] == surfaces[:3] + surfaces[:2]
     assert node.tally.summary()["dropped.channels disagree"] == flight.sensor.detector_count

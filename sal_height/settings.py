@@ -14,8 +14,10 @@ by inheritance: ``class Parameters(HeightParameters, LookSettings)``.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+import functools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Self
 
 from annotated_types import Ge, Le
@@ -123,9 +125,10 @@ class Setting:
         return f"Parameter {self.name} {'has no value' if value is None else f'is {value!r}'}; {self.allowed}."
 
 
-def settings_of(model: type[Settings]) -> dict[str, Setting]:
+@functools.cache
+def settings_of(model: type[Settings]) -> Mapping[str, Setting]:
     """The fields of a `Settings` class by name, in the order of declaration."""
-    return {name: _entry(name, field) for name, field in model.model_fields.items()}
+    return MappingProxyType({name: _entry(name, field) for name, field in model.model_fields.items()})
 
 
 def unknown_name(name: str, known: Iterable[str], owner: str = "") -> str:

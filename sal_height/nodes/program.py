@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+from collections.abc import Callable
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
@@ -21,10 +22,14 @@ SWITCH_INTERVAL_S = 5e-4
 asks for it several times for every message."""
 
 
-def run_node(make: type[Node]) -> int:
+def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
     """Run one node until SIGINT or SIGTERM, or print what it does if --help is asked for.
 
     A signal only ends the loop, so that it can cut neither a message nor the node's end.
+
+    Args:
+        make: class of the node.
+        begin: called with the node once it is made.
 
     Returns:
         The exit status: 0, 1 if the node ended with a `failure`, or 2 with one sentence on stderr if the arguments
@@ -43,7 +48,7 @@ def run_node(make: type[Node]) -> int:
         check_arguments(sys.argv)
         node = make()
         check_overrides(node)
-        announce(node)
+        begin(node)
         executor = executor_for(node)
         while not stop.is_set():
             executor.spin_once(timeout_sec=0.1)

@@ -252,12 +252,13 @@ def _process_of(name: str, values: Mapping[str, Any], forks: bool) -> subprocess
 def _run(name: str, parent: int, arguments: list[str]) -> int:
     """Run a node until the process `parent`, which started this one, ends, even if it is killed.
 
-    Those that complete a file are then asked to end; the others hold nothing that anybody waits for.
+    Those that complete a file are then asked to end; the others hold nothing that anybody waits for. What a node waits
+    for is not said in its log, for all others of the run are coming up.
     """
     if not end_with_parent(parent, signal.SIGTERM if NODES[name].completes_file else signal.SIGKILL):
         return 1
     sys.argv[1:] = arguments
-    return run_node(NODES[name])
+    return run_node(NODES[name], begin=lambda _: None)
 
 
 def main() -> int:

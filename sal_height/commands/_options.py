@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
@@ -224,6 +226,17 @@ class GraphOptions:
 
 
 GRAPH = GraphOptions()
+
+
+@contextmanager
+def importing() -> Iterator[None]:
+    """Import many modules without looking for garbage: they leave none, and the search takes a tenth of the time."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()  # what modules hold lives on
+        gc.enable()
 
 
 def complain(sentences: Sequence[str]) -> None:

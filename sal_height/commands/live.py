@@ -21,6 +21,7 @@ from sal_height.commands._options import (
     bag_name,
     command,
     complain,
+    importing,
     node_parameters,
     output_folder,
 )
@@ -77,13 +78,14 @@ def live(
     if not one_process:
         use_one_thread()
 
-    from rich.console import Console
-    from rich.live import Live as Display
+    with importing():
+        from rich.console import Console
+        from rich.live import Live as Display
 
-    from sal_height.runs.live import Live, Watched, live
-    from sal_height.runs.live_table import live_table
-    from sal_height.runs.sensor_bag import record_sensor
-    from sal_height.simulation import load_preset
+        from sal_height.runs.live import Live, Watched, live
+        from sal_height.runs.live_table import live_table
+        from sal_height.runs.sensor_bag import record_sensor
+        from sal_height.simulation import load_preset
 
     parameters, execution = node_parameters(param), graph.execution(not one_process)
     if bag is None:

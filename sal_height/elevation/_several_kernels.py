@@ -491,8 +491,8 @@ def unit_at(place: float, pieces: Numbers, unit: Numbers, slope: Numbers) -> Non
 @compiled
 def multiply(matrix: Numbers, vector: Numbers, product: Numbers) -> None:
     for m in range(vector.size):
-        total = matrix[m, 0] * vector[0]
-        for n in range(1, vector.size):
+        total = vector.dtype.type(0)
+        for n in range(vector.size):
             total += matrix[m, n] * vector[n]
         product[m] = total
 
@@ -500,7 +500,7 @@ def multiply(matrix: Numbers, vector: Numbers, product: Numbers) -> None:
 @compiled
 def inner(left: Numbers, right: Numbers) -> Any:
     """The product left^H right."""
-    total = np.conj(left[0]) * right[0]
-    for m in range(1, left.size):
+    total = left.dtype.type(0)
+    for m in range(left.size):
         total += np.conj(left[m]) * right[m]
     return total

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -24,7 +23,7 @@ from sal_height.elevation.beam_error import beam_deviation
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.search import PeakSearch, SearchTables
 from sal_height.elevation.several import CNR_RANGE, adjoint, deviations
-from sal_height.numeric import F32, F64, Bool, Index
+from sal_height.numeric import F64, Bool, Index
 
 LEAST_SPREAD, GREATEST_SPREAD = 0.05, 1.0  # standard deviation of a surface's elevation, beamwidths
 QUADRATURES = (5, 0.235), (7, 0.45), (9, GREATEST_SPREAD)
@@ -45,8 +44,7 @@ STEEPNESS = 1.75
 At 10 dB in four looks two scatterers a beamwidth apart and a surface half a beamwidth spread look much the same.
 """
 
-FAINT = 0.1  # share of the greatest power over elevation below which it is not the surface's
-WIDE = 0.25  # beamwidths; spreads from which on the middle of the power is a better start than its peak
+FAINTEST = 0.01  # least CNR of a scatterer of a surface; fitted ones may have none
 NOISE_LIKE = 0.1  # mean power in a direction, in noise powers, below which the surface has none there
 
 
@@ -71,10 +69,6 @@ class Surfaces(NamedTuple):
     def at(self, index: Index | Bool | slice) -> Surfaces:
         """Some of the surfaces."""
         return Surfaces(*(part[index] for part in self))
-
-    def where(self, there: Bool, other: Surfaces) -> Surfaces:
-        """These surfaces `there`, and the others elsewhere."""
-        return Surfaces(*(np.where(there, mine, theirs) for mine, theirs in zip(self, other, strict=True)))
 
     def in_steps(self, tables: SearchTables) -> F64:
         """T and s in steps of the table, and p, (3, pixels), as the compiled loops take them."""
@@ -159,37 +153,21 @@ def _prior(domain: float, beamwidth: float) -> SurfacePrior:
     return SurfacePrior(domain, math.log(GREATEST_SPREAD / LEAST_SPREAD), CNR_RANGE, STEEPNESS, density)
 
 
-def first_surfaces(search: PeakSearch, values: F32, looks: F64, narrow: Surfaces, beamwidth: float) -> Surfaces:
-    """Surfaces from which to climb: the middle and the width of the power over elevation, or `narrow` ones.
+def surfaces_over(elevation: F64, cnr: F64) -> Surfaces:
+    """Surfaces with the power, the middle and the spread of some scatterers, from which to climb.
+
+    Where a surface is wide, the best two scatterers are about its spread away from its middle. That the spread follows
+    from them rather than from the power over elevation leaves no side lobe in it.
 
     Args:
-        search: as of `ExtendedSurfaces.fit`.
-        values: of the objective `on_grid`.
-        looks: K, (pixels,).
-        narrow: at the peak of a single scatterer; where the power is hardly wider than that of a point.
-        beamwidth: rad.
+        elevation: of the scatterers, rad, (pixels, S).
+        cnr: of one look of each, (pixels, S).
     """
-    middle, variance = _moments(search.tables.grid_nodes, values - looks[:, None])
-    of_point = _point_variance(search.tables)[search.every(len(looks))]
-    spread = np.sqrt(np.maximum(variance - of_point, 0.0))
-    bounded = np.clip(spread, LEAST_SPREAD * beamwidth, GREATEST_SPREAD * beamwidth)
-    return Surfaces(middle, bounded, narrow.cnr).where(spread > WIDE * beamwidth, narrow)
-
-
-@lru_cache(maxsize=8)
-def _point_variance(tables: SearchTables) -> F64:
-    """Variance of elevation (rad^2) weighted by the power of a point in the middle of the array, (squints,)."""
-    units = tables.precise_units_across
-    middle = units[:, :, units.shape[2] // 2]
-    return _moments(tables.grid_nodes, np.abs(np.einsum("smg,sm->sg", units.conj(), middle)) ** 2)[1]
-
-
-def _moments(nodes: F64, power: F64) -> tuple[F64, F64]:
-    """Mean and variance of elevation weighted by the power at the `nodes` that is not FAINT, (pixels, nodes)."""
-    weight = np.where(power > FAINT * power.max(axis=1, keepdims=True), np.maximum(power, 0.0), 0.0)
-    weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
-    mean = weight @ nodes
-    return mean, np.sum(weight * (nodes - mean[:, None]) ** 2, axis=1)
+    weight = np.maximum(cnr, FAINTEST)
+    power = weight.sum(axis=1)
+    middle = np.sum(weight * elevation, axis=1) / power
+    variance = np.sum(weight * (elevation - middle[:, None]) ** 2, axis=1) / power
+    return Surfaces(middle, np.sqrt(variance), power)
 
 
 def explained_by(search: PeakSearch, covariance: Numbers, surfaces: Surfaces, beamwidth: float) -> tuple[F64, F64]:

@@ -11,7 +11,7 @@ from sal_height.beams import Beams
 from sal_height.elevation._layover_kernels import choose_scatterers
 from sal_height.elevation.bounds import Numbers
 from sal_height.elevation.estimate import ORDERS
-from sal_height.elevation.extended import ExtendedSurfaces, Surfaces, explained_by, first_surfaces
+from sal_height.elevation.extended import ExtendedSurfaces, explained_by, surfaces_over
 from sal_height.elevation.likelihood import OBJECTIVES, search_guard
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.order import (
@@ -23,7 +23,7 @@ from sal_height.elevation.order import (
     log_evidence_of_several,
 )
 from sal_height.elevation.search import PeakSearch, PeakSearches
-from sal_height.elevation.several import SeveralScatterers, power_of, search_several
+from sal_height.elevation.several import SeveralScatterers, search_several
 from sal_height.elevation.single import SingleScatterers
 from sal_height.numeric import F32, F64, Index, in_parallel
 
@@ -208,18 +208,17 @@ def _fit_extended(
         return
     chosen, whole = part[some], (pixels[0][some], pixels[1][some])
     these = suspects.of(some)
-    power = power_of(peaks.explained[whole], these.looks)
-    narrow = Surfaces(peaks.elevation[whole], single.spread.own[whole], power / peaks.array_power[whole])
     least = models.evidence[TWO : THREE + 1, chosen].max(axis=0) - IMPROBABLE
-    first = first_surfaces(these.search, these.values, these.looks, narrow, beams.beamwidth)
+    raised = single.noise.raised[whole]
+    first = surfaces_over(models.elevation[TWO, chosen, :TWO], models.cnr[TWO, chosen, :TWO] / raised[:, None])
     surfaces = ExtendedSurfaces.fit(these.search, these.covariance, these.looks, first, least, domain, beams.beamwidth)
     # Of surfaces that were given up no more is known than how improbable they are.
     models.evidence[SPREAD, chosen] = surfaces.log_evidence
     likely = np.flatnonzero(surfaces.log_evidence > least)
     if not likely.size:
         return
-    some, whole, surfaces = some[likely], (whole[0][likely], whole[1][likely]), surfaces.at(likely)
+    whole, surfaces = (whole[0][likely], whole[1][likely]), surfaces.at(likely)
     surfaces = surfaces.with_uncertain_beams(beams.uncertainty, peaks.turning[whole] * peaks.array_power[whole])
     these = these.of(likely)
     explained = explained_by(these.search, these.covariance, surfaces.found, beams.beamwidth)
-    models.put_extended(surfaces, explained, single.noise.raised[whole], part[some])
+    models.put_extended(surfaces, explained, raised[likely], chosen[likely])

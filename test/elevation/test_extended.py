@@ -15,14 +15,14 @@ from sal_height.elevation.extended import (
     ExtendedSurfaces,
     Surfaces,
     explained_by,
-    first_surfaces,
     log_prior,
     spread_of,
+    surfaces_over,
     table_of,
 )
 from sal_height.elevation.likelihood import OBJECTIVES, search_guard
 from sal_height.elevation.search import PeakSearch, PeakSearches
-from sal_height.elevation.several import adjoint
+from sal_height.elevation.several import SeveralScatterers, adjoint, search_several
 
 PATTERNS = pytest.mark.parametrize("pattern", ["jinc", "complex"])
 DOMAIN = 7.5 * BEAMWIDTH
@@ -135,9 +135,9 @@ def test_surfaces_are_found_within_their_sigma(cnr_db: int, looks: int, spread: 
     beams, rng = make_beams("jinc"), np.random.default_rng([72, cnr_db])
     middle, count = rng.uniform(-1.5, 1.5, 1000), np.full(1000, float(looks))
     covariance, search = covariance_of(beams, middle, spread, 10 ** (cnr_db / 10), looks, rng), search_of(beams)
-    values = search.on_grid(covariance)
-    narrow = Surfaces(search.peaks_of(covariance, values, 0.0).elevation, np.zeros(1000), np.full(1000, 10.0))
-    first = first_surfaces(search, values, count, narrow, BEAMWIDTH)
+    single = search.peaks(covariance).elevation[:, None]
+    pair, _, _ = search_several(search, covariance, search.on_grid(covariance), single, np.zeros(1000))
+    first = surfaces_over(pair, SeveralScatterers.at(search, covariance, count, pair).power)
     found = ExtendedSurfaces.fit(search, covariance, count, first, np.full(1000, -np.inf), DOMAIN, BEAMWIDTH)
     score = np.abs(offset_of(found.found.elevation) - middle) * BEAMWIDTH / found.sigma
     assert np.mean(score < 1) == pytest.approx(0.66, abs=0.06)
@@ -177,6 +177,14 @@ def test_pixels_that_cannot_reach_the_evidence_of_interest_are_left() -> None:
     given_up = ExtendedSurfaces.fit(search, covariance, count, start, np.full(50, np.inf), DOMAIN, BEAMWIDTH)
     np.testing.assert_array_equal(given_up.found.elevation, start.elevation)
     assert np.all(to_the_end.log_likelihood > given_up.log_likelihood)
+
+
+def test_surface_over_scatterers_has_their_moments() -> None:
+    """A third of the power 1.5 beamwidths above the rest: its middle and spread; and one without CNR."""
+    first = surfaces_over(np.array([[0.0, 1.5], [0.2, 3.0]]), np.array([[20.0, 10.0], [1e9, -3.0]]))
+    np.testing.assert_allclose(first.elevation, [0.5, 0.2], rtol=1e-9)
+    np.testing.assert_allclose(first.spread, [np.sqrt(0.5), 0.0], atol=1e-4)
+    np.testing.assert_allclose(first.cnr, [30.0, 1e9], rtol=1e-9)
 
 
 def test_spread_follows_from_the_power_along_the_slope() -> None:

@@ -36,7 +36,7 @@ from sal_height.messages.heights import (
     height_to_message,
 )
 from sal_height.messages.images import check_slc, recorded_window, slc_from_messages, slc_to_messages
-from sal_height.messages.provenance import derived, stages_of, with_stage
+from sal_height.messages.provenance import derived, held_stages, stages_of, with_stage
 from sal_height.messages.received import (
     Pose,
     ReceivedFrame,
@@ -48,7 +48,7 @@ from sal_height.messages.received import (
 )
 from sal_height.messages.relief import relief_picture, relief_points, relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
-from sal_height.messages.serialized import serialized_slc
+from sal_height.messages.serialized import serialized_height, serialized_slc
 
 __all__ = [
     "LONGEST_DWELL",
@@ -72,6 +72,7 @@ __all__ = [
     "height_picture",
     "height_points",
     "height_to_message",
+    "held_stages",
     "history_from_messages",
     "history_to_messages",
     "received_frame",
@@ -85,6 +86,7 @@ __all__ = [
     "samples_of",
     "sensor_from_message",
     "sensor_to_message",
+    "serialized_height",
     "serialized_slc",
     "slc_from_messages",
     "slc_to_messages",

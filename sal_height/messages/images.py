@@ -23,7 +23,7 @@ from sal_height.messages.basics import (
     grid_to_message,
     to_floats,
 )
-from sal_height.messages.provenance import recorded
+from sal_height.messages.provenance import held_stages
 from sal_height.messages.received import ReceivedImage
 from sal_height.numeric import WINDOWS
 from sal_height.sensor import Sensor
@@ -124,7 +124,7 @@ def slc_from_messages(images: Sequence[Image]) -> Slc:
 
 
 def recorded_window(provenance: messages.Provenance, axis: str) -> str:
-    """Return the name of the window that images were made with, which their provenance records.
+    """Return the name of the window that images were made with, which their provenance, never changed, records.
 
     It is "rectangular" if the provenance does not name a window of `numeric.WINDOWS`.
 
@@ -132,5 +132,5 @@ def recorded_window(provenance: messages.Provenance, axis: str) -> str:
         provenance: of the images.
         axis: "range" or "azimuth".
     """
-    name = recorded(provenance.parameters, "sar_compression", f"{axis}_window")
+    name = held_stages(provenance).get("sar_compression", {}).get(f"{axis}_window")
     return name if isinstance(name, str) and name in WINDOWS else "rectangular"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -18,14 +19,48 @@ HELD_PARAMETERS = 256
 """Messages of parameters held, the last that were used: nearly all are the same from dwell to dwell."""
 
 
+HELD_PROVENANCES = 16
+"""Provenances for which what follows from them is held: those of the products of a node are the same objects."""
+
+Held = TypeVar("Held")
+
+
+@dataclass(frozen=True, eq=False)
+class Same(Generic[Held]):
+    """An object that is never changed, as a key: equal to nothing but itself."""
+
+    one: Held
+
+    def __hash__(self) -> int:
+        """By identity, which lasts as long as this key holds the object."""
+        return id(self.one)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is the very same object."""
+        return isinstance(other, Same) and other.one is self.one
+
+
 def derived(before: Provenance, stage: str, values: Settings | Mapping[str, Any]) -> Provenance:
     """Return the provenance of what `stage`, with the parameters `values`, made of a product.
+
+    That of the same product and settings is the same object, which is to be left as it is.
 
     Args:
         before: provenance of that product. Its sensor, calibration and autofocus phase are kept.
         stage: name of the node.
         values: of the parameters, by name.
     """
+    if isinstance(values, Settings):
+        return _derived(Same(before), stage, Same(values))
+    return _newly_derived(before, stage, values)
+
+
+@lru_cache(HELD_PROVENANCES)
+def _derived(before: Same[Provenance], stage: str, values: Same[Settings]) -> Provenance:
+    return _newly_derived(before.one, stage, values.one)
+
+
+def _newly_derived(before: Provenance, stage: str, values: Settings | Mapping[str, Any]) -> Provenance:
     return Provenance(
         code_version=__version__,
         config_hash=before.config_hash,
@@ -60,6 +95,16 @@ def _parameter(name: str, value: Any) -> ParameterMessage:
 @lru_cache(maxsize=HELD_PARAMETERS, typed=True)
 def _held_parameter(name: str, value: Hashable) -> ParameterMessage:
     return Parameter(name, value=value).to_parameter_msg()
+
+
+def held_stages(provenance: Provenance) -> Mapping[str, Mapping[str, Any]]:
+    """Return `stages_of` the parameters of a provenance that is never changed; to be left as it is."""
+    return _stages_of(Same(provenance))
+
+
+@lru_cache(HELD_PROVENANCES)
+def _stages_of(provenance: Same[Provenance]) -> Mapping[str, Mapping[str, Any]]:
+    return stages_of(provenance.one.parameters)
 
 
 def stages_of(parameters: Sequence[ParameterMessage]) -> dict[str, dict[str, Any]]:

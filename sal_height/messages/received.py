@@ -23,6 +23,7 @@ from sal_height_msgs import msg as messages
 from std_msgs.msg import Header
 
 from sal_height.messages.basics import to_ns
+from sal_height.messages.provenance import Same
 from sal_height.numeric import F32, F64, U8
 
 HELD = 8
@@ -384,6 +385,18 @@ def _provenance_of(tail: bytes, odd: int) -> messages.Provenance:
     """
     cdr = _empty_image()[1] + UINT.pack(odd) + odd * UINT.pack(0) + tail
     return deserialize_message(cdr, messages.ComplexImage).provenance
+
+
+def provenance_bytes(provenance: messages.Provenance, at: int) -> bytes:
+    """The bytes of a provenance that is never changed, as the last field of a message whose other fields take `at`."""
+    return _bytes_of(Same(provenance), (at - len(_empty_image()[1]) - 4) % 8 // 4)
+
+
+@functools.lru_cache(maxsize=HELD)
+def _bytes_of(provenance: Same[messages.Provenance], odd: int) -> bytes:
+    """The bytes of a provenance, made the last ones of an image with so many samples, 0 or 1."""
+    image = messages.ComplexImage(samples=odd * [0.0], provenance=provenance.one)
+    return bytes(serialize_message(image)[len(_empty_image()[1]) + 4 + 4 * odd :])
 
 
 @functools.cache

@@ -1,6 +1,8 @@
-"""The images of a dwell as bytes: what they share is serialized once."""
+"""Images and heights as bytes: what images of a dwell share is serialized once, a provenance once for many dwells."""
 
 from __future__ import annotations
+
+import copy
 
 import numpy as np
 from rclpy.serialization import serialize_message
@@ -8,7 +10,14 @@ from sal_height_msgs import msg as messages
 
 from sal_height.imaging import Slc
 from sal_height.messages.images import Labelled, slc_to_messages
-from sal_height.messages.received import NOISE, UINT, channel_offset, noise_offset
+from sal_height.messages.received import (
+    NO_PROVENANCE,
+    NOISE,
+    UINT,
+    channel_offset,
+    noise_offset,
+    provenance_bytes,
+)
 
 
 def serialized_slc(slc: Slc, frame: Labelled, provenance: messages.Provenance) -> list[bytes]:
@@ -35,3 +44,11 @@ def serialized_slc(slc: Slc, frame: Labelled, provenance: messages.Provenance) -
         )
         for n, (power, share, samples) in enumerate(numbers)
     ]
+
+
+def serialized_height(image: messages.HeightImage) -> bytes:
+    """The bytes of a height image whose provenance is never changed."""
+    bare = copy.copy(image)
+    bare.provenance = messages.Provenance()
+    head = serialize_message(bare)[: -len(NO_PROVENANCE)]
+    return head + provenance_bytes(image.provenance, len(head))

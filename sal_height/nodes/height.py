@@ -99,13 +99,13 @@ class HeightNode(DwellStage):
             )
             self.ignore("saturated", UserError(f"{sentence}less (max_saturated_share)."))
         silent = sorted(set(range(len(images))) - set(live_channels(slc.images, sensor).tolist()))
-        left_out = {LEFT_OUT: silent} if silent else {}
-        provenance = messages.derived(first.provenance, self.get_name(), {**dict(parameters), **left_out})
+        used = {**dict(parameters), LEFT_OUT: silent} if silent else parameters
+        provenance = messages.derived(first.provenance, self.get_name(), used)
         looks = (parameters.range_looks, parameters.azimuth_looks)
         image = messages.height_to_message(field, slc.aperture, looks, self.estimator.name, first, provenance)
         self._image.publish_if_heard(lambda: messages.height_picture(image))
         self._points.publish_if_heard(lambda: messages.height_points(field, image))
-        self._height.publish(image)
+        self._height.publish(messages.serialized_height(image))
         return 1
 
     def _made_of(self, dwell: WholeDwell, parameters: Any) -> Made:

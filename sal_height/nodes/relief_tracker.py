@@ -98,7 +98,7 @@ class ReliefTracker(Stage):
         image = messages.height_to_message(tracked, aperture, looks, PREFIX, message, provenance)
         self._image.publish_if_heard(lambda: messages.height_picture(image))
         self._points.publish_if_heard(lambda: messages.height_points(tracked, image))
-        self._height.publish(image)
+        self._height.publish(messages.serialized_height(image))
         return 1
 
 
@@ -108,7 +108,7 @@ def _series_of(message: HeightImage) -> tuple[Hashable, ...]:
     Which channels had to be left out may change from dwell to dwell, and does not end a series.
     """
     provenance = message.provenance
-    stages = messages.stages_of(provenance.parameters)
+    stages = messages.held_stages(provenance)
     made = repr({name: {**values, LEFT_OUT: None} for name, values in stages.items()})
     return provenance.config_hash, provenance.calibration_id, message.estimator, made
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from sal_height_msgs.msg import Provenance
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+from sal_height_msgs.msg import HeightImage, Provenance, Surface
 
 from sal_height import __version__, messages
 from sal_height.messages.provenance import HELD_PARAMETERS, _held_parameter, recorded
@@ -52,3 +54,43 @@ def test_parameters_held_are_bounded() -> None:
         messages.with_stage([], "ml", {"value": number})
     info = _held_parameter.cache_info()
     assert (info.misses, info.currsize) == (HELD_PARAMETERS + 9, HELD_PARAMETERS)
+
+
+def test_what_follows_from_a_provenance_is_held_for_the_very_same_one_alone() -> None:
+    settings = Looks()
+    images, equal = (
+        Provenance(config_hash="f00", parameters=messages.with_stage([], "slc", {"autofocus": True})) for _ in range(2)
+    )
+    assert images == equal
+    heights = messages.derived(images, "ml", settings)
+    assert messages.derived(images, "ml", settings) is heights
+    for other in (
+        messages.derived(equal, "ml", settings),
+        messages.derived(images, "ml", Looks()),
+        messages.derived(images, "ml", {"range_looks": 3}),
+    ):
+        assert other == heights
+        assert other is not heights
+    assert messages.derived(images, "capon", settings) != heights
+    assert messages.derived(images, "ml", Looks(range_looks=4)) != heights
+    assert messages.held_stages(images) is messages.held_stages(images)
+    assert messages.held_stages(equal) == messages.held_stages(images) == {"slc": {"autofocus": True}}
+
+
+@pytest.mark.parametrize("pixels", range(1, 9))
+def test_serialized_heights_are_read_by_rclpy(pixels: int) -> None:
+    """Whatever the length of the lists before the provenance, whose numbers of eight bytes lie on multiples of it."""
+    settings = {"windows": [0.5, 1.5], "names": ["a", "bcd"], "margin": 2.0, "looks": 3}
+    provenance = Provenance(
+        code_version="1.2",
+        config_hash="f" * pixels,
+        parameters=messages.with_stage([], "ml", settings),
+        autofocus_phase=[0.5, -0.25],
+    )
+    for _ in range(2):  # made, and held
+        image = HeightImage(dwell=7, estimator="ml", validity=bytes(pixels), provenance=provenance)
+        image.surfaces = [Surface(height=pixels * [1.5])]
+        cdr = messages.serialized_height(image)
+        assert deserialize_message(cdr, HeightImage) == image
+        assert len(cdr) == len(serialize_message(image))
+        assert image.provenance is provenance

@@ -25,7 +25,7 @@ from sal_height.messages.basics import (
     xyz,
 )
 from sal_height.messages.received import Pose, ReceivedFrame
-from sal_height.numeric import C64
+from sal_height.numeric import C64, F32
 from sal_height.sensor import PhaseHistory, Sensor
 
 LONGEST_DWELL = 3600.0
@@ -140,10 +140,15 @@ def check_frame(frame: Frame, sensor: Sensor) -> None:
             )
     if frame.encoding == messages.ChannelFrame.COMPLEX_INT16 and not 0 < frame.scale < np.inf:
         raise Rejected("wrong scale", f"{where}: scale is {frame.scale}; it must be finite and greater than 0.")
-    if not np.isfinite(samples_of(frame).view(np.float32)).all():
+    if not _are_finite(samples_of(frame).view(np.float32).ravel()):
         raise Rejected("not finite", f"{where}: samples has NaN or infinite entries; all must be finite.")
     if fault := _fault_of_pulses(frame.pulse_time.tobytes(), frame.reference_range.tobytes()):
         raise Rejected(fault[0], f"{where}: {fault[1]}")
+
+
+def _are_finite(numbers: F32) -> bool:
+    """Whether all numbers are finite, as they are if the sum of their squares is, which takes less time to tell."""
+    return bool(np.isfinite(np.dot(numbers, numbers)) or np.isfinite(numbers).all())
 
 
 @functools.lru_cache(maxsize=2)

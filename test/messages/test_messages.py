@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -133,6 +134,17 @@ def test_phase_history_survives_its_frames(sensor: Sensor, rng: np.random.Genera
     assert np.array_equal(back.samples, samples)
     assert np.array_equal(back.pulse_times, times)
     assert np.array_equal(back.reference_range, history.reference_range)
+
+
+@pytest.mark.parametrize(("value", "usable"), [(3e38, True), (-3e38, True), (np.inf, False), (np.nan, False)])
+def test_samples_must_be_finite_however_large_they_are(sensor: Sensor, value: float, usable: bool) -> None:
+    shape = (sensor.pulse_count, sensor.sample_count)
+    samples = np.ones((1, *shape), np.complex64)
+    samples[0, -1, -1] = value
+    history = PhaseHistory(0, np.arange(shape[0]) * 1e-4, np.full(shape[0], 5e3), samples)
+    (frame,) = messages.history_to_messages(history, sensor, 0, STAMP)
+    with nullcontext() if usable else pytest.raises(Rejected, match="NaN or infinite"):
+        messages.check_frame(frame, sensor)
 
 
 def integer_frame(sensor: Sensor, rng: np.random.Generator) -> tuple[ChannelFrame, np.ndarray]:

@@ -22,14 +22,70 @@ def interpolate(rows: F64, cols: F64, values: F64, row: F64, col: F64, result: F
         if not (rows[0] <= y <= rows[-1] and cols[0] <= x <= cols[-1]):
             result[k] = np.nan
             continue
-        if not rows[i] <= y <= rows[i + 1]:  # neighbours in the list often lie between the same nodes
-            i = min(np.searchsorted(rows, y, side="right"), rows.size - 1) - 1
-        if not cols[j] <= x <= cols[j + 1]:
-            j = min(np.searchsorted(cols, x, side="right"), cols.size - 1) - 1
-        down, right = (y - rows[i]) / (rows[i + 1] - rows[i]), (x - cols[j]) / (cols[j + 1] - cols[j])
-        upper = values[i, j] * (1 - right) + values[i, j + 1] * right
-        lower = values[i + 1, j] * (1 - right) + values[i + 1, j + 1] * right
-        result[k] = upper * (1 - down) + lower * down
+        i, j = node_before(rows, y, i), node_before(cols, x, j)
+        result[k] = between_nodes(rows, cols, values, i, j, y, x)
+
+
+@inlined
+def node_before(nodes: F64, place: float, node: int) -> int:
+    """The node before a place between the first and the last, from another on: neighbours in a list lie together."""
+    while nodes[node] > place:
+        node -= 1
+    while nodes[node + 1] < place:
+        node += 1
+    return node
+
+
+@inlined
+def between_nodes(rows: F64, cols: F64, values: F64, i: int, j: int, y: float, x: float) -> float:
+    """Bilinear interpolation at row y and col x between the nodes i and i + 1, and j and j + 1."""
+    down, right = (y - rows[i]) / (rows[i + 1] - rows[i]), (x - cols[j]) / (cols[j + 1] - cols[j])
+    upper = values[i, j] * (1 - right) + values[i, j + 1] * right
+    lower = values[i + 1, j] * (1 - right) + values[i + 1, j + 1] * right
+    return upper * (1 - down) + lower * down
+
+
+@compiled_with_nan
+def rise_in_canopy(
+    rows: F64,
+    cols: F64,
+    ground: F64,
+    top: F64,
+    base: float,
+    ceiling: float,
+    points: F64,
+    slope: F64,
+    steps: int,
+    result: F64,
+) -> None:
+    """How far straight paths upwards rise inside a canopy, m, followed in equal steps in height up to its ceiling.
+
+    Args:
+        rows: arc distances north of the nodes, m, increasing.
+        cols: arc distances east of the nodes, m, increasing.
+        ground: height of the terrain on the nodes, m, shape (rows, cols).
+        top: of the canopy above the terrain, m, same shape; there is no canopy outside of the nodes.
+        base: height above the terrain at which the canopy begins, m.
+        ceiling: height above which there is no canopy, m.
+        points: where the paths begin: arc distances east and north, and height, m, shape (3, paths).
+        slope: way eastwards and northwards per metre of height, shape (2, paths).
+        steps: number of steps.
+        result: shape (paths,).
+    """
+    i, j = 0, 0
+    for k in range(result.size):
+        step = max(ceiling - points[2, k], 0.0) / steps
+        inside = 0.0
+        for number in range(steps):
+            climb = (number + 0.5) * step
+            y, x = points[1, k] + slope[1, k] * climb, points[0, k] + slope[0, k] * climb
+            if not (step > 0 and rows[0] <= y <= rows[-1] and cols[0] <= x <= cols[-1]):
+                continue
+            i, j = node_before(rows, y, i), node_before(cols, x, j)
+            height = points[2, k] + climb - between_nodes(rows, cols, ground, i, j, y, x)
+            highest, lowest = height + 0.5 * step, height - 0.5 * step
+            inside += max(0.0, min(highest, between_nodes(rows, cols, top, i, j, y, x)) - max(lowest, base))
+        result[k] = inside
 
 
 @compiled_with_nan

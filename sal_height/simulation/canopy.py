@@ -7,12 +7,12 @@ Treuhaft and Siqueira, Radio Science 35, 2000).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from sal_height.numeric import F64
+from sal_height.simulation._terrain_kernels import rise_in_canopy
 
 CANOPY_LAYERS = 24
 """Layers of scatterers from base to top: 4 in a beamwidth for a canopy of 6 beamwidths."""
@@ -57,30 +57,19 @@ class Canopy:
         thickness = depth * CANOPY_THINNING / CANOPY_LAYERS * ((layer + point) % CANOPY_THINNING == 0)
         return self.base + (layer + 0.5) / CANOPY_LAYERS * depth, thickness
 
-    def optical_depth(
-        self, ground_and_top: Callable[[F64, F64], tuple[F64, F64]], points: F64, sight: F64, ceiling: float
-    ) -> F64:
+    def optical_depth(self, north: F64, east: F64, ground: F64, points: F64, sight: F64) -> F64:
         """Optical depth kappa s, one way, between points and the edge of the canopy, shape (points,).
 
         Args:
-            ground_and_top: heights of the terrain and of the canopy's top above it, m, at arc distances east and
-                north, m; NaN outside the scene, where there is no canopy.
-            points: arc distances east and north, and height, m, shape (points, 3).
-            sight: unit vectors from the points to the antenna, east, north and up, shape (points, 3).
-            ceiling: height above which there is no canopy, m.
+            north: arc distances of the scene's nodes, m; outside of them there is no canopy.
+            east: alike.
+            ground: height of the terrain on the nodes, m, shape (n_north, n_east).
+            points: arc distances east and north, and height, m, shape (3, points).
+            sight: unit vectors from the points to the antenna, east, north and up, shape (3, points).
         """
-        slope = sight[:, :2] / sight[:, 2:]
-        step = np.maximum(ceiling - points[:, 2], 0.0) / PATH_STEPS
-        inside = np.zeros(len(points))
-        for number in range(PATH_STEPS):
-            climb = (number + 0.5) * step
-            east, north = (points[:, :2] + slope * climb[:, None]).T
-            ground, top = np.nan_to_num(ground_and_top(east, north))
-            height = points[:, 2] + climb - ground
-            inside += np.maximum(_share_below(top, height, step) - _share_below(self.base, height, step), 0.0) * step
-        return self.extinction * inside / sight[:, 2]
-
-
-def _share_below(level: F64 | float, middle: F64, step: F64) -> F64:
-    """Share of a step about the height `middle` that lies below a level, m."""
-    return np.clip((level - middle) / np.where(step > 0, step, 1.0) + 0.5, 0.0, 1.0)
+        north, east, ground, top = (
+            np.ascontiguousarray(values, dtype=np.float64) for values in (north, east, ground, self.top)
+        )
+        ceiling, inside = float(np.max(ground + top)), np.empty(points.shape[1])
+        rise_in_canopy(north, east, ground, top, self.base, ceiling, points, sight[:2] / sight[2], PATH_STEPS, inside)
+        return np.asarray(self.extinction * inside / sight[2])

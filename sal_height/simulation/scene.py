@@ -137,14 +137,10 @@ class Scene:
         """
         if not self.canopy:
             return np.ones(len(positions))
-        sight = (antenna - positions) / np.linalg.norm(antenna - positions, axis=-1, keepdims=True)
-        points = np.stack(sphere_coordinates(positions), axis=-1)
-        ceiling = float(np.max(self.height + self.canopy.top))
-
-        def ground_and_top(east: F64, north: F64) -> tuple[F64, F64]:
-            return self.heights(east, north), self.canopy_tops(east, north)
-
-        return np.exp(-2 * self.canopy.optical_depth(ground_and_top, points, sight, ceiling))
+        sight = (antenna - positions).T
+        sight = sight / np.linalg.norm(sight, axis=0)
+        points = np.stack(sphere_coordinates(positions))
+        return np.exp(-2 * self.canopy.optical_depth(self.north, self.east, self.height, points, sight))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.frames import angles_of, aperture_at
-from sal_height.simulation._terrain_kernels import divide_cuts, interpolate, mark_lit, see
+from sal_height.simulation._terrain_kernels import divide_cuts, interpolate, mark_lit, rise_in_canopy, see
 
 
 def test_interpolation_is_that_of_scipy_and_nan_outside() -> None:
@@ -26,6 +26,26 @@ def test_interpolation_is_that_of_scipy_and_nan_outside() -> None:
     table = RegularGridInterpolator((rows, cols), values, bounds_error=False, fill_value=np.nan)
     np.testing.assert_allclose(result, table(np.stack([row, col], axis=-1)), atol=1e-14)
     assert np.isnan(result).any()
+
+
+def test_rise_in_a_canopy_is_the_sum_of_the_steps_inside() -> None:
+    """Over uneven ground and gaps, on paths that begin and leave at any side of the nodes, or under or over all."""
+    rng = np.random.default_rng(85)
+    rows, cols = np.cumsum(rng.uniform(0.5, 2, 12)), np.cumsum(rng.uniform(0.5, 2, 9))
+    ground, top, base = rng.uniform(-1, 1, (12, 9)), np.maximum(0.0, rng.uniform(-4, 8, (12, 9))), 0.7
+    points = np.stack([rng.uniform(-1, cols[-1] + 1, 400), rng.uniform(-1, rows[-1] + 1, 400), rng.uniform(-2, 9, 400)])
+    slope, ceiling, steps = rng.uniform(-2, 2, (2, 400)), 8.0, 5
+    result = np.empty(400)
+    rise_in_canopy(rows, cols, ground, top, base, ceiling, points, slope, steps, result)
+    step, expected = np.maximum(ceiling - points[2], 0) / steps, np.zeros(400)
+    tables = [RegularGridInterpolator((rows, cols), v, bounds_error=False, fill_value=0) for v in (ground, top)]
+    for number in range(steps):
+        climb = (number + 0.5) * step
+        places = (points[:2] + slope * climb)[::-1].T
+        above, tops = points[2] + climb - tables[0](places), tables[1](places)
+        expected += np.maximum(0, np.minimum(above + step / 2, tops) - np.maximum(above - step / 2, base))
+    np.testing.assert_allclose(result, expected, rtol=0, atol=1e-13)
+    assert 100 < np.count_nonzero(result) < 300
 
 
 @pytest.mark.parametrize("sliding", [False, True])

@@ -148,7 +148,8 @@ def check_frame(frame: Frame, sensor: Sensor) -> None:
 
 def _are_finite(numbers: F32) -> bool:
     """Whether all numbers are finite, as they are if the sum of their squares is, which takes less time to tell."""
-    return bool(np.isfinite(np.dot(numbers, numbers)) or np.isfinite(numbers).all())
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(np.dot(numbers, numbers)) or np.isfinite(numbers).all())
 
 
 @functools.lru_cache(maxsize=2)

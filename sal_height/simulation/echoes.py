@@ -115,7 +115,7 @@ def _grid(sensor: Sensor, positions: F64, strengths: C64, response: Response, gr
 
 
 def _profiles(grid: C64, group: PulseGroup, sensor: Sensor) -> list[C64]:
-    """Dense range profiles of the pulses, shape (pulses, range bins, detectors).
+    """Dense range profiles of the pulses, shape (pulses, range bins, detectors); the grid's memory is used up.
 
     From bins of range rate to pulses, with the beams between their nodes and the curvature of the ranges; then their
     derivative over the pulse, if the group migrates. The transform G(q) of the bins g is that of the echoes, A(q),
@@ -138,7 +138,7 @@ def _profiles(grid: C64, group: PulseGroup, sensor: Sensor) -> list[C64]:
         period = bins[half:-half]
         period[-half:] += bins[:half]
         period[:half] += bins[-half:]
-        over_pulses = scipy.fft.fft(period, axis=0).reshape(rates, dense + TAPS, -1)
+        over_pulses = scipy.fft.fft(period, axis=0, overwrite_x=True).reshape(rates, dense + TAPS, -1)
         profiles.append(np.empty((group.count, dense + TAPS, over_pulses.shape[2] // len(nodes)), np.complex64))
         mix_beams(over_pulses, steps, nodes, curvature, profiles[-1])
     if group.migrates:

@@ -127,6 +127,7 @@ def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tu
     from sal_height.runs import ensemble  # noqa: PLC0415 (what only starts such processes needs none of this)
     from sal_height.runs.conductor import RECORDER, Execution  # noqa: PLC0415
     from sal_height.runs.live import SOURCE, Live, Watched, live  # noqa: PLC0415
+    from sal_height.runs.sensor_bag import Feed  # noqa: PLC0415
 
     if nodes is Nodes.IDLE:
         from benchmarks.idle_nodes import IDLE  # noqa: PLC0415
@@ -145,7 +146,7 @@ def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tu
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder, "live")
         execution = Execution(processes=nodes is not Nodes.TOGETHER, record=record)
-        watched = live(bag, out, {}, Live(rate, seconds), execution, show)
+        watched = live(Feed.of_bag(bag), out, {}, Live(rate, seconds), execution, show)
         recorded = sum(file.stat().st_size for file in (out / "bag").iterdir())
     beside = (SOURCE, RECORDER, f"spin {RECORDER}")
     return Seen(

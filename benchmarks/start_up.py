@@ -19,8 +19,8 @@ RATE = 0.1
 """Seconds of the sensor in a second, at which no dwell is left out."""
 
 STEPS = {
-    "dwells": "imports and simulated dwells",
-    "test": "tables, and test of the machine",
+    "tables": "imports and tables",
+    "dwells": "what is left to simulate",
     "ready": "nodes",
     "first height": "first dwell",
 }

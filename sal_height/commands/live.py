@@ -84,7 +84,7 @@ def live(
 
         from sal_height.runs.live import Live, Watched, live
         from sal_height.runs.live_table import live_table
-        from sal_height.runs.sensor_bag import record_sensor
+        from sal_height.runs.sensor_bag import Feed
         from sal_height.simulation import load_preset
 
     parameters, execution = node_parameters(param), graph.execution(not one_process)
@@ -92,9 +92,10 @@ def live(
         loaded = load_preset(preset)
         folder = output_folder(out, f"live_{loaded.name}")
         changed = dataclasses.replace(loaded, dwells=dwells or loaded.dwells)
-        played = record_sensor(changed, seed, folder / "sensor")
+        played = Feed.simulated(changed, seed, folder / "sensor")
     else:
-        played, folder = bag, output_folder(out, f"live_{bag_name(bag)}")
+        folder = output_folder(out, f"live_{bag_name(bag)}")
+        played = Feed.of_bag(bag)
     how = Live(rate, math.inf if seconds is None else seconds, budget or 0.0)
     console = Console()
     if console.is_terminal:

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from sal_height_msgs.msg import HeightImage
 
-from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.io import new_folder
 from sal_height.nodes.account import CPU, Account
@@ -23,11 +22,11 @@ from sal_height.nodes.middleware import provide_shared_memory
 from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist, stamp_ns_of
 from sal_height.numeric import available_processors
 from sal_height.runs.conductor import RECORDER, Conductor, Execution, Interruption, Plan, recording_of
-from sal_height.runs.ensemble import HEIGHTS, TRACKER, Ensemble, check_parameters, consumers, suited
-from sal_height.runs.processes import process_age_s
-from sal_height.runs.replay import contents, recorded_parameters
+from sal_height.runs.ensemble import HEIGHTS, TRACKER, Ensemble, check_parameters, consumers
+from sal_height.runs.processes import beside, process_age_s
 from sal_height.runs.reporting import PARAMETERS, PRESET, merged, reporting
-from sal_height.runs.self_test import core_rate_hz
+from sal_height.runs.self_test import core_rate_hz, make_tables
+from sal_height.runs.sensor_bag import Feed
 
 _LOG = logging.getLogger(__name__)
 
@@ -74,8 +73,8 @@ class Watched:
         accounts: of all nodes by name.
         latencies_s: from the last pulse of a dwell to its height image, by topic.
         cpu_at_start_s: processor time of the nodes' processes when the sensor began.
-        start_s: time from the begin of this program to the end of each step of the start: dwells are there, the machine
-            is tested, all nodes are ready, the first height has come.
+        start_s: time from the begin of this program to the end of each step of the start: tables are made, dwells
+            are there, all nodes are ready, the first height has come.
     """
 
     elapsed_s: float
@@ -115,17 +114,17 @@ class Watched:
 
 
 def live(
-    bag: Path,
+    feed: Feed,
     out: Path,
     parameters: dict[str, dict[str, Any]],
     how: Live,
     execution: Execution,
     show: Callable[[Watched], None],
 ) -> Watched:
-    """Play the sensor of a bag at its pace against the graph, until the time is over or the user interrupts.
+    """Play a sensor at its pace against the graph, until the time is over or the user interrupts.
 
     Args:
-        bag: folder or file of the bag, with phase history, odometry and sensor info.
+        feed: the sensor, whose dwells may still be simulated meanwhile.
         out: output folder, new or empty, for the bag of the products and report.json.
         parameters: values that replace those that the bag was made with.
         how: pace, duration and latency budget.
@@ -135,38 +134,39 @@ def live(
     Raises:
         UserError: the bag or a parameter cannot be used, nodes do not come up, or one ends.
     """
-    start_s = {"dwells": process_age_s()}
-    reader = BagReader(bag)
-    sensor, _ = contents(reader)
-    nodes = suited(
-        sensor, [name for name in HEIGHTS.values() if f"/{name}/height" in reader.topics and name != "tracked"]
-    )
-    values = check_parameters(merged(merged(consumers(nodes), recorded_parameters(reader)), parameters))
-    stages = ["sar_compression", *nodes, *((TRACKER, MAPPER) if nodes else ())]
-    playlist = Playlist.of_bag(reader, float("inf"))
+    values = check_parameters(merged(merged(consumers(feed.nodes), feed.parameters), parameters))
+    stages = ["sar_compression", *feed.nodes, *((TRACKER, MAPPER) if feed.nodes else ())]
+    make_tables(feed.sensor, stages, values)  # while the dwells are simulated
+    start_s = {"tables": process_age_s()}
+    playlist = feed.playlist()
+    start_s["dwells"] = process_age_s()
     interval_s = 1 / (playlist.dwell_rate_hz * how.rate)
-    budget_s = how.budget_s or _budget_of(reader) or max(BUDGET_DWELLS * interval_s, LEAST_BUDGET_S)
+    budget_s = how.budget_s or _budget_of(feed) or max(BUDGET_DWELLS * interval_s, LEAST_BUDGET_S)
     shares = {name: {"latency_budget_s": budget_s / STEPS} for name in stages if name != MAPPER}
     values = merged({**shares, MAPPER: {"max_queued_dwells": MAP_QUEUE}}, values)
-    source = {"bag": str(bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
+    source = {"bag": str(feed.bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
     folder = new_folder(out)
     topics = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
     recorded = [SENSOR_INFO, ODOMETRY, "diagnostics", *topics, *(t.removeprefix("/") for t in execution.record)]
-    custom_data = {**reader.custom_data, PARAMETERS: json.dumps(values)}
+    custom_data = {**feed.custom_data, PARAMETERS: json.dumps(values)}
     plan = Plan(
         SOURCE, stages, list(dict.fromkeys(recorded)), folder / "bag", {**values, SOURCE: source}, 0, custom_data
     )
     processors = available_processors()
     known = {
-        "bag": bag.name,
+        "bag": feed.bag.name,
         "rate": how.rate,
         "latency_budget_s": budget_s,
         "processors": processors,
     }
     first = next(playlist.frames())
     provide_shared_memory(sum(len(frame.samples) for frame in first))
-    warn_of_overload(core_rate_hz(playlist, sensor, stages, values, processors), 1 / interval_s, processors)
-    start_s["test"] = process_age_s()
+
+    def test() -> int:
+        warn_of_overload(core_rate_hz(playlist, feed.sensor, stages, values, processors), 1 / interval_s, processors)
+        return 0
+
+    beside(test, "self test")  # while the nodes start
     watched = Watched(0.0, 1 / interval_s, {}, {topic: [] for topic in topics}, start_s=start_s)
     with reporting(folder, known) as report:
         _perform(plan, execution, how, playlist, watched, show)
@@ -263,6 +263,6 @@ class DwellClock:
         return (time.time_ns() - self.begin_ns) * 1e-9 - delivered_s
 
 
-def _budget_of(reader: BagReader) -> float | None:
-    """The latency budget in the preset of a simulated bag, if it states one."""
-    return json.loads(reader.custom_data.get(PRESET, "{}")).get("latency_budget_s")
+def _budget_of(feed: Feed) -> float | None:
+    """The latency budget in the preset of a simulated sensor, if it states one."""
+    return json.loads(feed.custom_data.get(PRESET, "{}")).get("latency_budget_s")

@@ -15,6 +15,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from sal_height.errors import UserError
+
 ONE_THREAD = {"SAL_HEIGHT_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 """Environment of nodes in processes of their own: these share the processors among them, one thread each."""
 
@@ -127,6 +129,39 @@ class Forked:
     def _send(self, number: signal.Signals) -> None:
         if self.poll() is None:
             os.kill(self.pid, number)
+
+
+def beside(run: Callable[[], int], name: str) -> Forked | None:
+    """Have a function run in a copy of this process, which ends with this one; if it cannot fork, run it here.
+
+    Args:
+        run: returns the exit status; a UserError is told on stderr, and the status is 2.
+        name: of the copy, in lists of processes.
+
+    Returns:
+        The copy; None: the function has been run.
+
+    Raises:
+        UserError: the function did, here, or there cannot be another process.
+    """
+    if not can_fork():
+        run()
+        return None
+    parent = os.getpid()
+
+    def run_while_needed() -> int:
+        if not end_with_parent(parent, signal.SIGKILL):
+            return 1
+        try:
+            return run()
+        except UserError as error:
+            sys.stderr.write(f"{error}\n")
+            return 2
+
+    try:
+        return Forked(run_while_needed, name)
+    except OSError as error:
+        raise UserError(f"The {name} cannot be started in a process of its own: {error.strerror}.") from error
 
 
 def _run_alone(run: Callable[[], int], name: str) -> None:

@@ -1,11 +1,14 @@
-"""How many dwells of a sensor this machine can process in a second, measured before the sensor begins."""
+"""What a live run does with the core before the sensor begins: it makes tables, and measures how fast the core is."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
+
+import numpy as np
 
 from sal_height import messages
 from sal_height.errors import UserError
@@ -13,12 +16,34 @@ from sal_height.geometry import Trajectory
 from sal_height.nodes.height import HeightNode
 from sal_height.nodes.playlist import Playlist
 from sal_height.pipeline import Compressor, heights
+from sal_height.rehearsal import made_up_heights, rehearsed_slc, with_scatterers
 from sal_height.relief import PriorEstimate, track
 from sal_height.runs.ensemble import NODES, TRACKER
 from sal_height.sensor import Sensor
 
 TEST_S = 0.25
 """Processor time of the test, s, after the first dwell, which takes longer than the others."""
+
+
+def make_tables(sensor: Sensor, stages: list[str], values: Mapping[str, Mapping[str, Any]]) -> None:
+    """Process a made-up dwell, so that nodes that are forked later find all tables made and all code loaded.
+
+    Args:
+        sensor: whose dwells will come.
+        stages: names of the processing nodes.
+        values: of their parameters.
+    """
+    parameters = {name: NODES[name].parameters(**values.get(name, {})) for name in stages}
+    rng = np.random.default_rng(0)
+    with suppress(UserError):  # its node will say why
+        slc = rehearsed_slc(sensor, parameters["sar_compression"], Compressor(), rng)
+        if slc is not None:
+            slc = with_scatterers(slc, sensor, rng)
+            for name in stages:
+                if issubclass(NODES[name], HeightNode):
+                    heights(slc, sensor, NODES[name].estimator, parameters[name])
+        if TRACKER in stages:
+            track(*made_up_heights(rng), PriorEstimate(), parameters[TRACKER])
 
 
 def core_rate_hz(

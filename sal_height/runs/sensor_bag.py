@@ -4,24 +4,94 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import time
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from tqdm import tqdm
 
 from sal_height import messages
+from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
-from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
+from sal_height.errors import UserError
+from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
-from sal_height.runs.ensemble import suited
+from sal_height.runs.ensemble import HEIGHTS, suited
+from sal_height.runs.processes import Forked, beside
+from sal_height.runs.replay import contents, recorded_parameters
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.runs.simulate import processing_of
+from sal_height.sensor import Sensor
 from sal_height.simulation import Preset, flight_of
 
 tqdm.monitor_interval = 0  # no thread that refreshes slow bars: it would be in the way of `runs.processes.Forked`
+
+
+@dataclass(frozen=True)
+class Feed:
+    """A sensor that will be played from a bag.
+
+    Attributes:
+        bag: folder or file.
+        sensor: whose dwells are played.
+        nodes: the height nodes that process them.
+        parameters: of nodes, that the bag was made with.
+        custom_data: texts by name that the bag holds.
+        simulation: process that still writes the bag; None: it is complete.
+    """
+
+    bag: Path
+    sensor: Sensor
+    nodes: list[str]
+    parameters: dict[str, dict[str, Any]]
+    custom_data: Mapping[str, str]
+    simulation: Forked | None = None
+
+    @classmethod
+    def of_bag(cls, bag: Path) -> Self:
+        """What a bag says of its sensor.
+
+        Raises:
+            UserError: it has no phase history or no sensor info, or one of its estimators does not suit the sensor.
+        """
+        reader = BagReader(bag)
+        sensor, _ = contents(reader)
+        made = [name for name in HEIGHTS.values() if f"/{name}/height" in reader.topics and name != "tracked"]
+        return cls(bag, sensor, suited(sensor, made), recorded_parameters(reader), reader.custom_data)
+
+    @classmethod
+    def simulated(cls, preset: Preset, seed: int, folder: Path) -> Self:
+        """Have the flight of a preset written to a bag, by a process of its own if this one can fork.
+
+        Raises:
+            UserError: the flight leaves its scene, or the bag cannot be written.
+        """
+        flight = flight_of(preset, seed)
+        flight.surface(0)  # refuses a flight beside the scene before anything is started
+
+        def simulate() -> int:
+            record_sensor(preset, seed, folder)
+            return 0
+
+        simulation = beside(simulate, "simulation")
+        custom_data = _custom_data(preset, seed, flight.sensor)
+        values = json.loads(custom_data[PARAMETERS])
+        return cls(folder, flight.sensor, suited(flight.sensor), values, custom_data, simulation)
+
+    def playlist(self) -> Playlist:
+        """The dwells of the bag, once it is complete.
+
+        Raises:
+            UserError: they could not be simulated, or none is complete.
+        """
+        if self.simulation is not None and (status := self.simulation.wait(math.inf)):
+            raise UserError(f"The simulation of the sensor ended with status {status}; its message is above.")
+        return Playlist.of_bag(BagReader(self.bag), math.inf)
 
 
 def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
@@ -31,12 +101,6 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
         UserError: the flight leaves its scene, or the bag cannot be written.
     """
     flight = flight_of(preset, seed)
-    values = merged(processing_of(preset, suited(flight.sensor, preset.estimators)), preset.processing)
-    custom_data = {
-        PARAMETERS: json.dumps(values),
-        PRESET: json.dumps(dataclasses.asdict(preset)),
-        SEED: str(seed),
-    }
     start_ns = time.time_ns()
     stamp = messages.to_stamp(start_ns)
     topics: dict[str, tuple[str, QoSProfile]] = {
@@ -44,7 +108,7 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
         ODOMETRY: ("nav_msgs/msg/Odometry", ODOMETRY_QOS),
         FRAMES: ("sal_height_msgs/msg/ChannelFrame", FRAMES_QOS),
     }
-    with BagWriter(folder, custom_data) as bag:
+    with BagWriter(folder, _custom_data(preset, seed, flight.sensor)) as bag:
         for name, (kind, qos) in topics.items():
             bag.add_topic(f"/{name}", kind, [qos])
 
@@ -61,3 +125,9 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
             for frame in messages.history_to_messages(history, flight.sensor, dwell, messages.to_stamp(at_ns)):
                 write(FRAMES, frame, at_ns)
     return folder
+
+
+def _custom_data(preset: Preset, seed: int, sensor: Sensor) -> dict[str, str]:
+    """What the bag of a simulated sensor says of its making."""
+    values = merged(processing_of(preset, suited(sensor, preset.estimators)), preset.processing)
+    return {PARAMETERS: json.dumps(values), PRESET: json.dumps(dataclasses.asdict(preset)), SEED: str(seed)}

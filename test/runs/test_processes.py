@@ -96,6 +96,21 @@ copy.kill()
     assert said_by(code) is None
 
 
+def test_work_is_done_beside_the_program_or_before_it_goes_on() -> None:
+    """The latter where it has other threads."""
+    code = """
+from sal_height.runs.processes import beside
+done = []
+copy = beside(lambda: done.append(1) or 0, "work")
+status = copy.wait(30.0)
+ended = threading.Event()
+threading.Thread(target=ended.wait).start()
+print(json.dumps([status, len(done), beside(lambda: done.append(1) or 0, "work"), len(done)]))
+ended.set()
+"""
+    assert said_by(code) == [0, 0, None, 1]
+
+
 def test_nothing_forks_beside_other_threads() -> None:
     """Of Python or of the middleware, or where NumPy may use some; those that rclpy starts are allowed."""
     code = """

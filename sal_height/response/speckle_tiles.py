@@ -171,14 +171,14 @@ def checked_image(image: C64) -> C64:
 
 def _unusable(strip: C64) -> U8:
     """Verdict on tiles (rows, tiles, cols) from their numbers alone, 0 where nothing is wrong with them."""
-    parts = np.abs(np.stack([strip.real, strip.imag]))
-    greatest = parts.max(axis=(0, 1, 3))
-    at_greatest = np.count_nonzero(parts >= greatest[:, None] * np.float32(1 - 1e-6), axis=(0, 1, 3))
+    parts = np.abs(strip.view(np.float32))  # real and imaginary parts in turn
+    greatest = parts.max(axis=(0, 2))
+    at_greatest = np.count_nonzero(parts >= greatest[:, None] * np.float32(1 - 1e-6), axis=(0, 2))
     pixels = strip.shape[0] * strip.shape[2]
     wrong = [
         ~np.isfinite(greatest),
         np.count_nonzero(strip == 0, axis=(0, 2)) > 5e-3 * pixels,  # fewer are small numbers of a coarse quantiser
-        ~parts[1].any(axis=(0, 2)),
+        ~strip.imag.any(axis=(0, 2)),
         at_greatest >= max(3, 1e-3 * 2 * pixels),
     ]
     return np.select(wrong, [1, 2, 3, 4], 0).astype(np.uint8)

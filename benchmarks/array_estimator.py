@@ -55,7 +55,8 @@ def node_over_core() -> Iterator[Row]:
     grid, aperture, sensor = _scene()
     slc = Slc(samples, grid, aperture, np.ones(DETECTORS), np.zeros(DETECTORS))
     frame = ChannelFrame(header=Header(stamp=messages.to_stamp(0)), dwell=0)
-    images = messages.slc_to_messages(slc, frame, Provenance(config_hash=sensor.config_hash))
+    sent = messages.slc_to_messages(slc, frame, Provenance(config_hash=sensor.config_hash))
+    images = [messages.ReceivedImage.of(image) for image in sent]
     settings = ESTIMATORS["ml"].settings(range_looks=1, azimuth_looks=LOOKS)
     with Graph() as graph:
         looks = [Parameter("range_looks", value=1), Parameter("azimuth_looks", value=LOOKS)]

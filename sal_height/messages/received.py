@@ -256,7 +256,7 @@ def received_height(cdr: bytes) -> messages.HeightImage:
         RuntimeError: they are none.
     """
     try:
-        at = _end_of_heights(cdr)
+        at = end_of_heights(cdr)
     except (struct.error, ValueError):
         return deserialize_message(cdr, messages.HeightImage)
     image = deserialize_message(cdr[:at] + NO_PROVENANCE, messages.HeightImage)
@@ -264,7 +264,7 @@ def received_height(cdr: bytes) -> messages.HeightImage:
     return image
 
 
-def _end_of_heights(cdr: bytes) -> int:
+def end_of_heights(cdr: bytes) -> int:
     """Where the provenance of a serialized height image begins, its last field.
 
     Raises:
@@ -395,8 +395,42 @@ def provenance_bytes(provenance: messages.Provenance, at: int) -> bytes:
 @functools.lru_cache(maxsize=HELD)
 def _bytes_of(provenance: Same[messages.Provenance], odd: int) -> bytes:
     """The bytes of a provenance, made the last ones of an image with so many samples, 0 or 1."""
-    image = messages.ComplexImage(samples=odd * [0.0], provenance=provenance.one)
-    return bytes(serialize_message(image)[len(_empty_image()[1]) + 4 + 4 * odd :])
+    cdr = serialize_message(messages.ComplexImage(samples=odd * [0.0], provenance=provenance.one))
+    begin = len(_empty_image()[1]) + 4 + 4 * odd
+    return cdr[begin : end_of_provenance(cdr, begin)]
+
+
+def end_of_provenance(cdr: bytes, at: int) -> int:
+    """Where a provenance ends that begins at an offset; rclpy may serialize more bytes than a message has.
+
+    Raises:
+        ValueError: the bytes are not laid out so.
+        struct.error: they are too few.
+    """
+    for _ in range(3):  # code_version, config_hash, calibration_id
+        _, at = _text(cdr, at)
+    (parameters,) = UINT.unpack_from(cdr, at)
+    at += 4
+    for _ in range(parameters):
+        at = _end_of_parameter(cdr, at)
+    return _end_of_list(cdr, at, 4)  # autofocus_phase
+
+
+def _end_of_parameter(cdr: bytes, at: int) -> int:
+    """Where the next number of four bytes follows a parameter."""
+    (name,) = UINT.unpack_from(cdr, at)
+    at = _aligned(at + 4 + name + 2) + 16  # type, bool_value; integer_value, double_value
+    _, at = _text(cdr, at)  # string_value
+    for _ in range(2):  # byte_array_value, bool_array_value
+        at = _end_of_list(cdr, at, 1)
+    for _ in range(2):  # integer_array_value, double_array_value
+        (count,) = UINT.unpack_from(cdr, at)
+        at = _aligned(at + 4) + 8 * count if count else at + 4
+    (texts,) = UINT.unpack_from(cdr, at)  # string_array_value
+    at += 4
+    for _ in range(texts):
+        _, at = _text(cdr, at)
+    return at
 
 
 @functools.cache

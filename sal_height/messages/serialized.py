@@ -11,10 +11,11 @@ from sal_height_msgs import msg as messages
 from sal_height.imaging import Slc
 from sal_height.messages.images import Labelled, slc_to_messages
 from sal_height.messages.received import (
-    NO_PROVENANCE,
     NOISE,
     UINT,
     channel_offset,
+    end_of_heights,
+    end_of_provenance,
     noise_offset,
     provenance_bytes,
 )
@@ -29,7 +30,9 @@ def serialized_slc(slc: Slc, frame: Labelled, provenance: messages.Provenance) -
     channel, noise = channel_offset(first), noise_offset(first)
     start = noise + NOISE.size
     pixels = np.ascontiguousarray(slc.images, dtype="<c8").reshape(len(slc.images), -1)
-    before, between, tail = first[:channel], first[channel + 4 : noise], first[start + pixels[0].nbytes :]
+    end = start + pixels[0].nbytes
+    before, between = first[:channel], first[channel + 4 : noise]
+    tail = first[end : end_of_provenance(first, end)]
     numbers = zip(slc.noise_power.tolist(), slc.saturated_share.tolist(), pixels, strict=True)
     return [
         b"".join(
@@ -50,5 +53,6 @@ def serialized_height(image: messages.HeightImage) -> bytes:
     """The bytes of a height image whose provenance is never changed."""
     bare = copy.copy(image)
     bare.provenance = messages.Provenance()
-    head = serialize_message(bare)[: -len(NO_PROVENANCE)]
+    cdr = serialize_message(bare)
+    head = cdr[: end_of_heights(cdr)]
     return head + provenance_bytes(image.provenance, len(head))

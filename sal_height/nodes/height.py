@@ -122,7 +122,7 @@ class HeightNode(DwellStage):
 
     def _alike(self, dwell: WholeDwell) -> list[WholeDwell]:
         """The dwells that wait and can be processed with this one."""
-        size = sum(image.size for image in dwell.messages)
+        size = sum(4 * len(image.samples) for image in dwell.messages)
         alike = [one for one in self.waiting() if one.sensor is dwell.sensor and one.supplies is dwell.supplies]
         return alike[: max(0, min(AT_ONCE, BYTES_AT_ONCE // max(1, size)) - 1)]
 

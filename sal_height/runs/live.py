@@ -166,10 +166,16 @@ def live(
         warn_of_overload(core_rate_hz(playlist, feed.sensor, stages, values, processors), 1 / interval_s, processors)
         return 0
 
-    beside(test, "self test")  # while the nodes start
+    tested = beside(test, "self test")  # while the nodes start
+
+    def let_go_and_show(watched: Watched) -> None:
+        if tested:
+            tested.poll()  # a process stays in lists until it is asked how it ended
+        show(watched)
+
     watched = Watched(0.0, 1 / interval_s, {}, {topic: [] for topic in topics}, start_s=start_s)
     with reporting(folder, known) as report:
-        _perform(plan, execution, how, playlist, watched, show)
+        _perform(plan, execution, how, playlist, watched, let_go_and_show)
         report.update(watched.as_json())
         report["parameters"] = values
     return watched

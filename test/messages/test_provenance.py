@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message, serialize_message
-from sal_height_msgs.msg import HeightImage, Provenance, Surface
+from helpers import make_aperture
+from rclpy.serialization import deserialize_message
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, Surface
 
 from sal_height import __version__, messages
+from sal_height.geometry import Grid
+from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages.provenance import HELD_PARAMETERS, _held_parameter, recorded
 from sal_height.settings import Settings
+
+
+@pytest.fixture(scope="module")
+def store() -> Typestore:
+    """What rosbags knows of messages, with ours: it refuses bytes that are too many or too few."""
+    known, types = get_typestore(Stores.ROS2_JAZZY), {}
+    for file in Path(__file__).parents[2].glob("msg_defs/msg/*.msg"):
+        types |= get_types_from_msg(file.read_text(encoding="utf-8"), f"sal_height_msgs/msg/{file.stem}")
+    known.register(types)
+    return known
 
 
 class Looks(Settings):
@@ -78,9 +96,12 @@ def test_what_follows_from_a_provenance_is_held_for_the_very_same_one_alone() ->
 
 
 @pytest.mark.parametrize("pixels", range(1, 9))
-def test_serialized_heights_are_read_by_rclpy(pixels: int) -> None:
+def test_serialized_heights_are_read_by_rclpy_and_to_the_last_byte_by_rosbags(store: Typestore, pixels: int) -> None:
     """Whatever the length of the lists before the provenance, whose numbers of eight bytes lie on multiples of it."""
-    settings = {"windows": [0.5, 1.5], "names": ["a", "bcd"], "margin": 2.0, "looks": 3}
+    settings = {
+        "windows": [0.5, 1.5], "names": ["a", "bcd"], "margin": 2.0, "looks": 3, "name": "text", "some": [1, 2, 3],
+        "flags": [True, False, True], "flag": True, "none": "",
+    }  # fmt: skip
     provenance = Provenance(
         code_version="1.2",
         config_hash="f" * pixels,
@@ -92,5 +113,13 @@ def test_serialized_heights_are_read_by_rclpy(pixels: int) -> None:
         image.surfaces = [Surface(height=pixels * [1.5])]
         cdr = messages.serialized_height(image)
         assert deserialize_message(cdr, HeightImage) == image
-        assert len(cdr) == len(serialize_message(image))
+        assert store.deserialize_cdr(cdr, "sal_height_msgs/msg/HeightImage").dwell == 7
         assert image.provenance is provenance
+
+
+def test_serialized_images_end_with_their_provenance(store: Typestore) -> None:
+    provenance = Provenance(parameters=messages.with_stage([], "sar_compression", ImageSettings()))
+    grid = Grid(np.zeros(3), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, 1, 3)
+    slc = Slc(np.ones((2, 1, 3), np.complex64), grid, make_aperture(), np.ones(2), np.zeros(2))
+    for cdr in messages.serialized_slc(slc, ComplexImage(dwell=5), provenance):
+        assert store.deserialize_cdr(cdr, "sal_height_msgs/msg/ComplexImage").dwell == 5

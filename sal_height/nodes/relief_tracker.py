@@ -98,7 +98,7 @@ class ReliefTracker(Stage):
         image = messages.height_to_message(tracked, aperture, looks, PREFIX, message, provenance)
         self._image.publish_if_heard(lambda: messages.height_picture(image))
         self._points.publish_if_heard(lambda: messages.height_points(tracked, image))
-        self._height.publish(messages.serialized_height(image))
+        self._height.publish(image)  # whose provenance, with the prior, is that of no other dwell
         return 1
 
 

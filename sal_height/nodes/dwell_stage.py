@@ -162,7 +162,7 @@ class DwellStage(Stage):
     @property
     def is_ready(self) -> bool:
         """Whether a sensor is described and the node has rehearsed for it: the first dwell takes no longer then."""
-        return self._rehearsed
+        return self._rehearsed and super().is_ready
 
     def advance(self) -> None:
         """Hand over what is complete; give up what has waited too long or is too much to hold."""

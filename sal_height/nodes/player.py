@@ -13,11 +13,12 @@ from sal_height import messages
 from sal_height.bag.definitions import message_class
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
+from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS, Stage, StageParameters
 from sal_height.settings import setting
 
-INPUTS = {"sensor_info": LATCHED_QOS, "platform/odometry": ODOMETRY_QOS, "phase_history": FRAMES_QOS}
+INPUTS = {SENSOR_INFO: LATCHED_QOS, ODOMETRY: ODOMETRY_QOS, FRAMES: FRAMES_QOS}
 """Topics that are played."""
 
 LONGEST_GROUP = 4
@@ -31,7 +32,10 @@ class Parameters(StageParameters):
 
 
 class Player(Stage):
-    """Publishes the recorded bytes of one group of dwells at each call of ~/step."""
+    """Publishes the recorded bytes of one group of dwells at each call of ~/step.
+
+    The first sensor info comes before that, so that the nodes can get ready for the sensor.
+    """
 
     parameters = Parameters
     outputs = SENSOR_TOPICS
@@ -59,6 +63,9 @@ class Player(Stage):
         self._messages = self._reader.messages(list(self._outlets))
         self._next: BagMessage | None = next(self._messages, None)
         self._detectors = 1
+        self._announced = next(self._reader.messages([recorded[SENSOR_INFO].name]), None)
+        if self._announced and self._decode(self._announced):
+            self._publish(self._announced)
         self.serve("~/step", self._step)
 
     def _step(self) -> tuple[bool, str]:
@@ -76,20 +83,29 @@ class Player(Stage):
         group = _Group()
         while self._next is not None:
             recorded = self._next
-            try:
-                message = self._reader.decode(recorded.type_name, recorded.cdr)
-            except Exception as error:  # noqa: BLE001 (whatever the deserializer makes of broken bytes)
-                self.ignore(f"broken {recorded.topic}", UserError(f"A message cannot be decoded: {error}"))
-                self._advance()
-                continue
-            if isinstance(message, SensorInfo):
-                self._detectors = max(1, len(message.beams.elevation_boresights))
-            if isinstance(message, ChannelFrame) and group.closed(self._detectors):
-                break
-            group.add(message)
-            self._outlets[recorded.topic].publish(recorded.cdr)
+            if recorded == self._announced:
+                self._announced = None  # the next one like it is to be played
+            elif message := self._decode(recorded):
+                if isinstance(message, ChannelFrame) and group.closed(self._detectors):
+                    break
+                group.add(message)
+                self._publish(recorded)
             self._advance()
         return group.frames.total()
+
+    def _decode(self, recorded: BagMessage) -> Any:
+        """The message, whose number of detectors is kept if it is a sensor info; None if it is broken, and counted."""
+        try:
+            message = self._reader.decode(recorded.type_name, recorded.cdr)
+        except Exception as error:  # noqa: BLE001 (whatever the deserializer makes of broken bytes)
+            self.ignore(f"broken {recorded.topic}", UserError(f"A message cannot be decoded: {error}"))
+            return None
+        if isinstance(message, SensorInfo):
+            self._detectors = max(1, len(message.beams.elevation_boresights))
+        return message
+
+    def _publish(self, recorded: BagMessage) -> None:
+        self._outlets[recorded.topic].publish(recorded.cdr)
 
     def _advance(self) -> None:
         """Read the next message.

@@ -71,7 +71,7 @@ class ReliefTracker(Stage):
     @property
     def is_ready(self) -> bool:
         """Whether the node has tracked made-up heights: the first dwell takes no longer then."""
-        return self._rehearsed
+        return self._rehearsed and super().is_ready
 
     def _rehearse(self) -> int:
         track(*made_up_heights(np.random.default_rng(0)), PriorEstimate(), self.current_parameters())

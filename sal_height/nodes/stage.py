@@ -18,11 +18,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
+from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from sal_height.errors import Rejected, UserError
@@ -149,14 +150,19 @@ class Inlet:
     """A topic that a node needs.
 
     Attributes:
-        topic: its name.
+        subscription: of the topic.
         latched: whether one message is enough for all time.
         heard_at: when the last message came, s of the monotonic clock.
     """
 
-    topic: str
+    subscription: Subscription
     latched: bool
     heard_at: float = -math.inf
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the topic has a publisher, from which messages come without delay."""
+        return bool(self.subscription.get_publisher_count())
 
     def is_silent(self, now: float) -> bool:
         """Whether messages that should come do not."""
@@ -191,8 +197,9 @@ class Stage(Role, Node):
         self._pace = Pace()
         self._offered: list[Outlet] = []
         self._inlets: list[Inlet] = []
-        self._matched = PublisherEventCallbacks(matched=guarded(lambda _: self._publish_account(), self._fail))
-        """Whoever waits for a graph to be connected is told of a subscription when it comes or goes."""
+        self._on_match = guarded(lambda _: self._publish_account(), self._fail)
+        """Whoever waits for a graph to be connected is told of a subscription or publisher when it comes or goes."""
+        self._matched = PublisherEventCallbacks(matched=self._on_match)
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10, event_callbacks=self._matched)
         self._progress = self.create_publisher(DiagnosticArray, PROGRESS, 10, event_callbacks=self._matched)
         self.every(DIAGNOSTICS_PERIOD_S, self._measure_pace)
@@ -235,10 +242,8 @@ class Stage(Role, Node):
             optional: whether the node can do its work without a message on this topic.
             read: makes what the callback takes of a serialized message, or raises RuntimeError; None: rclpy does.
         """
-        inlet, profile = Inlet(self.resolve_topic_name(topic), latched=qos is LATCHED_QOS), copy.copy(qos)
-        profile.depth = LATCHED_HELD if inlet.latched else qos.depth
-        if not optional:
-            self._inlets.append(inlet)
+        latched, profile = qos is LATCHED_QOS, copy.copy(qos)
+        profile.depth = LATCHED_HELD if latched else qos.depth
 
         def receive(message: Any) -> None:
             inlet.heard_at = time.monotonic()
@@ -249,14 +254,18 @@ class Stage(Role, Node):
             else:
                 callback(taken)
 
-        self.create_subscription(
+        subscription = self.create_subscription(
             message_type,
             topic,
             guarded(receive, self._fail),
             profile,
+            event_callbacks=SubscriptionEventCallbacks(matched=self._on_match),
             qos_overriding_options=QOS_OVERRIDES,
             raw=read is not None,
         )
+        inlet = Inlet(subscription, latched)
+        if not optional:
+            self._inlets.append(inlet)
 
     def every(self, period_s: float, callback: Callable[[], Any], clock: Clock | None = None) -> None:
         """Call `callback` again and again, by a clock that never stands still unless another one is given."""
@@ -332,8 +341,8 @@ class Stage(Role, Node):
 
     @property
     def is_ready(self) -> bool:
-        """Whether the node has done what takes time before the first dwell."""
-        return True
+        """Whether what the node needs has publishers, and what takes time before the first dwell is done."""
+        return all(inlet.is_connected for inlet in self._inlets)
 
     @property
     def jobs(self) -> int:
@@ -412,7 +421,7 @@ class Stage(Role, Node):
 
     def silent_topics(self) -> list[str]:
         """The topics that the node needs and on which no message has come lately."""
-        return [inlet.topic for inlet in self._inlets if inlet.is_silent(time.monotonic())]
+        return [inlet.subscription.topic_name for inlet in self._inlets if inlet.is_silent(time.monotonic())]
 
     def _state(self, lost: int) -> tuple[Any, str]:
         """Level and message of the diagnostics, as of the last seconds.

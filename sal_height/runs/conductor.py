@@ -21,6 +21,7 @@ from sal_height.nodes.account import DIAGNOSTICS, PROGRESS, READY, RECEIVED, UNW
 from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.player import INPUTS
+from sal_height.nodes.playlist import SENSOR_INFO
 from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.runs.ensemble import NODES, Ensemble, NodeParameters, stage_inputs
 
@@ -241,6 +242,8 @@ class Conductor(Node):
             if account.waiting or account.received != expected:
                 return False
         recorded = self.accounts[RECORDER].recorded
+        if SENSOR_INFO in self._recorded and not recorded.get(SENSOR_INFO):
+            return False
         return all(recorded.get(topic) == published[topic] for topic in self._recorded if topic in published)
 
     def drops(self) -> str:
@@ -313,7 +316,7 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
 
             with tqdm(total=plan.dwells, unit="dwell", desc=plan.bag.parent.name) as progress:
                 try:
-                    wait(conductor.connected, "the graph to come up")
+                    wait(conductor.ready, "all nodes to be ready")
                     while conductor.step(wait):
                         wait(conductor.settled, f"dwell {played} to be processed")
                         played += 1

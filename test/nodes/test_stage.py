@@ -184,13 +184,27 @@ def test_subscribers_are_told_of_at_once(graph: Graph, told: dict[str, list[Acco
         )
 
 
+def test_a_node_is_ready_while_its_topics_have_publishers_and_says_so_at_once(
+    graph: Graph, told: dict[str, list[Account]]
+) -> None:
+    """A message to a subscription that does not know of its publisher yet may take seconds."""
+    Listening(graph)
+    other = graph.add(Node("other", context=graph.context))
+    assert graph.spin_until(lambda: all(told.values()), TIMEOUT_S)
+    assert not any(those[-1].count(READY) for those in told.values())
+    publisher = other.create_publisher(String, "words", FRAMES_QOS)
+    assert graph.spin_until(lambda: all(those[-1].count(READY) for those in told.values()), TIMEOUT_S)
+    other.destroy_publisher(publisher)
+    assert graph.spin_until(lambda: not any(those[-1].count(READY) for those in told.values()), TIMEOUT_S)
+
+
 def test_what_is_done_without_messages_is_told_at_once(graph: Graph, told: dict[str, list[Account]]) -> None:
     """As that a node is ready."""
     listening = Listening(graph)
-    assert graph.spin_until(lambda: all(told.values()), TIMEOUT_S)
+    graph.add(Node("other", context=graph.context)).create_publisher(String, "words", FRAMES_QOS)
+    assert graph.spin_until(lambda: all(those and those[-1].count(READY) for those in told.values()), TIMEOUT_S)
     listening.submit(0, lambda: setattr(Listening, "is_ready", False) or 0)
     try:
-        assert all(accounts[-1].count(READY) for accounts in told.values())
         assert graph.spin_until(lambda: not any(those[-1].count(READY) for those in told.values()), TIMEOUT_S)
     finally:
         del Listening.is_ready

@@ -29,6 +29,7 @@ from sal_height.runs import conductor
 from sal_height.runs.conductor import Conductor, Execution, Plan
 from sal_height.runs.ensemble import NODES, Ensemble, NodeParameters
 from sal_height.runs.simulate import fly, run
+from sal_height.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import Preset
 
@@ -104,6 +105,37 @@ def test_a_dwell_is_settled_when_its_heights_are_in_the_map(graph: Graph) -> Non
     ):
         watching.accounts = {**before, name: changed}
         assert not watching.settled(), (name, changed)
+
+
+def test_no_dwell_is_asked_for_before_all_nodes_know_the_sensor(
+    two_dwells: Preset, tmp_path: Path, monkeypatch: Any
+) -> None:
+    """Otherwise a dwell may come long before the description of its sensor, and be dropped."""
+    events = []
+    rehearse, step = HeightNode.rehearse, Simulator._step
+
+    def slow(self: HeightNode, sensor: Sensor) -> None:
+        threading.Event().wait(1.0)
+        rehearse(self, sensor)
+        events.append("rehearsed")
+
+    def noted(self: Simulator) -> tuple[bool, str]:
+        events.append("step")
+        return step(self)
+
+    monkeypatch.setattr(HeightNode, "rehearse", slow)
+    monkeypatch.setattr(Simulator, "_step", noted)
+    fly(dataclasses.replace(two_dwells, dwells=1), SEED, tmp_path / "run", {})
+    assert events == ["rehearsed", "rehearsed", "step", "step"]
+
+
+def test_a_dwell_is_not_settled_before_its_sensor_is_recorded(graph: Graph) -> None:
+    """A bag that does not say of which sensor it is cannot be replayed."""
+    watching = graph.add(Conductor(plan_of(["sar_compression"], recorded=["sensor_info"]), context=graph.context))
+    others = {"simulator": Account({"published./slc": 0}), "sar_compression": Account({})}
+    for count in (0, 1):
+        watching.accounts = {**others, "recorder": Account({"recorded./sensor_info": count})}
+        assert watching.settled() == bool(count)
 
 
 def test_a_graph_in_which_nothing_moves_is_given_up(two_dwells: Preset, tmp_path: Path, monkeypatch: Any) -> None:

@@ -15,9 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import assert_one_sentence
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
+from sal_height_msgs.msg import SensorInfo
 
 from sal_height.bag.compare import compare_heights
 from sal_height.bag.reader import BagMessage, BagReader
@@ -26,6 +28,7 @@ from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.player import Player
+from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.runs.conductor import Execution
 from sal_height.runs.gotcha import import_gotcha
 from sal_height.runs.replay import recorded_parameters, replay
@@ -219,6 +222,19 @@ def test_after_a_damaged_chunk_the_player_has_nothing_more_to_play(
         assert graph.spin_until(lambda: not player.jobs, 20.0)
     assert answers == [True, True, False, False]
     assert player._outlets["/phase_history"].published == 15
+
+
+def test_the_sensor_is_announced_before_the_first_step_and_once(recorded: Path, graph: Graph) -> None:
+    heard: list[SensorInfo] = []
+    graph.add(Node("other", context=graph.context)).create_subscription(
+        SensorInfo, "sensor_info", heard.append, LATCHED_QOS
+    )
+    bag = Parameter("bag", value=str(recorded / "bag"))
+    player = graph.add(Player(context=graph.context, parameter_overrides=[bag]))
+    assert graph.spin_until(lambda: bool(heard), 20.0)
+    player._step()
+    assert graph.spin_until(lambda: not player.jobs, 20.0)
+    assert player._outlets["/sensor_info"].published == 1
 
 
 def test_a_group_of_dwells_ends_even_if_each_lacks_a_frame(recorded: Path, tmp_path: Path, graph: Graph) -> None:

@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum
@@ -36,6 +37,10 @@ BACKOFF = (0.5, 0.9)
 """From a rate with drops to the next: the share of dwells that were processed, but at least and at most so much."""
 
 
+IN_PARTS = ("buffer full", "incomplete dwell")
+"""Why messages are dropped if others of the same dwell do not come."""
+
+
 class Nodes(Enum):
     """What processes a graph consists of."""
 
@@ -55,6 +60,7 @@ class Seen:
         offered_hz: dwells in a second that the sensor delivered.
         elapsed_s: how long.
         left_out: messages that any node has dropped.
+        in_parts: those among them that were dropped because others of the same dwell did not come.
         latencies_s: from the last pulse of a dwell to each of its height images, by topic.
         usage: of processors and memory.
         beside_s: processor time of the threads of source and recorder in a graph of one process, while it was watched.
@@ -65,6 +71,7 @@ class Seen:
     offered_hz: float
     elapsed_s: float
     left_out: int
+    in_parts: int
     latencies_s: dict[str, list[float]]
     usage: Usage
     beside_s: float
@@ -149,10 +156,14 @@ def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tu
         watched = live(Feed.of_bag(bag), out, {}, Live(rate, seconds), execution, show)
         recorded = sum(file.stat().st_size for file in (out / "bag").iterdir())
     beside = (SOURCE, RECORDER, f"spin {RECORDER}")
+    dropped = Counter[str]()
+    for account in watched.accounts.values():
+        dropped.update(account.dropped)
     return Seen(
         offered_hz=watched.offered_hz,
         elapsed_s=watched.elapsed_s,
-        left_out=sum(sum(account.dropped.values()) for account in watched.accounts.values()),
+        left_out=dropped.total(),
+        in_parts=sum(dropped[reason] for reason in IN_PARTS),
         latencies_s=watched.latencies_s,
         usage=usage,
         beside_s=sum(threads[-1].get(name, 0.0) - threads[0].get(name, 0.0) for name in beside),

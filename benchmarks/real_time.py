@@ -20,6 +20,7 @@ from benchmarks.live_runs import Nodes, Seen, highest_rate, watch
 from benchmarks.row import Row, load, sized
 from sal_height.bag.reader import BagReader
 from sal_height.nodes.playlist import FRAMES, Playlist
+from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.numeric import WORKERS
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
@@ -36,6 +37,9 @@ MINUTE_S = sized(60.0, 2.0)
 
 SEARCHED = sized(True, False)
 """Whether the rate of endurance is searched for."""
+
+OVERLOAD = 2.5
+"""Rate at overload, over the highest that is sustained."""
 
 SHARE_OF_CORE = sized(0.5, 0.05)
 """Rate that is tried first, over that of the core alone."""
@@ -94,14 +98,15 @@ class Sensor:
 
 
 def sustained() -> Iterator[Row]:
-    """The highest rate at which no dwell is left out; its share of the limits; the graph over the core; latency."""
+    """The highest rate without any drop; its share of the limits; the graph over the core; overload; latency."""
     for name in PRESETS:
         with tempfile.TemporaryDirectory() as folder:
             sensor = Sensor.of_preset(name, Path(folder))
             rate, seen = sensor.sustained()
             yield _real_time(sensor, rate, seen)
-            yield _share(sensor, rate)
+            yield from _shares(sensor, rate)
             yield from _over_core(sensor, rate, seen)
+            yield _overload(sensor, seen, watch(sensor.bag, OVERLOAD * seen.offered_hz / sensor.dwells_hz, SECONDS))
             if name != ENDURANCE:
                 half = sensor.half_of(rate)
                 yield from _latency(sensor, half, watch(sensor.bag, half, LATENCY_SECONDS))
@@ -143,10 +148,11 @@ def _real_time(sensor: Sensor, rate: float, seen: Seen) -> Row:
     )
 
 
-def _share(sensor: Sensor, rate: float) -> Row:
+def _shares(sensor: Sensor, rate: float) -> Iterator[Row]:
+    """Of what transport or core alone would achieve, and of what both would on the same processors."""
     transported, idle = sensor.transported(sensor.core_rate)
     limit = min(transported, sensor.core_rate)
-    return Row(
+    yield Row(
         f"real time over the limit, {sensor.name}",
         rate / limit if limit else np.nan,
         "1",
@@ -162,6 +168,15 @@ def _share(sensor: Sensor, rate: float) -> Row:
             },
             "core_rate": sensor.core_rate,
         },
+    )
+    both = transported * sensor.core_rate / (transported + sensor.core_rate)
+    yield Row(
+        f"real time over both limits, {sensor.name}",
+        rate / both if both else np.nan,
+        "1",
+        ">= 0.8",
+        f"{rate:.3g} of the {both:.3g} seconds of the sensor in a second that transport and core would process, each "
+        f"as fast as alone, in turn on the same {WORKERS} processors; {load()}",
     )
 
 
@@ -190,6 +205,23 @@ def _over_core(sensor: Sensor, rate: float, seen: Seen) -> Iterator[Row]:
         "<= 1.25",
         f"processor time a dwell: {1e3 * separate:.1f} ms in the nodes that process it, at a rate of {rate:.3g}; "
         f"{1e3 * sensor.core.cpu_s:.1f} ms in the core alone, on {WORKERS} processors at the same time; {load()}",
+    )
+
+
+def _overload(sensor: Sensor, before: Seen, seen: Seen) -> Row:
+    """What is left of the heights when dwells come much faster than they can be processed."""
+    topic = f"{ReliefTracker.product}/height"
+    made_hz, sustained_hz = (len(one.latencies_s[topic]) / one.elapsed_s for one in (seen, before))
+    p50, p999 = 1e3 * np.percentile(seen.latencies_s[topic] or [np.nan], [50, 99.9])
+    return Row(
+        f"overload, {sensor.name}",
+        made_hz / sustained_hz if sustained_hz else np.nan,
+        "1",
+        ">= 0.8",
+        f"tracked heights in a second, {made_hz:.3g}, when {OVERLOAD:g} times as many dwells come as are sustained "
+        f"({seen.offered_hz:.3g} in a second), over those then, {sustained_hz:.3g}; {seen.left_out} messages dropped, "
+        f"{seen.in_parts} of them for others of their dwell did not come; latency p50 {p50:.0f}, p99.9 {p999:.0f} ms; "
+        f"{load()}",
     )
 
 

@@ -81,6 +81,7 @@ class SarCompression(DwellStage):
         "calibration": "calibration of the file that the parameter calibration names",
     }
     settable = True
+    niceness = 4
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import array
 import copy
 import math
+import os
 import threading
 import time
 import traceback
@@ -446,6 +447,8 @@ class Stage(Role, Node):
         super().destroy_node()
 
     def _work(self) -> None:
+        thread = threading.get_native_id()
+        os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + self.niceness)
         while job := self._jobs.get():
             job.run()
 

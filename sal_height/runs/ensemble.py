@@ -244,7 +244,7 @@ def _process_of(name: str, values: Mapping[str, Any], forks: bool) -> subprocess
         if forks:
             return Forked(lambda: _run(name, parent, arguments), name)
         command = [sys.executable, "-m", __name__, name, str(parent), *arguments]
-        return subprocess.Popen(command, start_new_session=True, env=ONE_THREAD | os.environ)  # noqa: S603 (our nodes)
+        return subprocess.Popen(command, process_group=0, env=ONE_THREAD | os.environ)  # noqa: S603 (our nodes)
     except OSError as error:
         raise UserError(f"Node {name} cannot be started in a process of its own: {error.strerror}.") from error
 

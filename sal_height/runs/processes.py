@@ -72,7 +72,9 @@ def process_age_s() -> float:
 class Forked:
     """A copy of this process that runs a function; used as a `subprocess.Popen` is.
 
-    It has a session of its own, the signal handlers of a new process, and ends without what this one does at its end.
+    It has a process group of its own, so that Ctrl-C does not reach it, the signal handlers of a new process, and ends
+    without what this one does at its end. It stays in the session: Linux shares the processors out among sessions first
+    (sched_autogroup), and nodes in sessions of their own would get equal shares, however much their work takes.
 
     Attributes:
         pid: number of the process.
@@ -168,7 +170,7 @@ def _run_alone(run: Callable[[], int], name: str) -> None:
     """Run a function in a process that has just been forked, and end it."""
     status = 1
     try:
-        os.setsid()
+        os.setpgrp()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)

@@ -5,6 +5,7 @@ version := $(shell $(PYTHON) -IS -c 'import sys; print("%d.%d" % sys.version_inf
 venv := .venv/.made-with-$(version)
 packages := .venv/.packages
 messages := .venv/.messages
+loops := .venv/.loops
 pip := .venv/bin/python -m pip --disable-pip-version-check --quiet
 headers := $(CURDIR)/.venv/headers/usr/include
 
@@ -56,6 +57,11 @@ $(messages): $(venv) constraints.txt $(wildcard msg_defs/*.* msg_defs/msg msg_de
 	@$(pip) install --no-deps --no-build-isolation ./msg_defs
 	@touch $@
 
+# Beside the messages and the check of types, which leave a processor idle: two workers would compile them twice.
+$(loops): $(packages) tools/compile_loops.py
+	@.venv/bin/python tools/compile_loops.py
+	@touch $@
+
 demo: setup
 	@rm -rf out/sal_spotlight out/sal_stripmap out/xband_relief
 	.venv/bin/sal-height run --preset sal_spotlight --out out/sal_spotlight
@@ -64,7 +70,8 @@ demo: setup
 
 # Two files at a time: while one waits for its nodes, the other computes. Threads of matrix products would only wait for
 # each other.
-test: lint
+test:
+	@$(MAKE) --no-print-directory -j2 lint $(loops)
 	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest --numprocesses 2 --dist loadfile
 
 lint: setup

@@ -32,8 +32,8 @@ DWELLS = sized(32, 2)
 SECONDS = sized(20.0, 2.0)
 CORE_SECONDS = sized(10.0, 0.2)
 LATENCY_SECONDS = sized(60.0, 2.0)
-ENDURANCE_SECONDS = sized(600.0, 4.0)
-MINUTE_S = sized(60.0, 2.0)
+ENDURANCE_SECONDS = sized(600.0, 3.0)
+MINUTE_S = sized(60.0, 1.0)
 
 SEARCHED = sized(True, False)
 """Whether the rate of endurance is searched for."""

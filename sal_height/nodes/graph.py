@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -49,8 +50,15 @@ class Graph:
         return True
 
     def spin_for(self, seconds: float) -> None:
-        """Run callbacks for so long, without a step in Python from one to the next."""
-        self.executor.spin_until_future_complete(Future(), seconds)
+        """Run callbacks for so long, without a step in Python from one to the next.
+
+        The executor looks at the time only when nothing waits, so a thread ends it where messages never stop.
+        """
+        over = Future()
+        clock = threading.Timer(seconds, over.set_result, [None])
+        clock.start()
+        self.executor.spin_until_future_complete(over, seconds)
+        clock.cancel()
 
     def close(self) -> None:
         """Destroy the nodes in order and shut the context down; may be called twice."""

@@ -96,6 +96,7 @@ class MapStage(Stage):
     takes_heights = True
     settable = True
     completes_file = True
+    niceness = 10  # a map is as good a second later
 
     def __init__(self, name: str, prefix: str, **node_arguments: Any) -> None:
         """Make the node `name`, whose topics begin with `prefix`; `node_arguments` go to rclpy's Node.

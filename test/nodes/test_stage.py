@@ -21,6 +21,7 @@ from sal_height.nodes import stage
 from sal_height.nodes.account import DIAGNOSTICS, PROGRESS, READY, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES, HELD_CALIBRATIONS
+from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage
 
@@ -187,9 +188,9 @@ def test_subscribers_are_told_of_at_once(graph: Graph, told: dict[str, list[Acco
         )
 
 
-@pytest.mark.parametrize("node", [SarCompression, HEIGHT_NODES["ml_height"]])
+@pytest.mark.parametrize("node", [SarCompression, HEIGHT_NODES["ml_height"], ReliefMapper])
 def test_work_gives_way_as_the_role_of_its_node_says(graph: Graph, node: type[Stage]) -> None:
-    """Compression to the nodes after it, and to the thread that receives frames."""
+    """Compression to the nodes after it, and to the thread that receives frames; the map to all that is late sooner."""
     made, found = graph.add(node(context=graph.context)), []
 
     def look() -> int:
@@ -199,7 +200,7 @@ def test_work_gives_way_as_the_role_of_its_node_says(graph: Graph, node: type[St
     made.submit(0, look)
     assert graph.spin_until(lambda: bool(found), TIMEOUT_S)
     assert found == [os.getpriority(os.PRIO_PROCESS, threading.get_native_id()) + node.niceness]
-    assert SarCompression.niceness > HEIGHT_NODES["ml_height"].niceness
+    assert ReliefMapper.niceness > SarCompression.niceness > HEIGHT_NODES["ml_height"].niceness
 
 
 def test_a_node_is_ready_while_its_topics_have_publishers_and_says_so_at_once(

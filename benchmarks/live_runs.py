@@ -36,7 +36,6 @@ STEP = 1.4
 BACKOFF = (0.5, 0.9)
 """From a rate with drops to the next: the share of dwells that were processed, but at least and at most so much."""
 
-
 IN_PARTS = ("buffer full", "incomplete dwell")
 """Why messages are dropped if others of the same dwell do not come."""
 

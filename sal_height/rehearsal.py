@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sal_height.elevation import Validity
+from sal_height.elevation import ElevationEstimator, HeightSettings, Validity
 from sal_height.geometry import ApertureState, Grid, PlatformState, Trajectory, look_direction
 from sal_height.imaging import ImageSettings, Slc, image_beams
-from sal_height.pipeline import Compressor
+from sal_height.pipeline import Compressor, heights
 from sal_height.relief import HeightField, Surface
 from sal_height.sensor import PhaseHistory, Sensor, lit_angle, spectrum_sensor
 
@@ -80,6 +81,30 @@ def with_scatterers(slc: Slc, sensor: Sensor, rng: np.random.Generator) -> Slc:
         amplitude = np.sqrt(POWER * np.mean(slc.noise_power)) * _normal(rng, shape) * (count >= number)
         images += np.moveaxis(beams.response(elevation, 0.0) * amplitude[..., None], -1, 0)
     return replace(slc, images=images.astype(np.complex64))
+
+
+def rehearse_heights(
+    sensor: Sensor,
+    images: ImageSettings,
+    estimators: Iterable[tuple[ElevationEstimator, HeightSettings]],
+    rng: np.random.Generator,
+) -> None:
+    """Compress a made-up dwell, and estimate the heights of scatterers in its images.
+
+    Args:
+        sensor: whose dwells will come.
+        images: their settings.
+        estimators: that are used, and their settings.
+        rng: of noise and scatterers.
+
+    Raises:
+        UserError: images or heights cannot be made with these settings.
+    """
+    slc = rehearsed_slc(sensor, images, Compressor(), rng)
+    if slc is not None:
+        lit = with_scatterers(slc, sensor, rng)
+        for estimator, settings in estimators:
+            heights(lit, sensor, estimator, settings)
 
 
 def made_up_heights(rng: np.random.Generator) -> tuple[HeightField, ApertureState]:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from sal_height.elevation import ESTIMATORS, Validity
+from sal_height.beams import Beams
+from sal_height.elevation import ESTIMATORS, ElevationEstimate, ElevationEstimator, HeightSettings, Looks, Validity
 from sal_height.imaging import ImageSettings
 from sal_height.pipeline import Compressor, heights
-from sal_height.rehearsal import made_up_heights, rehearsed_slc, with_scatterers
+from sal_height.rehearsal import made_up_heights, rehearse_heights, rehearsed_slc, with_scatterers
 from sal_height.relief import PriorEstimate, track
 from sal_height.simulation import load_preset
+
+LOWEST = {"ml": 6.0, "monopulse": 9.0}
+"""CNR that estimators ask for, dB."""
 
 
 @pytest.mark.parametrize("name", ["small", "sal_stripmap", "xband_sumdiff"])
@@ -25,6 +31,24 @@ def test_every_sensor_has_a_made_up_dwell(name: str) -> None:
     ml = ESTIMATORS["ml"]
     validity = heights(lit, sensor, ml, ml.settings(range_looks=2, azimuth_looks=2)).validity
     assert np.mean(validity == Validity.OK) > 0.05
+
+
+def test_all_estimators_are_rehearsed_with_their_settings() -> None:
+    seen: list[tuple[str, float]] = []
+
+    def noting(estimator: ElevationEstimator) -> ElevationEstimator:
+        def estimate(looks: Looks, beams: Beams, settings: HeightSettings) -> ElevationEstimate:
+            made = estimator.estimate(looks, beams, settings)
+            seen.append((estimator.name, settings.min_cnr_db))
+            assert np.any(made.validity == Validity.OK)
+            return made
+
+        return replace(estimator, estimate=estimate)
+
+    chosen = [(noting(ESTIMATORS[name]), ESTIMATORS[name].settings(min_cnr_db=cnr)) for name, cnr in LOWEST.items()]
+    rng = np.random.default_rng(0)
+    rehearse_heights(load_preset("small").make_sensor(), ImageSettings(rows=24, cols=16), chosen, rng)
+    assert dict(seen) == LOWEST
 
 
 def test_made_up_heights_can_be_tracked() -> None:

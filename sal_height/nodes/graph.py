@@ -52,13 +52,13 @@ class Graph:
     def spin_for(self, seconds: float) -> None:
         """Run callbacks for so long, without a step in Python from one to the next.
 
-        The executor looks at the time only when nothing waits, so a thread ends it where messages never stop.
+        A thread ends it: the executor looks at the time only when nothing waits, and messages may never stop.
         """
         over = Future()
         clock = threading.Timer(seconds, over.set_result, [None])
         clock.start()
-        self.executor.spin_until_future_complete(over, seconds)
-        clock.cancel()
+        self.executor.spin_until_future_complete(over, 2 * seconds)  # with no limit it would not sleep between messages
+        clock.cancel()  # if the context has ended
 
     def close(self) -> None:
         """Destroy the nodes in order and shut the context down; may be called twice."""

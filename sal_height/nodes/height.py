@@ -23,8 +23,8 @@ from sal_height.nodes.dwell_stage import DwellParameters, DwellStage, WholeDwell
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS, height_topics
-from sal_height.pipeline import Compressor, heights, heights_of_dwells, live_channels
-from sal_height.rehearsal import rehearsed_slc, with_scatterers
+from sal_height.pipeline import heights_of_dwells, live_channels
+from sal_height.rehearsal import rehearse_heights
 from sal_height.relief import HeightField
 from sal_height.sensor import Sensor
 
@@ -83,10 +83,8 @@ class HeightNode(DwellStage):
 
     def rehearse(self, sensor: Sensor) -> None:
         """Estimate the heights of made-up images."""
-        rng = np.random.default_rng(0)
-        slc = rehearsed_slc(sensor, ImageSettings(), Compressor(), rng)
-        if slc is not None:
-            heights(with_scatterers(slc, sensor, rng), sensor, self.estimator, self.current_parameters())
+        estimators = [(self.estimator, self.current_parameters())]
+        rehearse_heights(sensor, ImageSettings(), estimators, np.random.default_rng(0))
 
     def process(self, images: list[ReceivedImage], sensor: Sensor, calibration: Calibration | None) -> int:
         """Estimate the heights of a dwell and publish them."""

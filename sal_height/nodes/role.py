@@ -24,11 +24,6 @@ class Role:
     begin_service: ClassVar[str] = "step"
     """Service of a source of dwells that has it deliver the next one, or all of them at their pace."""
 
-    niceness: ClassVar[int] = 0
-    """How far the node's work gives way to other threads, as in nice(1). Under overload, early stages that do leave out
-    what later ones could not take, before work has gone into it; and messages are received while a dwell is processed.
-    """
-
     takes_images: ClassVar[bool] = False
     """Whether the node takes the images of all channels, topic slc."""
 

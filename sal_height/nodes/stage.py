@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -175,6 +175,11 @@ class Stage(Role, Node):
 
     parameters: type[StageParameters] = StageParameters
     """The node's ROS parameters."""
+
+    niceness: ClassVar[int] = 0
+    """How far the node's work gives way to other threads, as in nice(1). Under overload, early stages that do leave out
+    what later ones could not take, before work has gone into it; and messages are received while a dwell is processed.
+    """
 
     def __init__(self, name: str, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node (context, parameter_overrides, ...).

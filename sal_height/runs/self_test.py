@@ -16,7 +16,7 @@ from sal_height.geometry import Trajectory
 from sal_height.nodes.height import HeightNode
 from sal_height.nodes.playlist import Playlist
 from sal_height.pipeline import Compressor, heights
-from sal_height.rehearsal import made_up_heights, rehearsed_slc, with_scatterers
+from sal_height.rehearsal import made_up_heights, rehearse_heights
 from sal_height.relief import PriorEstimate, track
 from sal_height.runs.ensemble import NODES, TRACKER
 from sal_height.sensor import Sensor
@@ -36,12 +36,8 @@ def make_tables(sensor: Sensor, stages: list[str], values: Mapping[str, Mapping[
     parameters = {name: NODES[name].parameters(**values.get(name, {})) for name in stages}
     rng = np.random.default_rng(0)
     with suppress(UserError):  # its node will say why
-        slc = rehearsed_slc(sensor, parameters["sar_compression"], Compressor(), rng)
-        if slc is not None:
-            slc = with_scatterers(slc, sensor, rng)
-            for name in stages:
-                if issubclass(NODES[name], HeightNode):
-                    heights(slc, sensor, NODES[name].estimator, parameters[name])
+        estimators = [(NODES[n].estimator, parameters[n]) for n in stages if issubclass(NODES[n], HeightNode)]
+        rehearse_heights(sensor, parameters["sar_compression"], estimators, rng)
         if TRACKER in stages:
             track(*made_up_heights(rng), PriorEstimate(), parameters[TRACKER])
 

@@ -189,7 +189,7 @@ def test_subscribers_are_told_of_at_once(graph: Graph, told: dict[str, list[Acco
 
 
 @pytest.mark.parametrize("node", [SarCompression, HEIGHT_NODES["ml_height"], ReliefMapper])
-def test_work_gives_way_as_the_role_of_its_node_says(graph: Graph, node: type[Stage]) -> None:
+def test_work_gives_way_as_its_node_says(graph: Graph, node: type[Stage]) -> None:
     """Compression to the nodes after it, and to the thread that receives frames; the map to all that is late sooner."""
     made, found = graph.add(node(context=graph.context)), []
 

@@ -33,7 +33,7 @@ NEAR = 1.12
 STEP = 1.4
 """From a rate without any drop to the next."""
 
-BACKOFF = (0.5, 0.9)
+BACKOFF = (0.5, 0.8)
 """From a rate with drops to the next: the share of dwells that were processed, but at least and at most so much."""
 
 IN_PARTS = ("buffer full", "incomplete dwell")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 
@@ -28,7 +29,7 @@ def graph_that_sustains(limit: float, rate: float) -> live_runs.Seen:
     offered = OFFERED_HZ * rate * SECONDS
     done = min(offered, OFFERED_HZ * limit * SECONDS)
     latencies = {"ml/height": [0.0] * int(done)}
-    return live_runs.Seen(OFFERED_HZ * rate, SECONDS, int(offered - done), 0, latencies, Usage(), 0.0, 0, 0)
+    return live_runs.Seen(OFFERED_HZ * rate, SECONDS, math.ceil(offered - done), 0, latencies, Usage(), 0.0, 0, 0)
 
 
 @pytest.mark.parametrize("limit", [0.02, 0.17, 0.3, 1.0, 2.7])

@@ -39,6 +39,7 @@ GROUPS = {
     "ground": "ground:throughput",
     "relief-tracking": "relief_tracking:throughput",
     "start-up": "start_up:first_height",
+    "late-node": "late_node:late_node",
     "real-time": "real_time:sustained",
     "endurance": "real_time:endurance",
     "figures": "figures:all_figures",

@@ -49,6 +49,7 @@ setup(
         "console_scripts": [
             "sal-height = sal_height.commands:main",
             "simulator = sal_height.nodes.simulator:main",
+            "navigation = sal_height.nodes.navigation:main",
             "sar_compression = sal_height.nodes.sar_compression:main",
             *(f"{node} = sal_height.nodes.height:main" for node in height_nodes),
             "relief_tracker = sal_height.nodes.relief_tracker:main",

@@ -54,6 +54,7 @@ def test_every_program_can_be_started() -> None:
     assert {
         "sal-height",
         "simulator",
+        "navigation",
         "sar_compression",
         *(estimator.node for estimator in ESTIMATORS.values()),
         "relief_tracker",

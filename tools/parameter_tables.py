@@ -12,6 +12,7 @@ from sal_height.elevation import HeightSettings
 from sal_height.nodes.dwell_stage import DwellParameters
 from sal_height.nodes.ground_mapper import GroundMapper
 from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.navigation import NavigationNode
 from sal_height.nodes.paced_player import PacedPlayer
 from sal_height.nodes.player import Player
 from sal_height.nodes.psf_calibration import PsfCalibration
@@ -44,6 +45,7 @@ NODES: Mapping[str, type[Settings]] = {
     "simulator": Simulator.parameters,
     "player": Player.parameters,
     "paced_player": PacedPlayer.parameters,
+    "navigation": NavigationNode.parameters,
     "sar_compression": SarCompression.parameters,
     **{name: node.parameters for name, node in HEIGHT_NODES.items()},
     "relief_tracker": ReliefTracker.parameters,

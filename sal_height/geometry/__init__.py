@@ -2,8 +2,9 @@
 
 Read `frames` first (body and map axes, the state of the sensor in mid-aperture, elevation and squint), then `earth`
 (heights above the sphere), `grid` (pixels of an image), `locate` (range and Doppler to a place on the ground),
-`mounting` (where the sensor is on the platform), `quaternion` (its attitude) and `trajectory` (odometry to positions of
-the antenna at each pulse).
+`mounting` (where the sensor is on the platform), `quaternion` (its attitude), `trajectory` (odometry to positions of
+the antenna at each pulse), `geodesy` (the origin of a map on the ellipsoid) and `navigation` (positions, velocities and
+attitudes that come apart).
 Angles are in rad, lengths in m, times in s.
 """
 
@@ -16,19 +17,25 @@ from sal_height.geometry.frames import (
     look_direction,
     squint_on_cone,
 )
+from sal_height.geometry.geodesy import Origin
 from sal_height.geometry.grid import Grid, pixels_at, without_range_phase
 from sal_height.geometry.locate import locate_at_elevation, locate_at_height
 from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
+from sal_height.geometry.navigation import REORDERED_NS, Navigation, Sample
 from sal_height.geometry.quaternion import quaternion_of, rotation_matrix
 from sal_height.geometry.trajectory import PlatformState, Trajectory
 
 __all__ = [
     "AT_BASE_LINK",
     "EARTH_RADIUS",
+    "REORDERED_NS",
     "ApertureState",
     "Grid",
     "Mounting",
+    "Navigation",
+    "Origin",
     "PlatformState",
+    "Sample",
     "Trajectory",
     "above_place",
     "angles_of",

@@ -36,6 +36,7 @@ from sal_height.messages.heights import (
     height_to_message,
 )
 from sal_height.messages.images import check_slc, recorded_window, slc_from_messages, slc_to_messages
+from sal_height.messages.navigation import read_attitude, read_fix, read_pose, read_twist
 from sal_height.messages.provenance import derived, held_stages, stages_of, with_stage
 from sal_height.messages.received import (
     Pose,
@@ -75,6 +76,10 @@ __all__ = [
     "held_stages",
     "history_from_messages",
     "history_to_messages",
+    "read_attitude",
+    "read_fix",
+    "read_pose",
+    "read_twist",
     "received_frame",
     "received_height",
     "received_image",

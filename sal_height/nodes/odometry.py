@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import bisect
+from array import array
 from enum import Enum
 
-from sal_height.geometry import PlatformState
+import numpy as np
 
-REORDERED_NS = 1_000_000_000
-"""A sample that is older than the latest one by up to this was overtaken on its way: transport takes milliseconds, and
-a clock that starts anew goes back further."""
+from sal_height.geometry import REORDERED_NS, PlatformState
+from sal_height.numeric import F64
 
 MOST_STATES = 200_000
-"""Samples held at most, 100 s at 2 kHz (0.2 GB), whatever time they span."""
+"""Samples held at most, 100 s at 2 kHz (20 MB), whatever time they span."""
+
+OLD = 4
+"""Samples that are too old are dropped once they are one part in so many of all: each is moved three times then."""
+
+NUMBERS = 10
+"""Of a sample: position, orientation and velocity."""
 
 
 class Arrival(Enum):
@@ -35,63 +41,79 @@ class OdometryHistory:
     def __init__(self, held_s: float) -> None:
         """Hold samples for at least `held_s` seconds, in terms of their stamps."""
         self._held_ns = round(held_s * 1e9)
-        self._states: list[PlatformState] = []
+        self._stamps = array("q")
+        self._numbers = array("d")  # as plain numbers: objects would take ten times as much memory
+        self._covariances: list[F64] = []  # equal ones are one
         self._apart: PlatformState | None = None
 
     def __len__(self) -> int:
         """Number of samples held."""
-        return len(self._states)
+        return len(self._stamps)
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
         """Stamps of the first and the last sample; None if there is none."""
-        return (self._states[0].stamp_ns, self._states[-1].stamp_ns) if self._states else None
+        return (self._stamps[0], self._stamps[-1]) if self._stamps else None
 
     def add(self, state: PlatformState) -> Arrival:
         """Take a sample in: in constant time on average if samples come in order."""
-        if not self._states or -REORDERED_NS <= state.stamp_ns - self._states[-1].stamp_ns <= self._held_ns:
+        if not self._stamps or -REORDERED_NS <= state.stamp_ns - self._stamps[-1] <= self._held_ns:
             self._apart = None
             return self._insert(state)
         apart, self._apart = self._apart, state
         if apart is None or not self._is_continued(apart, state):
             return Arrival.SET_ASIDE
         self._apart = None
-        del self._states[bisect.bisect_left(self._states, apart.stamp_ns, key=_stamp) :]
-        self._states += [apart, state]
+        self._drop(bisect.bisect_left(self._stamps, apart.stamp_ns), len(self))
+        self._put(len(self), apart)
+        self._put(len(self), state)
         return Arrival.RESTARTED
 
     def around(self, start_ns: int, end_ns: int) -> list[PlatformState]:
         """The samples from the last before `start_ns` to the first after `end_ns`; none if these are not covered."""
-        first = bisect.bisect_right(self._states, start_ns, key=_stamp) - 1
-        last = bisect.bisect_left(self._states, end_ns, key=_stamp)
-        return self._states[first : last + 1] if 0 <= first < last < len(self._states) else []
+        first = bisect.bisect_right(self._stamps, start_ns) - 1
+        last = bisect.bisect_left(self._stamps, end_ns)
+        return [self._at(place) for place in range(first, last + 1)] if 0 <= first < last < len(self) else []
 
     def _is_continued(self, apart: PlatformState, state: PlatformState) -> bool:
         """Whether a sample comes after the one set aside, and is closer to it than to the latest one."""
         step_ns = state.stamp_ns - apart.stamp_ns
-        return 0 < step_ns < abs(state.stamp_ns - self._states[-1].stamp_ns)
+        return 0 < step_ns < abs(state.stamp_ns - self._stamps[-1])
 
     def _insert(self, state: PlatformState) -> Arrival:
-        if not self._states or state.stamp_ns > self._states[-1].stamp_ns:
-            self._states.append(state)
+        if not self._stamps or state.stamp_ns > self._stamps[-1]:
+            self._put(len(self), state)
             self._forget()
             return Arrival.IN_ORDER
-        place = bisect.bisect_left(self._states, state.stamp_ns, key=_stamp)
-        if self._states[place].stamp_ns == state.stamp_ns:
-            self._states[place] = state
+        place = bisect.bisect_left(self._stamps, state.stamp_ns)
+        if self._stamps[place] == state.stamp_ns:
+            self._drop(place, place + 1)
+            self._put(place, state)
             return Arrival.REPEATED
-        self._states.insert(place, state)
+        self._put(place, state)
         return Arrival.REORDERED
 
     def _forget(self) -> None:
-        """Drop what is too old once it is more than half of all, so that each sample is moved once on average."""
-        oldest_ns = self._states[-1].stamp_ns - self._held_ns
-        half = len(self._states) // 2
-        if self._states[half].stamp_ns < oldest_ns:
-            del self._states[: bisect.bisect_left(self._states, oldest_ns, key=_stamp)]
-        elif len(self._states) > MOST_STATES:
-            del self._states[:half]
+        """Drop what is too old once it is a good part of all, so that each sample is moved a few times on average."""
+        oldest_ns = self._stamps[-1] - self._held_ns
+        if self._stamps[len(self) // OLD] < oldest_ns:
+            self._drop(0, bisect.bisect_left(self._stamps, oldest_ns))
+        elif len(self) > MOST_STATES:
+            self._drop(0, len(self) // OLD)
 
+    def _at(self, place: int) -> PlatformState:
+        numbers = np.array(self._numbers[NUMBERS * place : NUMBERS * (place + 1)])
+        return PlatformState(self._stamps[place], numbers[:3], numbers[3:7], numbers[7:], self._covariances[place])
 
-def _stamp(state: PlatformState) -> int:
-    return state.stamp_ns
+    def _put(self, place: int, state: PlatformState) -> None:
+        """Insert a sample before the one at `place`."""
+        covariance = state.covariance
+        if place and np.array_equal(covariance, self._covariances[place - 1]):
+            covariance = self._covariances[place - 1]
+        self._stamps.insert(place, state.stamp_ns)
+        numbers = array("d", (*state.position, *state.orientation, *state.velocity))
+        self._numbers[NUMBERS * place : NUMBERS * place] = numbers
+        self._covariances.insert(place, covariance)
+
+    def _drop(self, first: int, end: int) -> None:
+        del self._stamps[first:end], self._covariances[first:end], self._numbers[NUMBERS * first : NUMBERS * end]

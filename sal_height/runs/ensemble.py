@@ -19,6 +19,7 @@ from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ground_mapper import GroundMapper
 from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.navigation import NavigationNode
 from sal_height.nodes.paced_player import PacedPlayer
 from sal_height.nodes.player import Player
 from sal_height.nodes.program import run_node
@@ -36,6 +37,7 @@ NODES: dict[str, type[Any]] = {
     "simulator": Simulator,
     "player": Player,
     "paced_player": PacedPlayer,
+    "navigation": NavigationNode,
     "sar_compression": SarCompression,
     **HEIGHT_NODES,
     "psf_calibration": PsfCalibration,

@@ -1,0 +1,146 @@
+"""Node navigation: makes platform/odometry of positions, velocities and attitudes that come on topics of their own."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu, NavSatFix
+
+from sal_height import messages
+from sal_height.errors import Rejected
+from sal_height.geometry import Navigation, Origin
+from sal_height.nodes.program import run_node
+from sal_height.nodes.role import Topics
+from sal_height.nodes.stage import ODOMETRY_QOS, Stage, StageParameters
+from sal_height.settings import setting
+
+INSTRUMENT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Instruments: a best-effort subscription receives from any publisher."""
+
+
+class Parameters(StageParameters):
+    """Parameters of the node."""
+
+    position: str = setting(
+        "pose",
+        "where position and attitude come from: pose is topic platform/pose; fix is the position on platform/fix and "
+        "the attitude on platform/imu",
+        choices=("pose", "fix"),
+        read_only=True,
+    )
+    velocity: str = setting(
+        "twist",
+        "where the velocity comes from: twist is topic platform/twist, positions are differences of positions",
+        choices=("twist", "positions"),
+        read_only=True,
+    )
+    longest_gap_s: float = setting(
+        0.5,
+        "longest time between two samples of a topic",
+        unit="s",
+        minimum=1e-3,
+        maximum=60.0,
+        read_only=True,
+    )
+    origin_latitude_deg: float = setting(
+        0.0, "latitude of the map's origin, for fixes", unit="deg", minimum=-90.0, maximum=90.0, read_only=True
+    )
+    origin_longitude_deg: float = setting(
+        0.0, "longitude of the map's origin, for fixes", unit="deg", minimum=-180.0, maximum=180.0, read_only=True
+    )
+    origin_height_m: float = setting(
+        0.0,
+        "height of the map's origin above the WGS-84 ellipsoid, for fixes",
+        unit="m",
+        minimum=-1000.0,
+        maximum=10_000.0,
+        read_only=True,
+    )
+    map_frame: str = setting("map", "name of the map's frame in the headers of poses and twists", read_only=True)
+    body_frame: str = setting(
+        "base_link", "name of the platform's frame in the headers of twists and Imu messages", read_only=True
+    )
+
+
+class NavigationNode(Stage):
+    """Merges what instruments of the platform measure into its odometry, one sample for each attitude.
+
+    An attitude waits for the next position and velocity, so that odometry comes that much later.
+    """
+
+    parameters = Parameters
+    inputs: ClassVar[Topics] = {
+        "platform/pose": "position and attitude, geometry_msgs/PoseStamped (position: pose)",
+        "platform/fix": "satellite fix, sensor_msgs/NavSatFix (position: fix)",
+        "platform/imu": "attitude against east, north and up, sensor_msgs/Imu (position: fix)",
+        "platform/twist": "velocity in map or body axes, geometry_msgs/TwistStamped (velocity: twist)",
+    }
+    outputs: ClassVar[Topics] = {"platform/odometry": "state of the platform, nav_msgs/Odometry"}
+
+    def __init__(self, **node_arguments: Any) -> None:
+        """Make the node; `node_arguments` go to rclpy's Node.
+
+        Raises:
+            UserError: a parameter has a value that is not allowed.
+        """
+        super().__init__("navigation", **node_arguments)
+        now: Parameters = self.current_parameters()
+        self._map_frame, self._body_frame = now.map_frame, now.body_frame
+        latitude, longitude = math.radians(now.origin_latitude_deg), math.radians(now.origin_longitude_deg)
+        self._origin = Origin(latitude, longitude, now.origin_height_m)
+        has_twist, has_fix = now.velocity == "twist", now.position == "fix"
+        self._navigation = Navigation(
+            now.longest_gap_s, velocity_is_measured=has_twist, local_to=self._origin if has_fix else None
+        )
+        self._restarts = 0
+        self._odometry = self.offer(Odometry, "platform/odometry", ODOMETRY_QOS)
+        if has_fix:
+            self.listen(NavSatFix, "platform/fix", self._on_fix, INSTRUMENT_QOS)
+            self.listen(Imu, "platform/imu", self._on_imu, INSTRUMENT_QOS)
+        else:
+            self.listen(PoseStamped, "platform/pose", self._on_pose, INSTRUMENT_QOS)
+        if has_twist:
+            self.listen(TwistStamped, "platform/twist", self._on_twist, INSTRUMENT_QOS)
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        position, attitude = messages.read_pose(message, self._map_frame)
+        self._navigation.add_position(position)
+        self._navigation.add_attitude(attitude)
+        self._publish()
+
+    def _on_fix(self, message: NavSatFix) -> None:
+        self._navigation.add_position(messages.read_fix(message, self._origin))
+        self._publish()
+
+    def _on_imu(self, message: Imu) -> None:
+        self._navigation.add_attitude(messages.read_attitude(message, self._body_frame))
+        self._publish()
+
+    def _on_twist(self, message: TwistStamped) -> None:
+        velocity, in_body = messages.read_twist(message, self._map_frame, self._body_frame)
+        self._navigation.add_velocity(velocity, in_body=in_body)
+        self._publish()
+
+    def _publish(self) -> None:
+        states, declined = self._navigation.take()
+        for reason in declined:
+            self.ignore(reason.reason, reason)
+        for state in states:
+            self._odometry.publish(messages.state_to_message(state, messages.to_stamp(state.stamp_ns)))
+        if self._navigation.restarts > self._restarts:
+            self._restarts = self._navigation.restarts
+            sentence = "Stamps have gone back by more than a second: a clock has started anew, or two sources publish."
+            self.ignore("clock restarted", Rejected("clock restarted", sentence))
+
+
+def main() -> int:
+    """Console script."""
+    return run_node(NavigationNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,145 @@
+"""Node navigation: odometry of poses and twists, or of satellite fixes and an inertial unit."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
+from instrument_messages import fix_at, imu_at, pose_of, twist_of
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu, NavSatFix
+from std_msgs.msg import Header
+
+from sal_height import messages
+from sal_height.geometry import Origin, PlatformState
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.navigation import NavigationNode
+from sal_height.nodes.stage import ODOMETRY_QOS
+from sal_height.simulation.flight import SimulatedFlight
+
+TIMEOUT_S = 20.0
+ORIGIN_DEG = {"origin_latitude_deg": 48.1, "origin_longitude_deg": 11.3, "origin_height_m": 550.0}
+ORIGIN = Origin(math.radians(48.1), math.radians(11.3), 550.0)
+
+
+class Instruments(Node):
+    """Publishes what instruments measure, and keeps the odometry that node navigation makes of it."""
+
+    def __init__(
+        self, graph: Graph, reliability: ReliabilityPolicy = ReliabilityPolicy.BEST_EFFORT, **parameters: Any
+    ) -> None:
+        super().__init__("instruments", context=graph.context)
+        self.graph = graph
+        graph.add(self)
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        self.node = graph.add(NavigationNode(context=graph.context, parameter_overrides=overrides))
+        self.odometry: list[Odometry] = []
+        self.create_subscription(Odometry, "platform/odometry", self.odometry.append, ODOMETRY_QOS)
+        kinds = {"pose": PoseStamped, "twist": TwistStamped, "fix": NavSatFix, "imu": Imu}
+        qos = QoSProfile(depth=1000, reliability=reliability)
+        self.topics = {kind: self.create_publisher(kind, f"platform/{name}", qos) for name, kind in kinds.items()}
+        needed = (2 if "position" in parameters else 1) + (parameters.get("velocity") != "positions")
+        assert graph.spin_until(self.are_matched(needed), TIMEOUT_S)
+
+    def are_matched(self, needed: int) -> Any:
+        def matched() -> bool:
+            heard = sum(topic.get_subscription_count() for topic in self.topics.values())
+            return heard >= needed and self.count_publishers("platform/odometry") == 1 and self.node.is_ready
+
+        return matched
+
+    def send(self, *sent: Any) -> None:
+        for message in sent:
+            self.topics[type(message)].publish(message)
+
+    def await_odometry(self, count: int) -> list[PlatformState]:
+        assert self.graph.spin_until(lambda: len(self.odometry) >= count, TIMEOUT_S), self.node.last_rejection
+        return [messages.state_from_message(message) for message in self.odometry]
+
+    def await_ignored(self, reason: str) -> str:
+        assert self.graph.spin_until(lambda: f"ignored.{reason}" in self.node.tally.summary(), TIMEOUT_S)
+        return self.node.last_rejection
+
+
+@pytest.mark.parametrize("reliability", [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE])
+@pytest.mark.parametrize("frame", ["map", "base_link"])
+def test_poses_and_twists_are_the_odometry_that_they_were_made_of(
+    frame: str, reliability: ReliabilityPolicy, graph: Graph, flight: SimulatedFlight
+) -> None:
+    sent = flight.platform_states(0)
+    sent = [PlatformState(s.stamp_ns + 10**12, s.position, s.orientation, s.velocity, s.covariance) for s in sent]
+    instruments = Instruments(graph, reliability)
+    for state in sent:
+        instruments.send(twist_of(state, frame), pose_of(state))
+    made = instruments.await_odometry(len(sent))
+    assert len(sent) == 5
+    for one, other in zip(made, sent, strict=True):
+        assert one.stamp_ns == other.stamp_ns
+        np.testing.assert_array_equal(one.position, other.position)
+        np.testing.assert_allclose(one.orientation, other.orientation, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(one.velocity, other.velocity, rtol=0, atol=1e-13)
+
+
+def test_fixes_and_attitudes_become_odometry_in_a_map_on_the_earth(graph: Graph) -> None:
+    """The platform flies north at a constant rate of latitude: 1e-5 degrees in 0.1 s are 11.1 m/s."""
+    instruments = Instruments(graph, position="fix", velocity="positions", **ORIGIN_DEG)
+    for tenth in range(6):
+        instruments.send(fix_at(0.1 * tenth, 48.1 + 1e-5 * tenth))
+        instruments.send(*(imu_at(0.1 * tenth + 0.02 * step) for step in range(1, 5)))
+    made = instruments.await_odometry(4 * 3)  # between the second fix and the last but one
+    latitudes = [48.1 + 1e-4 * (state.stamp_ns * 1e-9 - 1000) for state in made]
+    for state, latitude in zip(made, latitudes, strict=True):
+        place = ORIGIN.to_map(math.radians(latitude), math.radians(11.3), 3000.0)
+        np.testing.assert_allclose(state.position, place, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(state.velocity, [0.0, 11.12, 0.0], rtol=0, atol=0.01)
+        assert state.covariance[2, 2] == 9.0
+    assert set(instruments.node.tally.summary()) & {"ignored.no velocity"}  # at the first fix there is none
+
+
+@pytest.mark.parametrize(
+    ("message", "reason", "said"),
+    [
+        (fix_at(0.0, 48.1, status=-1), "no satellite fix", "has no fix"),
+        (fix_at(0.0, float("nan")), "not finite", "NavSatFix has NaN"),
+        (fix_at(0.0, 148.1), "no satellite fix", "from -90 to 90"),
+        (fix_at(0.0, 0.0, 0.0), "far from the origin", "set origin_latitude_deg"),
+        (imu_at(0.0, frame="imu_link"), "wrong frames", "must be 'base_link'"),
+        (imu_at(0.0, x=0.5), "no rotation", "norm 1"),
+    ],
+)
+def test_what_cannot_be_used_is_counted_and_the_next_is_used(
+    message: Any, reason: str, said: str, graph: Graph
+) -> None:
+    instruments = Instruments(graph, position="fix", velocity="twist", **ORIGIN_DEG)
+    instruments.send(message)
+    assert said in instruments.await_ignored(reason)
+    stamp = fix_at(1.0, 48.1).header.stamp
+    twist = TwistStamped(header=Header(stamp=stamp, frame_id="map"), twist=Twist(linear=Vector3(x=50.0)))
+    instruments.send(twist, fix_at(1.0, 48.1), imu_at(1.0))
+    (state,) = instruments.await_odometry(1)
+    np.testing.assert_allclose(state.position, [0, 0, 2450.0], atol=1e-6)
+
+
+def test_frames_have_the_names_that_parameters_say(graph: Graph, flight: SimulatedFlight) -> None:
+    state = flight.platform_states(0)[-1]
+    instruments = Instruments(graph, map_frame="odom", body_frame="aircraft")
+    instruments.send(twist_of(state, "map"))
+    assert "'odom' or 'aircraft'" in instruments.await_ignored("wrong frames")
+    twist = twist_of(state, "map")
+    twist.header.frame_id = "odom"
+    instruments.send(twist, pose_of(state, "odom"))
+    (made,) = instruments.await_odometry(1)
+    np.testing.assert_array_equal(made.position, state.position)
+
+
+def test_two_sources_are_told_from_one(graph: Graph, flight: SimulatedFlight) -> None:
+    first, *_, last = flight.platform_states(0)
+    instruments = Instruments(graph)
+    instruments.send(pose_of(last), pose_of(first))
+    assert "Do two sources publish?" in instruments.await_ignored("late position")

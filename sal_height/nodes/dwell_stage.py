@@ -16,6 +16,7 @@ from sal_height_msgs.msg import ChannelFrame, ComplexImage, SensorInfo
 from sal_height import messages
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.dwell import Dwell, DwellAssembler, Key, WaitingClock
+from sal_height.nodes.held import Held
 from sal_height.nodes.stage import LATCHED_QOS, Stage, StageParameters
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
@@ -24,7 +25,12 @@ HELD_EARLY = 256
 """Messages held that wait for their sensor info: a dwell of the greatest number of channels, twice."""
 
 HELD_SENSORS = 4
-"""Sensor descriptions held: messages made with one may come after the next."""
+"""Sensor descriptions held: messages made with one may come after the next. Those of which messages have come stay."""
+
+CONTRADICTION = (
+    "SensorInfo contradicts the earlier one of config_hash {!r}, which stays in force; give a description whose values "
+    "have changed another config_hash."
+)
 
 GONE_AFTER = 3
 """Dwells in a row that lack a channel before the next ones are no longer held back for it."""
@@ -34,6 +40,9 @@ MAY_BE_LOST = (
     "(`sal-height transport` gives it more)"
 )
 """Why messages that were published may not come."""
+
+REHEARSED_BYTES = 32_000_000
+"""Largest dwell that is rehearsed: the work on a larger one takes longer than tables and loading of code."""
 
 TICK_S = 0.1
 """Period at which the node looks for dwells that are overdue."""
@@ -111,13 +120,14 @@ class DwellStage(Stage):
             UserError: a parameter has a value that is not allowed.
         """
         super().__init__(name, **node_arguments)
-        self._sensors: dict[str, Sensor] = {}
+        self._sensors = Held[Sensor](HELD_SENSORS)
         self._assembler: DwellAssembler[Any] = DwellAssembler()
         self._early: list[_Early] = []
         self._newest_ns = 0
         self._waiting = WaitingClock()
         self._absences: dict[str, Counter[int]] = {}
         self._rehearsed = False
+        self._to_rehearse: Sensor | None = None
         self._message_type = message_type
         self.listen(SensorInfo, "sensor_info", self._on_sensor_info, LATCHED_QOS)
         self.listen(message_type, topic, self._on_message, read=self.decode)
@@ -251,30 +261,44 @@ class DwellStage(Stage):
         except UserError as error:
             self.ignore("sensor info", error)
             return
+        known = self._sensors.get(sensor.config_hash)
+        if known is not None and known.digest != sensor.digest:
+            self.ignore("sensor info", UserError(CONTRADICTION.format(sensor.config_hash)))
+            return
         self.hardware_id = sensor.name
-        if sensor.config_hash not in self._sensors:
-            self.submit(0, lambda: self._rehearse(sensor))
-        self._sensors.pop(sensor.config_hash, None)  # to be the last that is forgotten
-        self._sensors[sensor.config_hash] = sensor
+        if known is None and not self._sensors.is_in_use:
+            self._rehearse_with(sensor)
+        gone = self._sensors.put(sensor.config_hash, sensor)
         self._absences.setdefault(sensor.config_hash, Counter())
         self._assembler.forget_finished(sensor.config_hash)
-        if len(self._sensors) > HELD_SENSORS:
-            self._forget(next(iter(self._sensors)))
+        if gone:
+            self._forget(gone)
         waiting, self._early = self._early, []
         for early in waiting:
             self._take_in(early.message, early.came)
         self.advance()
 
-    def _rehearse(self, sensor: Sensor) -> int:
-        """Rehearse; whatever goes wrong will be told when it concerns a dwell."""
-        with suppress(Exception):
-            self.rehearse(sensor)
+    def _rehearse_with(self, sensor: Sensor) -> None:
+        """Rehearse once the worker comes to it; if more sensors are described until then, with the last one only."""
+        is_due, self._to_rehearse = self._to_rehearse is not None, sensor
+        if not is_due:
+            self.submit(0, self._rehearse)
+
+    def _rehearse(self) -> int:
+        """Rehearse; whatever goes wrong will be told when it concerns a dwell.
+
+        There is no rehearsal for large dwells, which would gain little and wait long for it, nor once messages of a
+        sensor have come, which are to be processed.
+        """
+        sensor, self._to_rehearse = self._to_rehearse, None
+        if sensor and sensor.dwell_bytes <= REHEARSED_BYTES:
+            with suppress(Exception):
+                self.rehearse(sensor)
         self._rehearsed = True
         return 0
 
     def _forget(self, config_hash: str) -> None:
-        """Drop the description of a sensor, and its unfinished dwells."""
-        del self._sensors[config_hash]
+        """Drop the unfinished dwells of a sensor whose description is not held any more."""
         for dwell in self._assembler.held():
             if dwell.key.config_hash == config_hash:
                 missing = None if dwell.absent else self._hand_over(dwell)
@@ -292,7 +316,7 @@ class DwellStage(Stage):
     def _take_in(self, message: Any, now: float) -> bool:
         """Add a message to its dwell; whether there may be something to hand over or to give up now."""
         try:
-            sensor = self._sensors.get(message.config_hash)
+            sensor = self._sensors.use(message.config_hash)
             if sensor is None:
                 self._early.append(_Early(message, now))
                 self._newest_ns = max(self._newest_ns, message.stamp_ns)

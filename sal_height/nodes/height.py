@@ -20,6 +20,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import ReceivedImage
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage, WholeDwell
+from sal_height.nodes.held import Held
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS, height_topics
@@ -66,7 +67,7 @@ class HeightNode(DwellStage):
             UserError: a parameter has a value that is not allowed.
         """
         super().__init__(self.estimator.node, ComplexImage, "slc", **node_arguments)
-        self._calibrations: dict[str, Calibration] = {}
+        self._calibrations = Held[Calibration](HELD_CALIBRATIONS)
         self._made: dict[int, Made] = {}
         self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS, optional=True)
         self._height = self.offer(HeightImage, f"{self.product}/height")
@@ -143,7 +144,7 @@ class HeightNode(DwellStage):
         applied = image.provenance.calibration_id
         if applied in {"", sensor.calibration_id}:
             return None
-        calibration = self._calibrations.get(applied)
+        calibration = self._calibrations.use(applied)
         if calibration is None:
             raise Rejected(
                 "no calibration",
@@ -158,8 +159,7 @@ class HeightNode(DwellStage):
         except UserError as error:
             self.ignore("calibration", error)
             return
-        held = [*self._calibrations.values(), calibration][-HELD_CALIBRATIONS:]
-        self._calibrations = {one.id: one for one in held}
+        self._calibrations.put(calibration.id, calibration)
 
 
 def height_node(estimator: ElevationEstimator) -> type[HeightNode]:

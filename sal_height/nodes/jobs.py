@@ -16,7 +16,7 @@ class Job(NamedTuple):
 
     Attributes:
         run: does the work; must not raise.
-        messages: number of messages that it consumes.
+        messages: number of messages that it consumes; 0: it is work of the node's own, which is never left out.
         size: bytes that these hold.
         item: what is worked on, for work that looks ahead.
     """
@@ -34,6 +34,8 @@ class JobQueue:
         self._changed = threading.Condition()
         self._waiting: deque[Job] = deque()
         self._waiting_size = 0
+        self._droppable = 0
+        """Number of jobs that wait and have messages."""
         self._running = False
         self._closed = False
 
@@ -42,7 +44,7 @@ class JobQueue:
 
         Args:
             job: the job.
-            capacity: greatest number of jobs that may wait, without the one that runs.
+            capacity: greatest number of jobs with messages that may wait, without the one that runs.
             capacity_bytes: greatest sum of their sizes.
             policy: which jobs are dropped to make room.
 
@@ -53,12 +55,14 @@ class JobQueue:
             if self._closed:
                 return [job]
             dropped: list[Job] = []
-            while self._waiting and self._is_full(job, capacity, capacity_bytes):
+            while self._droppable and job.messages and self._is_full(job, capacity, capacity_bytes):
                 if policy == "newest":
                     return [job]
-                dropped.append(self._take())
+                oldest = next(place for place, waiting in enumerate(self._waiting) if waiting.messages)
+                dropped.append(self._take(oldest))
             self._waiting.append(job)
             self._waiting_size += job.size
+            self._droppable += job.messages > 0
             self._changed.notify()
             return dropped
 
@@ -80,7 +84,7 @@ class JobQueue:
         """Drop all jobs that wait."""
         with self._changed:
             self._waiting.clear()
-            self._waiting_size = 0
+            self._waiting_size = self._droppable = 0
 
     def items(self) -> list[Any]:
         """What the jobs that wait work on, in their order."""
@@ -99,9 +103,11 @@ class JobQueue:
             return len(self._waiting) + self._running
 
     def _is_full(self, job: Job, capacity: int, capacity_bytes: float) -> bool:
-        return len(self._waiting) >= capacity or self._waiting_size + job.size > capacity_bytes
+        return self._droppable >= capacity or self._waiting_size + job.size > capacity_bytes
 
-    def _take(self) -> Job:
-        job = self._waiting.popleft()
+    def _take(self, place: int = 0) -> Job:
+        job = self._waiting[place]
+        del self._waiting[place]
         self._waiting_size -= job.size
+        self._droppable -= job.messages > 0
         return job

@@ -19,6 +19,7 @@ from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.messages import Pose, ReceivedFrame
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
+from sal_height.nodes.held import Held
 from sal_height.nodes.odometry import Arrival, OdometryHistory
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
@@ -30,6 +31,9 @@ from sal_height.settings import setting
 
 HEARD = "topic"
 """Value of the parameter calibration: apply the calibration that comes on the topic calibration."""
+
+HELD_CALIBRATIONS = 4
+"""Calibrations of sensors held, of those that come on the topic."""
 
 NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
 
@@ -96,6 +100,8 @@ class SarCompression(DwellStage):
         """Earliest stamp of odometry that a dwell waits for, as far as known; infinity: none does."""
         self._compressor = Compressor()
         self._calibration: Calibration | None = None
+        self._heard = Held[Calibration](HELD_CALIBRATIONS)
+        """Calibrations that came on the topic, by config_hash of their sensor."""
         self._begin_calibration(self.current_parameters().calibration)
         self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS, read=messages.received_pose)
         self._slc = self.offer(ComplexImage, "slc")
@@ -125,7 +131,7 @@ class SarCompression(DwellStage):
         raise Rejected(
             "odometry gap",
             f"Dwell {frame.dwell}: platform/odometry must reach from its first pulse to its last with a sample "
-            f"every {limit:g} s (max_odometry_gap_s); {found}.",
+            f"every {limit:g} s (max_odometry_gap_s); {found}.{self.crowd_warning}",
         )
 
     def _odometry_held(self, start_ns: int) -> str:
@@ -178,17 +184,15 @@ class SarCompression(DwellStage):
 
     def _calibration_for(self, sensor: Sensor) -> Calibration | None:
         """The calibration to apply to a sensor's frames: that of the file, or its own if it was heard on the topic."""
-        calibration = self._calibration
-        heard = self.current_parameters().calibration == HEARD
-        if calibration is None or (heard and calibration.config_hash != sensor.config_hash):
-            return None
-        return calibration
+        return self._calibration or self._heard.use(sensor.config_hash)
 
     def _on_calibration(self, message: CalibrationMessage) -> None:
         try:
-            self._calibration = messages.calibration_from_message(message)
+            calibration = messages.calibration_from_message(message)
         except UserError as error:
             self.ignore("calibration", error)
+            return
+        self._heard.put(calibration.config_hash, calibration)
 
     def _on_odometry(self, pose: Pose) -> None:
         try:

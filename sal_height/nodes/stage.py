@@ -11,7 +11,6 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,12 +18,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
-from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from sal_height.errors import Rejected, UserError
@@ -40,6 +36,7 @@ from sal_height.nodes.account import (
     SUBSCRIBERS,
     Account,
 )
+from sal_height.nodes.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.jobs import Job, JobQueue
 from sal_height.nodes.parameters import LiveParameters
@@ -60,11 +57,6 @@ LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durabi
 LATCHED_HELD = 8
 """Messages of a latched topic that wait until a node takes them; with fewer, one overwrites another in the meantime."""
 
-QOS_OVERRIDES = QoSOverridingOptions(
-    [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY]
-)
-"""Policies that users can set by the qos_overrides parameters; rclpy writes them into the profile that it is given."""
-
 SENSOR_TOPICS = {
     "sensor_info": "description of the sensor, latched",
     "platform/odometry": "state of the platform, nav_msgs/Odometry",
@@ -79,9 +71,6 @@ CALIBRATION = {"calibration": "calibration of receivers and beams, latched"}
 """What a calibration is published on."""
 
 DIAGNOSTICS_PERIOD_S = 0.5
-
-RECENT_S = 10.0
-"""The level of the diagnostics tells what was lost in this time; the counts tell what was lost at all."""
 
 
 class StageParameters(Settings):
@@ -115,59 +104,6 @@ class StageParameters(Settings):
     def max_memory_bytes(self) -> int:
         """Memory for unfinished dwells, bytes."""
         return self.max_memory_mb * 1_000_000
-
-
-class Outlet:
-    """A publisher that counts its messages."""
-
-    def __init__(self, publisher: Publisher) -> None:
-        self.publisher = publisher
-        self.topic: str = publisher.topic_name
-        self.published = 0
-
-    @property
-    def subscribers(self) -> int:
-        """Number of subscriptions that receive its messages."""
-        return int(self.publisher.get_subscription_count())
-
-    @property
-    def keeps_all(self) -> bool:
-        """Whether it is meant to deliver every message; of a latched topic only the last one matters."""
-        return bool(self.publisher.qos_profile.durability != DurabilityPolicy.TRANSIENT_LOCAL)
-
-    def publish(self, message: Any) -> None:
-        """Publish a message, or the bytes of a serialized one."""
-        self.publisher.publish(message)
-        self.published += 1
-
-    def publish_if_heard(self, make: Callable[[], Any]) -> None:
-        """Make a message and publish it, if there is a subscription."""
-        if self.subscribers:
-            self.publish(make())
-
-
-@dataclass
-class Inlet:
-    """A topic that a node needs.
-
-    Attributes:
-        subscription: of the topic.
-        latched: whether one message is enough for all time.
-        heard_at: when the last message came, s of the monotonic clock.
-    """
-
-    subscription: Subscription
-    latched: bool
-    heard_at: float = -math.inf
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether the topic has a publisher, from which messages come without delay."""
-        return bool(self.subscription.get_publisher_count())
-
-    def is_silent(self, now: float) -> bool:
-        """Whether messages that should come do not."""
-        return now - self.heard_at > (math.inf if self.latched and self.heard_at > 0 else RECENT_S)
 
 
 class Stage(Role, Node):
@@ -238,7 +174,7 @@ class Stage(Role, Node):
         optional: bool = False,
         read: Callable[[bytes], Any] | None = None,
     ) -> None:
-        """Subscribe; users can adapt the QoS to a publisher of theirs by the qos_overrides parameters.
+        """Subscribe; if the only publishers offer less than `qos`, with what they offer.
 
         Args:
             message_type: class of the messages.
@@ -248,11 +184,10 @@ class Stage(Role, Node):
             optional: whether the node can do its work without a message on this topic.
             read: makes what the callback takes of a serialized message, or raises RuntimeError; None: rclpy does.
         """
-        latched, profile = qos is LATCHED_QOS, copy.copy(qos)
-        profile.depth = LATCHED_HELD if latched else qos.depth
+        profile = copy.copy(qos)
+        profile.depth = LATCHED_HELD if qos is LATCHED_QOS else qos.depth
 
         def receive(message: Any) -> None:
-            inlet.heard_at = time.monotonic()
             try:
                 taken = read(message) if read else message
             except RuntimeError as error:  # rclpy's own error class is private, and a subclass of it
@@ -260,16 +195,17 @@ class Stage(Role, Node):
             else:
                 callback(taken)
 
-        subscription = self.create_subscription(
+        guarded_receive = guarded(receive, self._fail)
+        inlet = Inlet(
+            self,
             message_type,
             topic,
-            guarded(receive, self._fail),
+            guarded_receive,
             profile,
-            event_callbacks=SubscriptionEventCallbacks(matched=self._on_match),
-            qos_overriding_options=QOS_OVERRIDES,
+            self._on_match,
             raw=read is not None,
+            has_one_source=qos is ODOMETRY_QOS,
         )
-        inlet = Inlet(subscription, latched)
         if not optional:
             self._inlets.append(inlet)
 
@@ -425,18 +361,32 @@ class Stage(Role, Node):
         message.header.stamp = self.get_clock().now().to_msg()
         return message
 
+    @property
+    def crowd_warning(self) -> str:
+        """A sentence, after a space, if several nodes publish where only one can be right; else nothing."""
+        crowded = [inlet for inlet in self._inlets if inlet.has_one_source and inlet.publishers > 1]
+        return "".join(f" {inlet.publishers} nodes publish {inlet.topic}: stop all but one." for inlet in crowded)
+
     def silent_topics(self) -> list[str]:
-        """The topics that the node needs and on which no message has come lately."""
-        return [inlet.subscription.topic_name for inlet in self._inlets if inlet.is_silent(time.monotonic())]
+        """The topics that the node needs and on which no message has come lately, and where they might be found."""
+        described = []
+        for inlet in (inlet for inlet in self._inlets if inlet.is_silent(time.monotonic())):
+            elsewhere = ", ".join(inlet.published_elsewhere())
+            hint = f" (there is {elsewhere}: is the namespace right?)" if elsewhere else ""
+            described.append(f"{inlet.topic}{hint}")
+        return described
 
     def _state(self, lost: int) -> tuple[Any, str]:
         """Level and message of the diagnostics, as of the last seconds.
 
-        WARN: messages were lost; STALE: messages that the node needs do not come; OK: neither.
+        WARN: messages were lost, or two sources contradict each other; STALE: messages that the node needs do not come;
+        OK: none of these.
         """
+        if crowd := self.crowd_warning:
+            return DiagnosticStatus.WARN, f"{crowd.strip()} {lost} dropped or ignored in all"
         if time.monotonic() - self._lost_at < RECENT_S:
             return DiagnosticStatus.WARN, f"{lost} dropped or ignored in all, last {self.last_rejection}"
-        if (silent := self.silent_topics()) and not self.jobs:
+        if not self.jobs and (silent := self.silent_topics()):
             return DiagnosticStatus.STALE, f"waiting for {', '.join(silent)}"
         return DiagnosticStatus.OK, "processing"
 

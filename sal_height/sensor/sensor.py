@@ -102,6 +102,11 @@ class Sensor:
         """Equal sensors have equal config hashes; all else would take long to hash for every dwell."""
         return hash(self.config_hash)
 
+    @property
+    def digest(self) -> str:
+        """The config_hash that the sensor would have if none were given: it tells whether two descriptions agree."""
+        return replace(self, config_hash="").config_hash
+
     def _require(self, holds: bool, name: str, allowed: str) -> None:
         """Refuse the value of a field unless it `holds` what is `allowed`."""
         if not holds:
@@ -192,6 +197,11 @@ class Sensor:
             f"to hold the pulse of {duration:g} s and a range window of {window:g} s it must be {np.ceil(samples):.0f} "
             "or more",
         )
+
+    @property
+    def dwell_bytes(self) -> int:
+        """Samples of a dwell as complex64, bytes."""
+        return self.detector_count * self.pulse_count * self.sample_count * 8
 
     @property
     def detector_count(self) -> int:

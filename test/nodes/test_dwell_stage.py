@@ -109,11 +109,13 @@ def test_a_dwell_of_a_sensor_that_is_forgotten_is_dropped_for_what_it_waits_for(
     gate.hear(5, 0, sensor=early)
     for number in range(1, 5):
         gate.describe(other_sensor(number))
+        gate.hear(100, 0, sensor=other_sensor(number))
     counts = gate.counts()
-    assert counts == {"in": 5, "waiting": 1, "dropped.no supply": 3, "dropped.incomplete dwell": 1}
+    assert counts == {"in": 9, "waiting": 5, "dropped.no supply": 3, "dropped.incomplete dwell": 1}
     gate.supply = "now"
     gate.hear(5, 1, 2, sensor=early)  # the frame that came before its description has been taken in
-    gate.await_counts(**{"in": 7, "processed": 3, "out": 3, "dropped.no supply": 3, "dropped.incomplete dwell": 1})
+    lost = {"dropped.no supply": 3, "dropped.incomplete dwell": 1}
+    gate.await_counts(**{"in": 11, "processed": 3, "out": 3, "waiting": 4, **lost})
 
 
 def dropped(gate: Gate) -> dict[str, float]:
@@ -168,16 +170,23 @@ def test_messages_without_sensor_info_are_bounded_by_memory(graph: Graph) -> Non
 
 
 def test_descriptions_of_sensors_are_bounded(gate: Gate) -> None:
-    for number in range(HELD_SENSORS - 1):
+    for number in range(HELD_SENSORS):
         gate.describe(other_sensor(number))
-    gate.hear(0, 0, 1, 2)
-    gate.await_counts(**{"in": 3, "processed": 3, "out": 3})
-    gate.describe(other_sensor(HELD_SENSORS))
     gate.hear(1, 0)
     assert gate.counts()["waiting"] == 1  # for a description that is no longer held
     gate.describe(SENSOR)
     gate.hear(1, 1, 2)
+    gate.await_counts(**{"in": 3, "processed": 3, "out": 3})
+
+
+def test_a_sensor_in_use_is_not_pushed_out_by_descriptions_of_others(gate: Gate) -> None:
+    gate.hear(0, 0, 1, 2)
+    gate.hear(1, 0)
+    for number in range(3 * HELD_SENSORS):
+        gate.describe(other_sensor(number))
+    gate.hear(1, 1, 2)
     gate.await_counts(**{"in": 6, "processed": 6, "out": 6})
+    assert len(gate._sensors) == HELD_SENSORS
 
 
 def test_nothing_is_held_of_sensors_that_are_forgotten(gate: Gate) -> None:

@@ -27,14 +27,23 @@ def waiting(queue: JobQueue) -> list[int]:
 
 
 @pytest.mark.parametrize(
-    ("policy", "dropped", "kept"), [("newest", [[], [], [2], [3]], [0, 1]), ("oldest", [[], [], [0], [1]], [2, 3])]
+    ("policy", "dropped", "kept"), [("newest", [[], [], [3], [4]], [1, 2]), ("oldest", [[], [], [1], [2]], [3, 4])]
 )
 def test_a_full_queue_drops_what_the_policy_says(
     policy: QueuePolicy, dropped: list[list[int]], kept: list[int]
 ) -> None:
     queue = JobQueue()
-    assert [numbers(queue.put(job(number), 2, math.inf, policy)) for number in range(4)] == dropped
+    assert [numbers(queue.put(job(number), 2, math.inf, policy)) for number in range(1, 5)] == dropped
     assert waiting(queue) == kept
+
+
+def test_work_of_the_nodes_own_is_never_left_out_nor_does_it_push_out_messages() -> None:
+    queue = JobQueue()
+    put = [(1, []), (0, []), (2, []), (0, []), (3, [1]), (4, [2]), (0, [])]
+    for number, dropped in put:
+        assert numbers(queue.put(job(number), 2, math.inf, "oldest")) == dropped
+    assert numbers(queue.put(job(5), 2, math.inf, "newest")) == [5]
+    assert waiting(queue) == [0, 0, 3, 4, 0]
 
 
 @pytest.mark.parametrize(("policy", "dropped", "kept"), [("newest", [3], [1, 2]), ("oldest", [1, 2], [3])])

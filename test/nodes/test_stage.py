@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from helpers import make_sensor
+from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
@@ -237,6 +238,31 @@ def test_a_node_that_gets_nothing_is_stale_and_says_what_it_waits_for(graph: Gra
     assert state(graph, node) == (DiagnosticStatus.OK, "processing", "test", True)
 
 
+def test_a_topic_that_is_published_in_another_namespace_is_named(graph: Graph, listening: Listening) -> None:
+    others = graph.add(Node("source", namespace="radar", context=graph.context))
+    others.create_publisher(String, "words", FRAMES_QOS)
+    others.create_publisher(String, "other_words", FRAMES_QOS)
+    assert graph.spin_until(lambda: listening.count_publishers("/radar/words") == 1, TIMEOUT_S)
+    said = "waiting for /words (there is /radar/words: is the namespace right?)"
+    assert state(graph, listening)[:2] == (DiagnosticStatus.STALE, said)
+    others.create_publisher(String, "/words", FRAMES_QOS)
+    assert graph.spin_until(lambda: listening.is_ready, TIMEOUT_S)
+    assert state(graph, listening)[:2] == (DiagnosticStatus.STALE, "waiting for /words")
+
+
+def test_two_sources_of_odometry_are_named(graph: Graph) -> None:
+    node = graph.add(SarCompression(context=graph.context))
+    sources = [graph.add(Node(name, context=graph.context)) for name in ("one", "other")]
+    publishers = [source.create_publisher(Odometry, "platform/odometry", ODOMETRY_QOS) for source in sources]
+    assert graph.spin_until(lambda: bool(node.crowd_warning), TIMEOUT_S)
+    level, message, *_ = state(graph, node)
+    assert level == DiagnosticStatus.WARN
+    assert message == "2 nodes publish /platform/odometry: stop all but one. 0 dropped or ignored in all"
+    sources[1].destroy_publisher(publishers[1])
+    assert graph.spin_until(lambda: not node.crowd_warning, TIMEOUT_S)
+    assert state(graph, node)[0] == DiagnosticStatus.STALE
+
+
 def test_the_level_tells_of_the_last_seconds_and_the_counts_of_all_time(
     graph: Graph, listening: Listening, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -262,3 +288,7 @@ def test_calibrations_are_bounded(graph: Graph, monkeypatch: pytest.MonkeyPatch)
     for number in range(HELD_CALIBRATIONS + 1):
         node._on_calibration(number)
     assert list(node._calibrations) == [str(number) for number in range(1, HELD_CALIBRATIONS + 1)]
+    assert node._calibrations.use("1")
+    for number in range(10, 20):
+        node._on_calibration(number)
+    assert set(node._calibrations) == {"1", "17", "18", "19"}

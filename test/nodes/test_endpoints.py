@@ -1,0 +1,62 @@
+"""Subscriptions that receive from publishers of any quality of service."""
+
+from __future__ import annotations
+
+import pytest
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String
+
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, Stage
+
+TIMEOUT_S = 20.0
+BEST_EFFORT, RELIABLE = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
+VOLATILE, LATCHED = DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL
+
+
+class Hearing(Stage):
+    """A stage that keeps what it hears on a topic."""
+
+    def __init__(self, graph: Graph, qos: QoSProfile) -> None:
+        super().__init__("hearing", context=graph.context)
+        self.heard: list[str] = []
+        self.listen(String, "words", lambda message: self.heard.append(message.data), qos)
+        graph.add(self)
+
+    @property
+    def asks_for(self) -> QoSProfile:
+        return self._inlets[0].subscription.qos_profile
+
+
+@pytest.mark.parametrize("wanted", [FRAMES_QOS, LATCHED_QOS], ids=["frames", "latched"])
+@pytest.mark.parametrize("reliability", [BEST_EFFORT, RELIABLE])
+@pytest.mark.parametrize("durability", [VOLATILE, LATCHED])
+def test_messages_of_any_publisher_are_received(
+    reliability: ReliabilityPolicy, durability: DurabilityPolicy, wanted: QoSProfile, graph: Graph
+) -> None:
+    source = graph.add(Node("source", context=graph.context))
+    offered = QoSProfile(depth=5, reliability=reliability, durability=durability)
+    publisher = source.create_publisher(String, "words", offered)
+    hearing = Hearing(graph, wanted)
+    assert graph.spin_until(lambda: hearing.is_ready and publisher.get_subscription_count() == 1, TIMEOUT_S)
+    publisher.publish(String(data="hello"))
+    assert graph.spin_until(lambda: hearing.heard == ["hello"], TIMEOUT_S)
+    assert hearing.asks_for.reliability == reliability
+    less = VOLATILE in {durability, wanted.durability}
+    assert hearing.asks_for.durability == (VOLATILE if less else LATCHED)
+
+
+def test_a_publisher_that_offers_less_than_another_does_not_make_a_node_ask_for_less(graph: Graph) -> None:
+    source = graph.add(Node("source", context=graph.context))
+    reliable = source.create_publisher(String, "words", FRAMES_QOS)
+    hearing = Hearing(graph, FRAMES_QOS)
+    assert graph.spin_until(lambda: hearing.is_ready, TIMEOUT_S)
+    asked_anew = hearing._inlets[0]._subscribe
+    hearing._inlets[0]._subscribe = pytest.fail
+    source.create_publisher(String, "words", QoSProfile(depth=5, reliability=BEST_EFFORT))
+    assert graph.spin_until(lambda: hearing.count_publishers("words") == 2, TIMEOUT_S)
+    reliable.publish(String(data="hello"))
+    assert graph.spin_until(lambda: hearing.heard == ["hello"], TIMEOUT_S)
+    hearing._inlets[0]._subscribe = asked_anew
+    assert hearing.asks_for.reliability == RELIABLE

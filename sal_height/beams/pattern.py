@@ -128,6 +128,10 @@ def pattern_named(name: str) -> Pattern:
     return PATTERNS[name]
 
 
+LARGEST_DETECTOR = 64.0
+"""Greatest width of a detector, beamwidths; real ones have about 1."""
+
+
 def detector_pattern(name: str, size: tuple[float, float]) -> Pattern:
     """Return the pattern of a rectangular detector behind the aperture called `name` (SAL paper, sections 2 and 3).
 
@@ -139,10 +143,10 @@ def detector_pattern(name: str, size: tuple[float, float]) -> Pattern:
         size: widths of the detector along its axis and beside it, beamwidths; 0: a point.
 
     Raises:
-        UserError: there is no such aperture, or a width is negative or not finite.
+        UserError: there is no such aperture, or a width is negative or greater than LARGEST_DETECTOR.
     """
-    if not all(np.isfinite(width) and width >= 0 for width in size):
-        raise UserError(f"The detector size is {size} beamwidths; both must be finite and 0 or more.")
+    if not all(0 <= width <= LARGEST_DETECTOR for width in size):
+        raise UserError(f"The detector size is {size} beamwidths; both must be from 0 to {LARGEST_DETECTOR:g}.")
     point = pattern_named(name)
     return _averaged(point, size) if any(size) else point
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +36,7 @@ class Mounting:
                 f"The lever arm of the mounting is {self.lever_arm} m; each component must be finite and at most "
                 f"{FARTHEST_ARM:g} m long."
             )
-        if not 0.99 < np.linalg.norm(self.rotation) < 1.01:
+        if not 0.99 < math.hypot(*self.rotation) < 1.01:
             raise UserError(
                 f"The rotation of the mounting is {self.rotation}; it must be a quaternion (x, y, z, w) of norm 1."
             )

@@ -79,6 +79,14 @@ def float_view(floats: Sequence[float], shape: tuple[int, ...]) -> F32:
     return np.frombuffer(memoryview(floats), np.float32).reshape(shape)  # type: ignore[arg-type]
 
 
+FARTHEST = 1e7
+"""Greatest distance from the origin of the map, m: what is farther, or higher, is no place that a platform sees."""
+
+
+FINEST = 1e-6
+"""Least distance of pixels, m: finer than any wavelength."""
+
+
 def grid_from_message(message: messages.ImageGrid) -> Grid:
     """Return the grid that an ImageGrid describes."""
     return Grid(
@@ -147,21 +155,26 @@ def check_geometry(image_grid: messages.ImageGrid, aperture: messages.Aperture, 
     """Check that the grid and the aperture of an image are finite and possible.
 
     Raises:
-        Rejected: a value is not finite, a direction or the orientation has not the norm 1, a spacing is not greater
-            than 0, or the velocity is 0; the sentence begins with `where`.
+        Rejected: a value is not finite or beyond FARTHEST, a direction or the orientation has not the norm 1, a spacing
+            is less than FINEST, or the velocity is 0; the sentence begins with `where`.
     """
     grid, q, velocity = image_grid, aperture.pose.pose.orientation, _numbers(aperture.velocity)
     directions = _numbers(grid.row_direction), _numbers(grid.col_direction)
     places = *_numbers(grid.origin), *_numbers(aperture.pose.pose.position), *velocity
     spacings = grid.row_spacing, grid.col_spacing
-    if not all(map(math.isfinite, (*places, *directions[0], *directions[1], *spacings))):
-        raise Rejected("not finite", f"{where}: grid or aperture has NaN or infinite values; all must be finite.")
+    if not all(abs(number) <= FARTHEST for number in (*places, *directions[0], *directions[1], *spacings)):
+        raise Rejected(
+            "not finite",
+            f"{where}: grid or aperture has values that are NaN, infinite or beyond {FARTHEST:g} m, farther than "
+            "any platform sees.",
+        )
     norms = [math.hypot(*numbers) for numbers in (*directions, (q.x, q.y, q.z, q.w))]
-    if not (all(abs(norm - 1) <= 0.01 for norm in norms) and min(spacings) > 0):
+    if not (all(abs(norm - 1) <= 0.01 for norm in norms) and min(spacings) >= FINEST):
         raise Rejected(
             "wrong geometry",
             f"{where}: row_direction, col_direction and orientation have the norms {np.round(norms, 3).tolist()}, the "
-            f"spacings are {grid.row_spacing:g} and {grid.col_spacing:g} m; norms must be 1, spacings greater than 0.",
+            f"spacings are {grid.row_spacing:g} and {grid.col_spacing:g} m; norms must be 1, spacings {FINEST:g} m or "
+            "more.",
         )
     if not any(velocity):
         raise Rejected("wrong geometry", f"{where}: aperture.velocity is 0; a synthetic aperture needs motion.")

@@ -14,6 +14,7 @@ from sal_height.elevation import ORDERS, USABLE, Validity, scatterer_count
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, above_place
 from sal_height.messages.basics import (
+    FARTHEST,
     MAP_FRAME,
     aperture_from_message,
     aperture_to_message,
@@ -167,8 +168,12 @@ def _surfaces_from_messages(surfaces: Sequence[messages.Surface], grid: Grid, ap
 
 def _is_sound(surface: Surface) -> Bool:
     """Where surfaces can be used: place, height, sigma and the covariances are possible values, same shape."""
-    sound = surface.is_determined & is_covariance(surface.own_covariance)
-    return sound if surface.common_covariance is None else sound & is_covariance(surface.common_covariance)
+    sound = surface.is_determined & (surface.sigma <= FARTHEST) & (surface.spread >= 0) & (surface.spread <= FARTHEST)
+    sound &= (np.abs(surface.positions) <= FARTHEST).all(axis=-1)
+    for covariance in (surface.own_covariance, surface.common_covariance):
+        if covariance is not None:
+            sound &= is_covariance(covariance) & ~(np.abs(covariance) > FARTHEST**2).any(axis=(-2, -1))
+    return sound
 
 
 def _covariances(triangles: Sequence[Sequence[float]], grid: Grid) -> F64:
@@ -190,8 +195,8 @@ def bad_pixel_warning(image: messages.HeightImage, count: int) -> UserError:
     """Return the warning that says how many pixels of a height image were masked."""
     return UserError(
         f"HeightImage of dwell {image.dwell}: {count} of {len(image.validity)} pixels are usable by their validity, "
-        "but their height, sigma, east, north or covariance is not finite, sigma is not greater than 0, or a "
-        "covariance is not positive semidefinite; they are left out."
+        f"but their height, sigma, spread, east, north or covariance is not finite or beyond {FARTHEST:g} m, sigma is "
+        "not greater than 0, or a covariance is not positive semidefinite; they are left out."
     )
 
 

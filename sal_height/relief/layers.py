@@ -24,6 +24,10 @@ STEEPEST_GROUND = 1.7
 """Greatest slope of ground; what rises more steeply, 60 degrees, is a wall."""
 
 
+FARTHEST_CELL = 2.0**40
+"""Greatest row or column of a cell: differences of such numbers do not overflow, and no map is as large."""
+
+
 @dataclass(frozen=True, eq=False)
 class Layers:
     """Pieces of surface, one entry each; distances in m.
@@ -52,7 +56,7 @@ class Layers:
 
     def cells(self, cell_size: float) -> I64:
         """Row (north) and column (east) of the cell that each lies in, shape (n, 2)."""
-        return np.floor(self.place[:, 1::-1] / cell_size).astype(np.int64)
+        return np.clip(np.floor(self.place[:, 1::-1] / cell_size), -FARTHEST_CELL, FARTHEST_CELL).astype(np.int64)
 
     def where(self, chosen: Bool | Index) -> Self:
         """Some of the layers."""
@@ -75,7 +79,8 @@ def _layers_of_surface(surface: Surface, aperture: ApertureState) -> Layers:
     """One layer for each pixel.
 
     Errors along its circle add to the covariance: all of sigma if no covariance is known, and the spread of an extended
-    surface, any part of which may be what is seen at a place.
+    surface, any part of which may be what is seen at a place. Pixels whose circle does not rise at all, right ahead of
+    the platform, are left out: their heights say nothing.
     """
     seen = surface.is_determined & np.isfinite(surface.height)
     points = surface.positions[seen]
@@ -88,13 +93,15 @@ def _layers_of_surface(surface: Surface, aperture: ApertureState) -> Layers:
     variance = np.where(known, 0.0, surface.sigma[seen] ** 2) + surface.spread[seen] ** 2
     own = np.where(known[:, None, None], own, 0.0) + variance[:, None, None] * along_circle
     common = np.zeros_like(own) if surface.common_covariance is None else surface.common_covariance[seen]
-    return Layers(
+    layers = Layers(
         place=np.stack(sphere_coordinates(points), axis=-1),
         own=own,
         common=np.nan_to_num(common),
         towards=sight[:, :2] / sight[:, 2:],
         dwells=np.ones(len(points), dtype=np.int64),
     )
+    rises = np.isfinite(layers.own).all(axis=(1, 2)) & np.isfinite(layers.towards).all(axis=1)
+    return layers.where(np.asarray(rises))
 
 
 def merged(layers: Layers, cell_size: float, gate: float, *, same_dwell: bool) -> Layers:

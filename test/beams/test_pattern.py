@@ -128,7 +128,7 @@ def test_small_detector_is_a_point(name: str) -> None:
 def test_size_out_of_range_is_refused(size: tuple[float, float]) -> None:
     with pytest.raises(UserError) as refusal:
         detector_pattern("jinc", size)
-    assert_one_sentence(str(refusal.value), str(size), "finite and 0 or more")
+    assert_one_sentence(str(refusal.value), str(size), "from 0 to 64")
 
 
 def test_detector_of_an_unknown_aperture_is_refused() -> None:

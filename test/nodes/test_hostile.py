@@ -1,0 +1,132 @@
+"""No message ends a node or makes it fail in a way nobody has thought of; the next good dwell is exact."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+import pytest
+from chain_fixture import DETECTORS, START_NS, Chain, next_dwell_is_exact
+from hostile import feed, hostile
+from instrument_messages import fix_at, imu_at, pose_of, twist_of
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from sal_height_msgs.msg import ComplexImage, HeightImage
+
+from sal_height import messages
+from sal_height.calibration import Calibration
+from sal_height.nodes.domain import free_domain
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.ground_mapper import GroundMapper
+from sal_height.nodes.navigation import NavigationNode
+from sal_height.nodes.relief_mapper import ReliefMapper
+from sal_height.nodes.relief_tracker import ReliefTracker
+from sal_height.nodes.stage import FRAMES_QOS, Stage
+from sal_height.simulation import SimulatedFlight
+
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+"""Numbers that nobody expects overflow; what matters is what becomes of them."""
+
+TIMES = int(os.environ.get("SAL_HEIGHT_HOSTILE", "1"))
+"""So many times as many messages as usual: SAL_HEIGHT_HOSTILE=50 .venv/bin/pytest test/nodes/test_hostile.py"""
+
+TIMEOUT_S = 20.0
+SEEDS = [1, 2]
+
+
+@pytest.fixture(scope="session")
+def good(flight: SimulatedFlight) -> dict[str, Any]:
+    """A good message of every topic of the chain."""
+    with free_domain() as domain, Graph(domain) as graph:
+        chain = Chain(graph, flight, missing_after_s=30.0)
+        images: list[ComplexImage] = []
+        listener = graph.add(Node("listener", context=graph.context))
+        listener.create_subscription(ComplexImage, "slc", images.append, FRAMES_QOS)
+        assert graph.spin_until(lambda: listener.count_publishers("slc") == 1, TIMEOUT_S)
+        chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+        chain.await_heights(0)
+        chain.wait(lambda: bool(images), "an image")
+        heights = chain.heights["ml", 0]
+    sigmas = {f"{what}_sigma": np.zeros(DETECTORS) for what in ("response", "gain", "phase")}
+    response = np.ones((DETECTORS, flight.sensor.sample_count), np.complex128)
+    calibration = Calibration(flight.sensor.config_hash, response=response, dwells=1, **sigmas)
+    return {
+        "/sensor_info": chain.sensor_info(),
+        "/platform/odometry": chain.odometry(0)[1],
+        "/phase_history": chain.frames(0)[1],
+        "/slc": images[0],
+        "/ml/height": heights,
+        "/calibration": messages.calibration_to_message(calibration, messages.to_stamp(START_NS)),
+    }
+
+
+def assert_nothing_unexpected(*nodes: Stage) -> None:
+    for node in nodes:
+        counts = node.tally.summary()
+        assert not {"ignored.internal error", "dropped.internal error"} & set(counts), node.last_rejection
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("topic", ["/sensor_info", "/platform/odometry", "/phase_history", "/slc", "/calibration"])
+def test_hostile_messages_cost_no_good_dwell(
+    topic: str, seed: int, good: dict[str, Any], chain: Chain, reference: dict[tuple[str, int], HeightImage]
+) -> None:
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
+    chain.await_heights(0)
+    for cdr in hostile(good[topic], 400 * TIMES, np.random.default_rng(seed)):
+        for node in chain.stages.values():
+            feed(node, topic, cdr)
+    chain.wait(lambda: not any(node.jobs for node in chain.stages.values()), "the nodes to finish")
+    assert_nothing_unexpected(*chain.stages.values())
+    chain.publish(*chain.odometry(0))  # two hostile samples may have looked like a clock that starts anew
+    next_dwell_is_exact(chain, reference)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("node_type", [ReliefTracker, ReliefMapper, GroundMapper])
+def test_hostile_heights_do_not_make_a_node_fail(
+    node_type: type[Stage], seed: int, good: dict[str, Any], graph: Graph
+) -> None:
+    parameters = [Parameter("max_cells", value=100_000)] if node_type is not ReliefTracker else []
+    node = graph.add(node_type(context=graph.context, parameter_overrides=parameters))
+    for cdr in hostile(good["/ml/height"], 100 * TIMES, np.random.default_rng(seed)):
+        feed(node, "/ml/height", cdr)
+        assert graph.spin_until(lambda: not node.jobs, TIMEOUT_S)
+    before = node.tally.summary()["processed"]
+    feed(node, "/ml/height", serialize_message(good["/ml/height"]))
+    assert graph.spin_until(lambda: node.tally.summary()["processed"] == before + 1, TIMEOUT_S), node.last_rejection
+    assert_nothing_unexpected(node)
+
+
+@pytest.mark.parametrize("source", ["pose", "fix"])
+def test_hostile_instruments_do_not_make_navigation_fail(source: str, graph: Graph, flight: SimulatedFlight) -> None:
+    parameters = [Parameter("position", value=source), Parameter("origin_latitude_deg", value=48.1)]
+    parameters.append(Parameter("origin_longitude_deg", value=11.3))
+    node = graph.add(NavigationNode(context=graph.context, parameter_overrides=parameters))
+    state = flight.platform_states(0)[-1]
+    topics = {"/platform/twist": twist_of(state, "map")}
+    if source == "pose":
+        topics["/platform/pose"] = pose_of(state)
+    else:
+        topics |= {"/platform/fix": fix_at(0.0, 48.1), "/platform/imu": imu_at(0.0)}
+    rng = np.random.default_rng(4)
+    for topic, message in topics.items():
+        for cdr in hostile(message, 1000 * TIMES, rng):
+            feed(node, topic, cdr)
+    assert_nothing_unexpected(node)
+    assert set(node.tally.summary()) > {"in", "processed", "out"}
+
+
+def test_a_sensor_info_that_contradicts_the_one_of_the_same_hash_is_refused(
+    chain: Chain, reference: dict[tuple[str, int], HeightImage]
+) -> None:
+    chain.publish(chain.sensor_info())
+    other = chain.sensor_info()
+    other.waveform.wavelength *= 1.01
+    chain.publish(other, *chain.odometry(0))
+    counts = "ignored.sensor info"
+    chain.wait(lambda: all(s.tally.summary().get(counts) == 1 for s in chain.stages.values()), "a refusal")
+    assert "config_hash" in chain.stages["ml_height"].last_rejection
+    next_dwell_is_exact(chain, reference)

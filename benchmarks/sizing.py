@@ -25,6 +25,9 @@ PICTURE = DOCUMENT.with_name("growth.png")
 
 Numbers = Mapping[str, Any]
 
+SHOWN = 15
+"""Characters that Linux shows of the name of a process."""
+
 MODEL: Mapping[str, Mapping[str, Callable[[Numbers], float]]] = {
     "compression": {
         "dwell": lambda _: 1.0,
@@ -120,7 +123,7 @@ def _cores(measured: Sequence[tuple[Numbers, Numbers]]) -> str:
                 f"{1e-9 * graph['memory_bytes']:.1f}",
                 f"{1e-6 * hz * graph['frame_bytes_per_dwell']:.3g}",
                 f"{1e-6 * hz * graph['recorded_bytes_per_dwell']:.3g}",
-                f"{graph['rate']:.2g}",
+                f"{graph['rate']:.2f}" if graph["rate"] < 1 else f"{graph['rate']:.0f}",
             )
         )
     return _table(head, lines)
@@ -128,9 +131,13 @@ def _cores(measured: Sequence[tuple[Numbers, Numbers]]) -> str:
 
 def _processes(graphs: Sequence[Numbers]) -> str:
     names = list(dict.fromkeys(name for graph in graphs for name in graph["cpu_s_per_dwell"]))
-    lines = [
-        (f"`{name}`", *(f"{1e3 * graph['cpu_s_per_dwell'].get(name, 0.0):.1f}" for graph in graphs)) for name in names
-    ]
+    whole = {name[:SHOWN]: name for graph in graphs for name in graph["core_s_per_dwell"]}
+
+    def line(name: str) -> tuple[str, ...]:
+        times = (1e3 * graph["cpu_s_per_dwell"].get(name, 0.0) for graph in graphs)
+        return f"`{whole.get(name, name)}`", *(f"{time:.1f}" for time in times)
+
+    lines = [line(name) for name in names]
     return _table(("ms of a processor for a dwell", *(f"`{graph['preset']}`" for graph in graphs)), lines)
 
 

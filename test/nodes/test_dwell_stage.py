@@ -15,7 +15,14 @@ from sal_height_msgs.msg import ChannelFrame
 
 from sal_height import messages
 from sal_height.errors import Rejected
-from sal_height.nodes.dwell_stage import GONE_AFTER, HELD_EARLY, HELD_SENSORS, DwellParameters, DwellStage
+from sal_height.nodes.dwell_stage import (
+    GONE_AFTER,
+    HELD_EARLY,
+    HELD_SENSORS,
+    REHEARSED_BYTES,
+    DwellParameters,
+    DwellStage,
+)
 from sal_height.nodes.graph import Graph
 from sal_height.sensor import Sensor
 
@@ -34,6 +41,7 @@ class Gate(DwellStage):
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         self.supply: Any = "supplied"
         self.processed: list[tuple[list[int], Any]] = []
+        self.rehearsed: list[str] = []
         self.may_work, self.at_work = Event(), Event()
         self.may_work.set()
         super().__init__("gate", ChannelFrame, "phase_history", context=graph.context, parameter_overrides=overrides)
@@ -42,6 +50,9 @@ class Gate(DwellStage):
 
     def check(self, message: ChannelFrame, sensor: Sensor) -> None:
         """Every frame will do."""
+
+    def rehearse(self, sensor: Sensor) -> None:
+        self.rehearsed.append(sensor.name)
 
     def supplies(self, dwell: list[Any], _: Sensor) -> Any:
         if self.supply is None:
@@ -187,6 +198,38 @@ def test_a_sensor_in_use_is_not_pushed_out_by_descriptions_of_others(gate: Gate)
     gate.hear(1, 1, 2)
     gate.await_counts(**{"in": 6, "processed": 6, "out": 6})
     assert len(gate._sensors) == HELD_SENSORS
+
+
+def test_once_frames_have_come_no_other_sensor_is_rehearsed(gate: Gate) -> None:
+    gate.hear(0, 0, 1, 2)
+    gate.describe(other_sensor(1))
+    gate.hear(1, 0, 1, 2)
+    gate.await_counts(**{"in": 6, "processed": 6, "out": 6})
+    assert gate.rehearsed == [SENSOR.name]
+
+
+def test_of_many_descriptions_at_once_the_last_is_rehearsed(graph: Graph) -> None:
+    gate = Gate(graph)
+    gate.may_work.clear()
+    gate.describe(SENSOR)
+    gate.hear(0, 0, 1, 2)
+    assert gate.at_work.wait(TIMEOUT_S)  # the worker has a dwell at hand, and SENSOR is rehearsed
+    gate._sensors._used.clear()
+    for number in range(5):
+        gate.describe(other_sensor(number))
+    assert gate.jobs == 2
+    gate.may_work.set()
+    assert graph.spin_until(lambda: gate.jobs == 0, TIMEOUT_S)
+    assert gate.rehearsed == [SENSOR.name, "sensor 4"]
+
+
+def test_large_dwells_are_not_rehearsed(graph: Graph) -> None:
+    gate = Gate(graph)
+    size = SENSOR.dwell_bytes // SENSOR.pulse_count
+    for pulses, rehearsed in ((REHEARSED_BYTES // size + 1, []), (REHEARSED_BYTES // size, [SENSOR.name])):
+        gate.describe(replace(SENSOR, pulse_count=pulses, config_hash=""))
+        assert graph.spin_until(lambda: gate.jobs == 0, TIMEOUT_S)
+        assert gate.rehearsed == rehearsed
 
 
 def test_nothing_is_held_of_sensors_that_are_forgotten(gate: Gate) -> None:

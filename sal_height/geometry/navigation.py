@@ -246,7 +246,8 @@ class Navigation:
         if index == len(self._positions.samples) - 1:
             raise Awaited(self._positions.what)
         before, here, after = self._positions.samples[index - 1 : index + 2]
-        self._positions.around(here.stamp_ns - 1)  # declines a gap
+        for stamp_ns in (here.stamp_ns - 1, here.stamp_ns + 1):
+            self._positions.around(stamp_ns)  # declines a gap
         first_s, second_s = (here.stamp_ns - before.stamp_ns) * 1e-9, (after.stamp_ns - here.stamp_ns) * 1e-9
         first, second = (here.value - before.value) / first_s, (after.value - here.value) / second_s
         return (second_s * first + first_s * second) / (first_s + second_s)

@@ -70,6 +70,7 @@ class Inlet:
         latched: whether one message is enough for all time.
         has_one_source: whether several publishers would contradict each other.
         heard_at: when the last message came, s of the monotonic clock.
+        unsuited: how often a publisher was found whose quality of service does not suit the subscription.
     """
 
     def __init__(
@@ -99,6 +100,7 @@ class Inlet:
         self.has_one_source = has_one_source
         self.latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         self.heard_at = -math.inf
+        self.unsuited = 0
         self._node, self._name = node, topic
         self._profile = copy.copy(qos)
 
@@ -150,6 +152,7 @@ class Inlet:
     def _ask_for_less(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         """Subscribe anew if no publisher offers what is asked for, but one does less."""
         policy = qos_policy_name_from_kind(event.last_policy_kind)
+        self.unsuited += 1
         if self.is_connected or policy not in LESS:
             self._node.get_logger().warning(
                 f"Nothing is received from one of the publishers on {self.topic}: its {policy.lower()} does not suit "

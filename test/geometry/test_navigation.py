@@ -165,6 +165,17 @@ def test_attitudes_in_a_gap_are_declined_and_those_after_it_are_not() -> None:
     assert len(states) + len(declined) >= 200 - 6  # all but those that still wait for the next position
 
 
+@pytest.mark.parametrize("at", [[0.0, 0.9, 1.0], [0.0, 0.1, 1.0]], ids=["before", "after"])
+def test_no_velocity_is_a_difference_of_positions_with_a_gap_between(at: list[float]) -> None:
+    navigation = Navigation(GAP_S, velocity_is_measured=False)
+    for seconds in at:
+        feed(navigation, seconds, "position")
+    feed(navigation, at[1], "attitude")
+    states, declined = navigation.take()
+    assert not states
+    assert reasons(declined) == {"position gap"}
+
+
 @pytest.mark.parametrize("kind", ["position", "velocity"])
 def test_attitudes_do_not_wait_for_ever_for_what_does_not_come(kind: str) -> None:
     navigation = Navigation(GAP_S, velocity_is_measured=True)

@@ -276,7 +276,12 @@ def test_images_grid_and_aperture_survive_their_messages(rng: np.random.Generato
 
 @pytest.mark.parametrize(
     ("layer", "value"),
-    [("height", np.nan), ("sigma", np.inf), ("sigma", np.nan), ("sigma", 0.0), ("sigma", -1.0), ("north", np.inf)],
+    [
+        *(("height", value) for value in (np.nan, 2e7, -2e7)),
+        *(("sigma", value) for value in (np.inf, np.nan, 0.0, -1.0, 2e7)),
+        *(("spread", value) for value in (np.nan, -1.0, 2e7)),
+        *(("north", value) for value in (np.inf, 2e7)),
+    ],
 )
 def test_a_bad_pixel_is_masked_and_its_neighbours_stay(layer: str, value: float) -> None:
     """Bug 1: a single usable pixel with sigma = inf made consumers reject the whole height image."""
@@ -385,8 +390,12 @@ def test_what_is_known_of_a_surface_survives_its_message(rng: np.random.Generato
         (1.0, 0.0, 0.1, 1.0, 0.0, 0.0),
         (1.0, 0.0, 0.0, 1.0, np.nan, 1.0),
         (np.inf, 0.0, 0.0, 1.0, 0.0, 1.0),
+        (2e14, 0.0, 0.0, 1.0, 0.0, 1.0),
     ],
-    ids=["variance below 0", "correlation above 1", "determinant below 0", "correlated with 0", "NaN", "infinite"],
+    ids=[
+        *("variance below 0", "correlation above 1", "determinant below 0", "correlated with 0", "NaN", "infinite"),
+        "larger than the earth",
+    ],
 )
 def test_a_pixel_whose_covariance_is_impossible_is_masked(name: str, triangle: tuple[float, ...]) -> None:
     grid = Grid(np.array([10.0, 20.0, 0.0]), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, 1, 2)

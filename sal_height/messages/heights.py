@@ -168,8 +168,8 @@ def _surfaces_from_messages(surfaces: Sequence[messages.Surface], grid: Grid, ap
 
 def _is_sound(surface: Surface) -> Bool:
     """Where surfaces can be used: place, height, sigma and the covariances are possible values, same shape."""
-    sound = surface.is_determined & (surface.sigma <= FARTHEST) & (surface.spread >= 0) & (surface.spread <= FARTHEST)
-    sound &= (np.abs(surface.height) <= FARTHEST) & (np.abs(surface.positions) <= FARTHEST).all(axis=-1)
+    sound = surface.is_determined & (surface.spread >= 0) & (surface.spread <= FARTHEST)
+    sound &= np.abs(surface.height) <= FARTHEST
     for covariance in (surface.own_covariance, surface.common_covariance):
         if covariance is not None:
             sound &= is_covariance(covariance) & ~(np.abs(covariance) > FARTHEST**2).any(axis=(-2, -1))

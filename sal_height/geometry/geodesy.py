@@ -23,11 +23,9 @@ def geocentric(latitude: float, longitude: float, height: float) -> F64:
 
     x points to the equator at longitude 0, z to the north pole (Hofmann-Wellenhof et al., GNSS, 2008, eq. 8.3).
     """
-    normal = SEMI_MAJOR_AXIS / np.sqrt(
-        1 - _ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
-    )  # radius in the prime vertical
-    across = (normal + height) * np.cos(latitude)
-    along = (normal * (1 - _ECCENTRICITY_SQUARED) + height) * np.sin(latitude)
+    prime_vertical = SEMI_MAJOR_AXIS / np.sqrt(1 - _ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)  # radius of curvature
+    across = (prime_vertical + height) * np.cos(latitude)
+    along = (prime_vertical * (1 - _ECCENTRICITY_SQUARED) + height) * np.sin(latitude)
     return np.array([across * np.cos(longitude), across * np.sin(longitude), along])
 
 

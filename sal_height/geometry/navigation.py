@@ -10,6 +10,7 @@ import bisect
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from sal_height.errors import Rejected
 from sal_height.geometry.geodesy import Origin
@@ -20,7 +21,6 @@ from sal_height.numeric import F64
 REORDERED_NS = 1_000_000_000
 """A sample that is older than the latest one by up to this was overtaken on its way; further back, a clock has started
 anew."""
-
 
 MOST_HELD = 4
 """Positions and velocities are held for so many times as long as attitudes may wait, which may come later than they."""
@@ -117,8 +117,7 @@ class Series:
 class Navigation:
     """Merges positions, velocities and attitudes into platform states.
 
-    Attributes:
-        restarts: how often a clock has started anew, whereupon everything is forgotten.
+    A stamp more than a second before the latest one says that a clock has started anew: everything is forgotten then.
     """
 
     def __init__(self, longest_gap_s: float, *, velocity_is_measured: bool, local_to: Origin | None = None) -> None:
@@ -130,7 +129,6 @@ class Navigation:
             local_to: origin of the map, if attitudes are against east, north and up where the platform is, as an
                 inertial unit measures them; None: they are against the axes of map.
         """
-        self.restarts = 0
         self._local_to = local_to
         self._positions = Series("position", longest_gap_s)
         self._velocities = Series("velocity", longest_gap_s)
@@ -140,6 +138,8 @@ class Navigation:
         self._velocity_is_measured = velocity_is_measured
         self._in_body = False
         self._held_ns = round(2e9 * longest_gap_s)
+        """How long an attitude may wait, and how far before it samples are held."""
+        self._declined: list[Rejected] = []
 
     def add_position(self, sample: Sample) -> None:
         """Take a position of base_link in.
@@ -171,7 +171,7 @@ class Navigation:
     def take(self) -> tuple[list[PlatformState], list[Rejected]]:
         """The states that are determined since the last call, and why there is none at other attitudes."""
         states: list[PlatformState] = []
-        declined: list[Rejected] = []
+        declined, self._declined = self._declined, []
         while self._done < len(self._attitudes.samples):
             attitude = self._attitudes.samples[self._done]
             try:
@@ -215,11 +215,9 @@ class Navigation:
         """
         first, last = self._positions.samples[before : before + 2]
         step_s = (last.stamp_ns - first.stamp_ns) * 1e-9
-        chord, later_velocity = last.value - first.value, self._velocity_at(before + 1)
-        slope, later_slope = step_s * velocity, step_s * later_velocity
-        bend, twist = 3 * chord - 2 * slope - later_slope, slope + later_slope - 2 * chord
-        position = first.value + share * (slope + share * (bend + share * twist))
-        return position, (slope + share * (2 * bend + 3 * share * twist)) / step_s
+        velocities = velocity, self._velocity_at(before + 1)
+        spline = CubicHermiteSpline([0.0, step_s], np.stack([first.value, last.value]), np.stack(velocities))
+        return spline(share * step_s), spline(share * step_s, 1)
 
     def _velocity_at(self, index: int) -> F64:
         """Velocity in map axes at the time of a position, m/s.
@@ -265,8 +263,9 @@ class Navigation:
 
     def _add(self, series: Series, sample: Sample) -> None:
         if series.is_before(sample.stamp_ns):
+            sentence = "Stamps have gone back by more than a second: a clock has started anew, or two sources publish."
+            self._declined.append(Rejected("clock restarted", sentence))
             self._done = 0
-            self.restarts += 1
             for each in (self._positions, self._velocities, self._attitudes):
                 each.clear()
         series.add(sample)

@@ -5,6 +5,7 @@ It is the only package that knows both the types of messages and those of the co
 """
 
 from sal_height.messages.basics import (
+    BODY_FRAME,
     MAP_FRAME,
     aperture_from_message,
     complex_view,
@@ -52,6 +53,7 @@ from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 from sal_height.messages.serialized import serialized_height, serialized_slc
 
 __all__ = [
+    "BODY_FRAME",
     "LONGEST_DWELL",
     "MAP_FRAME",
     "POINT_FIELDS",

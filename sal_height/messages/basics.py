@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import array
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -178,6 +178,28 @@ def check_geometry(image_grid: messages.ImageGrid, aperture: messages.Aperture, 
         )
     if not any(velocity):
         raise Rejected("wrong geometry", f"{where}: aperture.velocity is 0; a synthetic aperture needs motion.")
+
+
+def check_finite(numbers: Iterable[float], what: str) -> None:
+    """Check that all numbers of a message are finite.
+
+    Raises:
+        Rejected: one is not; the sentence begins with `what`.
+    """
+    if not all(map(math.isfinite, numbers)):
+        raise Rejected("not finite", f"{what} has NaN or infinite values; all must be finite.")
+
+
+def check_rotation(quaternion: Sequence[float], what: str) -> None:
+    """Check that a quaternion is finite and of the norm 1, within a hundredth.
+
+    Raises:
+        Rejected: it is not; the sentence begins with `what`.
+    """
+    check_finite(quaternion, what)
+    if not 0.99 < math.hypot(*quaternion) < 1.01:
+        sentence = f"{what} has the orientation {list(quaternion)}; a rotation must have the norm 1."
+        raise Rejected("no rotation", sentence)
 
 
 def check_channel(channel: int, sensor: Sensor, where: str) -> None:

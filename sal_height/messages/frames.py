@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import array
 import functools
-import math
 from collections.abc import Sequence
 from typing import TypeAlias
 
@@ -21,6 +20,8 @@ from sal_height.messages.basics import (
     BODY_FRAME,
     MAP_FRAME,
     check_channel,
+    check_finite,
+    check_rotation,
     to_ns,
     xyz,
 )
@@ -76,14 +77,8 @@ def state_of_pose(pose: Pose) -> PlatformState:
             f"forward, y left, z up) in {MAP_FRAME!r} (east, north, up).",
         )
     orientation = pose.orientation
-    if not all(map(math.isfinite, (*orientation, *pose.position, *pose.velocity))):
-        raise Rejected(
-            "not finite", "Odometry has NaN or infinite values; position, orientation and velocity must be finite."
-        )
-    if not 0.99 < math.hypot(*orientation) < 1.01:
-        raise Rejected(
-            "no rotation", f"Odometry has the orientation {list(orientation)}; a rotation must have the norm 1."
-        )
+    check_finite((*pose.position, *pose.velocity), "Odometry")
+    check_rotation(orientation, "Odometry")
     return PlatformState(
         stamp_ns=pose.stamp_ns,
         position=np.array(pose.position),

@@ -7,7 +7,7 @@ a quaternion has not the norm 1.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Quaternion, TwistStamped
@@ -15,11 +15,11 @@ from sensor_msgs.msg import Imu, NavSatFix
 
 from sal_height.errors import Rejected
 from sal_height.geometry import Origin, Sample
-from sal_height.messages.basics import to_ns, vector_of
+from sal_height.messages.basics import check_finite, check_rotation, to_ns, vector_of
 from sal_height.numeric import F64
 
-FARTHEST_M = 200_000.0
-"""Greatest distance of a platform from the origin of its map."""
+FARTHEST_FROM_ORIGIN = 200_000.0
+"""Greatest distance of a platform from the origin of its map, m."""
 
 UNKNOWN = np.zeros((3, 3))
 
@@ -28,7 +28,7 @@ def read_pose(message: PoseStamped, map_frame: str) -> tuple[Sample, Sample]:
     """Position and attitude of the body in `map_frame`."""
     _check_frame("Pose", message.header.frame_id, (map_frame,))
     stamp_ns, position = to_ns(message.header.stamp), vector_of(message.pose.position)
-    _check_finite("Pose", position)
+    check_finite(position, "Pose")
     return Sample(stamp_ns, position, UNKNOWN), Sample(stamp_ns, _attitude("Pose", message.pose.orientation), UNKNOWN)
 
 
@@ -36,7 +36,7 @@ def read_twist(message: TwistStamped, map_frame: str, body_frame: str) -> tuple[
     """Velocity, and whether it is in the axes of the body."""
     _check_frame("Twist", message.header.frame_id, (map_frame, body_frame))
     velocity = vector_of(message.twist.linear)
-    _check_finite("Twist", velocity)
+    check_finite(velocity, "Twist")
     return Sample(to_ns(message.header.stamp), velocity, UNKNOWN), message.header.frame_id == body_frame
 
 
@@ -48,15 +48,15 @@ def read_fix(message: NavSatFix, origin: Origin) -> Sample:
     """
     if message.status.status < 0:
         raise Rejected("no satellite fix", "NavSatFix says that it has no fix (status.status < 0).")
-    _check_finite("NavSatFix", (message.latitude, message.longitude, message.altitude))
+    check_finite((message.latitude, message.longitude, message.altitude), "NavSatFix")
     if abs(message.latitude) > 90:
         raise Rejected("no satellite fix", f"NavSatFix has latitude {message.latitude:g}; it must be from -90 to 90.")
     position = origin.to_map(math.radians(message.latitude), math.radians(message.longitude), message.altitude)
-    if (distance := math.hypot(*position)) > FARTHEST_M:
+    if (distance := math.hypot(*position)) > FARTHEST_FROM_ORIGIN:
         raise Rejected(
             "far from the origin",
-            f"NavSatFix is {distance / 1e3:.0f} km from the origin of map, {FARTHEST_M / 1e3:.0f} are allowed; set "
-            "origin_latitude_deg, origin_longitude_deg and origin_height_m to a place in the scene.",
+            f"NavSatFix is {distance / 1e3:.0f} km from the origin of map, {FARTHEST_FROM_ORIGIN / 1e3:.0f} are "
+            "allowed; set origin_latitude_deg, origin_longitude_deg and origin_height_m to a place in the scene.",
         )
     known = message.position_covariance_type != NavSatFix.COVARIANCE_TYPE_UNKNOWN
     covariance = _covariance("NavSatFix", message.position_covariance) if known else UNKNOWN
@@ -73,22 +73,14 @@ def read_attitude(message: Imu, body_frame: str) -> Sample:
 
 
 def _attitude(what: str, orientation: Quaternion) -> F64:
-    numbers = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
-    _check_finite(what, numbers)
-    if not 0.99 < (norm := math.hypot(*numbers)) < 1.01:
-        sentence = f"{what} has the orientation {numbers.tolist()}; a rotation must have the norm 1."
-        raise Rejected("no rotation", sentence)
-    return numbers / norm
+    quaternion = orientation.x, orientation.y, orientation.z, orientation.w
+    check_rotation(quaternion, what)
+    return np.array(quaternion) / math.hypot(*quaternion)
 
 
 def _covariance(what: str, numbers: Sequence[float]) -> F64:
-    _check_finite(what, numbers)
+    check_finite(numbers, what)
     return np.array(numbers, dtype=np.float64).reshape(3, 3)
-
-
-def _check_finite(what: str, numbers: Iterable[float]) -> None:
-    if not all(map(math.isfinite, numbers)):
-        raise Rejected("not finite", f"{what} has NaN or infinite values; all must be finite.")
 
 
 def _check_frame(what: str, frame: str, allowed: tuple[str, ...]) -> None:

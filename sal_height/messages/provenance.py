@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from sal_height_msgs.msg import Provenance
 
 from sal_height import __version__
+from sal_height.errors import Rejected
 from sal_height.settings import Settings
 
 HELD_PARAMETERS = 256
@@ -108,11 +109,21 @@ def _stages_of(provenance: Same[Provenance]) -> Mapping[str, Mapping[str, Any]]:
 
 
 def stages_of(parameters: Sequence[ParameterMessage]) -> dict[str, dict[str, Any]]:
-    """Return the values in a Provenance.parameters by stage and name of the parameter."""
+    """Return the values in a Provenance.parameters by stage and name of the parameter.
+
+    Raises:
+        Rejected: a value is of a type that ROS parameters do not have.
+    """
     stages: dict[str, dict[str, Any]] = {}
     for parameter in parameters:
         stage, _, name = parameter.name.partition(".")
-        stages.setdefault(stage, {})[name] = parameter_value_to_python(parameter.value)
+        try:
+            stages.setdefault(stage, {})[name] = parameter_value_to_python(parameter.value)
+        except RuntimeError as error:
+            sentence = (
+                f"Provenance.parameters has {parameter.name!r} of type {parameter.value.type}; 0 to 9 are allowed."
+            )
+            raise Rejected("wrong provenance", sentence) from error
     return stages
 
 

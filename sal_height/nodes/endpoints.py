@@ -15,6 +15,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_polic
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from rclpy.subscription import Subscription
 
+from sal_height.nodes.guard import guarded
+
 RECENT_S = 10.0
 """The level of the diagnostics tells what was lost in this time; the counts tell what was lost at all."""
 
@@ -81,6 +83,7 @@ class Inlet:
         receive: Callable[[Any], None],
         qos: QoSProfile,
         matched: Callable[[Any], None],
+        fail: Callable[[Exception], None],
         *,
         raw: bool,
         has_one_source: bool = False,
@@ -94,6 +97,7 @@ class Inlet:
             receive: takes a message.
             qos: quality of service.
             matched: called when a publisher comes or goes.
+            fail: takes an error in a callback.
             raw: whether `receive` takes serialized messages.
             has_one_source: whether several publishers would contradict each other.
         """
@@ -109,11 +113,11 @@ class Inlet:
             receive(message)
 
         def subscribe(overrides: QoSOverridingOptions | None) -> Subscription:
-            events = SubscriptionEventCallbacks(incompatible_qos=self._ask_for_less, matched=matched)
+            events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._ask_for_less, fail), matched=matched)
             return node.create_subscription(
                 message_type,
                 topic,
-                take,
+                guarded(take, fail),
                 self._profile,
                 event_callbacks=events,
                 qos_overriding_options=overrides,

@@ -20,7 +20,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import ReceivedImage
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage, WholeDwell
-from sal_height.nodes.held import Held
+from sal_height.nodes.held import HELD_CALIBRATIONS, Held
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS, height_topics
@@ -28,9 +28,6 @@ from sal_height.pipeline import heights_of_dwells, live_channels
 from sal_height.rehearsal import rehearse_heights
 from sal_height.relief import HeightField
 from sal_height.sensor import Sensor
-
-HELD_CALIBRATIONS = 4
-"""Calibrations held: images made with one may come after the next."""
 
 AT_ONCE, BYTES_AT_ONCE = 4, 8_000_000
 """Dwells that are processed at once, and bytes of their images, at most: more would save little, and be later."""

@@ -7,6 +7,9 @@ from typing import Generic, TypeVar
 
 Value = TypeVar("Value")
 
+HELD_CALIBRATIONS = 4
+"""Calibrations that a node holds: images made with one may come after the next."""
+
 
 class Held(Generic[Value]):
     """Values by name, so many at most.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Literal, NamedTuple
 
 QueuePolicy = Literal["oldest", "newest"]
@@ -34,8 +34,6 @@ class JobQueue:
         self._changed = threading.Condition()
         self._waiting: deque[Job] = deque()
         self._waiting_size = 0
-        self._droppable = 0
-        """Number of jobs that wait and have messages."""
         self._running = False
         self._closed = False
 
@@ -55,14 +53,12 @@ class JobQueue:
             if self._closed:
                 return [job]
             dropped: list[Job] = []
-            while self._droppable and job.messages and self._is_full(job, capacity, capacity_bytes):
+            while job.messages and self._is_full(job, capacity, capacity_bytes):
                 if policy == "newest":
                     return [job]
-                oldest = next(place for place, waiting in enumerate(self._waiting) if waiting.messages)
-                dropped.append(self._take(oldest))
+                dropped.append(self._take(next(self._droppable())))
             self._waiting.append(job)
             self._waiting_size += job.size
-            self._droppable += job.messages > 0
             self._changed.notify()
             return dropped
 
@@ -84,7 +80,7 @@ class JobQueue:
         """Drop all jobs that wait."""
         with self._changed:
             self._waiting.clear()
-            self._waiting_size = self._droppable = 0
+            self._waiting_size = 0
 
     def items(self) -> list[Any]:
         """What the jobs that wait work on, in their order."""
@@ -103,11 +99,15 @@ class JobQueue:
             return len(self._waiting) + self._running
 
     def _is_full(self, job: Job, capacity: int, capacity_bytes: float) -> bool:
-        return self._droppable >= capacity or self._waiting_size + job.size > capacity_bytes
+        count = sum(1 for _ in self._droppable())
+        return count > 0 and (count >= capacity or self._waiting_size + job.size > capacity_bytes)
+
+    def _droppable(self) -> Iterator[int]:
+        """Places of the jobs that wait and have messages, the oldest first."""
+        return (place for place, job in enumerate(self._waiting) if job.messages)
 
     def _take(self, place: int = 0) -> Job:
         job = self._waiting[place]
         del self._waiting[place]
         self._waiting_size -= job.size
-        self._droppable -= job.messages > 0
         return job

@@ -11,7 +11,6 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix
 
 from sal_height import messages
-from sal_height.errors import Rejected
 from sal_height.geometry import Navigation, Origin
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
@@ -60,9 +59,11 @@ class Parameters(StageParameters):
         maximum=10_000.0,
         read_only=True,
     )
-    map_frame: str = setting("map", "name of the map's frame in the headers of poses and twists", read_only=True)
+    map_frame: str = setting(
+        messages.MAP_FRAME, "name of the map's frame in the headers of poses and twists", read_only=True
+    )
     body_frame: str = setting(
-        "base_link", "name of the platform's frame in the headers of twists and Imu messages", read_only=True
+        messages.BODY_FRAME, "name of the platform's frame in the headers of twists and Imu messages", read_only=True
     )
 
 
@@ -96,7 +97,6 @@ class NavigationNode(Stage):
         self._navigation = Navigation(
             now.longest_gap_s, velocity_is_measured=has_twist, local_to=self._origin if has_fix else None
         )
-        self._restarts = 0
         self._odometry = self.offer(Odometry, "platform/odometry", ODOMETRY_QOS)
         if has_fix:
             self.listen(NavSatFix, "platform/fix", self._on_fix, INSTRUMENT_QOS)
@@ -131,10 +131,6 @@ class NavigationNode(Stage):
             self.ignore(reason.reason, reason)
         for state in states:
             self._odometry.publish(messages.state_to_message(state, messages.to_stamp(state.stamp_ns)))
-        if self._navigation.restarts > self._restarts:
-            self._restarts = self._navigation.restarts
-            sentence = "Stamps have gone back by more than a second: a clock has started anew, or two sources publish."
-            self.ignore("clock restarted", Rejected("clock restarted", sentence))
 
 
 def main() -> int:

@@ -19,7 +19,7 @@ from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.messages import Pose, ReceivedFrame
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
-from sal_height.nodes.held import Held
+from sal_height.nodes.held import HELD_CALIBRATIONS, Held
 from sal_height.nodes.odometry import Arrival, OdometryHistory
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
@@ -31,9 +31,6 @@ from sal_height.settings import setting
 
 HEARD = "topic"
 """Value of the parameter calibration: apply the calibration that comes on the topic calibration."""
-
-HELD_CALIBRATIONS = 4
-"""Calibrations of sensors held, of those that come on the topic."""
 
 NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
 

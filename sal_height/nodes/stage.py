@@ -195,14 +195,14 @@ class Stage(Role, Node):
             else:
                 callback(taken)
 
-        guarded_receive = guarded(receive, self._fail)
         inlet = Inlet(
             self,
             message_type,
             topic,
-            guarded_receive,
+            receive,
             profile,
             self._on_match,
+            self._fail,
             raw=read is not None,
             has_one_source=qos is ODOMETRY_QOS,
         )

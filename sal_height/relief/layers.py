@@ -24,10 +24,6 @@ STEEPEST_GROUND = 1.7
 """Greatest slope of ground; what rises more steeply, 60 degrees, is a wall."""
 
 
-FARTHEST_CELL = 2.0**40
-"""Greatest row or column of a cell: differences of such numbers do not overflow, and no map is as large."""
-
-
 @dataclass(frozen=True, eq=False)
 class Layers:
     """Pieces of surface, one entry each; distances in m.
@@ -56,7 +52,7 @@ class Layers:
 
     def cells(self, cell_size: float) -> I64:
         """Row (north) and column (east) of the cell that each lies in, shape (n, 2)."""
-        return np.clip(np.floor(self.place[:, 1::-1] / cell_size), -FARTHEST_CELL, FARTHEST_CELL).astype(np.int64)
+        return np.floor(self.place[:, 1::-1] / cell_size).astype(np.int64)
 
     def where(self, chosen: Bool | Index) -> Self:
         """Some of the layers."""

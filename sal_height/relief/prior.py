@@ -258,7 +258,7 @@ def _most_likely(heights: _Heights, expected: F64, known: F64, settings: Trackin
                 break
             step /= 2
         logs = np.clip(logs + step, lowest, highest)
-        if not length > TOLERANCE:
+        if length <= TOLERANCE:
             break
         merit = found
     return logs, gained, max(likelihoods) - heights.log_likelihood(logs)

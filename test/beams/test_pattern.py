@@ -124,7 +124,7 @@ def test_small_detector_is_a_point(name: str) -> None:
     np.testing.assert_allclose(small.amplitude(e, a), PATTERNS[name].amplitude(e, a), atol=2e-10)
 
 
-@pytest.mark.parametrize("size", [(-0.1, 0.0), (0.5, np.nan), (np.inf, 1.0)], ids=str)
+@pytest.mark.parametrize("size", [(-0.1, 0.0), (0.5, np.nan), (np.inf, 1.0), (64.1, 1.0)], ids=str)
 def test_size_out_of_range_is_refused(size: tuple[float, float]) -> None:
     with pytest.raises(UserError) as refusal:
         detector_pattern("jinc", size)

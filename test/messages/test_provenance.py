@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import make_aperture
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, Surface
 
 from sal_height import __version__, messages
+from sal_height.errors import Rejected
 from sal_height.geometry import Grid
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages.provenance import HELD_PARAMETERS, _held_parameter, recorded
@@ -123,3 +126,10 @@ def test_serialized_images_end_with_their_provenance(store: Typestore) -> None:
     slc = Slc(np.ones((2, 1, 3), np.complex64), grid, make_aperture(), np.ones(2), np.zeros(2))
     for cdr in messages.serialized_slc(slc, ComplexImage(dwell=5), provenance):
         assert store.deserialize_cdr(cdr, "sal_height_msgs/msg/ComplexImage").dwell == 5
+
+
+def test_a_parameter_of_an_unknown_type_is_refused_in_a_sentence() -> None:
+    parameter = ParameterMessage(name="ml_height.range_looks", value=ParameterValue(type=244))
+    with pytest.raises(Rejected, match="of type 244; 0 to 9 are allowed") as refusal:
+        messages.stages_of([parameter])
+    assert refusal.value.reason == "wrong provenance"

@@ -212,6 +212,8 @@ REFUSED: dict[str, tuple[str, Any, str, str]] = {
     "too few places": ("first.east", array.array("f"), "wrong size", "east has 0 entries"),
     "no pixels": ("grid.rows", 0, "wrong size", "0 x 9"),
     "origin nowhere": ("grid.origin.x", float("inf"), "not finite", "grid"),
+    "farther than the earth": ("grid.origin.x", 2e7, "not finite", "1e+07 m"),
+    "pixels finer than waves": ("grid.row_spacing", 1e-7, "wrong geometry", "1e-06 m"),
     "no motion": ("aperture.velocity.x", 0.0, "wrong geometry", "velocity"),
     "no rotation": ("aperture.pose.pose.orientation.w", 5.0, "wrong geometry", "orientation"),
     "far away": ("grid.origin.x", 1e6, "map full", "max_cells"),

@@ -21,7 +21,8 @@ from sal_height.errors import UserError
 from sal_height.nodes import stage
 from sal_height.nodes.account import DIAGNOSTICS, PROGRESS, READY, Account
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import HEIGHT_NODES, HELD_CALIBRATIONS
+from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.held import HELD_CALIBRATIONS
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage

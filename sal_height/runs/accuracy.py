@@ -13,7 +13,7 @@ from sal_height_msgs.msg import HeightImage
 from sal_height.bag.reader import BagReader
 from sal_height.errors import Rejected
 from sal_height.relief import GroundEstimate
-from sal_height.runs.ensemble import HEIGHTS, TRACKER
+from sal_height.runs.catalogue import HEIGHTS, TRACKER
 from sal_height.runs.ground_report import TrueGround, ground_of, ground_statistics, true_ground
 from sal_height.runs.report import mosaic, statistics
 from sal_height.runs.surface_report import TOLERANCE_BEAMWIDTHS, Judged, height_beamwidth, judged, surface_statistics

@@ -23,7 +23,8 @@ from sal_height.nodes.graph import Graph
 from sal_height.nodes.player import INPUTS
 from sal_height.nodes.playlist import SENSOR_INFO
 from sal_height.nodes.stage import FRAMES_QOS
-from sal_height.runs.ensemble import NODES, Ensemble, NodeParameters, stage_inputs
+from sal_height.runs.catalogue import NODES, NodeParameters, stage_inputs
+from sal_height.runs.ensemble import Ensemble
 
 UNCOUNTED = ("diagnostics",)
 """Recorded topics of which the publishers count neither messages nor subscribers."""

@@ -21,8 +21,9 @@ from sal_height.nodes.domain import ros_domain
 from sal_height.nodes.middleware import provide_shared_memory
 from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist, stamp_ns_of
 from sal_height.numeric import available_processors
+from sal_height.runs.catalogue import HEIGHTS, TRACKER, check_parameters, consumers
 from sal_height.runs.conductor import RECORDER, Conductor, Execution, Interruption, Plan, recording_of
-from sal_height.runs.ensemble import HEIGHTS, TRACKER, Ensemble, check_parameters, consumers
+from sal_height.runs.ensemble import Ensemble
 from sal_height.runs.processes import beside, process_age_s
 from sal_height.runs.reporting import PARAMETERS, PRESET, merged, reporting
 from sal_height.runs.self_test import core_rate_hz, make_tables

@@ -20,8 +20,7 @@ from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
 from sal_height.response import measure_brightest
 from sal_height.runs.accuracy import read_accuracy
-from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
-from sal_height.runs.ensemble import (
+from sal_height.runs.catalogue import (
     HEIGHTS,
     NODES,
     SETTABLE,
@@ -32,6 +31,7 @@ from sal_height.runs.ensemble import (
     recorded_topics,
     suited,
 )
+from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
 from sal_height.sensor import Sensor

@@ -12,8 +12,8 @@ from sal_height import __version__
 from sal_height.errors import UserError
 from sal_height.io import write_text
 from sal_height.nodes.account import PROCESSED, PUBLISHED, Account
+from sal_height.runs.catalogue import NodeParameters
 from sal_height.runs.conductor import Outcome
-from sal_height.runs.ensemble import NodeParameters
 
 PARAMETERS = "parameters"
 """Name of the nodes' parameters (JSON) in the custom data of a bag."""

@@ -18,7 +18,7 @@ from sal_height.nodes.playlist import Playlist
 from sal_height.pipeline import Compressor, heights
 from sal_height.rehearsal import made_up_heights, rehearse_heights
 from sal_height.relief import PriorEstimate, track
-from sal_height.runs.ensemble import NODES, TRACKER
+from sal_height.runs.catalogue import NODES, TRACKER
 from sal_height.sensor import Sensor
 
 TEST_S = 0.25

@@ -21,7 +21,7 @@ from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
-from sal_height.runs.ensemble import HEIGHTS, suited
+from sal_height.runs.catalogue import HEIGHTS, suited
 from sal_height.runs.processes import Forked, beside
 from sal_height.runs.replay import contents, recorded_parameters
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, merged

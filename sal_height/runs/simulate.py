@@ -13,8 +13,7 @@ import yaml
 
 from sal_height.io import new_folder, write_text, writing
 from sal_height.runs.accuracy import Accuracy, read_accuracy
-from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
-from sal_height.runs.ensemble import (
+from sal_height.runs.catalogue import (
     HEIGHTS,
     TRACKER,
     NodeParameters,
@@ -24,6 +23,7 @@ from sal_height.runs.ensemble import (
     recorded_topics,
     suited,
 )
+from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 

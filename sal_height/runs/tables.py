@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sal_height.bag.compare import HeightComparison
+from sal_height.runs.catalogue import HEIGHTS, NODES
 from sal_height.runs.conductor import Outcome
-from sal_height.runs.ensemble import HEIGHTS, NODES
 
 ABSENT = "-"
 """Stands for a number that does not exist, such as the bias of an estimator without valid pixels."""

@@ -9,7 +9,7 @@ import pytest
 
 from sal_height.commands import main
 from sal_height.commands._options import bag_name, output_folder
-from sal_height.runs.ensemble import check_parameters
+from sal_height.runs.catalogue import check_parameters
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,9 @@ from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES, HeightNode
 from sal_height.nodes.simulator import Simulator
 from sal_height.runs import conductor
+from sal_height.runs.catalogue import NODES, NodeParameters
 from sal_height.runs.conductor import Conductor, Execution, Plan
-from sal_height.runs.ensemble import NODES, Ensemble, NodeParameters
+from sal_height.runs.ensemble import Ensemble
 from sal_height.runs.simulate import fly, run
 from sal_height.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight

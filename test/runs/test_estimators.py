@@ -12,7 +12,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.nodes.height import HEIGHT_NODES
-from sal_height.runs.ensemble import HEIGHTS, NODES, SETTABLE, consumers, suited
+from sal_height.runs.catalogue import HEIGHTS, NODES, SETTABLE, consumers, suited
 from sal_height.runs.replay import recorded_parameters, replay
 from sal_height.runs.simulate import fly, run
 from sal_height.settings import settings_of

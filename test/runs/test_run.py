@@ -24,7 +24,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.elevation import scatterer_count
 from sal_height.errors import UserError
 from sal_height.relief.map import ReliefMap
-from sal_height.runs.ensemble import recorded_topics
+from sal_height.runs.catalogue import recorded_topics
 from sal_height.runs.profile import draw_profile
 from sal_height.runs.simulate import fly, run
 from sal_height.simulation.preset import Preset, load_preset

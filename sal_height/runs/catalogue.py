@@ -1,0 +1,153 @@
+"""The nodes that there are, their parameters, and what connects them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+from sal_height.elevation import ESTIMATORS
+from sal_height.errors import UserError
+from sal_height.nodes.ground_mapper import GroundMapper
+from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.navigation import NavigationNode
+from sal_height.nodes.paced_player import PacedPlayer
+from sal_height.nodes.player import Player
+from sal_height.nodes.psf_calibration import PsfCalibration
+from sal_height.nodes.recorder import Recorder
+from sal_height.nodes.relief_mapper import ReliefMapper
+from sal_height.nodes.relief_tracker import ReliefTracker
+from sal_height.nodes.sar_compression import HEARD, SarCompression
+from sal_height.nodes.simulator import Simulator
+from sal_height.sensor import Sensor
+from sal_height.settings import settings_of, unknown_name
+
+NODES: dict[str, type[Any]] = {
+    "simulator": Simulator,
+    "player": Player,
+    "paced_player": PacedPlayer,
+    "navigation": NavigationNode,
+    "sar_compression": SarCompression,
+    **HEIGHT_NODES,
+    "psf_calibration": PsfCalibration,
+    "relief_mapper": ReliefMapper,
+    "ground_mapper": GroundMapper,
+    "relief_tracker": ReliefTracker,
+    "recorder": Recorder,
+}
+"""Every node by its name; what runs know of a node are the attributes of its class (`nodes.role`)."""
+
+HEIGHTS = {name: node.product for name, node in NODES.items() if node.product}
+"""Nodes whose products are height images, and the prefix of their topics."""
+
+SETTABLE = tuple(name for name, node in NODES.items() if node.settable)
+"""Nodes of a run or replay whose parameters users may set."""
+
+TRACKER = "relief_tracker"
+"""Node that tracks the heights of one estimator."""
+
+CALIBRATOR = "psf_calibration"
+"""Node that calibrates the sensor on its images."""
+
+NodeParameters = Mapping[str, Mapping[str, Any]]
+"""Parameter values by node name and parameter name."""
+
+
+def check_parameters(parameters: NodeParameters, settable: Sequence[str] = SETTABLE) -> dict[str, dict[str, Any]]:
+    """Check parameters of `settable` nodes and convert them to the declared types (a whole number to a float).
+
+    Raises:
+        UserError: a node or parameter does not exist, or a value is not allowed.
+    """
+    checked: dict[str, dict[str, Any]] = {}
+    for name, values in parameters.items():
+        if name not in settable:
+            raise UserError(f"There is no node {name!r} with parameters to set; allowed are {', '.join(settable)}.")
+        model = NODES[name].parameters
+        if unknown := [key for key in values if key not in settings_of(model)]:
+            raise UserError(unknown_name(unknown[0], settings_of(model), f"Node {name}"))
+        try:
+            accepted = model(**values)
+            checked[name] = {key: getattr(accepted, key) for key in values}
+        except UserError as error:
+            raise UserError(f"Node {name}: {error}") from error
+    return checked
+
+
+def suited(sensor: Sensor, asked: Collection[str] = ()) -> list[str]:
+    """The height nodes of a run: those of the estimators that are asked for, in the order of ESTIMATORS.
+
+    Args:
+        sensor: whose channels the estimators take.
+        asked: names of estimators; none: those that suit the sensor and need not be asked for.
+
+    Raises:
+        UserError: there is no estimator of that name, or it does not suit the sensor.
+    """
+    suiting = {name: estimator for name, estimator in ESTIMATORS.items() if estimator.suits(sensor)}
+    if not asked:
+        return [estimator.node for estimator in suiting.values() if estimator.by_default]
+    if wrong := [name for name in asked if name not in suiting]:
+        reason = "does not suit the sensor's channels" if wrong[0] in ESTIMATORS else "does not exist"
+        raise UserError(f"Estimator {wrong[0]!r} {reason}; allowed are {', '.join(suiting) or 'none'}.")
+    return [estimator.node for name, estimator in suiting.items() if name in asked]
+
+
+def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:
+    """Parameters of tracker and mapper that let them take heights that are made: of maximum likelihood, or the first.
+
+    Args:
+        estimators: the height nodes of a run.
+    """
+    if not estimators or ESTIMATORS["ml"].node in estimators:
+        return {}
+    return {name: {"estimator": HEIGHTS[estimators[0]]} for name in (TRACKER, "relief_mapper", "ground_mapper")}
+
+
+def recorded_topics(stages: list[str], parameters: NodeParameters) -> list[str]:
+    """The topics that a run through `stages` records: its inputs, and its heights, or else its images.
+
+    Images are left out beside heights, for they can be formed again from the phase history; so is the relief map, which
+    follows from the heights.
+    """
+    heights = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
+    applied = parameters.get("sar_compression", {}).get("calibration", "") not in {"", HEARD}
+    calibration = ["calibration"] if applied else []
+    return ["sensor_info", "platform/odometry", "phase_history", "diagnostics", *calibration, *(heights or ["slc"])]
+
+
+def height_sources(stages: list[str], parameters: NodeParameters) -> dict[str, str]:
+    """Find, for each of the `stages` that uses heights, the node that produces them.
+
+    Args:
+        stages: names of the processing nodes.
+        parameters: values of the nodes' parameters; `estimator` says whose heights a node uses.
+
+    Raises:
+        UserError: none of the stages makes those heights.
+    """
+    sources = {}
+    for name in (stage for stage in stages if NODES[stage].takes_heights):
+        prefix = parameters.get(name, {}).get("estimator", "ml")
+        makers = {HEIGHTS[node]: node for node in stages if node in HEIGHTS and node != name}
+        if prefix not in makers:
+            raise UserError(
+                f"The heights of estimator {prefix!r}, which {name} takes, are not made here; allowed are "
+                f"{', '.join(makers)}."
+            )
+        sources[name] = makers[prefix]
+    return sources
+
+
+def stage_inputs(stages: list[str], parameters: NodeParameters) -> dict[str, str]:
+    """Find the topic whose messages each stage counts as received.
+
+    Args:
+        stages: names of the processing nodes.
+        parameters: values of the nodes' parameters.
+
+    Raises:
+        UserError: a stage takes heights that no other stage makes.
+    """
+    inputs = {name: "slc" if NODES[name].takes_images else "phase_history" for name in stages}
+    makers = height_sources(stages, parameters)
+    return inputs | {name: f"{HEIGHTS[maker]}/height" for name, maker in makers.items()}

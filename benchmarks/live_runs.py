@@ -130,7 +130,7 @@ def highest_rate(run: Callable[[float], Seen], guess: float) -> tuple[float, See
 
 def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tuple[str, ...]) -> Seen:
     """Run a graph from this process, which must not have made any node yet."""
-    from sal_height.runs import ensemble  # noqa: PLC0415 (what only starts such processes needs none of this)
+    from sal_height.runs import catalogue  # noqa: PLC0415 (what only starts such processes needs none of this)
     from sal_height.runs.conductor import RECORDER, Execution  # noqa: PLC0415
     from sal_height.runs.live import SOURCE, Live, Watched, live  # noqa: PLC0415
     from sal_height.runs.sensor_bag import Feed  # noqa: PLC0415
@@ -138,7 +138,7 @@ def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tu
     if nodes is Nodes.IDLE:
         from benchmarks.idle_nodes import IDLE  # noqa: PLC0415
 
-        ensemble.NODES.update(IDLE)
+        catalogue.NODES.update(IDLE)
     usage = Usage()
     threads: list[dict[str, float]] = []
     memory: list[int] = []

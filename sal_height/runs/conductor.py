@@ -24,7 +24,7 @@ from sal_height.nodes.player import INPUTS
 from sal_height.nodes.playlist import SENSOR_INFO
 from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.runs.catalogue import NODES, NodeParameters, stage_inputs
-from sal_height.runs.ensemble import Ensemble
+from sal_height.runs.ensemble import Ensemble, Member
 
 UNCOUNTED = ("diagnostics",)
 """Recorded topics of which the publishers count neither messages nor subscribers."""
@@ -284,15 +284,13 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
     """
     also = [topic.removeprefix("/") for topic in execution.record]
     plan = replace(plan, recorded=list(dict.fromkeys([*plan.recorded, *also])))
-    names = [RECORDER, *reversed(plan.stages), plan.source]
-    values = {**plan.parameters, RECORDER: recording_of(plan)}
     played, interrupted = 0, False
     failure: UserError | None = None
     stage_inputs(plan.stages, plan.parameters)  # refuses a plan before anything is started
     with ros_domain(execution.domain):
         if execution.domain != "free":
             _refuse_company(plan)
-        with Interruption() as interruption, Ensemble(names, values, execution.processes) as ensemble:
+        with Interruption() as interruption, Ensemble(members_of(plan), execution.processes) as ensemble:
             graph = ensemble.graph
             conductor = graph.add(Conductor(plan, PROGRESS, context=graph.context))
 
@@ -331,11 +329,13 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
     return Outcome(stages, played, interrupted, failure)
 
 
-def recording_of(plan: Plan) -> dict[str, Any]:
-    """Parameters of the recorder of a plan."""
+def members_of(plan: Plan) -> list[Member]:
+    """The nodes of a plan, in the order in which they end: the recorder first and the source last."""
     topics = [f"/{topic}" for topic in plan.recorded]
     custom_data = [f"{name}={text}" for name, text in plan.custom_data.items()]
-    return {"directory": str(plan.bag), "topics": topics, **({"custom_data": custom_data} if custom_data else {})}
+    recording = {"directory": str(plan.bag), "topics": topics, **({"custom_data": custom_data} if custom_data else {})}
+    others = [*reversed(plan.stages), plan.source]
+    return [Member(RECORDER, parameters=recording), *(Member(n, parameters=plan.parameters.get(n, {})) for n in others)]
 
 
 def _refuse_company(plan: Plan) -> None:

@@ -7,8 +7,10 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass, field
+from itertools import chain
 from types import TracebackType
 from typing import Any, Self
 
@@ -17,25 +19,68 @@ from rclpy.parameter import Parameter
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.program import run_node
-from sal_height.runs.catalogue import NODES, NodeParameters
+from sal_height.runs.catalogue import NODES
 from sal_height.runs.processes import ONE_THREAD, Forked, can_fork, end_with_parent
+
+
+@dataclass(frozen=True)
+class Member:
+    """A node of an ensemble.
+
+    Attributes:
+        name: of the node, unlike that of every other one.
+        kind: which one of NODES it is; empty: the one of its name.
+        parameters: values by name; all others have their defaults.
+        remappings: other names of its topics and services, by their own.
+        namespace: before its relative names; empty: none.
+    """
+
+    name: str
+    kind: str = ""
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    remappings: Mapping[str, str] = field(default_factory=dict)
+    namespace: str = ""
+
+    @property
+    def node(self) -> type[Any]:
+        """Class of the node."""
+        return NODES[self.kind or self.name]
+
+    @property
+    def names(self) -> list[str]:
+        """Its name, namespace and remappings, as arguments of ROS."""
+        own = {"__node": self.name, **({"__ns": self.namespace} if self.namespace else {})}
+        rules = (("-r", f"{old}:={new}") for old, new in {**own, **self.remappings}.items())
+        return ["--ros-args", *chain.from_iterable(rules)]
+
+    @property
+    def arguments(self) -> list[str]:
+        """All that it is started with, as arguments of ROS; parameter values in YAML, of which JSON is a part."""
+        values = (("-p", f"{key}:={json.dumps(value)}") for key, value in self.parameters.items())
+        return [*self.names, *chain.from_iterable(values)]
 
 
 class Ensemble:
     """The nodes of a run, all in this process or each in its own, and a graph beside them; a context manager.
 
-    At the end the recorder is ended first and the source last.
+    At the end the first one is ended first.
 
     Attributes:
+        members: the nodes by name.
         graph: context and executor of this process; once it is entered.
     """
 
-    def __init__(self, names: list[str], parameters: NodeParameters, processes: bool) -> None:
-        """Choose the nodes `names` and their parameters; they are started on entering."""
+    def __init__(self, members: Iterable[Member], processes: bool) -> None:
+        """Choose the nodes; they are started on entering."""
+        self.members = {member.name: member for member in members}
         self.graph: Graph
-        self._parameters = {name: parameters.get(name, {}) for name in names}
         self._separate = processes
         self._processes: dict[str, subprocess.Popen[bytes] | Forked] = {}
+
+    def ended(self) -> dict[str, int]:
+        """Exit statuses of the processes that have ended, by the name of their node."""
+        statuses = {name: process.poll() for name, process in self._processes.items()}
+        return {name: status for name, status in statuses.items() if status is not None}
 
     def check(self) -> None:
         """Make sure that all processes still run.
@@ -43,9 +88,17 @@ class Ensemble:
         Raises:
             UserError: one has ended.
         """
-        for name, process in self._processes.items():
-            if process.poll() is not None:
-                raise UserError(f"Node {name} ended with status {process.returncode}; its message is above.")
+        for name, status in self.ended().items():
+            raise UserError(f"Node {name} ended with status {status}; its message is above.")
+
+    def start_again(self, member: Member) -> None:
+        """Start a node whose process has ended, in a new one; it is a `member` of that name from now on.
+
+        Raises:
+            UserError: it cannot be started.
+        """
+        self.members[member.name] = member
+        self._processes[member.name] = _process_of(member, forks=False)
 
     def __enter__(self) -> Self:
         """Start the nodes; if one cannot be, none is left.
@@ -59,13 +112,15 @@ class Ensemble:
             on_failure.callback(self._end_processes)
             if self._separate:
                 forks = can_fork()
-                for name, values in self._parameters.items():
-                    self._processes[name] = _process_of(name, values, forks)
+                for name, member in self.members.items():
+                    self._processes[name] = _process_of(member, forks)
             self.graph = on_failure.enter_context(Graph())
             if not self._separate:
-                for name, values in self._parameters.items():
-                    overrides = [Parameter(key, value=value) for key, value in values.items()]
-                    self.graph.add(NODES[name](context=self.graph.context, parameter_overrides=overrides))
+                for member in self.members.values():
+                    overrides = [Parameter(key, value=value) for key, value in member.parameters.items()]
+                    self.graph.add(
+                        member.node(context=self.graph.context, parameter_overrides=overrides, cli_args=member.names)
+                    )
             self._at_end = on_failure.pop_all()
         return self
 
@@ -85,38 +140,36 @@ class Ensemble:
                 process.kill()
 
 
-def _process_of(name: str, values: Mapping[str, Any], forks: bool) -> subprocess.Popen[bytes] | Forked:
-    """Start a node in a process of its own; parameter values in YAML, of which JSON is a part.
+def _process_of(member: Member, forks: bool) -> subprocess.Popen[bytes] | Forked:
+    """Start a node in a process of its own.
 
     Args:
-        name: of the node.
-        values: of its parameters.
+        member: the node.
         forks: whether the process goes on with what this one has imported and computed, or begins anew.
 
     Raises:
         UserError: it cannot be started.
     """
-    words = [word for key, value in values.items() for word in ("-p", f"{key}:={json.dumps(value)}")]
-    arguments, parent = ["--ros-args", *words], os.getpid()
+    kind, parent, arguments = member.kind or member.name, os.getpid(), member.arguments
     try:
         if forks:
-            return Forked(lambda: _run(name, parent, arguments), name)
-        command = [sys.executable, "-m", __name__, name, str(parent), *arguments]
+            return Forked(lambda: _run(kind, parent, arguments), member.name)
+        command = [sys.executable, "-m", __name__, kind, str(parent), *arguments]
         return subprocess.Popen(command, process_group=0, env=ONE_THREAD | os.environ)  # noqa: S603 (our nodes)
     except OSError as error:
-        raise UserError(f"Node {name} cannot be started in a process of its own: {error.strerror}.") from error
+        raise UserError(f"Node {member.name} cannot be started in a process of its own: {error.strerror}.") from error
 
 
-def _run(name: str, parent: int, arguments: list[str]) -> int:
+def _run(kind: str, parent: int, arguments: list[str]) -> int:
     """Run a node until the process `parent`, which started this one, ends, even if it is killed.
 
     Those that complete a file are then asked to end; the others hold nothing that anybody waits for. What a node waits
     for is not said in its log, for all others of the run are coming up.
     """
-    if not end_with_parent(parent, signal.SIGTERM if NODES[name].completes_file else signal.SIGKILL):
+    if not end_with_parent(parent, signal.SIGTERM if NODES[kind].completes_file else signal.SIGKILL):
         return 1
     sys.argv[1:] = arguments
-    return run_node(NODES[name], begin=lambda _: None)
+    return run_node(NODES[kind], begin=lambda _: None)
 
 
 def main() -> int:

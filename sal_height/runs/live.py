@@ -22,7 +22,7 @@ from sal_height.nodes.middleware import provide_shared_memory
 from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist, stamp_ns_of
 from sal_height.numeric import available_processors
 from sal_height.runs.catalogue import HEIGHTS, TRACKER, check_parameters, consumers
-from sal_height.runs.conductor import RECORDER, Conductor, Execution, Interruption, Plan, recording_of
+from sal_height.runs.conductor import Conductor, Execution, Interruption, Plan, members_of
 from sal_height.runs.ensemble import Ensemble
 from sal_height.runs.processes import beside, process_age_s
 from sal_height.runs.reporting import PARAMETERS, PRESET, merged, reporting
@@ -198,12 +198,10 @@ def _perform(
     plan: Plan, execution: Execution, how: Live, playlist: Playlist, watched: Watched, show: Callable[[Watched], None]
 ) -> None:
     """Start the nodes of a plan and the sensor, and watch them."""
-    names = [RECORDER, *reversed(plan.stages), plan.source]
-    values = {**plan.parameters, RECORDER: recording_of(plan)}
     with (
         ros_domain(execution.domain),
         Interruption() as interruption,
-        Ensemble(names, values, execution.processes) as ensemble,
+        Ensemble(members_of(plan), execution.processes) as ensemble,
         suppress(KeyboardInterrupt),
     ):
         graph = ensemble.graph

@@ -19,7 +19,7 @@ import rasterio
 from mcap.reader import make_reader
 
 from sal_height.errors import UserError
-from sal_height.runs.ensemble import Ensemble
+from sal_height.runs.ensemble import Ensemble, Member
 from sal_height.runs.replay import replay
 
 NODES_OF_A_RUN = [
@@ -138,7 +138,7 @@ def test_when_a_node_cannot_be_started_the_others_end(monkeypatch: pytest.Monkey
         return started[-1]
 
     monkeypatch.setattr(subprocess, "Popen", popen)
-    names = ["ml_height", "monopulse", "sar_compression"]
-    with pytest.raises(UserError, match="Node sar_compression cannot be started"), Ensemble(names, {}, True):
+    members = [Member(name) for name in ("ml_height", "monopulse", "sar_compression")]
+    with pytest.raises(UserError, match="Node sar_compression cannot be started"), Ensemble(members, True):
         pass
     assert [process.poll() is None for process in started] == [False, False]

@@ -22,10 +22,11 @@ from annotated_types import Ge, Gt, Le
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams import ZERNIKE, Beams
+from sal_height.configuration import Float, Int, StrictKeys
 from sal_height.geometry import look_direction
 from sal_height.numeric import C128, F64, Complex, taylor
 from sal_height.sensor import Sensor, echo_sensor, spectrum_sensor
-from sal_height.simulation.settings import Angle, Decibels, Float, Int, StrictKeys
+from sal_height.simulation.settings import Angle, Decibels
 
 MOST_SWING_BEAMWIDTHS = 0.5
 """Greatest swing of the antenna: the beams' middle stays within the band that a dwell may have (`imaging.checks`)."""

@@ -5,25 +5,24 @@ docs/presets.md describes every key. What depends on the beams of the sensor is 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
 from annotated_types import Ge, Gt, Le, Lt, MinLen
-from pydantic import AfterValidator, TypeAdapter, ValidationError
+from pydantic import AfterValidator
 from pydantic_core import PydanticCustomError
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams import PATTERNS, read_beam_tables
+from sal_height.configuration import Float, Int, StrictKeys, read_yaml, validated
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
 from sal_height.sensor import MAX_DETECTORS, Sensor
 from sal_height.simulation.impairments import UNIMPAIRED, Impairments
-from sal_height.simulation.settings import Angle, Decibels, Float, Int, StrictKeys
+from sal_height.simulation.settings import Angle, Decibels
 
 SHIPPED = Path(__file__).parents[1] / "presets"  # the folder of the presets that come with the package
 BEAM_TABLES = ".csv"  # suffix of the file of measured beams that a preset may name as its pattern
@@ -236,20 +235,8 @@ def load_preset(name_or_path: str) -> Preset:
         UserError: no such preset, not YAML, or a key that is missing, unknown or has a value out of its range.
     """
     path = SHIPPED / f"{name_or_path}.yaml" if name_or_path in preset_names() else Path(name_or_path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise UserError(
-            f"Preset {name_or_path!r} is neither a readable file nor one of {', '.join(preset_names())}."
-        ) from error
-    try:
-        content = yaml.safe_load(text)
-    except RecursionError as error:
-        raise UserError(
-            f"Preset {name_or_path} is nested too deeply; a preset has at most three levels of keys."
-        ) from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise UserError(f"Preset {name_or_path} is not valid YAML: {' '.join(str(error).split())}.") from error
+    unreadable = f"Preset {name_or_path!r} is neither a readable file nor one of {', '.join(preset_names())}."
+    content = read_yaml(path, f"Preset {name_or_path}", unreadable)
     preset = parse_preset(content, name_or_path)
     pattern = preset.sensor.pattern
     if pattern not in PATTERNS:
@@ -258,30 +245,13 @@ def load_preset(name_or_path: str) -> Preset:
     return replace(preset, sensor=replace(preset.sensor, pattern=pattern))
 
 
-EXPECTED = {
-    "dataclass_type": "a mapping of keys to values",
-    "dict_type": "a mapping of keys to values",
-    "tuple_type": "a list",
-    "string_type": "a text",
-    "float_type": "a number",
-    "float_parsing": "a number",
-    "int_type": "a whole number",
-    "int_parsing": "a whole number",
-    "int_from_float": "a whole number",
-}
-"""What a value must be, by the type of the error that pydantic reports for another one."""
-
-
 def parse_preset(content: Any, source: str) -> Preset:
     """The preset with that content (mappings as from YAML); `source` names it in messages.
 
     Raises:
         UserError: a key that is missing, unknown, out of its range, or in contradiction to others: the first one found.
     """
-    try:
-        preset = TypeAdapter(Preset).validate_python(content)
-    except ValidationError as error:
-        raise UserError(f"Preset {source}: {_refusal(error)}.") from error
+    preset = validated(Preset, content, f"Preset {source}")
     for contradiction in (
         *_channel_misfits(preset),
         *_blanking_misfits(preset),
@@ -290,28 +260,6 @@ def parse_preset(content: Any, source: str) -> Preset:
     ):
         raise UserError(f"Preset {source}: {contradiction}.")
     return preset
-
-
-def _refusal(error: ValidationError) -> str:
-    """The first thing that a validation error says: where, what is wrong, what is allowed."""
-    first = error.errors()[0]
-    key = " ".join(".".join(str(part) for part in first["loc"]).split()) or "the top level"
-    if first["type"] == "missing":
-        return f"{key} is missing; it is required"
-    if first["type"] in ("unexpected_keyword_argument", "invalid_key"):
-        return f"{key} is not a known key; remove it or correct its spelling"
-    said = re.sub(r"^\w+ should ", "it must ", first["msg"].replace(" after validation", ""))
-    allowed = f"it must be {EXPECTED[first['type']]}" if first["type"] in EXPECTED else _rounded(said)
-    try:
-        value = repr(first["input"]) if isinstance(first["input"], str) else _rounded(repr(first["input"]))
-    except ValueError:
-        value = "a number of thousands of digits"  # more than Python writes
-    return f"{key} is {value if len(value) <= 100 else f'{value[:100]} ...'}; {allowed}"
-
-
-def _rounded(text: str) -> str:
-    """The text with numbers of more than seven characters rounded to six digits."""
-    return re.sub(r"\d+(\.\d+)?(e[-+]?\d+)?", lambda n: n[0] if len(n[0]) <= 7 else f"{float(n[0]):.6g}", text)
 
 
 # Where keys contradict each other: sentences without their beginning and end.

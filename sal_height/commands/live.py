@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
@@ -17,7 +18,6 @@ from sal_height.commands._options import (
     GraphOptions,
     NodeParameters,
     OutputFolder,
-    Seed,
     bag_name,
     command,
     complain,
@@ -25,12 +25,17 @@ from sal_height.commands._options import (
     node_parameters,
     output_folder,
 )
+from sal_height.errors import UserError
+
+if TYPE_CHECKING:
+    from sal_height.runs.sensor_bag import Feed
 
 EXAMPLES = """
   sal-height live                        the lidar over a street, until Ctrl-C
   sal-height live --preset sal_stripmap --seconds 60
   sal-height live --bag out/sal_spotlight/bag --rate 0.5
   sal-height live --record phase_history --out out/flight
+  sal-height live flight.yaml --supervise    nodes for a sensor of your own
 """
 
 app = command("live", PROCESSING, EXAMPLES, "no height came out")
@@ -38,85 +43,133 @@ app = command("live", PROCESSING, EXAMPLES, "no height came out")
 
 @app.default
 def live(
+    config: Annotated[Path | None, Parameter(name="CONFIG", show_default=False)] = None,
+    /,
     *,
-    preset: Annotated[str, Parameter(metavar="NAME|FILE")] = "sal_spotlight",
+    preset: Annotated[str | None, Parameter(metavar="NAME|FILE")] = None,
     bag: Annotated[Path | None, Parameter(metavar="BAG")] = None,
-    rate: Annotated[float, Parameter(metavar="X", validator=Number(gt=0))] = 1.0,
+    rate: Annotated[float | None, Parameter(metavar="X", validator=Number(gt=0))] = None,
     seconds: Annotated[float | None, Parameter(metavar="S", validator=Number(gt=0))] = None,
     dwells: Annotated[int | None, Parameter(metavar="N", validator=Number(gte=1))] = None,
     budget: Annotated[float | None, Parameter(metavar="S", validator=Number(gt=0))] = None,
     one_process: Flag = False,
-    seed: Seed = 1,
+    supervise: Flag = False,
+    seed: Annotated[int | None, Parameter(metavar="S", validator=Number(gte=0, lt=2**31))] = None,
     graph: GraphOptions = GRAPH,
     out: OutputFolder = None,
     param: NodeParameters = (),
 ) -> int:
     """Process a sensor that does not wait, and show rate, latency and drops of every node.
 
-    The sensor's dwells are simulated beforehand, or come from a bag. They are
-    played at the sensor's pace, again and again with stamps that go on, until
-    Ctrl-C. When dwells come faster than they are processed, the oldest are left
-    out whole and counted. The output folder holds the bag of the heights, and
-    report.json.
+    Without CONFIG, the sensor's dwells are simulated beforehand, or come from a
+    bag. They are played at the sensor's pace, again and again with stamps that
+    go on, until Ctrl-C. When dwells come faster than they are processed, the
+    oldest are left out whole and counted. The output folder holds the bag of
+    the heights, and report.json.
+
+    With CONFIG, the nodes that it lists are started for a sensor of your own,
+    in the ROS domain of the environment; docs/live.md describes the file.
 
     Args:
-        preset: Sensor, flight and scene to simulate: the name of a preset, or a YAML file.
+        config: YAML file with nodes, their parameters, topics and namespaces.
+        preset: Sensor, flight and scene to simulate: the name of a preset, or a YAML file. Default: sal_spotlight.
         bag: Play this bag instead of a preset.
-        rate: Seconds of the sensor in a second.
+        rate: Seconds of the sensor in a second. Default: 1.
         seconds: End after this time. Default: at Ctrl-C.
         dwells: Number of dwells to simulate. Default: the preset's.
         budget: Longest time from a dwell to its heights, in seconds. Default: the preset's latency_budget_s, or
             three dwell intervals, but at least 0.2.
         one_process: Run all nodes in one process instead of one each.
+        supervise: Start nodes again that have ended, after half a second at first and 30 s at most.
+        seed: Seed of the random numbers. Default: 1.
         out: Output folder, new or empty. Default: out/live_PRESET, or the next free of out/live_PRESET_2, ….
     """
-    import dataclasses
     import math
+    import time
 
     from sal_height.runs.processes import use_one_thread
 
+    if supervise and one_process:
+        raise UserError("Options --supervise and --one-process exclude each other: nodes in one process end together.")
+    end_s = math.inf if seconds is None else seconds
+    if config is not None:
+        simulating = {"--preset": preset, "--bag": bag, "--rate": rate, "--dwells": dwells, "--budget": budget}
+        _refuse_beside_config({**simulating, "--seed": seed, "--out": out, "--param": param, "--record": graph.record})
+        return _attend(config, one_process, supervise, end_s, graph)
     if not one_process:
         use_one_thread()
 
     with importing():
-        from rich.console import Console
-        from rich.live import Live as Display
+        from sal_height.runs.live import Live, live
+        from sal_height.runs.live_table import live_table, showing
 
-        from sal_height.runs.live import Live, Watched, live
-        from sal_height.runs.live_table import live_table
-        from sal_height.runs.sensor_bag import Feed
-        from sal_height.simulation import load_preset
-
-    parameters, execution = node_parameters(param), graph.execution(not one_process)
-    if bag is None:
-        loaded = load_preset(preset)
-        folder = output_folder(out, f"live_{loaded.name}")
-        changed = dataclasses.replace(loaded, dwells=dwells or loaded.dwells)
-        played = Feed.simulated(changed, seed, folder / "sensor")
-    else:
-        folder = output_folder(out, f"live_{bag_name(bag)}")
-        played = Feed.of_bag(bag)
-    how = Live(rate, math.inf if seconds is None else seconds, budget or 0.0)
-    console = Console()
-    if console.is_terminal:
-        with Display(console=console, auto_refresh=False) as display:
-            seen = live(
-                played,
-                folder / "run",
-                parameters,
-                how,
-                execution,
-                lambda w: display.update(live_table(w), refresh=True),
-            )
-    else:
-
-        def nothing(_: Watched) -> None:
-            """A log is no place for a table that changes."""
-
-        seen = live(played, folder / "run", parameters, how, execution, nothing)
-        console.print(live_table(seen))
+    feed, folder = _feed(preset or "sal_spotlight", bag, dwells, 1 if seed is None else seed, out)
+    how = Live(rate or 1.0, end_s, budget or 0.0, supervise)
+    with showing(lambda watched: live_table(watched, time.monotonic())) as show:
+        seen = live(feed, folder / "run", node_parameters(param), how, graph.execution(not one_process), show)
     print(f"see {folder}/run/report.json and {folder}/run/bag")
     if not seen.heights:
         complain(["No height came out; the table says where dwells were left out."])
         return FAILED
+    return DONE
+
+
+def _feed(preset: str, bag: Path | None, dwells: int | None, seed: int, out: Path | None) -> tuple[Feed, Path]:
+    """The sensor that is played, from a bag or else simulated, and the output folder."""
+    import dataclasses
+
+    from sal_height.runs.sensor_bag import Feed
+    from sal_height.simulation import load_preset
+
+    if bag is not None:
+        folder = output_folder(out, f"live_{bag_name(bag)}")
+        return Feed.of_bag(bag), folder
+    loaded = load_preset(preset)
+    folder = output_folder(out, f"live_{loaded.name}")
+    changed = dataclasses.replace(loaded, dwells=dwells or loaded.dwells)
+    return Feed.simulated(changed, seed, folder / "sensor"), folder
+
+
+def _refuse_beside_config(options: Mapping[str, object]) -> None:
+    """Refuse options that say how a sensor is simulated or what is recorded: a configuration says it itself.
+
+    Raises:
+        UserError: one is given.
+    """
+    if given := [name for name, value in options.items() if value not in (None, ())]:
+        raise UserError(
+            f"Option {given[0]} is for a sensor that is simulated or comes from a bag; a configuration names nodes and "
+            "their parameters in its file."
+        )
+
+
+def _attend(config: Path, one_process: bool, supervise: bool, seconds: float, graph: GraphOptions) -> int:
+    """Run the nodes of a configuration."""
+    import dataclasses
+    import time
+
+    from sal_height.runs.deployment import load_deployment
+    from sal_height.runs.processes import use_one_thread
+
+    deployment = load_deployment(config)
+    separate = not (one_process or deployment.one_process)
+    if supervise and not separate:
+        raise UserError(f"Configuration {config}: one_process excludes --supervise: nodes in one process end together.")
+    if separate:
+        use_one_thread()
+
+    with importing():
+        from sal_height.runs.attend import attend
+        from sal_height.runs.deployed_nodes import members_of
+        from sal_height.runs.live_table import node_table, showing
+
+    try:
+        members = members_of(deployment)
+    except UserError as error:
+        raise UserError(f"Configuration {config}: {error}") from error
+    execution = graph.execution(separate)
+    if graph.domain is None:
+        execution = dataclasses.replace(execution, domain="environment")
+    with showing(lambda seen: node_table(seen.book, time.monotonic(), f"{seen.elapsed_s:.0f} s")) as show:
+        attend(members, execution, seconds, supervise, show)
     return DONE

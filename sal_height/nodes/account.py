@@ -7,6 +7,7 @@ how the counts are called on /diagnostics.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Self
@@ -24,9 +25,17 @@ UNWRITTEN, RECORDED = "unwritten", "recorded."
 PUBLISHED_ON, SUBSCRIBERS = "published.", "subscribers."
 LAST_DROP = "last_drop"
 OFFERED, ACHIEVED = "offered_hz", "achieved_hz"
-CPU = "cpu_s"
-"""Processor time of the process, s: that of all its nodes."""
+CPU, MEMORY, PID = "cpu_s", "memory_mb", "pid"
+"""Processor time, s, memory and number of the process: those of all its nodes."""
+LAST_MINUTE = "last_minute."
+"""Begins the names of the counts dropped.REASON and ignored.REASON of the last minute."""
+LOST_WITH_PROCESS = "lost with its process"
+"""Why messages that waited when the process of a node ended were dropped."""
 LATENCY_P50, LATENCY_P95 = "latency_p50_ms", "latency_p95_ms"
+
+STATES = {WAITING, JOBS, READY, OFFERED, ACHIEVED, MEMORY, PID, LATENCY_P50, LATENCY_P95}
+STATES_UNDER = (SUBSCRIBERS, LAST_MINUTE)
+"""Numbers that tell how a node is now, by name and by the beginning of their names; all others count from its start."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +64,17 @@ class Account:
         texts = {**{key: str(number) for key, number in self.numbers.items()}, LAST_DROP: self.last_drop}
         return [KeyValue(key=key, value=text) for key, text in texts.items() if text]
 
+    def after(self, earlier: Account) -> Account:
+        """This account, with the counts of an earlier process of the same node added.
+
+        What waited when that one ended was lost with it.
+        """
+        counts = Counter({name: number for name, number in earlier.numbers.items() if _is_count(name)})
+        if earlier.waiting:
+            counts[f"{DROPPED}{LOST_WITH_PROCESS}"] += earlier.waiting
+        own = {name: number + counts.pop(name, 0) for name, number in self.numbers.items() if _is_count(name)}
+        return Account({**self.numbers, **own, **counts}, self.last_drop or earlier.last_drop)
+
     @property
     def received(self) -> int:
         """Messages that came in."""
@@ -74,6 +94,11 @@ class Account:
     def dropped(self) -> dict[str, int]:
         """Messages that were left out, by reason."""
         return self.under(DROPPED)
+
+    @property
+    def lately(self) -> dict[str, int]:
+        """Messages that were left out or could not be used in the last minute, by reason."""
+        return self.under(f"{LAST_MINUTE}{DROPPED}") | self.under(f"{LAST_MINUTE}{IGNORED}")
 
     @property
     def ignored(self) -> dict[str, int]:
@@ -111,6 +136,11 @@ class Account:
             for name, number in self.numbers.items()
             if name.startswith(prefix)
         }
+
+
+def _is_count(name: str) -> bool:
+    """Whether a number counts something from the start of its node."""
+    return name not in STATES and not name.startswith(STATES_UNDER)
 
 
 def _number(text: str) -> float | None:

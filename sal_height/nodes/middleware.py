@@ -7,9 +7,12 @@ larger: its frames then wait for room or go over the network, and keep platform 
 from __future__ import annotations
 
 import atexit
+import fcntl
 import os
 import shutil
 import tempfile
+import time
+from contextlib import suppress
 from pathlib import Path
 
 from rclpy.logging import get_logger
@@ -32,6 +35,12 @@ SHARE = 1 / 16
 """Of what is free in the shared memory of the machine, the part that one process may take: others want theirs."""
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 (where Linux has it)
+
+SEGMENT, LOCK = "fastrtps_", "_el"
+"""Begin of the names of segments of shared memory, and end of that of the file that goes with each."""
+
+YOUNG_S = 10.0
+"""A segment younger than this is never taken for one that was left."""
 
 TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
@@ -94,6 +103,20 @@ def free_bytes() -> int:
     return shutil.disk_usage(SHARED_MEMORY).free if SHARED_MEMORY.is_dir() else 0
 
 
+def remove_orphans() -> None:
+    """Remove the shared memory of processes that were killed: 16 MB of each would stay until the machine restarts.
+
+    Each segment has a file that its process holds locked, as long as it lives.
+    """
+    for lock in SHARED_MEMORY.glob(f"{SEGMENT}*{LOCK}"):
+        with suppress(OSError), lock.open("rb") as held:
+            if time.time() - lock.stat().st_mtime < YOUNG_S:
+                continue  # its process may not have locked it yet
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock.with_name(lock.name.removesuffix(LOCK)).unlink(missing_ok=True)
+            lock.unlink()
+
+
 def settings_for(dwell_bytes: int) -> str:
     """Settings of Fast DDS, as XML, with which a process publishes dwells of that size.
 
@@ -113,9 +136,11 @@ def settings_for(dwell_bytes: int) -> str:
 def provide_shared_memory(dwell_bytes: int = 0) -> None:
     """Have the nodes of this process, and of those that it starts, use shared memory that holds dwells of that size.
 
-    It has an effect before the first node of a process only. Whoever uses another middleware, or has settings of Fast
+    What processes that were killed have left of it is given back first. It has an effect before the first node of a
+    process only. Whoever uses another middleware, or has settings of Fast
     DDS in a file of their own, keeps them.
     """
+    remove_orphans()
     if (
         not os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
         or PROFILES in os.environ

@@ -6,7 +6,7 @@ import threading
 import time
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -23,10 +23,12 @@ from rclpy.subscription import Subscription
 from sal_height.bag.definitions import message_class
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.io import free_folder
 from sal_height.nodes.account import DIAGNOSTICS, DROPPED, IGNORED, PROGRESS, RECORDED, UNWRITTEN, Account
 from sal_height.nodes.executors import with_times
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.parameters import LiveParameters
+from sal_height.nodes.process_numbers import process_numbers
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Role, Topics
 from sal_height.settings import Settings, setting
@@ -120,6 +122,11 @@ class Recorder(Role, Node):
         self._every(DISCOVERY_PERIOD_S, self._discover)
         self._every(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
         self._discover()
+
+    @classmethod
+    def parameters_again(cls, parameters: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The folder is the next free one of NAME_2, …: the bag of the process that has ended stays as it is."""
+        return {**parameters, "directory": str(free_folder(Path(parameters["directory"])))}
 
     @property
     def recorded(self) -> dict[str, int]:
@@ -292,11 +299,12 @@ class Recorder(Role, Node):
         """How many messages of each topic are in the bag (recorded.<topic>) and how many were lost."""
         recorded = {f"{RECORDED}{topic}": count for topic, count in self._recorded.items()}
         missing = self._unwritten + self.dropped
+        numbers = {UNWRITTEN: self._unwritten} | self._lost | recorded | process_numbers()
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if missing else DiagnosticStatus.OK,
             name=self.get_fully_qualified_name().lstrip("/"),
             message=f"{missing} messages are not in the bag" if missing else "recording",
-            values=Account({UNWRITTEN: self._unwritten} | self._lost | recorded, self._last_loss).to_values(),
+            values=Account(numbers, self._last_loss).to_values(),
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

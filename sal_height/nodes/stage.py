@@ -25,7 +25,6 @@ from std_srvs.srv import Trigger
 
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.account import (
-    CPU,
     DIAGNOSTICS,
     DROPPED,
     IGNORED,
@@ -40,6 +39,7 @@ from sal_height.nodes.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.jobs import Job, JobQueue
 from sal_height.nodes.parameters import LiveParameters
+from sal_height.nodes.process_numbers import process_numbers
 from sal_height.nodes.role import Role
 from sal_height.nodes.tally import Pace, Tally
 from sal_height.settings import Settings, setting
@@ -343,7 +343,8 @@ class Stage(Role, Node):
         lost = sum(int(count) for name, count in summary.items() if name.startswith((DROPPED, IGNORED)))
         account = Account(
             summary
-            | {JOBS: self.jobs, READY: int(self.is_ready), CPU: round(time.process_time(), 3)}
+            | {JOBS: self.jobs, READY: int(self.is_ready)}
+            | process_numbers()
             | self._pace.rates()
             | {f"{PUBLISHED_ON}{outlet.topic}": outlet.published for outlet in self._offered if outlet.keeps_all}
             | {f"{SUBSCRIBERS}{outlet.topic}": outlet.subscribers for outlet in self._offered},

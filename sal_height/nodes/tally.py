@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import Counter, deque
+from collections.abc import Callable
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from sal_height.nodes.account import (
     ACHIEVED,
     DROPPED,
     IGNORED,
+    LAST_MINUTE,
     LATENCY_P50,
     LATENCY_P95,
     OFFERED,
@@ -30,7 +33,9 @@ class Tally:
     At any time: received = processed + dropped + waiting.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """Count; `clock` tells the time, s, for the counts of the last minute."""
+        self._clock = clock
         self._lock = threading.Lock()
         self._received = 0
         self._processed = 0
@@ -38,6 +43,7 @@ class Tally:
         self._dropped: Counter[str] = Counter()
         self._ignored: Counter[str] = Counter()
         self._noted: Counter[str] = Counter()
+        self._lately = LastMinute()
         self._latencies: deque[float] = deque(maxlen=1000)
         self.offered = 0
         """Dwells that were complete and handed over for processing."""
@@ -58,11 +64,13 @@ class Tally:
         """That many messages were left out."""
         with self._lock:
             self._dropped[reason] += messages
+            self._lately.add(self._clock(), f"{DROPPED}{reason}", messages)
 
     def ignore(self, reason: str) -> None:
         """A message that is not counted as received (sensor info, odometry) could not be used."""
         with self._lock:
             self._ignored[reason] += 1
+            self._lately.add(self._clock(), f"{IGNORED}{reason}", 1)
 
     def note(self, event: str) -> None:
         """Something worth counting has happened that costs no message."""
@@ -70,19 +78,27 @@ class Tally:
             self._noted[event] += 1
 
     def finish(self, messages: int, published: int, latency_s: float) -> None:
-        """That many messages became that many products, `latency_s` after they were complete and handed over."""
+        """That many messages became that many products, `latency_s` after they were complete and handed over.
+
+        Work of the node's own, which consumes no message, has no latency.
+        """
         with self._lock:
             self._processed += messages
             self._published += published
-            self.finished += bool(messages)
-            self._latencies.append(latency_s)
+            if messages:
+                self.finished += 1
+                self._latencies.append(latency_s)
 
     def summary(self) -> dict[str, int | float]:
-        """Counts and latencies by name; `dropped.<reason>` and `ignored.<reason>` for each reason, and events noted."""
+        """Counts and latencies by name.
+
+        `dropped.<reason>` and `ignored.<reason>` for each reason, the same of the last minute, and events noted.
+        """
         with self._lock:
             dropped = dict(self._dropped)
             ignored = dict(self._ignored)
             noted = dict(self._noted)
+            lately = self._lately.counts(self._clock())
             values: dict[str, int | float] = {
                 RECEIVED: self._received,
                 PROCESSED: self._processed,
@@ -94,7 +110,32 @@ class Tally:
                 values |= {LATENCY_P50: round(float(p50) * 1e3, 3), LATENCY_P95: round(float(p95) * 1e3, 3)}
         values |= {f"{DROPPED}{reason}": count for reason, count in sorted(dropped.items())}
         values |= {f"{IGNORED}{reason}": count for reason, count in sorted(ignored.items())}
+        values |= {f"{LAST_MINUTE}{name}": count for name, count in sorted(lately.items())}
         return values | dict(sorted(noted.items()))
+
+
+class LastMinute:
+    """Counts by name of the last minute, in steps of a second; memory does not grow with what is counted."""
+
+    def __init__(self) -> None:
+        self._seconds: deque[tuple[int, Counter[str]]] = deque()
+
+    def add(self, now: float, name: str, count: int) -> None:
+        """Count at the time `now`, s."""
+        second = int(now)
+        if not self._seconds or self._seconds[-1][0] != second:
+            self._forget(now)
+            self._seconds.append((second, Counter()))
+        self._seconds[-1][1][name] += count
+
+    def counts(self, now: float) -> Counter[str]:
+        """What was counted in the minute before `now`, s."""
+        self._forget(now)
+        return sum((counts for _, counts in self._seconds), Counter())
+
+    def _forget(self, now: float) -> None:
+        while self._seconds and self._seconds[0][0] <= int(now) - 60:
+            self._seconds.popleft()
 
 
 class Pace:

@@ -66,7 +66,9 @@ def check_parameters(parameters: NodeParameters, settable: Sequence[str] = SETTA
         if unknown := [key for key in values if key not in settings_of(model)]:
             raise UserError(unknown_name(unknown[0], settings_of(model), f"Node {name}"))
         try:
-            accepted = model(**values)
+            accepted = model(
+                **{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
+            )
             checked[name] = {key: getattr(accepted, key) for key in values}
         except UserError as error:
             raise UserError(f"Node {name}: {error}") from error

@@ -13,6 +13,7 @@ from typing import Any, Self
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 from tqdm import tqdm
 
@@ -158,8 +159,6 @@ class Conductor(Node):
         self._recorded = plan.recorded
         self._inputs = {plan.source: "", **stage_inputs(plan.stages, plan.parameters)}
         self._steps = 0
-        self.answer = ""
-        """What the source has last answered."""
         self._step = self.create_client(Trigger, f"{plan.source}/{NODES[plan.source].begin_service}")
         self.create_subscription(DiagnosticArray, accounts_on, self._on_diagnostics, 100)
 
@@ -220,15 +219,18 @@ class Conductor(Node):
                     f"Somebody else publishes on /{topic} in this ROS domain; stop them, or choose another domain."
                 )
 
+    def ask(self) -> Future:
+        """Ask the source to begin, or for the next dwell; its answer is in the future."""
+        return self._step.call_async(Trigger.Request())
+
     def step(self, wait: Callable[[Callable[[], bool], str], None]) -> bool:
         """Ask for the next dwell; False when there is none.
 
         Raises:
             UserError: the source does not answer.
         """
-        answer = self._step.call_async(Trigger.Request())
+        answer = self.ask()
         wait(answer.done, f"an answer of node {self._source}")
-        self.answer = str(answer.result().message)
         self._steps += answer.result().success
         return bool(answer.result().success)
 

@@ -66,7 +66,7 @@ class Ensemble:
     At the end the first one is ended first.
 
     Attributes:
-        members: the nodes by name.
+        members: the nodes by name, as they are started first.
         graph: context and executor of this process; once it is entered.
     """
 
@@ -92,12 +92,11 @@ class Ensemble:
             raise UserError(f"Node {name} ended with status {status}; its message is above.")
 
     def start_again(self, member: Member) -> None:
-        """Start a node whose process has ended, in a new one; it is a `member` of that name from now on.
+        """Start a node of that name, whose process has ended, in a new one.
 
         Raises:
             UserError: it cannot be started.
         """
-        self.members[member.name] = member
         self._processes[member.name] = _process_of(member, forks=False)
 
     def __enter__(self) -> Self:

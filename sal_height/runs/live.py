@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rclpy.task import Future
 from sal_height_msgs.msg import HeightImage
 
 from sal_height.errors import UserError
@@ -21,6 +23,7 @@ from sal_height.nodes.domain import ros_domain
 from sal_height.nodes.middleware import provide_shared_memory
 from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist, stamp_ns_of
 from sal_height.numeric import available_processors
+from sal_height.runs.account_book import AccountBook
 from sal_height.runs.catalogue import HEIGHTS, TRACKER, check_parameters, consumers
 from sal_height.runs.conductor import Conductor, Execution, Interruption, Plan, members_of
 from sal_height.runs.ensemble import Ensemble
@@ -28,6 +31,8 @@ from sal_height.runs.processes import beside, process_age_s
 from sal_height.runs.reporting import PARAMETERS, PRESET, merged, reporting
 from sal_height.runs.self_test import core_rate_hz, make_tables
 from sal_height.runs.sensor_bag import Feed
+from sal_height.runs.supervisor import Supervisor
+from sal_height.runs.watch import LOOK_PERIOD_S, SHOW_PERIOD_S, Watcher
 
 _LOG = logging.getLogger(__name__)
 
@@ -43,10 +48,8 @@ STEPS = 3
 MAPPER, MAP_QUEUE = "relief_mapper", 256
 """The map has no latency budget: a dwell is as good for it a second later, which it takes to publish a large one."""
 
-SHOW_PERIOD_S = 1.0
-
-LOOK_PERIOD_S = 0.05
-"""Period at which the run looks whether its processes still run, and whether it has been interrupted."""
+ASK_PERIOD_S = 1.0
+"""Time after which a sensor that has not answered is asked again."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +60,13 @@ class Live:
         rate: seconds of the sensor in a second.
         seconds: how long, s; infinity: until it is interrupted.
         budget_s: latency budget; 0: that of the preset, or the default.
+        supervised: whether nodes that have ended are started again.
     """
 
     rate: float = 1.0
     seconds: float = float("inf")
     budget_s: float = 0.0
+    supervised: bool = False
 
 
 @dataclass
@@ -71,7 +76,7 @@ class Watched:
     Attributes:
         elapsed_s: time since the sensor began to deliver.
         offered_hz: dwells in a second that the sensor delivers, as planned.
-        accounts: of all nodes by name.
+        book: the accounts of all nodes.
         latencies_s: from the last pulse of a dwell to its height image, by topic.
         cpu_at_start_s: processor time of the nodes' processes when the sensor began.
         start_s: time from the begin of this program to the end of each step of the start: tables are made, dwells
@@ -80,15 +85,20 @@ class Watched:
 
     elapsed_s: float
     offered_hz: float
-    accounts: dict[str, Account]
+    book: AccountBook = field(default_factory=AccountBook)
     latencies_s: dict[str, list[float]] = field(default_factory=dict)
     cpu_at_start_s: dict[str, float] = field(default_factory=dict)
     start_s: dict[str, float] = field(default_factory=dict)
 
     def cpu_per_second(self, node: str) -> float:
-        """Processor seconds that the process of a node takes in a second."""
+        """Processor seconds that the processes of a node have taken in a second since the sensor began."""
         used = self.accounts[node].numbers.get(CPU, 0.0) - self.cpu_at_start_s.get(node, 0.0)
         return used / self.elapsed_s if self.elapsed_s else 0.0
+
+    @property
+    def accounts(self) -> dict[str, Account]:
+        """Accounts of all nodes by name."""
+        return {name: entry.account for name, entry in self.book.entries.items()}
 
     @property
     def heights(self) -> int:
@@ -109,7 +119,8 @@ class Watched:
             "heights": {topic: len(values) for topic, values in self.latencies_s.items()},
             "processor_seconds_per_second": {name: self.cpu_per_second(name) for name in self.accounts},
             "nodes": {
-                name: {**account.numbers, "last_drop": account.last_drop} for name, account in self.accounts.items()
+                name: {**entry.account.numbers, "last_drop": entry.account.last_drop, "processes": entry.lives}
+                for name, entry in self.book.entries.items()
             },
         }
 
@@ -174,7 +185,7 @@ def live(
             tested.poll()  # a process stays in lists until it is asked how it ended
         show(watched)
 
-    watched = Watched(0.0, 1 / interval_s, {}, {topic: [] for topic in topics}, start_s=start_s)
+    watched = Watched(0.0, 1 / interval_s, latencies_s={topic: [] for topic in topics}, start_s=start_s)
     with reporting(folder, known) as report:
         _perform(plan, execution, how, playlist, watched, let_go_and_show)
         report.update(watched.as_json())
@@ -206,12 +217,18 @@ def _perform(
     ):
         graph = ensemble.graph
         conductor = graph.add(Conductor(plan, context=graph.context))
-        watched.accounts = conductor.accounts
+        graph.add(Watcher(watched.book, context=graph.context))
+        clock = DwellClock(how.rate, next(playlist.frames())[0].pulse_time[-1])
+        sensor = Beginning(conductor, clock)
+        supervisor: Supervisor | None = None
 
         def spin(seconds: float) -> None:
             graph.spin_for(seconds)
             interruption.check()
-            ensemble.check()
+            if supervisor is None:
+                ensemble.check()
+            elif SOURCE in supervisor.look(time.monotonic()):
+                sensor.forget()
 
         def wait(condition: Callable[[], bool], what: str) -> None:
             deadline = time.monotonic() + execution.timeout_s
@@ -222,15 +239,15 @@ def _perform(
 
         wait(conductor.ready, "all nodes to be ready")
         watched.start_s["ready"] = process_age_s()
-        clock = DwellClock(how.rate, next(playlist.frames())[0].pulse_time[-1])
+        supervisor = Supervisor(ensemble, time.monotonic()) if how.supervised else None
         for topic in watched.latencies_s:
             conductor.listen_raw(HeightImage, topic, _keeper(topic, clock, watched))
-        conductor.step(wait)
+        wait(sensor.has_begun, f"an answer of node {SOURCE}")
         watched.cpu_at_start_s = {name: a.numbers.get(CPU, 0.0) for name, a in watched.accounts.items()}
-        clock.begin_ns, began = int(conductor.answer), time.monotonic()
-        due_s = SHOW_PERIOD_S
+        began, due_s = time.monotonic(), SHOW_PERIOD_S
         while watched.elapsed_s < how.seconds:
             spin(min(LOOK_PERIOD_S, how.seconds - watched.elapsed_s))
+            sensor.has_begun()
             watched.elapsed_s = time.monotonic() - began
             if watched.elapsed_s >= min(due_s, how.seconds):
                 due_s += SHOW_PERIOD_S
@@ -266,6 +283,31 @@ class DwellClock:
         """Time since the last pulse of the dwell that a serialized product is of, s."""
         delivered_s = ((stamp_ns_of(cdr) - self.begin_ns) * 1e-9 + self.duration_s) / self.rate
         return (time.time_ns() - self.begin_ns) * 1e-9 - delivered_s
+
+
+class Beginning:
+    """Has the sensor begin to deliver, once or again after its node was started anew."""
+
+    def __init__(self, conductor: Conductor, clock: DwellClock) -> None:
+        """Ask by means of `conductor`; `clock` is told when the sensor begins."""
+        self._conductor, self._clock = conductor, clock
+        self._asked: Future | None = None
+        self._asked_at = -math.inf
+        self._begun = False
+
+    def forget(self) -> None:
+        """The sensor's node has been started anew."""
+        self._begun = False
+
+    def has_begun(self) -> bool:
+        """Whether the sensor delivers; if it does not, it is asked to, again and again: it may not be there yet."""
+        if not self._begun and self._asked and self._asked.done() and self._asked.result().success:
+            self._clock.begin_ns = int(self._asked.result().message)
+            self._begun, self._asked = True, None
+        if not self._begun and time.monotonic() - self._asked_at > ASK_PERIOD_S:
+            self._asked_at = time.monotonic()
+            self._asked = self._conductor.ask()
+        return self._begun
 
 
 def _budget_of(feed: Feed) -> float | None:

@@ -7,7 +7,7 @@ from threading import Barrier, Event
 
 import pytest
 
-from sal_height.nodes.tally import Pace, Tally
+from sal_height.nodes.tally import LastMinute, Pace, Tally
 
 
 def test_counts_and_reasons() -> None:
@@ -30,7 +30,33 @@ def test_counts_and_reasons() -> None:
         "dropped.late": 3,
         "dropped.wrong size": 1,
         "ignored.bad odometry": 2,  # not received in the sense of the balance
+        "last_minute.dropped.late": 3,
+        "last_minute.dropped.wrong size": 1,
+        "last_minute.ignored.bad odometry": 2,
     }
+
+
+def test_the_last_minute_forgets_what_is_older_and_the_counts_do_not() -> None:
+    now = [100.0]
+    tally = Tally(clock=lambda: now[0])
+    for second in range(90):
+        now[0] = 100.0 + second
+        tally.drop(2, "late")
+        tally.ignore("odometry")
+    summary = tally.summary()
+    assert summary["last_minute.dropped.late"] == 120
+    assert summary["last_minute.ignored.odometry"] == 60
+    assert summary["dropped.late"] == 180
+    now[0] += 60.0
+    assert not [name for name in tally.summary() if name.startswith("last_minute.")]
+
+
+def test_the_last_minute_takes_no_more_memory_than_a_minute() -> None:
+    lately = LastMinute()
+    for tick in range(100_000):
+        lately.add(tick * 0.01, "late", 1)
+    assert len(lately._seconds) <= 60
+    assert lately.counts(999.99) == {"late": 6000}
 
 
 def test_nothing_finished_has_no_latency() -> None:

@@ -1,0 +1,51 @@
+"""`sal-height top`: what the nodes of a running graph do."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
+from sal_height.commands._options import DONE, FAILED, PROCESSING, command, complain, importing
+
+EXAMPLES = """
+  sal-height top                    nodes of the ROS domain of the environment
+  sal-height top --domain 42        nodes of another domain
+  sal-height top --seconds 5 > now.txt
+"""
+
+app = command("top", PROCESSING, EXAMPLES, "no node tells of itself")
+
+
+@app.default
+def top(
+    *,
+    domain: Annotated[int | None, Parameter(metavar="N", validator=Number(gte=0, lte=232))] = None,
+    seconds: Annotated[float | None, Parameter(metavar="S", validator=Number(gt=0))] = None,
+) -> int:
+    """Show what the nodes of a running graph do, until Ctrl-C.
+
+    A line for each node: its state, dwells that come and are processed in a
+    second, latency from a complete dwell to its product (median and 95th
+    percentile), processors, memory, and how many messages were left out in the
+    last minute, and in all, for which reason. Below, what nodes say that are
+    not well. It reads what the nodes publish on /diagnostics.
+
+    Args:
+        domain: ROS domain of the graph. Default: that of ROS_DOMAIN_ID, or else 0.
+        seconds: End after this time. Default: at Ctrl-C.
+    """
+    import math
+    import time
+
+    with importing():
+        from sal_height.runs.live_table import node_table, showing
+        from sal_height.runs.watch import watch
+
+    with showing(lambda book: node_table(book, time.monotonic(), "nodes")) as show:
+        book = watch("environment" if domain is None else domain, math.inf if seconds is None else seconds, show)
+    if not book.entries:
+        complain(["No node tells of itself on /diagnostics; is the domain right, and that of this machine?"])
+        return FAILED
+    return DONE

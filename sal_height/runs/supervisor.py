@@ -1,0 +1,84 @@
+"""Starts the nodes of an ensemble again whose processes have ended."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import signal
+from collections import Counter
+from dataclasses import dataclass
+
+from sal_height.errors import UserError
+from sal_height.runs.ensemble import Ensemble
+
+_LOG = logging.getLogger(__name__)
+
+FIRST_WAIT_S, LONGEST_WAIT_S = 0.5, 30.0
+"""Time from the end of a node to its next start: it doubles from time to time, up to the longest."""
+
+STEADY_S = 60.0
+"""A node that has run for so long is waited for as little as the first time."""
+
+
+@dataclass
+class _Fate:
+    """What has become of a node: when it was started, how long to wait before the next time, and until when."""
+
+    began: float
+    wait_s: float = FIRST_WAIT_S
+    due: float | None = None
+
+
+class Supervisor:
+    """Starts nodes again that have ended, each after a wait, and says so.
+
+    Attributes:
+        starts: how often each node was started again.
+    """
+
+    def __init__(self, ensemble: Ensemble, now: float) -> None:
+        """Watch the processes of `ensemble` from the time `now`, s of the monotonic clock."""
+        self.starts: Counter[str] = Counter()
+        self._ensemble = ensemble
+        self._fates = {name: _Fate(now) for name in ensemble.members}
+
+    def look(self, now: float) -> list[str]:
+        """Tell which nodes have ended, and start those again whose time has come; returns their names."""
+        started = []
+        for name, status in self._ensemble.ended().items():
+            fate = self._fates[name]
+            if fate.due is None:
+                self._await(name, fate, now, f"ended {_described(status)}")
+            elif now >= fate.due:
+                try:
+                    self._start(name)
+                except UserError as error:
+                    self._await(name, fate, now, f"could not be started ({error})")
+                    continue
+                fate.began, fate.due = now, None
+                started.append(name)
+        return started
+
+    def _await(self, name: str, fate: _Fate, now: float, what: str) -> None:
+        """Have a node started again in some time."""
+        if now - fate.began > STEADY_S:
+            fate.wait_s = FIRST_WAIT_S
+        fate.due = now + fate.wait_s
+        _LOG.warning("Node %s %s; it is started again in %.3g s.", name, what, fate.wait_s)
+        fate.wait_s = min(2 * fate.wait_s, LONGEST_WAIT_S)
+
+    def _start(self, name: str) -> None:
+        member = self._ensemble.members[name]
+        again = member.node.parameters_again(member.parameters)
+        self._ensemble.start_again(dataclasses.replace(member, parameters=again))
+        self.starts[name] += 1
+
+
+def _described(status: int) -> str:
+    """How a process ended, in words."""
+    if status >= 0:
+        return f"with status {status}, and what it said is above"
+    try:
+        return f"by {signal.Signals(-status).name}"
+    except ValueError:
+        return f"by signal {-status}"

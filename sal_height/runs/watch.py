@@ -1,0 +1,67 @@
+"""Watch the nodes of a graph that others run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from sal_height.nodes.account import DIAGNOSTICS
+from sal_height.nodes.domain import DomainChoice, ros_domain
+from sal_height.nodes.graph import Graph
+from sal_height.runs.account_book import AccountBook
+from sal_height.runs.conductor import Interruption
+
+SHOW_PERIOD_S = 1.0
+"""Period at which what has been seen is shown."""
+
+LOOK_PERIOD_S = 0.05
+"""Period at which it is looked whether the user has interrupted."""
+
+
+class Watcher(Node):
+    """Reads what all nodes tell on /diagnostics.
+
+    Attributes:
+        book: their accounts.
+    """
+
+    def __init__(self, book: AccountBook, **node_arguments: Any) -> None:
+        """Enter what comes into `book`; `node_arguments` go to rclpy's Node."""
+        super().__init__("sal_height_watcher", **node_arguments)
+        self.book = book
+        self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._take, 100)
+
+    def _take(self, message: DiagnosticArray) -> None:
+        self.book.take(message, time.monotonic())
+
+
+def watch(domain: DomainChoice, seconds: float, show: Callable[[AccountBook], None]) -> AccountBook:
+    """Read what the nodes of a domain tell until the time is over or the user interrupts.
+
+    Args:
+        domain: of the nodes.
+        seconds: how long, s; infinity: until it is interrupted.
+        show: called once a second with what is known.
+    """
+    book = AccountBook()
+    with (
+        ros_domain(domain),
+        Interruption() as interruption,
+        Graph() as graph,
+        suppress(KeyboardInterrupt),
+    ):
+        graph.add(Watcher(book, context=graph.context))
+        end = time.monotonic() + seconds
+        due = time.monotonic() + SHOW_PERIOD_S
+        while (now := time.monotonic()) < end:
+            graph.spin_for(min(LOOK_PERIOD_S, end - now))
+            interruption.check()
+            if time.monotonic() >= min(due, end):
+                due += SHOW_PERIOD_S
+                show(book)
+    return book

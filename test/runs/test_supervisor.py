@@ -1,0 +1,300 @@
+"""Nodes that have ended are started again, and work at the next dwell beside those that went on."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sal_height_msgs.msg import HeightImage
+from std_srvs.srv import Trigger
+
+from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
+from sal_height.nodes.domain import free_domain
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.runs.ensemble import Member
+from sal_height.runs.supervisor import FIRST_WAIT_S, LONGEST_WAIT_S, STEADY_S, Supervisor
+
+DEADLINE_S = 60.0
+
+
+@dataclass
+class Processes:
+    """An ensemble whose processes end when the test says so."""
+
+    members: dict[str, Member]
+    statuses: dict[str, int] = field(default_factory=dict)
+    started: list[Member] = field(default_factory=list)
+    failure: str = ""
+
+    def ended(self) -> dict[str, int]:
+        return dict(self.statuses)
+
+    def start_again(self, member: Member) -> None:
+        if self.failure:
+            raise UserError(self.failure)
+        self.started.append(member)
+        self.statuses.pop(member.name)
+
+
+def supervised(*members: Member) -> tuple[Supervisor, Processes]:
+    processes = Processes({member.name: member for member in members})
+    supervisor: Any = Supervisor(processes, 0.0)  # type: ignore[arg-type]
+    return supervisor, processes
+
+
+def starts_of(supervisor: Supervisor, processes: Processes, until_s: float) -> list[float]:
+    """Times at which a node is started that ends at once, again and again; looked at every 10 ms."""
+    times = []
+    for tick in range(round(until_s * 100)):
+        processes.statuses.setdefault("ml_height", -9)
+        if supervisor.look(tick / 100):
+            times.append(tick / 100)
+    return times
+
+
+def test_a_node_that_ends_again_and_again_is_waited_for_twice_as_long_each_time() -> None:
+    times = starts_of(*supervised(Member("ml_height")), until_s=200.0)
+    waits = [later - earlier for earlier, later in zip([0.0, *times], times, strict=False)]
+    expected = [min(FIRST_WAIT_S * 2**number, LONGEST_WAIT_S) for number in range(len(waits))]
+    assert waits == pytest.approx(expected, abs=0.03)
+    assert len(waits) == 11  # six within 31.5 s, and then one every 30 s
+
+
+def test_a_node_that_has_run_for_long_is_waited_for_as_little_as_the_first_time() -> None:
+    supervisor, processes = supervised(Member("ml_height"))
+    starts_of(supervisor, processes, until_s=20.0)
+    assert supervisor.look(100.0) == ["ml_height"]
+    ended = 100.0 + STEADY_S + 1
+    processes.statuses["ml_height"] = 1
+    assert supervisor.look(ended) == []
+    assert supervisor.look(ended + FIRST_WAIT_S - 0.01) == []
+    assert supervisor.look(ended + FIRST_WAIT_S) == ["ml_height"]
+
+
+def test_the_end_of_a_node_and_what_follows_are_told(caplog: pytest.LogCaptureFixture) -> None:
+    supervisor, processes = supervised(Member("ml_height"), Member("near", "ml_height"))
+    with caplog.at_level(logging.WARNING):
+        processes.statuses = {"ml_height": -signal.SIGKILL, "near": 2}
+        supervisor.look(1.0)
+        processes.failure = "There is no memory."
+        supervisor.look(2.0)
+    assert [record.getMessage() for record in caplog.records] == [
+        "Node ml_height ended by SIGKILL; it is started again in 0.5 s.",
+        "Node near ended with status 2, and what it said is above; it is started again in 0.5 s.",
+        "Node ml_height could not be started (There is no memory.); it is started again in 1 s.",
+        "Node near could not be started (There is no memory.); it is started again in 1 s.",
+    ]
+    processes.failure = ""
+    assert supervisor.look(3.0) == ["ml_height", "near"]
+    assert supervisor.starts == {"ml_height": 1, "near": 1}
+
+
+def test_a_recorder_begins_a_new_bag(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    supervisor, processes = supervised(Member("recorder", parameters={"directory": str(bag), "max_memory_mb": 5}))
+    for number in range(2):
+        begun = tmp_path / ("bag_2" if number else "bag")
+        begun.mkdir()
+        (begun / "bag_0.mcap").touch()
+        processes.statuses["recorder"] = -9
+        supervisor.look(100.0 * number)
+        supervisor.look(100.0 * number + 1)
+    assert [Path(member.parameters["directory"]).name for member in processes.started] == ["bag_2", "bag_3"]
+    assert processes.started[-1].parameters["max_memory_mb"] == 5
+
+
+CONFIGURATION = """
+namespace: lidar
+nodes:
+  paced_player:
+    parameters: {{bag: {bag}, rate: 0.05}}
+  sar_compression:
+    parameters: {{rows: 96, cols: 12}}
+  ml_height:
+  relief_tracker:
+  relief_mapper:
+    parameters: {{estimator: tracked, file: {folder}/map.tif}}
+  recorder:
+    parameters: {{directory: {folder}/bag, topics: [ml/height]}}
+"""
+
+
+@dataclass
+class Program:
+    """`sal-height live CONFIG --supervise`, and the heights that come from it."""
+
+    process: subprocess.Popen[str]
+    graph: Graph
+    folder: Path
+    stamps: dict[str, list[int]]
+
+    def wait_for(self, condition: Callable[[], bool]) -> None:
+        assert self.graph.spin_until(condition, DEADLINE_S)
+
+    def await_new(self, topic: str, number: int = 1) -> None:
+        """Wait until so many more messages have come."""
+        wanted = len(self.stamps[topic]) + number
+        self.wait_for(lambda: len(self.stamps[topic]) >= wanted)
+
+    def node(self, name: str) -> int:
+        """Number of the process of a node; 0: there is none."""
+        found = children(self.process.pid)
+        return next((pid for pid in found if name in command_of(pid)), 0)
+
+
+def children(parent: int) -> list[int]:
+    return [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+
+
+def command_of(pid: int) -> str:
+    """Name and arguments of a process: one that was forked has those of the program, and the name of its node."""
+    folder = Path(f"/proc/{pid}")
+    try:
+        name, words = (folder / "comm").read_text(), (folder / "cmdline").read_text().split("\0")
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
+    return name if "live" in words else " ".join(words)
+
+
+@pytest.fixture(scope="module")
+def program(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
+    folder = tmp_path_factory.mktemp("supervised")
+    file = folder / "flight.yaml"
+    file.write_text(CONFIGURATION.format(bag=recorded / "bag", folder=folder))
+    with free_domain() as domain, Graph(domain) as graph:
+        words = ["live", str(file), "--supervise", "--domain", str(domain)]
+        process = subprocess.Popen(  # noqa: S603 (our program)
+            [sys.executable, "-m", "sal_height", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        try:
+            stamps: dict[str, list[int]] = {"ml/height": [], "tracked/height": []}
+            node = graph.add(_listener(graph, stamps, "/lidar"))
+            begin(graph, node)
+            started = Program(process, graph, folder, stamps)
+            started.await_new("tracked/height")
+            yield started
+        finally:
+            process.kill()
+            process.wait()
+
+
+def _listener(graph: Graph, stamps: dict[str, list[int]], namespace: str) -> Any:
+    from rclpy.node import Node
+
+    node = Node("listener", context=graph.context)
+
+    def keeper(topic: str) -> Callable[[HeightImage], None]:
+        def keep(message: HeightImage) -> None:
+            stamps[topic].append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+
+        return keep
+
+    for topic in stamps:
+        node.create_subscription(HeightImage, f"{namespace}/{topic}", keeper(topic), FRAMES_QOS)
+    return node
+
+
+def begin(graph: Graph, node: Any) -> None:
+    """Have the sensor deliver: a node that has just been started may not take the first call."""
+    client = node.create_client(Trigger, "/lidar/paced_player/start")
+    answers: list[Any] = []
+
+    def begun() -> bool:
+        return any(answer.done() and answer.result().success for answer in answers)
+
+    for _ in range(60):
+        if client.service_is_ready():
+            answers.append(client.call_async(Trigger.Request()))
+        if graph.spin_until(begun, 1.0):
+            return
+    raise AssertionError("the sensor does not begin")
+
+
+@pytest.mark.parametrize("name", ["sar_compression", "ml_height", "relief_tracker", "relief_mapper", "recorder"])
+def test_a_node_that_is_killed_works_again_beside_the_others(name: str, program: Program) -> None:
+    others = {other: program.node(other) for other in ("sar_compression", "ml_height", "relief_tracker", "recorder")}
+    killed = program.node(name)
+    assert killed
+    program.await_new("tracked/height")
+    os.kill(killed, signal.SIGKILL)
+    program.wait_for(lambda: program.node(name) not in (0, killed))
+    again = program.node(name)
+    program.await_new("tracked/height", 2)
+    program.await_new("ml/height", 2)
+    assert program.node(name) == again
+    others.pop(name, None)
+    assert {other: program.node(other) for other in others} == others
+
+
+def test_a_sensor_that_is_started_anew_is_followed(program: Program) -> None:
+    """Its dwells are numbered from 0 again, and stamped later."""
+    last = max(program.stamps["tracked/height"])
+    killed = program.node("paced_player")
+    os.kill(killed, signal.SIGKILL)
+    program.wait_for(lambda: program.node("paced_player") not in (0, killed))
+    begin(program.graph, program.graph.nodes[0])
+    program.await_new("tracked/height", 3)
+    assert min(program.stamps["tracked/height"][-2:]) > last
+
+
+def test_at_the_end_files_are_whole_and_restarts_are_told(program: Program) -> None:
+    """It comes last: it ends the program. Each bag holds what its recorder was there for."""
+    never = threading.Event()
+    program.await_new("ml/height")
+    never.wait(1.2)  # the recorder hands what it has to the system within a second
+    program.process.send_signal(signal.SIGINT)
+    said, errors = program.process.communicate(timeout=DEADLINE_S)
+    assert program.process.returncode == 0, errors
+    for name in ("sar_compression", "ml_height", "relief_tracker", "relief_mapper", "recorder", "paced_player"):
+        assert f"Node {name} ended by SIGKILL; it is started again in 0.5 s." in errors
+        assert f"lidar/{name} was started 2 times." in said
+    assert "Traceback" not in errors
+    recorded = BagReader(program.folder / "bag_2")
+    assert sum(1 for _ in recorded.messages(["/lidar/ml/height"])) > 0
+    assert (program.folder / "map.tif").is_file()
+
+
+def test_a_played_sensor_begins_anew_after_its_node_was_killed(recorded: Path, tmp_path: Path) -> None:
+    """`live` asks it to, and says in the report how many processes each node has had."""
+    words = ["live", "--bag", str(recorded / "bag"), "--rate", "0.05", "--supervise", "--out", str(tmp_path / "out")]
+    heights = tmp_path / "out" / "run" / "bag" / "bag_0.mcap"
+    with free_domain() as domain, Graph(domain) as graph:
+        process = subprocess.Popen(  # noqa: S603 (our program)
+            [sys.executable, "-m", "sal_height", *words, "--domain", str(domain)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            stamps: dict[str, list[int]] = {"tracked/height": []}
+            graph.add(_listener(graph, stamps, ""))
+            running = Program(process, graph, tmp_path, stamps)
+            running.await_new("tracked/height", 2)
+            os.kill(running.node("paced_player"), signal.SIGKILL)
+            running.wait_for(lambda: running.node("paced_player") == 0)
+            running.wait_for(lambda: running.node("paced_player") != 0)
+            running.await_new("tracked/height", 3)
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=DEADLINE_S)
+        finally:
+            process.kill()
+            process.wait()
+    assert process.returncode == 0, errors
+    assert heights.is_file()
+    report = json.loads((tmp_path / "out" / "run" / "report.json").read_text())
+    processes = {name: node["processes"] for name, node in report["nodes"].items()}
+    assert processes.pop("paced_player") == 2
+    assert set(processes.values()) == {1}
+    assert report["heights"]["tracked/height"] >= 5

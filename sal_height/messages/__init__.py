@@ -7,6 +7,7 @@ It is the only package that knows both the types of messages and those of the co
 from sal_height.messages.basics import (
     BODY_FRAME,
     MAP_FRAME,
+    Frames,
     aperture_from_message,
     complex_view,
     float_view,
@@ -57,6 +58,7 @@ __all__ = [
     "LONGEST_DWELL",
     "MAP_FRAME",
     "POINT_FIELDS",
+    "Frames",
     "Pose",
     "ReceivedFrame",
     "ReceivedImage",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import array
 import math
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +19,20 @@ from sal_height.numeric import C64, C128, F32, F64, U8
 from sal_height.sensor import Sensor
 
 MAP_FRAME = "map"
-"""Name of the frame of positions: x east, y north, z up (REP-103)."""
+"""Usual name of the frame of positions: x east, y north, z up (REP-103)."""
 
 BODY_FRAME = "base_link"
-"""Name of the frame of the platform: x forward, y left, z up (REP-103)."""
+"""Usual name of the frame of the platform: x forward, y left, z up (REP-103)."""
+
+
+class Frames(NamedTuple):
+    """Names of the frames of positions and of the platform in the headers of messages."""
+
+    map: str = MAP_FRAME
+    body: str = BODY_FRAME
+
+
+USUAL = Frames()
 
 
 def to_ns(stamp: Time) -> int:
@@ -82,6 +93,8 @@ def float_view(floats: Sequence[float], shape: tuple[int, ...]) -> F32:
 FARTHEST = 1e7
 """Greatest distance from the origin of the map, m: what is farther, or higher, is no place that a platform sees."""
 
+FASTEST = 1e5
+"""Greatest speed of a platform, m/s: ten times that of satellites."""
 
 FINEST = 1e-6
 """Least distance of pixels, m: finer than any wavelength."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import array
 import functools
+import math
 from collections.abc import Sequence
 from typing import TypeAlias
 
@@ -17,8 +18,10 @@ from std_msgs.msg import Header
 from sal_height.errors import Rejected
 from sal_height.geometry import PlatformState, rotation_matrix
 from sal_height.messages.basics import (
-    BODY_FRAME,
-    MAP_FRAME,
+    FARTHEST,
+    FASTEST,
+    USUAL,
+    Frames,
     check_channel,
     check_finite,
     check_rotation,
@@ -42,9 +45,9 @@ SAMPLE_BYTES = {messages.ChannelFrame.COMPLEX_FLOAT32: 8, messages.ChannelFrame.
 """Bytes per complex sample by ChannelFrame.encoding."""
 
 
-def state_to_message(state: PlatformState, stamp: Time) -> Odometry:
-    """Return the Odometry of a platform state: pose of base_link in map, velocity in the axes of base_link."""
-    message = Odometry(header=Header(stamp=stamp, frame_id=MAP_FRAME), child_frame_id=BODY_FRAME)
+def state_to_message(state: PlatformState, stamp: Time, frames: Frames = USUAL) -> Odometry:
+    """Return the Odometry of a platform state: pose of the body in map, velocity in the axes of the body."""
+    message = Odometry(header=Header(stamp=stamp, frame_id=frames.map), child_frame_id=frames.body)
     message.pose.pose.position = Point(**xyz(state.position))
     message.pose.pose.orientation = Quaternion(**dict(zip("xyzw", state.orientation.tolist(), strict=True)))
     message.pose.covariance = state.covariance.ravel()
@@ -62,22 +65,29 @@ def state_from_message(message: Odometry) -> PlatformState:
     return state_of_pose(Pose.of(message))
 
 
-def state_of_pose(pose: Pose) -> PlatformState:
+def state_of_pose(pose: Pose, frames: Frames = USUAL) -> PlatformState:
     """Return the platform state of the pose in an Odometry, with the velocity in the axes of map.
 
     Raises:
-        Rejected: the frames are not map and base_link, a value is not finite, or the quaternion of the orientation has
-            not the norm 1.
+        Rejected: the frames are others than `frames`, a value is not finite, place or speed are not those of a
+            platform, or the quaternion of the orientation has not the norm 1.
     """
-    frames = (pose.frame_id, pose.child_frame_id)
-    if frames != (MAP_FRAME, BODY_FRAME):
+    if (pose.frame_id, pose.child_frame_id) != frames:
         raise Rejected(
             "wrong frames",
-            f"Odometry has child_frame_id {frames[1]!r} and frame_id {frames[0]!r}; it must be of {BODY_FRAME!r} (x "
-            f"forward, y left, z up) in {MAP_FRAME!r} (east, north, up).",
+            f"Odometry has child_frame_id {pose.child_frame_id!r} and frame_id {pose.frame_id!r}; it must be of "
+            f"{frames.body!r} (x forward, y left, z up) in {frames.map!r} (east, north, up). Parameters map_frame and "
+            "body_frame set these names.",
         )
     orientation = pose.orientation
     check_finite((*pose.position, *pose.velocity), "Odometry")
+    if math.hypot(*pose.position) > FARTHEST or math.hypot(*pose.velocity) > FASTEST:
+        raise Rejected(
+            "no platform",
+            f"Odometry has the position {np.round(pose.position).tolist()} m and the velocity "
+            f"{np.round(pose.velocity).tolist()} m/s; at most {FARTHEST:g} m from the origin and {FASTEST:g} m/s are "
+            "allowed.",
+        )
     check_rotation(orientation, "Odometry")
     return PlatformState(
         stamp_ns=pose.stamp_ns,

@@ -83,7 +83,7 @@ def _surface_to_message(surface: Surface, grid: Grid) -> messages.Surface:
     return message
 
 
-def field_from_message(image: messages.HeightImage) -> HeightField:
+def field_from_message(image: messages.HeightImage, map_frame: str = MAP_FRAME) -> HeightField:
     """Return the surfaces of a HeightImage.
 
     A pixel that is usable by its validity but one of whose scatterers has no finite height, sigma, east or north, a
@@ -94,8 +94,11 @@ def field_from_message(image: messages.HeightImage) -> HeightField:
         Rejected: the image cannot be used; the sentence names the field, its value and what is allowed.
     """
     where = f"HeightImage of dwell {image.dwell}"
-    if image.header.frame_id != MAP_FRAME:
-        raise Rejected("wrong frames", f"{where} is in {image.header.frame_id!r}; it must be in {MAP_FRAME!r}.")
+    if image.header.frame_id != map_frame:
+        raise Rejected(
+            "wrong frames",
+            f"{where} is in {image.header.frame_id!r}; it must be in {map_frame!r} (parameter map_frame).",
+        )
     if not image.surfaces:
         raise Rejected("wrong size", f"{where} has no surface; it must have at least one.")
     grid = grid_from_message(image.grid)

@@ -45,16 +45,21 @@ class Labelled(Protocol):
 
 
 def slc_to_messages(
-    slc: Slc, frame: Labelled, provenance: messages.Provenance, channels: int | None = None
+    slc: Slc,
+    frame: Labelled,
+    provenance: messages.Provenance,
+    channels: int | None = None,
+    map_frame: str = MAP_FRAME,
 ) -> list[messages.ComplexImage]:
-    """Return one ComplexImage for each of the first `channels` channels (None: all), labelled as `frame`.
+    """Return one ComplexImage for each of the first `channels` channels (None: all), with the labels of `frame`.
 
-    They share one grid, one aperture and one provenance, which are to be left as they are.
+    Places are in the frame `map_frame`. The images share one grid, one aperture and one provenance, which are to be
+    left as they are.
     """
     grid, aperture, stamp = grid_to_message(slc.grid), aperture_to_message(slc.aperture), frame.header.stamp
     return [
         messages.ComplexImage(
-            header=Header(stamp=stamp, frame_id=MAP_FRAME),
+            header=Header(stamp=stamp, frame_id=map_frame),
             dwell=frame.dwell,
             channel=channel,
             grid=grid,

@@ -9,6 +9,7 @@ from rclpy.serialization import serialize_message
 from sal_height_msgs import msg as messages
 
 from sal_height.imaging import Slc
+from sal_height.messages.basics import MAP_FRAME
 from sal_height.messages.images import Labelled, slc_to_messages
 from sal_height.messages.received import (
     NOISE,
@@ -21,12 +22,14 @@ from sal_height.messages.received import (
 )
 
 
-def serialized_slc(slc: Slc, frame: Labelled, provenance: messages.Provenance) -> list[bytes]:
-    """The bytes of one ComplexImage per channel, with the stamp and the dwell of `frame`.
+def serialized_slc(
+    slc: Slc, frame: Labelled, provenance: messages.Provenance, map_frame: str = MAP_FRAME
+) -> list[bytes]:
+    """The bytes of one ComplexImage per channel, with the stamp and the dwell of `frame`, in `map_frame`.
 
     They are those of the first channel but for the channel's number, noise power, saturated share and samples.
     """
-    first = serialize_message(slc_to_messages(slc, frame, provenance, channels=1)[0])
+    first = serialize_message(slc_to_messages(slc, frame, provenance, 1, map_frame)[0])
     channel, noise = channel_offset(first), noise_offset(first)
     start = noise + NOISE.size
     pixels = np.ascontiguousarray(slc.images, dtype="<c8").reshape(len(slc.images), -1)

@@ -17,6 +17,7 @@ from sal_height import messages
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState
+from sal_height.nodes.parameters import MapFrameParameters
 from sal_height.nodes.relief_tracker import PREFIX as TRACKED
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import LATCHED_QOS, Stage, StageParameters, payload_bytes
@@ -27,7 +28,7 @@ LAST_WORDS_S = 2.0
 """Longest wait at the end of the node for subscribers to receive the last map."""
 
 
-class MapParameters(StageParameters):
+class MapParameters(MapFrameParameters, StageParameters):
     """Parameters of every node that makes a map."""
 
     estimator: str = setting(
@@ -167,7 +168,7 @@ class MapStage(Stage):
 
     def _enter(self, image: HeightImage) -> int:
         """Enter a height image into the map; a rejected image leaves the map unchanged."""
-        field = messages.field_from_message(image)
+        field = messages.field_from_message(image, self._settings.map_frame)
         if bad := messages.bad_pixels(image, field):
             self.ignore("bad pixels", messages.bad_pixel_warning(image, bad))
         aperture = messages.aperture_from_message(image.aperture)

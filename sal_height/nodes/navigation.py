@@ -12,6 +12,7 @@ from sensor_msgs.msg import Imu, NavSatFix
 
 from sal_height import messages
 from sal_height.geometry import Navigation, Origin
+from sal_height.nodes.parameters import FrameParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import ODOMETRY_QOS, Stage, StageParameters
@@ -21,7 +22,7 @@ INSTRUMENT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFOR
 """Instruments: a best-effort subscription receives from any publisher."""
 
 
-class Parameters(StageParameters):
+class Parameters(FrameParameters, StageParameters):
     """Parameters of the node."""
 
     position: str = setting(
@@ -59,12 +60,6 @@ class Parameters(StageParameters):
         maximum=10_000.0,
         read_only=True,
     )
-    map_frame: str = setting(
-        messages.MAP_FRAME, "name of the map's frame in the headers of poses and twists", read_only=True
-    )
-    body_frame: str = setting(
-        messages.BODY_FRAME, "name of the platform's frame in the headers of twists and Imu messages", read_only=True
-    )
 
 
 class NavigationNode(Stage):
@@ -90,7 +85,7 @@ class NavigationNode(Stage):
         """
         super().__init__("navigation", **node_arguments)
         now: Parameters = self.current_parameters()
-        self._map_frame, self._body_frame = now.map_frame, now.body_frame
+        self._frames = now.frames
         latitude, longitude = math.radians(now.origin_latitude_deg), math.radians(now.origin_longitude_deg)
         self._origin = Origin(latitude, longitude, now.origin_height_m)
         has_twist, has_fix = now.velocity == "twist", now.position == "fix"
@@ -107,7 +102,7 @@ class NavigationNode(Stage):
             self.listen(TwistStamped, "platform/twist", self._on_twist, INSTRUMENT_QOS)
 
     def _on_pose(self, message: PoseStamped) -> None:
-        position, attitude = messages.read_pose(message, self._map_frame)
+        position, attitude = messages.read_pose(message, self._frames.map)
         self._navigation.add_position(position)
         self._navigation.add_attitude(attitude)
         self._publish()
@@ -117,11 +112,11 @@ class NavigationNode(Stage):
         self._publish()
 
     def _on_imu(self, message: Imu) -> None:
-        self._navigation.add_attitude(messages.read_attitude(message, self._body_frame))
+        self._navigation.add_attitude(messages.read_attitude(message, self._frames.body))
         self._publish()
 
     def _on_twist(self, message: TwistStamped) -> None:
-        velocity, in_body = messages.read_twist(message, self._map_frame, self._body_frame)
+        velocity, in_body = messages.read_twist(message, self._frames.map, self._frames.body)
         self._navigation.add_velocity(velocity, in_body=in_body)
         self._publish()
 
@@ -130,7 +125,8 @@ class NavigationNode(Stage):
         for reason in declined:
             self.ignore(reason.reason, reason)
         for state in states:
-            self._odometry.publish(messages.state_to_message(state, messages.to_stamp(state.stamp_ns)))
+            stamp = messages.to_stamp(state.stamp_ns)
+            self._odometry.publish(messages.state_to_message(state, stamp, self._frames))
 
 
 def main() -> int:

@@ -10,13 +10,35 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sal_height.errors import UserError
-from sal_height.settings import Setting, Settings, settings_of
+from sal_height.messages import BODY_FRAME, MAP_FRAME, Frames
+from sal_height.settings import Setting, Settings, setting, settings_of
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
 INTEGER_LIMITS = (-(2**63), 2**63 - 1)
 FLOAT_LIMITS = (-1.7976931348623157e308, 1.7976931348623157e308)
 """Range of a parameter that is bounded on one side only: ROS knows no open ranges."""
+
+
+class MapFrameParameters(Settings):
+    """The parameter of nodes that take or make what is placed in the map."""
+
+    map_frame: str = setting(
+        MAP_FRAME, "name of the frame of the map (x east, y north, z up) in headers", read_only=True
+    )
+
+
+class FrameParameters(MapFrameParameters):
+    """Parameters of nodes that take or make states of the platform."""
+
+    body_frame: str = setting(
+        BODY_FRAME, "name of the frame of the platform (x forward, y left, z up) in headers", read_only=True
+    )
+
+    @property
+    def frames(self) -> Frames:
+        """Names of the frames of odometry."""
+        return Frames(self.map_frame, self.body_frame)
 
 
 class LiveParameters(Generic[SettingsT]):

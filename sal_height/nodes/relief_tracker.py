@@ -17,6 +17,7 @@ from sensor_msgs.msg import Image, PointCloud2
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
 from sal_height.nodes.height import LEFT_OUT
+from sal_height.nodes.parameters import MapFrameParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import Stage, StageParameters, height_topics, payload_bytes
@@ -31,7 +32,7 @@ HELD_SERIES = 8
 """Number of series of dwells whose priors are held: those that came last."""
 
 
-class Parameters(StageParameters, TrackingSettings):
+class Parameters(MapFrameParameters, StageParameters, TrackingSettings):
     """Parameters of the node."""
 
     estimator: str = setting(
@@ -85,7 +86,10 @@ class ReliefTracker(Stage):
     def process(self, message: HeightImage) -> int:
         """Smooth and publish the heights of a dwell (on the worker thread); returns the number of height images."""
         parameters = self.current_parameters()
-        field, aperture = messages.field_from_message(message), messages.aperture_from_message(message.aperture)
+        field, aperture = (
+            messages.field_from_message(message, parameters.map_frame),
+            messages.aperture_from_message(message.aperture),
+        )
         if bad := messages.bad_pixels(message, field):
             self.ignore("bad pixels", messages.bad_pixel_warning(message, bad))
         series = (*_series_of(message), parameters)

@@ -21,6 +21,7 @@ from sal_height.messages import Pose, ReceivedFrame
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.held import HELD_CALIBRATIONS, Held
 from sal_height.nodes.odometry import Arrival, OdometryHistory
+from sal_height.nodes.parameters import FrameParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import IMAGES, LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS
@@ -35,7 +36,7 @@ HEARD = "topic"
 NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
 
 
-class Parameters(ImageSettings, DwellParameters):
+class Parameters(FrameParameters, ImageSettings, DwellParameters):
     """Settings of the images, and what the node needs besides."""
 
     calibration: str = setting(
@@ -163,7 +164,7 @@ class SarCompression(DwellStage):
             parameters=messages.with_stage([], self.get_name(), parameters),
             autofocus_phase=slc.autofocus_phase.tolist(),
         )
-        images = messages.serialized_slc(slc, frames[0], provenance)
+        images = messages.serialized_slc(slc, frames[0], provenance, parameters.map_frame)
         for image in images:
             self._slc.publish(image)
         return len(images)
@@ -193,7 +194,7 @@ class SarCompression(DwellStage):
 
     def _on_odometry(self, pose: Pose) -> None:
         try:
-            state = messages.state_of_pose(pose)
+            state = messages.state_of_pose(pose, self.current_parameters().frames)
         except Rejected as error:
             self.ignore("odometry", error)
             return

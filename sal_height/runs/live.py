@@ -79,6 +79,7 @@ class Watched:
         book: the accounts of all nodes.
         latencies_s: from the last pulse of a dwell to its height image, by topic.
         cpu_at_start_s: processor time of the nodes' processes when the sensor began.
+        began_at_s: when the sensor began, s since the epoch.
         start_s: time from the begin of this program to the end of each step of the start: tables are made, dwells
             are there, all nodes are ready, the first height has come.
     """
@@ -88,6 +89,7 @@ class Watched:
     book: AccountBook = field(default_factory=AccountBook)
     latencies_s: dict[str, list[float]] = field(default_factory=dict)
     cpu_at_start_s: dict[str, float] = field(default_factory=dict)
+    began_at_s: float = 0.0
     start_s: dict[str, float] = field(default_factory=dict)
 
     def cpu_per_second(self, node: str) -> float:
@@ -244,6 +246,7 @@ def _perform(
             conductor.listen_raw(HeightImage, topic, _keeper(topic, clock, watched))
         wait(sensor.has_begun, f"an answer of node {SOURCE}")
         watched.cpu_at_start_s = {name: a.numbers.get(CPU, 0.0) for name, a in watched.accounts.items()}
+        watched.began_at_s = time.time()
         began, due_s = time.monotonic(), SHOW_PERIOD_S
         while watched.elapsed_s < how.seconds:
             spin(min(LOOK_PERIOD_S, how.seconds - watched.elapsed_s))

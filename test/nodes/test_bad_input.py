@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from chain_fixture import DETECTORS, START_NS, Chain, next_dwell_is_exact, same_heights
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from sal_height_msgs.msg import ChannelFrame, ComplexImage, HeightImage, Provenance
 
@@ -17,6 +19,8 @@ from sal_height.errors import Rejected
 from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.relief_mapper import ReliefMapper
+from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.pipeline import Compressor
 from sal_height.simulation import SimulatedFlight
 
@@ -393,6 +397,39 @@ def test_odometry_of_other_frames_is_ignored(chain: Chain, reference: Any, field
             message.child_frame_id = name
     chain.publish(chain.sensor_info(), *odometry)
     chain.wait(lambda: chain.accounts()["sar_compression"].get("ignored.odometry") == len(odometry), "the count")
+    chain.publish(*chain.odometry(0))
+    next_dwell_is_exact(chain, reference)
+
+
+def test_frames_have_the_names_that_parameters_say(graph: Any, flight: Any, reference: Any) -> None:
+    """From odometry to the map: products are placed in the frame of the odometry."""
+    names = {"map_frame": "world", "body_frame": "aircraft"}
+    chain = Chain(graph, flight, missing_after_s=30.0, image={"rows": 46, "cols": 12, **names})
+    others = [Parameter("map_frame", value="world"), Parameter("estimator", value="ml")]
+    followers = [
+        graph.add(node(context=graph.context, parameter_overrides=others)) for node in (ReliefTracker, ReliefMapper)
+    ]
+    odometry = chain.odometry(0)
+    for message in odometry:
+        message.header.frame_id, message.child_frame_id = "world", "aircraft"
+    chain.wait(lambda: chain.stages["ml_height"].count_subscribers("ml/height") == 3, "the followers")
+    chain.publish(chain.sensor_info(), *odometry, *chain.frames(0))
+    chain.await_heights(0)
+    made = chain.heights["ml", 0]
+    assert made.header.frame_id == "world"
+    assert same_heights(made, reference["ml", 0])
+    chain.wait(lambda: all(node.tally.summary()["processed"] == 1 for node in followers), "tracker and mapper")
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("pose.pose.position", 2e7), ("twist.twist.linear", 2e5), ("twist.twist.linear", 1e300)]
+)
+def test_odometry_of_no_platform_is_ignored(chain: Chain, reference: Any, field: str, value: float) -> None:
+    message = chain.odometry(0)[0]
+    functools.reduce(getattr, field.split("."), message).y = value
+    chain.publish(chain.sensor_info(), message)
+    chain.wait(lambda: chain.accounts()["sar_compression"].get("ignored.odometry") == 1, "the count")
+    assert "1e+07 m from the origin and 100000 m/s" in chain.stages["sar_compression"].last_rejection
     chain.publish(*chain.odometry(0))
     next_dwell_is_exact(chain, reference)
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from chain_fixture import DETECTORS, START_NS, Chain, next_dwell_is_exact
-from hostile import feed, hostile
 from instrument_messages import fix_at, imu_at, pose_of, twist_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from sal_height_msgs.msg import ComplexImage, HeightImage
 
+from benchmarks.hostile_messages import feed, hostile
 from sal_height import messages
 from sal_height.calibration import Calibration
 from sal_height.nodes.domain import free_domain

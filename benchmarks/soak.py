@@ -1,0 +1,272 @@
+"""A graph beside a sensor that does not wait, for a long time, with a fault every few seconds.
+
+`python -m benchmarks.soak --minutes 30` (or `make soak MINUTES=30`) plays a preset at a given share of the highest rate
+that this machine sustains, does one of the faults of `faults`, or kills or stops a node, every 20 s, in an order that
+follows from the seed, and prints what of its promises was kept: every account balanced at every moment, nothing left
+out and no height missing but within the seconds after a fault, heights of every other time as in lockstep, memory.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import cyclopts
+
+from sal_height.runs.processes import ONE_THREAD
+
+if TYPE_CHECKING:
+    from sal_height.runs.live import Watched
+
+FAULT_KINDS = (
+    *("hostile sensor_info", "hostile platform/odometry", "hostile phase_history", "hostile slc", "hostile ml/height"),
+    *("second odometry", "other sensors", "frames twice", "busy processors", "other parameters"),
+)
+"""Those of `faults.FAULTS`, which are done by a process of its own."""
+
+TO_NODES = ("kill", "stop")
+"""Signals: SIGKILL, and SIGSTOP for some seconds."""
+
+STOPPED_S = 2.0
+RECOVERY_S = 10.0
+"""From a fault to the end of what it may cost: it lasts 2 s, and a node that was killed is back in 5."""
+
+SETTLED_S = 20.0
+"""From the start of a process to the first of its memory that counts."""
+
+SHARE = 0.8
+"""Of the highest rate that is sustained, the one that is played at."""
+
+EDGE_DWELLS = 3
+"""Dwells that may be on their way when a stretch without a fault begins or ends."""
+
+
+@dataclass
+class Moment:
+    """What was seen of the graph at a time."""
+
+    at_s: float
+    heights: dict[str, int]
+    left_out: Counter[str]
+    unbalanced: list[str]
+    memory_mb: dict[tuple[str, int], float]
+
+
+@dataclass
+class Soak:
+    """Does the faults, and keeps what is seen.
+
+    Attributes:
+        every_s: time from one fault to the next.
+        faults: when they were done, and what.
+        moments: what was seen, about once a second.
+    """
+
+    every_s: float
+    seed: int
+    faults: list[tuple[float, str]] = field(default_factory=list)
+    moments: list[Moment] = field(default_factory=list)
+    _running: list[subprocess.Popen[bytes]] = field(default_factory=list)
+    _stopped: list[tuple[float, int]] = field(default_factory=list)
+
+    def show(self, watched: Watched) -> None:
+        """Take note of what is seen, and do the next fault if its time has come."""
+        now = watched.elapsed_s
+        self.moments.append(_moment_of(watched))
+        for until_s, pid in list(self._stopped):
+            if now >= until_s:
+                self._stopped.remove((until_s, pid))
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGCONT)
+        if now >= self.every_s * (len(self.faults) + 1):
+            kind = self._next(watched)
+            self.faults.append((now, kind))
+            sys.stderr.write(f"{now:.0f} s: {kind}\n")
+
+    def _next(self, watched: Watched) -> str:
+        """Do a fault: kinds take turns, and so do the nodes that signals are sent to."""
+        number = len(self.faults) + self.seed
+        kinds = (*FAULT_KINDS, *TO_NODES, *TO_NODES, *TO_NODES)
+        kind = kinds[number * 7 % len(kinds)]  # 7 has no factor in common with their number, 16
+        if kind not in TO_NODES:
+            words = [sys.executable, "-m", "benchmarks.faults", kind, str(number)]
+            self._running.append(subprocess.Popen(words))  # noqa: S603 (our own module)
+            return kind
+        names = sorted(watched.book.entries)
+        name = names[(number * 5 + number // 16) % len(names)]
+        pid = watched.book.entries[name].account.count("pid")
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL if kind == "kill" else signal.SIGSTOP)
+        if kind == "stop":
+            self._stopped.append((watched.elapsed_s + STOPPED_S, pid))
+        return f"{kind} {name}"
+
+    @property
+    def failed(self) -> list[str]:
+        """Faults that could not be done."""
+        kinds = [kind for _, kind in self.faults if not kind.startswith(TO_NODES)]
+        return [kind for kind, run in zip(kinds, self._running, strict=True) if run.poll() not in (None, 0)]
+
+    def quiet(self) -> Iterator[tuple[Moment, Moment]]:
+        """First and last moment of every stretch that no fault can have an effect on."""
+        borders = [at_s for at_s, _ in self.faults] + [float("inf")]
+        begin = 0.0
+        for border in borders:
+            inside = [moment for moment in self.moments if begin <= moment.at_s < border]
+            if len(inside) > 1:
+                yield inside[0], inside[-1]
+            begin = border + RECOVERY_S
+
+
+def _moment_of(watched: Watched) -> Moment:
+    unbalanced, memory, left_out = [], {}, Counter[str]()
+    for name, entry in watched.book.entries.items():
+        account = entry.account
+        sum_of = account.count("processed") + sum(account.dropped.values()) + account.waiting
+        if account.received != sum_of:
+            unbalanced.append(f"{name}: {account.received} in, {sum_of} accounted for")
+        left_out.update({f"{name} {reason}": count for reason, count in account.dropped.items()})
+        memory[name, account.count("pid")] = account.numbers.get("memory_mb", 0.0)
+    counts = {topic: len(ages) for topic, ages in watched.latencies_s.items()}
+    return Moment(watched.elapsed_s, counts, left_out, unbalanced, memory)
+
+
+def verdict(soak: Soak, offered_hz: float, different: list[str]) -> list[tuple[bool, str]]:
+    """Whether each promise was kept, and a sentence about it."""
+    stretches = list(soak.quiet())
+    unbalanced = [sentence for moment in soak.moments for sentence in moment.unbalanced]
+    left_out = sum((last.left_out - first.left_out for first, last in stretches), Counter[str]())
+    quiet_s = sum(last.at_s - first.at_s for first, last in stretches)
+    missing = {}
+    for topic in soak.moments[-1].heights:
+        lacks = [
+            offered_hz * (last.at_s - first.at_s) - (last.heights[topic] - first.heights[topic])
+            for first, last in stretches
+        ]
+        missing[topic] = sum(max(0.0, lack - EDGE_DWELLS) for lack in lacks)
+    growth = _growth(soak.moments)
+    worst = max(growth, key=lambda name: growth[name], default="")
+    return [
+        (not unbalanced, f"accounts that were not balanced: {len(unbalanced)} {unbalanced[:1]}"),
+        (not left_out, f"messages left out in {quiet_s:.0f} s without a fault: {dict(left_out)}"),
+        (
+            not any(missing.values()),
+            f"heights missing in {quiet_s:.0f} s without a fault: "
+            + ", ".join(f"{topic} {count:.0f}" for topic, count in missing.items()),
+        ),
+        (not different, f"heights unlike those of the lockstep run, without a fault: {len(different)} {different[:1]}"),
+        (not growth or growth[worst] < 0.01, f"memory grows by {100 * growth.get(worst, 0):.2f} % ({worst})"),
+        (not soak.failed, f"faults that could not be done: {soak.failed}"),
+    ]
+
+
+def _growth(moments: list[Moment]) -> dict[str, float]:
+    """By how much the memory of each process has grown from its second to its last third, as a share of it.
+
+    Of processes that have run for SETTLED_S and as long again.
+    """
+    series: dict[tuple[str, int], list[tuple[float, float]]] = defaultdict(list)
+    for moment in moments:
+        for key, memory in moment.memory_mb.items():
+            series[key].append((moment.at_s, memory))
+    growth: dict[str, float] = {}
+    for (name, _), samples in series.items():
+        began = samples[0][0]
+        settled = [memory for at_s, memory in samples if at_s - began > SETTLED_S]
+        third = len(settled) // 3
+        if settled and samples[-1][0] - began > 2 * SETTLED_S and third:
+            middle, last = sum(settled[third : 2 * third]) / third, sum(settled[-third:]) / third
+            growth[name] = max(growth.get(name, -1.0), last / middle - 1)
+    return growth
+
+
+def unlike_lockstep(out: Path, lockstep: Path, soak: Soak, begin_ns: int) -> list[str]:
+    """The heights of `ml` in the bags of a soak, of stretches without a fault, that are not those of a lockstep run."""
+    import numpy as np  # noqa: PLC0415 (how many threads it may use is decided before)
+
+    from sal_height.bag.reader import BagReader  # noqa: PLC0415
+    from sal_height.errors import UserError  # noqa: PLC0415
+
+    def images(bag: Path) -> Iterator[tuple[int, Any]]:
+        reader = BagReader(bag)
+        for message in reader.messages(["/ml/height"]):
+            yield message.log_time_ns, reader.decode(message.type_name, message.cdr)
+
+    true = {image.dwell: np.array(image.surfaces[0].height) for _, image in images(lockstep)}
+    times = [(begin_ns + first.at_s * 1e9, begin_ns + last.at_s * 1e9) for first, last in soak.quiet()]
+    different = []
+    for bag in sorted(out.glob("bag*")):
+        with suppress(UserError):  # its recorder was killed: it is for `salvage`
+            for at_ns, image in images(bag):
+                if any(first < at_ns < last for first, last in times):
+                    wanted, made = true.get(image.dwell), np.array(image.surfaces[0].height)
+                    if wanted is None or not np.allclose(made, wanted, rtol=0, atol=1e-6, equal_nan=True):
+                        different.append(f"dwell {image.dwell}")
+    return different
+
+
+app = cyclopts.App(name="python -m benchmarks.soak", help_format="plaintext")
+
+
+@app.default
+def soak(
+    *,
+    minutes: Annotated[float, cyclopts.Parameter(validator=cyclopts.validators.Number(gt=0))] = 30.0,
+    every: Annotated[float, cyclopts.Parameter(validator=cyclopts.validators.Number(gt=RECOVERY_S))] = 20.0,
+    preset: str = "sal_spotlight",
+    rate: Annotated[float | None, cyclopts.Parameter(validator=cyclopts.validators.Number(gt=0))] = None,
+    seed: int = 0,
+) -> int:
+    """Play a sensor against the graph for a long time, with faults, and print which promises were kept.
+
+    Args:
+        minutes: How long.
+        every: Time from one fault to the next, s.
+        preset: Sensor, flight and scene.
+        rate: Seconds of the sensor in a second. Default: 0.8 of the highest that is sustained, which is looked for.
+        seed: Where in the list of faults to begin.
+    """
+    os.environ.update(ONE_THREAD | os.environ)
+
+    from sal_height.runs.conductor import Execution  # noqa: PLC0415
+    from sal_height.runs.live import Live, live  # noqa: PLC0415
+    from sal_height.runs.replay import replay  # noqa: PLC0415
+    from sal_height.runs.sensor_bag import Feed, record_sensor  # noqa: PLC0415
+    from sal_height.simulation import load_preset  # noqa: PLC0415
+
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        bag = record_sensor(load_preset(preset), 1, folder / "sensor")
+        if rate is None:
+            from benchmarks.live_runs import highest_rate, watch  # noqa: PLC0415
+
+            rate = SHARE * highest_rate(lambda tried: watch(bag, tried, 20.0), 0.3)[0]
+        run = Soak(every, seed)
+        how = Live(rate, 60 * minutes, supervised=True)
+        watched = live(Feed.of_bag(bag), folder / "live", {}, how, Execution(processes=True), run.show)
+        replay(bag, folder / "lockstep", {}, estimators=["ml"])
+        begin_ns = round(watched.began_at_s * 1e9)
+        different = unlike_lockstep(folder / "live", folder / "lockstep" / "bag", run, begin_ns)
+        report = json.loads((folder / "live" / "report.json").read_text(encoding="utf-8"))
+    starts = {name: node["processes"] for name, node in report["nodes"].items()}
+    sys.stdout.write(
+        f"{preset} at {rate:.3g} of its pace for {minutes:g} minutes: {watched.offered_hz:.1f} dwells/s, "
+        f"{watched.heights} heights, {len(run.faults)} faults; processes of each node: {starts}\n"
+    )
+    promises = verdict(run, watched.offered_hz, different)
+    sys.stdout.writelines(f"{'kept' if kept else 'BROKEN'}: {sentence}\n" for kept, sentence in promises)
+    return int(not all(kept for kept, _ in promises))
+
+
+if __name__ == "__main__":
+    sys.exit(app(result_action="return_value"))

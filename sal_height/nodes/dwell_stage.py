@@ -41,6 +41,8 @@ MAY_BE_LOST = (
 )
 """Why messages that were published may not come."""
 
+RESET = Rejected("reset", "The node was reset before the dwell was complete.")
+
 REHEARSED_BYTES = 32_000_000
 """Largest dwell that is rehearsed: the work on a larger one takes longer than tables and loading of code."""
 
@@ -187,6 +189,19 @@ class DwellStage(Stage):
             self._give_up(dwell, self._surplus(dwell))
         self._limit_early(parameters, idle, now)
 
+    def forget(self) -> None:
+        """Drop what has not become a whole dwell yet, and forget what has been gathered of those before."""
+        for dwell in self._assembler.held():
+            self._assembler.take(dwell)
+            self.reject(len(dwell.items), RESET)
+        for _ in self._early:
+            self.reject(1, RESET)
+        self._early = []
+        for config_hash, absences in self._absences.items():
+            absences.clear()
+            self._assembler.forget_finished(config_hash)
+        super().forget()
+
     def note_progress(self) -> None:
         """Something that dwells wait for has come: the node has not been waiting in vain."""
         self._waiting.restart()
@@ -308,7 +323,8 @@ class DwellStage(Stage):
         self._assembler.forget_finished(config_hash)
 
     def _on_message(self, message: Any) -> None:
-        self.tally.receive()
+        if not self.takes():
+            return
         self._waiting.restart()
         if self._take_in(message, time.monotonic()):
             self.advance()

@@ -20,7 +20,7 @@ from sal_height.geometry import ApertureState
 from sal_height.nodes.parameters import MapFrameParameters
 from sal_height.nodes.relief_tracker import PREFIX as TRACKED
 from sal_height.nodes.role import Topics
-from sal_height.nodes.stage import LATCHED_QOS, Stage, StageParameters, payload_bytes
+from sal_height.nodes.stage import LATCHED_QOS, RESET, Stage, StageParameters, payload_bytes
 from sal_height.relief import HeightField, Relief, check_geotiff, write_geotiff
 from sal_height.settings import setting
 
@@ -96,6 +96,7 @@ class MapStage(Stage):
     inputs: ClassVar[Topics] = {"<estimator>/height": "heights of the estimator that the parameter names"}
     takes_heights = True
     settable = True
+    answers: ClassVar[Topics] = {**RESET, "~/save": "write the map as it stands to its file"}
     completes_file = True
     niceness = 10  # a map is as good a second later
 
@@ -127,6 +128,7 @@ class MapStage(Stage):
         topic = f"{self._settings.estimator}/height"
         self.listen(HeightImage, topic, self._on_height, read=messages.received_height)
         self.every(self._settings.period_s, self._publish_when_changed)
+        self.serve("~/save", self._save)
         self.context.on_shutdown(self.conclude)
 
     def entered(self, field: HeightField, aperture: ApertureState) -> GrowingMap:
@@ -160,11 +162,31 @@ class MapStage(Stage):
         super().destroy_node()
 
     def _on_height(self, image: HeightImage) -> None:
-        self.tally.receive()
+        if not self.takes():
+            return
         if self._ended:
             self.reject(1, Rejected("ended", "The map is written; heights that come later are left out."))
         else:
             self.submit(1, lambda: self._enter(image), payload_bytes(image))
+
+    def forget_results(self) -> int:
+        """Begin an empty map."""
+        self._map, self._last, self._images, self._unpublished = None, None, 0, False
+        return 0
+
+    def _save(self) -> tuple[bool, str]:
+        """Write the map as it stands, once the images that wait have been entered."""
+        if not self._settings.file:
+            return False, "parameter file is empty; it must be the path of a GeoTIFF"
+        if self._ended:
+            return False, "the node is ending, and writes the map then"
+
+        def write() -> str:
+            self.failure = ""
+            return "" if self._write(Path(self._settings.file)) else self.failure or "no height was seen"
+
+        failure = self.wait_for(write)
+        return not failure, failure or self._settings.file
 
     def _enter(self, image: HeightImage) -> int:
         """Enter a height image into the map; a rejected image leaves the map unchanged."""
@@ -199,11 +221,12 @@ class MapStage(Stage):
         """Provenance of the last height image, with the parameters of this node added."""
         return messages.derived(last.provenance, self.get_name(), self._settings)
 
-    def _write(self, path: Path) -> None:
+    def _write(self, path: Path) -> bool:
+        """Write the map to a file; whether there was one to write, and it could be."""
         relief = self._map.relief() if self._map else None
         if relief is None or self._last is None:
             self.get_logger().warning(f"No height was seen: there is no map to write to {path}.")
-            return
+            return False
         provenance = self._provenance(self._last)
         tags = {
             "estimator": self._last.estimator,
@@ -217,9 +240,10 @@ class MapStage(Stage):
         except UserError as error:
             self.failure = str(error)
             self.get_logger().error(self.failure)
-            return
+            return False
         if not any(origin):
             self.get_logger().warning(
                 f"{path} has local coordinates; set origin_latitude_deg and origin_longitude_deg to place it on the "
                 "earth."
             )
+        return True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, ClassVar
 
@@ -89,9 +90,13 @@ class NavigationNode(Stage):
         latitude, longitude = math.radians(now.origin_latitude_deg), math.radians(now.origin_longitude_deg)
         self._origin = Origin(latitude, longitude, now.origin_height_m)
         has_twist, has_fix = now.velocity == "twist", now.position == "fix"
-        self._navigation = Navigation(
-            now.longest_gap_s, velocity_is_measured=has_twist, local_to=self._origin if has_fix else None
+        self._merge = functools.partial(
+            Navigation,
+            now.longest_gap_s,
+            velocity_is_measured=has_twist,
+            local_to=self._origin if has_fix else None,
         )
+        self._navigation = self._merge()
         self._odometry = self.offer(Odometry, "platform/odometry", ODOMETRY_QOS)
         if has_fix:
             self.listen(NavSatFix, "platform/fix", self._on_fix, INSTRUMENT_QOS)
@@ -120,8 +125,14 @@ class NavigationNode(Stage):
         self._navigation.add_velocity(velocity, in_body=in_body)
         self._publish()
 
+    def forget(self) -> None:
+        """Forget the samples so far."""
+        self._navigation = self._merge()
+
     def _publish(self) -> None:
         states, declined = self._navigation.take()
+        if not self.is_active:
+            return
         for reason in declined:
             self.ignore(reason.reason, reason)
         for state in states:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import ChannelFrame, SensorInfo
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
+from sal_height.nodes.managed import INACTIVE
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist, restamped
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS, Stage, StageParameters
+from sal_height.nodes.role import Topics
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, RESET, SENSOR_TOPICS, Stage, StageParameters
 from sal_height.settings import setting
 
 LEAD_S = 0.05
@@ -34,12 +36,14 @@ class PacedPlayer(Stage):
     """Publishes odometry and frames when the sensor would, from the call of ~/start until it ends.
 
     The bag is played from memory and begins anew after its end. Stamps go on: they begin with the time of the call,
-    which is answered by the first of them (ns), and all else in the messages is as recorded. Dwells that come late, for
-    the machine is busy, come as fast as they can.
+    which is answered by the first of them (ns), and all else in the messages is as recorded. While the node is
+    inactive, time goes on and nothing is published. Dwells that come late, for the machine is busy, come as fast as
+    they can.
     """
 
     parameters = Parameters
     outputs = SENSOR_TOPICS
+    answers: ClassVar[Topics] = {**RESET, "~/start": "begin to deliver"}
     begin_service = "start"
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -68,6 +72,8 @@ class PacedPlayer(Stage):
         super().destroy_node()
 
     def _start(self) -> tuple[bool, str]:
+        if not self.is_active:
+            return False, INACTIVE
         if not self._started.acquire(blocking=False):
             return False, "the sensor delivers already"
         stamp_ns, began = self.get_clock().now().nanoseconds + round(LEAD_S * 1e9), time.monotonic() + LEAD_S
@@ -89,7 +95,8 @@ class PacedPlayer(Stage):
                 wait_s = began + (played + item.due_ns - begin_ns) * 1e-9 / rate - time.monotonic()
                 if self._stopping.wait(wait_s) if wait_s > 0 else self._stopping.is_set():
                     return 0
-                self._outlets[item.topic].publish(restamped(item.cdr, shift_ns + played))
+                if self.is_active:
+                    self._outlets[item.topic].publish(restamped(item.cdr, shift_ns + played))
             played += self.playlist.period_ns
 
 

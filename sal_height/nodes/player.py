@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import ChannelFrame, SensorInfo
@@ -13,9 +13,11 @@ from sal_height import messages
 from sal_height.bag.definitions import message_class
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
+from sal_height.nodes.managed import INACTIVE
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS, Stage, StageParameters
+from sal_height.nodes.role import Topics
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, RESET, SENSOR_TOPICS, Stage, StageParameters
 from sal_height.settings import setting
 
 INPUTS = {SENSOR_INFO: LATCHED_QOS, ODOMETRY: ODOMETRY_QOS, FRAMES: FRAMES_QOS}
@@ -39,6 +41,7 @@ class Player(Stage):
 
     parameters = Parameters
     outputs = SENSOR_TOPICS
+    answers: ClassVar[Topics] = {**RESET, "~/step": "publish the next dwell"}
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.
@@ -69,6 +72,8 @@ class Player(Stage):
         self.serve("~/step", self._step)
 
     def _step(self) -> tuple[bool, str]:
+        if not self.is_active:
+            return False, INACTIVE
         if self._next is None:
             return False, "the bag has ended"
         self.tally.receive()

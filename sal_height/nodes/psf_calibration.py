@@ -19,7 +19,7 @@ from sal_height.messages import ReceivedImage
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
-from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS
+from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, RESET, SENSOR_TOPICS
 from sal_height.numeric import F64
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
@@ -59,6 +59,7 @@ class PsfCalibration(DwellStage):
     outputs = CALIBRATION
     takes_images = True
     settable = True
+    answers: ClassVar[Topics] = {**RESET, "~/save": "make a calibration of the dwells so far"}
     completes_file = True
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -79,6 +80,7 @@ class PsfCalibration(DwellStage):
         self._stamp = Time()
         self._ending = threading.Lock()  # the context may be shut down in another thread than the executor's
         self._calibration = self.offer(Calibration, "calibration", LATCHED_QOS)
+        self.serve("~/save", self._save)
         self.context.on_shutdown(self.conclude)
 
     def check(self, message: ReceivedImage, sensor: Sensor) -> None:
@@ -107,6 +109,23 @@ class PsfCalibration(DwellStage):
             raise Rejected(error.reason, f"Dwell {images[0].dwell}: {error}") from error
         self._stamp = images[0].header.stamp
         return self._complete() if self._calibrator.dwells >= parameters.dwells else 0
+
+    def forget_results(self) -> int:
+        """Begin a new calibration with the next dwell."""
+        self._calibrator, self._dwells = None, 0
+        return 0
+
+    def _save(self) -> tuple[bool, str]:
+        """Make a calibration of the dwells so far."""
+
+        def complete() -> str:
+            if self._calibrator is None or not self._calibrator.dwells:
+                return "no dwell was used yet"
+            self._complete()
+            return ""
+
+        failure = self.wait_for(complete)
+        return not failure, failure or self.current_parameters().file or "published"
 
     def conclude(self) -> None:
         """If no calibration was made yet, make one from the dwells so far. May be called twice."""

@@ -80,8 +80,13 @@ class ReliefTracker(Stage):
         return 0
 
     def _on_height(self, message: HeightImage) -> None:
-        self.tally.receive()
-        self.submit(1, lambda: self.process(message), payload_bytes(message))
+        if self.takes():
+            self.submit(1, lambda: self.process(message), payload_bytes(message))
+
+    def forget_results(self) -> int:
+        """Track the next dwell as the first one."""
+        self._priors = {}
+        return 0
 
     def process(self, message: HeightImage) -> int:
         """Smooth and publish the heights of a dwell (on the worker thread); returns the number of height images."""

@@ -18,6 +18,9 @@ class Role:
     outputs: ClassVar[Topics] = {}
     """Topics that the node publishes, and what they are."""
 
+    answers: ClassVar[Topics] = {}
+    """Services that the node offers, and what they do."""
+
     product: ClassVar[str] = ""
     """Prefix of the topics of the heights that the node publishes, `<product>/height`; empty: it publishes none."""
 

@@ -143,6 +143,17 @@ class SarCompression(DwellStage):
         """Compress made-up dwells."""
         rehearsed_slc(sensor, self.current_parameters(), Compressor(), np.random.default_rng(0))
 
+    def forget(self) -> None:
+        """Forget odometry, unfinished dwells, and the strip that dwells are blocks of."""
+        self._odometry = OdometryHistory(self.current_parameters().odometry_held_s)
+        self._last_pulse_ns, self._awaited_ns = 0, math.inf
+        super().forget()
+
+    def forget_results(self) -> int:
+        """Begin a new strip."""
+        self._compressor = Compressor()
+        return 0
+
     def process(self, frames: list[ReceivedFrame], sensor: Sensor, supplies: Supplies) -> int:
         """Compress a dwell, or the columns that a block completes of a strip, and publish the image of each channel."""
         parameters = self.current_parameters()

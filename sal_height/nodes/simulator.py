@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import ChannelFrame, SensorInfo
 
 from sal_height import messages
+from sal_height.nodes.managed import INACTIVE
 from sal_height.nodes.program import run_node
-from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS, Stage, StageParameters
+from sal_height.nodes.role import Topics
+from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, RESET, SENSOR_TOPICS, Stage, StageParameters
 from sal_height.settings import setting
 from sal_height.simulation import flight_of, load_preset
 
@@ -37,6 +39,7 @@ class Simulator(Stage):
 
     parameters = Parameters
     outputs = SENSOR_TOPICS
+    answers: ClassVar[Topics] = {**RESET, "~/step": "simulate and publish the next dwell"}
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.
@@ -61,6 +64,8 @@ class Simulator(Stage):
         return messages.to_stamp(self._start_ns + ns_after_start)
 
     def _step(self) -> tuple[bool, str]:
+        if not self.is_active:
+            return False, INACTIVE
         dwell = self._begin_dwell()
         return (False, "the flight has ended") if dwell is None else (True, f"dwell {dwell} of {self.flight.dwells}")
 

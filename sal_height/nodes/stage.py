@@ -10,6 +10,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any, ClassVar
 
@@ -19,7 +20,6 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
@@ -38,9 +38,10 @@ from sal_height.nodes.account import (
 from sal_height.nodes.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.jobs import Job, JobQueue
+from sal_height.nodes.managed import INACTIVE, Managed
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.process_numbers import process_numbers
-from sal_height.nodes.role import Role
+from sal_height.nodes.role import Role, Topics
 from sal_height.nodes.tally import Pace, Tally
 from sal_height.settings import Settings, setting
 
@@ -70,7 +71,13 @@ IMAGES = {"slc": "complex image of one channel and dwell in each message"}
 CALIBRATION = {"calibration": "calibration of receivers and beams, latched"}
 """What a calibration is published on."""
 
+RESET = {"~/reset": "forget what was gathered of the dwells so far"}
+"""The service that every stage offers."""
+
 DIAGNOSTICS_PERIOD_S = 0.5
+
+ANSWER_S = 30.0
+"""Longest time that a service makes its caller wait for the worker."""
 
 
 class StageParameters(Settings):
@@ -100,15 +107,22 @@ class StageParameters(Settings):
         maximum=1_000_000,
     )
 
+    autostart: bool = setting(
+        True,
+        "come up active; if not, the node works once it was configured and activated, as by ros2 lifecycle",
+        read_only=True,
+    )
+
     @property
     def max_memory_bytes(self) -> int:
         """Memory for unfinished dwells, bytes."""
         return self.max_memory_mb * 1_000_000
 
 
-class Stage(Role, Node):
+class Stage(Role, Managed):
     """A node whose callbacks only accept messages; a worker thread processes them in order."""
 
+    answers: ClassVar[Topics] = RESET
     parameters: type[StageParameters] = StageParameters
     """The node's ROS parameters."""
 
@@ -147,6 +161,9 @@ class Stage(Role, Node):
         self.every(DIAGNOSTICS_PERIOD_S, self._measure_pace)
         self._worker = threading.Thread(target=self._work, name=name, daemon=True)
         self._worker.start()
+        self.serve("~/reset", self._reset)
+        if self.current_parameters().autostart:
+            self.start()
 
     def current_parameters(self) -> Any:
         """The parameters as they are now: a frozen object of the class `parameters`."""
@@ -263,6 +280,27 @@ class Stage(Role, Node):
             ended = Rejected("ended", "The node is ending; what comes now is left out.")
             self.reject(job.messages, ended if self._jobs.closed else Rejected("queue full", full))
 
+    def wait_for(self, work: Callable[[], str]) -> str:
+        """Have `work` done on the worker thread, after what waits, and wait for what it returns.
+
+        It is for services that are called by hand: the node takes no messages meanwhile.
+        """
+        done: Future[str] = Future()
+
+        def run() -> int:
+            try:
+                done.set_result(work())
+            except BaseException:
+                done.set_result("internal error; the log of the node says more")
+                raise
+            return 0
+
+        self.submit(0, run)
+        try:
+            return done.result(ANSWER_S)
+        except TimeoutError:
+            return f"the node has not come to it within {ANSWER_S:g} s, and goes on"
+
     def waiting(self) -> list[Any]:
         """The items of the jobs that wait, in their order."""
         return self._jobs.items()
@@ -281,10 +319,29 @@ class Stage(Role, Node):
                 f"than {budget_s:g} s (latency_budget_s).",
             )
 
+    def takes(self) -> bool:
+        """Count a message as received; whether it is to be worked on: an inactive node drops it."""
+        self.tally.receive()
+        if not self.is_active:
+            self.reject(1, Rejected("inactive", f"A message was left out: {INACTIVE}."))
+        return self.is_active
+
+    def forget(self) -> None:
+        """Forget what has been gathered of the dwells so far, once those that wait have been processed."""
+        self.submit(0, self.forget_results)
+
+    def forget_results(self) -> int:
+        """Forget what the worker has gathered of the dwells so far; returns the number of messages published."""
+        return 0
+
+    def _reset(self) -> tuple[bool, str]:
+        self.forget()
+        return True, "what was gathered is forgotten once the dwells that wait have been processed"
+
     @property
     def is_ready(self) -> bool:
-        """Whether what the node needs has publishers, and what takes time before the first dwell is done."""
-        return all(inlet.is_connected for inlet in self._inlets)
+        """Whether it works, what it needs has publishers, and what takes time before the first dwell is done."""
+        return self.is_active and all(inlet.is_connected for inlet in self._inlets)
 
     @property
     def jobs(self) -> int:
@@ -381,12 +438,14 @@ class Stage(Role, Node):
         """Level and message of the diagnostics, as of the last seconds.
 
         WARN: messages were lost, or two sources contradict each other; STALE: messages that the node needs do not come;
-        OK: none of these.
+        OK: none of these, or the node is not active.
         """
         if crowd := self.crowd_warning:
             return DiagnosticStatus.WARN, f"{crowd.strip()} {lost} dropped or ignored in all"
         if time.monotonic() - self._lost_at < RECENT_S:
             return DiagnosticStatus.WARN, f"{lost} dropped or ignored in all, last {self.last_rejection}"
+        if not self.is_active:
+            return DiagnosticStatus.OK, "inactive"
         if not self.jobs and (silent := self.silent_topics()):
             return DiagnosticStatus.STALE, f"waiting for {', '.join(silent)}"
         return DiagnosticStatus.OK, "processing"

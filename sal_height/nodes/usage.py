@@ -14,6 +14,7 @@ from rclpy.utilities import remove_ros_args
 
 from sal_height.errors import UserError
 from sal_height.nodes.account import DIAGNOSTICS, PROGRESS
+from sal_height.nodes.managed import Managed
 from sal_height.settings import settings_of, unknown_name
 
 WIDTH = 100
@@ -23,6 +24,8 @@ ACCOUNTS = {
     PROGRESS: "the same, also after every piece of work, made while somebody listens",
 }
 
+LIFE_CYCLE = {"~/change_state": "life cycle, as by ros2 lifecycle; the node tells of it on ~/transition_event"}
+
 QOS = """The parameters qos_overrides./TOPIC.subscription.POLICY and qos_overrides./TOPIC.publisher.POLICY set the
 quality of service of a topic; POLICY is history, depth, reliability or durability."""
 
@@ -31,7 +34,7 @@ def usage(node: type[Any], program: str) -> str:
     """What a node does, its topics, and its parameters with units and allowed values.
 
     Args:
-        node: class of the node, with attributes `inputs`, `outputs` and `parameters`.
+        node: class of the node, with attributes `inputs`, `outputs`, `answers` and `parameters`.
         program: name of its executable.
     """
     parameters = settings_of(node.parameters).values()
@@ -41,6 +44,7 @@ def usage(node: type[Any], program: str) -> str:
         inspect.getdoc(node) or "",
         _listed("Topics that the node subscribes to:", node.inputs),
         _listed("Topics that it publishes:", {**node.outputs, **ACCOUNTS}),
+        _listed("Services that it offers:", {**node.answers, **(LIFE_CYCLE if issubclass(node, Managed) else {})}),
         "Parameters (-p NAME:=VALUE):",
         *(
             _entry(

@@ -80,8 +80,8 @@ class Gate(DwellStage):
         self._on_sensor_info(messages.sensor_to_message(sensor, messages.to_stamp(0)))
 
     def counts(self) -> dict[str, float]:
-        """The account without latencies and zeros."""
-        return {k: v for k, v in self.tally.summary().items() if v and not k.startswith("latency")}
+        """The account without latencies, zeros, and what is of the last minute only."""
+        return {k: v for k, v in self.tally.summary().items() if v and not k.startswith(("latency", "last_minute"))}
 
     def await_counts(self, **wanted: float) -> None:
         """Spin until the account is this one."""

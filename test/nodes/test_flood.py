@@ -60,6 +60,7 @@ def test_of_a_flood_whole_dwells_go_the_oldest_first_and_each_is_counted(
     images, channels = images_of(flight), flight.sensor.detector_count
     assert graph.spin_until(lambda: publisher.get_subscription_count() == 1 and node.is_ready, TIMEOUT_S)
     assert graph.spin_until(lambda: source.count_publishers("monopulse/height") == 1, TIMEOUT_S)
+    assert graph.spin_until(lambda: bool(states), TIMEOUT_S)
 
     def publish(dwell: int) -> None:
         for image in images:

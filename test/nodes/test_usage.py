@@ -69,8 +69,20 @@ def test_the_topics_that_help_names_are_those_of_the_node(graph: Graph, node: ty
     overrides = [Parameter(name, value=value) for name, value in NODES[node].items()]
     made = graph.add(node(context=graph.context, parameter_overrides=overrides))
     ours = {name.lstrip("/") for name, _ in made.get_topic_names_and_types()} - {"rosout", "parameter_events"}
-    named = {*node.inputs, *node.outputs, "diagnostics", "progress"}
+    named = {*node.inputs, *node.outputs, "diagnostics", "progress", f"{made.get_name()}/transition_event"}
     assert ours == {name.replace("<estimator>", "ml") for name in named}
+
+
+@pytest.mark.parametrize("node", NODES, ids=lambda node: node.__name__)
+def test_the_services_that_help_names_are_those_of_the_node(graph: Graph, node: type[Stage]) -> None:
+    overrides = [Parameter(name, value=value) for name, value in NODES[node].items()]
+    made = graph.add(node(context=graph.context, parameter_overrides=overrides))
+    own = {
+        name
+        for name, (kind,) in made.get_service_names_and_types()
+        if not kind.startswith(("rcl_interfaces/", "lifecycle_msgs/", "type_description_interfaces/"))
+    }
+    assert own == {name.replace("~", f"/{made.get_name()}") for name in node.answers}
 
 
 @pytest.mark.parametrize(

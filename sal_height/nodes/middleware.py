@@ -67,6 +67,9 @@ TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
         <useBuiltinTransports>false</useBuiltinTransports>
         <builtin>
           <discovery_config>
+            <leaseDuration>
+              <sec>5</sec>
+            </leaseDuration>
             <leaseAnnouncement>
               <sec>0</sec>
               <nanosec>250000000</nanosec>
@@ -81,6 +84,7 @@ TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
 """Participants send by shared memory on this machine, and by UDP to others.
 
 They announce themselves four times a second, every 3 s by default: one that starts later, or again, is found that soon.
+One that was killed is taken for running until nothing has been heard of it for 5 s, 20 s by default.
 """
 
 

@@ -259,7 +259,7 @@ def test_at_the_end_files_are_whole_and_restarts_are_told(program: Program) -> N
     assert program.process.returncode == 0, errors
     for name in ("sar_compression", "ml_height", "relief_tracker", "relief_mapper", "recorder", "paced_player"):
         assert f"Node {name} ended by SIGKILL; it is started again in 0.5 s." in errors
-        assert f"lidar/{name} was started 2 times." in said
+        assert f"\n{name} was started 2 times." in said
     assert "Traceback" not in errors
     recorded = BagReader(program.folder / "bag_2")
     assert sum(1 for _ in recorded.messages(["/lidar/ml/height"])) > 0

@@ -17,7 +17,7 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHO
 # Bytecode is kept: without it every program, and tests start many, reads all sources anew for half a second.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test lint bench colcon clean
+.PHONY: help setup demo test lint bench soak colcon clean
 
 help:
 	@echo 'make setup   make the virtual environment .venv: ROS 2, Python packages, our messages (minutes the first time)'
@@ -81,6 +81,11 @@ lint: setup
 
 bench: setup
 	.venv/bin/python -m benchmarks
+
+MINUTES ?= 30
+
+soak: setup
+	.venv/bin/python -m benchmarks.soak --minutes $(MINUTES)
 
 colcon: setup
 	. .venv/bin/activate && export AMENT_PREFIX_PATH=$$VIRTUAL_ENV CMAKE_PREFIX_PATH=$$VIRTUAL_ENV && \

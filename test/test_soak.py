@@ -1,0 +1,72 @@
+"""The soak run, two minutes of it: a fault every few seconds, and what it promises kept between them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+from benchmarks.soak import RECOVERY_S, Moment, Soak, verdict
+
+ROOT = Path(__file__).parents[1]
+
+
+def moments(seconds: int, **changes: int) -> list[Moment]:
+    """A run of ten dwells a second, with something other in one of its seconds."""
+    made = []
+    heights = left_out = 0
+    for second in range(seconds):
+        heights += 0 if second == changes.get("no_heights_at") else 10
+        left_out += 8 if second == changes.get("drop_at") else 0
+        unbalanced = ["ml_height: 5 in, 4 accounted for"] if second == changes.get("unbalanced_at") else []
+        memory = {("ml_height", 1): 100.0 + (0.1 * second if changes.get("grows") else 0.0)}
+        made.append(Moment(float(second), {"ml/height": heights}, Counter({"late": left_out}), unbalanced, memory))
+    return made
+
+
+def broken(soak: Soak, different: tuple[str, ...] = ()) -> list[str]:
+    return [
+        sentence.split(":")[0].split(" in ")[0] for kept, sentence in verdict(soak, 10.0, list(different)) if not kept
+    ]
+
+
+def test_what_is_missing_without_a_fault_is_found() -> None:
+    assert broken(Soak(20.0, 0, [(40.0, "kill")], moments(100))) == []
+    for change, promise in (
+        ({"no_heights_at": 30}, "heights missing"),
+        ({"drop_at": 30}, "messages left out"),
+        ({"unbalanced_at": 45}, "accounts that were not balanced"),
+    ):
+        assert broken(Soak(20.0, 0, [(40.0, "kill")], moments(100, **change))) == [promise]
+    assert broken(Soak(20.0, 0, [], moments(700, grows=1))) == [
+        "memory grows by 20.41 % (ml_height; judged after 600 s)"
+    ]
+
+
+def test_what_a_fault_may_cost_is_not_counted_and_what_comes_later_is() -> None:
+    fault = [(40.0, "kill ml_height")]
+    for change in ({"no_heights_at": 41}, {"drop_at": 41}):
+        assert broken(Soak(20.0, 0, fault, moments(100, **change))) == []
+    late = round(40 + RECOVERY_S) + 2
+    assert broken(Soak(20.0, 0, fault, moments(100, drop_at=late))) == ["messages left out"]
+
+
+def test_two_minutes_with_faults() -> None:
+    """A fifth of a second of the sensor in a second, so that a loaded machine keeps up."""
+    words = ["--minutes", "2", "--every", "14", "--preset", "small", "--rate", "0.04"]
+    run = subprocess.run(  # noqa: S603 (our own module)
+        [sys.executable, "-m", "benchmarks.soak", *words],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert run.returncode == 0, run.stdout + run.stderr[-5000:]
+    assert "8 faults" in run.stdout
+    assert run.stdout.count("kept: ") == 6
+    assert "Unexpected failure" not in run.stderr
+    assert "Traceback" not in run.stderr

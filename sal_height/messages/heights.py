@@ -152,10 +152,11 @@ def _surfaces_from_messages(surfaces: Sequence[messages.Surface], grid: Grid, ap
     """
     shape = len(surfaces), *grid.shape
     height, sigma, cnr_db, east, north, spread = np.zeros((6, *shape))
-    for number, message in enumerate(surfaces):
-        for name, layer in zip((*LAYERS, "spread"), (height, sigma, cnr_db, east, north, spread), strict=True):
-            if numbers := getattr(message, name):
-                layer[number] = float_view(numbers, grid.shape)
+    with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
+        for number, message in enumerate(surfaces):
+            for name, layer in zip((*LAYERS, "spread"), (height, sigma, cnr_db, east, north, spread), strict=True):
+                if numbers := getattr(message, name):
+                    layer[number] = float_view(numbers, grid.shape)
     positions = above_place(grid.origin[0] + east, grid.origin[1] + north, height)
     own = _covariances([message.covariance for message in surfaces], grid)
     told = [message.common_covariance for message in surfaces]

@@ -42,6 +42,7 @@ setup(
     ],
     extras_require={
         "dem": ["rasterio"],
+        "view": ["rerun-sdk"],
         "test": ["h5py", "pytest", "pytest-xdist"],
         "dev": ["colcon-common-extensions", "mypy", "pre-commit", "ruff", "types-PyYAML"],
     },

@@ -242,6 +242,14 @@ def test_commands_that_need_ros_say_what_to_install(missing: str, how: str, tmp_
         assert_one_sentence(complaint.strip().removeprefix("sal-height: "), f"Command {name} needs", missing, how)
 
 
+def test_view_says_how_to_install_the_viewer(tmp_path: Path) -> None:
+    words = ["view", str(Path(__file__).parents[2] / "bags" / "version_2"), "--save", str(tmp_path / "a.rrd")]
+    ((status, said, complaint),), _ = run_fresh([words], ["rerun"])
+    assert (status, said) == (2, "")
+    assert_one_sentence(complaint.strip().removeprefix("sal-height: "), "module rerun", 'pip install "rerun-sdk')
+    assert not list(tmp_path.iterdir())
+
+
 def test_figures_end_with_status_1_if_a_check_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,153 @@
+"""The messages of a live graph, which never waits for whoever shows them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from functools import partial
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+
+from sal_height.bag.definitions import message_class
+from sal_height.messages import received_height, received_image, received_pose
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.guard import guarded
+from sal_height.view.drawings import Heard
+from sal_height.view.painter import COMPLEX_IMAGE, DIAGNOSTICS, HEIGHT_IMAGE, ODOMETRY, is_shown
+
+QOS = QoSProfile(depth=256, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""It suits every publisher, and no publisher waits for a subscription that is best-effort."""
+
+READERS: dict[str, Callable[[bytes], Any]] = {
+    HEIGHT_IMAGE: received_height,
+    COMPLEX_IMAGE: received_image,
+    ODOMETRY: received_pose,
+    DIAGNOSTICS: partial(deserialize_message, message_type=DiagnosticArray),
+}
+
+DISCOVERY_PERIOD_S = 0.25
+MOST_TOPICS = 100
+ITEM_BYTES = 1000  # memory of a message that waits, besides its own bytes
+WAIT_S = 0.2  # without a message, so that whoever listens can look at other things
+
+TOO_SLOW, LOST = "came while too many waited to be drawn", "got lost on their way"
+
+
+class _Item(NamedTuple):
+    """A message that waits."""
+
+    topic: str
+    type_name: str
+    heard_ns: int
+    cdr: bytes
+
+    @property
+    def size(self) -> int:
+        """Memory that it takes, bytes."""
+        return len(self.cdr) + ITEM_BYTES
+
+
+class Listener:
+    """Takes messages as they come, in a thread of its own; the oldest make room if too many wait.
+
+    Use as a context manager.
+
+    Attributes:
+        graph: of the node that listens.
+    """
+
+    def __init__(self, namespace: str, most_bytes: int, domain_id: int | None = None) -> None:
+        """Listen to sensors in a namespace.
+
+        Args:
+            namespace: of the topics; empty: any.
+            most_bytes: that messages may take that wait.
+            domain_id: ROS domain; None: that of the environment.
+        """
+        self._namespace, self._most_bytes = namespace, most_bytes
+        self._changed = threading.Condition()
+        self._waiting: deque[_Item] = deque()
+        self._size = 0
+        self._left_out: Counter[tuple[str, str]] = Counter()
+        self._over = threading.Event()
+        self._subscribed: dict[str, Subscription] = {}
+        self.graph = Graph(domain_id)
+        self._node = self.graph.add(Node("sal_height_view", context=self.graph.context))
+        self._node.create_timer(DISCOVERY_PERIOD_S, guarded(self._discover, self._fail))
+        self._thread = threading.Thread(target=lambda: self.graph.spin_until(self._over.is_set), name="listener")
+
+    @property
+    def topics(self) -> list[str]:
+        """Topics that are listened to."""
+        return sorted(self._subscribed)
+
+    @property
+    def left_out(self) -> dict[tuple[str, str], int]:
+        """How many messages have not been handed out, by topic and reason."""
+        with self._changed:
+            return dict(self._left_out)
+
+    def heard(self) -> Heard | None:
+        """The message that has waited longest; None if none comes for a short while."""
+        with self._changed:
+            if not self._waiting:
+                self._changed.wait(WAIT_S)
+            if not self._waiting:
+                return None
+            item = self._waiting.popleft()
+            self._size -= item.size
+        return Heard(item.topic, item.type_name, item.heard_ns, partial(READERS[item.type_name], item.cdr))
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over.set()
+        self._thread.join()
+        self.graph.close()
+
+    def _discover(self) -> None:
+        """Subscribe to the topics to be shown that have come up."""
+        for topic, types in self._node.get_topic_names_and_types():
+            fits = len(types) == 1 and is_shown(topic, types[0], self._namespace)
+            if fits and topic not in self._subscribed and len(self._subscribed) < MOST_TOPICS:
+                self._subscribed[topic] = self._subscribe(topic, types[0])
+
+    def _subscribe(self, topic: str, type_name: str) -> Subscription:
+        def lose(event: Any) -> None:
+            with self._changed:
+                self._left_out[topic, LOST] += event.total_count_change
+
+        def take(cdr: bytes) -> None:
+            self._take(_Item(topic, type_name, time.time_ns(), cdr))
+
+        events = SubscriptionEventCallbacks(message_lost=guarded(lose, self._fail))
+        return self._node.create_subscription(
+            message_class(type_name), topic, guarded(take, self._fail), QOS, event_callbacks=events, raw=True
+        )
+
+    def _take(self, item: _Item) -> None:
+        """Let a message wait, and leave out the oldest for which there is no room beside it."""
+        with self._changed:
+            while self._waiting and self._size + item.size > self._most_bytes:
+                oldest = self._waiting.popleft()
+                self._size -= oldest.size
+                self._left_out[oldest.topic, TOO_SLOW] += 1
+            self._waiting.append(item)
+            self._size += item.size
+            self._changed.notify()
+
+    def _fail(self, error: Exception) -> None:
+        self._node.get_logger().error(f"Unexpected failure, please report it: {error!r}", throttle_duration_sec=1.0)

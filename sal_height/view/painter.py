@@ -1,0 +1,331 @@
+"""Messages to drawings: where surfaces lie, in which colours, and what the nodes tell of their work."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Odometry
+from sal_height_msgs import msg as messages
+
+from sal_height.errors import Rejected
+from sal_height.messages import (
+    MAP_FRAME,
+    Frames,
+    Pose,
+    ReceivedImage,
+    complex_view,
+    field_from_message,
+    state_of_pose,
+    to_ns,
+)
+from sal_height.nodes.account import ACHIEVED, LATENCY_P50, LATENCY_P95, OFFERED, RECEIVED, Account
+from sal_height.numeric import F32, F64
+from sal_height.relief import Surface
+from sal_height.view.colours import Span, Spans, coloured
+from sal_height.view.drawings import Classes, Cloud, Drawing, Heard, Line, Note, Number, Picture, Sheet
+from sal_height.view.track import PIECE_NS, Track
+
+HEIGHT_IMAGE, COMPLEX_IMAGE = "sal_height_msgs/msg/HeightImage", "sal_height_msgs/msg/ComplexImage"
+ODOMETRY, DIAGNOSTICS = "nav_msgs/msg/Odometry", "diagnostic_msgs/msg/DiagnosticArray"
+
+WORLD = "map"
+"""Path under which everything lies that has a place."""
+
+SERIES = {OFFERED: "rates/{}/offered", ACHIEVED: "rates/{}/achieved", LATENCY_P50: "latency/{}/p50"} | {
+    LATENCY_P95: "latency/{}/p95"
+}
+"""Paths of the time series by the names of the numbers of an account; rates in dwells/s, latencies in ms."""
+
+LOST = "drops/{}"
+"""Path of the number of messages that a node has left out so far."""
+
+TOLD = "messages/{}"
+"""Path of the sentences in which a node says why."""
+
+ORIGIN = "messages/origin"
+"""Path of the sentence that says where the origin of the points is."""
+
+UNSETTLED_NS = 5_000_000_000
+"""A track is not drawn before the first height image, near which the origin is then, unless it is that long, ns."""
+
+MOST_PATHS = 1000
+"""Names that time series may have: a viewer holds every one for good, and messages could bring ever new ones."""
+
+REMEMBERED = 64
+"""Images that decide which power is white."""
+
+RADIUS = 0.4
+"""Of points, in diagonals of a pixel: those of a closed surface nearly touch."""
+
+DECIBELS = 10.0
+LEAST_POWER = 1e-30
+"""Stands for no power at all, -300 dB."""
+
+
+def is_shown(topic: str, type_name: str, namespace: str = "") -> bool:
+    """Whether messages of a topic are drawn.
+
+    Args:
+        topic: its name, with the namespace.
+        type_name: of its messages.
+        namespace: that sensors must be in; empty: any. /diagnostics belongs to all.
+    """
+    if type_name == DIAGNOSTICS:
+        return topic == "/diagnostics"
+    if namespace and not topic.startswith(f"/{namespace.strip('/')}/"):
+        return False
+    return type_name in {HEIGHT_IMAGE, COMPLEX_IMAGE} or (type_name == ODOMETRY and topic.endswith("platform/odometry"))
+
+
+def estimator_of(topic: str) -> str:
+    """The path of an estimator, by the topic of its heights."""
+    return topic.strip("/").removesuffix("/height")
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What has been drawn so far, for the arrangement of the views.
+
+    Attributes:
+        estimators: paths of the height images, in the order of their names.
+        powers: paths of the images of power.
+        middle: of all points, m from the origin of the drawing.
+        size: half the diagonal of the box around them, m; 0: none has been drawn.
+        sensor: east and north of a horizontal unit vector that leads to the sensor.
+        are_wide: whether the height images have more columns than rows.
+        spans: of heights and of sigmas that the colours stand for, m; None: they still change.
+    """
+
+    estimators: tuple[str, ...] = ()
+    powers: tuple[str, ...] = ()
+    middle: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    size: float = 0.0
+    sensor: tuple[float, float] = (0.0, -1.0)
+    are_wide: bool = False
+    spans: tuple[tuple[float, float], tuple[float, float]] | None = None
+
+
+@dataclass(eq=False)
+class _Powers:
+    """The power of the channels of a dwell that have come; `drawn` is the number of those that have been drawn."""
+
+    stamp_ns: int
+    heard_ns: int
+    total: F64
+    channels: set[int] = field(default_factory=set)
+    drawn: int = 0
+
+
+class Painter:
+    """Makes drawings of messages.
+
+    Positions are relative to an origin near the first image, because viewers calculate in single precision. What is
+    drawn of /diagnostics gets the stamp of the data that came last.
+    """
+
+    def __init__(self, map_frame: str = MAP_FRAME, spans: Spans | None = None) -> None:
+        """Begin without an origin.
+
+        Args:
+            map_frame: name of the frame that all positions are in.
+            spans: that the colours stand for; None: those of the last images.
+        """
+        self._map_frame = map_frame
+        self._spans, self._power = spans or Spans(), Span(1.0, 99.9, REMEMBERED)
+        self._origin: Any = None
+        self._surfaces: dict[str, int] = {}
+        self._tracks: dict[str, Track] = {}
+        self._powers: dict[str, _Powers] = {}
+        self._channels: dict[str, int] = {}
+        self._told: dict[str, str] = {}
+        self._paths: set[str] = set()
+        self._stamp_ns: int | None = None
+        self._sensor, self._are_wide = (0.0, -1.0), False
+        self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
+
+    @property
+    def subject(self) -> Subject:
+        """What has been drawn so far."""
+        spans = (self._spans.heights.ends, self._spans.sigmas.ends) if self._spans.are_settled else None
+        names = Subject(tuple(sorted(self._surfaces)), tuple(sorted(self._channels)), spans=spans)
+        if not np.isfinite(self._low).all():
+            return names
+        east, north, up = ((self._low + self._high) / 2).tolist()
+        return replace(
+            names,
+            middle=(east, north, up),
+            size=float(np.linalg.norm(self._high - self._low)) / 2,
+            sensor=self._sensor,
+            are_wide=self._are_wide,
+        )
+
+    def paint(self, heard: Heard, message: Any) -> list[Sheet]:
+        """What a decoded message shows; there may be nothing yet.
+
+        Raises:
+            Rejected: it cannot be used.
+        """
+        paint: Callable[[str, Any, int], Iterator[Sheet]] = {
+            HEIGHT_IMAGE: self._paint_heights,
+            COMPLEX_IMAGE: self._paint_power,
+            ODOMETRY: self._paint_track,
+            DIAGNOSTICS: self._paint_accounts,
+        }[heard.type_name]
+        return list(paint(heard.topic.strip("/"), message, heard.heard_ns))
+
+    def finish(self) -> list[Sheet]:
+        """What is left to be drawn when nothing more comes, or comes for a while."""
+        sheets = [sheet for path in list(self._powers) for sheet in self._finish_power(path)]
+        return [*sheets, *self._finish_tracks()]
+
+    def _paint_heights(self, topic: str, image: messages.HeightImage, heard_ns: int) -> Iterator[Sheet]:
+        field, path = field_from_message(image, self._map_frame), estimator_of(topic)
+        there = field.first.is_determined
+        told = self._settle(field.first.positions[there].mean(axis=0) if there.any() else field.grid.origin)
+        self._stamp_ns = to_ns(image.header.stamp)
+        if not self._spans.are_settled:
+            self._spans.add(field)
+        self._are_wide = field.grid.cols > field.grid.rows
+        east, north, _ = field.grid.row_direction.tolist()
+        if away := math.hypot(east, north):
+            self._sensor = -east / away, -north / away
+        self._surfaces[path] = max(len(field.surfaces), self._surfaces.get(path, 0))
+        radius = RADIUS * float(np.hypot(field.grid.row_spacing, field.grid.col_spacing))
+        names = [f"{WORLD}/{path}/surface_{number + 1}" for number in range(self._surfaces[path])]
+        clouds = [self._cloud(name, one, radius) for name, one in zip(names, field.surfaces, strict=False)]
+        clouds += [_no_cloud(name) for name in names[len(clouds) :]]  # or the viewer would keep those of another dwell
+        drawings: list[Drawing] = [
+            Picture(f"{path}/height", coloured(field.first.height, self._spans.heights.ends, "turbo")),
+            Picture(f"{path}/sigma", coloured(field.first.sigma, self._spans.sigmas.ends, "viridis")),
+            Classes(f"{path}/validity", field.validity),
+            *clouds,
+            *told,
+        ]
+        yield from self._finish_tracks()
+        yield Sheet(self._stamp_ns, heard_ns, tuple(drawings))
+
+    def _cloud(self, path: str, surface: Surface, radius: float) -> Cloud:
+        """The points of a surface, in the colours of their heights."""
+        there = surface.is_determined
+        places = self._placed(surface.positions[there])
+        if len(places):
+            self._low = np.minimum(self._low, places.min(axis=0))
+            self._high = np.maximum(self._high, places.max(axis=0))
+        height, sigma = surface.height[there], surface.sigma[there]
+        colours = coloured(height, self._spans.heights.ends, "turbo")
+        return Cloud(path, places, colours, height.astype(np.float32), sigma.astype(np.float32), radius)
+
+    def _paint_power(self, topic: str, image: messages.ComplexImage | ReceivedImage, heard_ns: int) -> Iterator[Sheet]:
+        where = f"ComplexImage of dwell {image.dwell}, channel {image.channel}"
+        if image.header.frame_id != self._map_frame:
+            raise Rejected(
+                "wrong frames", f"{where} is in {image.header.frame_id!r}; it must be in {self._map_frame!r}."
+            )
+        shape = image.grid.rows, image.grid.cols
+        count = 2 * shape[0] * shape[1]
+        if len(image.samples) != count or count == 0:
+            raise Rejected(
+                "wrong size",
+                f"{where}: samples has {len(image.samples)} entries, {shape[0]} x {shape[1]} complex pixels need "
+                f"{count}.",
+            )
+        samples = complex_view(image.samples, shape).astype(np.complex128)
+        power, stamp_ns = samples.real**2 + samples.imag**2, to_ns(image.header.stamp)
+        held = self._powers.get(topic)
+        if held and (held.stamp_ns != stamp_ns or held.total.shape != shape or image.channel in held.channels):
+            yield from self._finish_power(topic)
+            held = None
+        if held is None:
+            held = self._powers[topic] = _Powers(stamp_ns, heard_ns, np.zeros(shape))
+        held.total += power
+        held.channels.add(image.channel)
+        if len(held.channels) >= self._channels.get(topic, math.inf):
+            yield self._power_sheet(topic, held)
+
+    def _finish_power(self, topic: str) -> Iterator[Sheet]:
+        """The mean power of the channels that have come, unless it has been drawn: no more are expected."""
+        held = self._powers.pop(topic)
+        if held.drawn < len(held.channels):
+            yield self._power_sheet(topic, held)
+
+    def _power_sheet(self, topic: str, held: _Powers) -> Sheet:
+        """The mean power of the channels that have come, in dB; the next dwell is drawn when it has as many."""
+        held.drawn = len(held.channels)
+        self._channels[topic] = max(held.drawn, self._channels.get(topic, 0))
+        mean = held.total / held.drawn
+        decibels = DECIBELS * np.log10(np.maximum(mean, LEAST_POWER))
+        self._power.add(decibels[mean > 0])
+        self._stamp_ns = held.stamp_ns
+        picture = Picture(f"{topic}/power", coloured(decibels, self._power.ends, "gray"))
+        return Sheet(held.stamp_ns, held.heard_ns, (picture,))
+
+    def _paint_track(self, topic: str, message: Odometry | Pose, heard_ns: int) -> Iterator[Sheet]:
+        pose = message if isinstance(message, Pose) else Pose.of(message)
+        state = state_of_pose(pose, Frames(self._map_frame, pose.child_frame_id))
+        track = self._tracks.setdefault(topic.removesuffix("/odometry"), Track())
+        waits_ns = track.add(state, heard_ns)
+        if waits_ns >= (PIECE_NS if self._origin is not None else UNSETTLED_NS):
+            yield from self._finish_tracks()
+
+    def _finish_tracks(self) -> Iterator[Sheet]:
+        """The pieces of the tracks that have not been drawn yet."""
+        for path, track in self._tracks.items():
+            for piece in track.pieces():
+                told = self._settle(piece.places[0] * [1.0, 1.0, 0.0])
+                line = Line(f"{WORLD}/{path}/track", self._placed(piece.places))
+                yield Sheet(piece.stamp_ns, piece.heard_ns, (line, *told))
+
+    def _paint_accounts(self, _: str, message: DiagnosticArray, heard_ns: int) -> Iterator[Sheet]:
+        """The numbers of the nodes that process dwells, and why they left out messages."""
+        drawings: list[Drawing] = []
+        told: dict[str, str] = {}
+        for status in message.status:
+            account = Account.of_status(status)
+            if RECEIVED not in account.numbers:
+                continue
+            node, numbers = status.name, account.numbers
+            drawings += [Number(path.format(node), numbers[name]) for name, path in SERIES.items() if name in numbers]
+            drawings.append(Number(LOST.format(node), float(sum(account.dropped.values()))))
+            if account.last_drop and account.last_drop != self._told.get(node):
+                told[node] = account.last_drop
+                drawings.append(Note(TOLD.format(node), account.last_drop))
+        if drawings:
+            self._check_names(drawings)
+            self._told |= told
+            yield Sheet(self._stamp_ns, heard_ns, tuple(drawings))
+
+    def _settle(self, near: F64) -> list[Drawing]:
+        """Choose the origin, if there is none, near a position in map, and say where it is."""
+        if self._origin is not None:
+            return []
+        self._origin = np.round(near)
+        east, north, up = self._origin
+        return [
+            Note(ORIGIN, f"The origin of the points is {east:.0f} m east, {north:.0f} m north, {up:.0f} m up in map.")
+        ]
+
+    def _placed(self, positions: F64) -> F32:
+        """Positions in map relative to the origin, which has been chosen, in single precision."""
+        return (positions - self._origin).astype(np.float32)
+
+    def _check_names(self, drawings: Sequence[Drawing]) -> None:
+        """Remember the names of drawings.
+
+        Raises:
+            Rejected: with them, there are more than MOST_PATHS.
+        """
+        paths = self._paths.union(drawing.path for drawing in drawings)
+        if len(paths) > MOST_PATHS:
+            raise Rejected("too many names", f"There are more than {MOST_PATHS} time series of nodes to be drawn.")
+        self._paths = paths
+
+
+def _no_cloud(path: str) -> Cloud:
+    """A cloud without points."""
+    none = np.empty((0, 3), np.float32)
+    return Cloud(path, none, none.astype(np.uint8), none[:, 0], none[:, 0], 0.0)

@@ -1,0 +1,177 @@
+"""`sal-height view`: shows a bag or the live graph, and counts what it leaves out."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from sal_height.errors import Rejected, UserError
+from sal_height.messages import MAP_FRAME, field_from_message
+from sal_height.runs.conductor import Interruption
+from sal_height.view.colours import Spans
+from sal_height.view.drawings import Heard, Note, Sheet
+from sal_height.view.listener import Listener
+from sal_height.view.painter import Painter, Subject
+from sal_height.view.recorded import Recorded
+from sal_height.view.screen import Screen
+
+SKIPPED = "messages/view"
+"""Path of the log that says what was left out here."""
+
+UNREADABLE, UNEXPECTED = "unreadable", "unexpected"
+
+MOST_SURFACES = 10_000
+"""Surfaces of a bag that decide which heights the colours stand for: all that are looked at beforehand."""
+
+TELL_PERIOD_S, LOOK_PERIOD_S = 1.0, 0.1
+
+
+@dataclass
+class Shown:
+    """What has become of messages.
+
+    Attributes:
+        drawn: number of messages that were drawn, by topic.
+        skipped: number of messages that were not, by topic and reason.
+        sentences: the first sentence of each topic and reason.
+    """
+
+    drawn: Counter[str] = field(default_factory=Counter)
+    skipped: Counter[tuple[str, str]] = field(default_factory=Counter)
+    sentences: dict[tuple[str, str], str] = field(default_factory=dict)
+
+    def complaints(self) -> list[str]:
+        """A sentence for each topic and reason why messages were not drawn."""
+        return [
+            f"{count} {'message' if count == 1 else 'messages'} on {topic} not shown ({reason})"
+            + (f": {self.sentences[topic, reason]}" if (topic, reason) in self.sentences else ".")
+            for (topic, reason), count in sorted(self.skipped.items())
+        ]
+
+
+class Artist:
+    """Draws messages on a screen; none of them ends it."""
+
+    def __init__(self, painter: Painter, screen: Screen, expected: Subject) -> None:
+        """Arrange the views for what is expected; they are arranged anew for what comes besides."""
+        self.shown = Shown()
+        self._painter, self._screen = painter, screen
+        self._expected = {*expected.estimators, *expected.powers}
+        screen.arrange(expected)
+
+    def draw(self, heard: Heard) -> None:
+        """Draw a message, or count it."""
+        try:
+            message = heard.read()
+        except UserError as error:
+            self._skip(heard, UNREADABLE, str(error))
+            return
+        except Exception as error:  # noqa: BLE001 (decoders fail in many ways)
+            self._skip(heard, UNREADABLE, f"A message of type {heard.type_name} cannot be read: {_said(error)}.")
+            return
+        try:
+            sheets = self._painter.paint(heard, message)
+        except Rejected as error:
+            self._skip(heard, error.reason, str(error))
+        except Exception as error:  # noqa: BLE001 (no message may end the view)
+            self._skip(heard, UNEXPECTED, f"Unexpected failure, please report it: {_said(error)}.")
+        else:
+            self.shown.drawn[heard.topic] += 1
+            self._show(sheets)
+
+    def draw_rest(self) -> None:
+        """Draw what waits for more that has not come."""
+        self._show(self._painter.finish())
+
+    def arrange(self) -> None:
+        """Arrange the views for all that has been drawn."""
+        self._screen.arrange(self._painter.subject)
+
+    def _show(self, sheets: Iterable[Sheet]) -> None:
+        for sheet in sheets:
+            self._screen.show(sheet)
+        subject = self._painter.subject
+        drawn = {*subject.estimators, *subject.powers}
+        if not drawn <= self._expected:
+            self._expected |= drawn
+            self._screen.arrange(subject)
+
+    def _skip(self, heard: Heard, reason: str, sentence: str) -> None:
+        """Count a message that cannot be drawn, and say so the first time."""
+        self.shown.skipped[heard.topic, reason] += 1
+        if (heard.topic, reason) not in self.shown.sentences:
+            self.shown.sentences[heard.topic, reason] = sentence
+            self.tell(heard.heard_ns, f"{heard.topic}: {sentence}")
+
+    def tell(self, heard_ns: int, sentence: str) -> None:
+        """Say something in the viewer."""
+        self._screen.show(Sheet(None, heard_ns, (Note(SKIPPED, sentence),)))
+
+
+def _said(error: Exception) -> str:
+    """What an error says, on one line without the full stop."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(".: ")
+
+
+def show_bag(recorded: Recorded, screen: Screen, map_frame: str = MAP_FRAME) -> Shown:
+    """Show all messages of a bag; `map_frame` is the name of the frame that all positions are in."""
+    spans = Spans(MOST_SURFACES)
+    for heard in recorded.some_heights():
+        with suppress(Exception):  # it is met again when it is to be drawn
+            spans.add(field_from_message(heard.read(), map_frame))
+    spans.are_settled = True
+    artist = Artist(Painter(map_frame, spans), screen, recorded.subject)
+    for heard in recorded:
+        artist.draw(heard)
+    artist.draw_rest()
+    artist.arrange()
+    for sentence in recorded.damage:
+        artist.shown.skipped["the bag", "damaged"] += 1
+        artist.shown.sentences["the bag", "damaged"] = sentence
+    return artist.shown
+
+
+def show_live(listener: Listener, screen: Screen, is_over: Callable[[], bool], map_frame: str = MAP_FRAME) -> Shown:
+    """Show what a live graph publishes, until it is over or the user interrupts.
+
+    Args:
+        listener: to the graph, entered.
+        screen: on which it is shown.
+        is_over: asked again and again.
+        map_frame: name of the frame that all positions are in.
+    """
+    artist = Artist(Painter(map_frame), screen, Subject())
+    told: dict[tuple[str, str], int] = {}
+    due = time.monotonic() + TELL_PERIOD_S
+    with Interruption() as interruption, suppress(KeyboardInterrupt):
+        while not is_over():
+            interruption.check()
+            heard = listener.heard()
+            if heard:
+                artist.draw(heard)
+            if time.monotonic() >= due:
+                due += TELL_PERIOD_S
+                _tell_losses(artist, told, listener.left_out)
+    artist.draw_rest()
+    artist.shown.skipped.update(listener.left_out)
+    return artist.shown
+
+
+def wait_for_interrupt(screen: Screen) -> None:
+    """Wait until the user interrupts, or nobody can look at the screen any more."""
+    with Interruption() as interruption, suppress(KeyboardInterrupt):
+        while screen.is_open():
+            interruption.check()
+            time.sleep(LOOK_PERIOD_S)
+
+
+def _tell_losses(artist: Artist, told: dict[tuple[str, str], int], left_out: dict[tuple[str, str], int]) -> None:
+    """Say in the viewer how many messages more have not been handed out."""
+    for (topic, reason), count in left_out.items():
+        more = count - told.get((topic, reason), 0)
+        if more:
+            artist.tell(time.time_ns(), f"{topic}: {more} more messages {reason}; they are not shown.")
+    told.update(left_out)

@@ -1,0 +1,77 @@
+"""The platform's track, drawn piece by piece, so that each position is stored once however long the flight is."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from sal_height.geometry import PlatformState
+from sal_height.numeric import F64
+
+PIECE_NS = 200_000_000
+"""A piece is drawn once it is that long, ns."""
+
+MOST_PLACES = 4096
+"""Places that wait at most; of more, the oldest are forgotten."""
+
+DRAWN_PLACES = 32
+"""Places of a piece that are drawn, about; it is short, and a platform is inert."""
+
+FARTHEST_M, LONGEST_NS = 5.0, 5_000_000_000
+"""Two places are joined if the second is where the velocity at the first leads to, but for half the way and this
+distance, and if they are no further apart in time."""
+
+
+class Piece(NamedTuple):
+    """A part of a track without gaps.
+
+    Attributes:
+        stamp_ns: of its last place, ns since the epoch.
+        heard_ns: when that came, ns since the epoch.
+        places: in map, m, shape (places, 3).
+    """
+
+    stamp_ns: int
+    heard_ns: int
+    places: F64
+
+
+class Track:
+    """The places of a platform that have not been drawn yet."""
+
+    def __init__(self) -> None:
+        self._states: list[PlatformState] = []
+        self._heard_ns = 0
+
+    def add(self, state: PlatformState, heard_ns: int) -> int:
+        """Take a state in; the time from the first that waits to it, ns."""
+        self._states.append(state)
+        del self._states[:-MOST_PLACES]
+        self._heard_ns = heard_ns
+        return abs(state.stamp_ns - self._states[0].stamp_ns)
+
+    def pieces(self) -> list[Piece]:
+        """What waits, cut where the platform, or its clock, cannot have gone from one place to the next.
+
+        The last place is kept as the first of the next piece.
+        """
+        states = self._states
+        cuts = [i + 1 for i, (one, other) in enumerate(pairwise(states)) if not _joined(one, other)]
+        parts = [states[begin:end] for begin, end in zip([0, *cuts], [*cuts, len(states)], strict=True)]
+        self._states = states[-1:]
+        return [_piece(part, self._heard_ns) for part in parts if len(part) > 1]
+
+
+def _piece(states: list[PlatformState], heard_ns: int) -> Piece:
+    kept = np.unique(np.linspace(0, len(states) - 1, min(len(states), DRAWN_PLACES)).round().astype(int))
+    return Piece(states[-1].stamp_ns, heard_ns, np.array([states[i].position for i in kept]))
+
+
+def _joined(one: PlatformState, other: PlatformState) -> bool:
+    """Whether a platform can have gone from one state to the other."""
+    step_ns = other.stamp_ns - one.stamp_ns
+    way = one.velocity * step_ns * 1e-9
+    off = float(np.linalg.norm(other.position - one.position - way))
+    return 0 < step_ns <= LONGEST_NS and off <= FARTHEST_M + 0.5 * float(np.linalg.norm(way))

@@ -6,6 +6,7 @@ venv := .venv/.made-with-$(version)
 packages := .venv/.packages
 messages := .venv/.messages
 loops := .venv/.loops
+viewer := .venv/.viewer
 pip := .venv/bin/python -m pip --disable-pip-version-check --quiet
 headers := $(CURDIR)/.venv/headers/usr/include
 
@@ -24,6 +25,7 @@ help:
 	@echo 'make demo    set up, then simulate and process three presets into out/'
 	@echo 'make test    set up, then check style and types and run the tests'
 	@echo 'make lint    set up, then check style and types'
+	@echo 'make soak    set up, then run a graph for MINUTES=30 with a fault every 20 seconds, and judge what it promises'
 	@echo 'make bench   set up, then measure speed, memory and accuracy against their targets; writes bench.json'
 	@echo 'make colcon  set up, then build and test both packages with colcon'
 	@echo 'make clean   remove all that was made, .venv too'
@@ -62,6 +64,11 @@ $(loops): $(packages) tools/compile_loops.py
 	@.venv/bin/python tools/compile_loops.py
 	@touch $@
 
+# What only tests of the optional viewer need: 230 MB.
+$(viewer): $(messages)
+	@$(pip) install rerun-sdk
+	@touch $@
+
 demo: setup
 	@rm -rf out/sal_spotlight out/sal_stripmap out/xband_relief
 	.venv/bin/sal-height run --preset sal_spotlight --out out/sal_spotlight
@@ -71,7 +78,7 @@ demo: setup
 # Two files at a time: while one waits for its nodes, the other computes. Threads of matrix products would only wait for
 # each other.
 test:
-	@$(MAKE) --no-print-directory -j2 lint $(loops)
+	@$(MAKE) --no-print-directory -j2 lint $(loops) $(viewer)
 	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest --numprocesses 2 --dist loadfile
 
 lint: setup

@@ -41,11 +41,8 @@ STOPPED_S = 2.0
 RECOVERY_S = 10.0
 """From a fault to the end of what it may cost: it lasts 2 s, and a node that was killed is back in 5."""
 
-SETTLED_S = 20.0
-"""From the start of a process to the first of its memory that counts."""
-
 LONG_S = 600.0
-"""Memory is judged in runs of so long: before, caches fill."""
+"""The memory of a process is judged once it has run for so long: before, caches fill."""
 
 SHARE = 0.8
 """Of the highest rate that is sustained, the one that is played at."""
@@ -158,7 +155,8 @@ def verdict(soak: Soak, offered_hz: float, different: list[str]) -> list[tuple[b
         ]
         missing[topic] = sum(max(0.0, lack - EDGE_DWELLS) for lack in lacks)
     growth = _growth(soak.moments)
-    worst = max(growth, key=lambda name: growth[name], default="")
+    worst, most = max(growth.items(), key=lambda entry: entry[1], default=("", 0.0))
+    grown = f"{len(growth)} nodes that ran for {LONG_S:.0f} s"
     return [
         (not unbalanced, f"accounts that were not balanced: {len(unbalanced)} {unbalanced[:1]}"),
         (not left_out, f"messages left out in {quiet_s:.0f} s without a fault: {dict(left_out)}"),
@@ -169,30 +167,26 @@ def verdict(soak: Soak, offered_hz: float, different: list[str]) -> list[tuple[b
         ),
         (not different, f"heights unlike those of the lockstep run, without a fault: {len(different)} {different[:1]}"),
         (
-            soak.moments[-1].at_s < LONG_S or not growth or growth[worst] < 0.01,
-            f"memory grows by {100 * growth.get(worst, 0):.2f} % ({worst}; judged after {LONG_S:.0f} s)",
+            all(share < 0.01 for share in growth.values()),
+            f"memory of {grown} grows by {100 * most:.2f} % at most {worst}",
         ),
         (not soak.failed, f"faults that could not be done: {soak.failed}"),
     ]
 
 
 def _growth(moments: list[Moment]) -> dict[str, float]:
-    """By how much the memory of each process has grown from its second to its last third, as a share of it.
-
-    Of processes that have run for SETTLED_S and as long again.
-    """
+    """By how much the memory of each process that ran for LONG_S has grown from its second third to its last."""
     series: dict[tuple[str, int], list[tuple[float, float]]] = defaultdict(list)
     for moment in moments:
         for key, memory in moment.memory_mb.items():
             series[key].append((moment.at_s, memory))
     growth: dict[str, float] = {}
     for (name, _), samples in series.items():
-        began = samples[0][0]
-        settled = [memory for at_s, memory in samples if at_s - began > SETTLED_S]
-        third = len(settled) // 3
-        if settled and samples[-1][0] - began > 2 * SETTLED_S and third:
-            middle, last = sum(settled[third : 2 * third]) / third, sum(settled[-third:]) / third
-            growth[name] = max(growth.get(name, -1.0), last / middle - 1)
+        if samples[-1][0] - samples[0][0] < LONG_S:
+            continue
+        third = len(samples) // 3
+        middle, last = (sum(memory for _, memory in part) for part in (samples[third : 2 * third], samples[-third:]))
+        growth[name] = max(growth.get(name, -1.0), last / middle - 1)
     return growth
 
 

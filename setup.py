@@ -43,7 +43,7 @@ setup(
     extras_require={
         "dem": ["rasterio"],
         "view": ["rerun-sdk"],
-        "test": ["h5py", "pytest", "pytest-xdist"],
+        "test": ["cyclonedds; platform_machine == 'x86_64'", "h5py", "pytest", "pytest-xdist"],
         "dev": ["colcon-common-extensions", "mypy", "pre-commit", "ruff", "types-PyYAML"],
     },
     entry_points={

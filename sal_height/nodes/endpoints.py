@@ -14,6 +14,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from sal_height.nodes.guard import guarded
 
@@ -30,6 +31,10 @@ LESS = {
     "DURABILITY": ("durability", DurabilityPolicy.VOLATILE, "volatile"),
 }
 """What to ask for instead if no publisher offers as much: field of a profile, its value, and its name, by policy."""
+
+
+NAMELESS = "_"
+"""What the names begin with that ROS gives to publishers of which it knows no node."""
 
 
 class Outlet:
@@ -73,6 +78,8 @@ class Inlet:
         has_one_source: whether several publishers would contradict each other.
         heard_at: when the last message came, s of the monotonic clock.
         unsuited: how often a publisher was found whose quality of service does not suit the subscription.
+        strangers: publishers that define the type of the messages otherwise, as of the last `look_for_strangers`.
+        has_only_strangers: whether no other publisher is known.
     """
 
     def __init__(
@@ -80,12 +87,11 @@ class Inlet:
         node: Node,
         message_type: type,
         topic: str,
-        receive: Callable[[Any], None],
+        receive: Callable[[bytes], None],
         qos: QoSProfile,
         matched: Callable[[Any], None],
         fail: Callable[[Exception], None],
         *,
-        raw: bool,
         has_one_source: bool = False,
     ) -> None:
         """Subscribe; users can set the quality of service by the qos_overrides parameters.
@@ -94,23 +100,24 @@ class Inlet:
             node: that subscribes.
             message_type: class of the messages.
             topic: its name.
-            receive: takes a message.
+            receive: takes a serialized message.
             qos: quality of service.
             matched: called when a publisher comes or goes.
             fail: takes an error in a callback.
-            raw: whether `receive` takes serialized messages.
             has_one_source: whether several publishers would contradict each other.
         """
         self.has_one_source = has_one_source
         self.latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         self.heard_at = -math.inf
         self.unsuited = 0
-        self._node, self._name = node, topic
+        self.strangers: tuple[str, ...] = ()
+        self.has_only_strangers = False
+        self._node, self._name, self._type_name = node, topic, _type_name(message_type)
         self._profile = copy.copy(qos)
 
-        def take(message: Any) -> None:
+        def take(cdr: bytes) -> None:
             self.heard_at = time.monotonic()
-            receive(message)
+            receive(cdr)
 
         def subscribe(overrides: QoSOverridingOptions | None) -> Subscription:
             events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._ask_for_less, fail), matched=matched)
@@ -121,7 +128,7 @@ class Inlet:
                 self._profile,
                 event_callbacks=events,
                 qos_overriding_options=overrides,
-                raw=raw,
+                raw=True,
             )
 
         self._subscribe = subscribe
@@ -149,6 +156,32 @@ class Inlet:
         names = (name for name, _ in self._node.get_topic_names_and_types() if name != self.topic)
         return [name for name in names if name.endswith(f"/{self._name}") and self._node.count_publishers(name)]
 
+    def look_for_strangers(self) -> None:
+        """See which publishers were built with another definition of the type; the middleware goes by names alone.
+
+        Publishers that state no hash of their definition, such as those without ROS, are taken to know it.
+        """
+        ours = {
+            str(info.topic_type_hash)
+            for info in self._node.get_subscriptions_info_by_topic(self.topic)
+            if (info.node_namespace, info.node_name) == (self._node.get_namespace(), self._node.get_name())
+        }
+        publishers = self._node.get_publishers_info_by_topic(self.topic) if ours else []
+        hashes = [(info, str(info.topic_type_hash)) for info in publishers if info.topic_type_hash.version > 0]
+        strangers = [info for info, value in hashes if value not in ours]
+        self.strangers = tuple(sorted({_name_of(info) for info in strangers}))
+        self.has_only_strangers = len(strangers) == len(publishers) > 0
+
+    @property
+    def warning(self) -> str:
+        """Sentences, each after a space, on publishers that are not right; else nothing."""
+        crowd = f" {self.publishers} nodes publish {self.topic}: stop all but one."
+        return (crowd if self.has_one_source and self.publishers > 1 else "") + "".join(
+            f" {name} publishes {self.topic} with another definition of {self._type_name}: build it with the "
+            f"{self._type_name.split('/')[0]} of this version."
+            for name in self.strangers
+        )
+
     def is_silent(self, now: float) -> bool:
         """Whether messages that should come do not."""
         return now - self.heard_at > (math.inf if self.latched and self.heard_at > 0 else RECENT_S)
@@ -168,3 +201,15 @@ class Inlet:
         self._node.get_logger().info(f"{self.topic} is published {name}; it is received so, and messages may get lost.")
         self._node.destroy_subscription(self.subscription)
         self.subscription = self._subscribe(None)
+
+
+def _type_name(message_type: Any) -> str:
+    """Name of a type of messages, as ROS writes it."""
+    return f"{message_type.__module__.split('.')[0]}/msg/{message_type.__name__}"
+
+
+def _name_of(publisher: TopicEndpointInfo) -> str:
+    """The node of a publisher, with its namespace."""
+    if publisher.node_name.startswith(NAMELESS):
+        return "A program without a node"
+    return f"Node {publisher.node_namespace.rstrip('/')}/{publisher.node_name}"

@@ -129,7 +129,7 @@ class SarCompression(DwellStage):
         raise Rejected(
             "odometry gap",
             f"Dwell {frame.dwell}: platform/odometry must reach from its first pulse to its last with a sample "
-            f"every {limit:g} s (max_odometry_gap_s); {found}.{self.crowd_warning}",
+            f"every {limit:g} s (max_odometry_gap_s); {found}.{self.source_warning}",
         )
 
     def _odometry_held(self, start_ns: int) -> str:

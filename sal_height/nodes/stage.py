@@ -21,6 +21,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
 from sal_height.errors import Rejected, UserError
@@ -153,6 +154,7 @@ class Stage(Role, Managed):
         self._pace = Pace()
         self._offered: list[Outlet] = []
         self._inlets: list[Inlet] = []
+        self._optional: list[Inlet] = []
         self._on_match = guarded(lambda _: self._publish_account(), self._fail)
         """Whoever waits for a graph to be connected is told of a subscription or publisher when it comes or goes."""
         self._matched = PublisherEventCallbacks(matched=self._on_match)
@@ -199,18 +201,26 @@ class Stage(Role, Managed):
             callback: takes a message; an error in it is counted and logged.
             qos: quality of service.
             optional: whether the node can do its work without a message on this topic.
-            read: makes what the callback takes of a serialized message, or raises RuntimeError; None: rclpy does.
+            read: makes what the callback takes of a serialized message, or raises RuntimeError; None: rclpy does. It is
+                not left to rclpy's executor, which passes over what it cannot decode without a word.
         """
         profile = copy.copy(qos)
         profile.depth = LATCHED_HELD if qos is LATCHED_QOS else qos.depth
 
-        def receive(message: Any) -> None:
+        def receive(cdr: bytes) -> None:
+            if inlet.has_only_strangers:
+                self.ignore("another definition", UserError(inlet.warning.strip()))
+                return
             try:
-                taken = read(message) if read else message
+                message = read(cdr) if read else deserialize_message(cdr, message_type)
             except RuntimeError as error:  # rclpy's own error class is private, and a subclass of it
                 self.ignore("broken message", UserError(f"A message on {topic} cannot be decoded: {error}."))
             else:
-                callback(taken)
+                callback(message)
+
+        def matched(_: Any) -> None:
+            inlet.look_for_strangers()
+            self._publish_account()
 
         inlet = Inlet(
             self,
@@ -218,13 +228,11 @@ class Stage(Role, Managed):
             topic,
             receive,
             profile,
-            self._on_match,
+            guarded(matched, self._fail),
             self._fail,
-            raw=read is not None,
             has_one_source=qos is ODOMETRY_QOS,
         )
-        if not optional:
-            self._inlets.append(inlet)
+        (self._optional if optional else self._inlets).append(inlet)
 
     def every(self, period_s: float, callback: Callable[[], Any], clock: Clock | None = None) -> None:
         """Call `callback` again and again, by a clock that never stands still unless another one is given."""
@@ -385,6 +393,8 @@ class Stage(Role, Managed):
                 self._progress.publish(self.diagnostics())
 
     def _measure_pace(self) -> None:
+        for inlet in (*self._inlets, *self._optional):
+            inlet.look_for_strangers()  # names of nodes come after their publishers
         self._pace.sample(time.monotonic(), self.tally.offered, self.tally.finished)
         self._publish_account()
 
@@ -420,10 +430,9 @@ class Stage(Role, Managed):
         return message
 
     @property
-    def crowd_warning(self) -> str:
-        """A sentence, after a space, if several nodes publish where only one can be right; else nothing."""
-        crowded = [inlet for inlet in self._inlets if inlet.has_one_source and inlet.publishers > 1]
-        return "".join(f" {inlet.publishers} nodes publish {inlet.topic}: stop all but one." for inlet in crowded)
+    def source_warning(self) -> str:
+        """Sentences, each after a space, on publishers that are not right; else nothing."""
+        return "".join(inlet.warning for inlet in (*self._inlets, *self._optional))
 
     def silent_topics(self) -> list[str]:
         """The topics that the node needs and on which no message has come lately, and where they might be found."""
@@ -437,11 +446,11 @@ class Stage(Role, Managed):
     def _state(self, lost: int) -> tuple[Any, str]:
         """Level and message of the diagnostics, as of the last seconds.
 
-        WARN: messages were lost, or two sources contradict each other; STALE: messages that the node needs do not come;
-        OK: none of these, or the node is not active.
+        WARN: messages were lost, two sources contradict each other, or one knows other messages; STALE: messages that
+        the node needs do not come; OK: none of these, or the node is not active.
         """
-        if crowd := self.crowd_warning:
-            return DiagnosticStatus.WARN, f"{crowd.strip()} {lost} dropped or ignored in all"
+        if warning := self.source_warning:
+            return DiagnosticStatus.WARN, f"{warning.strip()} {lost} dropped or ignored in all"
         if time.monotonic() - self._lost_at < RECENT_S:
             return DiagnosticStatus.WARN, f"{lost} dropped or ignored in all, last {self.last_rejection}"
         if not self.is_active:

@@ -255,12 +255,12 @@ def test_two_sources_of_odometry_are_named(graph: Graph) -> None:
     node = graph.add(SarCompression(context=graph.context))
     sources = [graph.add(Node(name, context=graph.context)) for name in ("one", "other")]
     publishers = [source.create_publisher(Odometry, "platform/odometry", ODOMETRY_QOS) for source in sources]
-    assert graph.spin_until(lambda: bool(node.crowd_warning), TIMEOUT_S)
+    assert graph.spin_until(lambda: bool(node.source_warning), TIMEOUT_S)
     level, message, *_ = state(graph, node)
     assert level == DiagnosticStatus.WARN
     assert message == "2 nodes publish /platform/odometry: stop all but one. 0 dropped or ignored in all"
     sources[1].destroy_publisher(publishers[1])
-    assert graph.spin_until(lambda: not node.crowd_warning, TIMEOUT_S)
+    assert graph.spin_until(lambda: not node.source_warning, TIMEOUT_S)
     assert state(graph, node)[0] == DiagnosticStatus.STALE
 
 

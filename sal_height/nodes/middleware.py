@@ -55,7 +55,7 @@ TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
       </transport_descriptor>
       <transport_descriptor>
         <transport_id>network</transport_id>
-        <type>UDPv4</type>
+        <type>UDPv4</type>{interfaces}
       </transport_descriptor>
     </transport_descriptors>
     <participant profile_name="sal_height" is_default_profile="true">
@@ -78,6 +78,14 @@ TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
         </builtin>
       </rtps>
     </participant>
+    <data_writer profile_name="sal_height" is_default_profile="true">
+      <times>
+        <heartbeatPeriod>
+          <sec>0</sec>
+          <nanosec>200000000</nanosec>
+        </heartbeatPeriod>
+      </times>
+    </data_writer>
   </profiles>
 </dds>
 """
@@ -85,7 +93,13 @@ TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
 
 They announce themselves four times a second, every 3 s by default: one that starts later, or again, is found that soon.
 One that was killed is taken for running until nothing has been heard of it for 5 s, 20 s by default.
+And they ask five times a second, every 3 s by default, what of their messages has not arrived, to send it again.
 """
+
+
+LOOPBACK = "\n        <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>"
+"""Has a participant listen to this machine only. By ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST alone it sends its
+announcements nowhere else, but answers whoever addresses it."""
 
 
 def segment_bytes(dwell_bytes: int, free_bytes: int) -> int | None:
@@ -121,8 +135,12 @@ def remove_orphans() -> None:
             lock.unlink()
 
 
-def settings_for(dwell_bytes: int) -> str:
+def settings_for(dwell_bytes: int, *, local: bool = False) -> str:
     """Settings of Fast DDS, as XML, with which a process publishes dwells of that size.
+
+    Args:
+        dwell_bytes: of the samples of a dwell; 0: not known.
+        local: whether other machines can reach nothing of the process.
 
     Raises:
         UserError: too little shared memory is free.
@@ -134,15 +152,16 @@ def settings_for(dwell_bytes: int) -> str:
             f"{SHARED_MEMORY} has {free / 1e6:.0f} MB free; with less than {LEAST / SHARE / 1e6:.0f} MB frames may "
             "come late or get lost between processes. Containers get more by --shm-size."
         )
-    return TEMPLATE.format(segment=segment, message=segment // 4)
+    interfaces = LOOPBACK if local else ""
+    return TEMPLATE.format(segment=segment, message=segment // 4, interfaces=interfaces)
 
 
 def provide_shared_memory(dwell_bytes: int = 0) -> None:
     """Have the nodes of this process, and of those that it starts, use shared memory that holds dwells of that size.
 
-    What processes that were killed have left of it is given back first. It has an effect before the first node of a
-    process only. Whoever uses another middleware, or has settings of Fast
-    DDS in a file of their own, keeps them.
+    What processes that were killed have left of it is given back first. Where the variables of ROS keep nodes to this
+    machine, no other can reach them. It has an effect before the first node of a process only. Whoever uses another
+    middleware, or has settings of Fast DDS in a file of their own, keeps them.
     """
     remove_orphans()
     if (
@@ -151,7 +170,7 @@ def provide_shared_memory(dwell_bytes: int = 0) -> None:
     ):
         return
     try:
-        settings = settings_for(dwell_bytes)
+        settings = settings_for(dwell_bytes, local=_keeps_to_machine())
     except UserError as error:
         get_logger("sal_height").warning(str(error))
         return
@@ -160,3 +179,9 @@ def provide_shared_memory(dwell_bytes: int = 0) -> None:
     file = Path(folder, "fastdds.xml")
     file.write_text(settings, encoding="utf-8")
     os.environ[PROFILES] = str(file)
+
+
+def _keeps_to_machine() -> bool:
+    """Whether the environment variables of ROS say that nodes find none of other machines."""
+    peers = os.environ.get("ROS_STATIC_PEERS", "")
+    return os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in {"LOCALHOST", "OFF"} and not peers

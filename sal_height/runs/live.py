@@ -173,8 +173,6 @@ def live(
         "latency_budget_s": budget_s,
         "processors": processors,
     }
-    first = next(playlist.frames())
-    provide_shared_memory(sum(len(frame.samples) for frame in first))
 
     def test() -> int:
         warn_of_overload(core_rate_hz(playlist, feed.sensor, stages, values, processors), 1 / interval_s, processors)
@@ -188,7 +186,8 @@ def live(
         show(watched)
 
     watched = Watched(0.0, 1 / interval_s, latencies_s={topic: [] for topic in topics}, start_s=start_s)
-    with reporting(folder, known) as report:
+    with reporting(folder, known) as report, ros_domain(execution.domain):
+        provide_shared_memory(sum(len(frame.samples) for frame in next(playlist.frames())))
         _perform(plan, execution, how, playlist, watched, let_go_and_show)
         report.update(watched.as_json())
         report["parameters"] = values
@@ -212,7 +211,6 @@ def _perform(
 ) -> None:
     """Start the nodes of a plan and the sensor, and watch them."""
     with (
-        ros_domain(execution.domain),
         Interruption() as interruption,
         Ensemble(members_of(plan), execution.processes) as ensemble,
         suppress(KeyboardInterrupt),

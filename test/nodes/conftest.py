@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import pytest
+from bag_feeder import BAG, Feeder
 from chain_fixture import Chain
 from sal_height_msgs.msg import HeightImage
 
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.sar_compression import SarCompression
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scenes import load_scene
@@ -36,3 +39,12 @@ def reference(flight: SimulatedFlight) -> dict[tuple[str, int], HeightImage]:
             chain.publish(*chain.odometry(dwell), *chain.frames(dwell))
             chain.await_heights(dwell)
         return dict(chain.heights)
+
+
+@pytest.fixture(scope="session")
+def bag_heights() -> dict[int, HeightImage]:
+    """Heights of the dwells of the newest reference bag, as they are today, when rclpy publishes it here."""
+    with free_domain() as domain, Graph(domain) as graph:
+        graph.add(SarCompression(context=graph.context))
+        graph.add(HEIGHT_NODES["ml_height"](context=graph.context))
+        return Feeder(graph).heights_of(BAG)

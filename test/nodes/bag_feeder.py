@@ -1,0 +1,128 @@
+"""What a bag gives when rclpy publishes it to nodes: in a test, or as a program of its own on another host.
+
+Usage as a program: bag_feeder.py BAG OUT [best_effort]. Heights are written as OUT/DWELL.cdr, and the last account of
+every node as OUT/NODE.json.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from chain_fixture import same_heights
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.qos import ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.rosbag2 import Reader
+from sal_height_msgs.msg import ChannelFrame, HeightImage, SensorInfo
+
+from sal_height.messages import received_frame
+from sal_height.nodes.account import DIAGNOSTICS, READY, Account
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+
+BAG = Path(__file__).parents[2] / "bags" / "version_2"
+TIMEOUT_S = 60.0
+KINDS = {
+    "/sensor_info": (SensorInfo, LATCHED_QOS),
+    "/platform/odometry": (Odometry, ODOMETRY_QOS),
+    "/phase_history": (ChannelFrame, FRAMES_QOS),
+}
+HEIGHTS = "/ml/height"
+NODES = ("sar_compression", "ml_height")
+
+
+class Feeder:
+    """Publishes a bag to sar_compression and ml_height, and keeps the heights that they publish.
+
+    Attributes:
+        heights: that have come.
+        accounts: what every node has said of itself last.
+    """
+
+    def __init__(self, graph: Graph) -> None:
+        self.heights: list[HeightImage] = []
+        self.accounts: dict[str, Account] = {}
+        self._graph, self._node = graph, graph.add(Node("feeder", context=graph.context))
+        self._node.create_subscription(HeightImage, HEIGHTS, self.heights.append, FRAMES_QOS)
+        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._keep, FRAMES_QOS)
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        """Run callbacks until a condition holds."""
+        assert self._graph.spin_until(condition, TIMEOUT_S), f"waited in vain for {what}: {self.accounts}"
+
+    def publish(self, bag: Path, *, reliable: bool = True) -> tuple[int, set[int]]:
+        """Publish a bag as soon as the nodes are ready; how many frames it has, and the numbers of its dwells."""
+        publishers = {}
+        for topic, (kind, qos) in KINDS.items():
+            offered = copy.copy(qos)
+            if topic == "/phase_history" and not reliable:
+                offered.reliability = ReliabilityPolicy.BEST_EFFORT
+            publishers[topic] = self._node.create_publisher(kind, topic, offered)
+        with Reader(bag) as reader:
+            recorded = [(c.topic, cdr) for c, _, cdr in reader.messages() if c.topic in publishers]
+        for latched in (True, False):
+            for topic, cdr in recorded:
+                if (topic == "/sensor_info") == latched:
+                    publishers[topic].publish(cdr)
+            self.wait(self._is_ready, "the nodes to be ready")
+        frames = [received_frame(cdr) for topic, cdr in recorded if topic == "/phase_history"]
+        return len(frames), {frame.dwell for frame in frames}
+
+    def heights_of(self, bag: Path) -> dict[int, HeightImage]:
+        """Heights of all dwells of a bag, which is published."""
+        _, dwells = self.publish(bag)
+        self.wait(lambda: dwells == {image.dwell for image in self.heights}, "heights")
+        return {image.dwell: image for image in self.heights}
+
+    def _is_ready(self) -> bool:
+        ready = all(name in self.accounts and self.accounts[name].count(READY) for name in NODES)
+        return ready and self.accounts["ml_height"].subscribers[HEIGHTS.lstrip("/")] > 0
+
+    def _keep(self, message: DiagnosticArray) -> None:
+        self.accounts |= {status.name: Account.of_status(status) for status in message.status}
+
+
+def read_heights(folder: Path) -> dict[int, HeightImage]:
+    """Height images by dwell, from files with their CDR."""
+    return {int(file.stem): deserialize_message(file.read_bytes(), HeightImage) for file in folder.glob("*.cdr")}
+
+
+def assert_same(heights: dict[int, HeightImage], others: dict[int, HeightImage]) -> None:
+    """Heights of all dwells agree value for value."""
+    assert heights.keys() == others.keys()
+    for dwell, image in heights.items():
+        assert same_heights(image, others[dwell])
+        assert (image.header, image.provenance) == (others[dwell].header, others[dwell].provenance)
+
+
+def main() -> None:
+    """Publish a bag until every message is accounted for, and write what has come of it."""
+    bag, out, *options = sys.argv[1:]
+    with Graph() as graph:
+        feeder = Feeder(graph)
+        frames, dwells = feeder.publish(Path(bag), reliable=not options)
+
+        def is_settled() -> bool:
+            """Whether no node holds anything: a dwell that lacks frames is given up seconds after the last one."""
+            compression, heights = (feeder.accounts[name] for name in NODES)
+            came = compression.received > 0 and heights.received == compression.published["slc"]
+            return came and not (compression.waiting or heights.waiting)
+
+        if not options:
+            feeder.wait(lambda: dwells == {image.dwell for image in feeder.heights}, "heights")
+            feeder.wait(lambda: feeder.accounts["sar_compression"].received == frames, "the account of all frames")
+        feeder.wait(is_settled, "the nodes to be done")
+        for image in feeder.heights:
+            Path(out, f"{image.dwell}.cdr").write_bytes(serialize_message(image))
+        for name, account in feeder.accounts.items():
+            Path(out, f"{name}.json").write_text(json.dumps(dict(account.numbers)), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -13,6 +13,7 @@ EXAMPLES = """
   sal-height transport > fastdds.xml
   export FASTRTPS_DEFAULT_PROFILES_FILE=$PWD/fastdds.xml
   sal-height transport --dwell-mb 134 > fastdds.xml
+  sal-height transport --packet-bytes 1400 > fastdds.xml
 """
 
 app = command("transport", PROCESSING, EXAMPLES)
@@ -22,6 +23,7 @@ app = command("transport", PROCESSING, EXAMPLES)
 def transport(
     *,
     dwell_mb: Annotated[float, Parameter(metavar="MB", validator=Number(gte=0, lte=16_000))] = 8.0,
+    packet_bytes: Annotated[int | None, Parameter(metavar="BYTES", validator=Number(gte=576, lte=65_500))] = None,
 ) -> int:
     """Print settings of Fast DDS for a program that publishes phase histories.
 
@@ -32,8 +34,12 @@ def transport(
 
     Args:
         dwell_mb: Size of the samples of a dwell, in megabytes.
+        packet_bytes: Size of the packets in which messages travel. On a network
+            that loses packets, as radio links do, take 1400, also for nodes:
+            what is lost is then sent again packet by packet. By default 64 kB
+            travel together, and are lost together.
     """
     from sal_height.nodes.middleware import settings_for
 
-    print(settings_for(int(dwell_mb * 1e6)), end="")
+    print(settings_for(int(dwell_mb * 1e6), packet_bytes=packet_bytes or 0), end="")
     return DONE

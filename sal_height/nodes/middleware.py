@@ -55,7 +55,7 @@ TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
       </transport_descriptor>
       <transport_descriptor>
         <transport_id>network</transport_id>
-        <type>UDPv4</type>{interfaces}
+        <type>UDPv4</type>{network}
       </transport_descriptor>
     </transport_descriptors>
     <participant profile_name="sal_height" is_default_profile="true">
@@ -102,6 +102,11 @@ LOOPBACK = "\n        <interfaceWhiteList><address>127.0.0.1</address></interfac
 announcements nowhere else, but answers whoever addresses it."""
 
 
+PACKETS = "\n        <maxMessageSize>{}</maxMessageSize>"
+"""Has messages travel in packets of that size, by shared memory too. What a network that takes 64 kB apart loses a part
+of is lost as a whole."""
+
+
 def segment_bytes(dwell_bytes: int, free_bytes: int) -> int | None:
     """Shared memory that a process takes.
 
@@ -135,12 +140,13 @@ def remove_orphans() -> None:
             lock.unlink()
 
 
-def settings_for(dwell_bytes: int, *, local: bool = False) -> str:
+def settings_for(dwell_bytes: int, *, local: bool = False, packet_bytes: int = 0) -> str:
     """Settings of Fast DDS, as XML, with which a process publishes dwells of that size.
 
     Args:
         dwell_bytes: of the samples of a dwell; 0: not known.
         local: whether other machines can reach nothing of the process.
+        packet_bytes: size of the packets in which messages travel; 0: up to 64 kB, which the network takes apart.
 
     Raises:
         UserError: too little shared memory is free.
@@ -152,8 +158,8 @@ def settings_for(dwell_bytes: int, *, local: bool = False) -> str:
             f"{SHARED_MEMORY} has {free / 1e6:.0f} MB free; with less than {LEAST / SHARE / 1e6:.0f} MB frames may "
             "come late or get lost between processes. Containers get more by --shm-size."
         )
-    interfaces = LOOPBACK if local else ""
-    return TEMPLATE.format(segment=segment, message=segment // 4, interfaces=interfaces)
+    network = (LOOPBACK if local else "") + (PACKETS.format(packet_bytes) if packet_bytes else "")
+    return TEMPLATE.format(segment=segment, message=segment // 4, network=network)
 
 
 def provide_shared_memory(dwell_bytes: int = 0) -> None:

@@ -24,6 +24,8 @@ from typing import Any, Self
 TUN = "/dev/net/tun"
 SET_INTERFACE, TAP_WITHOUT_HEADER = 0x400454CA, 0x1002  # TUNSETIFF; IFF_TAP and IFF_NO_PI (linux/if_tun.h)
 LARGEST_FRAME = 2048
+MULTICAST = b"\x01"  # the first byte of such an address (01:00:5e:..); broadcast has ff
+
 OWN_MEMORY = "mount -t tmpfs tmpfs /dev/shm && echo ready && exec sleep infinity"
 """What keeps the shared memory of a host: two hosts that share it would pass messages by it."""
 
@@ -38,12 +40,14 @@ class Hosts:
     Attributes:
         loss: share of the packets that the network loses.
         delay_s: time that it takes to deliver one.
+        has_multicast: whether it delivers packets to groups, as many radio links do not.
         lost: packets that it has lost.
         delivered: packets that it has delivered.
     """
 
     def __init__(self, count: int, loss: float = 0.0, delay_s: float = 0.0) -> None:
         self.loss, self.delay_s = loss, delay_s
+        self.has_multicast = True
         self.lost = self.delivered = 0
         self._names = [f"sal{os.getpid()}-{number}" for number in range(1, count + 1)]
         self._cards: list[int] = []
@@ -104,6 +108,8 @@ class Hosts:
             pause = max(0.0, waiting[0][0] - time.monotonic()) if waiting else 0.1
             for card in select.select(self._cards, [], [], min(pause, 0.1))[0]:
                 packet = os.read(card, LARGEST_FRAME)
+                if packet[:1] == MULTICAST and not self.has_multicast:
+                    continue
                 for other in self._cards:
                     if other == card:
                         continue

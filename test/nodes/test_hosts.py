@@ -18,6 +18,8 @@ from bag_feeder import BAG, assert_same, read_heights
 from hosts import Hosts, UnavailableError
 from sal_height_msgs.msg import HeightImage
 
+from sal_height.nodes.middleware import PROFILES, settings_for
+
 TIMEOUT_S = 90.0
 FRAMES = 16
 OURS = {
@@ -59,15 +61,20 @@ def start_node(start: Start, host: int, name: str, **variables: str) -> subproce
     return start(host, Path(sys.prefix, "bin", name), **variables)
 
 
-def feed(start: Start, out: Path, *options: str) -> dict[str, dict[str, float]]:
+def feed(start: Start, out: Path, *options: str, **variables: str) -> dict[str, dict[str, float]]:
     """The accounts of all nodes after a bag was published from the first host."""
-    process = start(0, bag_feeder.__file__, BAG, out, *options)
+    process = start(0, bag_feeder.__file__, BAG, out, *options, **variables)
     assert process.wait(TIMEOUT_S) == 0
     return {file.stem: json.loads(file.read_text(encoding="utf-8")) for file in out.glob("*.json")}
 
 
 def dropped(account: dict[str, float]) -> dict[str, float]:
     return {name: count for name, count in account.items() if name.startswith(("dropped.", "ignored."))}
+
+
+def assert_nothing_is_lost(accounts: dict[str, dict[str, float]]) -> None:
+    for name in ("sar_compression", "ml_height"):
+        assert (accounts[name]["in"], accounts[name]["processed"], dropped(accounts[name])) == (FRAMES, FRAMES, {})
 
 
 @pytest.mark.parametrize("places", [(1, 1), (1, 2)], ids=["two hosts", "three hosts"])
@@ -80,8 +87,39 @@ def test_reliable_topics_lose_nothing_on_a_network_that_does(
     accounts = feed(start, tmp_path)
     assert hosts.lost > 0
     assert_same(read_heights(tmp_path), bag_heights)
+    assert_nothing_is_lost(accounts)
+
+
+def test_small_packets_bring_all_over_a_network_that_loses_every_tenth(
+    hosts: Hosts, start: Start, bag_heights: dict[int, HeightImage], tmp_path: Path
+) -> None:
+    hosts.loss, hosts.delay_s = 0.1, 0.05
+    profile = tmp_path / "fastdds.xml"
+    profile.write_text(settings_for(0, packet_bytes=1400), encoding="utf-8")
+    variables = {PROFILES: str(profile)}
     for name in ("sar_compression", "ml_height"):
-        assert (accounts[name]["in"], accounts[name]["processed"], dropped(accounts[name])) == (FRAMES, FRAMES, {})
+        start_node(start, 1, name, **variables)
+    accounts = feed(start, tmp_path, **variables)
+    assert hosts.lost > 0.05 * hosts.delivered
+    assert_same(read_heights(tmp_path), bag_heights)
+    assert_nothing_is_lost(accounts)
+
+
+@pytest.mark.parametrize("way", ["peers", "server"])
+def test_hosts_find_each_other_without_multicast(
+    way: str, hosts: Hosts, start: Start, bag_heights: dict[int, HeightImage], tmp_path: Path
+) -> None:
+    hosts.has_multicast = False
+    variables = {"ROS_DISCOVERY_SERVER": "10.77.0.1:11811"}
+    if way == "peers":
+        variables = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": "10.77.0.1;10.77.0.2"}
+    else:
+        server = Path(sys.prefix, "bin", "fast-discovery-server")
+        start(0, "-c", f"import os; os.execv({str(server)!r}, ['server', '-i', '0', '-l', '10.77.0.1', '-p', '11811'])")
+    for name in ("sar_compression", "ml_height"):
+        start_node(start, 1, name, **variables)
+    assert_nothing_is_lost(feed(start, tmp_path, **variables))
+    assert_same(read_heights(tmp_path), bag_heights)
 
 
 def test_frames_that_are_lost_for_good_are_accounted_for(hosts: Hosts, start: Start, tmp_path: Path) -> None:

@@ -55,6 +55,14 @@ def test_a_publisher_takes_as_much_by_the_settings_that_the_command_prints(
     assert 24e6 <= size < 26e6
 
 
+def test_packets_are_small_if_the_network_loses_many(capsys: pytest.CaptureFixture[str]) -> None:
+    sizes = []
+    for options in ([], ["--packet-bytes", "1400"]):
+        assert main(["transport", *options]) == 0
+        sizes.append(capsys.readouterr().out.count("<maxMessageSize>1400</maxMessageSize>"))
+    assert sizes == [0, 1]
+
+
 def test_settings_of_the_user_are_kept() -> None:
     size, file = run_program(FASTRTPS_DEFAULT_PROFILES_FILE="/nowhere/mine.xml")
     assert file == "/nowhere/mine.xml"

@@ -33,6 +33,7 @@ from sal_height.messages.heights import (
     bad_pixel_warning,
     bad_pixels,
     field_from_message,
+    frame_near,
     height_picture,
     height_points,
     height_to_message,
@@ -49,7 +50,7 @@ from sal_height.messages.received import (
     received_image,
     received_pose,
 )
-from sal_height.messages.relief import relief_picture, relief_points, relief_to_message
+from sal_height.messages.relief import relief_frame, relief_picture, relief_points, relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 from sal_height.messages.serialized import serialized_height, serialized_slc
 
@@ -73,6 +74,7 @@ __all__ = [
     "derived",
     "field_from_message",
     "float_view",
+    "frame_near",
     "grid_from_message",
     "height_picture",
     "height_points",
@@ -89,6 +91,7 @@ __all__ = [
     "received_image",
     "received_pose",
     "recorded_window",
+    "relief_frame",
     "relief_picture",
     "relief_points",
     "relief_to_message",

@@ -6,6 +6,7 @@ import array
 from collections.abc import Sequence
 
 import numpy as np
+from geometry_msgs.msg import TransformStamped, Vector3
 from sal_height_msgs import msg as messages
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
@@ -24,6 +25,8 @@ from sal_height.messages.basics import (
     grid_to_message,
     to_bytes,
     to_floats,
+    vector_of,
+    xyz,
 )
 from sal_height.numeric import F32, F64, Bool
 from sal_height.relief import HeightField, Surface, covariances_from_sigma, folded, is_covariance, unfolded
@@ -41,8 +44,8 @@ POINT_FIELDS = (
     *("x", "y", "z", "height", "sigma", "cnr_db", "spread", "surface"),
     *("cov_ee", "cov_en", "cov_eu", "cov_nn", "cov_nu", "cov_uu"),
 )
-"""Fields of the points of a height image: place in map (m), the layers of Surface, the number of the surface, strongest
-first, and the covariance of the place with that from the pose, m^2."""
+"""Fields of the points of a height image: place in the frame of the cloud (m), the layers of Surface, the number of the
+surface, strongest first, and the covariance of the place with that from the pose, m^2."""
 
 
 def height_to_message(
@@ -216,16 +219,27 @@ def float_picture(values: F32, header: Header) -> Image:
     return Image(header=header, height=rows, width=cols, encoding="32FC1", step=4 * cols, data=data)
 
 
-def height_points(field: HeightField, image: messages.HeightImage) -> PointCloud2:
-    """Return all scatterers as a cloud of points for viewers, with the fields POINT_FIELDS."""
-    points = np.concatenate([_points(surface, number) for number, surface in enumerate(field.surfaces)])
-    return point_cloud(points, POINT_FIELDS, image.header)
+def frame_near(origin: F64, header: Header, name: str) -> TransformStamped:
+    """Return a frame called `name` with the axes of the header's frame and its origin at `origin`, m.
+
+    Points are published relative to a frame near them: single precision has 4 mm at 50 km.
+    """
+    near = TransformStamped(header=header, child_frame_id=name)
+    near.transform.translation = Vector3(**xyz(origin))
+    return near
 
 
-def point_cloud(points: F32, names: Sequence[str], header: Header) -> PointCloud2:
-    """Return points of shape (points, fields) as a cloud whose fields have these `names`."""
+def height_points(field: HeightField, frame: TransformStamped) -> PointCloud2:
+    """Return all scatterers as a cloud of points in `frame` for viewers, with the fields POINT_FIELDS."""
+    origin = vector_of(frame.transform.translation)
+    points = np.concatenate([_points(surface, number, origin) for number, surface in enumerate(field.surfaces)])
+    return point_cloud(points, POINT_FIELDS, frame)
+
+
+def point_cloud(points: F32, names: Sequence[str], frame: TransformStamped) -> PointCloud2:
+    """Return points of shape (points, fields) as a cloud in `frame` whose fields have these `names`."""
     return PointCloud2(
-        header=header,
+        header=Header(stamp=frame.header.stamp, frame_id=frame.child_frame_id),
         height=1,
         width=len(points),
         fields=[PointField(name=n, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, n in enumerate(names)],
@@ -236,11 +250,11 @@ def point_cloud(points: F32, names: Sequence[str], header: Header) -> PointCloud
     )
 
 
-def _points(surface: Surface, number: int) -> F32:
-    """Return the scatterers of a surface as points, shape (scatterers, POINT_FIELDS)."""
+def _points(surface: Surface, number: int, origin: F64) -> F32:
+    """Return the scatterers of a surface as points relative to `origin`, shape (scatterers, POINT_FIELDS)."""
     seen = np.isfinite(surface.height)
     layers = (surface.height, surface.sigma, surface.cnr_db, surface.spread)
-    columns = [*surface.positions[seen].T, *(layer[seen] for layer in layers)]
+    columns = [*(surface.positions[seen] - origin).T, *(layer[seen] for layer in layers)]
     covariance = folded(surface.covariance[seen])
     which = np.full(len(covariance), number)
     return np.ascontiguousarray(np.column_stack([*columns, which, covariance]), dtype=np.float32)

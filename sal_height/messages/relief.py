@@ -5,12 +5,13 @@ from __future__ import annotations
 import array
 
 import numpy as np
+from geometry_msgs.msg import TransformStamped
 from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
 from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height.geometry import sphere_point
-from sal_height.messages.basics import to_floats
-from sal_height.messages.heights import float_picture, point_cloud
+from sal_height.messages.basics import to_floats, vector_of
+from sal_height.messages.heights import float_picture, frame_near, point_cloud
 from sal_height.relief import Relief
 
 
@@ -41,10 +42,16 @@ def relief_picture(relief: Relief, last: HeightImage) -> Image:
     return float_picture(relief.height[::-1], last.header)
 
 
-def relief_points(relief: Relief, last: HeightImage) -> PointCloud2:
-    """Return the cells that were seen as a cloud of points x, y, z (m, map) with height and sigma (m) for viewers."""
+def relief_frame(relief: Relief, last: HeightImage, name: str) -> TransformStamped:
+    """Return a frame called `name` at the south-western corner of a map, on the ground."""
+    return frame_near(sphere_point(relief.east, relief.north, 0.0), last.header, name)
+
+
+def relief_points(relief: Relief, frame: TransformStamped) -> PointCloud2:
+    """Return the cells that were seen as a cloud for viewers: x, y, z in `frame`, height and sigma, m."""
     row, col = np.nonzero(relief.count)
     height, sigma = (layer[row, col].astype(np.float64) for layer in (relief.height, relief.sigma))
     east, north = relief.east + relief.cell_size * col, relief.north + relief.cell_size * row
-    points = np.column_stack([sphere_point(east, north, height), height, sigma]).astype(np.float32)
-    return point_cloud(points, ("x", "y", "z", "height", "sigma"), last.header)
+    places = sphere_point(east, north, height) - vector_of(frame.transform.translation)
+    points = np.column_stack([places, height, sigma]).astype(np.float32)
+    return point_cloud(points, ("x", "y", "z", "height", "sigma"), frame)

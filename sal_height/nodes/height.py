@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import create_model
 from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ComplexImage, HeightImage
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import Image
 
 from sal_height import messages
 from sal_height.calibration import Calibration
@@ -21,6 +21,7 @@ from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import ReceivedImage
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage, WholeDwell
 from sal_height.nodes.held import HELD_CALIBRATIONS, Held
+from sal_height.nodes.placed_points import PlacedPoints
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS, height_topics
@@ -69,7 +70,7 @@ class HeightNode(DwellStage):
         self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS, optional=True)
         self._height = self.offer(HeightImage, f"{self.product}/height")
         self._image = self.offer(Image, f"{self.product}/image")
-        self._points = self.offer(PointCloud2, f"{self.product}/points")
+        self._points = PlacedPoints(self, self.product)
 
     def check(self, message: ReceivedImage, sensor: Sensor) -> None:
         """Size of an image; single bad pixels are marked as such."""
@@ -100,7 +101,10 @@ class HeightNode(DwellStage):
         looks = (parameters.range_looks, parameters.azimuth_looks)
         image = messages.height_to_message(field, slc.aperture, looks, self.estimator.name, first, provenance)
         self._image.publish_if_heard(lambda: messages.height_picture(image))
-        self._points.publish_if_heard(lambda: messages.height_points(field, image))
+        self._points.publish(
+            lambda name: messages.frame_near(field.grid.origin, image.header, name),
+            lambda frame: messages.height_points(field, frame),
+        )
         self._height.publish(messages.serialized_height(image))
         return 1
 

@@ -11,13 +11,14 @@ from typing import Any, ClassVar, Protocol
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.duration import Duration
 from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import Image
 
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState
 from sal_height.nodes.parameters import MapFrameParameters
+from sal_height.nodes.placed_points import PlacedPoints
 from sal_height.nodes.relief_tracker import PREFIX as TRACKED
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import LATCHED_QOS, RESET, Stage, StageParameters, payload_bytes
@@ -77,6 +78,7 @@ def map_topics(prefix: str) -> Topics:
         f"{prefix}/relief": "map of heights and of their standard deviations, latched",
         f"{prefix}/image": "picture of the map, latched",
         f"{prefix}/points": "the map as points, latched, made while somebody listens",
+        f"{prefix}/frame": "the frame that the points are in, near them, latched",
     }
 
 
@@ -124,7 +126,7 @@ class MapStage(Stage):
         self._ending = threading.Lock()  # the context may be shut down in another thread than the executor's
         self._relief = self.offer(ReliefMap, f"{prefix}/relief", LATCHED_QOS)
         self._image = self.offer(Image, f"{prefix}/image", LATCHED_QOS)
-        self._points = self.offer(PointCloud2, f"{prefix}/points", LATCHED_QOS)
+        self._points = PlacedPoints(self, prefix, LATCHED_QOS)
         topic = f"{self._settings.estimator}/height"
         self.listen(HeightImage, topic, self._on_height, read=messages.received_height)
         self.every(self._settings.period_s, self._publish_when_changed)
@@ -213,7 +215,10 @@ class MapStage(Stage):
         message = messages.relief_to_message(relief, self._images, last, self._provenance(last))
         with suppress(RCLError):  # the context may have ended: nobody is left to publish to
             self._image.publish(messages.relief_picture(relief, last))
-            self._points.publish_if_heard(lambda: messages.relief_points(relief, last))  # a second for millions
+            self._points.publish(  # a second for millions
+                lambda name: messages.relief_frame(relief, last, name),
+                lambda frame: messages.relief_points(relief, frame),
+            )
             self._relief.publish(message)
         return 1
 

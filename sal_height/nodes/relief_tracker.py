@@ -12,12 +12,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 from sal_height_msgs.msg import HeightImage
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import Image
 
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
 from sal_height.nodes.height import LEFT_OUT
 from sal_height.nodes.parameters import MapFrameParameters
+from sal_height.nodes.placed_points import PlacedPoints
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import Stage, StageParameters, height_topics, payload_bytes
@@ -63,7 +64,7 @@ class ReliefTracker(Stage):
         self._priors: dict[Hashable, PriorEstimate] = {}
         self._height = self.offer(HeightImage, f"{PREFIX}/height")
         self._image = self.offer(Image, f"{PREFIX}/image")
-        self._points = self.offer(PointCloud2, f"{PREFIX}/points")
+        self._points = PlacedPoints(self, PREFIX)
         self._rehearsed = False
         self.submit(0, self._rehearse)
         topic = f"{self.current_parameters().estimator}/height"
@@ -106,7 +107,10 @@ class ReliefTracker(Stage):
         looks = message.range_looks, message.azimuth_looks
         image = messages.height_to_message(tracked, aperture, looks, PREFIX, message, provenance)
         self._image.publish_if_heard(lambda: messages.height_picture(image))
-        self._points.publish_if_heard(lambda: messages.height_points(tracked, image))
+        self._points.publish(
+            lambda name: messages.frame_near(tracked.grid.origin, image.header, name),
+            lambda frame: messages.height_points(tracked, frame),
+        )
         self._height.publish(image)  # whose provenance, with the prior, is that of no other dwell
         return 1
 

@@ -483,6 +483,7 @@ def height_topics(prefix: str) -> dict[str, str]:
         f"{prefix}/height": "height, place, standard deviation and validity of every pixel",
         f"{prefix}/image": "picture of the heights, made while somebody listens",
         f"{prefix}/points": "the heights as points, made while somebody listens",
+        f"{prefix}/frame": "the frame that the points are in, near them",
     }
 
 

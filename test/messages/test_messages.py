@@ -334,13 +334,33 @@ def test_a_height_field_survives_its_message(layover: bool) -> None:
         if layover:
             np.testing.assert_allclose(np.array(getattr(message.surfaces[1], name)), values, rtol=1e-6)
     assert len(message.surfaces) == 1 + layover
-    cloud = messages.height_points(field, message)
+    header = Header(stamp=message.header.stamp, frame_id="map")
+    near = messages.frame_near(np.array([10.0, 20.0, 0.5]), header, "ml_origin")
+    cloud = messages.height_points(field, near)
+    assert (cloud.header.frame_id, cloud.header.stamp) == ("ml_origin", message.header.stamp)
+    assert near.header.frame_id == "map"
     assert [field.name for field in cloud.fields] == list(messages.POINT_FIELDS)
     points = np.frombuffer(cloud.data, np.float32).reshape(cloud.width, len(messages.POINT_FIELDS))
     heights = [1, 2, 3, 7] if layover else [1, 2, 3]
     np.testing.assert_array_equal(points[:, 3], heights)
     if layover:
-        np.testing.assert_allclose(points[3, :8], [11.25, 19.5, 1.0, 7, 0.7, 35, 0, 1], rtol=1e-6)
+        np.testing.assert_allclose(points[3, :8], [1.25, -0.5, 0.5, 7, 0.7, 35, 0, 1], rtol=1e-6)
+
+
+def test_points_far_from_the_origin_of_the_map_are_as_precise_as_near_ones() -> None:
+    """Single precision has 4 mm at 50 km; the frame near the points is in double precision."""
+    origin = np.array([50_000.0123456, -41_234.7654321, -120.4567])
+    grid = Grid(origin, np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 0.37, 0.41, 20, 20)
+    height = np.random.default_rng(1).uniform(-3, 3, (20, 20))
+    surface = Surface.at(grid.pixels() + height[..., None] * [0, 0, 1], height, 0.1 + height * 0, height)
+    field = HeightField(grid, np.zeros((20, 20), np.uint8), (surface,))
+    near = messages.frame_near(grid.origin, Header(frame_id="map"), "ml_origin")
+    cloud = np.frombuffer(messages.height_points(field, near).data, np.float32).reshape(400, -1)
+    shift = near.transform.translation
+    places = cloud[:, :3].astype(np.float64) + np.array([shift.x, shift.y, shift.z])
+    true = surface.positions.reshape(-1, 3)
+    assert np.abs(places - true).max() < 1e-6
+    assert np.abs(true.astype(np.float32) - true).max() > 1e-3
 
 
 def test_what_is_known_of_a_surface_survives_its_message(rng: np.random.Generator) -> None:
@@ -368,7 +388,8 @@ def test_what_is_known_of_a_surface_survives_its_message(rng: np.random.Generato
     for ours, theirs in zip(read.surfaces, surfaces, strict=True):
         for name in ("height", "sigma", "spread", "own_covariance", "common_covariance"):
             np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-6, err_msg=name)
-    points = np.frombuffer(messages.height_points(read, message).data, np.float32)
+    near = messages.frame_near(grid.origin, message.header, "ml_origin")
+    points = np.frombuffer(messages.height_points(read, near).data, np.float32)
     points = points.reshape(-1, len(messages.POINT_FIELDS))
     np.testing.assert_array_equal(points[:, messages.POINT_FIELDS.index("surface")], [0, 0, 0, 1, 1, 2])
     third = 3 * surfaces[2].own_covariance[0, 0]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from chain_fixture import DETECTORS, Chain
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped
 from helpers import RAW_WAVEFORMS, with_waveform
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -89,31 +90,50 @@ def test_invalid_pixels_are_nan_and_valid_ones_are_not(fed: Any) -> None:
 
 
 def test_position_of_a_pixel_has_its_height(fed: Any, graph: Graph) -> None:
-    image = fed.heights["ml", 0]
-    origin = np.array([image.grid.origin.x, image.grid.origin.y])
     clouds: list[PointCloud2] = []
     pictures: list[Image] = []
+    frames: list[TransformStamped] = []
     listener = graph.add(Node("viewer", context=graph.context))
+    listener.create_subscription(TransformStamped, "ml/frame", frames.append, 10)
     listener.create_subscription(PointCloud2, "ml/points", clouds.append, 10)
     listener.create_subscription(Image, "ml/image", pictures.append, 10)
     fed.wait(lambda: listener.count_publishers("ml/points") and listener.count_publishers("ml/image"), "discovery")
-    fed.wait(lambda: all(p.subscribers for p in fed.stages["ml_height"]._offered[1:]), "the viewer")
+    fed.wait(lambda: all(p.subscribers for p in fed.stages["ml_height"]._offered[1:4]), "the viewer")
     fed.publish(*fed.odometry(1), *fed.frames(1))
     fed.await_heights(1)
-    fed.wait(lambda: clouds and pictures, "points and picture")
+    fed.wait(lambda: clouds and pictures and frames, "points, their frame and picture")
     image = fed.heights["ml", 1]
-    origin = np.array([image.grid.origin.x, image.grid.origin.y])
+    assert frames[0].header == image.header
+    assert frames[0].child_frame_id == clouds[0].header.frame_id == "ml_origin"
+    shift = frames[0].transform.translation
+    assert (shift.x, shift.y, shift.z) == (image.grid.origin.x, image.grid.origin.y, image.grid.origin.z)
     points = np.frombuffer(clouds[0].data, np.float32).reshape(-1, len(clouds[0].fields)).astype(np.float64)
     height, east = (
         np.concatenate([np.array(getattr(surface, name)) for surface in image.surfaces]) for name in ("height", "east")
     )
     seen = np.isfinite(height)
     assert len(points) == np.count_nonzero(seen)
-    assert np.allclose(height_of(points[:, :3]), height[seen], atol=1e-3)
-    assert np.allclose(points[:, 0] - origin[0], east[seen], atol=1e-4)
+    assert np.allclose(height_of(points[:, :3] + np.array([shift.x, shift.y, shift.z])), height[seen], atol=1e-5)
+    assert np.allclose(points[:, 0], east[seen], atol=1e-6)
     picture = np.frombuffer(pictures[0].data, np.float32)
     assert np.array_equal(picture, np.array(image.surfaces[0].height, dtype=np.float32), equal_nan=True)
     assert (pictures[0].encoding, pictures[0].height, pictures[0].width) == ("32FC1", image.grid.rows, image.grid.cols)
+
+
+def test_the_frame_of_the_points_is_on_tf_where_there_is_tf(fed: Any, graph: Graph) -> None:
+    """With the namespace in its name, for /tf is common to all."""
+    tf2 = pytest.importorskip("tf2_msgs.msg", reason="tf2_msgs is not on PyPI; a ROS installation has it")
+    transforms: list[Any] = []
+    listener = graph.add(Node("viewer", context=graph.context))
+    listener.create_subscription(tf2.TFMessage, "/tf", transforms.append, 100)
+    listener.create_subscription(PointCloud2, "ml/points", lambda _: None, 10)
+    heard = [p for p in fed.stages["ml_height"]._offered if p.topic in {"/tf", "/ml/points"}]
+    fed.wait(lambda: len(heard) == 2 and all(p.subscribers for p in heard), "the viewer")
+    fed.publish(*fed.odometry(1), *fed.frames(1))
+    fed.wait(lambda: transforms, "a transform")
+    (transform,) = transforms[0].transforms
+    assert (transform.header.frame_id, transform.child_frame_id) == ("map", "ml_origin")
+    assert transform.transform.rotation.w == 1.0
 
 
 def test_every_message_is_accounted_for_in_the_diagnostics(fed: Any, graph: Graph) -> None:

@@ -18,6 +18,7 @@ import pytest
 import rasterio
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import TransformStamped
 from helpers import assert_one_sentence, file_size_limit, make_aperture
 from rasterio.warp import transform
 from rclpy.node import Node
@@ -73,12 +74,14 @@ class Mapped:
         self.maps: list[ReliefMap] = []
         self.images: list[Image] = []
         self.points: list[PointCloud2] = []
+        self.frames: list[TransformStamped] = []
         self.status: dict[str, str] = {}
         node = graph.add(Node("feeder", context=graph.context))
         self.publisher = node.create_publisher(HeightImage, "ml/height", FRAMES_QOS)
         node.create_subscription(ReliefMap, "map/relief", self.maps.append, LATCHED_QOS)
         node.create_subscription(Image, "map/image", self.images.append, LATCHED_QOS)
         node.create_subscription(PointCloud2, "map/points", self.points.append, LATCHED_QOS)
+        node.create_subscription(TransformStamped, "map/frame", self.frames.append, LATCHED_QOS)
         node.create_subscription(DiagnosticArray, PROGRESS, self._watch, 10)
         self.wait(lambda: self.publisher.get_subscription_count() == 1, "the mapper")
         topics = ("map/relief", "map/image", "map/points")
@@ -160,7 +163,7 @@ def test_any_viewer_sees_the_map(mapped: Mapped) -> None:
     mapped.wait(lambda: mapped.status.get("subscribers./map/points") == "1", "the points to be listened to")
     mapped.feed(height_image(0))
     height = layer(mapped.map_of(1), "height")
-    mapped.wait(lambda: bool(mapped.images and mapped.points), "image and points")
+    mapped.wait(lambda: bool(mapped.images and mapped.points and mapped.frames), "image, points and their frame")
     picture, cloud = mapped.images[-1], mapped.points[-1]
     pixels = np.frombuffer(picture.data, np.float32).reshape(picture.height, picture.width)
     assert picture.encoding == "32FC1"
@@ -168,8 +171,10 @@ def test_any_viewer_sees_the_map(mapped: Mapped) -> None:
     points = np.frombuffer(cloud.data, np.float32).reshape(cloud.width, len(cloud.fields))
     assert [field.name for field in cloud.fields] == ["x", "y", "z", "height", "sigma"]
     assert len(points) == np.isfinite(height).sum()
-    east, north, above = sphere_coordinates(points[:, :3].astype(float))
-    np.testing.assert_allclose(above, points[:, 3], atol=1e-3)
+    frame, shift = mapped.frames[-1], mapped.frames[-1].transform.translation
+    assert (frame.header.frame_id, frame.child_frame_id) == ("map", cloud.header.frame_id)
+    east, north, above = sphere_coordinates(points[:, :3].astype(float) + np.array([shift.x, shift.y, shift.z]))
+    np.testing.assert_allclose(above, points[:, 3], atol=1e-5)
     cells = {(round(e - WEST - 0.5), round(n - SOUTH - 0.5)): h for e, n, h in zip(east, north, above, strict=True)}
     assert all(abs(height[row, col] - h) < 1e-3 for (col, row), h in cells.items())
     assert len(cells) == len(points)

@@ -1,0 +1,53 @@
+"""Points for viewers, and the frame near them that they are relative to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from geometry_msgs.msg import TransformStamped
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import PointCloud2
+
+from sal_height.nodes.stage import FRAMES_QOS, Stage
+
+try:
+    from tf2_msgs.msg import TFMessage  # of a ROS installation: it is not on PyPI
+except ImportError:
+    TFMessage = None
+
+TF = "/tf"
+"""Topic of the transforms of all nodes, in whatever namespace."""
+
+TF_QOS = QoSProfile(depth=100)
+
+
+class PlacedPoints:
+    """Publishes clouds of points on PREFIX/points, each after its frame on PREFIX/frame, and on /tf where there is TF.
+
+    Attributes:
+        frame: name of the frame, that of the namespace and the prefix; it is another place with every cloud.
+    """
+
+    def __init__(self, stage: Stage, prefix: str, qos: QoSProfile = FRAMES_QOS) -> None:
+        """Offer the topics of `stage` that begin with `prefix`."""
+        self.frame = "_".join([*stage.get_namespace().split("/"), prefix, "origin"]).strip("_")
+        self._points = stage.offer(PointCloud2, f"{prefix}/points", qos)
+        self._frame = stage.offer(TransformStamped, f"{prefix}/frame", qos)
+        self._tf = None if TFMessage is None else stage.offer(TFMessage, TF, TF_QOS)
+
+    def publish(
+        self, place: Callable[[str], TransformStamped], points: Callable[[TransformStamped], PointCloud2]
+    ) -> None:
+        """Publish points if there is a subscription to them.
+
+        Args:
+            place: makes the frame of that name.
+            points: makes the points in that frame.
+        """
+        if not self._points.subscribers:
+            return
+        frame = place(self.frame)
+        self._frame.publish(frame)
+        if self._tf:
+            self._tf.publish(TFMessage(transforms=[frame]))
+        self._points.publish(points(frame))

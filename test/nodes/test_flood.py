@@ -97,10 +97,14 @@ def test_of_a_flood_whole_dwells_go_the_oldest_first_and_each_is_counted(
     assert states[-1].level == DiagnosticStatus.WARN
     monkeypatch.setattr(stage, "RECENT_S", 0.3)
     later = itertools.count(BURSTS * BURST)
+    sent = BURSTS * BURST * channels
 
     def is_well() -> bool:
-        """Whether the node says so while dwells come that it can process."""
-        if node.tally.summary()["waiting"] == 0:
+        """Whether the node says so while dwells come that it can process: the next one when the last is done."""
+        nonlocal sent
+        counts = node.tally.summary()
+        if counts["waiting"] == 0 and counts["in"] == sent:
+            sent += channels
             publish(next(later))
         return bool(states[-1].level == DiagnosticStatus.OK)
 

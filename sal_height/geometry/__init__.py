@@ -3,8 +3,8 @@
 Read `frames` first (body and map axes, the state of the sensor in mid-aperture, elevation and squint), then `earth`
 (heights above the sphere), `grid` (pixels of an image), `locate` (range and Doppler to a place on the ground),
 `mounting` (where the sensor is on the platform), `quaternion` (its attitude), `trajectory` (odometry to positions of
-the antenna at each pulse), `geodesy` (the origin of a map on the ellipsoid) and `navigation` (positions, velocities and
-attitudes that come apart).
+the antenna at each pulse), `motion` (what gaps in it leave open), `geodesy` (the origin of a map on the ellipsoid) and
+`navigation` (positions, velocities and attitudes that come apart).
 Angles are in rad, lengths in m, times in s.
 """
 
@@ -20,6 +20,7 @@ from sal_height.geometry.frames import (
 from sal_height.geometry.geodesy import Origin
 from sal_height.geometry.grid import Grid, pixels_at, without_range_phase
 from sal_height.geometry.locate import locate_at_elevation, locate_at_height
+from sal_height.geometry.motion import Motion
 from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
 from sal_height.geometry.navigation import REORDERED_NS, Navigation, Sample
 from sal_height.geometry.quaternion import quaternion_of, rotation_matrix
@@ -31,6 +32,7 @@ __all__ = [
     "REORDERED_NS",
     "ApertureState",
     "Grid",
+    "Motion",
     "Mounting",
     "Navigation",
     "Origin",

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
+from sal_height.geometry.motion import STEADY, Motion
 from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
 from sal_height.geometry.quaternion import attitude_between, rotation_matrix
 from sal_height.numeric import F64
@@ -48,8 +49,10 @@ class Trajectory:
     leaves its chord over 5 ms by 0.12 um, a twelfth of a wavelength of 1.55 um each way.
     """
 
-    def __init__(self, states: list[PlatformState], mounting: Mounting = AT_BASE_LINK) -> None:
+    def __init__(self, states: list[PlatformState], mounting: Mounting = AT_BASE_LINK, motion: Motion = STEADY) -> None:
         """Interpolate two or more states of strictly increasing time, for a sensor with this mounting.
+
+        In gaps between states, the covariance grows by what `motion` tells.
 
         Raises:
             UserError: there are fewer than two states, their times do not increase, or their velocities contradict
@@ -58,7 +61,7 @@ class Trajectory:
         if len(states) < 2:
             raise UserError(f"The odometry has {len(states)} samples; 2 or more are needed to interpolate.")
         self.states = states
-        self.mounting = mounting
+        self.mounting, self.motion = mounting, motion
         self.epoch_ns = states[0].stamp_ns
         self._seconds = np.array([(s.stamp_ns - self.epoch_ns) * 1e-9 for s in states])
         if not np.all(np.diff(self._seconds) > 0):
@@ -78,10 +81,14 @@ class Trajectory:
         """Attitude of base_link over time, with continuous angular velocity and acceleration."""
         return RotationSpline(self._seconds, Rotation.from_quat(np.array([s.orientation for s in self.states])))
 
+    def _around(self, t: float) -> tuple[int, float]:
+        """The state before a time in s after the epoch, and how far that is on the way to the next, from 0 to 1."""
+        first = min(max(0, bisect.bisect_right(self._seconds, t) - 1), len(self.states) - 2)
+        return first, (t - self._seconds[first]) / (self._seconds[first + 1] - self._seconds[first])
+
     def _attitude(self, t: float) -> F64:
         """Matrix that turns the axes of the sensor into those of map, at a time in s after the epoch."""
-        first = min(max(0, bisect.bisect_right(self._seconds, t) - 1), len(self.states) - 2)
-        share = (t - self._seconds[first]) / (self._seconds[first + 1] - self._seconds[first])
+        first, share = self._around(t)
         before, after = self.states[first : first + 2]
         attitude = rotation_matrix(attitude_between(before.orientation, after.orientation, share))
         return attitude if self.mounting.is_identity else attitude @ rotation_matrix(self.mounting.rotation)
@@ -90,16 +97,16 @@ class Trajectory:
         """The track from the last state at or before `start_ns` to the first at or after `end_ns`, if it has them."""
         stamps = [state.stamp_ns for state in self.states]
         first = max(0, bisect.bisect_right(stamps, start_ns) - 1)
-        return Trajectory(self.states[first : bisect.bisect_left(stamps, end_ns) + 1], self.mounting)
+        return Trajectory(self.states[first : bisect.bisect_left(stamps, end_ns) + 1], self.mounting, self.motion)
 
     def followed_by(self, later: Trajectory) -> Trajectory:
         """This track up to the first state of `later`, and `later` from there on."""
         before = bisect.bisect_left(self.states, later.epoch_ns, key=lambda state: state.stamp_ns)
-        return Trajectory([*self.states[:before], *later.states], self.mounting)
+        return Trajectory([*self.states[:before], *later.states], self.mounting, self.motion)
 
     def mounted(self, mounting: Mounting) -> Trajectory:
         """The track of a sensor on this platform."""
-        return self if mounting == self.mounting else Trajectory(self.states, mounting)
+        return self if mounting == self.mounting else Trajectory(self.states, mounting, self.motion)
 
     def positions(self, stamp_ns: int, seconds_after: F64) -> F64:
         """Return the positions (m) at `stamp_ns` + `seconds_after` (s, increasing), shape (times, 3).
@@ -114,7 +121,7 @@ class Trajectory:
     def aperture(self, stamp_ns: int, pulse_times: F64) -> ApertureState:
         """Return the state in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
 
-        Its covariance is that of the nearest sample.
+        Its covariance is that of the nearest sample, and what a gap around it adds.
 
         Raises:
             UserError: a time lies outside the track, or the platform stands still.
@@ -125,13 +132,17 @@ class Trajectory:
         speed = float(np.linalg.norm(velocity))
         if not speed > 0:
             raise UserError("The odometry's velocity is 0 in the aperture; a synthetic aperture needs motion.")
-        nearest = self.states[int(np.argmin(np.abs(self._seconds - middle)))]
+        first, share = self._around(middle)
+        since_s, until_s = middle - self._seconds[first], self._seconds[first + 1] - middle
+        nearest = self.states[first + (share > 0.5)]
         return ApertureState(
             position=position,
             velocity=velocity,
             rotation=self._attitude(middle),
             length=speed * float(t[-1] - t[0]) * len(t) / (len(t) - 1),
-            covariance=_antenna_covariance(nearest, self.mounting),
+            covariance=_antenna_covariance(
+                nearest.covariance + self.motion.covariance(since_s, until_s), nearest.orientation, self.mounting
+            ),
         )
 
     def _offsets(self, stamp_ns: int, seconds_after: F64) -> F64:
@@ -155,18 +166,18 @@ class Trajectory:
         return position + turning.apply(arm), velocity + turning.apply(swept)
 
 
-def _antenna_covariance(state: PlatformState, mounting: Mounting) -> F64:
+def _antenna_covariance(covariance: F64, orientation: F64, mounting: Mounting) -> F64:
     """Covariance of position (m^2) and rotation (rad^2) of the antenna from that of base_link, shape (6, 6).
 
     An error of the attitude by the small rotation e moves the antenna by e x arm, so that the covariance C becomes
     J C J^T with J = [[I, -[arm]x], [0, I]].
     """
     if mounting.is_identity:
-        return state.covariance
-    arm = Rotation.from_quat(state.orientation).apply(mounting.lever_arm)
+        return covariance
+    arm = Rotation.from_quat(orientation).apply(mounting.lever_arm)
     jacobian = np.eye(6)
     jacobian[:3, 3:] = np.cross(np.eye(3), arm).T  # columns are e_k x arm
-    return jacobian @ state.covariance @ jacobian.T
+    return jacobian @ covariance @ jacobian.T
 
 
 def _check_velocity(states: list[PlatformState], seconds: F64) -> None:

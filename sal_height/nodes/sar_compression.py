@@ -15,7 +15,7 @@ from sal_height_msgs.msg import ChannelFrame, ComplexImage, Provenance
 from sal_height import __version__, messages
 from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import PlatformState, Trajectory
+from sal_height.geometry import Motion, PlatformState, Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.messages import Pose, ReceivedFrame
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
@@ -48,6 +48,28 @@ class Parameters(FrameParameters, ImageSettings, DwellParameters):
     max_odometry_gap_s: float = setting(
         0.5, "longest time between two odometry samples during a dwell", unit="s", minimum=1e-6, maximum=3600.0
     )
+    odometry_interval_s: float = setting(
+        0.05,
+        "longest time between two odometry samples that is no gap; in a gap the covariance of the pose grows by what "
+        "the platform may have done meanwhile",
+        unit="s",
+        minimum=1e-6,
+        maximum=3600.0,
+    )
+    acceleration_noise: float = setting(
+        0.1,
+        "acceleration that odometry does not show, for gaps",
+        unit="m/s^2/sqrt(Hz)",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    turning_noise: float = setting(
+        0.01,
+        "angular acceleration that odometry does not show, for gaps",
+        unit="rad/s^2/sqrt(Hz)",
+        minimum=0.0,
+        maximum=1000.0,
+    )
     odometry_held_s: float = setting(
         100.0,
         "time for which odometry is held; a dwell must be complete within it",
@@ -56,6 +78,11 @@ class Parameters(FrameParameters, ImageSettings, DwellParameters):
         maximum=86400.0,
         read_only=True,
     )
+
+    @property
+    def motion(self) -> Motion:
+        """What gaps in the odometry leave open."""
+        return Motion(self.acceleration_noise, self.turning_noise, self.odometry_interval_s)
 
 
 class Supplies(NamedTuple):
@@ -123,6 +150,8 @@ class SarCompression(DwellStage):
         gap = max(((later.stamp_ns - earlier.stamp_ns) * 1e-9 for earlier, later in pairwise(states)), default=math.inf)
         limit = self.current_parameters().max_odometry_gap_s
         if gap <= limit:
+            if gap > self.current_parameters().odometry_interval_s:
+                self.tally.note("odometry.bridged")
             return Supplies(states, self._calibration_for(sensor))
         self._awaited_ns = min(self._awaited_ns, end_ns)
         found = f"there are {gap:g} s between two" if states else self._odometry_held(start_ns)
@@ -158,7 +187,7 @@ class SarCompression(DwellStage):
         """Compress a dwell, or the columns that a block completes of a strip, and publish the image of each channel."""
         parameters = self.current_parameters()
         history, calibration = messages.history_from_messages(frames), supplies.calibration
-        track = Trajectory(supplies.states)
+        track = Trajectory(supplies.states, motion=parameters.motion)
         slc = self._compressor.add(history, track, sensor, parameters, calibration)
         if slc is None:
             if self._compressor.shortfall:

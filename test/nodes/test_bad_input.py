@@ -16,7 +16,7 @@ from sal_height_msgs.msg import ChannelFrame, ComplexImage, HeightImage, Provena
 
 from sal_height import messages
 from sal_height.errors import Rejected
-from sal_height.geometry import Trajectory
+from sal_height.geometry import Motion, Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.relief_mapper import ReliefMapper
@@ -432,6 +432,30 @@ def test_odometry_of_no_platform_is_ignored(chain: Chain, reference: Any, field:
     assert "1e+07 m from the origin and 100000 m/s" in chain.stages["sar_compression"].last_rejection
     chain.publish(*chain.odometry(0))
     next_dwell_is_exact(chain, reference)
+
+
+def test_heights_of_a_dwell_in_a_gap_of_the_odometry_state_what_the_gap_leaves_open(
+    graph: Any, flight: Any, reference: Any
+) -> None:
+    """The platform flies straight on, so that heights stay; sigma grows by roll and height, which the pose tells."""
+    chain = Chain(graph, flight, missing_after_s=30.0, image={"rows": 46, "cols": 12, "odometry_interval_s": 1e-3})
+    odometry = chain.odometry(0)
+    ends = [odometry[0], odometry[-1]]
+    chain.publish(chain.sensor_info(), *ends, *chain.frames(0))
+    chain.await_heights(0)
+    made, before = chain.heights["ml", 0], reference["ml", 0]
+    gap_s = (messages.to_ns(ends[1].header.stamp) - messages.to_ns(ends[0].header.stamp)) * 1e-9
+    grown = Motion(0.1, 0.01, 1e-3).covariance(gap_s / 2, gap_s / 2)
+    said = np.reshape(made.aperture.pose.covariance, (6, 6)) - np.reshape(before.aperture.pose.covariance, (6, 6))
+    np.testing.assert_allclose(np.diag(said), np.diag(grown), rtol=0.05)
+    height, sigma, usual = (
+        np.array(getattr(image.surfaces[0], name))
+        for image, name in ((made, "height"), (made, "sigma"), (before, "sigma"))
+    )
+    known = np.isfinite(height) & np.isfinite(usual)
+    np.testing.assert_allclose(height[known], np.array(before.surfaces[0].height)[known], atol=0.002)
+    assert (sigma[known] > usual[known]).all()
+    assert chain.accounts()["sar_compression"]["odometry.bridged"] == 1
 
 
 @pytest.mark.parametrize("noise", [[0.0] + [1.0] * 7, [0.0] * 8])

@@ -6,7 +6,7 @@ import threading
 import time
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -47,7 +47,11 @@ FLUSH_PERIOD_S = 1.0  # at most this much is lost when the process is killed
 class Parameters(Settings):
     """Parameters of the node."""
 
-    directory: str = setting("", "new or empty folder for the bag", read_only=True)
+    directory: str = setting(
+        "",
+        "new or empty folder for the bag; beside one that holds a bag already, the next free of NAME_2, … is taken",
+        read_only=True,
+    )
     topics: tuple[str, ...] = setting(
         (),
         f"topics to record; none: every topic except {', '.join(NEVER_BY_DEFAULT[:-1])} and {NEVER_BY_DEFAULT[-1]}",
@@ -101,6 +105,8 @@ class Recorder(Role, Node):
         except UserError:
             super().destroy_node()
             raise
+        if not directory and self._bag.directory != Path(parameters.directory):
+            self.get_logger().info(f"{parameters.directory} holds a bag already; this one is {self._bag.directory}.")
         self._subscribed: dict[str, Subscription] = {}
         self._refused: set[str] = set()
         self._recorded: dict[str, int] = {}
@@ -122,11 +128,6 @@ class Recorder(Role, Node):
         self._every(DISCOVERY_PERIOD_S, self._discover)
         self._every(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
         self._discover()
-
-    @classmethod
-    def parameters_again(cls, parameters: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The folder is the next free one of NAME_2, …: the bag of the process that has ended stays as it is."""
-        return {**parameters, "directory": str(free_folder(Path(parameters["directory"])))}
 
     @property
     def recorded(self) -> dict[str, int]:
@@ -345,9 +346,15 @@ def _taken(subscription: Subscription) -> Iterator[tuple[bytes, dict[str, Any]]]
 
 
 def _folder(path: str) -> Path:
+    """The folder for the bag: a recorder that is started again, by whatever means, leaves the bag before as it is.
+
+    Raises:
+        UserError: none is named.
+    """
     if not path:
         raise UserError("Parameter directory is empty; it must name a new folder for the bag.")
-    return Path(path)
+    named = Path(path)
+    return free_folder(named) if any(named.glob("*.mcap")) else named
 
 
 def _name_and_text(text: str) -> tuple[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 Topics = Mapping[str, str]
 """What each topic of a node carries."""
@@ -38,8 +38,3 @@ class Role:
 
     completes_file: ClassVar[bool] = False
     """Whether the node completes a file when it ends, so that it has to be asked to and waited for."""
-
-    @classmethod
-    def parameters_again(cls, parameters: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Parameters to start the node with again after its process has ended, by those that it had."""
-        return parameters

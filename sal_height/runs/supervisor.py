@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import signal
 from collections import Counter
@@ -68,9 +67,7 @@ class Supervisor:
         fate.wait_s = min(2 * fate.wait_s, LONGEST_WAIT_S)
 
     def _start(self, name: str) -> None:
-        member = self._ensemble.members[name]
-        again = member.node.parameters_again(member.parameters)
-        self._ensemble.start_again(dataclasses.replace(member, parameters=again))
+        self._ensemble.start_again(self._ensemble.members[name])
         self.starts[name] += 1
 
 

@@ -185,6 +185,17 @@ def test_the_directory_can_be_a_parameter(graph: Graph, bag: Path) -> None:
     assert BagReader(bag).message_count == 0
 
 
+def test_a_recorder_that_is_started_again_begins_a_new_bag(graph: Graph, bag: Path) -> None:
+    told = logged(graph, Log.INFO)
+    for _ in range(3):
+        Recorder(context=graph.context, parameter_overrides=[Parameter("directory", value=str(bag))]).destroy_node()
+    folders = [bag, bag.with_name(f"{bag.name}_2"), bag.with_name(f"{bag.name}_3")]
+    assert [BagReader(folder).message_count for folder in folders] == [0, 0, 0]
+    assert sorted(bag.parent.iterdir()) == sorted(folders)
+    wanted = f"{bag} holds a bag already; this one is {folders[2]}."
+    assert graph.spin_until(lambda: wanted in told, TIMEOUT_S)
+
+
 @pytest.mark.parametrize(
     ("parameters", "sentence"),
     [

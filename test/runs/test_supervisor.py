@@ -101,20 +101,6 @@ def test_the_end_of_a_node_and_what_follows_are_told(caplog: pytest.LogCaptureFi
     assert supervisor.starts == {"ml_height": 1, "near": 1}
 
 
-def test_a_recorder_begins_a_new_bag(tmp_path: Path) -> None:
-    bag = tmp_path / "bag"
-    supervisor, processes = supervised(Member("recorder", parameters={"directory": str(bag), "max_memory_mb": 5}))
-    for number in range(2):
-        begun = tmp_path / ("bag_2" if number else "bag")
-        begun.mkdir()
-        (begun / "bag_0.mcap").touch()
-        processes.statuses["recorder"] = -9
-        supervisor.look(100.0 * number)
-        supervisor.look(100.0 * number + 1)
-    assert [Path(member.parameters["directory"]).name for member in processes.started] == ["bag_2", "bag_3"]
-    assert processes.started[-1].parameters["max_memory_mb"] == 5
-
-
 CONFIGURATION = """
 namespace: lidar
 nodes:

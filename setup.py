@@ -9,6 +9,8 @@ version = re.search(r'__version__ = "(.+)"', Path("sal_height/__init__.py").read
 estimators = Path("sal_height/elevation/registry.py").read_text(encoding="utf-8")
 height_nodes = re.findall(r'\bnode="(\w+)"', estimators)
 
+SHARED = ("config", "launch")
+
 setup(
     name="sal_height",
     version=version,
@@ -16,10 +18,12 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11,<3.14",
     packages=find_packages(include=["sal_height", "sal_height.*"]),
-    package_data={"sal_height": ["presets/*.yaml", "presets/*.csv"]},
+    package_data={"sal_height": ["presets/*.yaml", "presets/*.csv", "config/*", "launch/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/sal_height"]),
         ("share/sal_height", ["package.xml"]),
+        # Where `ros2 launch` and $(find-pkg-share sal_height) look.
+        *((f"share/sal_height/{name}", sorted(map(str, Path("sal_height", name).iterdir()))) for name in SHARED),
     ],
     # sal_height_msgs is needed too, but is not on PyPI: pip install ./msg_defs. colcon takes it, rclpy and the standard
     # messages from package.xml.

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import importlib
 import re
+import shutil
+import subprocess
+import sys
 import tomllib
 import xml.etree.ElementTree as ET
 from importlib.metadata import entry_points
 from pathlib import Path
+from zipfile import ZipFile
 
 import sal_height_msgs.msg as messages
 
@@ -68,6 +72,23 @@ def test_every_program_can_be_started() -> None:
     for value in programs.values():
         module, function = value.split(":")
         assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_a_wheel_holds_all_that_programs_and_ros_read(tmp_path: Path) -> None:
+    """In the package for those who use pip, and in share/ for ROS; presets are read by our programs only."""
+    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml"):
+        shutil.copy(ROOT / name, tmp_path)
+    for name in ("resource", "sal_height"):
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+    command = [sys.executable, "setup.py", "--quiet", "bdist_wheel", "--dist-dir", "."]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)  # noqa: S603 (our own file)
+    (wheel,) = tmp_path.glob("*.whl")
+    held = {name.partition(".data/data/")[2] or name for name in ZipFile(wheel).namelist()}
+    package = ROOT / "sal_height"
+    read = [path for name in ("config", "launch", "presets") for path in (package / name).iterdir()]
+    assert {str(path.relative_to(ROOT)) for path in read} <= held
+    shared = [path for path in read if path.parent.name != "presets"]
+    assert {f"share/{path.relative_to(ROOT)}" for path in shared} <= held
 
 
 def test_every_message_file_is_built() -> None:

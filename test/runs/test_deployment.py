@@ -103,13 +103,6 @@ def test_what_a_configuration_may_not_say(
     assert_one_sentence(complaint, f"Configuration {file}", *said)
 
 
-def test_the_example_of_the_documentation_is_a_configuration(tmp_path: Path) -> None:
-    text = (Path(__file__).parents[2] / "docs" / "live.md").read_text()
-    example = text.partition("```yaml\n")[2].partition("```")[0]
-    members = members_of(load_deployment(written(example, tmp_path)))
-    assert [member.name for member in members if member.kind == "ml_height"] == ["ml_height", "coarse"]
-
-
 def test_topics_that_a_parameter_names_can_be_renamed(tmp_path: Path) -> None:
     text = "nodes: {relief_mapper: {remap: {capon/height: /heights}, parameters: {estimator: capon}}}"
     (member,) = members_of(load_deployment(written(text, tmp_path)))

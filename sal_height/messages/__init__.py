@@ -50,7 +50,13 @@ from sal_height.messages.received import (
     received_image,
     received_pose,
 )
-from sal_height.messages.relief import relief_frame, relief_picture, relief_points, relief_to_message
+from sal_height.messages.relief import (
+    RELIEF_POINT_FIELDS,
+    relief_frame,
+    relief_picture,
+    relief_points,
+    relief_to_message,
+)
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 from sal_height.messages.serialized import serialized_height, serialized_slc
 
@@ -59,6 +65,7 @@ __all__ = [
     "LONGEST_DWELL",
     "MAP_FRAME",
     "POINT_FIELDS",
+    "RELIEF_POINT_FIELDS",
     "Frames",
     "Pose",
     "ReceivedFrame",

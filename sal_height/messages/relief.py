@@ -47,11 +47,15 @@ def relief_frame(relief: Relief, last: HeightImage, name: str) -> TransformStamp
     return frame_near(sphere_point(relief.east, relief.north, 0.0), last.header, name)
 
 
+RELIEF_POINT_FIELDS = ("x", "y", "z", "height", "sigma")
+"""Fields of the points of a map: place in the frame of the cloud, height and its standard deviation, m."""
+
+
 def relief_points(relief: Relief, frame: TransformStamped) -> PointCloud2:
-    """Return the cells that were seen as a cloud for viewers: x, y, z in `frame`, height and sigma, m."""
+    """Return the cells that were seen as a cloud in `frame` for viewers, with the fields RELIEF_POINT_FIELDS."""
     row, col = np.nonzero(relief.count)
     height, sigma = (layer[row, col].astype(np.float64) for layer in (relief.height, relief.sigma))
     east, north = relief.east + relief.cell_size * col, relief.north + relief.cell_size * row
     places = sphere_point(east, north, height) - vector_of(frame.transform.translation)
     points = np.column_stack([places, height, sigma]).astype(np.float32)
-    return point_cloud(points, ("x", "y", "z", "height", "sigma"), frame)
+    return point_cloud(points, RELIEF_POINT_FIELDS, frame)

@@ -132,7 +132,7 @@ class DwellStage(Stage):
         self._to_rehearse: Sensor | None = None
         self._message_type = message_type
         self.listen(SensorInfo, "sensor_info", self._on_sensor_info, LATCHED_QOS)
-        self.listen(message_type, topic, self._on_message, read=self.decode)
+        self._inlet = self.listen(message_type, topic, self._on_message, read=self.decode)
         self.every(TICK_S, self._tick)
 
     @abstractmethod
@@ -340,8 +340,7 @@ class DwellStage(Stage):
             self.check(message, sensor)
             absences = self._absences[sensor.config_hash]
             absences.pop(message.channel, None)
-            key = Key(sensor.config_hash, message.dwell, message.stamp_ns)
-            dwell = self._assembler.add(key, sensor, message.channel, message, now, message.size)
+            dwell = self._assemble(message, sensor, now)
             self._newest_ns = max(self._newest_ns, message.stamp_ns)
         except Exception as error:  # noqa: BLE001 (no message may end the node)
             self.reject(1, self.unexpected(error))
@@ -349,6 +348,21 @@ class DwellStage(Stage):
         parameters = self.current_parameters()
         crowded = self._assembler.is_crowded(parameters.max_unfinished_dwells, parameters.max_memory_bytes)
         return dwell.is_whole or crowded or bool(absences)
+
+    def _assemble(self, message: Any, sensor: Sensor, now: float) -> Dwell[Any]:
+        """Add a message to its dwell.
+
+        Raises:
+            Rejected: the same has come before; if several nodes publish, they may all do so.
+        """
+        key = Key(sensor.config_hash, message.dwell, message.stamp_ns)
+        try:
+            return self._assembler.add(key, sensor, message.channel, message, now, message.size)
+        except Rejected as error:
+            if self._inlet.publishers < 2:
+                raise
+            crowd = f"{self._inlet.publishers} nodes publish {self._inlet.topic}: each must have channels of its own."
+            raise Rejected(error.reason, f"{error} {crowd}") from error
 
     def _incomplete(self, dwell: Dwell[Any], when: str) -> Rejected:
         return Rejected(

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -55,7 +56,7 @@ def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
         executor.remove_node(node)
         node.destroy_node()
         executor.shutdown()
-    except (UserError, RCLError) as error:
+    except (UserError, RCLError, ParameterException) as error:
         sys.stderr.write(f"{' '.join(str(error).split())}\n")
         return 2
     finally:

@@ -33,6 +33,9 @@ from sal_height.settings import setting
 HEARD = "topic"
 """Value of the parameter calibration: apply the calibration that comes on the topic calibration."""
 
+OTHER_CLOCK_S = 86400.0
+"""Odometry that is a day from the frames has another clock."""
+
 NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
 
 
@@ -166,7 +169,8 @@ class SarCompression(DwellStage):
         if self._odometry.span_ns is None:
             return "no sample has come (is its QoS compatible?)"
         first, last = ((stamp_ns - start_ns) * 1e-9 for stamp_ns in self._odometry.span_ns)
-        return f"samples are held from {first:.6g} s to {last:.6g} s after its first pulse"
+        held = f"samples are held from {first:.6g} s to {last:.6g} s after its first pulse"
+        return f"{held}: frames and odometry have different clocks" if abs(first) > OTHER_CLOCK_S else held
 
     def rehearse(self, sensor: Sensor) -> None:
         """Compress made-up dwells."""

@@ -192,7 +192,7 @@ class Stage(Role, Managed):
         *,
         optional: bool = False,
         read: Callable[[bytes], Any] | None = None,
-    ) -> None:
+    ) -> Inlet:
         """Subscribe; if the only publishers offer less than `qos`, with what they offer.
 
         Args:
@@ -233,6 +233,7 @@ class Stage(Role, Managed):
             has_one_source=qos is ODOMETRY_QOS,
         )
         (self._optional if optional else self._inlets).append(inlet)
+        return inlet
 
     def every(self, period_s: float, callback: Callable[[], Any], clock: Clock | None = None) -> None:
         """Call `callback` again and again, by a clock that never stands still unless another one is given."""

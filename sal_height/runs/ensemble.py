@@ -66,7 +66,7 @@ class Ensemble:
     At the end the first one is ended first.
 
     Attributes:
-        members: the nodes by name, as they are started first.
+        members: the nodes by name.
         graph: context and executor of this process; once it is entered.
     """
 
@@ -91,13 +91,13 @@ class Ensemble:
         for name, status in self.ended().items():
             raise UserError(f"Node {name} ended with status {status}; its message is above.")
 
-    def start_again(self, member: Member) -> None:
-        """Start a node of that name, whose process has ended, in a new one.
+    def start_again(self, name: str) -> None:
+        """Start a node whose process has ended in a new one.
 
         Raises:
             UserError: it cannot be started.
         """
-        self._processes[member.name] = _process_of(member, forks=False)
+        self._processes[name] = _process_of(self.members[name], forks=False)
 
     def __enter__(self) -> Self:
         """Start the nodes; if one cannot be, none is left.

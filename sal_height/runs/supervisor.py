@@ -50,10 +50,11 @@ class Supervisor:
                 self._await(name, fate, now, f"ended {_described(status)}")
             elif now >= fate.due:
                 try:
-                    self._start(name)
+                    self._ensemble.start_again(name)
                 except UserError as error:
                     self._await(name, fate, now, f"could not be started ({error})")
                     continue
+                self.starts[name] += 1
                 fate.began, fate.due = now, None
                 started.append(name)
         return started
@@ -65,10 +66,6 @@ class Supervisor:
         fate.due = now + fate.wait_s
         _LOG.warning("Node %s %s; it is started again in %.3g s.", name, what, fate.wait_s)
         fate.wait_s = min(2 * fate.wait_s, LONGEST_WAIT_S)
-
-    def _start(self, name: str) -> None:
-        self._ensemble.start_again(self._ensemble.members[name])
-        self.starts[name] += 1
 
 
 def _described(status: int) -> str:

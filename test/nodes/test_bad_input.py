@@ -21,6 +21,7 @@ from sal_height.imaging import ImageSettings
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.relief_tracker import ReliefTracker
+from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.pipeline import Compressor
 from sal_height.simulation import SimulatedFlight
 
@@ -399,6 +400,45 @@ def test_odometry_of_other_frames_is_ignored(chain: Chain, reference: Any, field
     chain.wait(lambda: chain.accounts()["sar_compression"].get("ignored.odometry") == len(odometry), "the count")
     chain.publish(*chain.odometry(0))
     next_dwell_is_exact(chain, reference)
+
+
+def test_two_sources_of_one_channel_are_named(chain: Chain, graph: Graph, reference: Any) -> None:
+    other = graph.add(Node("other_driver", context=graph.context))
+    publisher = other.create_publisher(ChannelFrame, "phase_history", FRAMES_QOS)
+    chain.wait(lambda: publisher.get_subscription_count() == 1, "the other driver")
+    frames = chain.frames(0)
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *frames[:4])
+    chain.wait(lambda: chain.accounts()["sar_compression"]["in"] == 4, "the frames")
+    publisher.publish(frames[2])
+    chain.await_drops("sar_compression", "duplicate", 1)
+    said = chain.stages["sar_compression"].last_drop
+    assert "Dwell 0, channel 2: the same message came twice." in said
+    assert "2 nodes publish /phase_history: each must have channels of its own." in said
+    chain.publish(*frames[4:])
+    next_dwell_is_exact(chain, reference)
+
+
+@pytest.mark.parametrize("stamp_ns", [0, START_NS + 10 * 365 * 86_400 * 10**9], ids=["zero", "ten years ahead"])
+def test_frames_of_another_clock_than_the_odometry_are_told(chain: Chain, reference: Any, stamp_ns: int) -> None:
+    frames = chain.frames(0)
+    for frame in frames:
+        frame.header.stamp = messages.to_stamp(stamp_ns)
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
+    chain.await_drops("sar_compression", "odometry gap", DETECTORS)
+    assert "frames and odometry have different clocks" in chain.stages["sar_compression"].last_drop
+    next_dwell_is_exact(chain, reference)
+
+
+def test_a_clock_that_stands_still_or_is_not_there_changes_nothing(
+    graph: Graph, flight: SimulatedFlight, reference: Any
+) -> None:
+    """Nodes take simulated time and nobody publishes /clock: dwells and timeouts go by stamps and a steady clock."""
+    simulated = {"use_sim_time": True}
+    chain = Chain(graph, flight, 0.5, image={"rows": 46, "cols": 12, **simulated}, heights=simulated)
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0)[:3])
+    chain.await_drops("sar_compression", "incomplete dwell", 3)
+    next_dwell_is_exact(chain, reference)
+    assert chain.stages["sar_compression"].get_clock().now().nanoseconds == 0
 
 
 def test_frames_have_the_names_that_parameters_say(graph: Any, flight: Any, reference: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -113,3 +114,12 @@ def test_an_argument_that_is_none_of_ros_is_refused() -> None:
     check_arguments(["ml_height", "--ros-args", "-p", "range_looks:=2"])
     with pytest.raises(UserError, match="Argument 'range_looks:=2' is not known"):
         check_arguments(["ml_height", "range_looks:=2"])
+
+
+def test_a_parameter_of_ros_of_another_type_is_refused_in_a_sentence() -> None:
+    """Those of ours are told by the node itself."""
+    words = [sys.executable, "-m", "sal_height.nodes.relief_mapper", "--ros-args", "-p", "use_sim_time:=1"]
+    run = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)  # noqa: S603 (our own module)
+    assert run.returncode == 2
+    assert run.stderr.count("\n") == 1
+    assert "'use_sim_time' to '1' of type 'INTEGER', expecting type 'BOOL'" in run.stderr

@@ -35,17 +35,15 @@ class Processes:
 
     members: dict[str, Member]
     statuses: dict[str, int] = field(default_factory=dict)
-    started: list[Member] = field(default_factory=list)
     failure: str = ""
 
     def ended(self) -> dict[str, int]:
         return dict(self.statuses)
 
-    def start_again(self, member: Member) -> None:
+    def start_again(self, name: str) -> None:
         if self.failure:
             raise UserError(self.failure)
-        self.started.append(member)
-        self.statuses.pop(member.name)
+        self.statuses.pop(name)
 
 
 def supervised(*members: Member) -> tuple[Supervisor, Processes]:

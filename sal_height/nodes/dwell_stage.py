@@ -17,7 +17,7 @@ from sal_height import messages
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.dwell import Dwell, DwellAssembler, Key, WaitingClock
 from sal_height.nodes.held import Held
-from sal_height.nodes.stage import LATCHED_QOS, Stage, StageParameters
+from sal_height.nodes.stage import ENDED, LATCHED_QOS, Stage, StageParameters
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
 
@@ -191,16 +191,25 @@ class DwellStage(Stage):
 
     def forget(self) -> None:
         """Drop what has not become a whole dwell yet, and forget what has been gathered of those before."""
-        for dwell in self._assembler.held():
-            self._assembler.take(dwell)
-            self.reject(len(dwell.items), RESET)
-        for _ in self._early:
-            self.reject(1, RESET)
-        self._early = []
+        self._drop_unfinished(RESET)
         for config_hash, absences in self._absences.items():
             absences.clear()
             self._assembler.forget_finished(config_hash)
         super().forget()
+
+    def destroy_node(self) -> None:
+        """Drop what has not become a whole dwell yet, and end the node."""
+        self._drop_unfinished(ENDED)
+        super().destroy_node()
+
+    def _drop_unfinished(self, reason: Rejected) -> None:
+        """Drop the messages of unfinished dwells, and those that wait for their sensor info."""
+        for dwell in self._assembler.held():
+            self._assembler.take(dwell)
+            self.reject(len(dwell.items), reason)
+        early, self._early = self._early, []
+        if early:
+            self.reject(len(early), reason)
 
     def note_progress(self) -> None:
         """Something that dwells wait for has come: the node has not been waiting in vain."""

@@ -76,11 +76,13 @@ class JobQueue:
             self._closed = True
             self._changed.notify_all()
 
-    def clear(self) -> None:
-        """Drop all jobs that wait."""
+    def clear(self) -> list[Job]:
+        """Drop all jobs that wait, and return them."""
         with self._changed:
+            dropped = [*self._waiting]
             self._waiting.clear()
             self._waiting_size = 0
+            return dropped
 
     def items(self) -> list[Any]:
         """What the jobs that wait work on, in their order."""

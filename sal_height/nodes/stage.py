@@ -34,6 +34,7 @@ from sal_height.nodes.account import (
     PUBLISHED_ON,
     READY,
     SUBSCRIBERS,
+    WAITING,
     Account,
 )
 from sal_height.nodes.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
@@ -74,6 +75,8 @@ CALIBRATION = {"calibration": "calibration of receivers and beams, latched"}
 
 RESET = {"~/reset": "forget what was gathered of the dwells so far"}
 """The service that every stage offers."""
+
+ENDED = Rejected("ended", "The node is ending; what waits and what comes now is left out.")
 
 DIAGNOSTICS_PERIOD_S = 0.5
 
@@ -269,9 +272,8 @@ class Stage(Role, Managed):
                 self._check_budget(messages, time.monotonic() - arrived)
                 published = work()
             except Exception as error:  # noqa: BLE001 (no message may end the node)
-                if not (isinstance(error, UserError) or self.context.ok()):
-                    return  # shutting down: nobody is left to publish to
-                self.reject(messages, self.unexpected(error))
+                over = not (isinstance(error, UserError) or self.context.ok())  # nobody is left to publish to
+                self.reject(messages, ENDED if over else self.unexpected(error))
             else:
                 self.tally.finish(messages, published, time.monotonic() - arrived)
             if messages:
@@ -286,8 +288,7 @@ class Stage(Role, Managed):
             f"(max_memory_mb) wait already, and the {policy} dwell was dropped (queue_policy)."
         )
         for job in self._jobs.put(Job(run, messages, size, item), capacity, parameters.max_memory_bytes, policy):
-            ended = Rejected("ended", "The node is ending; what comes now is left out.")
-            self.reject(job.messages, ended if self._jobs.closed else Rejected("queue full", full))
+            self.reject(job.messages, ENDED if self._jobs.closed else Rejected("queue full", full))
 
     def wait_for(self, work: Callable[[], str]) -> str:
         """Have `work` done on the worker thread, after what waits, and wait for what it returns.
@@ -466,9 +467,14 @@ class Stage(Role, Managed):
         self._worker.join()
 
     def destroy_node(self) -> None:
-        """Finish the job at hand, then end the node; jobs that still wait are given up."""
-        self._jobs.clear()
+        """Finish the job at hand, drop what still waits, tell the last account, and end the node."""
+        for job in self._jobs.clear():
+            if job.messages:
+                self.reject(job.messages, ENDED)
         self.finish()
+        if waiting := self.tally.summary()[WAITING]:
+            self.get_logger().error(f"{waiting} messages are not accounted for; please report it.")
+        self._publish_account()
         super().destroy_node()
 
     def _work(self) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
 import pytest
 import rasterio
 from chain_fixture import DETECTORS, Chain, next_dwell_is_exact, same_heights
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.node import Node
@@ -16,6 +18,7 @@ from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import HeightImage
 from std_srvs.srv import Trigger
 
+from sal_height.nodes.account import DIAGNOSTICS, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.map_stage import MapStage
 from sal_height.nodes.psf_calibration import PsfCalibration
@@ -230,3 +233,32 @@ def test_a_calibration_is_made_when_it_is_asked_for(graph: Graph, flight: Simula
     assert manager.trigger("psf_calibration/save") == (True, "published")
     chain.wait(lambda: len(heard) == 1, "the calibration")
     assert manager.trigger("psf_calibration/save")[0] is False
+
+
+def test_at_its_end_a_node_accounts_for_all_that_came(graph: Graph, flight: SimulatedFlight, manager: Manager) -> None:
+    """For what waits for its sensor info, for the rest of its dwell, or for its turn."""
+    told: dict[str, Account] = {}
+
+    def keep(message: DiagnosticArray) -> None:
+        told.update({status.name: Account.of_status(status) for status in message.status})
+
+    manager.node.create_subscription(DiagnosticArray, DIAGNOSTICS, keep, 100)
+    chain = Chain(graph, flight, missing_after_s=30.0)
+    compression, going = chain.stages["sar_compression"], Event()
+    compression.submit(0, lambda: int(not going.wait(TIMEOUT_S)))
+    strange = chain.frames(2)[0]
+    strange.config_hash = "stranger"
+    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0), *chain.frames(1)[:3], strange)
+    chain.wait(lambda: counts(compression)["in"] == DETECTORS + 4 and compression.jobs == 2, "the frames")
+    assert counts(compression)["waiting"] == DETECTORS + 4
+    graph.nodes.remove(compression)
+    graph.executor.remove_node(compression)
+    ended = Thread(target=compression.destroy_node)
+    ended.start()
+    chain.wait(lambda: counts(compression)["waiting"] == 0, "the drops")
+    going.set()
+    ended.join()
+    chain.wait(lambda: told["sar_compression"].dropped == {"ended": DETECTORS + 4}, "the last account")
+    account = told["sar_compression"]
+    assert account.received == sum(account.dropped.values())
+    assert account.waiting == 0

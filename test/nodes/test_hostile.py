@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from instrument_messages import fix_at, imu_at, pose_of, twist_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import Reader
 from sal_height_msgs.msg import ComplexImage, HeightImage
 
 from benchmarks.hostile_messages import feed, hostile
@@ -21,6 +23,8 @@ from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ground_mapper import GroundMapper
 from sal_height.nodes.navigation import NavigationNode
+from sal_height.nodes.psf_calibration import PsfCalibration
+from sal_height.nodes.recorder import Recorder
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.nodes.stage import FRAMES_QOS, Stage
@@ -98,6 +102,48 @@ def test_hostile_heights_do_not_make_a_node_fail(
     feed(node, "/ml/height", serialize_message(good["/ml/height"]))
     assert graph.spin_until(lambda: node.tally.summary()["processed"] == before + 1, TIMEOUT_S), node.last_rejection
     assert_nothing_unexpected(node)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("topic", ["/sensor_info", "/slc"])
+def test_hostile_images_do_not_make_the_calibration_fail(
+    topic: str, seed: int, good: dict[str, Any], graph: Graph
+) -> None:
+    parameters = [Parameter("dwell_step", value=1), Parameter("dwells", value=2), Parameter("timeout_s", value=0.05)]
+    node = graph.add(PsfCalibration(context=graph.context, parameter_overrides=parameters))
+    feed(node, "/sensor_info", serialize_message(good["/sensor_info"]))
+    for cdr in hostile(good[topic], 400 * TIMES, np.random.default_rng(seed)):
+        feed(node, topic, cdr)
+    assert graph.spin_until(lambda: not node.jobs, TIMEOUT_S)
+    assert_nothing_unexpected(node)
+    before = node.tally.summary()["in"]
+    for channel in range(DETECTORS):  # of a dwell that nobody has spoilt
+        image = good["/slc"]
+        image.dwell, image.channel = 60_000, channel
+        feed(node, "/slc", serialize_message(image))
+    assert graph.spin_until(lambda: node.tally.summary()["waiting"] == 0, TIMEOUT_S)
+    assert node.tally.summary()["in"] == before + DETECTORS
+    assert_nothing_unexpected(node)
+
+
+def test_hostile_messages_are_recorded_as_they_are(good: dict[str, Any], graph: Graph, tmp_path: Path) -> None:
+    """The recorder decodes nothing; what it has written is read by others."""
+    recorder = graph.add(Recorder(tmp_path / "bag", context=graph.context))
+    feeder = graph.add(Node("feeder", context=graph.context))
+    rng = np.random.default_rng(5)
+    publishers = {topic: feeder.create_publisher(type(message), topic, 1000) for topic, message in good.items()}
+    assert graph.spin_until(lambda: recorder.recorded.keys() >= publishers.keys(), TIMEOUT_S)
+    assert graph.spin_until(lambda: all(p.get_subscription_count() for p in publishers.values()), TIMEOUT_S)
+    sent = {topic: list(hostile(good[topic], 100 * TIMES, rng)) for topic in publishers}
+    for topic, messages_sent in sent.items():
+        for number, cdr in enumerate(messages_sent):
+            publishers[topic].publish(cdr)
+            assert graph.spin_until(lambda topic=topic, n=number: recorder.recorded[topic] > n, TIMEOUT_S)
+    recorder.close_bag()
+    assert (recorder.unwritten, recorder.dropped, recorder.failures) == (0, 0, 0)
+    with Reader(tmp_path / "bag") as reader:
+        read = {topic: [cdr for one, _, cdr in reader.messages() if one.topic == topic] for topic in sent}
+    assert read == sent
 
 
 @pytest.mark.parametrize("source", ["pose", "fix"])

@@ -38,8 +38,8 @@ TO_NODES = ("kill", "stop")
 """Signals: SIGKILL, and SIGSTOP for some seconds."""
 
 STOPPED_S = 2.0
-RECOVERY_S = 10.0
-"""From a fault to the end of what it may cost: it lasts 2 s, and a node that was killed is back in 5."""
+RECOVERY_S = 12.0
+"""From a fault to the end of what it may cost: its program starts in 2 s and lasts 2, and nodes wait 5 s in vain."""
 
 LONG_S = 600.0
 """The memory of a process is judged once it has run for so long: before, caches fill."""

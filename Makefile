@@ -18,7 +18,7 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHO
 # Bytecode is kept: without it every program, and tests start many, reads all sources anew for half a second.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test lint bench soak colcon clean
+.PHONY: help setup demo test tests two-minutes lint bench soak colcon clean
 
 help:
 	@echo 'make setup   make the virtual environment .venv: ROS 2, Python packages, our messages (minutes the first time)'
@@ -79,7 +79,16 @@ demo: setup
 # each other.
 test:
 	@$(MAKE) --no-print-directory -j2 lint $(loops) $(viewer)
+	@$(MAKE) --no-print-directory -j2 tests two-minutes
+
+tests:
 	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest --numprocesses 2 --dist loadfile
+
+# Beside the tests, which keep the processors busy: slowly, and with much time for each dwell. The file has what the nodes
+# say of the faults.
+two-minutes:
+	@.venv/bin/python -m benchmarks.soak --minutes 2 --every 15 --preset small --rate 0.02 --budget 10 2>.soak.log || \
+		{ tail -n 100 .soak.log; exit 1; }
 
 lint: setup
 	.venv/bin/ruff format --check

@@ -225,6 +225,7 @@ def soak(
     every: Annotated[float, cyclopts.Parameter(validator=cyclopts.validators.Number(gt=RECOVERY_S))] = 20.0,
     preset: str = "sal_spotlight",
     rate: Annotated[float | None, cyclopts.Parameter(validator=cyclopts.validators.Number(gt=0))] = None,
+    budget: Annotated[float | None, cyclopts.Parameter(validator=cyclopts.validators.Number(gt=0))] = None,
     seed: int = 0,
 ) -> int:
     """Play a sensor against the graph for a long time, with faults, and print which promises were kept.
@@ -234,6 +235,7 @@ def soak(
         every: Time from one fault to the next, s.
         preset: Sensor, flight and scene.
         rate: Seconds of the sensor in a second. Default: 0.8 of the highest that is sustained, which is looked for.
+        budget: Latency budget, s. Default: that of live.
         seed: Where in the list of faults to begin.
     """
     os.environ.update(ONE_THREAD | os.environ)
@@ -252,7 +254,7 @@ def soak(
 
             rate = SHARE * highest_rate(lambda tried: watch(bag, tried, 20.0), 0.3)[0]
         run = Soak(every, seed)
-        how = Live(rate, 60 * minutes, supervised=True)
+        how = Live(rate, 60 * minutes, budget or 0.0, supervised=True)
         watched = live(Feed.of_bag(bag), folder / "live", {}, how, Execution(processes=True), run.show)
         replay(bag, folder / "lockstep", {}, estimators=["ml"])
         begin_ns = round(watched.began_at_s * 1e9)

@@ -236,7 +236,7 @@ def test_a_calibration_is_made_when_it_is_asked_for(graph: Graph, flight: Simula
 
 
 def test_at_its_end_a_node_accounts_for_all_that_came(graph: Graph, flight: SimulatedFlight, manager: Manager) -> None:
-    """For what waits for its sensor info, for the rest of its dwell, or for its turn."""
+    """For what waits for its sensor info, for the rest of its dwell, or for its turn, here behind the rehearsal."""
     told: dict[str, Account] = {}
 
     def keep(message: DiagnosticArray) -> None:
@@ -249,8 +249,9 @@ def test_at_its_end_a_node_accounts_for_all_that_came(graph: Graph, flight: Simu
     strange = chain.frames(2)[0]
     strange.config_hash = "stranger"
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0), *chain.frames(1)[:3], strange)
-    chain.wait(lambda: counts(compression)["in"] == DETECTORS + 4 and compression.jobs == 2, "the frames")
+    chain.wait(lambda: counts(compression)["in"] == DETECTORS + 4 and compression.jobs == 3, "the frames")
     assert counts(compression)["waiting"] == DETECTORS + 4
+    chain.wait(lambda: "sar_compression" in told, "an account")
     graph.nodes.remove(compression)
     graph.executor.remove_node(compression)
     ended = Thread(target=compression.destroy_node)

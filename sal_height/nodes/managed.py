@@ -1,4 +1,4 @@
-"""A node with a life cycle (REP 2002, `ros2 lifecycle`), which is active from the start unless it is told otherwise."""
+"""A node with the life cycle of ROS (`ros2 lifecycle`), which is active from the start unless it is told otherwise."""
 
 from __future__ import annotations
 

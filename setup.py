@@ -41,7 +41,7 @@ setup(
         "rosbags",
         "ros-jazzy-common-interfaces",
         "ros-jazzy-rclpy[fastrtps]",
-        "scipy",
+        "scipy>=1.16",
         "tqdm",
     ],
     extras_require={

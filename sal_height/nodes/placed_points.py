@@ -9,16 +9,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from sal_height.nodes.stage import FRAMES_QOS, Stage
-
-try:
-    from tf2_msgs.msg import TFMessage  # of a ROS installation: it is not on PyPI
-except ImportError:
-    TFMessage = None
-
-TF = "/tf"
-"""Topic of the transforms of all nodes, in whatever namespace."""
-
-TF_QOS = QoSProfile(depth=100)
+from sal_height.nodes.transforms import TF, TF_QOS, TFMessage
 
 
 class PlacedPoints:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -15,7 +16,7 @@ from sal_height_msgs.msg import ChannelFrame, ComplexImage, Provenance
 from sal_height import __version__, messages
 from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import Motion, PlatformState, Trajectory
+from sal_height.geometry import Motion, Mounting, PlatformState, Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.messages import Pose, ReceivedFrame
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
@@ -25,6 +26,8 @@ from sal_height.nodes.parameters import FrameParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import IMAGES, LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS
+from sal_height.nodes.static_frames import StaticFrames
+from sal_height.nodes.transforms import TF_STATIC, TF_STATIC_QOS, TFMessage
 from sal_height.pipeline import Compressor
 from sal_height.rehearsal import rehearsed_slc
 from sal_height.sensor import Sensor
@@ -73,6 +76,12 @@ class Parameters(FrameParameters, ImageSettings, DwellParameters):
         minimum=0.0,
         maximum=1000.0,
     )
+    mounting_from_tf: bool = setting(
+        False,
+        "take the place of the sensor on the platform from /tf_static, where frame_id of its mounting is to be found, "
+        "and not from sensor_info",
+        read_only=True,
+    )
     odometry_held_s: float = setting(
         100.0,
         "time for which odometry is held; a dwell must be complete within it",
@@ -94,10 +103,12 @@ class Supplies(NamedTuple):
     Attributes:
         states: odometry from the last sample before the first pulse to the first after the last pulse.
         calibration: of the sensor's receivers; None: there is none.
+        mounting: of the sensor on the platform.
     """
 
     states: list[PlatformState]
     calibration: Calibration | None
+    mounting: Mounting
 
 
 class SarCompression(DwellStage):
@@ -107,6 +118,7 @@ class SarCompression(DwellStage):
     inputs: ClassVar[Topics] = {
         **SENSOR_TOPICS,
         "calibration": "calibration to apply, only if the parameter calibration is topic",
+        TF_STATIC: "frame of the sensor on the platform, only if the parameter mounting_from_tf is true",
     }
     outputs: ClassVar[Topics] = {
         **IMAGES,
@@ -119,7 +131,8 @@ class SarCompression(DwellStage):
         """Make the node; `node_arguments` go to rclpy's Node.
 
         Raises:
-            UserError: a parameter has a value that is not allowed, or the calibration cannot be used.
+            UserError: a parameter has a value that is not allowed, the calibration cannot be used, or transforms are
+                wanted without tf2_msgs.
         """
         super().__init__("sar_compression", ChannelFrame, "phase_history", **node_arguments)
         self._odometry = OdometryHistory(self.current_parameters().odometry_held_s)
@@ -130,7 +143,14 @@ class SarCompression(DwellStage):
         self._calibration: Calibration | None = None
         self._heard = Held[Calibration](HELD_CALIBRATIONS)
         """Calibrations that came on the topic, by config_hash of their sensor."""
-        self._begin_calibration(self.current_parameters().calibration)
+        self._frames = StaticFrames()
+        try:
+            self._begin_calibration(self.current_parameters().calibration)
+            if self.current_parameters().mounting_from_tf:
+                self._begin_transforms()
+        except UserError:
+            self.destroy_node()
+            raise
         self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS, read=messages.received_pose)
         self._slc = self.offer(ComplexImage, "slc")
 
@@ -144,7 +164,8 @@ class SarCompression(DwellStage):
         """Odometry from before the first pulse to after the last without gaps, and the calibration in force.
 
         Raises:
-            Rejected: the odometry does not cover the pulses yet, or has a gap.
+            Rejected: the odometry does not cover the pulses yet, or has a gap; the sensor's frame is not known yet.
+            UserError: the sensor's frame is nowhere on a platform.
         """
         frame = dwell[0]
         start_ns = frame.stamp_ns
@@ -155,7 +176,7 @@ class SarCompression(DwellStage):
         if gap <= limit:
             if gap > self.current_parameters().odometry_interval_s:
                 self.tally.note("odometry.bridged")
-            return Supplies(states, self._calibration_for(sensor))
+            return Supplies(states, self._calibration_for(sensor), self._mounting_of(sensor))
         self._awaited_ns = min(self._awaited_ns, end_ns)
         found = f"there are {gap:g} s between two" if states else self._odometry_held(start_ns)
         raise Rejected(
@@ -190,6 +211,8 @@ class SarCompression(DwellStage):
     def process(self, frames: list[ReceivedFrame], sensor: Sensor, supplies: Supplies) -> int:
         """Compress a dwell, or the columns that a block completes of a strip, and publish the image of each channel."""
         parameters = self.current_parameters()
+        if supplies.mounting != sensor.mounting:
+            sensor = replace(sensor, mounting=supplies.mounting)
         history, calibration = messages.history_from_messages(frames), supplies.calibration
         track = Trajectory(supplies.states, motion=parameters.motion)
         slc = self._compressor.add(history, track, sensor, parameters, calibration)
@@ -223,6 +246,47 @@ class SarCompression(DwellStage):
             self.offer(CalibrationMessage, "calibration", LATCHED_QOS).publish(
                 messages.calibration_to_message(self._calibration, stamp)
             )
+
+    def _begin_transforms(self) -> None:
+        """Listen to the frames on the platform.
+
+        Raises:
+            UserError: there are no such messages.
+        """
+        if TFMessage is None:
+            raise UserError(
+                "Parameter mounting_from_tf needs the package tf2_msgs, which a ROS installation has and PyPI has not; "
+                "source the installation, or state the mounting in sensor_info."
+            )
+        self.listen(TFMessage, TF_STATIC, self._on_transforms, TF_STATIC_QOS)
+
+    def _on_transforms(self, message: Any) -> None:
+        for transform in message.transforms:
+            try:
+                self._frames.add(transform)
+            except UserError as error:
+                self.ignore("transform", error)
+        self.advance()
+
+    def _mounting_of(self, sensor: Sensor) -> Mounting:
+        """Where the sensor is on the platform.
+
+        Raises:
+            Rejected: its frame is not known yet.
+            UserError: it is nowhere on a platform.
+        """
+        parameters = self.current_parameters()
+        if not parameters.mounting_from_tf:
+            return sensor.mounting
+        name, body = sensor.mounting.frame_id, parameters.body_frame
+        place = self._frames.place(name, body)
+        if place is None:
+            raise Rejected(
+                "no mounting",
+                f"Nothing on {TF_STATIC} says where {name!r} (sensor_info, mounting.frame_id) is in {body!r}; publish "
+                "it, as static_transform_publisher does, or set mounting_from_tf to false.",
+            )
+        return Mounting(name, tuple(place.translation.tolist()), tuple(place.rotation.as_quat().tolist()))
 
     def _calibration_for(self, sensor: Sensor) -> Calibration | None:
         """The calibration to apply to a sensor's frames: that of the file, or its own if it was heard on the topic."""

@@ -9,6 +9,7 @@ out and no height missing but within the seconds after a fault, heights of every
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -18,6 +19,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -39,7 +41,11 @@ TO_NODES = ("kill", "stop")
 
 STOPPED_S = 2.0
 RECOVERY_S = 12.0
-"""From a fault to the end of what it may cost: its program starts in 2 s and lasts 2, and nodes wait 5 s in vain."""
+"""From a fault to the end of what it may cost, at least: its program starts in 2 s and lasts 2, and nodes wait 5 s in
+vain."""
+
+AFTERWARDS_S = 7.0
+"""From the end of the program of a fault to the end of what it may cost."""
 
 LONG_S = 600.0
 """The memory of a process is judged once it has run for so long: before, caches fill."""
@@ -63,20 +69,34 @@ class Moment:
 
 
 @dataclass
+class Fault:
+    """What was done to the graph, and when; its program, if it is done by one, and when that had ended."""
+
+    at_s: float
+    what: str
+    program: subprocess.Popen[bytes] | None = None
+    ended_s: float = math.inf
+
+    @property
+    def over_s(self) -> float:
+        """When it can have no effect any more."""
+        return max(self.at_s + RECOVERY_S, self.ended_s + AFTERWARDS_S if self.program else 0.0)
+
+
+@dataclass
 class Soak:
     """Does the faults, and keeps what is seen.
 
     Attributes:
         every_s: time from one fault to the next.
-        faults: when they were done, and what.
+        faults: what was done so far.
         moments: what was seen, about once a second.
     """
 
     every_s: float
     seed: int
-    faults: list[tuple[float, str]] = field(default_factory=list)
+    faults: list[Fault] = field(default_factory=list)
     moments: list[Moment] = field(default_factory=list)
-    _running: list[subprocess.Popen[bytes]] = field(default_factory=list)
     _stopped: list[tuple[float, int]] = field(default_factory=list)
 
     def show(self, watched: Watched) -> None:
@@ -88,20 +108,21 @@ class Soak:
                 self._stopped.remove((until_s, pid))
                 with suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGCONT)
+        for fault in self.faults:
+            if fault.program and math.isinf(fault.ended_s) and fault.program.poll() is not None:
+                fault.ended_s = now
         if now >= self.every_s * (len(self.faults) + 1):
-            kind = self._next(watched)
-            self.faults.append((now, kind))
-            sys.stderr.write(f"{now:.0f} s: {kind}\n")
+            self.faults.append(self._next(watched))
+            sys.stderr.write(f"{now:.0f} s: {self.faults[-1].what}\n")
 
-    def _next(self, watched: Watched) -> str:
+    def _next(self, watched: Watched) -> Fault:
         """Do a fault: kinds take turns, and so do the nodes that signals are sent to."""
         number = len(self.faults) + self.seed
         kinds = (*FAULT_KINDS, *TO_NODES, *TO_NODES, *TO_NODES)
         kind = kinds[number * 7 % len(kinds)]  # 7 has no factor in common with their number, 16
         if kind not in TO_NODES:
             words = [sys.executable, "-m", "benchmarks.faults", kind, str(number)]
-            self._running.append(subprocess.Popen(words))  # noqa: S603 (our own module)
-            return kind
+            return Fault(watched.elapsed_s, kind, subprocess.Popen(words))  # noqa: S603 (our own module)
         names = sorted(watched.book.entries)
         name = names[(number * 5 + number // 16) % len(names)]
         pid = watched.book.entries[name].account.count("pid")
@@ -109,23 +130,33 @@ class Soak:
             os.kill(pid, signal.SIGKILL if kind == "kill" else signal.SIGSTOP)
         if kind == "stop":
             self._stopped.append((watched.elapsed_s + STOPPED_S, pid))
-        return f"{kind} {name}"
+        return Fault(watched.elapsed_s, f"{kind} {name}")
 
     @property
     def failed(self) -> list[str]:
         """Faults that could not be done."""
-        kinds = [kind for _, kind in self.faults if not kind.startswith(TO_NODES)]
-        return [kind for kind, run in zip(kinds, self._running, strict=True) if run.poll() not in (None, 0)]
+        return [fault.what for fault in self.faults if fault.program and fault.program.poll() not in (None, 0)]
 
-    def quiet(self) -> Iterator[tuple[Moment, Moment]]:
-        """First and last moment of every stretch that no fault can have an effect on."""
-        borders = [at_s for at_s, _ in self.faults] + [float("inf")]
-        begin = 0.0
-        for border in borders:
-            inside = [moment for moment in self.moments if begin <= moment.at_s < border]
+    def quiet(self) -> Iterator[list[Moment]]:
+        """The moments of every stretch that no fault can have an effect on."""
+        begins = [0.0, *(fault.over_s for fault in self.faults)]
+        ends = [*(fault.at_s for fault in self.faults), math.inf]
+        for begin, end in zip(begins, ends, strict=True):
+            inside = [moment for moment in self.moments if begin <= moment.at_s < end]
             if len(inside) > 1:
-                yield inside[0], inside[-1]
-            begin = border + RECOVERY_S
+                yield inside
+
+    def left_out(self) -> dict[str, Counter[str]]:
+        """What was left out in stretches without a fault, by when: time, and time since the last fault."""
+        found: dict[str, Counter[str]] = {}
+        for stretch in self.quiet():
+            for earlier, later in pairwise(stretch):
+                if more := later.left_out - earlier.left_out:
+                    since = [
+                        f" ({later.at_s - f.at_s:.0f} s after {f.what})" for f in self.faults if f.at_s < later.at_s
+                    ]
+                    found[f"{later.at_s:.0f} s{''.join(since[-1:])}"] = more
+        return found
 
 
 def _moment_of(watched: Watched) -> Moment:
@@ -145,25 +176,36 @@ def verdict(soak: Soak, offered_hz: float, different: list[str]) -> list[tuple[b
     """Whether each promise was kept, and a sentence about it."""
     stretches = list(soak.quiet())
     unbalanced = [sentence for moment in soak.moments for sentence in moment.unbalanced]
-    left_out = sum((last.left_out - first.left_out for first, last in stretches), Counter[str]())
-    quiet_s = sum(last.at_s - first.at_s for first, last in stretches)
+    left_out = soak.left_out()
+    in_all = sum(left_out.values(), Counter[str]())
+    quiet_s = sum(last.at_s - first.at_s for first, *_, last in stretches)
     missing = {}
     for topic in soak.moments[-1].heights:
-        lacks = [
-            offered_hz * (last.at_s - first.at_s) - (last.heights[topic] - first.heights[topic])
-            for first, last in stretches
-        ]
-        missing[topic] = sum(max(0.0, lack - EDGE_DWELLS) for lack in lacks)
+        lacks = {
+            first.at_s: offered_hz * (last.at_s - first.at_s)
+            - (last.heights.get(topic, 0) - first.heights.get(topic, 0))
+            - EDGE_DWELLS
+            for first, *_, last in stretches
+        }
+        missing[topic] = {at_s: lack for at_s, lack in lacks.items() if lack > 0}
     growth = _growth(soak.moments)
     worst, most = max(growth.items(), key=lambda entry: entry[1], default=("", 0.0))
     grown = f"{len(growth)} nodes that ran for {LONG_S:.0f} s"
     return [
         (not unbalanced, f"accounts that were not balanced: {len(unbalanced)} {unbalanced[:1]}"),
-        (not left_out, f"messages left out in {quiet_s:.0f} s without a fault: {dict(left_out)}"),
+        (
+            not left_out,
+            f"messages left out in {quiet_s:.0f} s without a fault: {dict(in_all)}"
+            + "".join(f"\n    {when}: {dict(what)}" for when, what in left_out.items()),
+        ),
         (
             not any(missing.values()),
             f"heights missing in {quiet_s:.0f} s without a fault: "
-            + ", ".join(f"{topic} {count:.0f}" for topic, count in missing.items()),
+            + ", ".join(
+                f"{topic} {sum(lacks.values()):.0f}"
+                + "".join(f" ({lack:.0f} from {at_s:.0f} s)" for at_s, lack in lacks.items())
+                for topic, lacks in missing.items()
+            ),
         ),
         (not different, f"heights unlike those of the lockstep run, without a fault: {len(different)} {different[:1]}"),
         (
@@ -203,7 +245,7 @@ def unlike_lockstep(out: Path, lockstep: Path, soak: Soak, begin_ns: int) -> lis
             yield message.log_time_ns, reader.decode(message.type_name, message.cdr)
 
     true = {image.dwell: np.array(image.surfaces[0].height) for _, image in images(lockstep)}
-    times = [(begin_ns + first.at_s * 1e9, begin_ns + last.at_s * 1e9) for first, last in soak.quiet()]
+    times = [(begin_ns + first.at_s * 1e9, begin_ns + last.at_s * 1e9) for first, *_, last in soak.quiet()]
     different = []
     for bag in sorted(out.glob("bag*")):
         with suppress(UserError):  # its recorder was killed: it is for `salvage`

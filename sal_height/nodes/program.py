@@ -5,17 +5,20 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.exceptions import ParameterException
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from sal_height.errors import UserError
 from sal_height.nodes.executors import executor_for
 from sal_height.nodes.middleware import provide_shared_memory
+from sal_height.nodes.ports import LOOK_S, LOST, Ports
 from sal_height.nodes.usage import announce, check_arguments, check_overrides, program_name, usage
 
 SWITCH_INTERVAL_S = 5e-4
@@ -33,8 +36,8 @@ def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
         begin: called with the node once it is made.
 
     Returns:
-        The exit status: 0, 1 if the node ended with a `failure`, or 2 with one sentence on stderr if the arguments
-        cannot be used.
+        The exit status: 0, 1 if the node ended with a `failure` or lost a port of shared memory, or 2 with one sentence
+        on stderr if the arguments cannot be used.
     """
     if {"--help", "-h"} & set(sys.argv[1:]):
         sys.stdout.write(usage(make, program_name()))
@@ -51,8 +54,7 @@ def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
         check_overrides(node)
         begin(node)
         executor = executor_for(node)
-        while not stop.is_set():
-            executor.spin_once(timeout_sec=0.1)
+        lost = _spin(executor, node, stop)
         executor.remove_node(node)
         node.destroy_node()
         executor.shutdown()
@@ -61,4 +63,18 @@ def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
         return 2
     finally:
         rclpy.try_shutdown()
-    return int(bool(getattr(node, "failure", "")))
+    return int(lost or bool(getattr(node, "failure", "")))
+
+
+def _spin(executor: Executor, node: Node, stop: threading.Event) -> bool:
+    """Run callbacks until `stop` is set or the process has lost a port; returns whether it has."""
+    ports, due = Ports(), 0.0
+    while not stop.is_set():
+        executor.spin_once(timeout_sec=0.1)
+        if time.monotonic() < due:
+            continue
+        due = time.monotonic() + LOOK_S
+        if lost := ports.lost():
+            node.get_logger().error(LOST.format(lost[0]))
+            return True
+    return False

@@ -8,11 +8,14 @@ from contextlib import suppress
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
 from sal_height.nodes.account import DIAGNOSTICS
 from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.ports import LOOK_S, Ports
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.conductor import Interruption
 
@@ -22,22 +25,36 @@ SHOW_PERIOD_S = 1.0
 LOOK_PERIOD_S = 0.05
 """Period at which it is looked whether the user has interrupted."""
 
+DEAF = (
+    "{} of shared memory, through which messages of other processes come, is lost, as when this program was stopped "
+    "for seconds (Ctrl-Z): it sees nothing of the nodes any more, which go on. End it with Ctrl-C, and start it again."
+)
+
 
 class Watcher(Node):
     """Reads what all nodes tell on /diagnostics.
 
     Attributes:
         book: their accounts.
+        is_deaf: whether nothing more can come, since the process has lost a port of shared memory; it is said once.
     """
 
     def __init__(self, book: AccountBook, **node_arguments: Any) -> None:
         """Enter what comes into `book`; `node_arguments` go to rclpy's Node."""
         super().__init__("sal_height_watcher", **node_arguments)
         self.book = book
+        self.is_deaf = False
+        self._ports = Ports()
         self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._take, 100)
+        self.create_timer(LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _take(self, message: DiagnosticArray) -> None:
         self.book.take(message, time.monotonic())
+
+    def _look(self) -> None:
+        if not self.is_deaf and (lost := self._ports.lost()):
+            self.is_deaf = True
+            self.get_logger().error(DEAF.format(lost[0]))
 
 
 def watch(domain: DomainChoice, seconds: float, show: Callable[[AccountBook], None]) -> AccountBook:

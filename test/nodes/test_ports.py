@@ -1,0 +1,99 @@
+"""A node whose port of shared memory is gone ends, so that it can be started again."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.node import Node
+
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.middleware import SHARED_MEMORY
+from sal_height.nodes.ports import LOOK_S, LOOKS, Ports, ports_read
+from sal_height.runs.account_book import AccountBook
+from sal_height.runs.watch import Watcher
+
+NODE = "from sal_height.nodes.relief_tracker import main; raise SystemExit(main())"
+
+
+def own_ports() -> list[Path]:
+    return [SHARED_MEMORY / name for name in ports_read()]
+
+
+def test_ports_that_others_find_are_not_lost(graph: Graph) -> None:
+    graph.add(Node("one", context=graph.context))
+    watch = Ports()
+    assert len(own_ports()) >= 2  # for what is said about topics, and for their messages
+    assert all(watch.lost() == [] for _ in range(LOOKS + 1))
+
+
+def test_a_port_without_its_file_is_lost_after_some_looks_and_found_with_it(graph: Graph) -> None:
+    graph.add(Node("one", context=graph.context))
+    watch = Ports()
+    watch.lost()
+    port, aside = own_ports()[0], SHARED_MEMORY / f"aside_{os.getpid()}"
+    port.rename(aside)
+    try:
+        assert [watch.lost() for _ in range(LOOKS)] == [[]] * (LOOKS - 1) + [[port.name]]
+        port.write_bytes(b"of another process that made it anew")
+        assert watch.lost() == [port.name]
+        aside.rename(port)
+        assert watch.lost() == []
+        port.rename(aside)
+        assert watch.lost() == []  # it counts from the beginning
+    finally:
+        aside.rename(port)
+
+
+def test_who_watches_a_graph_says_that_nothing_more_can_be_seen(graph: Graph, capfd: Any) -> None:
+    watcher = graph.add(Watcher(AccountBook(), context=graph.context))
+    (port, *_), aside = own_ports(), SHARED_MEMORY / f"aside_{os.getpid()}"
+    port.rename(aside)
+    try:
+        assert graph.spin_until(lambda: watcher.is_deaf, 60.0)
+        graph.spin_for(2 * LOOK_S)
+    finally:
+        aside.rename(port)
+    (sentence,) = [line for line in capfd.readouterr().err.splitlines() if port.name in line]
+    assert "it sees nothing of the nodes any more, which go on" in sentence
+
+
+@pytest.fixture
+def program(domain_id: int) -> Iterator[subprocess.Popen[str]]:
+    """A node in a process of its own."""
+    process = subprocess.Popen(  # noqa: S603 (our own program)
+        [sys.executable, "-c", NODE],
+        env=os.environ | {"ROS_DOMAIN_ID": str(domain_id)},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_a_node_ends_and_says_why(program: subprocess.Popen[str], graph: Graph) -> None:
+    watcher = graph.add(Node("watcher", context=graph.context))
+    assert graph.spin_until(lambda: watcher.count_publishers("tracked/height") == 1, 60.0)
+    found = ports_read(Path(f"/proc/{program.pid}"))
+    for name in found:
+        (SHARED_MEMORY / name).unlink()
+    assert program.wait(60.0) == 1
+    (sentence,) = [line for line in program.stderr if "ERROR" in line]
+    assert "of shared memory, through which messages of other processes come, is lost" in sentence
+    assert any(name in sentence for name in found)
+
+
+def test_a_node_with_its_ports_goes_on(program: subprocess.Popen[str], graph: Graph) -> None:
+    watcher = graph.add(Node("watcher", context=graph.context))
+    assert graph.spin_until(lambda: watcher.count_publishers("tracked/height") == 1, 60.0)
+    with pytest.raises(subprocess.TimeoutExpired):
+        program.wait((LOOKS + 1) * LOOK_S)
+    program.send_signal(signal.SIGTERM)
+    assert program.wait(60.0) == 0

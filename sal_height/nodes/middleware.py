@@ -52,6 +52,7 @@ TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
         <segment_size>{segment}</segment_size>
         <maxMessageSize>{message}</maxMessageSize>
         <port_queue_capacity>8192</port_queue_capacity>
+        <healthy_check_timeout_ms>5000</healthy_check_timeout_ms>
       </transport_descriptor>
       <transport_descriptor>
         <transport_id>network</transport_id>
@@ -94,6 +95,9 @@ TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
 They announce themselves four times a second, every 3 s by default: one that starts later, or again, is found that soon.
 One that was killed is taken for running until nothing has been heard of it for 5 s, 20 s by default.
 And they ask five times a second, every 3 s by default, what of their messages has not arrived, to send it again.
+
+The ports of one that stands still are taken for dead after 5 s, 1 s by default, when nobody sends to it any more.
+Whoever does makes the port anew with each message, and one that goes on meanwhile may never be reached again (`ports`).
 """
 
 

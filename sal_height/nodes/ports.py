@@ -2,7 +2,8 @@
 
 Fast DDS receives through files of shared memory, called ports. If a process stands still for seconds (a debugger, a
 machine that pauses), others take its ports for dead and make them anew; when it goes on, it does the same, and now and
-then the two end up with different files of one name. Nothing ever arrives then, and no error tells.
+then the two end up with different files of one name. Nothing ever arrives then, and no error tells. With the settings
+of `middleware` it has not been seen; programs with other settings may be about.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from sal_height.nodes.graph import Graph
@@ -18,6 +19,9 @@ from sal_height.nodes.middleware import SHARED_MEMORY
 from sal_height.nodes.ports import LOOK_S, LOOKS, Ports, ports_read
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.watch import Watcher
+
+STANDS_STILL_S = 3.0
+"""Longer than two of the looks after which Fast DDS takes a process for dead by default."""
 
 NODE = "from sal_height.nodes.relief_tracker import main; raise SystemExit(main())"
 
@@ -88,6 +92,23 @@ def test_a_node_ends_and_says_why(program: subprocess.Popen[str], graph: Graph) 
     (sentence,) = [line for line in program.stderr if "ERROR" in line]
     assert "of shared memory, through which messages of other processes come, is lost" in sentence
     assert any(name in sentence for name in found)
+
+
+def test_a_node_that_stands_still_keeps_its_ports(program: subprocess.Popen[str], graph: Graph) -> None:
+    """By default, whoever sends to it would make them anew all the time, and it could be lost when it goes on."""
+    watcher = graph.add(Node("watcher", context=graph.context))
+    accounts: list[DiagnosticArray] = []
+    watcher.create_subscription(DiagnosticArray, "/diagnostics", accounts.append, 10)
+    assert graph.spin_until(lambda: bool(accounts), 60.0)
+    found = [SHARED_MEMORY / name for name in ports_read(Path(f"/proc/{program.pid}"))]
+    assert len(found) >= 2
+    files = [port.stat().st_ino for port in found]
+    program.send_signal(signal.SIGSTOP)
+    changed = graph.spin_until(lambda: [port.stat().st_ino for port in found] != files, STANDS_STILL_S)
+    program.send_signal(signal.SIGCONT)
+    assert not changed
+    accounts.clear()
+    assert graph.spin_until(lambda: bool(accounts), 60.0)
 
 
 def test_a_node_with_its_ports_goes_on(program: subprocess.Popen[str], graph: Graph) -> None:

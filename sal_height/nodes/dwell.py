@@ -66,7 +66,7 @@ class DwellAssembler(Generic[Item]):
     def __init__(self) -> None:
         self._dwells: dict[Key, Dwell[Item]] = {}
         self._finished: deque[Key] = deque(maxlen=FINISHED_KEPT)
-        self._newest_ns: dict[str, int] = {}
+        self._latest_ns: dict[str, int] = {}
         self._size = 0
 
     def add(self, key: Key, sensor: Sensor, channel: int, item: Item, now: float, size: int = 0) -> Dwell[Item]:
@@ -87,7 +87,7 @@ class DwellAssembler(Generic[Item]):
         dwell.items[channel] = item
         dwell.size += size
         self._size += size
-        self._newest_ns[key.config_hash] = max(key.stamp_ns, self._newest_ns.get(key.config_hash, key.stamp_ns))
+        self._latest_ns[key.config_hash] = key.stamp_ns
         return dwell
 
     def __contains__(self, dwell: Dwell[Item]) -> bool:
@@ -114,8 +114,11 @@ class DwellAssembler(Generic[Item]):
         return len(self._dwells) > capacity or self._size > capacity_bytes
 
     def is_passed(self, dwell: Dwell[Item], seconds: float) -> bool:
-        """Whether a message of the same sensor has come that is stamped later than the dwell by that many seconds."""
-        return self._newest_ns[dwell.key.config_hash] - dwell.key.stamp_ns > seconds * 1e9
+        """Whether the last message of the same sensor is stamped more than so many seconds after the dwell, or before.
+
+        Before: the dwell has a wrong stamp, which would never be passed otherwise.
+        """
+        return abs(self._latest_ns[dwell.key.config_hash] - dwell.key.stamp_ns) > seconds * 1e9
 
     def take(self, dwell: Dwell[Item]) -> None:
         """Remove a dwell; what comes of it afterwards is late."""
@@ -126,8 +129,8 @@ class DwellAssembler(Generic[Item]):
     def forget_finished(self, config_hash: str) -> None:
         """Accept dwells of a sensor again that were finished before: it has started anew."""
         self._finished = deque((k for k in self._finished if k.config_hash != config_hash), FINISHED_KEPT)
-        self._newest_ns.pop(config_hash, None)
-        self._newest_ns |= {key.config_hash: key.stamp_ns for key in self._dwells if key.config_hash == config_hash}
+        self._latest_ns.pop(config_hash, None)
+        self._latest_ns |= {key.config_hash: key.stamp_ns for key in self._dwells if key.config_hash == config_hash}
 
 
 class WaitingClock:

@@ -108,7 +108,7 @@ class DwellStage(Stage):
 
     Messages that come before their sensor info wait for it. A dwell that stays incomplete is given up and counted, and
     the next one is not affected. It is given up when the node has waited for timeout_s without anything to do; or when
-    the dwell is older than timeout_s and messages have come whose stamps are later by as much. So neither a slow
+    the dwell is older than timeout_s and messages come whose stamps are that far from its own. So neither a slow
     machine nor a source that waits for the graph makes a dwell time out. The same holds for a message whose sensor info
     does not come.
     """
@@ -125,7 +125,7 @@ class DwellStage(Stage):
         self._sensors = Held[Sensor](HELD_SENSORS)
         self._assembler: DwellAssembler[Any] = DwellAssembler()
         self._early: list[_Early] = []
-        self._newest_ns = 0
+        self._latest_ns = 0
         self._waiting = WaitingClock()
         self._absences: dict[str, Counter[int]] = {}
         self._rehearsed = False
@@ -271,7 +271,7 @@ class DwellStage(Stage):
         size = 0
         for early in reversed(self._early):
             size += early.message.size
-            passed_s = (self._newest_ns - early.message.stamp_ns) * 1e-9
+            passed_s = abs(self._latest_ns - early.message.stamp_ns) * 1e-9
             overdue = idle or min(now - early.came, passed_s) > parameters.timeout_s
             if overdue or len(kept) == HELD_EARLY or size > parameters.max_memory_bytes:
                 self.reject(1, self._unmatched(early.message))
@@ -344,13 +344,13 @@ class DwellStage(Stage):
             sensor = self._sensors.use(message.config_hash)
             if sensor is None:
                 self._early.append(_Early(message, now))
-                self._newest_ns = max(self._newest_ns, message.stamp_ns)
+                self._latest_ns = message.stamp_ns
                 return True
             self.check(message, sensor)
             absences = self._absences[sensor.config_hash]
             absences.pop(message.channel, None)
             dwell = self._assemble(message, sensor, now)
-            self._newest_ns = max(self._newest_ns, message.stamp_ns)
+            self._latest_ns = message.stamp_ns
         except Exception as error:  # noqa: BLE001 (no message may end the node)
             self.reject(1, self.unexpected(error))
             return False

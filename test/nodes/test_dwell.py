@@ -100,6 +100,15 @@ def test_a_dwell_is_passed_once_later_ones_of_the_same_sensor_come(assembler: As
     assert assembler.is_passed(dwell, 5.0)
 
 
+def test_a_dwell_with_a_wrong_stamp_is_passed_and_ages_no_other(assembler: Assembler) -> None:
+    assembler.take_in(Key("hash", 0, 0), 0)
+    assembler.take_in(Key("hash", 7, 10**18), 0)
+    assembler.take_in(Key("hash", 1, 1_000_000_000), 0)
+    right, wrong, _ = assembler.held()
+    assert assembler.is_passed(wrong, 5.0)
+    assert not assembler.is_passed(right, 5.0)
+
+
 def test_forgetting_lets_finished_dwells_of_that_sensor_come_again(assembler: Assembler) -> None:
     other = FIRST._replace(config_hash="other")
     for key in (FIRST, other):

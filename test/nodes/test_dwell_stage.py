@@ -238,7 +238,7 @@ def test_nothing_is_held_of_sensors_that_are_forgotten(gate: Gate) -> None:
         gate.hear(number, 0, 1, 2, sensor=other_sensor(number))
         gate.hear(number + 100, 0, sensor=other_sensor(number))
     assert len(gate._sensors) == HELD_SENSORS
-    assert set(gate._assembler._newest_ns) == set(gate._absences) == set(gate._sensors)
+    assert set(gate._assembler._latest_ns) == set(gate._absences) == set(gate._sensors)
     assert {dwell.key.config_hash for dwell in gate._assembler.held()} == set(gate._sensors)
 
 
@@ -336,11 +336,13 @@ def test_a_dwell_does_not_time_out_while_its_messages_are_on_their_way(graph: Gr
     assert "incomplete dwell" not in dropped(gate)
 
 
-def test_a_dwell_is_dropped_once_the_sensor_has_moved_on(graph: Graph) -> None:
+@pytest.mark.parametrize("stamp", [0.0, 1e6])
+def test_a_dwell_is_dropped_once_the_sensor_has_moved_on(graph: Graph, stamp: float) -> None:
+    """Also one that is stamped in the far future."""
     gate = Gate(graph, timeout_s=0.2)
     gate.describe(SENSOR)
     began = time.monotonic()
-    gate.hear(0, 0)
+    gate.hear(0, 0, stamp=stamp)
     gate.hear(1, 0, 1, 2)
     assert dropped(gate) == {}  # later by the stamps, but not by the clock on the wall
     while time.monotonic() - began < 0.3:  # a stream that never pauses
@@ -348,15 +350,15 @@ def test_a_dwell_is_dropped_once_the_sensor_has_moved_on(graph: Graph) -> None:
     assert dropped(gate)["incomplete dwell"] == 1
 
 
-@pytest.mark.parametrize("described_again", [False, True])
+@pytest.mark.parametrize(("described_again", "stamp"), [(False, 0.0), (True, 0.0), (False, 1e6)])
 def test_a_message_of_an_unknown_sensor_is_dropped_once_the_sensor_has_moved_on(
-    graph: Graph, described_again: bool
+    graph: Graph, described_again: bool, stamp: float
 ) -> None:
     """Dwells of a known sensor never pause meanwhile, so that the node is never idle."""
     gate = Gate(graph, timeout_s=0.2)
     gate.describe(SENSOR)
     began = time.monotonic()
-    gate.hear(0, 0, sensor=other_sensor(0))
+    gate.hear(0, 0, sensor=other_sensor(0), stamp=stamp)
     gate.hear(1, 0, 1, 2)
     assert dropped(gate) == {}  # later by the stamps, but not by the clock on the wall
     while "contradicts sensor info" not in dropped(gate) and time.monotonic() - began < TIMEOUT_S:

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import os
+import re
 import time
 from contextlib import suppress
 from pathlib import Path
 
 from sal_height.nodes.account import CPU, MEMORY, PID
 
+_RESIDENT = re.compile(r"(RssAnon|RssFile):\s+(\d+) kB")
+
 
 def process_numbers() -> dict[str, float]:
-    """Processor time, s, number, and resident memory, MB (Linux), of this process, by name."""
+    """Processor time, s, number, and memory, MB (Linux), of this process, by name.
+
+    Memory is what is resident without shared memory: most of that is the messages of other processes.
+    """
     numbers: dict[str, float] = {CPU: round(time.process_time(), 3), PID: os.getpid()}
     with suppress(OSError):
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-        numbers[MEMORY] = round(pages * os.sysconf("SC_PAGE_SIZE") / 1e6, 1)
+        status = Path("/proc/self/status").read_text(encoding="utf-8")
+        resident = {name: int(kilobytes) for name, kilobytes in _RESIDENT.findall(status)}
+        numbers[MEMORY] = round(sum(resident.values()) * 1024 / 1e6, 1)
     return numbers

@@ -25,6 +25,12 @@ _FOOTER_TAIL = struct.Struct("<QQI8s")
 CUSTOM_DATA = "sal_height"
 """Name of the MCAP metadata record that holds the custom data from the start of a file of ours."""
 
+REPEATED = "sal_height.repeated"
+"""Name of the MCAP metadata record that says how many messages of a file stand in the one before, too, by topic."""
+
+REPEATED_SEQUENCE = 1
+"""Sequence number of such messages; all others have 0."""
+
 CHECKSUM = "crc32"
 """Name of the checksum in that record."""
 
@@ -104,6 +110,11 @@ def custom_data_of(record: str, values: dict[str, str]) -> dict[str, str] | None
         return {str(name): str(value) for name, value in found.items()}
     except (yaml.YAMLError, KeyError, TypeError, AttributeError):  # rosbag2 before version 6 has none
         return None
+
+
+def repeated_in(records: Mapping[str, Mapping[str, str]]) -> dict[str, int]:
+    """How many messages of a file are in the one before, too, by topic, as its metadata records say."""
+    return {topic: int(count) for topic, count in records.get(REPEATED, {}).items() if count.isdecimal()}
 
 
 def _listed_files(metadata: Path) -> list[str]:

@@ -19,6 +19,7 @@ from rclpy.serialization import deserialize_message
 
 from sal_height.bag.definitions import Definition, installed_definition, message_class
 from sal_height.bag.files import (
+    REPEATED_SEQUENCE,
     bag_files,
     check_encoding,
     check_profile,
@@ -27,6 +28,7 @@ from sal_height.bag.files import (
     custom_data_of,
     recorded_definition,
     recorded_qos,
+    repeated_in,
 )
 from sal_height.bag.versions import current_name, needs_upgrade, upgraded
 from sal_height.errors import UserError
@@ -71,10 +73,10 @@ class BagReader:
         self.topics: dict[str, Topic] = {}
         self.custom_data: dict[str, str] = {}
         for file in self._files:
-            topics, custom_data = _read_index(file)
+            topics, custom_data, repeated = _read_index(file)
             self.custom_data |= custom_data
             for topic in topics:
-                self._add(topic)
+                self._add(topic, repeated.get(topic.name, 0))
         self._checked_types: set[str] = set()
 
     @property
@@ -89,7 +91,8 @@ class BagReader:
 
         UserError if a checksum or a record is found to be wrong on the way.
         """
-        streams = (_read_messages(file, topics) for file in self._files)
+        first, *others = self._files
+        streams = (_read_messages(first, topics), *(_read_messages(file, topics, anew=False) for file in others))
         return map(self._upgraded, heapq.merge(*streams, key=lambda message: message.log_time_ns))
 
     def decode(self, type_name: str, cdr: bytes) -> Any:
@@ -119,7 +122,8 @@ class BagReader:
             ) from error
         return message._replace(type_name=topic.type_name, cdr=cdr)
 
-    def _add(self, topic: Topic) -> None:
+    def _add(self, topic: Topic, repeated: int) -> None:
+        """Add a topic of a file, of which so many messages are in the file before, too."""
         known = self.topics.setdefault(topic.name, topic)
         if known is topic:
             return
@@ -128,7 +132,7 @@ class BagReader:
                 f"Topic {topic.name} of bag {self.path} has two types, {known.type_name!r} and {topic.type_name!r}; "
                 "a topic must have one."
             )
-        count = known.count + topic.count
+        count = known.count + topic.count - repeated
         self.topics[topic.name] = replace(known, count=count)
 
     def _check_definition(self, type_name: str) -> None:
@@ -142,13 +146,13 @@ class BagReader:
                 )
 
 
-def _read_index(file: Path) -> tuple[list[Topic], dict[str, str]]:
-    """Topics and custom data of a file."""
+def _read_index(file: Path) -> tuple[list[Topic], dict[str, str], dict[str, int]]:
+    """Topics and custom data of a file, and how many messages of each topic are in the file before, too."""
     try:
         with file.open("rb") as stream:
             _check_complete(file, stream)
             summary, statistics = _read_summary(file, stream)
-            custom_data = _read_custom_data(file, stream)
+            records = _read_records(file, stream)
     except OSError as error:
         raise UserError(f"File {file} cannot be read: {error.strerror}.") from error
     counts = statistics.channel_message_counts
@@ -160,7 +164,8 @@ def _read_index(file: Path) -> tuple[list[Topic], dict[str, str]]:
         is_old = needs_upgrade(schema.name, definition)
         count, name = counts.get(channel.id, 0), current_name(schema.name)
         topics.append(Topic(channel.topic, name, count, recorded_qos(channel), definition, is_old))
-    return topics, custom_data
+    custom_data = [custom_data_of(name, values) for name, values in records.items()]
+    return topics, next((texts for texts in custom_data if texts), {}), repeated_in(records)
 
 
 def _check_complete(file: Path, stream: BinaryIO) -> None:
@@ -194,21 +199,23 @@ def _read_summary(file: Path, stream: BinaryIO) -> tuple[Summary, Statistics]:
     return summary, statistics
 
 
-def _read_custom_data(file: Path, stream: BinaryIO) -> dict[str, str]:
-    """Custom data of a complete file: from the record of `BagWriter`, or else from that of rosbag2."""
+def _read_records(file: Path, stream: BinaryIO) -> dict[str, dict[str, str]]:
+    """Metadata records of a complete file, by name."""
     try:
-        records = {record.name: record.metadata for record in SeekingReader(stream).iter_metadata()}
+        return {record.name: record.metadata for record in SeekingReader(stream).iter_metadata()}
     except Exception as error:  # mcap reports damage by whatever its parser stumbles over
         raise _damaged(file, error) from error
-    known = [custom_data_of(name, values) for name, values in records.items()]
-    return next((texts for texts in known if texts), {})
 
 
-def _read_messages(file: Path, topics: Collection[str] | None) -> Iterator[BagMessage]:
+def _read_messages(file: Path, topics: Collection[str] | None, *, anew: bool = True) -> Iterator[BagMessage]:
+    """Messages of a file in order of log time; unless `anew`, without those that are in the file before, too."""
     try:
         with file.open("rb") as stream:
-            records = SeekingReader(stream, validate_crcs=True).iter_messages(topics)
-            for schema, channel, message in records:
+            repeated = {} if anew else repeated_in(_read_records(file, stream))
+            stream.seek(0)
+            for schema, channel, message in SeekingReader(stream, validate_crcs=True).iter_messages(topics):
+                if channel.topic in repeated and message.sequence == REPEATED_SEQUENCE:
+                    continue
                 if schema is not None:  # always so: `check_encoding` refuses channels without
                     yield BagMessage(channel.topic, schema.name, message.data, message.log_time)
     except Exception as error:  # mcap reports damage by whatever its parser stumbles over

@@ -19,6 +19,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
 from sal_height.bag.files import (
+    REPEATED_SEQUENCE,
     bag_files,
     check_encoding,
     check_profile,
@@ -27,6 +28,7 @@ from sal_height.bag.files import (
     custom_data_of,
     recorded_definition,
     recorded_qos,
+    repeated_in,
 )
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
@@ -36,11 +38,12 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass
 class _Contents:
-    """What is known of a file so far: descriptions of its topics, and its custom data."""
+    """What is known of a file so far: descriptions of its topics, custom data, and what is in the one before, too."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     custom_data: dict[str, str] = field(default_factory=dict)
+    repeated: dict[str, int] = field(default_factory=dict)
 
 
 def salvage(path: Path, out_directory: Path) -> int:
@@ -137,6 +140,7 @@ def _describe(file: Path, opcode: int, body: bytes, contents: _Contents) -> None
         elif opcode == Opcode.METADATA:
             record = Metadata.read(_fields(body))
             contents.custom_data.update(custom_data_of(record.name, record.metadata) or {})
+            contents.repeated.update(repeated_in({record.name: record.metadata}))
     except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
         _LOG.warning("A damaged record of %s was left out: %s.", file, error)
 
@@ -151,6 +155,8 @@ def _copy_message(file: Path, body: bytes, contents: _Contents, bag: BagWriter) 
     channel = contents.channels.get(message.channel_id)
     if channel is None or not _add_topic(file, bag, channel, contents):
         return False  # the description of the topic was in a damaged chunk
+    if message.sequence == REPEATED_SEQUENCE and channel.topic in contents.repeated and bag.count(channel.topic):
+        return False  # it was in the file before, too
     bag.write(channel.topic, message.data, message.log_time, message.publish_time)
     return True
 

@@ -1,133 +1,172 @@
-"""Write a rosbag2 bag: one MCAP file and its metadata.yaml, readable by rosbag2, Foxglove and rosbags."""
+"""Write a rosbag2 bag: MCAP files and their metadata.yaml, readable by rosbag2, Foxglove and rosbags."""
 
 from __future__ import annotations
 
 import contextlib
+import math
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import yaml
-from mcap.writer import CompressionType, Writer
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from sal_height.bag import qos as qos_text
 from sal_height.bag.definitions import Definition, installed_definition
-from sal_height.bag.files import CHECKSUM, CUSTOM_DATA, checksum
+from sal_height.bag.file_writer import NO_TIME, FileWriter, WrittenTopic
 from sal_height.errors import UserError
 
 METADATA_VERSION = 9
 ROS_DISTRO = "jazzy"
-CHUNK_SIZE = 1 << 20  # bytes; a larger message becomes a chunk of its own
 
-# What rosbag2 gives as the start of a bag without messages.
-_NO_TIME = 2**63 - 1
+MOST_REPEATED = 100
+"""Latched messages of a topic that are repeated at the head of a file, if its publishers hold that many."""
+
+
+@dataclass(frozen=True)
+class Packing:
+    """How a bag is cut into files, and its messages are packed.
+
+    Attributes:
+        compression: of chunks: none, lz4 or zstd.
+        split_bytes: size of a file at which the next one is begun.
+        split_ns: time from the first message of a file at which the next one is begun.
+    """
+
+    compression: str = "none"
+    split_bytes: float = math.inf
+    split_ns: float = math.inf
+
+
+ONE_FILE = Packing()
+
+
+class _Kept(NamedTuple):
+    """A latched message, to be repeated at the head of the next file."""
+
+    cdr: bytes
+    publish_time_ns: int
 
 
 @dataclass
 class _Topic:
-    type_name: str
-    definition: Definition
-    offered_qos: Sequence[QoSProfile]
-    channel_id: int
+    described: WrittenTopic
     count: int = 0
+    latched: deque[_Kept] = field(default_factory=deque)
 
 
 class BagWriter:
     """A bag folder that is being written; a context manager, or call `close`.
 
-    Everything up to the last `flush` outlives a killed process and is recovered by `sal_height.bag.salvage`.
+    Everything up to the last `flush` outlives a killed process and is recovered by `sal_height.bag.salvage`. Each file
+    can be read alone: the last messages of latched topics stand at its head.
     """
 
-    def __init__(self, directory: Path, custom_data: Mapping[str, str] = MappingProxyType({})) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        custom_data: Mapping[str, str] = MappingProxyType({}),
+        packing: Packing = ONE_FILE,
+    ) -> None:
         """Create the folder `directory` and in it ``<name of the folder>_0.mcap``.
 
-        custom_data: texts by name that travel with the bag, as those of ``ros2 bag record --custom-data``. They are
-        written first, so that they outlive a killed process.
-        UserError if the folder cannot be made or already holds something.
+        Args:
+            directory: new or empty folder.
+            custom_data: texts by name that travel with the bag, as those of ``ros2 bag record --custom-data``. They are
+                at the begin of every file, so that they outlive a killed process.
+            packing: how the bag is cut into files, and its messages are packed.
+
+        Raises:
+            UserError: the folder cannot be made or already holds something.
         """
         self.directory = directory
-        self.file = directory / f"{directory.resolve().name}_0.mcap"
+        self._custom_data, self._packing = dict(custom_data), packing
+        self._topics: dict[str, _Topic] = {}
+        self._finished: list[FileWriter] = []
+        self._broken = False
         try:
             directory.mkdir(parents=True, exist_ok=True)
             if any(directory.iterdir()):
                 raise UserError(f"Bag folder {directory} is not empty; name a new or an empty folder.")
-            self._stream = self.file.open("xb")
+            self._file = self._begin_file({})
         except OSError as error:
             raise UserError(f"Bag folder {directory} cannot be written: {error.strerror}.") from error
-        self._custom_data = dict(custom_data)
-        self._topics: dict[str, _Topic] = {}
-        self._schema_ids: dict[tuple[str, Definition], int] = {}
-        self._first_ns = _NO_TIME
-        self._last_ns = 0
-        self._broken = False
-        # Speckle does not compress (0.93 at a third of the speed), so samples are stored as they are.
-        self._writer = Writer(self._stream, chunk_size=CHUNK_SIZE, compression=CompressionType.NONE)
-        with self._breaking():
-            self._writer.start(profile="ros2", library="sal_height")
-            if custom_data:
-                self._writer.add_metadata(CUSTOM_DATA, {**custom_data, CHECKSUM: checksum(custom_data)})
+
+    @property
+    def file(self) -> Path:
+        """The file that is being written."""
+        return self._file.path
+
+    def count(self, topic: str) -> int:
+        """Messages written of a topic, each once."""
+        return self._topics[topic].count if topic in self._topics else 0
 
     def add_topic(
         self, name: str, type_name: str, qos: Sequence[QoSProfile] = (), definition: Definition | None = None
     ) -> None:
         """Prepare `name` for `write`; to add it again with the same type does nothing.
 
-        qos: profile of every publisher, for players that want to offer the same.
-        definition: text and hash of the type; None takes the installed one.
-        UserError if the type is not installed or the topic already has another type.
+        Args:
+            name: of the topic.
+            type_name: of its messages.
+            qos: profile of every publisher, for players that want to offer the same.
+            definition: text and hash of the type; None takes the installed one.
+
+        Raises:
+            UserError: the type is not installed, or the topic already has another type.
+            OSError: the file cannot take it.
         """
         if name in self._topics:
-            if self._topics[name].type_name != type_name:
+            known = self._topics[name].described.type_name
+            if known != type_name:
                 raise UserError(
-                    f"Topic {name} of bag {self.directory} carries {self._topics[name].type_name!r} and cannot carry "
-                    f"{type_name!r} as well; a topic of a bag has one type."
+                    f"Topic {name} of bag {self.directory} carries {known!r} and cannot carry {type_name!r} as well; a "
+                    "topic of a bag has one type."
                 )
             return
-        definition = definition or installed_definition(type_name)
+        topic = WrittenTopic(name, type_name, definition or installed_definition(type_name), list(qos))
         with self._breaking():
-            channel_id = self._writer.register_channel(
-                name,
-                "cdr",
-                self._schema_id(type_name, definition),
-                {"offered_qos_profiles": qos_text.to_yaml(qos), "topic_type_hash": definition.type_hash},
-            )
-        self._topics[name] = _Topic(type_name, definition, list(qos), channel_id)
+            self._file.add_topic(topic)
+        self._topics[name] = _Topic(topic, latched=deque(maxlen=_held_by_publishers(qos)))
 
     def write(self, topic: str, cdr: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Append one serialized message of a topic added before. Times in nanoseconds, not negative.
 
-        OSError if the file cannot take it (disk full): the bag is cut there, and every later `write` fails too.
+        Raises:
+            OSError: the file cannot take it (disk full): the bag is cut there, and every later `write` fails too.
         """
+        entry = self._topics[topic]
         with self._breaking():
-            entry = self._topics[topic]
-            self._writer.add_message(entry.channel_id, log_time_ns, cdr, publish_time_ns)
+            if self._is_full(log_time_ns):
+                self._split(log_time_ns)
+            self._file.write(topic, cdr, log_time_ns, publish_time_ns)
         entry.count += 1
-        self._first_ns = min(self._first_ns, log_time_ns)
-        self._last_ns = max(self._last_ns, log_time_ns)
+        if entry.latched.maxlen:
+            entry.latched.append(_Kept(cdr, publish_time_ns))
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system, so that it outlives this process."""
         with self._breaking():
-            self._writer.flush()
+            self._file.flush()
 
     def close(self) -> None:
         """Write index and metadata and close the file; may be called twice.
 
         After a failed `write` there is nothing more to write: the file stays cut, for `salvage`.
         """
-        if self._stream.closed:
+        if self._file.is_closed:
             return
         try:
             if not self._broken:
                 with self._breaking():
-                    self._finish()
+                    self._finish_file()
+                    self._write_metadata()
         finally:
-            # A broken stream still holds bytes that it tries, and fails, to write again.
             with contextlib.suppress(OSError):
-                self._stream.close()
+                self._file.cut()
 
     def __enter__(self) -> Self:
         return self
@@ -136,14 +175,6 @@ class BagWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    def _schema_id(self, type_name: str, definition: Definition) -> int:
-        """Id of the schema record of a type, written once however many topics carry it."""
-        key = (type_name, definition)
-        if key not in self._schema_ids:
-            text = definition.text.encode()
-            self._schema_ids[key] = self._writer.register_schema(type_name, definition.encoding, text)
-        return self._schema_ids[key]
 
     @contextlib.contextmanager
     def _breaking(self) -> Iterator[None]:
@@ -156,52 +187,79 @@ class BagWriter:
             self._broken = True
             raise
 
-    def _finish(self) -> None:
-        metadata = self._metadata()
-        self._writer.flush()
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(metadata, sort_keys=False)})
-        self._writer.finish()
-        self._stream.flush()
+    def _is_full(self, log_time_ns: int) -> bool:
+        """Whether a message belongs to the next file; a file has at least one."""
+        file = self._file
+        return bool(file.counts) and (
+            file.size >= self._packing.split_bytes or log_time_ns - file.first_ns >= self._packing.split_ns
+        )
+
+    def _split(self, log_time_ns: int) -> None:
+        """Begin the next file, at the time of its first message."""
+        self._finish_file()
+        latched = {name: topic.latched for name, topic in self._topics.items() if topic.latched}
+        self._file = self._begin_file({name: len(kept) for name, kept in latched.items()})
+        for topic in self._topics.values():
+            self._file.add_topic(topic.described)
+        for name, kept in latched.items():
+            for message in kept:
+                self._file.write(name, message.cdr, log_time_ns, message.publish_time_ns, repeated=True)
+
+    def _begin_file(self, repeated: Mapping[str, int]) -> FileWriter:
+        path = self.directory / f"{self.directory.resolve().name}_{len(self._finished)}.mcap"
+        return FileWriter(path, self._packing.compression, self._custom_data, repeated)
+
+    def _finish_file(self) -> None:
+        self._file.finish({"rosbag2": {"serialized_metadata": self._metadata([self._file], self._file.counts)}})
+        self._finished.append(self._file)
+
+    def _write_metadata(self) -> None:
+        counts = sum((file.counts for file in self._finished), Counter[str]())
+        information = {"rosbag2_bagfile_information": self._metadata(self._finished, counts)}
         unfinished = self.directory / "metadata.yaml.tmp"
-        unfinished.write_text(yaml.safe_dump({"rosbag2_bagfile_information": metadata}, sort_keys=False))
+        unfinished.write_text(yaml.safe_dump(information, sort_keys=False))
         unfinished.replace(self.directory / "metadata.yaml")
 
-    def _metadata(self) -> dict[str, Any]:
-        """Contents of metadata.yaml, and of the record of the same meaning inside the file."""
-        count = sum(topic.count for topic in self._topics.values())
-        starting_time = {"nanoseconds_since_epoch": self._first_ns}
-        duration = {"nanoseconds": self._last_ns - self._first_ns if count else 0}
+    def _metadata(self, files: Sequence[FileWriter], counts: Mapping[str, int]) -> dict[str, Any]:
+        """Contents of metadata.yaml, and of the record of the same meaning inside each file."""
         return {
             "version": METADATA_VERSION,
             "storage_identifier": "mcap",
-            "duration": duration,
-            "starting_time": starting_time,
-            "message_count": count,
+            **_span(files),
             "topics_with_message_count": [
                 {
                     "topic_metadata": {
                         "name": name,
-                        "type": topic.type_name,
+                        "type": topic.described.type_name,
                         "serialization_format": "cdr",
-                        "offered_qos_profiles": qos_text.to_dicts(topic.offered_qos),
-                        "type_description_hash": topic.definition.type_hash,
+                        "offered_qos_profiles": qos_text.to_dicts(topic.described.offered_qos),
+                        "type_description_hash": topic.described.definition.type_hash,
                     },
-                    "message_count": topic.count,
+                    "message_count": counts.get(name, 0),
                 }
                 for name, topic in self._topics.items()
             ],
-            "compression_format": "",
+            "compression_format": "",  # of whole files or messages; that of chunks is in the MCAP file itself
             "compression_mode": "",
-            "relative_file_paths": [self.file.name],
-            "files": [
-                # PyYAML would write a shared dictionary as an alias, which not every reader resolves.
-                {
-                    "path": self.file.name,
-                    "starting_time": dict(starting_time),
-                    "duration": dict(duration),
-                    "message_count": count,
-                }
-            ],
+            "relative_file_paths": [file.path.name for file in files],
+            "files": [{"path": file.path.name, **_span([file])} for file in files],
             "custom_data": self._custom_data or None,
             "ros_distro": ROS_DISTRO,
         }
+
+
+def _span(files: Sequence[FileWriter]) -> dict[str, Any]:
+    """Begin, duration and number of messages of files."""
+    first_ns, last_ns = min(file.first_ns for file in files), max(file.last_ns for file in files)
+    return {
+        "duration": {"nanoseconds": 0 if first_ns == NO_TIME else last_ns - first_ns},
+        "starting_time": {"nanoseconds_since_epoch": first_ns},
+        "message_count": sum(file.counts.total() for file in files),
+    }
+
+
+def _held_by_publishers(profiles: Sequence[QoSProfile]) -> int:
+    """Messages that publishers keep for subscribers that come later; 0 if any of them keeps none."""
+    if any(profile.durability != DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles):
+        return 0
+    return min(MOST_REPEATED, sum(max(1, profile.depth) for profile in profiles))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 import traceback
@@ -21,7 +22,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 
 from sal_height.bag.definitions import message_class
-from sal_height.bag.writer import BagWriter
+from sal_height.bag.file_writer import COMPRESSIONS
+from sal_height.bag.writer import BagWriter, Packing
 from sal_height.errors import UserError
 from sal_height.io import free_folder
 from sal_height.nodes.account import DIAGNOSTICS, DROPPED, IGNORED, PROGRESS, RECORDED, UNWRITTEN, Account
@@ -31,17 +33,16 @@ from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.process_numbers import process_numbers
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Role, Topics
+from sal_height.nodes.selection import NEVER_BY_DEFAULT, Selection
 from sal_height.settings import Settings, setting
 
 ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in turn, without end
 QUEUE_FULL, FAILED = f"{DROPPED}queue full", f"{IGNORED}internal error"
-NEVER_BY_DEFAULT = ("/rosout", "/parameter_events", PROGRESS)
 QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node takes them
 ITEM_BYTES = 1000  # memory of a message that waits, besides its own bytes
 DISCOVERY_PERIOD_S = 0.1
 DIAGNOSTICS_PERIOD_S = 0.5
 GATHER_S = 0.01  # from the first message that waits to its writing: the thread wakes once for all that come meanwhile
-FLUSH_PERIOD_S = 1.0  # at most this much is lost when the process is killed
 
 
 class Parameters(Settings):
@@ -54,8 +55,18 @@ class Parameters(Settings):
     )
     topics: tuple[str, ...] = setting(
         (),
-        f"topics to record; none: every topic except {', '.join(NEVER_BY_DEFAULT[:-1])} and {NEVER_BY_DEFAULT[-1]}",
+        "topics to record by name; without these, patterns and types: every topic except "
+        f"{', '.join(NEVER_BY_DEFAULT[:-1])} and {NEVER_BY_DEFAULT[-1]}",
         read_only=True,
+    )
+    patterns: tuple[str, ...] = setting(
+        (), "regular expressions of topics to record besides, each of a whole name: '/ml/.*'", read_only=True
+    )
+    types: tuple[str, ...] = setting(
+        (), "types of messages to record besides, on whatever topic: nav_msgs/msg/Odometry", read_only=True
+    )
+    excluded: tuple[str, ...] = setting(
+        (), "regular expressions of topics not to record, unless they are among topics", read_only=True
     )
     custom_data: tuple[str, ...] = setting(
         (), "texts to store in the bag, each as NAME=TEXT, as with ros2 bag record --custom-data", read_only=True
@@ -63,6 +74,40 @@ class Parameters(Settings):
     max_memory_mb: int = setting(
         2048, "memory for messages that wait to be written to the disk", unit="MB", minimum=1, maximum=1_000_000
     )
+    compression: str = setting(
+        "none",
+        "compression of chunks in the file; noise and speckle do not get smaller",
+        choices=tuple(COMPRESSIONS),
+        read_only=True,
+    )
+    split_mb: float = setting(
+        0.0,
+        "size at which the next file is begun; 0: never",
+        unit="MB",
+        minimum=0.0,
+        maximum=1e9,
+        read_only=True,
+    )
+    split_s: float = setting(
+        0.0,
+        "time after which the next file is begun; 0: never",
+        unit="s",
+        minimum=0.0,
+        maximum=1e9,
+        read_only=True,
+    )
+    flush_period_s: float = setting(
+        1.0,
+        "time after which what has come is handed to the operating system: a killed process loses no more than that",
+        unit="s",
+        minimum=0.01,
+        maximum=3600.0,
+    )
+
+    @property
+    def packing(self) -> Packing:
+        """How the bag is cut into files and packed."""
+        return Packing(self.compression, self.split_mb * 1e6 or math.inf, self.split_s * 1e9 or math.inf)
 
 
 class _Item(NamedTuple):
@@ -99,9 +144,10 @@ class Recorder(Role, Node):
         try:
             self._parameters_now = LiveParameters(self, Parameters)
             parameters = self._parameters_now.current
-            self._topics = [self.resolve_topic_name(name) for name in parameters.topics]
+            names = map(self.resolve_topic_name, parameters.topics)
+            self._selection = Selection(names, parameters.patterns, parameters.types, parameters.excluded)
             custom_data = dict(_name_and_text(text) for text in parameters.custom_data)
-            self._bag = BagWriter(directory or _folder(parameters.directory), custom_data)
+            self._bag = BagWriter(directory or _folder(parameters.directory), custom_data, parameters.packing)
         except UserError:
             super().destroy_node()
             raise
@@ -177,12 +223,12 @@ class Recorder(Role, Node):
         self.create_timer(period_s, guarded(callback, self._fail), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _discover(self) -> None:
-        """Subscribe to the wanted topics that have a publisher by now, until those that were named have."""
-        if self._topics and self._refused.union(self._subscribed).issuperset(self._topics):
+        """Subscribe to the wanted topics that have a publisher by now, until all those that may come have."""
+        known = self._refused.union(self._subscribed)
+        if not self._selection.is_open and known >= self._selection.names:
             return
         for name, types in self.get_topic_names_and_types():
-            wanted = name in self._topics if self._topics else name not in NEVER_BY_DEFAULT
-            if wanted and name not in self._subscribed and name not in self._refused:
+            if name not in known and self._selection.wants(name, types):
                 try:
                     self._subscribe(name, types)
                 except UserError as error:
@@ -247,7 +293,7 @@ class Recorder(Role, Node):
             if topics - ACCOUNTS:
                 report()
             if topics and flush_due is None:
-                flush_due = now + FLUSH_PERIOD_S
+                flush_due = now + self._parameters_now.current.flush_period_s
             if flush_due is not None and now >= flush_due:
                 flush_due = None
                 flush()

@@ -17,8 +17,9 @@ from std_msgs.msg import String
 
 from sal_height.bag import qos
 from sal_height.bag.definitions import Definition, installed_definition, message_class
+from sal_height.bag.file_writer import CHUNK_SIZE
 from sal_height.bag.reader import BagReader
-from sal_height.bag.writer import CHUNK_SIZE, BagWriter
+from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 
 STRING = "std_msgs/msg/String"

@@ -15,9 +15,10 @@ from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
+from sal_height.bag.file_writer import CHUNK_SIZE
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import salvage
-from sal_height.bag.writer import CHUNK_SIZE, BagWriter
+from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 
 STRING = "std_msgs/msg/String"

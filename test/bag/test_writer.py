@@ -23,9 +23,10 @@ from std_msgs.msg import String
 
 from sal_height.bag.codec import serialized
 from sal_height.bag.definitions import installed_definition
+from sal_height.bag.file_writer import CHUNK_SIZE
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import salvage
-from sal_height.bag.writer import CHUNK_SIZE, BagWriter
+from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 
 STRING, HEIGHT = "std_msgs/msg/String", "sal_height_msgs/msg/HeightImage"

@@ -175,6 +175,42 @@ def test_only_the_topics_asked_for_are_recorded_by_their_full_names(graph: Graph
     assert recorder.recorded == {"/sal/note": 1, "/rosout_copy": 1}
 
 
+def test_topics_are_recorded_by_pattern_and_type(graph: Graph, source: Node, bag: Path) -> None:
+    publishers = [source.create_publisher(String, name, 10) for name in ("/a/one", "/a/two", "/a/secret", "/b/one")]
+    odometry = source.create_publisher(Odometry, "/somewhere/odometry", 10)
+    recorder = start(graph, bag, patterns=["/a/.*"], types=["nav_msgs/msg/Odometry"], excluded=[".*secret"])
+    wait_until_matched(graph, publishers[0], publishers[1], odometry)
+    late = source.create_publisher(String, "/a/late", 10)
+    wait_until_matched(graph, late)
+    assert set(recorder.recorded) == {"/a/one", "/a/two", "/a/late", "/somewhere/odometry"}
+
+
+def test_a_bag_is_cut_and_compressed_as_parameters_say(graph: Graph, source: Node, bag: Path) -> None:
+    latched = source.create_publisher(String, "/info", LATCHED)
+    publisher = source.create_publisher(String, "/note", 10)
+    recorder = start(graph, bag, compression="zstd", split_mb=0.001, topics=["/info", "/note"])
+    publish(graph, recorder, latched, [String(data="what is needed to read notes")])
+    for number in range(3):
+        publish(graph, recorder, publisher, [String(data=str(number) * 2_000_000 + str(os.urandom(2000)))])
+    graph.close()
+    files = sorted(bag.glob("*.mcap"))
+    assert len(files) == 3
+    assert max(file.stat().st_size for file in files) < 50_000
+    for number, file in enumerate(files):
+        texts = {m.topic: deserialize_message(m.cdr, String).data for m in BagReader(file).messages()}
+        assert texts["/info"] == "what is needed to read notes"
+        assert texts["/note"][0] == str(number)
+
+
+def test_a_bag_is_cut_by_time_as_a_parameter_says(graph: Graph, source: Node, bag: Path) -> None:
+    publisher = source.create_publisher(String, "/note", 10)
+    recorder = start(graph, bag, split_s=1e-9, topics=["/note"])
+    for _ in range(2):
+        publish(graph, recorder, publisher, [String()])
+    graph.close()
+    assert len(list(bag.glob("*.mcap"))) == 2
+
+
 def test_the_directory_can_be_a_parameter(graph: Graph, bag: Path) -> None:
     recorder = Recorder(context=graph.context, parameter_overrides=[Parameter("directory", value=str(bag))])
     for name in ("directory", "topics"):

@@ -1,0 +1,125 @@
+"""One MCAP file of a bag that is being written."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from mcap.writer import CompressionType, Writer
+from rclpy.qos import QoSProfile
+
+from sal_height.bag import qos as qos_text
+from sal_height.bag.definitions import Definition
+from sal_height.bag.files import CHECKSUM, CUSTOM_DATA, REPEATED, REPEATED_SEQUENCE, checksum
+
+CHUNK_SIZE = 1 << 20  # bytes; a larger message becomes a chunk of its own
+
+COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
+"""How chunks may be compressed, by the names that users give. Of speckle .93 are left, at a third of the speed."""
+
+NO_TIME = 2**63 - 1
+"""What rosbag2 gives as the start of a bag without messages."""
+
+
+@dataclass(frozen=True)
+class WrittenTopic:
+    """A topic of a bag that is being written: its type, and the profiles of its publishers."""
+
+    name: str
+    type_name: str
+    definition: Definition
+    offered_qos: Sequence[QoSProfile]
+
+
+class FileWriter:
+    """An MCAP file that is being written.
+
+    Attributes:
+        path: of the file.
+        counts: messages by topic.
+        first_ns, last_ns: earliest and latest log time; NO_TIME and 0 without messages.
+    """
+
+    def __init__(
+        self, path: Path, compression: str, custom_data: Mapping[str, str], repeated: Mapping[str, int]
+    ) -> None:
+        """Begin the file `path`, which must not exist.
+
+        Args:
+            path: of the file.
+            compression: of its chunks, one of COMPRESSIONS.
+            custom_data: texts by name; they are written first, so that they outlive a killed process.
+            repeated: number of messages by topic that are going to be written first and stand in the file before, too.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        self.path = path
+        self.counts: Counter[str] = Counter()
+        self.first_ns, self.last_ns = NO_TIME, 0
+        self._stream = path.open("xb")
+        self._schema_ids: dict[tuple[str, Definition], int] = {}
+        self._channel_ids: dict[str, int] = {}
+        self._writer = Writer(self._stream, chunk_size=CHUNK_SIZE, compression=COMPRESSIONS[compression])
+        self._writer.start(profile="ros2", library="sal_height")
+        if custom_data:
+            self._writer.add_metadata(CUSTOM_DATA, {**custom_data, CHECKSUM: checksum(custom_data)})
+        if repeated:
+            self._writer.add_metadata(REPEATED, {topic: str(count) for topic, count in repeated.items()})
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file so far, up to a chunk."""
+        return self._stream.tell()
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether nothing more can be written."""
+        return self._stream.closed
+
+    def add_topic(self, topic: WrittenTopic) -> None:
+        """Prepare a topic for `write`."""
+        key = (topic.type_name, topic.definition)
+        if key not in self._schema_ids:  # once however many topics carry it
+            text = topic.definition.text.encode()
+            self._schema_ids[key] = self._writer.register_schema(topic.type_name, topic.definition.encoding, text)
+        self._channel_ids[topic.name] = self._writer.register_channel(
+            topic.name,
+            "cdr",
+            self._schema_ids[key],
+            {
+                "offered_qos_profiles": qos_text.to_yaml(topic.offered_qos),
+                "topic_type_hash": topic.definition.type_hash,
+            },
+        )
+
+    def write(self, topic: str, cdr: bytes, log_time_ns: int, publish_time_ns: int, *, repeated: bool = False) -> None:
+        """Append a serialized message; `repeated`: it stands in the file before, too."""
+        sequence = REPEATED_SEQUENCE if repeated else 0
+        self._writer.add_message(self._channel_ids[topic], log_time_ns, cdr, publish_time_ns, sequence)
+        self.counts[topic] += 1
+        self.first_ns, self.last_ns = min(self.first_ns, log_time_ns), max(self.last_ns, log_time_ns)
+
+    def flush(self) -> None:
+        """Hand everything written so far to the operating system, so that it outlives this process."""
+        self._writer.flush()
+
+    def finish(self, records: Mapping[str, Mapping[str, Any]]) -> None:
+        """Write metadata records, as YAML under one key each, and the index, and close the file."""
+        self._writer.flush()
+        for name, values in records.items():
+            self._writer.add_metadata(name, {key: _text(value) for key, value in values.items()})
+        self._writer.finish()
+        self._stream.close()
+
+    def cut(self) -> None:
+        """Close the file as it is: a broken stream still holds bytes that it tries, and fails, to write again."""
+        self._stream.close()
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else yaml.safe_dump(value, sort_keys=False)

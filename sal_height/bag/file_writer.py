@@ -6,9 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import yaml
 from mcap.writer import CompressionType, Writer
 from rclpy.qos import QoSProfile
 
@@ -108,18 +106,14 @@ class FileWriter:
         """Hand everything written so far to the operating system, so that it outlives this process."""
         self._writer.flush()
 
-    def finish(self, records: Mapping[str, Mapping[str, Any]]) -> None:
-        """Write metadata records, as YAML under one key each, and the index, and close the file."""
+    def finish(self, records: Mapping[str, Mapping[str, str]]) -> None:
+        """Write metadata records by name, and the index, and close the file."""
         self._writer.flush()
         for name, values in records.items():
-            self._writer.add_metadata(name, {key: _text(value) for key, value in values.items()})
+            self._writer.add_metadata(name, dict(values))
         self._writer.finish()
         self._stream.close()
 
     def cut(self) -> None:
         """Close the file as it is: a broken stream still holds bytes that it tries, and fails, to write again."""
         self._stream.close()
-
-
-def _text(value: Any) -> str:
-    return value if isinstance(value, str) else yaml.safe_dump(value, sort_keys=False)

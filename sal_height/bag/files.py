@@ -31,6 +31,9 @@ REPEATED = "sal_height.repeated"
 REPEATED_SEQUENCE = 1
 """Sequence number of such messages; all others have 0."""
 
+ACCOUNT = "sal_height.account"
+"""Name of the MCAP metadata record that says what became of the messages of each topic, as JSON by topic."""
+
 CHECKSUM = "crc32"
 """Name of the checksum in that record."""
 

@@ -152,17 +152,20 @@ class BagWriter:
         with self._breaking():
             self._file.flush()
 
-    def close(self) -> None:
-        """Write index and metadata and close the file; may be called twice.
+    def close(self, records: Mapping[str, Mapping[str, str]] = MappingProxyType({})) -> None:
+        """Write metadata and index and close the file; may be called twice.
 
         After a failed `write` there is nothing more to write: the file stays cut, for `salvage`.
+
+        Args:
+            records: MCAP metadata records by name, for the last file.
         """
         if self._file.is_closed:
             return
         try:
             if not self._broken:
                 with self._breaking():
-                    self._finish_file()
+                    self._finish_file(records)
                     self._write_metadata()
         finally:
             with contextlib.suppress(OSError):
@@ -196,7 +199,7 @@ class BagWriter:
 
     def _split(self, log_time_ns: int) -> None:
         """Begin the next file, at the time of its first message."""
-        self._finish_file()
+        self._finish_file({})
         latched = {name: topic.latched for name, topic in self._topics.items() if topic.latched}
         self._file = self._begin_file({name: len(kept) for name, kept in latched.items()})
         for topic in self._topics.values():
@@ -209,8 +212,9 @@ class BagWriter:
         path = self.directory / f"{self.directory.resolve().name}_{len(self._finished)}.mcap"
         return FileWriter(path, self._packing.compression, self._custom_data, repeated)
 
-    def _finish_file(self) -> None:
-        self._file.finish({"rosbag2": {"serialized_metadata": self._metadata([self._file], self._file.counts)}})
+    def _finish_file(self, records: Mapping[str, Mapping[str, str]]) -> None:
+        metadata = yaml.safe_dump(self._metadata([self._file], self._file.counts), sort_keys=False)
+        self._file.finish({**records, "rosbag2": {"serialized_metadata": metadata}})
         self._finished.append(self._file)
 
     def _write_metadata(self) -> None:

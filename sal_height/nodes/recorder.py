@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 import time
@@ -23,12 +24,14 @@ from rclpy.subscription import Subscription
 
 from sal_height.bag.definitions import message_class
 from sal_height.bag.file_writer import COMPRESSIONS
+from sal_height.bag.files import ACCOUNT
 from sal_height.bag.writer import BagWriter, Packing
 from sal_height.errors import UserError
 from sal_height.io import free_folder
 from sal_height.nodes.account import DIAGNOSTICS, DROPPED, IGNORED, PROGRESS, RECORDED, UNWRITTEN, Account
 from sal_height.nodes.executors import with_times
 from sal_height.nodes.guard import guarded
+from sal_height.nodes.ledger import NOT_WRITTEN, ON_THE_WAY, QUEUE_FULL, Ledger
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.process_numbers import process_numbers
 from sal_height.nodes.program import run_node
@@ -37,7 +40,7 @@ from sal_height.nodes.selection import NEVER_BY_DEFAULT, Selection
 from sal_height.settings import Settings, setting
 
 ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in turn, without end
-QUEUE_FULL, FAILED = f"{DROPPED}queue full", f"{IGNORED}internal error"
+FAILED = f"{IGNORED}internal error"
 QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node takes them
 ITEM_BYTES = 1000  # memory of a message that waits, besides its own bytes
 DISCOVERY_PERIOD_S = 0.1
@@ -155,9 +158,8 @@ class Recorder(Role, Node):
             self.get_logger().info(f"{parameters.directory} holds a bag already; this one is {self._bag.directory}.")
         self._subscribed: dict[str, Subscription] = {}
         self._refused: set[str] = set()
-        self._recorded: dict[str, int] = {}
-        self._unwritten = 0
-        self._lost: Counter[str] = Counter()
+        self._ledgers: dict[str, Ledger] = {}
+        self._failures = 0
         self._last_loss = ""
         self._reported = False
         self._closed = False
@@ -178,22 +180,27 @@ class Recorder(Role, Node):
     @property
     def recorded(self) -> dict[str, int]:
         """Number of messages in the bag, by topic; 0 for a topic that has just been subscribed to."""
-        return dict(self._recorded)
+        return {topic: ledger.written for topic, ledger in self._ledgers.items()}
 
     @property
     def unwritten(self) -> int:
         """Number of messages that were received and could not be written."""
-        return self._unwritten
+        return self._left_out[NOT_WRITTEN]
 
     @property
     def dropped(self) -> int:
         """Number of messages that were left out because too much waited to be written."""
-        return self._lost[QUEUE_FULL]
+        return self._left_out[QUEUE_FULL]
 
     @property
     def failures(self) -> int:
         """Number of errors that no message should cause."""
-        return self._lost[FAILED]
+        return self._failures
+
+    @property
+    def _left_out(self) -> Counter[str]:
+        """Messages of all topics that are not in the bag, by reason."""
+        return sum((ledger.left_out for ledger in self._ledgers.values()), Counter[str]())
 
     def close_bag(self) -> None:
         """Write what has arrived so far and complete the bag; later messages are ignored. May be called twice."""
@@ -206,10 +213,12 @@ class Recorder(Role, Node):
             self._write_waiting()
             for topic, subscription in self._subscribed.items():
                 for cdr, info in _taken(subscription):
+                    self._receive(topic, info)
                     self._write(topic, cdr, self._times(info))
             self._closed = True
+            account = {topic: json.dumps(ledger.as_json()) for topic, ledger in self._ledgers.items()}
             try:
-                self._bag.close()
+                self._bag.close({ACCOUNT: account})
             except OSError as error:
                 self._report(error)
 
@@ -249,7 +258,7 @@ class Recorder(Role, Node):
                 self._bag.add_topic(name, types[0], offered)
             except OSError as error:
                 self._report(error)
-            self._recorded[name] = 0
+            self._ledgers[name] = Ledger()
             self._subscribed[name] = self.create_subscription(
                 message_type, name, guarded(with_times(self._taker_of(name)), self._fail), _matching(offered), raw=True
             )
@@ -262,8 +271,9 @@ class Recorder(Role, Node):
             waiting = self._put_bytes - self._taken_bytes
             if self._ending.is_set():
                 return
+            self._receive(topic, info)
             if waiting and waiting + item.size > most_mb * 1_000_000:
-                self._leave_out(most_mb)
+                self._leave_out(topic, most_mb)
                 return
             self._put_bytes += item.size
             self._waiting.append(item)
@@ -272,9 +282,14 @@ class Recorder(Role, Node):
 
         return take
 
-    def _leave_out(self, most_mb: int) -> None:
+    def _receive(self, topic: str, info: dict[str, Any]) -> None:
+        """Count a message that has come."""
+        publishers = self._subscribed[topic].get_publisher_count
+        self._ledgers[topic].receive(info.get("publication_sequence_number"), publishers)
+
+    def _leave_out(self, topic: str, most_mb: int) -> None:
         """Count a message for which there is no memory."""
-        self._lost[QUEUE_FULL] += 1
+        self._ledgers[topic].left_out[QUEUE_FULL] += 1
         self._last_loss = (
             f"The disk falls behind: {most_mb} MB (max_memory_mb) of messages wait for it, and what comes is left out "
             "of the bag; record fewer topics, or on a faster disk."
@@ -324,12 +339,12 @@ class Recorder(Role, Node):
             with self._lock:
                 self._bag.write(topic, cdr, *times)
         except Exception as error:
-            self._unwritten += 1
+            self._ledgers[topic].left_out[NOT_WRITTEN] += 1
             if not isinstance(error, OSError):
                 raise
             self._report(error)
         else:
-            self._recorded[topic] += 1
+            self._ledgers[topic].written += 1
 
     def _publish_diagnostics(self) -> None:
         message = self.diagnostics()
@@ -344,9 +359,15 @@ class Recorder(Role, Node):
 
     def diagnostics(self) -> DiagnosticArray:
         """How many messages of each topic are in the bag (recorded.<topic>) and how many were lost."""
-        recorded = {f"{RECORDED}{topic}": count for topic, count in self._recorded.items()}
-        missing = self._unwritten + self.dropped
-        numbers = {UNWRITTEN: self._unwritten} | self._lost | recorded | process_numbers()
+        recorded = {f"{RECORDED}{topic}": count for topic, count in self.recorded.items()}
+        left_out, missing = self._left_out, self._left_out.total()
+        losses = {
+            f"{DROPPED}{QUEUE_FULL}": left_out[QUEUE_FULL],
+            f"{IGNORED}{ON_THE_WAY}": left_out[ON_THE_WAY],
+            FAILED: self._failures,
+        }
+        losses = {name: count for name, count in losses.items() if count}
+        numbers = {UNWRITTEN: left_out[NOT_WRITTEN]} | losses | recorded | process_numbers()
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if missing else DiagnosticStatus.OK,
             name=self.get_fully_qualified_name().lstrip("/"),
@@ -366,7 +387,7 @@ class Recorder(Role, Node):
 
     def _fail(self, error: Exception) -> None:
         """Count and log an error that no message should cause."""
-        self._lost[FAILED] += 1
+        self._failures += 1
         trace = "".join(traceback.format_exception(error))
         self.get_logger().error(f"Unexpected failure, please report it: {trace}", throttle_duration_sec=1.0)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -399,6 +400,37 @@ def test_messages_that_wait_in_the_queue_are_written_before_the_bag_is_closed(
     assert recorder.recorded["/note"] == 0
     recorder.destroy_node()
     assert BagReader(bag).topics["/note"].count == 100
+
+
+def test_the_bag_says_what_became_of_all_messages(
+    graph: Graph, source: Node, bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """500 are overwritten in the middleware by later ones, of which two find no memory."""
+    publisher = source.create_publisher(String, "/note", module.QUEUE_DEPTH)
+    other = source.create_publisher(String, "/other", 10)
+    recorder = start(graph, bag, topics=["/note", "/other"])
+    publish(graph, recorder, publisher, [String()])
+    publish(graph, recorder, other, [String()])
+    for _ in range(module.QUEUE_DEPTH + 500):
+        publisher.publish(String())
+    assert graph.spin_until(lambda: recorder.recorded["/note"] == 1 + module.QUEUE_DEPTH, TIMEOUT_S)
+    monkeypatch.setattr(recorder, "_put_bytes", recorder._put_bytes + 10**12)  # much waits
+    for _ in range(2):
+        publisher.publish(String())
+    assert graph.spin_until(lambda: recorder.dropped == 2, TIMEOUT_S)
+    (status,) = recorder.diagnostics().status
+    counts = {value.key: value.value for value in status.values}
+    assert (counts["dropped.queue full"], counts["ignored.lost on the way"]) == ("2", "500")
+    assert status.level == DiagnosticStatus.ERROR
+    graph.close()
+    with (bag / "run_0.mcap").open("rb") as stream:
+        records = {record.name: record.metadata for record in make_reader(stream).iter_metadata()}
+    account = {topic: json.loads(text) for topic, text in records["sal_height.account"].items()}
+    left_out = {"lost on the way": 500, "queue full": 2}
+    assert account == {
+        "/note": {"received": 1003, "written": 1001, "left_out": left_out},
+        "/other": {"received": 1, "written": 1, "left_out": {}},
+    }
 
 
 def test_shutting_the_context_down_completes_the_bag(graph: Graph, source: Node, bag: Path) -> None:

@@ -45,7 +45,7 @@ ONE_FILE = Packing()
 
 
 class _Kept(NamedTuple):
-    """A latched message, to be repeated at the head of the next file."""
+    """A message that is to stand at the head of the next file, too."""
 
     cdr: bytes
     publish_time_ns: int
@@ -56,6 +56,12 @@ class _Topic:
     described: WrittenTopic
     count: int = 0
     latched: deque[_Kept] = field(default_factory=deque)
+    kept: dict[str, _Kept] = field(default_factory=dict)
+
+    @property
+    def head(self) -> list[_Kept]:
+        """What is to stand at the head of the next file."""
+        return [*self.latched, *self.kept.values()]
 
 
 class BagWriter:
@@ -147,6 +153,10 @@ class BagWriter:
         if entry.latched.maxlen:
             entry.latched.append(_Kept(cdr, publish_time_ns))
 
+    def keep(self, topic: str, key: str, cdr: bytes, publish_time_ns: int) -> None:
+        """Have a message stand at the head of every later file, in place of the one kept under the same key."""
+        self._topics[topic].kept[key] = _Kept(cdr, publish_time_ns)
+
     def flush(self) -> None:
         """Hand everything written so far to the operating system, so that it outlives this process."""
         with self._breaking():
@@ -200,11 +210,11 @@ class BagWriter:
     def _split(self, log_time_ns: int) -> None:
         """Begin the next file, at the time of its first message."""
         self._finish_file({})
-        latched = {name: topic.latched for name, topic in self._topics.items() if topic.latched}
-        self._file = self._begin_file({name: len(kept) for name, kept in latched.items()})
+        heads = {name: topic.head for name, topic in self._topics.items() if topic.head}
+        self._file = self._begin_file({name: len(kept) for name, kept in heads.items()})
         for topic in self._topics.values():
             self._file.add_topic(topic.described)
-        for name, kept in latched.items():
+        for name, kept in heads.items():
             for message in kept:
                 self._file.write(name, message.cdr, log_time_ns, message.publish_time_ns, repeated=True)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import threading
 import time
 import traceback
@@ -23,21 +22,26 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 
 from sal_height.bag.definitions import message_class
-from sal_height.bag.file_writer import COMPRESSIONS
 from sal_height.bag.files import ACCOUNT
-from sal_height.bag.writer import BagWriter, Packing
+from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.io import free_folder
 from sal_height.nodes.account import DIAGNOSTICS, DROPPED, IGNORED, PROGRESS, RECORDED, UNWRITTEN, Account
 from sal_height.nodes.executors import with_times
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.ledger import NOT_WRITTEN, ON_THE_WAY, QUEUE_FULL, Ledger
+from sal_height.nodes.parameter_reader import (
+    ASK_PERIOD_S,
+    PARAMETER_EVENT_TYPE,
+    PARAMETER_EVENTS,
+    ParameterReader,
+)
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.process_numbers import process_numbers
 from sal_height.nodes.program import run_node
+from sal_height.nodes.recorder_parameters import RecorderParameters
 from sal_height.nodes.role import Role, Topics
-from sal_height.nodes.selection import NEVER_BY_DEFAULT, Selection
-from sal_height.settings import Settings, setting
+from sal_height.nodes.selection import Selection
 
 ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in turn, without end
 FAILED = f"{IGNORED}internal error"
@@ -46,71 +50,6 @@ ITEM_BYTES = 1000  # memory of a message that waits, besides its own bytes
 DISCOVERY_PERIOD_S = 0.1
 DIAGNOSTICS_PERIOD_S = 0.5
 GATHER_S = 0.01  # from the first message that waits to its writing: the thread wakes once for all that come meanwhile
-
-
-class Parameters(Settings):
-    """Parameters of the node."""
-
-    directory: str = setting(
-        "",
-        "new or empty folder for the bag; beside one that holds a bag already, the next free of NAME_2, … is taken",
-        read_only=True,
-    )
-    topics: tuple[str, ...] = setting(
-        (),
-        "topics to record by name; without these, patterns and types: every topic except "
-        f"{', '.join(NEVER_BY_DEFAULT[:-1])} and {NEVER_BY_DEFAULT[-1]}",
-        read_only=True,
-    )
-    patterns: tuple[str, ...] = setting(
-        (), "regular expressions of topics to record besides, each of a whole name: '/ml/.*'", read_only=True
-    )
-    types: tuple[str, ...] = setting(
-        (), "types of messages to record besides, on whatever topic: nav_msgs/msg/Odometry", read_only=True
-    )
-    excluded: tuple[str, ...] = setting(
-        (), "regular expressions of topics not to record, unless they are among topics", read_only=True
-    )
-    custom_data: tuple[str, ...] = setting(
-        (), "texts to store in the bag, each as NAME=TEXT, as with ros2 bag record --custom-data", read_only=True
-    )
-    max_memory_mb: int = setting(
-        2048, "memory for messages that wait to be written to the disk", unit="MB", minimum=1, maximum=1_000_000
-    )
-    compression: str = setting(
-        "none",
-        "compression of chunks in the file; noise and speckle do not get smaller",
-        choices=tuple(COMPRESSIONS),
-        read_only=True,
-    )
-    split_mb: float = setting(
-        0.0,
-        "size at which the next file is begun; 0: never",
-        unit="MB",
-        minimum=0.0,
-        maximum=1e9,
-        read_only=True,
-    )
-    split_s: float = setting(
-        0.0,
-        "time after which the next file is begun; 0: never",
-        unit="s",
-        minimum=0.0,
-        maximum=1e9,
-        read_only=True,
-    )
-    flush_period_s: float = setting(
-        1.0,
-        "time after which what has come is handed to the operating system: a killed process loses no more than that",
-        unit="s",
-        minimum=0.01,
-        maximum=3600.0,
-    )
-
-    @property
-    def packing(self) -> Packing:
-        """How the bag is cut into files and packed."""
-        return Packing(self.compression, self.split_mb * 1e6 or math.inf, self.split_s * 1e9 or math.inf)
 
 
 class _Item(NamedTuple):
@@ -133,7 +72,7 @@ class Recorder(Role, Node):
     The bag is complete once the node is destroyed or its context shut down.
     """
 
-    parameters = Parameters
+    parameters = RecorderParameters
     inputs: ClassVar[Topics] = {"<topics>": "whatever is published"}
     completes_file = True
 
@@ -145,10 +84,11 @@ class Recorder(Role, Node):
         """
         super().__init__("recorder", **node_arguments)
         try:
-            self._parameters_now = LiveParameters(self, Parameters)
+            self._parameters_now = LiveParameters(self, RecorderParameters)
             parameters = self._parameters_now.current
             names = map(self.resolve_topic_name, parameters.topics)
             self._selection = Selection(names, parameters.patterns, parameters.types, parameters.excluded)
+            self._reader = ParameterReader(self, self._tell_parameters) if parameters.node_parameters else None
             custom_data = dict(_name_and_text(text) for text in parameters.custom_data)
             self._bag = BagWriter(directory or _folder(parameters.directory), custom_data, parameters.packing)
         except UserError:
@@ -174,6 +114,10 @@ class Recorder(Role, Node):
         self._worker.start()
         self.context.on_shutdown(self.close_bag)
         self._every(DISCOVERY_PERIOD_S, self._discover)
+        if self._reader and PARAMETER_EVENTS not in self._subscribed:
+            self._try_to_subscribe(PARAMETER_EVENTS, [PARAMETER_EVENT_TYPE])
+        if self._reader and PARAMETER_EVENTS in self._subscribed:
+            self._every(ASK_PERIOD_S, self._reader.look)
         self._every(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
         self._discover()
 
@@ -238,11 +182,15 @@ class Recorder(Role, Node):
             return
         for name, types in self.get_topic_names_and_types():
             if name not in known and self._selection.wants(name, types):
-                try:
-                    self._subscribe(name, types)
-                except UserError as error:
-                    self._refused.add(name)
-                    self.get_logger().warning(f"Topic {name} is not recorded. {error}")
+                self._try_to_subscribe(name, types)
+
+    def _try_to_subscribe(self, name: str, types: list[str]) -> None:
+        """Subscribe to a topic, or say why it cannot be recorded."""
+        try:
+            self._subscribe(name, types)
+        except UserError as error:
+            self._refused.add(name)
+            self.get_logger().warning(f"Topic {name} is not recorded. {error}")
 
     def _subscribe(self, name: str, types: list[str]) -> None:
         offered = [publisher.qos_profile for publisher in self.get_publishers_info_by_topic(name)]
@@ -263,24 +211,32 @@ class Recorder(Role, Node):
                 message_type, name, guarded(with_times(self._taker_of(name)), self._fail), _matching(offered), raw=True
             )
 
+    def _tell_parameters(self, cdr: bytes) -> None:
+        """Record the parameters of a node that was asked for them."""
+        now_ns = max(0, self.get_clock().now().nanoseconds)
+        self._ledgers[PARAMETER_EVENTS].receive(None, lambda: 0)
+        self._put(_Item(PARAMETER_EVENTS, cdr, (now_ns, now_ns)))
+
     def _taker_of(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
-        """A callback that hands the messages of a topic to the thread that writes, unless too much waits for it."""
+        """A callback that takes the messages of a topic."""
 
         def take(cdr: bytes, info: dict[str, Any]) -> None:
-            item, most_mb = _Item(topic, cdr, self._times(info)), self._parameters_now.current.max_memory_mb
-            waiting = self._put_bytes - self._taken_bytes
-            if self._ending.is_set():
-                return
-            self._receive(topic, info)
-            if waiting and waiting + item.size > most_mb * 1_000_000:
-                self._leave_out(topic, most_mb)
-                return
-            self._put_bytes += item.size
-            self._waiting.append(item)
-            if not self._arrival.is_set():
-                self._arrival.set()
+            if not self._ending.is_set():
+                self._receive(topic, info)
+                self._put(_Item(topic, cdr, self._times(info)))
 
         return take
+
+    def _put(self, item: _Item) -> None:
+        """Hand a message to the thread that writes, unless too much waits for it."""
+        waiting, most_mb = self._put_bytes - self._taken_bytes, self._parameters_now.current.max_memory_mb
+        if waiting and waiting + item.size > most_mb * 1_000_000:
+            self._leave_out(item.topic, most_mb)
+            return
+        self._put_bytes += item.size
+        self._waiting.append(item)
+        if not self._arrival.is_set():
+            self._arrival.set()
 
     def _receive(self, topic: str, info: dict[str, Any]) -> None:
         """Count a message that has come."""
@@ -338,6 +294,8 @@ class Recorder(Role, Node):
         try:
             with self._lock:
                 self._bag.write(topic, cdr, *times)
+                if self._reader and topic == PARAMETER_EVENTS and (known := self._reader.take(cdr)):
+                    self._bag.keep(topic, *known, times[1])
         except Exception as error:
             self._ledgers[topic].left_out[NOT_WRITTEN] += 1
             if not isinstance(error, OSError):

@@ -332,10 +332,16 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
 
 
 def members_of(plan: Plan) -> list[Member]:
-    """The nodes of a plan, in the order in which they end: the recorder first and the source last."""
+    """The nodes of a plan, in the order in which they end: the recorder first and the source last.
+
+    The recorder leaves parameters out unless the plan says otherwise: they are in its custom data.
+    """
     topics = [f"/{topic}" for topic in plan.recorded]
     custom_data = [f"{name}={text}" for name, text in plan.custom_data.items()]
-    recording = {"directory": str(plan.bag), "topics": topics, **({"custom_data": custom_data} if custom_data else {})}
+    recording: dict[str, Any] = {"directory": str(plan.bag), "topics": topics, "node_parameters": False}
+    if custom_data:
+        recording["custom_data"] = custom_data
+    recording |= plan.parameters.get(RECORDER, {})
     others = [*reversed(plan.stages), plan.source]
     return [Member(RECORDER, parameters=recording), *(Member(n, parameters=plan.parameters.get(n, {})) for n in others)]
 

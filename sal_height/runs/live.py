@@ -25,7 +25,7 @@ from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist, stamp_ns_
 from sal_height.numeric import available_processors
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.catalogue import HEIGHTS, TRACKER, check_parameters, consumers
-from sal_height.runs.conductor import Conductor, Execution, Interruption, Plan, members_of
+from sal_height.runs.conductor import RECORDER, Conductor, Execution, Interruption, Plan, members_of
 from sal_height.runs.ensemble import Ensemble
 from sal_height.runs.processes import beside, process_age_s
 from sal_height.runs.reporting import PARAMETERS, PRESET, merged, reporting
@@ -163,9 +163,8 @@ def live(
     topics = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
     recorded = [SENSOR_INFO, ODOMETRY, "diagnostics", *topics, *(t.removeprefix("/") for t in execution.record)]
     custom_data = {**feed.custom_data, PARAMETERS: json.dumps(values)}
-    plan = Plan(
-        SOURCE, stages, list(dict.fromkeys(recorded)), folder / "bag", {**values, SOURCE: source}, 0, custom_data
-    )
+    nodes = {**values, SOURCE: source, RECORDER: {"node_parameters": True}}  # which may be changed in flight
+    plan = Plan(SOURCE, stages, list(dict.fromkeys(recorded)), folder / "bag", nodes, 0, custom_data)
     processors = available_processors()
     known = {
         "bag": feed.bag.name,

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
+from rclpy.parameter import Parameter
 
 from sal_height import messages
 from sal_height.bag.compare import HeightComparison, compare_heights
@@ -18,6 +19,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
+from sal_height.nodes.parameter_reader import PARAMETER_EVENTS
 from sal_height.response import measure_brightest
 from sal_height.runs.accuracy import read_accuracy
 from sal_height.runs.catalogue import (
@@ -189,7 +191,8 @@ def recorded_parameters(reader: BagReader) -> dict[str, dict[str, Any]]:
     """Node parameters that a bag was made with; none, with a warning, if it does not say.
 
     They are in the bag's custom data; older bags have a file parameters.yaml beside them instead. Other programs, such
-    as rosbags-convert, leave both behind. What products in the bag say of their provenance is used then.
+    as rosbags-convert, leave both behind, and a recorder that was started by itself has neither. What nodes said of
+    their parameters, and products in the bag of their provenance, is used then.
 
     Raises:
         UserError: they are not what this program writes.
@@ -203,7 +206,7 @@ def recorded_parameters(reader: BagReader) -> dict[str, dict[str, Any]]:
             f"The parameters of bag {reader.path} cannot be read: {' '.join(str(error).split())}."
         ) from error
     if not text:
-        values = _parameters_of_products(reader)
+        values = merged(_parameters_of_events(reader), _parameters_of_products(reader))
         if not values:
             _LOG.warning(
                 "Bag %s does not hold the parameters it was made with; it is processed with the defaults of the nodes "
@@ -223,6 +226,28 @@ def _parameters_of_products(reader: BagReader) -> dict[str, dict[str, Any]]:
         if topic in reader.topics and (first := next(reader.messages([topic]), None)):
             image = reader.decode(first.type_name, first.cdr)
             values |= messages.stages_of(image.provenance.parameters)
+    return _settable(values)
+
+
+def _parameters_of_events(reader: BagReader) -> dict[str, dict[str, Any]]:
+    """Node parameters in the events of a bag, as they were first; none of nodes unknown today."""
+    values: dict[str, dict[str, Any]] = {}
+    if PARAMETER_EVENTS in reader.topics:
+        for recorded in reader.messages([PARAMETER_EVENTS]):
+            event = reader.decode(recorded.type_name, recorded.cdr)
+            known = values.setdefault(event.node.rpartition("/")[2], {})
+            for parameter in (*event.new_parameters, *event.changed_parameters):
+                known.setdefault(parameter.name, _plain(Parameter.from_parameter_msg(parameter).value))
+    return _settable(values)
+
+
+def _plain(value: Any) -> Any:
+    """A value of a parameter as YAML has it: lists instead of arrays."""
+    return list(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else value
+
+
+def _settable(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Those of the parameters that a replay can set today."""
     return {
         node: {name: value for name, value in values[node].items() if name in settings_of(NODES[node].parameters)}
         for node in SETTABLE

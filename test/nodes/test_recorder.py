@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -18,7 +19,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from helpers import assert_one_sentence, file_size_limit
 from mcap.reader import make_reader
 from nav_msgs.msg import Odometry
-from rcl_interfaces.msg import Log
+from rcl_interfaces.msg import Log, ParameterDescriptor, ParameterEvent
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -59,7 +60,8 @@ def bag(tmp_path: Path) -> Path:
 
 
 def start(graph: Graph, bag: Path, **parameters: Any) -> Recorder:
-    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+    asked = {"node_parameters": False, **parameters}
+    overrides = [Parameter(name, value=value) for name, value in asked.items()]
     return graph.add(Recorder(bag, context=graph.context, parameter_overrides=overrides))
 
 
@@ -163,14 +165,8 @@ def test_a_topic_that_comes_later_is_recorded_and_ros_own_ones_are_not(graph: Gr
 def test_only_the_topics_asked_for_are_recorded_by_their_full_names(graph: Graph, source: Node, bag: Path) -> None:
     wanted = [source.create_publisher(String, name, 1) for name in ("/sal/note", "/rosout_copy")]
     source.create_publisher(String, "/other", 1)
-    recorder = graph.add(
-        Recorder(
-            bag,
-            context=graph.context,
-            namespace="sal",
-            parameter_overrides=[Parameter("topics", value=["note", "/rosout_copy"])],
-        )
-    )
+    overrides = [Parameter("topics", value=["note", "/rosout_copy"]), Parameter("node_parameters", value=False)]
+    recorder = graph.add(Recorder(bag, context=graph.context, namespace="sal", parameter_overrides=overrides))
     for publisher in wanted:
         publish(graph, recorder, publisher, [String()])
     assert recorder.recorded == {"/sal/note": 1, "/rosout_copy": 1}
@@ -431,6 +427,87 @@ def test_the_bag_says_what_became_of_all_messages(
         "/note": {"received": 1003, "written": 1001, "left_out": left_out},
         "/other": {"received": 1, "written": 1, "left_out": {}},
     }
+
+
+def parameters_in(file: Path) -> dict[str, dict[str, Any]]:
+    """What the parameter events of a bag amount to, by node."""
+    known: dict[str, dict[str, Any]] = {}
+    for message in BagReader(file).messages(["/parameter_events"]):
+        event = deserialize_message(message.cdr, ParameterEvent)
+        values = known.setdefault(event.node, {})
+        for parameter in (*event.new_parameters, *event.changed_parameters):
+            values[parameter.name] = Parameter.from_parameter_msg(parameter).value
+        for parameter in event.deleted_parameters:
+            del values[parameter.name]
+    return known
+
+
+def test_the_parameters_of_all_nodes_are_in_the_bag(graph: Graph, source: Node, bag: Path) -> None:
+    """Of those that were there before the recorder, of those that come later, and all changes."""
+    publisher = source.create_publisher(String, "/note", 10)
+    source.declare_parameters("", [("before", 1.5), ("gone", "x", ParameterDescriptor(dynamic_typing=True))])
+    recorder = start(graph, bag, topics=["/note"], node_parameters=True)
+    publish(graph, recorder, publisher, [String()])
+
+    def told(node: str) -> Callable[[], bool]:
+        return lambda: node in recorder._reader._known
+
+    assert graph.spin_until(told("/source"), TIMEOUT_S)
+    late = graph.add(Node("late", namespace="left", context=graph.context))
+    late.declare_parameter("names", ["a", "b"])
+    assert graph.spin_until(told("/left/late"), TIMEOUT_S)
+    source.set_parameters([Parameter("before", value=2.5)])
+    source.set_parameters([Parameter("gone")])  # without a type: it is deleted
+    known = recorder._reader._known
+    assert graph.spin_until(
+        lambda: "gone" not in {parameter.name for parameter in known["/source"].new_parameters}, TIMEOUT_S
+    )
+    graph.close()
+    found = parameters_in(bag)
+    assert found["/left/late"]["names"] == ["a", "b"]
+    assert found["/source"]["before"] == 2.5
+    assert "gone" not in found["/source"]
+    assert "/recorder" not in found
+
+
+def test_a_node_that_is_started_again_is_asked_again(graph: Graph, bag: Path) -> None:
+    recorder = start(graph, bag, topics=["/note"], node_parameters=True)
+    for value in (1, 2):
+        node = graph.add(Node("one", context=graph.context))
+        node.declare_parameter("value", value)
+
+        def told(value: int = value) -> bool:
+            known = recorder._reader._known.get("/one")
+            return known is not None and any(p.value.integer_value == value for p in known.new_parameters)
+
+        assert graph.spin_until(told, TIMEOUT_S)
+        graph.executor.remove_node(node)
+        graph.nodes.remove(node)
+        node.destroy_node()
+    graph.close()
+    assert parameters_in(bag)["/one"]["value"] == 2
+
+
+def test_every_file_of_a_bag_holds_the_parameters(graph: Graph, source: Node, bag: Path) -> None:
+    publisher = source.create_publisher(String, "/note", 10)
+    source.declare_parameter("before", 1.5)
+    recorder = start(graph, bag, topics=["/note"], split_mb=0.001, node_parameters=True)
+    assert graph.spin_until(lambda: "/source" in recorder._reader._known, TIMEOUT_S)
+    source.set_parameters([Parameter("before", value=2.5)])
+    for _ in range(3):
+        publish(graph, recorder, publisher, [String(data="x" * 2_000_000)])
+    graph.close()
+    files = sorted(bag.glob("*.mcap"))
+    assert len(files) == 3
+    assert [parameters_in(file)["/source"]["before"] for file in files] == [2.5] * 3
+
+
+def test_parameters_are_left_out_on_request(graph: Graph, source: Node, bag: Path) -> None:
+    publisher = source.create_publisher(String, "/note", 10)
+    recorder = start(graph, bag, topics=["/note"], node_parameters=False)
+    publish(graph, recorder, publisher, [String()])
+    graph.close()
+    assert set(BagReader(bag).topics) == {"/note"}
 
 
 def test_shutting_the_context_down_completes_the_bag(graph: Graph, source: Node, bag: Path) -> None:

@@ -1,0 +1,104 @@
+"""The parameters of all nodes of a graph, as events: those that are there when it begins to look, and all changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.task import Future
+
+PARAMETER_EVENTS, PARAMETER_EVENT_TYPE = "/parameter_events", "rcl_interfaces/msg/ParameterEvent"
+
+ASK_PERIOD_S = 0.5
+"""Period at which it is looked for new nodes."""
+
+MOST_NODES = 1000
+"""Nodes whose parameters are asked for and held at most."""
+
+
+class ParameterReader:
+    """Asks every node once for all its parameters; one that is started again is asked again."""
+
+    def __init__(self, node: Node, tell: Callable[[bytes], None]) -> None:
+        """Ask on behalf of `node`; what the others answer goes to `tell`, as a serialized event of new parameters."""
+        self._node, self._tell = node, tell
+        self._questions: dict[bytes, _Question] = {}
+        """By the identity of the publisher of parameter events that each node has."""
+        self._known: dict[str, ParameterEvent] = {}
+
+    def look(self) -> None:
+        """Ask the nodes that have come since the last time and those that could not answer then."""
+        own = self._node.get_fully_qualified_name()
+        nodes = {
+            bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in self._node.get_publishers_info_by_topic(PARAMETER_EVENTS)
+        }
+        for identity in self._questions.keys() - nodes.keys():
+            self._questions.pop(identity).end()
+        for identity, name in nodes.items():
+            if name != own and identity not in self._questions and len(self._questions) < MOST_NODES:
+                self._questions[identity] = _Question(self._node, name, self._tell)
+        for question in self._questions.values():
+            question.ask()
+
+    def take(self, cdr: bytes) -> tuple[str, bytes] | None:
+        """Take in a serialized event; returns its node, and a serialized event of all that is known of it now."""
+        try:
+            event = deserialize_message(cdr, ParameterEvent)
+        except RuntimeError:  # rclpy's own error class is private, and a subclass of it
+            return None
+        if event.node not in self._known and len(self._known) == MOST_NODES:
+            return None
+        self._known[event.node] = after(self._known.get(event.node), event)
+        return event.node, serialize_message(self._known[event.node])
+
+
+class _Question:
+    """A node is asked for the names of its parameters, and then for their values."""
+
+    def __init__(self, node: Node, name: str, tell: Callable[[bytes], None]) -> None:
+        self._node, self._name, self._tell = node, name, tell
+        self._names = node.create_client(ListParameters, f"{name}/list_parameters")
+        self._values = node.create_client(GetParameters, f"{name}/get_parameters")
+        self._clients: list[Client] = [self._names, self._values]
+        self._is_asked = self._is_answered = False
+
+    def ask(self) -> None:
+        """Ask once the node can answer; end once it has."""
+        if self._is_answered:
+            self.end()
+        elif not self._is_asked and all(client.service_is_ready() for client in self._clients):
+            self._is_asked = True
+            self._names.call_async(ListParameters.Request()).add_done_callback(self._take_names)
+
+    def end(self) -> None:
+        """Ask no more."""
+        for client in self._clients:
+            self._node.destroy_client(client)
+        self._clients = []
+
+    def _take_names(self, answer: Future) -> None:
+        names = list(answer.result().result.names)
+        values = self._values.call_async(GetParameters.Request(names=names))
+        values.add_done_callback(lambda answer: self._take_values(names, answer))
+
+    def _take_values(self, names: list[str], answer: Future) -> None:
+        event = ParameterEvent(node=self._name, stamp=self._node.get_clock().now().to_msg())
+        found = zip(names, answer.result().values, strict=True)
+        event.new_parameters = [ParameterMessage(name=name, value=value) for name, value in found]
+        self._is_answered = True
+        self._tell(serialize_message(event))
+
+
+def after(known: ParameterEvent | None, event: ParameterEvent) -> ParameterEvent:
+    """All parameters of a node after an event, as an event of new parameters; `known`: those before."""
+    values = {parameter.name: parameter for parameter in (known.new_parameters if known else ())}
+    values |= {parameter.name: parameter for parameter in (*event.new_parameters, *event.changed_parameters)}
+    for parameter in event.deleted_parameters:
+        values.pop(parameter.name, None)
+    return ParameterEvent(node=event.node, stamp=event.stamp, new_parameters=list(values.values()))

@@ -127,6 +127,11 @@ class Recorder(Role, Node):
         return {topic: ledger.written for topic, ledger in self._ledgers.items()}
 
     @property
+    def ledgers(self) -> dict[str, Ledger]:
+        """What became of the messages of each topic."""
+        return dict(self._ledgers)
+
+    @property
     def unwritten(self) -> int:
         """Number of messages that were received and could not be written."""
         return self._left_out[NOT_WRITTEN]

@@ -70,7 +70,18 @@ def run_fresh(many_words: Sequence[Sequence[str]], blocked: Sequence[str] = ()) 
 def test_every_module_is_a_command() -> None:
     listed = {name for name in program() if not name.startswith("-")}
     assert listed == set(COMMANDS)
-    assert {"run", "replay", "calibrate", "irf", "psf", "figures", "montecarlo", "import-gotcha", "salvage"} <= listed
+    assert {
+        "run",
+        "replay",
+        "calibrate",
+        "irf",
+        "psf",
+        "figures",
+        "montecarlo",
+        "import-gotcha",
+        "record",
+        "salvage",
+    } <= listed
 
 
 def test_help_imports_nothing_that_is_slow() -> None:

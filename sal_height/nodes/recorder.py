@@ -86,7 +86,7 @@ class Recorder(Role, Node):
         try:
             self._parameters_now = LiveParameters(self, RecorderParameters)
             parameters = self._parameters_now.current
-            names = map(self.resolve_topic_name, parameters.topics)
+            names = [self._resolved(name) for name in parameters.topics]
             self._selection = Selection(names, parameters.patterns, parameters.types, parameters.excluded)
             self._reader = ParameterReader(self, self._tell_parameters) if parameters.node_parameters else None
             custom_data = dict(_name_and_text(text) for text in parameters.custom_data)
@@ -175,6 +175,19 @@ class Recorder(Role, Node):
         """Complete the bag and destroy the node."""
         self.close_bag()
         super().destroy_node()
+
+    def _resolved(self, name: str) -> str:
+        """A topic with its namespace.
+
+        Raises:
+            UserError: no topic can have that name.
+        """
+        try:
+            return str(self.resolve_topic_name(name))
+        except RCLError as error:
+            raise UserError(
+                f"Parameter topics has {name!r}, which is no name of a topic, such as '/ml/height'."
+            ) from error
 
     def _every(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call `callback` again and again by a clock that never stands still; an error in it does not end the node."""

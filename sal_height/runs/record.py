@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from sal_height.io import free_folder
+from sal_height.io import check_new_folder, free_folder
 from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ledger import Ledger
@@ -75,6 +75,7 @@ def record(
         UserError: the folder or a parameter cannot be used.
     """
     done = Recorded(out or free_folder(DEFAULT_FOLDER))
+    check_new_folder(done.folder)
     with ros_domain(domain), Interruption() as interruption, Graph() as graph:
         overrides = [Parameter(name, value=value) for name, value in parameters.items() if value or value is False]
         recorder = graph.add(Recorder(done.folder, context=graph.context, parameter_overrides=overrides))

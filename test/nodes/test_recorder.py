@@ -236,6 +236,8 @@ def test_a_recorder_that_is_started_again_begins_a_new_bag(graph: Graph, bag: Pa
         ({"directory": 5}, "Parameter directory is 5; it must be a text"),
         ({"directory": "out", "topics": "/note"}, "Parameter topics is '/note'; it must be a list of texts"),
         ({"directory": "/"}, "is not empty"),
+        ({"directory": "out", "topics": ["a b"]}, "Parameter topics has 'a b', which is no name of a topic"),
+        ({"directory": "out", "patterns": ["*"]}, "which is no regular expression"),
     ],
 )
 def test_unusable_parameters_are_refused(

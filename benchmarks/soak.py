@@ -47,8 +47,9 @@ vain."""
 AFTERWARDS_S = 7.0
 """From the end of the program of a fault to the end of what it may cost."""
 
-WAIT_S = 5.0
-"""Time for which nodes wait for what a dwell lacks. They go by stamps, which pass at the rate of the sensor."""
+WAIT_S, LEAST_WAIT_S = 5.0, 1.0
+"""Time for which nodes wait for what a dwell lacks. While they are busy they go by stamps, which pass at the rate of
+the sensor, and else by the clock."""
 
 LONG_S = 600.0
 """The memory of a process is judged once it has run for so long: before, caches fill."""
@@ -300,7 +301,10 @@ def soak(
             rate = SHARE * highest_rate(lambda tried: watch(bag, tried, 20.0), 0.3)[0]
         run = Soak(every, seed)
         how = Live(rate, 60 * minutes, budget or 0.0, supervised=True)
-        patience = {name: {"timeout_s": WAIT_S * rate} for name in ("sar_compression", "ml_height", "monopulse")}
+        patience = {
+            name: {"timeout_s": max(LEAST_WAIT_S, WAIT_S * rate)}
+            for name in ("sar_compression", "ml_height", "monopulse")
+        }
         watched = live(Feed.of_bag(bag), folder / "live", patience, how, Execution(processes=True), run.show)
         replay(bag, folder / "lockstep", {}, estimators=["ml"])
         begin_ns = round(watched.began_at_s * 1e9)

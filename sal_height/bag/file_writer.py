@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -103,8 +105,14 @@ class FileWriter:
         self.first_ns, self.last_ns = min(self.first_ns, log_time_ns), max(self.last_ns, log_time_ns)
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system, so that it outlives this process."""
+        """Hand everything written so far to the operating system, so that it outlives this process.
+
+        Raises:
+            OSError: it cannot be written, or the file has been removed meanwhile.
+        """
         self._writer.flush()
+        if not os.fstat(self._stream.fileno()).st_nlink:
+            raise FileNotFoundError(errno.ENOENT, "the file has been removed", str(self.path))
 
     def finish(self, records: Mapping[str, Mapping[str, str]]) -> None:
         """Write metadata records by name, and the index, and close the file."""

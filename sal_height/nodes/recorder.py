@@ -147,6 +147,11 @@ class Recorder(Role, Node):
         return self._failures
 
     @property
+    def failure(self) -> str:
+        """Why messages are not in the bag; empty if all are. The program ends with status 1 then."""
+        return self._last_loss
+
+    @property
     def _left_out(self) -> Counter[str]:
         """Messages of all topics that are not in the bag, by reason."""
         return sum((ledger.left_out for ledger in self._ledgers.values()), Counter[str]())

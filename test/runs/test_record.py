@@ -14,6 +14,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from sal_height.bag.reader import BagReader
+from sal_height.commands import main
 from sal_height.nodes.graph import Graph
 
 TIMEOUT_S = 60.0
@@ -68,8 +69,9 @@ def test_if_nothing_comes_that_is_said(domain_id: int, tmp_path: Path) -> None:
     ("options", "word"),
     [(("--match", "*"), "regular expression"), (("--split-mb", "0"), "--split-mb"), (("--compression", "zip"), "zstd")],
 )
-def test_what_cannot_be_used_is_refused(options: tuple[str, ...], word: str, domain_id: int, tmp_path: Path) -> None:
-    status, _, err = ended(start(domain_id, tmp_path / "bag", *options))
-    assert status == 2
-    assert_one_sentence(err.strip().removeprefix("sal-height: "), word)
+def test_what_cannot_be_used_is_refused(
+    options: tuple[str, ...], word: str, domain_id: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["record", "--domain", str(domain_id), "--out", str(tmp_path / "bag"), *options]) == 2
+    assert_one_sentence(capsys.readouterr().err.strip().removeprefix("sal-height: "), word)
     assert not (tmp_path / "bag").exists()

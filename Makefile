@@ -87,7 +87,7 @@ tests:
 # Beside the tests, which keep the processors busy: slowly, and with much time for each dwell. The file has what the nodes
 # say of the faults.
 two-minutes:
-	@.venv/bin/python -m benchmarks.soak --minutes 2 --every 15 --preset small --rate 0.02 --budget 10 2>.soak.log || \
+	@.venv/bin/python -m benchmarks.soak --minutes 2 --every 20 --recovery 17 --preset small --rate 0.02 --budget 10 2>.soak.log || \
 		{ tail -n 100 .soak.log; exit 1; }
 
 lint: setup

@@ -81,10 +81,9 @@ class Fault:
     program: subprocess.Popen[bytes] | None = None
     ended_s: float = math.inf
 
-    @property
-    def over_s(self) -> float:
-        """When it can have no effect any more."""
-        return max(self.at_s + RECOVERY_S, self.ended_s + AFTERWARDS_S if self.program else 0.0)
+    def over_s(self, recovery_s: float) -> float:
+        """When it can have no effect any more, which takes so long at least."""
+        return max(self.at_s + recovery_s, self.ended_s + AFTERWARDS_S if self.program else 0.0)
 
 
 @dataclass
@@ -93,12 +92,17 @@ class Soak:
 
     Attributes:
         every_s: time from one fault to the next.
+        seed: where in the list of faults to begin.
+        lasts_s: duration; no fault is done that cannot be over before.
+        recovery_s: from a fault to the end of what it may cost, at least.
         faults: what was done so far.
         moments: what was seen, about once a second.
     """
 
     every_s: float
     seed: int
+    lasts_s: float = math.inf
+    recovery_s: float = RECOVERY_S
     faults: list[Fault] = field(default_factory=list)
     moments: list[Moment] = field(default_factory=list)
     _stopped: list[tuple[float, int]] = field(default_factory=list)
@@ -115,7 +119,7 @@ class Soak:
         for fault in self.faults:
             if fault.program and math.isinf(fault.ended_s) and fault.program.poll() is not None:
                 fault.ended_s = now
-        if now >= self.every_s * (len(self.faults) + 1):
+        if now >= self.every_s * (len(self.faults) + 1) and now + self.recovery_s < self.lasts_s:
             self.faults.append(self._next(watched))
             sys.stderr.write(f"{now:.0f} s: {self.faults[-1].what}\n")
 
@@ -143,7 +147,7 @@ class Soak:
 
     def quiet(self) -> Iterator[list[Moment]]:
         """The moments of every stretch that no fault can have an effect on."""
-        begins = [0.0, *(fault.over_s for fault in self.faults)]
+        begins = [0.0, *(fault.over_s(self.recovery_s) for fault in self.faults)]
         ends = [*(fault.at_s for fault in self.faults), math.inf]
         for begin, end in zip(begins, ends, strict=True):
             inside = [moment for moment in self.moments if begin <= moment.at_s < end]
@@ -268,7 +272,8 @@ app = cyclopts.App(name="python -m benchmarks.soak", help_format="plaintext")
 def soak(
     *,
     minutes: Annotated[float, cyclopts.Parameter(validator=cyclopts.validators.Number(gt=0))] = 30.0,
-    every: Annotated[float, cyclopts.Parameter(validator=cyclopts.validators.Number(gt=RECOVERY_S))] = 20.0,
+    every: Annotated[float, cyclopts.Parameter(validator=cyclopts.validators.Number(gt=0))] = 20.0,
+    recovery: Annotated[float, cyclopts.Parameter(validator=cyclopts.validators.Number(gt=0))] = RECOVERY_S,
     preset: str = "sal_spotlight",
     rate: Annotated[float | None, cyclopts.Parameter(validator=cyclopts.validators.Number(gt=0))] = None,
     budget: Annotated[float | None, cyclopts.Parameter(validator=cyclopts.validators.Number(gt=0))] = None,
@@ -279,11 +284,15 @@ def soak(
     Args:
         minutes: How long.
         every: Time from one fault to the next, s.
+        recovery: From a fault to the end of what it may cost, s; less than the time to the next fault.
         preset: Sensor, flight and scene.
         rate: Seconds of the sensor in a second. Default: 0.8 of the highest that is sustained, which is looked for.
         budget: Latency budget, s. Default: that of live.
         seed: Where in the list of faults to begin.
     """
+    if recovery >= every:
+        sys.stderr.write(f"--recovery is {recovery:g} and --every {every:g}; it must be less, or nothing is judged.\n")
+        return 2
     os.environ.update(ONE_THREAD | os.environ)
 
     from sal_height.runs.conductor import Execution  # noqa: PLC0415
@@ -299,7 +308,7 @@ def soak(
             from benchmarks.live_runs import highest_rate, watch  # noqa: PLC0415
 
             rate = SHARE * highest_rate(lambda tried: watch(bag, tried, 20.0), 0.3)[0]
-        run = Soak(every, seed)
+        run = Soak(every, seed, 60 * minutes, recovery)
         how = Live(rate, 60 * minutes, budget or 0.0, supervised=True)
         patience = {
             name: {"timeout_s": max(LEAST_WAIT_S, WAIT_S * rate)}

@@ -29,29 +29,37 @@ def broken(soak: Soak, different: tuple[str, ...] = ()) -> list[str]:
 
 
 def test_what_is_missing_without_a_fault_is_found() -> None:
-    assert broken(Soak(20.0, 0, [Fault(40.0, "kill")], moments(100))) == []
+    assert broken(Soak(20.0, 0, faults=[Fault(40.0, "kill")], moments=moments(100))) == []
     for change, promise in (
         ({"no_heights_at": 30}, "heights missing"),
         ({"drop_at": 30}, "messages left out"),
         ({"unbalanced_at": 45}, "accounts that were not balanced"),
     ):
-        assert broken(Soak(20.0, 0, [Fault(40.0, "kill")], moments(100, **change))) == [promise]
+        assert broken(Soak(20.0, 0, faults=[Fault(40.0, "kill")], moments=moments(100, **change))) == [promise]
     growth = (100 + 0.1 * 583) / (100 + 0.1 * 349) - 1  # from the middle of the second third to that of the last
-    sentences = broken(Soak(20.0, 0, [], moments(700, grows=1)))
+    sentences = broken(Soak(20.0, 0, faults=[], moments=moments(700, grows=1)))
     assert sentences == [f"memory of 1 nodes that ran for 600 s grows by {100 * growth:.2f} % at most ml_height"]
-    assert broken(Soak(20.0, 0, [], moments(500, grows=1))) == []
+    assert broken(Soak(20.0, 0, faults=[], moments=moments(500, grows=1))) == []
 
 
 def test_what_a_fault_may_cost_is_not_counted_and_what_comes_later_is() -> None:
     fault = [Fault(40.0, "kill ml_height")]
     for change in ({"no_heights_at": 41}, {"drop_at": 41}):
-        assert broken(Soak(20.0, 0, fault, moments(100, **change))) == []
+        assert broken(Soak(20.0, 0, faults=fault, moments=moments(100, **change))) == []
     late = round(40 + RECOVERY_S) + 2
-    assert broken(Soak(20.0, 0, fault, moments(100, drop_at=late))) == ["messages left out"]
-    sentences = [sentence for _, sentence in verdict(Soak(20.0, 0, fault, moments(100, drop_at=late)), 10.0, [])]
+    assert broken(Soak(20.0, 0, faults=fault, moments=moments(100, drop_at=late))) == ["messages left out"]
+    sentences = [
+        sentence for _, sentence in verdict(Soak(20.0, 0, faults=fault, moments=moments(100, drop_at=late)), 10.0, [])
+    ]
     assert sentences[1].endswith(f"{{'late': 8}}\n    {late} s ({late - 40} s after kill ml_height): {{'late': 8}}")
-    sentences = [s for _, s in verdict(Soak(20.0, 0, fault, moments(100, no_heights_at=late)), 10.0, [])]
+    sentences = [s for _, s in verdict(Soak(20.0, 0, faults=fault, moments=moments(100, no_heights_at=late)), 10.0, [])]
     assert sentences[2].endswith(f"ml/height 7 (7 from {round(40 + RECOVERY_S)} s)")
+
+
+def test_on_a_slow_machine_a_fault_may_cost_more_time() -> None:
+    for recovery_s, found in ((12.0, ["messages left out"]), (20.0, [])):
+        soak = Soak(30.0, 0, recovery_s=recovery_s, faults=[Fault(40.0, "kill")], moments=moments(100, drop_at=54))
+        assert broken(soak) == found
 
 
 def test_what_a_program_does_counts_as_long_as_it_runs_and_a_while_afterwards() -> None:
@@ -59,7 +67,7 @@ def test_what_a_program_does_counts_as_long_as_it_runs_and_a_while_afterwards() 
     program.wait()
     fault = Fault(40.0, "hostile slc", program, ended_s=50.0)
     over = round(50 + AFTERWARDS_S)
-    assert broken(Soak(20.0, 0, [fault], moments(100, drop_at=over - 1))) == []
-    assert broken(Soak(20.0, 0, [fault], moments(100, drop_at=over + 1))) == ["messages left out"]
+    assert broken(Soak(20.0, 0, faults=[fault], moments=moments(100, drop_at=over - 1))) == []
+    assert broken(Soak(20.0, 0, faults=[fault], moments=moments(100, drop_at=over + 1))) == ["messages left out"]
     fault.ended_s = float("inf")
-    assert broken(Soak(20.0, 0, [fault], moments(100, drop_at=99))) == []
+    assert broken(Soak(20.0, 0, faults=[fault], moments=moments(100, drop_at=99))) == []

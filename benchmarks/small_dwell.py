@@ -128,10 +128,8 @@ def _compression(graph: Graph, flight: SimulatedFlight) -> Row:
     node = graph.add(SarCompression(context=graph.context, parameter_overrides=_overrides(_size(image))))
     states, history = flight.platform_states(0), flight.phase_history(0)
     frames = messages.history_to_messages(history, flight.sensor, 0, messages.to_stamp(history.stamp_ns))
-    sent, supplies = (
-        [serialize_message(frame) for frame in frames],
-        Supplies(list(states), None, flight.sensor.mounting),
-    )
+    sent = [serialize_message(frame) for frame in frames]
+    supplies = Supplies(list(states), None, flight.sensor.mounting)
     through, taken = medians(
         lambda: node.process([node.decode(cdr) for cdr in sent], flight.sensor, supplies),
         lambda: [node.decode(cdr) for cdr in sent],

@@ -160,10 +160,9 @@ class Soak:
         for stretch in self.quiet():
             for earlier, later in pairwise(stretch):
                 if more := later.left_out - earlier.left_out:
-                    since = [
-                        f" ({later.at_s - f.at_s:.0f} s after {f.what})" for f in self.faults if f.at_s < later.at_s
-                    ]
-                    found[f"{later.at_s:.0f} s{''.join(since[-1:])}"] = more
+                    before = [fault for fault in self.faults if fault.at_s < later.at_s][-1:]
+                    since = "".join(f" ({later.at_s - fault.at_s:.0f} s after {fault.what})" for fault in before)
+                    found[f"{later.at_s:.0f} s{since}"] = more
         return found
 
 
@@ -191,7 +190,7 @@ def verdict(soak: Soak, offered_hz: float, different: list[str]) -> list[tuple[b
     for topic in soak.moments[-1].heights:
         lacks = {
             first.at_s: offered_hz * (last.at_s - first.at_s)
-            - (last.heights.get(topic, 0) - first.heights.get(topic, 0))
+            - (last.heights[topic] - first.heights[topic])
             - EDGE_DWELLS
             for first, *_, last in stretches
         }

@@ -6,7 +6,7 @@ import errno
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
@@ -19,7 +19,7 @@ from sal_height.bag.files import CHECKSUM, CUSTOM_DATA, REPEATED, REPEATED_SEQUE
 CHUNK_SIZE = 1 << 20  # bytes; a larger message becomes a chunk of its own
 
 COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
-"""How chunks may be compressed, by the names that users give. Of speckle .93 are left, at a third of the speed."""
+"""How chunks may be compressed, by the names that users give. Noise and speckle hardly get smaller."""
 
 NO_TIME = 2**63 - 1
 """What rosbag2 gives as the start of a bag without messages."""
@@ -35,13 +35,29 @@ class WrittenTopic:
     offered_qos: Sequence[QoSProfile]
 
 
+@dataclass
+class Written:
+    """What has been written of a file: all that is left of it once it is finished.
+
+    Attributes:
+        name: of the file.
+        counts: messages by topic.
+        first_ns: earliest log time; NO_TIME without messages.
+        last_ns: latest log time; 0 without messages.
+    """
+
+    name: str
+    counts: Counter[str] = field(default_factory=Counter)
+    first_ns: int = NO_TIME
+    last_ns: int = 0
+
+
 class FileWriter:
     """An MCAP file that is being written.
 
     Attributes:
         path: of the file.
-        counts: messages by topic.
-        first_ns, last_ns: earliest and latest log time; NO_TIME and 0 without messages.
+        written: what is in it so far.
     """
 
     def __init__(
@@ -58,9 +74,7 @@ class FileWriter:
         Raises:
             OSError: it cannot be written.
         """
-        self.path = path
-        self.counts: Counter[str] = Counter()
-        self.first_ns, self.last_ns = NO_TIME, 0
+        self.path, self.written = path, Written(path.name)
         self._stream = path.open("xb")
         self._schema_ids: dict[tuple[str, Definition], int] = {}
         self._channel_ids: dict[str, int] = {}
@@ -101,8 +115,9 @@ class FileWriter:
         """Append a serialized message; `repeated`: it stands in the file before, too."""
         sequence = REPEATED_SEQUENCE if repeated else 0
         self._writer.add_message(self._channel_ids[topic], log_time_ns, cdr, publish_time_ns, sequence)
-        self.counts[topic] += 1
-        self.first_ns, self.last_ns = min(self.first_ns, log_time_ns), max(self.last_ns, log_time_ns)
+        written = self.written
+        written.counts[topic] += 1
+        written.first_ns, written.last_ns = min(written.first_ns, log_time_ns), max(written.last_ns, log_time_ns)
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system, so that it outlives this process.

@@ -72,11 +72,14 @@ class BagReader:
         self._files = bag_files(path)
         self.topics: dict[str, Topic] = {}
         self.custom_data: dict[str, str] = {}
+        self._repeated: list[dict[str, int]] = []
+        """How many messages of each file are in the one before, too, by topic."""
         for file in self._files:
             topics, custom_data, repeated = _read_index(file)
+            self._repeated.append(repeated if self._repeated else {})
             self.custom_data |= custom_data
             for topic in topics:
-                self._add(topic, repeated.get(topic.name, 0))
+                self._add(topic, self._repeated[-1].get(topic.name, 0))
         self._checked_types: set[str] = set()
 
     @property
@@ -91,8 +94,8 @@ class BagReader:
 
         UserError if a checksum or a record is found to be wrong on the way.
         """
-        first, *others = self._files
-        streams = (_read_messages(first, topics), *(_read_messages(file, topics, anew=False) for file in others))
+        files = zip(self._files, self._repeated, strict=True)
+        streams = (_read_messages(file, topics, repeated) for file, repeated in files)
         return map(self._upgraded, heapq.merge(*streams, key=lambda message: message.log_time_ns))
 
     def decode(self, type_name: str, cdr: bytes) -> Any:
@@ -207,12 +210,10 @@ def _read_records(file: Path, stream: BinaryIO) -> dict[str, dict[str, str]]:
         raise _damaged(file, error) from error
 
 
-def _read_messages(file: Path, topics: Collection[str] | None, *, anew: bool = True) -> Iterator[BagMessage]:
-    """Messages of a file in order of log time; unless `anew`, without those that are in the file before, too."""
+def _read_messages(file: Path, topics: Collection[str] | None, repeated: Collection[str]) -> Iterator[BagMessage]:
+    """Messages of a file in order of log time; those in the file before, too, are left out of topics in `repeated`."""
     try:
         with file.open("rb") as stream:
-            repeated = {} if anew else repeated_in(_read_records(file, stream))
-            stream.seek(0)
             for schema, channel, message in SeekingReader(stream, validate_crcs=True).iter_messages(topics):
                 if channel.topic in repeated and message.sequence == REPEATED_SEQUENCE:
                     continue

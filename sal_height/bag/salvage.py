@@ -155,7 +155,7 @@ def _copy_message(file: Path, body: bytes, contents: _Contents, bag: BagWriter) 
     channel = contents.channels.get(message.channel_id)
     if channel is None or not _add_topic(file, bag, channel, contents):
         return False  # the description of the topic was in a damaged chunk
-    if message.sequence == REPEATED_SEQUENCE and channel.topic in contents.repeated and bag.count(channel.topic):
+    if message.sequence == REPEATED_SEQUENCE and channel.topic in contents.repeated and bag.has_any(channel.topic):
         return False  # it was in the file before, too
     bag.write(channel.topic, message.data, message.log_time, message.publish_time)
     return True

@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from sal_height.bag import qos as qos_text
 from sal_height.bag.definitions import Definition, installed_definition
-from sal_height.bag.file_writer import NO_TIME, FileWriter, WrittenTopic
+from sal_height.bag.file_writer import NO_TIME, FileWriter, Written, WrittenTopic
 from sal_height.errors import UserError
 
 METADATA_VERSION = 9
@@ -40,6 +40,11 @@ class Packing:
     split_bytes: float = math.inf
     split_ns: float = math.inf
 
+    @property
+    def cuts(self) -> bool:
+        """Whether there may be more than one file."""
+        return min(self.split_bytes, self.split_ns) < math.inf
+
 
 ONE_FILE = Packing()
 
@@ -54,7 +59,6 @@ class _Kept(NamedTuple):
 @dataclass
 class _Topic:
     described: WrittenTopic
-    count: int = 0
     latched: deque[_Kept] = field(default_factory=deque)
     kept: dict[str, _Kept] = field(default_factory=dict)
 
@@ -91,7 +95,7 @@ class BagWriter:
         self.directory = directory
         self._custom_data, self._packing = dict(custom_data), packing
         self._topics: dict[str, _Topic] = {}
-        self._finished: list[FileWriter] = []
+        self._finished: list[Written] = []
         self._broken = False
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -106,9 +110,9 @@ class BagWriter:
         """The file that is being written."""
         return self._file.path
 
-    def count(self, topic: str) -> int:
-        """Messages written of a topic, each once."""
-        return self._topics[topic].count if topic in self._topics else 0
+    def has_any(self, topic: str) -> bool:
+        """Whether the bag holds a message of a topic."""
+        return any(file.counts[topic] for file in (*self._finished, self._file.written))
 
     def add_topic(
         self, name: str, type_name: str, qos: Sequence[QoSProfile] = (), definition: Definition | None = None
@@ -146,10 +150,9 @@ class BagWriter:
         """
         entry = self._topics[topic]
         with self._breaking():
-            if self._is_full(log_time_ns):
+            if self._packing.cuts and self._is_full(log_time_ns):
                 self._split(log_time_ns)
             self._file.write(topic, cdr, log_time_ns, publish_time_ns)
-        entry.count += 1
         if entry.latched.maxlen:
             entry.latched.append(_Kept(cdr, publish_time_ns))
 
@@ -202,9 +205,9 @@ class BagWriter:
 
     def _is_full(self, log_time_ns: int) -> bool:
         """Whether a message belongs to the next file; a file has at least one."""
-        file = self._file
-        return bool(file.counts) and (
-            file.size >= self._packing.split_bytes or log_time_ns - file.first_ns >= self._packing.split_ns
+        written = self._file.written
+        return bool(written.counts) and (
+            log_time_ns - written.first_ns >= self._packing.split_ns or self._file.size >= self._packing.split_bytes
         )
 
     def _split(self, log_time_ns: int) -> None:
@@ -223,19 +226,19 @@ class BagWriter:
         return FileWriter(path, self._packing.compression, self._custom_data, repeated)
 
     def _finish_file(self, records: Mapping[str, Mapping[str, str]]) -> None:
-        metadata = yaml.safe_dump(self._metadata([self._file], self._file.counts), sort_keys=False)
+        metadata = yaml.safe_dump(self._metadata([self._file.written]), sort_keys=False)
         self._file.finish({**records, "rosbag2": {"serialized_metadata": metadata}})
-        self._finished.append(self._file)
+        self._finished.append(self._file.written)
 
     def _write_metadata(self) -> None:
-        counts = sum((file.counts for file in self._finished), Counter[str]())
-        information = {"rosbag2_bagfile_information": self._metadata(self._finished, counts)}
+        information = {"rosbag2_bagfile_information": self._metadata(self._finished)}
         unfinished = self.directory / "metadata.yaml.tmp"
         unfinished.write_text(yaml.safe_dump(information, sort_keys=False))
         unfinished.replace(self.directory / "metadata.yaml")
 
-    def _metadata(self, files: Sequence[FileWriter], counts: Mapping[str, int]) -> dict[str, Any]:
+    def _metadata(self, files: Sequence[Written]) -> dict[str, Any]:
         """Contents of metadata.yaml, and of the record of the same meaning inside each file."""
+        counts = sum((file.counts for file in files), Counter[str]())
         return {
             "version": METADATA_VERSION,
             "storage_identifier": "mcap",
@@ -249,20 +252,20 @@ class BagWriter:
                         "offered_qos_profiles": qos_text.to_dicts(topic.described.offered_qos),
                         "type_description_hash": topic.described.definition.type_hash,
                     },
-                    "message_count": counts.get(name, 0),
+                    "message_count": counts[name],
                 }
                 for name, topic in self._topics.items()
             ],
             "compression_format": "",  # of whole files or messages; that of chunks is in the MCAP file itself
             "compression_mode": "",
-            "relative_file_paths": [file.path.name for file in files],
-            "files": [{"path": file.path.name, **_span([file])} for file in files],
+            "relative_file_paths": [file.name for file in files],
+            "files": [{"path": file.name, **_span([file])} for file in files],
             "custom_data": self._custom_data or None,
             "ros_distro": ROS_DISTRO,
         }
 
 
-def _span(files: Sequence[FileWriter]) -> dict[str, Any]:
+def _span(files: Sequence[Written]) -> dict[str, Any]:
     """Begin, duration and number of messages of files."""
     first_ns, last_ns = min(file.first_ns for file in files), max(file.last_ns for file in files)
     return {

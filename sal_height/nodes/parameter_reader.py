@@ -12,6 +12,8 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.task import Future
 
+from sal_height.nodes.guard import guarded
+
 PARAMETER_EVENTS, PARAMETER_EVENT_TYPE = "/parameter_events", "rcl_interfaces/msg/ParameterEvent"
 
 ASK_PERIOD_S = 0.5
@@ -20,13 +22,22 @@ ASK_PERIOD_S = 0.5
 MOST_NODES = 1000
 """Nodes whose parameters are asked for and held at most."""
 
+MOST_BYTES = 1_000_000
+"""Serialized parameters of a node that are held at most."""
+
 
 class ParameterReader:
     """Asks every node once for all its parameters; one that is started again is asked again."""
 
-    def __init__(self, node: Node, tell: Callable[[bytes], None]) -> None:
-        """Ask on behalf of `node`; what the others answer goes to `tell`, as a serialized event of new parameters."""
-        self._node, self._tell = node, tell
+    def __init__(self, node: Node, tell: Callable[[bytes], None], fail: Callable[[Exception], None]) -> None:
+        """Ask on behalf of `node`.
+
+        Args:
+            node: that asks.
+            tell: takes what the others answer, as a serialized event of new parameters.
+            fail: takes an error in an answer.
+        """
+        self._node, self._tell, self._fail = node, tell, fail
         self._questions: dict[bytes, _Question] = {}
         """By the identity of the publisher of parameter events that each node has."""
         self._known: dict[str, ParameterEvent] = {}
@@ -42,7 +53,7 @@ class ParameterReader:
             self._questions.pop(identity).end()
         for identity, name in nodes.items():
             if name != own and identity not in self._questions and len(self._questions) < MOST_NODES:
-                self._questions[identity] = _Question(self._node, name, self._tell)
+                self._questions[identity] = _Question(self._node, name, self._tell, self._fail)
         for question in self._questions.values():
             question.ask()
 
@@ -52,17 +63,19 @@ class ParameterReader:
             event = deserialize_message(cdr, ParameterEvent)
         except RuntimeError:  # rclpy's own error class is private, and a subclass of it
             return None
-        if event.node not in self._known and len(self._known) == MOST_NODES:
+        known = after(self._known.get(event.node), event)
+        whole = serialize_message(known)
+        if len(whole) > MOST_BYTES or (event.node not in self._known and len(self._known) == MOST_NODES):
             return None
-        self._known[event.node] = after(self._known.get(event.node), event)
-        return event.node, serialize_message(self._known[event.node])
+        self._known[event.node] = known
+        return event.node, whole
 
 
 class _Question:
     """A node is asked for the names of its parameters, and then for their values."""
 
-    def __init__(self, node: Node, name: str, tell: Callable[[bytes], None]) -> None:
-        self._node, self._name, self._tell = node, name, tell
+    def __init__(self, node: Node, name: str, tell: Callable[[bytes], None], fail: Callable[[Exception], None]) -> None:
+        self._node, self._name, self._tell, self._fail = node, name, tell, fail
         self._names = node.create_client(ListParameters, f"{name}/list_parameters")
         self._values = node.create_client(GetParameters, f"{name}/get_parameters")
         self._clients: list[Client] = [self._names, self._values]
@@ -74,7 +87,7 @@ class _Question:
             self.end()
         elif not self._is_asked and all(client.service_is_ready() for client in self._clients):
             self._is_asked = True
-            self._names.call_async(ListParameters.Request()).add_done_callback(self._take_names)
+            self._names.call_async(ListParameters.Request()).add_done_callback(guarded(self._take_names, self._fail))
 
     def end(self) -> None:
         """Ask no more."""
@@ -85,11 +98,11 @@ class _Question:
     def _take_names(self, answer: Future) -> None:
         names = list(answer.result().result.names)
         values = self._values.call_async(GetParameters.Request(names=names))
-        values.add_done_callback(lambda answer: self._take_values(names, answer))
+        values.add_done_callback(guarded(lambda answer: self._take_values(names, answer), self._fail))
 
     def _take_values(self, names: list[str], answer: Future) -> None:
         event = ParameterEvent(node=self._name, stamp=self._node.get_clock().now().to_msg())
-        found = zip(names, answer.result().values, strict=True)
+        found = zip(names, answer.result().values, strict=False)  # a node may answer what it likes
         event.new_parameters = [ParameterMessage(name=name, value=value) for name, value in found]
         self._is_answered = True
         self._tell(serialize_message(event))

@@ -21,9 +21,8 @@ LOOKS = 3
 """Looks in a row at which a port must be lost: one that is being made anew is found again."""
 
 LOST = (
-    "{} of shared memory, through which messages of other processes come, is lost, as when a process has stood still "
-    "for seconds; nothing would ever be received again. The node ends; start it again, as `sal-height live "
-    "--supervise` does."
+    "{} of shared memory, through which messages of other processes come, is lost, as when this one was stopped for "
+    "seconds (Ctrl-Z); nothing is received any more."
 )
 
 OURS = Path("/proc/self")

@@ -75,6 +75,7 @@ def _spin(executor: Executor, node: Node, stop: threading.Event) -> bool:
             continue
         due = time.monotonic() + LOOK_S
         if lost := ports.lost():
-            node.get_logger().error(LOST.format(lost[0]))
+            how = "The node ends; start it again, as `sal-height live --supervise` does."
+            node.get_logger().error(f"{LOST.format(lost[0])} {how}")
             return True
     return False

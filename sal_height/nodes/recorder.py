@@ -9,6 +9,7 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -51,6 +52,11 @@ DISCOVERY_PERIOD_S = 0.1
 DIAGNOSTICS_PERIOD_S = 0.5
 GATHER_S = 0.01  # from the first message that waits to its writing: the thread wakes once for all that come meanwhile
 
+NEVER_CAME = (
+    "Messages got lost on the way to the recorder, as the numbers of others tell (ignored.lost on the way): publish "
+    "them reliably, or give their publisher more shared memory (`sal-height transport`)."
+)
+
 
 class _Item(NamedTuple):
     """A message that waits to be written, with the times of its reception and publication, ns."""
@@ -88,7 +94,9 @@ class Recorder(Role, Node):
             parameters = self._parameters_now.current
             names = [self._resolved(name) for name in parameters.topics]
             self._selection = Selection(names, parameters.patterns, parameters.types, parameters.excluded)
-            self._reader = ParameterReader(self, self._tell_parameters) if parameters.node_parameters else None
+            self._reader = (
+                ParameterReader(self, self._tell_parameters, self._fail) if parameters.node_parameters else None
+            )
             custom_data = dict(_name_and_text(text) for text in parameters.custom_data)
             self._bag = BagWriter(directory or _folder(parameters.directory), custom_data, parameters.packing)
         except UserError:
@@ -114,10 +122,8 @@ class Recorder(Role, Node):
         self._worker.start()
         self.context.on_shutdown(self.close_bag)
         self._every(DISCOVERY_PERIOD_S, self._discover)
-        if self._reader and PARAMETER_EVENTS not in self._subscribed:
-            self._try_to_subscribe(PARAMETER_EVENTS, [PARAMETER_EVENT_TYPE])
-        if self._reader and PARAMETER_EVENTS in self._subscribed:
-            self._every(ASK_PERIOD_S, self._reader.look)
+        if self._reader:
+            self._every(ASK_PERIOD_S, partial(self._look_for_parameters, self._reader))
         self._every(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
         self._discover()
 
@@ -149,7 +155,7 @@ class Recorder(Role, Node):
     @property
     def failure(self) -> str:
         """Why messages are not in the bag; empty if all are. The program ends with status 1 then."""
-        return self._last_loss
+        return self._last_loss or (NEVER_CAME if self._left_out[ON_THE_WAY] else "")
 
     @property
     def _left_out(self) -> Counter[str]:
@@ -233,6 +239,13 @@ class Recorder(Role, Node):
             self._subscribed[name] = self.create_subscription(
                 message_type, name, guarded(with_times(self._taker_of(name)), self._fail), _matching(offered), raw=True
             )
+
+    def _look_for_parameters(self, reader: ParameterReader) -> None:
+        """Ask nodes for their parameters, once what they say of them has a place in the bag."""
+        if PARAMETER_EVENTS not in self._refused.union(self._subscribed):
+            self._try_to_subscribe(PARAMETER_EVENTS, [PARAMETER_EVENT_TYPE])
+        if PARAMETER_EVENTS in self._subscribed:
+            reader.look()
 
     def _tell_parameters(self, cdr: bytes) -> None:
         """Record the parameters of a node that was asked for them."""
@@ -353,7 +366,7 @@ class Recorder(Role, Node):
             level=DiagnosticStatus.ERROR if missing else DiagnosticStatus.OK,
             name=self.get_fully_qualified_name().lstrip("/"),
             message=f"{missing} messages are not in the bag" if missing else "recording",
-            values=Account(numbers, self._last_loss).to_values(),
+            values=Account(numbers, self.failure).to_values(),
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

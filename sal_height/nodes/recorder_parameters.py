@@ -48,25 +48,15 @@ class RecorderParameters(Settings):
     )
     compression: str = setting(
         "none",
-        "compression of chunks in the file; noise and speckle do not get smaller",
+        "compression of chunks in the file; noise and speckle hardly get smaller",
         choices=tuple(COMPRESSIONS),
         read_only=True,
     )
     split_mb: float = setting(
-        0.0,
-        "size at which the next file is begun; 0: never",
-        unit="MB",
-        minimum=0.0,
-        maximum=1e9,
-        read_only=True,
+        0.0, "size at which the next file is begun; 0: never", unit="MB", minimum=0.0, maximum=1e9, read_only=True
     )
     split_s: float = setting(
-        0.0,
-        "time after which the next file is begun; 0: never",
-        unit="s",
-        minimum=0.0,
-        maximum=1e9,
-        read_only=True,
+        0.0, "time after which the next file is begun; 0: never", unit="s", minimum=0.0, maximum=1e9, read_only=True
     )
     flush_period_s: float = setting(
         1.0,

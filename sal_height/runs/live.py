@@ -32,7 +32,7 @@ from sal_height.runs.reporting import PARAMETERS, PRESET, merged, reporting
 from sal_height.runs.self_test import core_rate_hz, make_tables
 from sal_height.runs.sensor_bag import Feed
 from sal_height.runs.supervisor import Supervisor
-from sal_height.runs.watch import LOOK_PERIOD_S, SHOW_PERIOD_S, Watcher
+from sal_height.runs.watch import Watcher, looks
 
 _LOG = logging.getLogger(__name__)
 
@@ -221,20 +221,18 @@ def _perform(
         sensor = Beginning(conductor, clock)
         supervisor: Supervisor | None = None
 
-        def spin(seconds: float) -> None:
-            graph.spin_for(seconds)
-            interruption.check()
+        def look_after() -> None:
             if supervisor is None:
                 ensemble.check()
             elif SOURCE in supervisor.look(time.monotonic()):
                 sensor.forget()
 
         def wait(condition: Callable[[], bool], what: str) -> None:
-            deadline = time.monotonic() + execution.timeout_s
-            while not condition():
-                if time.monotonic() > deadline:
-                    raise UserError(f"Waited {execution.timeout_s:g} s in vain for {what}; the log above may say why.")
-                spin(LOOK_PERIOD_S)
+            for _ in looks(graph, interruption, execution.timeout_s):
+                if condition():
+                    return
+                look_after()
+            raise UserError(f"Waited {execution.timeout_s:g} s in vain for {what}; the log above may say why.")
 
         wait(conductor.ready, "all nodes to be ready")
         watched.start_s["ready"] = process_age_s()
@@ -244,13 +242,10 @@ def _perform(
         wait(sensor.has_begun, f"an answer of node {SOURCE}")
         watched.cpu_at_start_s = {name: a.numbers.get(CPU, 0.0) for name, a in watched.accounts.items()}
         watched.began_at_s = time.time()
-        began, due_s = time.monotonic(), SHOW_PERIOD_S
-        while watched.elapsed_s < how.seconds:
-            spin(min(LOOK_PERIOD_S, how.seconds - watched.elapsed_s))
+        for watched.elapsed_s, is_due in looks(graph, interruption, how.seconds):
+            look_after()
             sensor.has_begun()
-            watched.elapsed_s = time.monotonic() - began
-            if watched.elapsed_s >= min(due_s, how.seconds):
-                due_s += SHOW_PERIOD_S
+            if is_due:
                 show(watched)
 
 

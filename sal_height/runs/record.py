@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -20,7 +19,7 @@ from sal_height.nodes.ledger import Ledger
 from sal_height.nodes.parameter_reader import PARAMETER_EVENTS
 from sal_height.nodes.recorder import Recorder
 from sal_height.runs.conductor import Interruption
-from sal_height.runs.watch import LOOK_PERIOD_S, SHOW_PERIOD_S
+from sal_height.runs.watch import looks
 
 DEFAULT_FOLDER = Path("out/recorded")
 
@@ -77,16 +76,12 @@ def record(
     done = Recorded(out or free_folder(DEFAULT_FOLDER))
     check_new_folder(done.folder)
     with ros_domain(domain), Interruption() as interruption, Graph() as graph:
-        overrides = [Parameter(name, value=value) for name, value in parameters.items() if value or value is False]
+        overrides = [Parameter(name, value=value) for name, value in parameters.items() if value]
         recorder = graph.add(Recorder(done.folder, context=graph.context, parameter_overrides=overrides))
-        began, due_s = time.monotonic(), SHOW_PERIOD_S
         with suppress(KeyboardInterrupt):
-            while done.elapsed_s < seconds:
-                graph.spin_for(min(LOOK_PERIOD_S, seconds - done.elapsed_s))
-                interruption.check()
-                done.elapsed_s, done.ledgers = time.monotonic() - began, recorder.ledgers
-                if done.elapsed_s >= min(due_s, seconds):
-                    due_s += SHOW_PERIOD_S
+            for elapsed_s, is_due in looks(graph, interruption, seconds):
+                done.elapsed_s, done.ledgers = elapsed_s, recorder.ledgers
+                if is_due:
                     show(done)
         recorder.close_bag()
         done.ledgers = recorder.ledgers

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -15,7 +15,7 @@ from rclpy.node import Node
 from sal_height.nodes.account import DIAGNOSTICS
 from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.ports import LOOK_S, Ports
+from sal_height.nodes.ports import LOOK_S, LOST, Ports
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.conductor import Interruption
 
@@ -24,11 +24,6 @@ SHOW_PERIOD_S = 1.0
 
 LOOK_PERIOD_S = 0.05
 """Period at which it is looked whether the user has interrupted."""
-
-DEAF = (
-    "{} of shared memory, through which messages of other processes come, is lost, as when this program was stopped "
-    "for seconds (Ctrl-Z): it sees nothing of the nodes any more, which go on. End it with Ctrl-C, and start it again."
-)
 
 
 class Watcher(Node):
@@ -54,7 +49,24 @@ class Watcher(Node):
     def _look(self) -> None:
         if not self.is_deaf and (lost := self._ports.lost()):
             self.is_deaf = True
-            self.get_logger().error(DEAF.format(lost[0]))
+            how = "The nodes go on, unseen; end this program with Ctrl-C, and start it again."
+            self.get_logger().error(f"{LOST.format(lost[0])} {how}")
+
+
+def looks(graph: Graph, interruption: Interruption, seconds: float) -> Iterator[tuple[float, bool]]:
+    """Spin a graph for so long; time and again, yields the time since the begin, s, and whether it is time to show.
+
+    Raises:
+        KeyboardInterrupt: the user has interrupted.
+    """
+    began, elapsed_s, due_s = time.monotonic(), 0.0, SHOW_PERIOD_S
+    while elapsed_s < seconds:
+        graph.spin_for(min(LOOK_PERIOD_S, seconds - elapsed_s))
+        interruption.check()
+        elapsed_s = time.monotonic() - began
+        is_due = elapsed_s >= min(due_s, seconds)
+        due_s += SHOW_PERIOD_S if is_due else 0.0
+        yield elapsed_s, is_due
 
 
 def watch(domain: DomainChoice, seconds: float, show: Callable[[AccountBook], None]) -> AccountBook:
@@ -73,12 +85,7 @@ def watch(domain: DomainChoice, seconds: float, show: Callable[[AccountBook], No
         suppress(KeyboardInterrupt),
     ):
         graph.add(Watcher(book, context=graph.context))
-        end = time.monotonic() + seconds
-        due = time.monotonic() + SHOW_PERIOD_S
-        while (now := time.monotonic()) < end:
-            graph.spin_for(min(LOOK_PERIOD_S, end - now))
-            interruption.check()
-            if time.monotonic() >= min(due, end):
-                due += SHOW_PERIOD_S
+        for _, is_due in looks(graph, interruption, seconds):
+            if is_due:
                 show(book)
     return book

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import subprocess
 import sys
+import weakref
 from itertools import pairwise
 from pathlib import Path
 
@@ -165,6 +167,18 @@ def test_without_the_file_before_a_repeated_message_is_kept(split: Path, tmp_pat
     salvage(split / "split_1.mcap", tmp_path / "salvaged")
     reader = BagReader(tmp_path / "salvaged")
     assert [deserialize_message(m.cdr, String).data for m in reader.messages(["/info"])] == ["info 0", "info 5"]
+
+
+def test_nothing_is_held_of_files_that_are_finished(tmp_path: Path) -> None:
+    """Each has an index of its messages, which grows with the recording."""
+    with BagWriter(tmp_path / "bag", packing=Packing(split_ns=1)) as bag:
+        bag.add_topic("/samples", STRING)
+        writers = []
+        for second in range(5):
+            bag.write("/samples", text("x"), second, second)
+            writers.append(weakref.ref(bag._file))
+        gc.collect()
+        assert [writer() is not None for writer in writers] == [False] * 4 + [True]
 
 
 KILLED = f"""

@@ -65,7 +65,7 @@ def test_who_watches_a_graph_says_that_nothing_more_can_be_seen(graph: Graph, ca
     finally:
         aside.rename(port)
     (sentence,) = [line for line in capfd.readouterr().err.splitlines() if port.name in line]
-    assert "it sees nothing of the nodes any more, which go on" in sentence
+    assert "The nodes go on, unseen" in sentence
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ from helpers import assert_one_sentence, file_size_limit
 from mcap.reader import make_reader
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Log, ParameterDescriptor, ParameterEvent
+from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -35,9 +36,11 @@ from std_msgs.msg import String
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import salvage
 from sal_height.errors import UserError
+from sal_height.nodes import parameter_reader
 from sal_height.nodes import recorder as module
 from sal_height.nodes.account import PROGRESS
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.parameter_reader import ParameterReader
 from sal_height.nodes.recorder import Recorder
 
 TIMEOUT_S = 20.0
@@ -412,6 +415,7 @@ def test_the_bag_says_what_became_of_all_messages(
     for _ in range(module.QUEUE_DEPTH + 500):
         publisher.publish(String())
     assert graph.spin_until(lambda: recorder.recorded["/note"] == 1 + module.QUEUE_DEPTH, TIMEOUT_S)
+    assert "lost on the way" in recorder.failure  # the program ends with status 1
     monkeypatch.setattr(recorder, "_put_bytes", recorder._put_bytes + 10**12)  # much waits
     for _ in range(2):
         publisher.publish(String())
@@ -502,6 +506,44 @@ def test_every_file_of_a_bag_holds_the_parameters(graph: Graph, source: Node, ba
     files = sorted(bag.glob("*.mcap"))
     assert len(files) == 3
     assert [parameters_in(file)["/source"]["before"] for file in files] == [2.5] * 3
+
+
+@pytest.mark.usefixtures("source")
+def test_a_node_that_answers_nonsense_costs_nothing(graph: Graph, bag: Path) -> None:
+    """It has other values than names; another one does not know the names of its own."""
+    strange = graph.add(Node("strange", context=graph.context, start_parameter_services=False))
+
+    def names(_: Any, response: Any) -> Any:
+        response.result.names = ["a", "b"]
+        return response
+
+    strange.create_service(ListParameters, "strange/list_parameters", names)
+    strange.create_service(GetParameters, "strange/get_parameters", lambda _, response: response)
+    recorder = start(graph, bag, topics=["/note"], node_parameters=True)
+    known = recorder._reader._known
+    assert graph.spin_until(lambda: {"/strange", "/source"} <= known.keys(), TIMEOUT_S)
+    assert len(known["/strange"].new_parameters) == 0
+    assert len(known["/source"].new_parameters) > 0
+    assert recorder.failures == 0
+    graph.close()
+
+
+def test_no_more_is_held_of_parameters_than_a_node_has(monkeypatch: pytest.MonkeyPatch, graph: Graph) -> None:
+    monkeypatch.setattr(parameter_reader, "MOST_BYTES", 1000)
+    monkeypatch.setattr(parameter_reader, "MOST_NODES", 2)
+    reader = ParameterReader(graph.add(Node("asker", context=graph.context)), print, print)
+
+    def event(node: str, text: str) -> bytes:
+        parameter = Parameter("name", value=text).to_parameter_msg()
+        return serialize_message(ParameterEvent(node=node, new_parameters=[parameter]))
+
+    assert [reader.take(event(name, "x")) is not None for name in ("/a", "/b", "/c")] == [True, True, False]
+    assert reader.take(event("/a", "x" * 1000)) is None
+    assert reader.take(b"no event") is None
+    assert {name: known.new_parameters[0].value.string_value for name, known in reader._known.items()} == {
+        "/a": "x",
+        "/b": "x",
+    }
 
 
 def test_parameters_are_left_out_on_request(graph: Graph, source: Node, bag: Path) -> None:

@@ -39,11 +39,11 @@ SMALL_DISK_MB = 4
 RECORDER = "from sal_height.nodes.recorder import main; raise SystemExit(main())"
 
 
-def recorder(folder: Path, domain_id: int, *before: str, **parameters: object) -> subprocess.Popen[str]:
-    """A recorder of /note in a process of its own; `before`: words that its command begins with."""
+def recorder(folder: Path, domain_id: int, **parameters: object) -> subprocess.Popen[str]:
+    """A recorder of /note in a process of its own."""
     values = {"directory": str(folder), "topics": "[/note]", "node_parameters": "false", **parameters}
     options = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
-    command = [*before, sys.executable, "-c", RECORDER, "--ros-args", *options]
+    command = [sys.executable, "-c", RECORDER, "--ros-args", *options]
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
     return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)  # noqa: S603 (our own program)
 

@@ -12,12 +12,14 @@ from chain_fixture import DETECTORS, START_NS, Chain, same_heights
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from sal_height_msgs.msg import HeightImage
 from scipy.spatial.transform import Rotation
 
 from sal_height import messages
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
 from sal_height.nodes import static_frames
+from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.static_frames import StaticFrames
@@ -127,7 +129,7 @@ def from_tf(graph: Graph, flight: Any) -> Chain:
 
 
 def broadcast(chain: Chain, *transforms: TransformStamped) -> None:
-    """Publish transforms as a node does that ends right after it has started a latched topic's subscribers."""
+    """Publish transforms as a node does that knows no more of the platform."""
     node = chain.graph.add(Node("broadcaster", context=chain.graph.context))
     publisher = node.create_publisher(TFMessage, "/tf_static", TF_STATIC_QOS)
     publisher.publish(TFMessage(transforms=transforms))
@@ -141,17 +143,18 @@ def test_heights_are_those_of_the_same_mounting_in_sensor_info(graph: Graph, fli
     from_tf.await_heights(0)
     made = from_tf.heights["ml", 0]
     graph.close()
-    with Graph() as other:
-        stated = Chain(other, flight, missing_after_s=30.0, image=IMAGE)
-        stated.publish(mounted(stated, Mounting("sensor", arm, tuple(turn.as_quat().tolist()))))
-        stated.publish(*stated.odometry(0), *stated.frames(0))
-        stated.await_heights(0)
-        assert same_heights(made, stated.heights["ml", 0])
-    with Graph() as other:
-        without = Chain(other, flight, missing_after_s=30.0, image=IMAGE)
-        without.publish(mounted(without, Mounting()), *without.odometry(0), *without.frames(0))
-        without.await_heights(0)
-        assert not same_heights(made, without.heights["ml", 0])
+    stated = Mounting("sensor", arm, tuple(turn.as_quat().tolist()))
+    assert same_heights(made, heights_with(flight, stated))
+    assert not same_heights(made, heights_with(flight, Mounting()))
+
+
+def heights_with(flight: Any, mounting: Mounting) -> HeightImage:
+    """Heights of a dwell whose sensor is described with a mounting, which counts."""
+    with free_domain() as domain, Graph(domain) as graph:
+        chain = Chain(graph, flight, missing_after_s=30.0, image=IMAGE)
+        chain.publish(mounted(chain, mounting), *chain.odometry(0), *chain.frames(0))
+        chain.await_heights(0)
+        return chain.heights["ml", 0]
 
 
 def test_a_dwell_waits_for_the_frame_of_its_sensor(from_tf: Chain) -> None:

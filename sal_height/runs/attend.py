@@ -12,7 +12,7 @@ from sal_height.runs.account_book import AccountBook
 from sal_height.runs.conductor import Execution, Interruption
 from sal_height.runs.ensemble import Ensemble, Member
 from sal_height.runs.supervisor import Supervisor
-from sal_height.runs.watch import LOOK_PERIOD_S, SHOW_PERIOD_S, Watcher
+from sal_height.runs.watch import Watcher, looks
 
 
 @dataclass
@@ -22,12 +22,10 @@ class Attended:
     Attributes:
         book: the accounts of all nodes of the graph, those of others too.
         elapsed_s: time since its nodes were started.
-        starts: how often each node was started again.
     """
 
     book: AccountBook
     elapsed_s: float
-    starts: dict[str, int]
 
 
 def attend(
@@ -43,14 +41,13 @@ def attend(
         members: the nodes.
         execution: domain; whether each node has a process of its own.
         seconds: how long, s; infinity: until it is interrupted.
-        supervised: whether nodes that have ended are started again, once all of them have come up.
+        supervised: whether nodes that have ended are started again.
         show: called once a second with what has been seen.
 
     Raises:
         UserError: a node refuses its parameters, or ends and is not to be started again.
     """
-    seen = Attended(AccountBook(), 0.0, {})
-    names = {f"{member.namespace}/{member.name}".removeprefix("/") for member in members}
+    seen = Attended(AccountBook(), 0.0)
     with (
         ros_domain(execution.domain),
         Interruption() as interruption,
@@ -59,23 +56,19 @@ def attend(
     ):
         graph = ensemble.graph
         graph.add(Watcher(seen.book, context=graph.context))
-        began = time.monotonic()
-        supervisor = Supervisor(ensemble, began)
-        due_s = SHOW_PERIOD_S
-        while seen.elapsed_s < seconds:
-            graph.spin_for(min(LOOK_PERIOD_S, seconds - seen.elapsed_s))
-            interruption.check()
-            if supervised and _are_up(names, seen.book):
+        supervisor = Supervisor(ensemble, time.monotonic())
+        for seen.elapsed_s, is_due in looks(graph, interruption, seconds):
+            if supervised and not _refused(ensemble, seen.book):
                 supervisor.look(time.monotonic())
             else:
                 ensemble.check()
-            seen.elapsed_s, seen.starts = time.monotonic() - began, dict(supervisor.starts)
-            if seen.elapsed_s >= min(due_s, seconds):
-                due_s += SHOW_PERIOD_S
+            if is_due:
                 show(seen)
     return seen
 
 
-def _are_up(names: set[str], book: AccountBook) -> bool:
-    """Whether all nodes have come up once."""
-    return names <= book.entries.keys()
+def _refused(ensemble: Ensemble, book: AccountBook) -> bool:
+    """Whether a node has ended by itself before it told anything, as one does that refuses its parameters."""
+    members = ensemble.members
+    named = {name: f"{members[name].namespace}/{name}".removeprefix("/") for name in members}
+    return any(status >= 0 and named[name] not in book.entries for name, status in ensemble.ended().items())

@@ -10,11 +10,13 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rclpy.node import Node
 from sal_height_msgs.msg import HeightImage
 from std_srvs.srv import Trigger
 
@@ -23,8 +25,10 @@ from sal_height.errors import UserError
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.runs.account_book import AccountBook
 from sal_height.runs.ensemble import Member
 from sal_height.runs.supervisor import FIRST_WAIT_S, LONGEST_WAIT_S, STEADY_S, Supervisor
+from sal_height.runs.watch import Watcher
 
 DEADLINE_S = 60.0
 
@@ -99,6 +103,8 @@ def test_the_end_of_a_node_and_what_follows_are_told(caplog: pytest.LogCaptureFi
     assert supervisor.starts == {"ml_height": 1, "near": 1}
 
 
+NODES = ["sar_compression", "ml_height", "relief_tracker", "relief_mapper", "recorder", "paced_player"]
+
 CONFIGURATION = """
 namespace: lidar
 nodes:
@@ -125,7 +131,9 @@ class Program:
     stamps: dict[str, list[int]]
 
     def wait_for(self, condition: Callable[[], bool]) -> None:
-        assert self.graph.spin_until(condition, DEADLINE_S)
+        ended = self.process.poll
+        assert self.graph.spin_until(lambda: condition() or ended() is not None, DEADLINE_S), self.what_happened()
+        assert condition(), self.what_happened()
 
     def await_new(self, topic: str, number: int = 1) -> None:
         """Wait until so many more messages have come."""
@@ -134,8 +142,22 @@ class Program:
 
     def node(self, name: str) -> int:
         """Number of the process of a node; 0: there is none."""
-        found = children(self.process.pid)
+        found = [] if self.process.poll() is not None else children(self.process.pid)
         return next((pid for pid in found if name in command_of(pid)), 0)
+
+    def kill(self, name: str) -> int:
+        """End the process of a node by SIGKILL; returns its number."""
+        killed = self.node(name)
+        assert killed, self.what_happened()  # number 0 would be all processes of the tests themselves
+        os.kill(killed, signal.SIGKILL)
+        return killed
+
+    def what_happened(self) -> str:
+        """How the program ended and what it said, if it has ended."""
+        if self.process.poll() is None:
+            return f"The program runs, with the processes {list(map(command_of, children(self.process.pid)))}."
+        said, errors = self.process.communicate()
+        return f"The program ended with status {self.process.returncode}:\n{said}\n{errors}"
 
 
 def children(parent: int) -> list[int]:
@@ -152,31 +174,34 @@ def command_of(pid: int) -> str:
     return name if "live" in words else " ".join(words)
 
 
+@contextmanager
+def live(domain: int, *words: object) -> Iterator[subprocess.Popen[str]]:
+    """`sal-height live --supervise`, which is killed at the end if it still runs."""
+    command = [sys.executable, "-m", "sal_height", "live", *map(str, words), "--supervise", "--domain", str(domain)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:  # noqa: S603
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
 @pytest.fixture(scope="module")
 def program(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
     folder = tmp_path_factory.mktemp("supervised")
     file = folder / "flight.yaml"
     file.write_text(CONFIGURATION.format(bag=recorded / "bag", folder=folder))
-    with free_domain() as domain, Graph(domain) as graph:
-        words = ["live", str(file), "--supervise", "--domain", str(domain)]
-        process = subprocess.Popen(  # noqa: S603 (our program)
-            [sys.executable, "-m", "sal_height", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        try:
-            stamps: dict[str, list[int]] = {"ml/height": [], "tracked/height": []}
-            node = graph.add(_listener(graph, stamps, "/lidar"))
-            begin(graph, node)
-            started = Program(process, graph, folder, stamps)
-            started.await_new("tracked/height")
-            yield started
-        finally:
-            process.kill()
-            process.wait()
+    with free_domain() as domain, Graph(domain) as graph, live(domain, file) as process:
+        stamps: dict[str, list[int]] = {"ml/height": [], "tracked/height": []}
+        node = graph.add(_listener(graph, stamps, "/lidar"))
+        begin(graph, node)
+        started, book = Program(process, graph, folder, stamps), AccountBook()
+        graph.add(Watcher(book, context=graph.context))
+        started.wait_for(lambda: len(book.entries) == len(NODES))  # from now on the program counts their processes
+        started.await_new("tracked/height")
+        yield started
 
 
-def _listener(graph: Graph, stamps: dict[str, list[int]], namespace: str) -> Any:
-    from rclpy.node import Node
-
+def _listener(graph: Graph, stamps: dict[str, list[int]], namespace: str) -> Node:
     node = Node("listener", context=graph.context)
 
     def keeper(topic: str) -> Callable[[HeightImage], None]:
@@ -190,7 +215,7 @@ def _listener(graph: Graph, stamps: dict[str, list[int]], namespace: str) -> Any
     return node
 
 
-def begin(graph: Graph, node: Any) -> None:
+def begin(graph: Graph, node: Node) -> None:
     """Have the sensor deliver: a node that has just been started may not take the first call."""
     client = node.create_client(Trigger, "/lidar/paced_player/start")
     answers: list[Any] = []
@@ -209,10 +234,8 @@ def begin(graph: Graph, node: Any) -> None:
 @pytest.mark.parametrize("name", ["sar_compression", "ml_height", "relief_tracker", "relief_mapper", "recorder"])
 def test_a_node_that_is_killed_works_again_beside_the_others(name: str, program: Program) -> None:
     others = {other: program.node(other) for other in ("sar_compression", "ml_height", "relief_tracker", "recorder")}
-    killed = program.node(name)
-    assert killed
     program.await_new("tracked/height")
-    os.kill(killed, signal.SIGKILL)
+    killed = program.kill(name)
     program.wait_for(lambda: program.node(name) not in (0, killed))
     again = program.node(name)
     program.await_new("tracked/height", 2)
@@ -225,8 +248,7 @@ def test_a_node_that_is_killed_works_again_beside_the_others(name: str, program:
 def test_a_sensor_that_is_started_anew_is_followed(program: Program) -> None:
     """Its dwells are numbered from 0 again, and stamped later."""
     last = max(program.stamps["tracked/height"])
-    killed = program.node("paced_player")
-    os.kill(killed, signal.SIGKILL)
+    killed = program.kill("paced_player")
     program.wait_for(lambda: program.node("paced_player") not in (0, killed))
     begin(program.graph, program.graph.nodes[0])
     program.await_new("tracked/height", 3)
@@ -241,7 +263,7 @@ def test_at_the_end_files_are_whole_and_restarts_are_told(program: Program) -> N
     program.process.send_signal(signal.SIGINT)
     said, errors = program.process.communicate(timeout=DEADLINE_S)
     assert program.process.returncode == 0, errors
-    for name in ("sar_compression", "ml_height", "relief_tracker", "relief_mapper", "recorder", "paced_player"):
+    for name in NODES:
         assert f"Node {name} ended by SIGKILL; it is started again in 0.5 s." in errors
         assert f"\n{name} was started 2 times." in said
     assert "Traceback" not in errors
@@ -252,29 +274,19 @@ def test_at_the_end_files_are_whole_and_restarts_are_told(program: Program) -> N
 
 def test_a_played_sensor_begins_anew_after_its_node_was_killed(recorded: Path, tmp_path: Path) -> None:
     """`live` asks it to, and says in the report how many processes each node has had."""
-    words = ["live", "--bag", str(recorded / "bag"), "--rate", "0.05", "--supervise", "--out", str(tmp_path / "out")]
     heights = tmp_path / "out" / "run" / "bag" / "bag_0.mcap"
-    with free_domain() as domain, Graph(domain) as graph:
-        process = subprocess.Popen(  # noqa: S603 (our program)
-            [sys.executable, "-m", "sal_height", *words, "--domain", str(domain)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        try:
-            stamps: dict[str, list[int]] = {"tracked/height": []}
-            graph.add(_listener(graph, stamps, ""))
-            running = Program(process, graph, tmp_path, stamps)
-            running.await_new("tracked/height", 2)
-            os.kill(running.node("paced_player"), signal.SIGKILL)
-            running.wait_for(lambda: running.node("paced_player") == 0)
-            running.wait_for(lambda: running.node("paced_player") != 0)
-            running.await_new("tracked/height", 3)
-            process.send_signal(signal.SIGINT)
-            _, errors = process.communicate(timeout=DEADLINE_S)
-        finally:
-            process.kill()
-            process.wait()
+    words = ["--bag", recorded / "bag", "--rate", 0.05, "--out", tmp_path / "out"]
+    with free_domain() as domain, Graph(domain) as graph, live(domain, *words) as process:
+        stamps: dict[str, list[int]] = {"tracked/height": []}
+        graph.add(_listener(graph, stamps, ""))
+        running = Program(process, graph, tmp_path, stamps)
+        running.await_new("tracked/height", 2)
+        running.kill("paced_player")
+        running.wait_for(lambda: running.node("paced_player") == 0)
+        running.wait_for(lambda: running.node("paced_player") != 0)
+        running.await_new("tracked/height", 3)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=DEADLINE_S)
     assert process.returncode == 0, errors
     assert heights.is_file()
     report = json.loads((tmp_path / "out" / "run" / "report.json").read_text())
@@ -282,3 +294,29 @@ def test_a_played_sensor_begins_anew_after_its_node_was_killed(recorded: Path, t
     assert processes.pop("paced_player") == 2
     assert set(processes.values()) == {1}
     assert report["heights"]["tracked/height"] >= 5
+
+
+def test_a_node_that_is_killed_before_it_has_come_up_is_started_again(tmp_path: Path) -> None:
+    file = tmp_path / "flight.yaml"
+    file.write_text("nodes: {ml_height: , monopulse: }")
+    with free_domain() as domain, Graph(domain) as graph, live(domain, file) as process:
+        node = graph.add(Node("watcher", context=graph.context))
+        program = Program(process, graph, tmp_path, {})
+        program.wait_for(lambda: program.node("ml_height") != 0)
+        program.kill("ml_height")
+        program.wait_for(lambda: program.node("ml_height") == 0)
+        program.wait_for(lambda: ("ml_height", "/") in node.get_node_names_and_namespaces())
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 0, errors
+    assert "Node ml_height ended by SIGKILL; it is started again in 0.5 s." in errors
+
+
+def test_a_node_that_refuses_its_parameters_is_not_started_again(tmp_path: Path) -> None:
+    file = tmp_path / "flight.yaml"
+    file.write_text("nodes: {ml_height: {parameters: {range_looks: -3}}, monopulse: }")
+    with free_domain() as domain, live(domain, file) as process:
+        _, errors = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 2
+    assert "started again" not in errors
+    assert "range_looks" in errors

@@ -1,204 +1,208 @@
-"""Compare height images value for value, as the check that a replay did what the recorded run had done."""
+"""Compare the messages of two bags field by field: the check that a replay did what the golden run had done."""
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from sal_height_msgs.msg import HeightImage
 
+from sal_height.bag.field_difference import FieldDifference
+from sal_height.bag.fields import content_hash, fields_of
 from sal_height.bag.reader import BagReader
+from sal_height.bag.tolerance import EXACT, Tolerances
+from sal_height.elevation import Validity
 
 HEIGHT_IMAGE = "sal_height_msgs/msg/HeightImage"
 
-NUMBERS = {"order_probability": 5, "covariance": 6, "common_covariance": 6}
-"""Fields with several numbers per pixel, and how many: for each order, and of the upper triangle of a covariance."""
+EQUAL, WITHIN, CHANGED = "equal", "within tolerance", "changed"
+"""Verdicts, the best first."""
 
-# Height images by topic: a bag, or messages at hand.
-Heights: TypeAlias = Path | Mapping[str, Iterable[HeightImage]]
+NOT_COMPARED = frozenset({"provenance"})
+"""Fields of messages that say how they were made, not what came out."""
 
-# Topic, dwell, and how many images of that dwell came before on the topic (a simulator may have been restarted).
-_Key: TypeAlias = tuple[str, int, int]
+NAMED = 5
+"""Missing and extra messages that are named."""
 
 
-@dataclass(frozen=True)
-class HeightComparison:
-    """What one topic of a replay has in common with the recorded one.
+class Key(NamedTuple):
+    """What makes a message of one bag the counterpart of one in the other.
 
     Attributes:
-        matched: number of dwells with an image on both sides.
-        missing: number of those with a recorded image only.
-        extra: number of those with a replayed image only.
-        grids_different: matched images whose grid or looks differ in any way.
-        grid_change: how the first of these differs, in words.
-        pixels: pixels of the matched images.
-        pixels_different: those where any array differs (NaN equals NaN); all pixels of an image that has another number
-            of rows or columns, or arrays of another length.
-        greatest_height_difference: of the first surface, over the pixels that have a height on both sides, m; None:
-            there are none.
+        topic: the topic.
+        dwell: its dwell; without one, how many messages came before on the topic.
+        channel: its channel; 0 without one.
+        repetition: how many messages with the same came before: a simulator may have been restarted.
+    """
+
+    topic: str
+    dwell: int
+    channel: int = 0
+    repetition: int = 0
+
+
+@dataclass
+class Comparison:
+    """What one topic of a bag has in common with that of the golden one.
+
+    Attributes:
+        matched: number of messages that are on both sides.
+        missing: number of golden messages without a counterpart.
+        extra: number of messages without a golden counterpart.
+        lone: dwells (or numbers) of the first of these.
+        fields: what differs in each field.
+        validity: how many pixels have a golden validity and one of the other bag, by both names.
+        outside: number of values beyond the tolerance by dwell (or number).
+        digests: content hashes of the messages, golden and of the other bag.
     """
 
     matched: int = 0
     missing: int = 0
     extra: int = 0
-    grids_different: int = 0
-    grid_change: str = ""
-    pixels: int = 0
-    pixels_different: int = 0
-    greatest_height_difference: float | None = None
+    lone: list[int] = field(default_factory=list)
+    fields: dict[str, FieldDifference] = field(default_factory=dict)
+    validity: Counter[tuple[str, str]] = field(default_factory=Counter)
+    outside: Counter[int] = field(default_factory=Counter)
+    digests: tuple[list[bytes], list[bytes]] = field(default_factory=lambda: ([], []))
 
     @property
-    def equal(self) -> bool:
-        """Whether there are images, and all of them are the same on both sides."""
-        return self.matched > 0 and not (self.missing or self.extra or self.grids_different or self.pixels_different)
+    def verdict(self) -> str:
+        """EQUAL, WITHIN or CHANGED."""
+        if not self.matched or self.missing or self.extra or self.outside:
+            return CHANGED
+        return WITHIN if any(one.different for one in self.fields.values()) else EQUAL
+
+    @property
+    def worst(self) -> int | None:
+        """Dwell (or number) with most values beyond the tolerance; None: none has any."""
+        return self.outside.most_common(1)[0][0] if self.outside else None
+
+    @property
+    def hashes(self) -> tuple[str, str]:
+        """Hash of the content of all messages of the topic, golden and of the other bag, in whatever order they came.
+
+        Padding does not count, nor does what is not compared. A topic that only one bag has is not read: "".
+        """
+        golden, other = (
+            hashlib.sha256(b"".join(sorted(digests))).hexdigest() if digests else "" for digests in self.digests
+        )
+        return golden, other
+
+    def as_json(self) -> dict[str, Any]:
+        """What a report says."""
+        confusion: dict[str, dict[str, int]] = {}
+        for (golden, made), count in sorted(self.validity.items()):
+            confusion.setdefault(golden, {})[made] = count
+        return {
+            "verdict": self.verdict,
+            "matched": self.matched,
+            "missing": self.missing,
+            "extra": self.extra,
+            "first_missing_or_extra": self.lone,
+            "sha256": dict(zip(("golden", "made"), self.hashes, strict=True)),
+            "equal_fields": sum(not one.different for one in self.fields.values()),
+            "fields": {name: one.as_json() for name, one in self.fields.items() if one.different},
+            "validity": confusion,
+            "worst_dwell": self.worst,
+        }
 
 
-def compare_heights(recorded: Heights, replayed: Heights, tolerance_m: float = 0.0) -> dict[str, HeightComparison]:
-    """Match images by topic and dwell and compare every decoded value; one result per topic of either side.
+def compare_bags(
+    golden: Path, other: Path, tolerances: Tolerances = EXACT, topics: Collection[str] | None = None
+) -> dict[str, Comparison]:
+    """Match the messages of two bags by topic and dwell, and compare all their fields but their provenance.
 
-    Provenance and stamps are not compared, nor bytes: equal messages differ in their padding. All images are missing
-    from a side that has none. UserError if a bag cannot be read.
+    Args:
+        golden: the bag that is right.
+        other: the bag that is judged.
+        tolerances: how far values may be from the golden ones.
+        topics: those to compare; None: all with height images.
 
-    With a tolerance_m above 0 a pixel is taken for equal if its validity is the same and no height differs by more: its
-    other values (sigma, position, CNR) follow from the height. Numbers of the grids may differ by as much.
+    Returns:
+        Comparisons by topic, of all that either bag has messages on.
+
+    Raises:
+        UserError: a bag cannot be read.
     """
-    total: dict[str, HeightComparison] = {}
-    waiting: tuple[dict[_Key, HeightImage], dict[_Key, HeightImage]] = ({}, {})
-    # Both sides advance together, so that only images without a counterpart yet are held in memory.
-    for pair in itertools.zip_longest(_images(recorded), _images(replayed)):
+    bags = BagReader(golden), BagReader(other)
+    counts = [_counts(bag, topics) for bag in bags]
+    found = {topic: Comparison() for topic in dict.fromkeys([*counts[0], *counts[1]])}
+    common = counts[0].keys() & counts[1].keys()
+    for topic in found.keys() - common:
+        found[topic].missing, found[topic].extra = (side.get(topic, 0) for side in counts)
+    waiting: tuple[dict[Key, Any], dict[Key, Any]] = ({}, {})
+    # Both sides advance together, so that only messages without a counterpart yet are held in memory.
+    for pair in itertools.zip_longest(*(_messages(bag, common) for bag in bags)):
         for side, entry in enumerate(pair):
             if entry is not None:
-                key, image = entry
-                waiting[side][key] = image
+                key, message = entry
+                waiting[side][key] = message
                 if key in waiting[1 - side]:
-                    result = _compare(waiting[0].pop(key), waiting[1].pop(key), tolerance_m)
-                    total[key[0]] = _add(total.get(key[0]), result)
-    for topic, _, _ in waiting[0]:
-        total[topic] = _add(total.get(topic), HeightComparison(missing=1))
-    for topic, _, _ in waiting[1]:
-        total[topic] = _add(total.get(topic), HeightComparison(extra=1))
-    return total
+                    _compare(waiting[0].pop(key), waiting[1].pop(key), tolerances, key.dwell, found[key.topic])
+    for side, lone in enumerate(waiting):
+        for key, message in lone.items():
+            result = found[key.topic]
+            result.missing += side == 0
+            result.extra += side == 1
+            result.lone += [key.dwell] * (len(result.lone) < NAMED)
+            result.digests[side].append(content_hash(fields_of(message, NOT_COMPARED)))
+    return found
 
 
-def _images(source: Heights) -> Iterator[tuple[_Key, HeightImage]]:
-    seen: Counter[tuple[str, int]] = Counter()
-    for topic, image in _read(source) if isinstance(source, Path) else _unfold(source):
-        yield (topic, image.dwell, seen[topic, image.dwell]), image
-        seen[topic, image.dwell] += 1
+def _counts(bag: BagReader, topics: Collection[str] | None) -> dict[str, int]:
+    """Number of messages of each topic to compare that has any."""
+    return {
+        topic.name: topic.count
+        for topic in bag.topics.values()
+        if topic.count and (topic.type_name == HEIGHT_IMAGE if topics is None else topic.name in topics)
+    }
 
 
-def _read(path: Path) -> Iterator[tuple[str, HeightImage]]:
-    bag = BagReader(path)
-    topics = [topic.name for topic in bag.topics.values() if topic.type_name == HEIGHT_IMAGE and topic.count]
-    for message in bag.messages(topics) if topics else ():
-        yield message.topic, bag.decode(HEIGHT_IMAGE, message.cdr)
+def _messages(bag: BagReader, topics: Collection[str]) -> Iterator[tuple[Key, Any]]:
+    seen: Counter[Key] = Counter()
+    for recorded in bag.messages(topics) if topics else ():
+        message = bag.decode(recorded.type_name, recorded.cdr)
+        numbered = hasattr(message, "dwell")
+        key = Key(recorded.topic, message.dwell if numbered else 0, getattr(message, "channel", 0) if numbered else 0)
+        seen[key] += 1
+        number = seen[key] - 1
+        yield key._replace(repetition=number) if numbered else key._replace(dwell=number), message
 
 
-def _unfold(images: Mapping[str, Iterable[HeightImage]]) -> Iterator[tuple[str, HeightImage]]:
-    return ((topic, image) for topic, sequence in images.items() for image in sequence)
+def _compare(golden: Any, made: Any, tolerances: Tolerances, dwell: int, result: Comparison) -> None:
+    """Add what a message has in common with its golden counterpart."""
+    ours, theirs = fields_of(golden, NOT_COMPARED), fields_of(made, NOT_COMPARED)
+    for side, fields in zip(result.digests, (ours, theirs), strict=True):
+        side.append(content_hash(fields))
+    result.matched += 1
+    if type(golden).__name__ == "HeightImage":
+        result.validity.update(_confusion(ours["validity"], theirs["validity"]))
+    for name in dict.fromkeys([*ours, *theirs]):
+        one, other = ours.get(name, NOTHING), theirs.get(name, NOTHING)
+        sigma = ours.get(f"{name.rpartition('.')[0]}.sigma".removeprefix("."))
+        allowed = tolerances.of(name, one).allowed(one, sigma)
+        known = result.fields.setdefault(name, FieldDifference())
+        if outside := known.add(one, other, allowed, dwell):
+            result.outside[dwell] += outside
 
 
-def _compare(recorded: HeightImage, replayed: HeightImage, tolerance_m: float) -> HeightComparison:
-    ours, theirs = _arrays(recorded), _arrays(replayed)
-    # A well-formed image has rows * cols entries in every array that it has; of others the longest array counts.
-    sizes = {values.size for side in (ours, theirs) for values in side.values()}
-    pixels = max(sizes, default=0)
-    if len(sizes) != 1 or ours.keys() != theirs.keys() or _shape(recorded) != _shape(replayed):
-        different, greatest = pixels, None
-    else:
-        heights = {name for name in ours if name.endswith(".height")}
-        compared = {name for name in ours if not tolerance_m or name == "validity"} | heights
-        allowed = {name: tolerance_m if name in heights else 0.0 for name in compared}
-        differences = [_differs(ours[name], theirs[name], allowed[name]) for name in compared]
-        different = int(np.count_nonzero(np.any(differences, axis=0)))
-        first = "surfaces[0].height"
-        greatest = _greatest_difference(ours[first], theirs[first]) if first in heights else None
-    change = _grid_change(recorded, replayed, tolerance_m)
-    return HeightComparison(
-        matched=1,
-        grids_different=int(bool(change)),
-        grid_change=change,
-        pixels=pixels,
-        pixels_different=different,
-        greatest_height_difference=greatest,
-    )
+NOTHING: NDArray[Any] = np.zeros(0)
 
 
-def _grid_change(recorded: HeightImage, replayed: HeightImage, tolerance_m: float) -> str:
-    """How the replayed grid differs from the recorded one, in words; empty if it does not."""
-    changes = [
-        f"{ours[0]} x {ours[1]} {what} instead of {theirs[0]} x {theirs[1]}"
-        for what, ours, theirs in (
-            ("pixels", _shape(replayed), _shape(recorded)),
-            ("looks", _looks(replayed), _looks(recorded)),
-        )
-        if ours != theirs
-    ]
-    if not changes and np.any(np.abs(_numbers(recorded.grid) - _numbers(replayed.grid)) > tolerance_m):
-        changes = ["pixels at other places"]
-    return ", ".join(changes)
+def _confusion(golden: NDArray[Any], made: NDArray[Any]) -> Counter[tuple[str, str]]:
+    """How many pixels have each pair of validities; none if the images have other numbers of pixels."""
+    if golden.size != made.size:
+        return Counter()
+    pairs, counts = np.unique(np.stack([golden, made]), axis=1, return_counts=True)
+    return Counter({(_name(one), _name(other)): int(n) for (one, other), n in zip(pairs.T, counts, strict=True)})
 
 
-def _shape(image: HeightImage) -> tuple[int, int]:
-    return image.grid.rows, image.grid.cols
-
-
-def _looks(image: HeightImage) -> tuple[int, int]:
-    return image.range_looks, image.azimuth_looks
-
-
-def _arrays(image: HeightImage) -> dict[str, NDArray[np.generic]]:
-    """Every array of the message that has a number per pixel, by name; only those that are not empty."""
-    fields = {"validity": image.validity, "order_probability": image.order_probability}
-    for number, surface in enumerate(image.surfaces):
-        names = surface.get_fields_and_field_types()
-        fields |= {f"surfaces[{number}].{name}": getattr(surface, name) for name in names}
-    return {name: values for field, numbers in fields.items() for name, values in _layers(field, np.asarray(numbers))}
-
-
-def _layers(field: str, numbers: NDArray[np.generic]) -> Iterator[tuple[str, NDArray[np.generic]]]:
-    """The arrays with a number per pixel that a field has in turn; none if it is empty."""
-    each = NUMBERS.get(field.rpartition(".")[2], 1)
-    for index in range(each if numbers.size else 0):
-        yield f"{field}[{index}]" if each > 1 else field, numbers[index::each]
-
-
-def _numbers(value: Any) -> NDArray[np.float64]:
-    """All numbers in a message, one after the other."""
-    if not hasattr(value, "get_fields_and_field_types"):
-        return np.array([value], dtype=np.float64)
-    return np.concatenate([_numbers(getattr(value, name)) for name in value.get_fields_and_field_types()])
-
-
-def _differs(ours: NDArray[Any], theirs: NDArray[Any], tolerance: float) -> NDArray[np.bool_]:
-    both_nan = np.isnan(ours) & np.isnan(theirs)
-    near = np.abs(ours.astype(np.float64) - theirs.astype(np.float64)) <= tolerance
-    differs: NDArray[np.bool_] = ~((ours == theirs) | near | both_nan)
-    return differs
-
-
-def _greatest_difference(ours: NDArray[np.generic], theirs: NDArray[np.generic]) -> float | None:
-    difference = np.abs(ours.astype(np.float64) - theirs.astype(np.float64))
-    return float(np.nanmax(difference)) if np.any(np.isfinite(difference)) else None
-
-
-def _add(one: HeightComparison | None, other: HeightComparison) -> HeightComparison:
-    if one is None:
-        return other
-    known = [d for d in (one.greatest_height_difference, other.greatest_height_difference) if d is not None]
-    return HeightComparison(
-        matched=one.matched + other.matched,
-        missing=one.missing + other.missing,
-        extra=one.extra + other.extra,
-        grids_different=one.grids_different + other.grids_different,
-        grid_change=one.grid_change or other.grid_change,
-        pixels=one.pixels + other.pixels,
-        pixels_different=one.pixels_different + other.pixels_different,
-        greatest_height_difference=max(known, default=None),
-    )
+def _name(code: int) -> str:
+    """Name of a validity; its number where it has none."""
+    return Validity(code).name if code in list(Validity) else str(code)

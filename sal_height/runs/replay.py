@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import logging
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -14,8 +13,9 @@ import yaml
 from rclpy.parameter import Parameter
 
 from sal_height import messages
-from sal_height.bag.compare import HeightComparison, compare_heights
+from sal_height.bag.compare import CHANGED, Comparison
 from sal_height.bag.reader import BagReader
+from sal_height.bag.tolerance import ROUNDING, Tolerances
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
@@ -34,6 +34,7 @@ from sal_height.runs.catalogue import (
     suited,
 )
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
+from sal_height.runs.judge import as_json, judge
 from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
 from sal_height.sensor import Sensor
@@ -44,20 +45,35 @@ _LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
+class Against:
+    """What the heights of a replay are compared with.
+
+    Attributes:
+        golden: the bag whose heights are right; None: the bag that is replayed.
+        tolerances: how far values may be from the golden ones.
+    """
+
+    golden: Path | None = None
+    tolerances: Tolerances = ROUNDING
+
+
+RECORDED = Against()
+
+
+@dataclass(frozen=True)
 class Replay:
     """What a replay did.
 
     Attributes:
         outcome: what became of its dwells.
-        compared: comparison with the recorded heights by topic of the bag; empty if none were recorded or the replay
-            was interrupted.
+        compared: comparison with the golden heights by topic; empty if there are none or the replay was interrupted.
         accuracy: errors of each estimator (`report.statistics`) by prefix of its topics; empty unless the bag says from
             which simulated flight it is.
         images: measures of the brightest target of each image; empty unless the sensor has a single channel.
     """
 
     outcome: Outcome
-    compared: Mapping[str, HeightComparison]
+    compared: Mapping[str, Comparison]
     accuracy: Mapping[str, Mapping[str, Any]]
     images: Sequence[Mapping[str, Any]]
 
@@ -76,8 +92,8 @@ class Replay:
         for topic, result in self.compared.items():
             if result.missing or result.extra:
                 lacks.append(f"Topic {topic} misses {result.missing} images and has {result.extra} more than recorded.")
-            elif not (changed or result.equal):
-                lacks.append(f"Topic {topic} differs from the recorded one.")
+            elif not changed and result.verdict == CHANGED:
+                lacks.append(f"Topic {topic} differs from the golden one by more than the tolerance.")
         return [*self.outcome.losses, *lacks]
 
 
@@ -86,20 +102,20 @@ def replay(
     out: Path,
     parameters: NodeParameters,
     execution: Execution = DEFAULT,
-    tolerance_m: float = 0.0,
+    against: Against = RECORDED,
     estimators: Collection[str] = (),
 ) -> Replay:
     """Play the phase history of `bag` through the graph and record the products in `out`/bag.
 
     The images (topic slc) of a sensor with a single channel are recorded instead of heights. There is no relief map: it
-    follows from the heights, which are compared value for value.
+    follows from the heights, which are compared.
 
     Args:
         bag: folder of the recorded bag, or its .mcap file; it holds the parameters it was made with.
         out: output folder; must be new or empty.
         parameters: values that replace recorded parameters of nodes.
         execution: how the replay is carried out.
-        tolerance_m: how far heights may be from the recorded ones, m (`compare_heights`).
+        against: what the heights are compared with.
         estimators: names of those whose heights are made; none: those whose heights the bag holds, or else all that
             suit the sensor and need not be asked for.
 
@@ -108,6 +124,7 @@ def replay(
     """
     reader = BagReader(bag)
     sensor, dwells = contents(reader)
+    golden = BagReader(against.golden) if against.golden else reader
     recorded = [name for name in ESTIMATORS if f"/{name}/height" in reader.topics]
     height_nodes = suited(sensor, estimators or recorded)
     own = merged(consumers(height_nodes), recorded_parameters(reader))
@@ -121,16 +138,14 @@ def replay(
         outcome = perform(Plan("player", stages, topics, made, nodes, dwells, custom_data), execution)
         conclude(outcome, values, report)
         compared = {}
-        if any(f"/{prefix}/height" in reader.topics for prefix in HEIGHTS.values()) and not outcome.interrupted:
-            results = compare_heights(bag, made, tolerance_m)
-            prefixes = [prefix for name, prefix in HEIGHTS.items() if name in stages or not estimators]
-            topics = [f"/{prefix}/height" for prefix in prefixes]
-            compared = {topic: results[topic] for topic in topics if topic in results and topic in reader.topics}
+        prefixes = [prefix for name, prefix in HEIGHTS.items() if name in stages or not estimators]
+        topics = [topic for prefix in prefixes if (topic := f"/{prefix}/height") in golden.topics]
+        if topics and not outcome.interrupted:
+            compared = judge(golden.path, made, against.tolerances, topics, folder)
+            report["comparison"] = as_json(golden.path, made, compared, against.tolerances)
         flight = recorded_flight(reader)
         accuracy = read_accuracy(made, flight, stages).statistics if flight else {}
         images = [] if height_nodes else _measure_images(folder)
-        report["tolerance_m"] = tolerance_m
-        report["comparison"] = {topic: dataclasses.asdict(result) for topic, result in compared.items()}
         report["estimators"] = accuracy
         report["images"] = images
     return Replay(outcome, compared, accuracy, images)

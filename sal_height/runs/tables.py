@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from sal_height.bag.compare import HeightComparison
+from sal_height.bag.compare import Comparison
 from sal_height.runs.catalogue import HEIGHTS, NODES
 from sal_height.runs.conductor import Outcome
 
 ABSENT = "-"
 """Stands for a number that does not exist, such as the bias of an estimator without valid pixels."""
+
+MOST_CHANGES = 5
+"""Fields that are named of those that changed."""
 
 
 def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -> str:
@@ -42,27 +45,31 @@ def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -
     return aligned([heading, *rows])
 
 
-def comparison_table(compared: Mapping[str, HeightComparison]) -> str:
-    """How the heights of a replay compare with the recorded ones, by topic, and a sentence on each change of grid."""
-    heading = ["topic", "compared", "missing", "extra", "grids differ", "pixels differ", "greatest difference m"]
-    rows = [
-        [
-            topic,
-            str(result.matched),
-            str(result.missing),
-            str(result.extra),
-            str(result.grids_different),
-            f"{result.pixels_different} of {result.pixels}",
-            _number(result.greatest_height_difference, ".3g"),
-        ]
-        for topic, result in compared.items()
-    ]
-    changed: dict[str, list[str]] = {}
+def comparison_table(compared: Mapping[str, Comparison]) -> str:
+    """How topics compare with the golden ones, and a sentence on each field that is beyond its tolerance."""
+    heading = ["topic", "verdict", "compared", "missing", "extra", "values", "different", "beyond tolerance"]
+    rows = []
     for topic, result in compared.items():
-        if result.grid_change:
-            changed.setdefault(result.grid_change, []).append(topic)
-    changes = [f"The replayed images have {change} ({', '.join(topics)})." for change, topics in changed.items()]
+        fields = result.fields.values()
+        counts = [result.matched, result.missing, result.extra, sum(one.values for one in fields)]
+        counts += [sum(one.different for one in fields), sum(one.outside for one in fields)]
+        rows.append([topic, result.verdict, *map(str, counts)])
+    changes = list(_changes(compared))
+    if len(changes) > MOST_CHANGES:
+        changes[MOST_CHANGES:] = [f"{len(changes) - MOST_CHANGES} more fields changed; the report lists them."]
     return "\n".join([aligned([heading, *rows]), *changes])
+
+
+def _changes(compared: Mapping[str, Comparison]) -> Iterator[str]:
+    """A sentence on each field with values beyond the tolerance, for all topics with the same worst value together."""
+    said: dict[str, list[str]] = {}
+    for topic, result in compared.items():
+        for name, one in result.fields.items():
+            if one.outside and one.worst:
+                worst = one.worst
+                where = f"dwell {worst.dwell}" + (f", value {worst.position}" if one.values > result.matched else "")
+                said.setdefault(f"{name} is {worst.made} instead of {worst.golden} in {where}", []).append(topic)
+    return (f"{what} ({', '.join(topics)})." for what, topics in said.items())
 
 
 def images_table(images: Sequence[Mapping[str, Any]]) -> str:

@@ -1,0 +1,77 @@
+"""Picture of the worst dwell of a comparison: the golden heights, those that are judged, and the difference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+
+from sal_height.bag.compare import HEIGHT_IMAGE, Comparison
+from sal_height.bag.reader import BagReader
+from sal_height.numeric import F64
+
+mpl.use("Agg")
+
+ONE_SIDED = "magenta"
+"""Colour of pixels that have a height on one side only."""
+
+
+def worst_height_image(compared: Mapping[str, Comparison], golden: Path) -> tuple[str, int] | None:
+    """Topic and dwell of the height image with most values beyond the tolerance; of those that differ if none is.
+
+    None: no height image differs, or none is on both sides.
+    """
+    topics = {name: topic.type_name for name, topic in BagReader(golden).topics.items()}
+    images = {name: one for name, one in compared.items() if topics.get(name) == HEIGHT_IMAGE and one.matched}
+    beyond = {name: one.outside.most_common(1)[0] for name, one in images.items() if one.outside}
+    if beyond:
+        name = max(beyond, key=lambda topic: beyond[topic][1])
+        return name, beyond[name][0]
+    for name, one in images.items():
+        places = [known.worst for known in one.fields.values() if known.worst]
+        if places:
+            return name, places[0].dwell
+    return None
+
+
+def draw_difference(golden: Path, made: Path, topic: str, dwell: int, path: Path) -> None:
+    """Write a PNG of the first surface of an image in two bags, and of the difference of their heights.
+
+    Pixels that have a height on one side only are marked in the difference.
+    """
+    sides = [_heights(bag, topic, dwell) for bag in (golden, made)]
+    titles = ["golden", "made"]
+    figure = Figure(figsize=(13.5, 4.6), layout="constrained")
+    same_shape = sides[0].shape == sides[1].shape
+    axes = figure.subplots(1, 3 if same_shape else 2)
+    known = np.concatenate([side[np.isfinite(side)] for side in sides])
+    limits = Normalize(*np.percentile(known, [0.5, 99.5])) if known.size else Normalize(0, 1)
+    for axis, side, title in zip(axes, sides, titles, strict=False):
+        shown = axis.imshow(side, "turbo", limits, aspect="auto", interpolation="nearest")
+        axis.set(title=title, xlabel="column (along-track)", ylabel="row (range)")
+    figure.colorbar(shown, ax=axes[:2], label="height of the first surface (m)")
+    if same_shape:
+        difference = sides[1] - sides[0]
+        lone = np.where(np.isfinite(sides[0]) != np.isfinite(sides[1]), 1.0, np.nan)
+        greatest = float(np.nanmax(np.abs(difference), initial=0.0)) or 1.0
+        axes[2].imshow(lone, ListedColormap([ONE_SIDED]), vmin=0, vmax=1, aspect="auto", interpolation="nearest")
+        shown = axes[2].imshow(difference, "RdBu_r", vmin=-greatest, vmax=greatest, aspect="auto")
+        axes[2].set(title=f"made - golden; {ONE_SIDED}: a height on one side only", xlabel="column (along-track)")
+        figure.colorbar(shown, ax=axes[2], label="difference (m)")
+    figure.suptitle(f"{topic}, dwell {dwell}")
+    figure.savefig(path, dpi=110)
+
+
+def _heights(bag: Path, topic: str, dwell: int) -> F64:
+    """Heights of the first surface of a dwell, (rows, cols); NaN where there is none."""
+    reader = BagReader(bag)
+    decoded = (reader.decode(one.type_name, one.cdr) for one in reader.messages([topic]))
+    message: Any = next(image for image in decoded if image.dwell == dwell)
+    shape = message.grid.rows, message.grid.cols
+    heights = np.asarray(message.surfaces[0].height, np.float64) if message.surfaces else np.zeros(0)
+    return heights.reshape(shape) if heights.size == shape[0] * shape[1] else np.full(shape, np.nan)

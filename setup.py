@@ -51,6 +51,7 @@ setup(
         "dev": ["colcon-common-extensions", "mypy", "pre-commit", "ruff", "types-PyYAML"],
     },
     entry_points={
+        "pytest11": ["sal_height = sal_height.pytest_plugin"],
         "console_scripts": [
             "sal-height = sal_height.commands:main",
             "simulator = sal_height.nodes.simulator:main",

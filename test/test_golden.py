@@ -1,0 +1,75 @@
+"""Golden bags of this repository, put under test by the plugin, as users do with theirs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sal_height.bag.compare import CHANGED
+from sal_height.errors import UserError
+
+BAGS = Path(__file__).parents[1] / "bags"
+GOLDEN = sorted(
+    folder.name for folder in BAGS.iterdir() if folder.is_dir() and folder.name not in {"version_0", "version_1"}
+)
+LARGEST = 4e6
+"""Bytes of a golden bag."""
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_a_replay_gives_the_heights_of_a_golden_bag(name: str, assert_replay_matches: Callable[..., Any]) -> None:
+    done = assert_replay_matches(BAGS / name)
+    assert sum(one.matched for one in done.compared.values()) > 0
+    assert sum(file.stat().st_size for file in (BAGS / name).iterdir()) < LARGEST
+
+
+def test_a_broken_estimator_is_caught(assert_replay_matches: Callable[..., Any]) -> None:
+    broken = {"ml_height": {"objective": "numerator"}}
+    with pytest.raises(AssertionError, match=r"version_2 differs.*\n.*\n.*/ml/height +changed"):
+        assert_replay_matches(BAGS / "version_2", parameters=broken)
+
+
+def test_heights_are_compared_with_those_of_another_bag(
+    assert_replay_matches: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Version 1 of the bag holds the same flight; what was made of it lies beside the test."""
+    done = assert_replay_matches(BAGS / "version_2")
+    assert (tmp_path / "replay_1" / "report.json").is_file()
+    again = assert_replay_matches(BAGS / "version_1", golden=tmp_path / "replay_1" / "bag")
+    assert again.compared.keys() == done.compared.keys()
+    assert (tmp_path / "replay_2" / "bag").is_dir()
+    assert CHANGED not in {one.verdict for one in again.compared.values()}
+
+
+def test_what_cannot_be_used_is_refused(assert_replay_matches: Callable[..., Any], tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="does not exist"):
+        assert_replay_matches(BAGS / "none")
+    with pytest.raises(UserError, match="cannot be read"):
+        assert_replay_matches(BAGS / "version_2", tolerance=tmp_path / "none.yaml")
+
+
+USERS_TEST = """
+
+def test_as_a_user_writes_it(assert_replay_matches):
+    assert_replay_matches({bag!r})
+
+def test_the_plugin_is_there(request):
+    assert request.config.pluginmanager.has_plugin("sal_height")
+"""
+
+
+def test_pytest_finds_the_plugin_by_itself_and_it_loads_no_ros(tmp_path: Path) -> None:
+    (tmp_path / "test_flight.py").write_text(USERS_TEST.format(bag=str(BAGS / "version_2")))
+    words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)]
+    done = subprocess.run(words, check=False, cwd=tmp_path, capture_output=True, text=True, timeout=120)  # noqa: S603
+    assert "2 passed" in done.stdout, done.stdout
+    import_only = (
+        "import sys, sal_height.pytest_plugin; print([m for m in sys.modules if m.startswith(('rclpy', 'mcap'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", import_only], capture_output=True, text=True, timeout=60, check=True)  # noqa: S603
+    assert done.stdout.strip() == "[]"

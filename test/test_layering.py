@@ -13,7 +13,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "sal_height"
 LAYERS = (
     ("errors",),
-    ("numeric", "io", "settings", "configuration"),
+    ("numeric", "io", "settings", "configuration", "tables"),
     ("geometry", "response"),
     ("beams",),
     ("sensor",),

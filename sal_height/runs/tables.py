@@ -8,6 +8,7 @@ from typing import Any
 from sal_height.bag.compare import Comparison
 from sal_height.runs.catalogue import HEIGHTS, NODES
 from sal_height.runs.conductor import Outcome
+from sal_height.tables import aligned
 
 ABSENT = "-"
 """Stands for a number that does not exist, such as the bias of an estimator without valid pixels."""
@@ -77,15 +78,6 @@ def images_table(images: Sequence[Mapping[str, Any]]) -> str:
     heading = ["dwell", "peak over median dB", "width of rows m", "width of columns m"]
     keys = ("peak_over_median_db", "row_width_3db_m", "col_width_3db_m")
     return aligned([heading, *([str(one["dwell"]), *(_number(one[key], ".4g") for key in keys)] for one in images)])
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Rows of texts as lines with columns two spaces apart, the first aligned left and the others right."""
-    widths = [max(len(text) for text in column) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join([row[0].ljust(widths[0]), *(t.rjust(w) for t, w in zip(row[1:], widths[1:], strict=True))])
-        for row in rows
-    )
 
 
 def _number(value: float | None, form: str, scale: float = 1.0) -> str:

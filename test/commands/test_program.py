@@ -28,7 +28,14 @@ from sal_height.figures.curve import Curve
 FOLDER = Path(sal_height.commands.__file__).parent
 COMMANDS = sorted(path.stem.replace("_", "-") for path in FOLDER.glob("[a-z]*.py"))
 WITH_OUTPUT = [name for name in COMMANDS if "OutputFolder" in (FOLDER / f"{name.replace('-', '_')}.py").read_text()]
-PATHS = [[], *([name] for name in COMMANDS), ["montecarlo", "pair"], ["montecarlo", "array"]]
+BAG = ("info",)
+PATHS = [
+    [],
+    *([name] for name in COMMANDS),
+    ["montecarlo", "pair"],
+    ["montecarlo", "array"],
+    *(["bag", name] for name in BAG),
+]
 
 SLOW_TO_IMPORT = ("numba", "scipy", "numpy", "rclpy", "matplotlib", "pydantic", "sal_height_msgs")
 """Together they take 0.5 s and more to import, which would delay every --help and --version."""
@@ -186,7 +193,7 @@ def test_wrong_use_ends_with_status_2_and_names_the_help(
     assert line.endswith(f"{'' if words[0] == 'fly' else words[0] + ' '}--help.")
 
 
-@pytest.mark.parametrize("words", [[], ["montecarlo"]], ids=["nothing", "montecarlo"])
+@pytest.mark.parametrize("words", [[], ["montecarlo"], ["bag"]], ids=["nothing", "montecarlo", "bag"])
 def test_a_missing_command_shows_the_help_and_ends_with_status_2(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,172 @@
+"""The dwells of a bag, told from its frames: which are whole, which lack channels or have some twice."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from sal_height import messages
+from sal_height.bag.reader import BagReader
+from sal_height.bag.sensor_topics import FRAME_TYPE, SensorTopics
+from sal_height.errors import UserError
+
+
+@dataclass
+class Dwell:
+    """A dwell in a bag: the frames of equal sensor, number and stamp.
+
+    Attributes:
+        config_hash: of its sensor.
+        number: of the dwell.
+        stamp_ns: time of its first pulse, ns.
+        last_pulse_ns: time of its last pulse, ns.
+        channels: how often there is a frame of each channel.
+        first_log_ns: when the first of its frames was received, ns.
+        last_log_ns: when the last of them was.
+    """
+
+    config_hash: str
+    number: int
+    stamp_ns: int
+    last_pulse_ns: int
+    channels: Counter[int] = field(default_factory=Counter)
+    first_log_ns: int = 0
+    last_log_ns: int = 0
+
+    def absent(self, detectors: int) -> list[int]:
+        """Channels without a frame."""
+        return sorted(set(range(detectors)) - set(self.channels))
+
+    @property
+    def doubled(self) -> list[int]:
+        """Channels with several frames."""
+        return sorted(channel for channel, count in self.channels.items() if count > 1)
+
+
+@dataclass(frozen=True)
+class DwellFault:
+    """What is wrong with a dwell.
+
+    Attributes:
+        number: of the dwell.
+        stamp_ns: time of its first pulse, ns.
+        described: whether a message describes its sensor.
+        absent: channels without a frame; empty if the sensor is not described.
+        doubled: channels with several frames.
+    """
+
+    number: int
+    stamp_ns: int
+    described: bool
+    absent: list[int]
+    doubled: list[int]
+
+    def __str__(self) -> str:
+        name = f"dwell {self.number} at {self.stamp_ns * 1e-9:.3f} s"
+        parts = [] if self.described else ["is of a sensor that no message describes"]
+        named = (("lacks", self.absent), ("has twice", self.doubled))
+        parts += [f"{what} {_listed(channels)}" for what, channels in named if channels]
+        return f"{name} {' and '.join(parts)}"
+
+
+@dataclass(frozen=True)
+class DwellReport:
+    """Topic of the frames of a sensor, number of its dwells, and what is wrong with those that are not whole."""
+
+    topic: str
+    dwells: int
+    faults: list[DwellFault]
+
+    def __str__(self) -> str:
+        whole = self.dwells - len(self.faults)
+        return "\n".join(
+            [f"{self.topic}: {self.dwells} dwells, {whole} of them whole.", *map("  {}".format, self.faults)]
+        )
+
+
+class DwellList:
+    """The dwells of a sensor, in the order in which they began."""
+
+    def __init__(self) -> None:
+        self._dwells: dict[tuple[str, int, int], Dwell] = {}
+
+    def __iter__(self) -> Iterator[Dwell]:
+        return iter(self._dwells.values())
+
+    def __len__(self) -> int:
+        return len(self._dwells)
+
+    def add(self, cdr: bytes, log_time_ns: int) -> Dwell:
+        """Take a serialized frame in, and return its dwell.
+
+        Raises:
+            UserError: it cannot be decoded.
+        """
+        try:
+            frame = messages.received_frame(cdr)
+        except RuntimeError as error:
+            raise UserError(f"A frame cannot be decoded: {error}.") from error
+        times = frame.pulse_time
+        last = frame.stamp_ns + round(float(times[-1]) * 1e9) if times.size and 0 <= times[-1] < 1e6 else frame.stamp_ns
+        key = (frame.config_hash, frame.dwell, frame.stamp_ns)
+        dwell = self._dwells.get(key)
+        if dwell is None:
+            dwell = self._dwells[key] = Dwell(*key, last, first_log_ns=log_time_ns, last_log_ns=log_time_ns)
+        dwell.channels[frame.channel] += 1
+        dwell.last_pulse_ns = max(dwell.last_pulse_ns, last)
+        dwell.first_log_ns, dwell.last_log_ns = (
+            min(dwell.first_log_ns, log_time_ns),
+            max(dwell.last_log_ns, log_time_ns),
+        )
+        return dwell
+
+
+def read_dwells(reader: BagReader, sensor: SensorTopics) -> DwellList:
+    """Read the dwells of a sensor from all its frames.
+
+    Raises:
+        UserError: the bag is damaged, or a frame cannot be decoded.
+    """
+    found = DwellList()
+    if sensor.frames in reader.topics and reader.topics[sensor.frames].type_name == FRAME_TYPE:
+        for message in reader.messages([sensor.frames]):
+            found.add(message.cdr, message.log_time_ns)
+    return found
+
+
+def detectors_by_hash(reader: BagReader, sensor: SensorTopics) -> Mapping[str, int]:
+    """Number of detectors by config_hash, of all descriptions of a sensor in the bag.
+
+    Raises:
+        UserError: the bag is damaged, or a description cannot be decoded.
+    """
+    if sensor.sensor_info not in reader.topics:
+        return {}
+    described = (reader.decode(message.type_name, message.cdr) for message in reader.messages([sensor.sensor_info]))
+    return {one.config_hash: len(one.beams.elevation_boresights) for one in described}
+
+
+def dwell_report(reader: BagReader, sensor: SensorTopics) -> DwellReport:
+    """Which dwells of a sensor are not whole; reads all its frames.
+
+    Raises:
+        UserError: the bag is damaged, or a message cannot be decoded.
+    """
+    detectors, dwells = detectors_by_hash(reader, sensor), read_dwells(reader, sensor)
+    return DwellReport(sensor.frames, len(dwells), faults_of(dwells, detectors))
+
+
+def faults_of(dwells: Iterable[Dwell], detectors: Mapping[str, int]) -> list[DwellFault]:
+    """What is wrong with dwells, given the number of detectors by config_hash."""
+    faults = []
+    for dwell in dwells:
+        count = detectors.get(dwell.config_hash)
+        absent = [] if count is None else dwell.absent(count)
+        if count is None or absent or dwell.doubled:
+            faults.append(DwellFault(dwell.number, dwell.stamp_ns, count is not None, absent, dwell.doubled))
+    return faults
+
+
+def _listed(channels: list[int]) -> str:
+    return f"channel{'s' if len(channels) > 1 else ''} {', '.join(map(str, channels))}"

@@ -1,0 +1,56 @@
+"""The topics of sensors in a bag, each sensor in a namespace of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sal_height.bag.reader import Topic
+
+FRAME_TYPE = "sal_height_msgs/msg/ChannelFrame"
+SENSOR_TYPE = "sal_height_msgs/msg/SensorInfo"
+ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
+
+FRAMES, SENSOR_INFO, ODOMETRY = "phase_history", "sensor_info", "platform/odometry"
+"""Topics of a sensor, without its namespace."""
+
+
+@dataclass(frozen=True)
+class SensorTopics:
+    """Names of the topics of one sensor, whether or not the bag has them.
+
+    Attributes:
+        namespace: that they share, with a slash at both ends; ``/`` if there is none.
+    """
+
+    namespace: str
+
+    @property
+    def frames(self) -> str:
+        """Topic of its frames."""
+        return self.namespace + FRAMES
+
+    @property
+    def sensor_info(self) -> str:
+        """Topic of its description."""
+        return self.namespace + SENSOR_INFO
+
+    @property
+    def odometry(self) -> str:
+        """Topic of the platform's odometry."""
+        return self.namespace + ODOMETRY
+
+    @property
+    def names(self) -> list[str]:
+        """All three topics."""
+        return [self.sensor_info, self.odometry, self.frames]
+
+
+def sensors_in(topics: Mapping[str, Topic]) -> list[SensorTopics]:
+    """The sensors whose frames or descriptions are among the topics of a bag, by name."""
+    found = set()
+    for suffix, type_name in ((FRAMES, FRAME_TYPE), (SENSOR_INFO, SENSOR_TYPE)):
+        for name, topic in topics.items():
+            if topic.type_name == type_name and name.endswith(f"/{suffix}"):
+                found.add(SensorTopics(name.removesuffix(suffix)))
+    return sorted(found, key=lambda sensor: sensor.namespace)

@@ -1,0 +1,65 @@
+"""`sal-height bag`: look at a bag, check, repair, cut and upgrade it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Group, Parameter
+
+from sal_height.commands._options import BAGS, DONE, Bag, Flag, command
+
+if TYPE_CHECKING:
+    from sal_height.bag.dwells import DwellReport
+
+PARTS = Group("What is done with a bag", sort_key=3)
+
+EXAMPLES = """
+  sal-height bag info out/small/bag
+"""
+
+INFO_EXAMPLES = """
+  sal-height bag info out/small/bag
+  sal-height bag info out/small/bag --dwells     also which dwells lack channels
+  sal-height bag info out/small/bag --json
+"""
+
+app = command("bag", BAGS, EXAMPLES)
+app.help = "Look at a bag, check and repair it, cut a part out of it, and bring it up to date."
+info_app = command("info", PARTS, INFO_EXAMPLES)
+app.command(info_app)
+
+
+@info_app.default
+def info(bag: Bag, /, *, dwells: Flag = False, json_: Annotated[Flag, Parameter(name="--json")] = False) -> int:
+    """Topics, types, counts, rates, gaps, size and duration of a bag, from its index.
+
+    Rates and gaps are those of the times at which messages were received. The
+    number of frames says how many are lacking of whole dwells at least; only
+    the messages tell which (--dwells), and reading them takes longer.
+
+    Args:
+        dwells: Read all frames, and name every dwell that lacks channels or has some twice.
+        json_: Print JSON instead of a table.
+    """
+    from sal_height.bag.info import bag_info, info_text, info_values
+
+    found = bag_info(bag)
+    reports = _dwell_reports(bag) if dwells else []
+    if json_:
+        values = info_values(found)
+        print(json.dumps({**values, "dwells": [asdict(one) for one in reports]} if dwells else values, indent=2))
+    else:
+        print("\n".join([info_text(found), *map(str, reports)]))
+    return DONE
+
+
+def _dwell_reports(bag: Path) -> list[DwellReport]:
+    from sal_height.bag.dwells import dwell_report
+    from sal_height.bag.reader import BagReader
+    from sal_height.bag.sensor_topics import sensors_in
+
+    reader = BagReader(bag)
+    return [dwell_report(reader, sensor) for sensor in sensors_in(reader.topics)]

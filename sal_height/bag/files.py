@@ -25,6 +25,9 @@ _FOOTER_TAIL = struct.Struct("<QQI8s")
 CUSTOM_DATA = "sal_height"
 """Name of the MCAP metadata record that holds the custom data from the start of a file of ours."""
 
+PARAMETERS = "parameters"
+"""Name of the nodes' parameters (JSON) in the custom data of a bag."""
+
 REPEATED = "sal_height.repeated"
 """Name of the MCAP metadata record that says how many messages of a file stand in the one before, too, by topic."""
 

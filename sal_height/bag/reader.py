@@ -88,7 +88,7 @@ class BagReader:
 
         UserError if a checksum or a record is found to be wrong on the way.
         """
-        return map(self._upgraded, self.recorded_messages(topics))
+        return map(self.as_today, self.recorded_messages(topics))
 
     def recorded_messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
         """Messages as `messages` gives them, but those of an older version as they were recorded.
@@ -113,7 +113,8 @@ class BagReader:
         except RuntimeError as error:
             raise UserError(f"A message of type {type_name} in bag {self.path} cannot be decoded: {error}.") from error
 
-    def _upgraded(self, message: BagMessage) -> BagMessage:
+    def as_today(self, message: BagMessage) -> BagMessage:
+        """The message of today's version that says what a recorded one does; UserError if that cannot be decoded."""
         topic = self.topics[message.topic]
         if not topic.is_old:
             return message

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Group, Parameter
 
-from sal_height.commands._options import BAGS, DONE, Bag, Flag, command
+from sal_height.commands._options import BAGS, DONE, FAILED, Bag, Flag, command
 
 if TYPE_CHECKING:
     from sal_height.bag.dwells import DwellReport
@@ -17,7 +19,8 @@ if TYPE_CHECKING:
 PARTS = Group("What is done with a bag", sort_key=3)
 
 EXAMPLES = """
-  sal-height bag info out/small/bag
+  sal-height bag info out/small/bag     what it holds
+  sal-height bag check out/small/bag    whether anything is wrong with it
 """
 
 INFO_EXAMPLES = """
@@ -26,14 +29,23 @@ INFO_EXAMPLES = """
   sal-height bag info out/small/bag --json
 """
 
+CHECK_EXAMPLES = """
+  sal-height bag check out/small/bag
+  sal-height bag check out/small/bag --json > findings.json
+"""
+
+Json: TypeAlias = Annotated[Flag, Parameter(name="--json")]
+
 app = command("bag", BAGS, EXAMPLES)
 app.help = "Look at a bag, check and repair it, cut a part out of it, and bring it up to date."
 info_app = command("info", PARTS, INFO_EXAMPLES)
-app.command(info_app)
+check_app = command("check", PARTS, CHECK_EXAMPLES, "there are findings")
+for part in (info_app, check_app):
+    app.command(part)
 
 
 @info_app.default
-def info(bag: Bag, /, *, dwells: Flag = False, json_: Annotated[Flag, Parameter(name="--json")] = False) -> int:
+def info(bag: Bag, /, *, dwells: Flag = False, json_: Json = False) -> int:
     """Topics, types, counts, rates, gaps, size and duration of a bag, from its index.
 
     Rates and gaps are those of the times at which messages were received. The
@@ -63,3 +75,40 @@ def _dwell_reports(bag: Path) -> list[DwellReport]:
 
     reader = BagReader(bag)
     return [dwell_report(reader, sensor) for sensor in sensors_in(reader.topics)]
+
+
+@check_app.default
+def check(bag: Bag, /, *, json_: Json = False) -> int:
+    """Whether a bag keeps the contract of rosbag2, and has what the nodes need.
+
+    Every finding is a sentence and what to do about it. All data are read, to
+    verify their checksums. Among what is looked at are metadata.yaml, types,
+    dwells that lack channels, odometry around each dwell, stamps, parameters,
+    and losses that the recorder tells of.
+
+    Args:
+        json_: Print JSON instead of text.
+    """
+    from sal_height.bag.check import check_bag
+
+    with _reading(bag) as advance:
+        findings = check_bag(bag, advance)
+    if json_:
+        print(json.dumps([asdict(finding) for finding in findings], indent=2))
+    else:
+        print("\n".join(map(str, findings)) or f"Nothing is wrong with {bag}.")
+    return FAILED if findings else DONE
+
+
+@contextmanager
+def _reading(bag: Path) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar of the bytes that are read."""
+    from tqdm import tqdm
+
+    with tqdm(desc=bag.name, unit="B", unit_scale=True, delay=1, leave=False) as progress:
+
+        def advance(done: int, total: int) -> None:
+            progress.total = total
+            progress.update(done)
+
+        yield advance

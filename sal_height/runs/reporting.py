@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from sal_height import __version__
+from sal_height.bag import files
 from sal_height.errors import UserError
 from sal_height.io import write_text
 from sal_height.nodes.account import PROCESSED, PUBLISHED, Account
 from sal_height.runs.catalogue import NodeParameters
 from sal_height.runs.conductor import Outcome
 
-PARAMETERS = "parameters"
+PARAMETERS = files.PARAMETERS
 """Name of the nodes' parameters (JSON) in the custom data of a bag."""
 
 PRESET, SEED = "preset", "seed"

@@ -1,0 +1,176 @@
+"""The files of a bag against the contract of rosbag2: metadata.yaml, types, and what the recorder tells of losses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from sal_height.bag.codec import typestore
+from sal_height.bag.definitions import installed_definition
+from sal_height.bag.files import ACCOUNT, PARAMETERS
+from sal_height.bag.findings import Finding, error, some, warning
+from sal_height.bag.index import FileIndex
+from sal_height.bag.reader import BagReader, Topic
+from sal_height.errors import UserError
+
+PARAMETER_EVENTS = "/parameter_events"
+
+WITH_PROVENANCE = {f"sal_height_msgs/msg/{name}" for name in ("ComplexImage", "HeightImage", "ReliefMap")}
+"""Types of messages that say with which parameters they were made."""
+
+NO_METADATA = (
+    "Write it with 'ros2 bag reindex -s mcap {path}', or a new bag with 'sal-height bag recover {path} --out DIR'."
+)
+
+
+def check_metadata(path: Path, indexes: list[FileIndex]) -> Iterator[Finding]:
+    """Whether metadata.yaml of a bag folder says what its files do; nothing for a file alone."""
+    if not path.is_dir():
+        return
+    fix = NO_METADATA.format(path=path)
+    if not (path / "metadata.yaml").is_file():
+        yield warning(f"Bag {path} has no metadata.yaml, without which rosbag2 does not open it.", fix)
+        return
+    unlisted = sorted({file.name for file in path.glob("*.mcap")} - {index.path.name for index in indexes})
+    if unlisted:
+        yield warning(f"File metadata.yaml of bag {path} does not list {some(unlisted)}, which lie beside it.", fix)
+    information = yaml.safe_load((path / "metadata.yaml").read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+    try:
+        stated, found = _stated(information), _found(indexes)
+    except (KeyError, TypeError, AttributeError) as wrong:
+        yield error(f"File metadata.yaml of bag {path} is not laid out as rosbag2 does it ({wrong!r}).", fix)
+        return
+    different = [
+        f"{what} is {stated[what]} and not {found.get(what, 0)}"
+        for what in stated
+        if stated[what] != found.get(what, 0) and not _are_near(what, stated[what], found.get(what, 0))
+    ]
+    different += [f"{what} is not listed" for what in found.keys() - stated.keys() if what.startswith("count of ")]
+    if different:
+        yield warning(f"File metadata.yaml of bag {path} contradicts the files: {some(different)}.", fix)
+
+
+def check_types(reader: BagReader) -> Iterator[Finding]:
+    """Whether the types of all topics are those that are installed, as their schemas say and as their hashes do."""
+    old = sorted(topic.name for topic in reader.topics.values() if topic.is_old)
+    if old:
+        yield warning(
+            f"Bag {reader.path} was recorded with an older version of sal_height_msgs (topics {', '.join(old)}).",
+            f"It is read as it is; 'sal-height bag upgrade {reader.path} --out DIR' writes a bag of today's version.",
+        )
+    for topic in reader.topics.values():
+        if not topic.is_old:
+            yield from _check_type(topic)
+
+
+def check_accounts(reader: BagReader) -> Iterator[Finding]:
+    """Which messages the recorder says that it left out, and whether it recorded parameters."""
+    for index in reader.indexes:
+        for topic, text in index.records.get(ACCOUNT, {}).items():
+            if lost := _left_out(text):
+                reasons = ", ".join(f"{count} {reason}" for reason, count in lost.items())
+                yield warning(
+                    f"Messages of topic {topic} are not in the bag, as its recorder says: {reasons}.",
+                    "Record to a faster disk, or with more memory (max_memory_mb of node recorder).",
+                )
+    told = any(topic.type_name in WITH_PROVENANCE and topic.count for topic in reader.topics.values())
+    events = reader.topics.get(PARAMETER_EVENTS)
+    if not (told or (events and events.count) or PARAMETERS in reader.custom_data or _parameters_file(reader.path)):
+        yield warning(
+            f"Bag {reader.path} does not hold the parameters of nodes: neither custom data, nor {PARAMETER_EVENTS}, "
+            "nor the provenance of products.",
+            "A replay takes the defaults, and --param sets others; 'sal-height record' records them, too.",
+        )
+
+
+def _check_type(topic: Topic) -> Iterator[Finding]:
+    name, package, recorded = topic.recorded_type, topic.recorded_type.partition("/")[0], topic.definition
+    if _contradicts_hash(topic):
+        yield error(
+            f"The schema of topic {topic.name} is not that of the type hash recorded with it.",
+            f"Record it with the package {package} that the publisher was built with.",
+        )
+        return
+    try:
+        installed = installed_definition(topic.type_name)
+    except UserError:
+        yield warning(
+            f"Type {name} of topic {topic.name} is not installed, so that its messages cannot be decoded.",
+            f"Install or source package {package}.",
+        )
+        return
+    if not recorded.same_layout(installed):
+        yield error(
+            f"Topic {topic.name} was recorded with another definition of {name} "
+            f"({recorded.type_hash or 'no hash'}) than the installed one ({installed.type_hash}).",
+            f"Install the version of package {package} that it was recorded with.",
+        )
+
+
+def _contradicts_hash(topic: Topic) -> bool:
+    """Whether the text of a type has another hash than the one beside it; False where that cannot be told."""
+    recorded = topic.definition
+    if not recorded.type_hash or recorded.encoding != "ros2msg":
+        return False
+    try:
+        found = typestore(topic.recorded_type, recorded).hash_rihs01(topic.recorded_type)
+    except Exception:  # noqa: BLE001 (rosbags reports a text that is no definition by whatever its parser stumbles over)
+        return True
+    return bool(found != recorded.type_hash)
+
+
+def _left_out(text: str) -> dict[str, int]:
+    """Messages left out by reason, as the account of a topic says; none if it cannot be read."""
+    try:
+        return {str(reason): int(count) for reason, count in json.loads(text)["left_out"].items() if count}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return {}
+
+
+def _parameters_file(path: Path) -> bool:
+    """Whether parameters lie beside the bag, as those of older bags do."""
+    return ((path if path.is_dir() else path.parent) / "parameters.yaml").is_file()
+
+
+def _stated(information: Mapping[str, Any]) -> dict[str, Any]:
+    """What metadata.yaml says of counts and times, by name; what it does not say is left out."""
+    stated = {
+        "count of messages": information.get("message_count"),
+        "duration in ns": (information.get("duration") or {}).get("nanoseconds"),
+        "start in ns": (information.get("starting_time") or {}).get("nanoseconds_since_epoch"),
+    }
+    for entry in information.get("topics_with_message_count") or []:
+        stated[f"count of {entry['topic_metadata']['name']}"] = entry["message_count"]
+        stated[f"type of {entry['topic_metadata']['name']}"] = entry["topic_metadata"]["type"]
+    for entry in information.get("files") or []:
+        stated[f"count in {Path(entry['path']).name}"] = entry.get("message_count")
+    if not stated["count of messages"]:  # a bag without messages has no times
+        stated["duration in ns"] = stated["start in ns"] = None
+    return {name: value for name, value in stated.items() if value is not None}
+
+
+def _found(indexes: list[FileIndex]) -> dict[str, Any]:
+    """What the files say of the same; messages that stand in several files count in each."""
+    statistics = [index.statistics for index in indexes if index.statistics.message_count]
+    begin_ns = min((one.message_start_time for one in statistics), default=0)
+    found: dict[str, Any] = {
+        "count of messages": sum(one.message_count for one in statistics),
+        "duration in ns": max((one.message_end_time for one in statistics), default=0) - begin_ns,
+        "start in ns": begin_ns,
+    }
+    for index in indexes:
+        found[f"count in {index.path.name}"] = index.statistics.message_count
+        for channel in index.summary.channels.values():
+            name = f"count of {channel.topic}"
+            found[name] = found.get(name, 0) + index.statistics.channel_message_counts.get(channel.id, 0)
+            found[f"type of {channel.topic}"] = index.summary.schemas[channel.schema_id].name
+    return found
+
+
+def _are_near(what: str, stated: Any, found: Any) -> bool:
+    """Whether two times are equal but for the last nanosecond, which writers count differently."""
+    return what.endswith(" in ns") and abs(int(stated) - int(found)) <= 1

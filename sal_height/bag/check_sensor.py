@@ -1,0 +1,184 @@
+"""What the chain needs of the messages of one sensor: descriptions, whole dwells, and odometry around their pulses."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from sal_height import messages
+from sal_height.bag.dwells import Dwell, DwellFault, DwellList, faults_of
+from sal_height.bag.findings import Finding, error, some, warning
+from sal_height.bag.reader import BagMessage, BagReader
+from sal_height.bag.sensor_topics import SensorTopics
+from sal_height.errors import Rejected, UserError
+from sal_height.geometry import REORDERED_NS
+from sal_height.numeric import I64
+from sal_height.sensor import Sensor
+
+GAPLESS_NS = 50_000_000
+"""Interval of odometry up to which nodes take the pose between for as good as at it (odometry_interval_s)."""
+
+RECORD_ALL = "Record it, too; the chain cannot work without."
+
+
+class SensorCheck:
+    """Looks at the messages of a sensor, in any order."""
+
+    def __init__(self, reader: BagReader, topics: SensorTopics) -> None:
+        """Check the sensor with these topics, and read its descriptions."""
+        self.topics = topics
+        self._reader = reader
+        self._dwells = DwellList()
+        self._poses: list[tuple[int, int]] = []
+        """Log time and stamp of the odometry, ns."""
+        self._first_info_ns: int | None = None
+        self._sensors: dict[str, Sensor] = {}
+        self._faults: dict[tuple[str, str], str] = {}
+        """What is wrong with messages: the first sentence by topic and reason."""
+        self._faulty: Counter[tuple[str, str]] = Counter()
+        self._read_descriptions()
+
+    def add(self, message: BagMessage) -> None:
+        """Look at a message of one of the sensor's topics."""
+        try:
+            if message.topic == self.topics.frames:
+                self._add_frame(message)
+            elif message.topic == self.topics.odometry:
+                self._poses.append((message.log_time_ns, messages.received_pose(message.cdr).stamp_ns))
+        except Rejected as fault:
+            self._note(message.topic, fault.reason, str(fault))
+        except (UserError, RuntimeError) as fault:
+            self._note(message.topic, "cannot be decoded", f"{str(fault).rstrip('.')}.")
+
+    def findings(self) -> Iterator[Finding]:
+        """What is wrong, once all messages have been looked at."""
+        topics = self._reader.topics
+        absent = [name for name in self.topics.names if name not in topics or not topics[name].count]
+        for name in absent:
+            yield error(f"Bag {self._reader.path} has no messages on {name}.", RECORD_ALL)
+        for (topic, reason), count in self._faulty.items():
+            yield error(
+                f"Nodes refuse {count} messages on {topic} ({reason}), the first: {self._faults[topic, reason]}",
+                "The program that publishes them must be put right.",
+            )
+        yield from self._check_dwells()
+        if self.topics.odometry not in absent:
+            yield from self._check_odometry()
+
+    def _read_descriptions(self) -> None:
+        name = self.topics.sensor_info
+        if name not in self._reader.topics:
+            return
+        try:
+            for message in self._reader.messages([name]):
+                if self._first_info_ns is None:
+                    self._first_info_ns = message.log_time_ns
+                self._add_description(message)
+        except UserError as fault:  # of a damaged chunk, which is found again
+            self._note(name, "cannot be read", str(fault))
+
+    def _add_description(self, message: BagMessage) -> None:
+        try:
+            sensor = messages.sensor_from_message(self._reader.decode(message.type_name, message.cdr))
+        except UserError as fault:
+            self._note(message.topic, "sensor info", str(fault))
+            return
+        known = self._sensors.setdefault(sensor.config_hash, sensor)
+        if known.digest != sensor.digest:
+            self._note(
+                message.topic,
+                "contradiction",
+                f"two descriptions of config_hash {sensor.config_hash!r} differ, of which the first stays in force.",
+            )
+
+    def _add_frame(self, message: BagMessage) -> None:
+        self._dwells.add(message.cdr, message.log_time_ns)
+        frame = messages.received_frame(message.cdr)
+        if sensor := self._sensors.get(frame.config_hash):
+            messages.check_frame(frame, sensor)
+
+    def _note(self, topic: str, reason: str, sentence: str) -> None:
+        self._faults.setdefault((topic, reason), sentence)
+        self._faulty[topic, reason] += 1
+
+    def _check_dwells(self) -> Iterator[Finding]:
+        dwells, frames = sorted(self._dwells, key=lambda dwell: dwell.first_log_ns), self.topics.frames
+        if not dwells:
+            return
+        if self._first_info_ns is not None and dwells[0].first_log_ns < self._first_info_ns:
+            early = sum(dwell.first_log_ns < self._first_info_ns for dwell in dwells)
+            yield warning(
+                f"Frames of {early} dwells on {frames} come before the first message on {self.topics.sensor_info}, by "
+                f"{(self._first_info_ns - dwells[0].first_log_ns) * 1e-9:.3f} s.",
+                "Have the sensor publish its description first, latched (transient local); nodes do not wait for long.",
+            )
+        yield from self._check_channels(dwells)
+        back = [b for a, b in pairwise(dwells) if b.stamp_ns < a.stamp_ns]
+        if back:
+            yield warning(
+                f"Stamps on {frames} run back, at {some([_name(dwell) for dwell in back])}.",
+                "Have the sensor stamp its frames by one steady clock.",
+            )
+
+    def _check_channels(self, dwells: list[Dwell]) -> Iterator[Finding]:
+        frames, fix = self.topics.frames, "A replay refuses them; 'sal-height bag cut --dwells' leaves them out."
+        faults = faults_of(dwells, {name: sensor.detector_count for name, sensor in self._sensors.items()})
+        unknown = [fault for fault in faults if not fault.described]
+        lacking = [fault for fault in faults if fault.absent]
+        doubled = [fault for fault in faults if fault.doubled]
+        if unknown:
+            yield error(f"On {frames}, {_share(unknown, dwells)} cannot be used: {some(unknown)}.", RECORD_ALL)
+        if lacking:
+            yield warning(f"On {frames}, {_share(lacking, dwells)} lack channels: {some(lacking)}.", fix)
+        if doubled:
+            yield warning(
+                f"On {frames}, {_share(doubled, dwells)} have channels twice: {some(doubled)}.",
+                "Nodes take the first and drop the others; see that the sensor is recorded once.",
+            )
+
+    def _check_odometry(self) -> Iterator[Finding]:
+        name = self.topics.odometry
+        if not self._poses:
+            return
+        in_order = np.array([stamp for _, stamp in sorted(self._poses)], dtype=np.int64)
+        stamps = np.unique(in_order)
+        step_ns = int((in_order - np.maximum.accumulate(in_order)).min())
+        if step_ns < -REORDERED_NS:
+            yield warning(
+                f"Stamps on {name} run back by up to {-step_ns * 1e-9:.3f} s.",
+                f"Stamp odometry by one steady clock; nodes put up with {REORDERED_NS * 1e-9:g} s.",
+            )
+        bare = [dwell for dwell in self._dwells if not _is_covered(dwell, stamps)]
+        if bare:
+            yield warning(
+                f"Messages on {name} do not reach from the first pulse to the last of {len(bare)} of "
+                f"{len(self._dwells)} dwells: {some([_name(dwell) for dwell in bare])}.",
+                "They cannot be focused; record odometry from before the first dwell to after the last.",
+            )
+        longest_ns = max((dwell.last_pulse_ns - dwell.stamp_ns for dwell in self._dwells), default=0)
+        gaps = np.diff(stamps)
+        long = gaps > max(longest_ns, GAPLESS_NS)
+        if long.any():
+            yield warning(
+                f"Messages on {name} have {np.count_nonzero(long)} gaps longer than a dwell "
+                f"({longest_ns * 1e-9:.3g} s) and {GAPLESS_NS * 1e-9:g} s, the longest of {gaps.max() * 1e-9:.3g} s.",
+                "Publish odometry more often; in long gaps sigma grows, or dwells are refused (max_odometry_gap_s).",
+            )
+
+
+def _is_covered(dwell: Dwell, stamps: I64) -> bool:
+    """Whether a sample lies before the first pulse of a dwell or at it, and one after the last or at it."""
+    first = int(np.searchsorted(stamps, dwell.stamp_ns, "right")) - 1
+    last = int(np.searchsorted(stamps, dwell.last_pulse_ns, "left"))
+    return 0 <= first < last < len(stamps)
+
+
+def _name(dwell: Dwell) -> str:
+    return f"dwell {dwell.number} at {dwell.stamp_ns * 1e-9:.3f} s"
+
+
+def _share(faults: list[DwellFault], dwells: list[Dwell]) -> str:
+    return f"{len(faults)} of {len(dwells)} dwells"

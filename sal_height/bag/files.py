@@ -90,8 +90,12 @@ def check_encoding(file: Path, channel: Channel) -> None:
 
 
 def recorded_definition(channel: Channel, schema: Schema) -> Definition:
-    """Definition of a channel's type as the file has it."""
-    return Definition(schema.data.decode(), channel.metadata.get("topic_type_hash", ""), schema.encoding)
+    """Definition of a channel's type as the file has it; UserError if it is no text."""
+    try:
+        text = schema.data.decode()
+    except UnicodeDecodeError as error:
+        raise UserError(f"The schema of topic {channel.topic} is no text ({error}).") from error
+    return Definition(text, channel.metadata.get("topic_type_hash", ""), schema.encoding)
 
 
 def recorded_qos(channel: Channel) -> tuple[QoSProfile, ...]:

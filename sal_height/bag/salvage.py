@@ -1,80 +1,94 @@
-"""Make a proper bag of what is left of one: cut off by a killed process or a full disk, damaged, or without index."""
+"""Make a proper bag of what is left of one: cut off by a killed process or a full disk, damaged, or without index.
+
+Nothing is invented: of a chunk whose checksum is wrong no message is taken. Files of other programs may have no
+checksums; damage to the messages themselves cannot be told there.
+"""
 
 from __future__ import annotations
 
-import logging
-import os
-import struct
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Header, Message, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
+from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
 from sal_height.bag.files import (
+    CUSTOM_DATA,
     REPEATED_SEQUENCE,
     bag_files,
     check_encoding,
     check_profile,
     check_start,
-    check_summary_crc,
     custom_data_of,
     recorded_definition,
     recorded_qos,
     repeated_in,
 )
+from sal_height.bag.layout import HEAD, Span, counts_of_index, sound_summary, spans
+from sal_height.bag.recovery import UNKNOWN, Gap, Recovery
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 
-_LOG = logging.getLogger(__name__)
-
-
-@dataclass
-class _Contents:
-    """What is known of a file so far: descriptions of its topics, custom data, and what is in the one before, too."""
-
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    custom_data: dict[str, str] = field(default_factory=dict)
-    repeated: dict[str, int] = field(default_factory=dict)
+CHUNK_FIELDS = 40
+"""Bytes before the data of a chunk that is not compressed, after opcode and length."""
 
 
 def salvage(path: Path, out_directory: Path) -> int:
-    """Copy every whole message of the bag at `path` into a new bag in `out_directory`; returns their number.
+    """Copy every whole message of the bag at `path` as `recover` does; returns their number."""
+    return recover(path, out_directory).count
 
-    Reads up to the cut, if there is one, and leaves out chunks and records that are damaged (each with a warning).
-    Topics without messages and the custom data (the parameters of a run) are copied too.
-    UserError if `path` is no MCAP bag of ROS 2 or `out_directory` is not empty.
+
+def recover(path: Path, out_directory: Path) -> Recovery:
+    """Copy every whole message of the bag at `path` into a new bag in `out_directory`.
+
+    Reads up to the cut, if there is one, and leaves out chunks and records that are damaged. Topics without messages
+    and the custom data (the parameters of a run) are copied too.
+
+    Raises:
+        UserError: `path` is no MCAP bag of ROS 2, or `out_directory` is not empty.
     """
     files = bag_files(path)
     for file in files:
         _check_header(file)
-    count = 0
+    recovery = Recovery(Counter(), Counter(), [])
     with BagWriter(out_directory, _custom_data(files)) as bag:
         for file in files:
             try:
-                count += _copy(file, bag)
+                with file.open("rb") as stream:
+                    found = _FileCopy(file, stream, bag).run()
             except OSError as error:
                 raise UserError(f"File {file} cannot be salvaged to {out_directory}: {error}.") from error
-    return count
+            recovery = Recovery(
+                _sum(recovery.recovered, found.recovered),
+                recovery.lost + found.lost,
+                [*recovery.gaps, *found.gaps],
+            )
+    return recovery
+
+
+def _sum(one: Counter[str], other: Counter[str]) -> Counter[str]:
+    """The sum of counts, of which some are 0."""
+    return Counter({name: one[name] + other[name] for name in (*one, *other)})
 
 
 def _check_header(file: Path) -> None:
     try:
         with file.open("rb") as stream:
             check_start(file, stream.read(len(MCAP0_MAGIC)))
-            opcode, body, whole = next(_records(stream), (Opcode.HEADER, b"", False))
+            first = next(spans(stream, None), Span(0, 0, Opcode.HEADER, whole=False))
+            body = first.read(stream) if first.whole and first.opcode == Opcode.HEADER else b""
     except OSError as error:
         raise UserError(f"File {file} cannot be read: {error.strerror}.") from error
-    if whole:
-        check_profile(file, _profile(body) if opcode == Opcode.HEADER else "")
+    if first.whole and first.size >= HEAD.size:
+        check_profile(file, _profile(body))
 
 
 def _profile(body: bytes) -> str:
@@ -86,126 +100,185 @@ def _profile(body: bytes) -> str:
 
 
 def _custom_data(files: list[Path]) -> dict[str, str]:
-    """The custom data at the start of the files; what later ones say counts."""
+    """The custom data of the files; what later ones say counts, and what has a checksum before what has none."""
     found: dict[str, str] = {}
     for file in files:
+        texts: dict[str, dict[str, str]] = {}
         with file.open("rb") as stream:
-            stream.seek(len(MCAP0_MAGIC))
-            contents = _Contents()
-            for opcode, body, whole in _records(stream):
-                if opcode == Opcode.CHUNK:
-                    break
-                if whole and opcode == Opcode.METADATA:
-                    _describe(file, opcode, body, contents)
-            found |= contents.custom_data
+            for span in spans(stream, sound_summary(stream)):
+                record = _metadata(span.read(stream)) if span.opcode == Opcode.METADATA and span.whole else None
+                if record and (custom_data := custom_data_of(record.name, record.metadata)):
+                    texts[record.name] = custom_data
+        found |= texts.get(CUSTOM_DATA) or next(iter(texts.values()), {})
     return found
 
 
-def _copy(file: Path, bag: BagWriter) -> int:
-    """Copy the topics and whole messages of `file` into `bag`; returns the number of messages."""
-    count = 0
-    with file.open("rb") as stream:
-        contents = _index(stream)
-        stream.seek(len(MCAP0_MAGIC))
-        for opcode, body in _unpacked_records(file, stream):
-            if opcode == Opcode.MESSAGE:
-                count += _copy_message(file, body, contents, bag)
+def _metadata(body: bytes) -> Metadata | None:
+    """A metadata record; None if it is damaged."""
+    try:
+        return Metadata.read(_fields(body))
+    except Exception:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
+        return None
+
+
+class _FileCopy:
+    """Copies what is whole of a file into a bag, and keeps account of the rest."""
+
+    def __init__(self, file: Path, stream: BinaryIO, bag: BagWriter) -> None:
+        self._file, self._stream, self._bag = file, stream, bag
+        self._summary: Summary | None = sound_summary(stream)
+        self._schemas = dict(self._summary.schemas) if self._summary else {}
+        self._channels = dict(self._summary.channels) if self._summary else {}
+        self._repeated: dict[str, int] = {}
+        self._recovered: Counter[str] = Counter()
+        self._read: Counter[int] = Counter()
+        """Messages that could be read, by channel, those that stand in the file before included."""
+        self._gaps: dict[Gap, Counter[int]] = {}
+        """Messages lost by channel, by what could not be read."""
+        self._unindexed: Counter[int] | None = None
+        """Those of the damaged chunk that message indexes come after."""
+        self._has_checksums = self._in_chunks = False
+
+    def run(self) -> Recovery:
+        """Copy all that is whole."""
+        self._in_chunks = any(span.opcode == Opcode.CHUNK for span in spans(self._stream, self._summary))
+        for span in spans(self._stream, self._summary):
+            if span.opcode != Opcode.MESSAGE_INDEX:
+                self._unindexed = None
+            if span.opcode == Opcode.CHUNK:
+                self._copy_chunk(span)
+            elif span.opcode is None or not span.whole:
+                reason = "there is no record" if span.whole else "the file ends within a record"
+                self._lose(span.offset, span.size, reason)
             else:
-                _describe(file, opcode, body, contents)
-    for channel in contents.channels.values():  # those without messages, too
-        _add_topic(file, bag, channel, contents)
-    return count
+                self._copy_alone(span, span.opcode)
+        for channel in self._channels.values():  # those without messages, too
+            if self._add_topic(channel):
+                self._recovered[channel.topic] += 0
+        return self._account()
 
-
-def _index(stream: BinaryIO) -> _Contents:
-    """What a complete file repeats at its end, where damage to a chunk does not reach; nothing if it is damaged."""
-    try:
-        check_summary_crc(stream)
-        stream.seek(0)
-        summary = SeekingReader(stream).get_summary()
-    except Exception:  # noqa: BLE001 - a cut file has none, and mcap stumbles over whatever stands there
-        return _Contents()
-    return _Contents(summary.schemas, summary.channels) if summary else _Contents()
-
-
-def _describe(file: Path, opcode: int, body: bytes, contents: _Contents) -> None:
-    """Take in a record that describes a type or topic, or that holds the custom data."""
-    try:
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(_fields(body))
-            contents.schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(_fields(body))
-            contents.channels[channel.id] = channel
+    def _copy_alone(self, span: Span, opcode: int) -> None:
+        """Copy a record that stands outside of chunks; messages do so only in files that have no chunks."""
+        if opcode == Opcode.MESSAGE_INDEX:
+            self._count_lost(span)
         elif opcode == Opcode.METADATA:
-            record = Metadata.read(_fields(body))
-            contents.custom_data.update(custom_data_of(record.name, record.metadata) or {})
-            contents.repeated.update(repeated_in({record.name: record.metadata}))
-    except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
-        _LOG.warning("A damaged record of %s was left out: %s.", file, error)
+            if record := _metadata(span.read(self._stream)):
+                self._repeated.update(repeated_in({record.name: record.metadata}))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) or (opcode == Opcode.MESSAGE and not self._in_chunks):
+            self._copy_record(opcode, span.read(self._stream), span)
 
+    def _account(self) -> Recovery:
+        gaps = []
+        for gap, counts in self._gaps.items():
+            lost = Counter[str]()
+            for channel_id, count in counts.items():
+                lost[self._topic(channel_id)] += count
+            gaps.append(replace(gap, lost=lost))
+        lost = sum((Counter(gap.lost) for gap in gaps), Counter[str]())
+        if self._summary and self._summary.statistics:
+            lost = Counter()
+            for channel_id, count in self._summary.statistics.channel_message_counts.items():
+                lost[self._topic(channel_id)] += count - self._read[channel_id]
+        return Recovery(self._recovered, +lost, gaps)
 
-def _copy_message(file: Path, body: bytes, contents: _Contents, bag: BagWriter) -> bool:
-    """Copy a message whose topic is known; returns whether it was."""
-    try:
-        message = Message.read(_fields(body), len(body))
-    except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
-        _LOG.warning("A damaged message of %s was left out: %s.", file, error)
-        return False
-    channel = contents.channels.get(message.channel_id)
-    if channel is None or not _add_topic(file, bag, channel, contents):
-        return False  # the description of the topic was in a damaged chunk
-    if message.sequence == REPEATED_SEQUENCE and channel.topic in contents.repeated and bag.has_any(channel.topic):
-        return False  # it was in the file before, too
-    bag.write(channel.topic, message.data, message.log_time, message.publish_time)
-    return True
+    def _topic(self, channel_id: int) -> str:
+        return self._channels[channel_id].topic if channel_id in self._channels else UNKNOWN
 
+    def _lose(self, offset: int, size: int, reason: str) -> Counter[int]:
+        """Note that a part of the file could not be read; returns the messages lost with it, to be counted."""
+        return self._gaps.setdefault(Gap(self._file, offset, size, reason), Counter())
 
-def _add_topic(file: Path, bag: BagWriter, channel: Channel, contents: _Contents) -> bool:
-    """Add a topic to the new bag; returns whether its type is known."""
-    schema = contents.schemas.get(channel.schema_id)
-    if schema is None:
-        return False
-    check_encoding(file, channel)
-    bag.add_topic(channel.topic, schema.name, recorded_qos(channel), recorded_definition(channel, schema))
-    return True
-
-
-def _unpacked_records(file: Path, stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Whole records before the index as (opcode, body), those inside chunks in place of the chunks."""
-    for opcode, body, whole in _records(stream):
-        if opcode == Opcode.DATA_END:  # `_index` has read the rest, if it is sound
+    def _copy_chunk(self, span: Span) -> None:
+        """Copy the records in a chunk; of one that is cut off those before the cut, unless it is compressed."""
+        body = span.read(self._stream)
+        try:
+            chunk = Chunk.read(_fields(body))
+            data = self._checked_data(chunk) if span.whole else chunk.data if chunk.compression == "" else b""
+        except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
+            if span.whole:
+                reason = f"a damaged chunk ({error or type(error).__name__})"
+                self._unindexed = self._lose(span.offset, span.size, reason)
+            else:
+                self._lose(span.offset, span.size, "the file ends within a chunk")
             return
-        if opcode == Opcode.CHUNK:
-            inner = _records(BytesIO(_chunk_data(file, body, whole)))
-            yield from ((inner_opcode, inner_body) for inner_opcode, inner_body, inner_whole in inner if inner_whole)
-        elif whole:
-            yield opcode, body
+        done = 0
+        for opcode, record, size in _inner_records(data):
+            self._copy_record(opcode, record, span)
+            done += size
+        if not span.whole:
+            start = min(span.size, HEAD.size + CHUNK_FIELDS + done) if chunk.compression == "" else 0
+            self._lose(span.offset + start, span.size - start, "the file ends within a chunk")
 
+    def _checked_data(self, chunk: Chunk) -> bytes:
+        """Uncompressed contents of a chunk.
 
-def _records(stream: BinaryIO | BytesIO) -> Iterator[tuple[int, bytes, bool]]:
-    """Records from here on as (opcode, body, whether the body is whole), up to the end or the cut."""
-    here = stream.tell()
-    end = stream.seek(0, os.SEEK_END)
-    stream.seek(here)
-    while len(head := stream.read(9)) == 9:
-        opcode, length = struct.unpack("<BQ", head)
-        body = stream.read(min(length, end - stream.tell()))
-        yield opcode, body, len(body) == length
-
-
-def _chunk_data(file: Path, body: bytes, whole: bool) -> bytes:
-    """Uncompressed contents of a chunk record; of one cut off what there is, of a damaged one nothing."""
-    try:
-        chunk = Chunk.read(_fields(body))
-        if not whole:
-            return chunk.data if chunk.compression == "" else b""
+        Raises:
+            ValueError: it has no checksum, as the chunks before it have, or another exception of mcap.
+        """
+        if self._has_checksums and not chunk.uncompressed_crc:
+            raise ValueError("its checksum is gone")
+        self._has_checksums = self._has_checksums or bool(chunk.uncompressed_crc)
         data, size = get_chunk_data_stream(chunk, validate_crc=True)
         return data.read(size)
-    except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
-        if whole:
-            _LOG.warning("A damaged chunk of %s was left out: %s.", file, error)
-        return b""
+
+    def _count_lost(self, span: Span) -> None:
+        """Count the messages of a damaged chunk that a message index after it names."""
+        found = counts_of_index(span, self._stream) if self._unindexed is not None else None
+        if found and self._unindexed is not None:
+            self._unindexed[found[0]] += found[1]
+
+    def _copy_record(self, opcode: int, body: bytes, span: Span) -> None:
+        """Take in the description of a type or topic, or copy a message; what is known already stays."""
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(_fields(body))
+                self._schemas.setdefault(schema.id, schema)
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(_fields(body))
+                self._channels.setdefault(channel.id, channel)
+            elif opcode == Opcode.MESSAGE:
+                message = Message.read(_fields(body), len(body))
+            else:
+                return
+        except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
+            self._lose(span.offset, span.size, f"a damaged record ({error or type(error).__name__})")
+            return
+        if opcode == Opcode.MESSAGE:
+            self._copy_message(message, span)
+
+    def _copy_message(self, message: Message, span: Span) -> None:
+        channel = self._channels.get(message.channel_id)
+        if channel is None or not self._add_topic(channel):
+            reason = "messages of a topic that nothing describes any more"
+            self._lose(span.offset, span.size, reason)[message.channel_id] += 1
+            return
+        self._read[channel.id] += 1
+        topic = channel.topic
+        if message.sequence == REPEATED_SEQUENCE and topic in self._repeated and self._bag.has_any(topic):
+            return  # it was in the file before, too
+        self._bag.write(topic, message.data, message.log_time, message.publish_time)
+        self._recovered[topic] += 1
+
+    def _add_topic(self, channel: Channel) -> bool:
+        """Add a topic to the new bag; returns whether its type is known."""
+        schema = self._schemas.get(channel.schema_id)
+        if schema is None:
+            return False
+        check_encoding(self._file, channel)
+        self._bag.add_topic(channel.topic, schema.name, recorded_qos(channel), recorded_definition(channel, schema))
+        return True
+
+
+def _inner_records(data: bytes) -> Iterator[tuple[int, bytes, int]]:
+    """Whole records in a chunk: opcode, body, and bytes with opcode and length."""
+    place = 0
+    while place + HEAD.size <= len(data):
+        opcode, length = HEAD.unpack_from(data, place)
+        following = place + HEAD.size + length
+        if following > len(data):
+            return
+        yield opcode, data[place + HEAD.size : following], following - place
+        place = following
 
 
 def _fields(body: bytes) -> ReadDataStream:

@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Group, Parameter
 
-from sal_height.commands._options import BAGS, DONE, FAILED, Bag, Flag, command
+from sal_height.commands._options import (
+    BAGS,
+    DONE,
+    FAILED,
+    Bag,
+    Flag,
+    OutputFolder,
+    bag_name,
+    command,
+    complain,
+    output_folder,
+)
 
 if TYPE_CHECKING:
     from sal_height.bag.dwells import DwellReport
@@ -21,6 +32,7 @@ PARTS = Group("What is done with a bag", sort_key=3)
 EXAMPLES = """
   sal-height bag info out/small/bag     what it holds
   sal-height bag check out/small/bag    whether anything is wrong with it
+  sal-height bag recover damaged/bag    what is whole of it, as a new bag
 """
 
 INFO_EXAMPLES = """
@@ -34,13 +46,21 @@ CHECK_EXAMPLES = """
   sal-height bag check out/small/bag --json > findings.json
 """
 
+RECOVER_EXAMPLES = """
+  sal-height bag recover damaged/bag --out out/recovered
+"""
+
+LOST = "parts of the bag could not be read, or messages are lost; all else is in the new bag"
+"""What status 1 of a recovery means."""
+
 Json: TypeAlias = Annotated[Flag, Parameter(name="--json")]
 
 app = command("bag", BAGS, EXAMPLES)
 app.help = "Look at a bag, check and repair it, cut a part out of it, and bring it up to date."
 info_app = command("info", PARTS, INFO_EXAMPLES)
 check_app = command("check", PARTS, CHECK_EXAMPLES, "there are findings")
-for part in (info_app, check_app):
+recover_app = command("recover", PARTS, RECOVER_EXAMPLES, LOST)
+for part in (info_app, check_app, recover_app):
     app.command(part)
 
 
@@ -112,3 +132,27 @@ def _reading(bag: Path) -> Iterator[Callable[[int, int], None]]:
             progress.update(done)
 
         yield advance
+
+
+@recover_app.default
+def recover(bag: Bag, /, *, out: OutputFolder = None) -> int:
+    """Recover the intact messages of a bag that is damaged or whose recording was cut off.
+
+    A table says how many messages of each topic are in the new bag, and how many
+    are known to be lost; below, which parts of which file could not be read.
+
+    Args:
+        out: Folder of the new bag, new or empty. Default: out/recover_BAG, or the next free of out/recover_BAG_2, ….
+    """
+    return recover_bag(bag, output_folder(out, f"recover_{bag_name(bag)}"))
+
+
+def recover_bag(bag: Path, folder: Path) -> int:
+    """Recover a bag into a folder, and tell what is recovered and lost."""
+    from sal_height.bag.recovery import recovery_table
+    from sal_height.bag.salvage import recover
+
+    recovery = recover(bag, folder)
+    print(f"{recovery_table(recovery)}\n{recovery.count} messages recovered in {folder}")
+    complain([*map(str, recovery.gaps)])
+    return DONE if recovery.is_whole else FAILED

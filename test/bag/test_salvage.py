@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -11,14 +13,18 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
 from sal_height.bag.file_writer import CHUNK_SIZE
+from sal_height.bag.index import read_index
 from sal_height.bag.reader import BagReader
-from sal_height.bag.salvage import salvage
-from sal_height.bag.writer import BagWriter
+from sal_height.bag.recovery import UNKNOWN
+from sal_height.bag.salvage import recover, salvage
+from sal_height.bag.writer import BagWriter, Packing
+from sal_height.commands import main
 from sal_height.errors import UserError
 
 STRING = "std_msgs/msg/String"
@@ -26,9 +32,11 @@ STRING = "std_msgs/msg/String"
 KILLED = """
 import os, signal, sys
 from pathlib import Path
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
-from sal_height.bag.writer import BagWriter
+from sal_height.bag.writer import BagWriter, Packing
+from sal_height.commands import main
 
 writer = BagWriter(Path(sys.argv[1]))
 writer.add_topic("/greeting", "std_msgs/msg/String")
@@ -97,16 +105,46 @@ def test_a_cut_file_gives_the_messages_before_the_cut(tmp_path: Path, options: d
     assert salvage(file, tmp_path / "whole") == 30
 
 
-def test_a_damaged_chunk_is_left_out_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_damaged_chunk_is_left_out_and_accounted_for(tmp_path: Path) -> None:
+    """By offset and size, and by the messages that the indexes name; those of the file whole or cut."""
     messages = greetings(30)
     file = tmp_path / "damaged.mcap"
     data = write_mcap(file, messages, chunk_size=5000, compression=CompressionType.NONE)
-    file.write_bytes(data.replace(b"number 0", b"number X"))  # in the chunk that also describes the topic
-    saved = salvage(file, tmp_path / "saved")
-    assert 20 <= saved < 30
-    assert [message.cdr for message in BagReader(tmp_path / "saved").messages()] == messages[-saved:]
-    (warning,) = caplog.messages
-    assert "A damaged chunk of" in warning
+    chunk = read_index(file).summary.chunk_indexes[0]
+    damaged = data.replace(b"number 0", b"number X")  # in the chunk that also describes the topic
+    file.write_bytes(damaged)
+    recovery = recover(file, tmp_path / "saved")
+    assert 20 <= recovery.count < 30
+    assert [message.cdr for message in BagReader(tmp_path / "saved").messages()] == messages[-recovery.count :]
+    (gap,) = recovery.gaps
+    assert (gap.file, gap.offset, gap.size) == (file, chunk.chunk_start_offset, chunk.chunk_length)
+    assert gap.lost == recovery.lost == {"/greeting": 30 - recovery.count}
+    assert "a damaged chunk (crc" in gap.reason
+    assert str(gap).endswith(f"they held {30 - recovery.count} messages on /greeting.")
+    file.write_bytes(damaged[:-1])  # without the index nothing describes the topic
+    recovery = recover(file, tmp_path / "cut")
+    assert recovery.count == 0
+    assert recovery.lost == {UNKNOWN: 30}
+
+
+@pytest.mark.parametrize("shift", [1, 9, 1000])
+def test_behind_a_damaged_length_the_index_finds_the_next_chunk(tmp_path: Path, shift: int) -> None:
+    """That of a chunk itself does no harm; behind that of another record the next chunk is found."""
+    messages = greetings(30)
+    file = tmp_path / "damaged.mcap"
+    data = write_mcap(file, messages, chunk_size=5000, compression=CompressionType.NONE)
+    first, second, *_ = read_index(file).summary.chunk_indexes
+    ends = first.chunk_start_offset + first.chunk_length
+    for place, gap in ((first.chunk_start_offset, []), (ends, [(ends, second.chunk_start_offset)])):
+        damaged = bytearray(data)
+        (length,) = struct.unpack_from("<Q", damaged, place + 1)
+        struct.pack_into("<Q", damaged, place + 1, length + shift)
+        file.write_bytes(damaged)
+        recovery = recover(file, tmp_path / f"saved{place}")
+        assert recovery.count == 30
+        assert not recovery.lost
+        assert [(one.offset, one.offset + one.size) for one in recovery.gaps] == gap
+    assert recovery.is_whole is False
 
 
 @pytest.fixture(scope="module")
@@ -204,3 +242,102 @@ def test_the_bag_is_not_salvaged_into_itself(tmp_path: Path) -> None:
         writer.add_topic("/greeting", STRING)
     with pytest.raises(UserError, match="is not empty"):
         salvage(tmp_path / "run", tmp_path / "run")
+
+
+def test_of_a_file_without_checksums_nothing_is_missed(tmp_path: Path) -> None:
+    """As rosbag2 writes by default."""
+    messages = greetings(30)
+    file = tmp_path / "plain.mcap"
+    data = write_mcap(file, messages, chunk_size=5000, compression=CompressionType.NONE, enable_crcs=False)
+    recovery = recover(file, tmp_path / "whole")
+    assert (recovery.count, recovery.is_whole) == (30, True)
+    file.write_bytes(data[: len(data) // 2])
+    cut = recover(file, tmp_path / "cut")
+    assert 10 < cut.count < 20
+    (gap,) = cut.gaps
+    assert gap.reason == "the file ends within a chunk"
+    assert gap.offset + gap.size == len(data) // 2
+    assert gap.size < len(messages[0]) + 100
+
+
+def mixed_bag(folder: Path, compression: str) -> tuple[bytes, set[tuple[str, bytes, int, int]]]:
+    """A small bag of two topics, a latched one among them, in two dozen chunks: bytes of its file, and its messages."""
+    latched = [QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)]
+    with BagWriter(folder, {"parameters": "{}"}, Packing(compression)) as writer:
+        writer.add_topic("/notes", STRING, latched)
+        writer.add_topic("/greeting", STRING)
+        for i in range(60):
+            topic = "/notes" if i % 20 == 0 else "/greeting"
+            writer.write(topic, serialize_message(String(data=f"number {i}" * (1 + i % 7))), 1000 + i, 990 + i)
+            if i % 3 == 2:
+                writer.flush()
+    (file,) = folder.glob("*.mcap")
+    messages = {(m.topic, m.cdr, m.log_time_ns, m.publish_time_ns) for m in BagReader(folder).messages()}
+    return file.read_bytes(), messages
+
+
+def saved_by_command(data: bytes, tmp_path: Path) -> tuple[int, set[tuple[str, bytes, int, int]], int]:
+    """Status of `sal-height bag recover` on a file with these bytes, the messages in the new bag, and their number."""
+    out, file = tmp_path / "out", tmp_path / "damaged.mcap"
+    shutil.rmtree(out, ignore_errors=True)
+    file.write_bytes(data)
+    status = main(["bag", "recover", str(file), "--out", str(out)])
+    if status == 2:
+        assert not out.exists() or not list(BagReader(out).messages())
+        return status, set(), 0
+    found = [(m.topic, m.cdr, m.log_time_ns, m.publish_time_ns) for m in BagReader(out).messages()]
+    return status, set(found), len(found)
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+def test_wherever_a_file_is_cut_what_precedes_the_cut_is_recovered(compression: str, tmp_path: Path) -> None:
+    """Status 2 where there is no beginning of a bag, 1 where a record is cut, 0 if what lacks is the index alone."""
+    data, messages = mixed_bag(tmp_path / "bag", compression)
+    index = read_index(tmp_path / "bag" / "bag_0.mcap")
+    starts = [chunk.chunk_start_offset for chunk in index.summary.chunk_indexes]
+    ends = [start + chunk.chunk_length for start, chunk in zip(starts, index.summary.chunk_indexes, strict=True)]
+    saved_before, statuses = 0, set()
+    for size in sorted({*np.linspace(0, len(data), 180, dtype=int).tolist(), *ends}):
+        status, found, count = saved_by_command(data[:size], tmp_path)
+        assert found <= messages
+        assert count == len(found)
+        assert count >= max(saved_before, 3 * sum(end <= size for end in ends))
+        saved_before = count
+        statuses.add(status)
+        if status == 2:
+            assert size < 8
+        if size in ends or size == len(data):
+            assert status == 0
+        if any(start < size < end for start, end in zip(starts, ends, strict=True)):
+            assert status == 1
+    assert saved_before == len(messages)
+    assert statuses == {0, 1, 2}
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4"])
+def test_whatever_byte_is_damaged_no_message_is_changed_and_the_account_is_right(
+    compression: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A thousand bytes in all; one chunk of three messages is lost at most, and status 1 says so."""
+    data, messages = mixed_bag(tmp_path / "bag", compression)
+    rng = np.random.default_rng(7)
+    lossless = refused = 0
+    for _ in range(500):
+        damaged = bytearray(data)
+        damaged[rng.integers(len(data))] ^= rng.integers(1, 256)
+        status, found, count = saved_by_command(bytes(damaged), tmp_path)
+        said = capsys.readouterr()
+        if status == 2:  # the first bytes no longer say that it is a bag of ROS 2
+            refused += 1
+            assert said.err.count("\n") == 1
+            continue
+        assert found <= messages
+        assert count == len(found) >= len(messages) - 3
+        assert f"{count} messages recovered" in said.out
+        if count < len(messages):
+            assert status == 1
+        lossless += status == 0
+        lost = sum(int(line.split()[2]) for line in said.out.splitlines() if line.startswith("/"))
+        assert lost == len(messages) - count
+    assert refused <= 10
+    assert 100 < lossless < 490

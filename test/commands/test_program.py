@@ -28,7 +28,7 @@ from sal_height.figures.curve import Curve
 FOLDER = Path(sal_height.commands.__file__).parent
 COMMANDS = sorted(path.stem.replace("_", "-") for path in FOLDER.glob("[a-z]*.py"))
 WITH_OUTPUT = [name for name in COMMANDS if "OutputFolder" in (FOLDER / f"{name.replace('-', '_')}.py").read_text()]
-BAG = ("info", "check")
+BAG = ("info", "check", "recover")
 PATHS = [
     [],
     *([name] for name in COMMANDS),
@@ -226,9 +226,12 @@ def test_no_command_begins_with_an_output_folder_in_use(
 ) -> None:
     """The input does not exist either, which would be reported if the folder were looked at later."""
     (tmp_path / "mine.txt").touch()
-    words = {"run": ["--preset", "small"], "figures": ["fig3"], "live": ["--bag", "missing"]}.get(
-        command, ["missing.npy"]
-    )
+    words = {
+        "run": ["--preset", "small"],
+        "figures": ["fig3"],
+        "live": ["--bag", "missing"],
+        "bag": ["recover", "missing"],
+    }.get(command, ["missing.npy"])
     assert main([command, *words, "--out", str(tmp_path)]) == 2
     assert "not empty" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]

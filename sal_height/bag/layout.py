@@ -1,0 +1,119 @@
+"""The records of a file one after the other, found without its index, or past damage with it."""
+
+from __future__ import annotations
+
+import bisect
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import BinaryIO
+
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.summary import Summary
+from mcap.writer import MCAP0_MAGIC
+
+from sal_height.bag.files import check_summary_crc
+
+HEAD = struct.Struct("<BQ")
+"""Opcode and length of a record."""
+
+INDEX_HEAD = struct.Struct("<HI")
+"""Channel of a message index, and bytes of its entries, of INDEX_ENTRY bytes each."""
+
+INDEX_ENTRY = 16
+
+OPCODES = frozenset(Opcode)
+
+OWN_OPCODES = 0x80
+"""Opcodes from here on are for private records, which may stand anywhere."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """A record of a file, or a part of it that is none.
+
+    Attributes:
+        offset: of its first byte in the file.
+        size: bytes of it that are in the file, opcode and length included.
+        opcode: of the record; None: there is no record that can be told.
+        whole: whether all of it is in the file.
+    """
+
+    offset: int
+    size: int
+    opcode: int | None
+    whole: bool = True
+
+    def read(self, stream: BinaryIO) -> bytes:
+        """The body of the record, as far as it is in the file."""
+        stream.seek(self.offset + HEAD.size)
+        return stream.read(self.size - HEAD.size)
+
+
+def sound_summary(stream: BinaryIO) -> Summary | None:
+    """The index at the end of a complete file, where damage to a chunk does not reach; None if it is not sound."""
+    try:
+        check_summary_crc(stream)
+        stream.seek(0)
+        return SeekingReader(stream).get_summary()
+    except Exception:  # noqa: BLE001 - a cut file has none, and mcap stumbles over whatever stands there
+        return None
+
+
+def spans(stream: BinaryIO, summary: Summary | None) -> Iterator[Span]:
+    """What a file consists of, up to its index, its end or its cut.
+
+    Records are found by the lengths of those before them. Where a length or an opcode is damaged, the next chunk is
+    found by the index, if there is a sound one; the rest of the file is lost otherwise.
+    """
+    chunks = {chunk.chunk_start_offset: chunk.chunk_length for chunk in summary.chunk_indexes} if summary else {}
+    starts = sorted(chunks)
+    end = stream.seek(0, os.SEEK_END)
+    place = len(MCAP0_MAGIC)
+    while place < end:
+        if place in chunks and place + chunks[place] <= end:
+            yield Span(place, chunks[place], Opcode.CHUNK)
+            place += chunks[place]
+            continue
+        after = bisect.bisect_right(starts, place)
+        limit = starts[after] if after < len(starts) else end
+        span = _span(stream, place, limit, is_open=limit == end, has_chunks=bool(chunks))
+        yield span
+        if span.opcode == Opcode.DATA_END and span.whole:
+            return
+        place += span.size
+
+
+def counts_of_index(span: Span, stream: BinaryIO) -> tuple[int, int] | None:
+    """Channel and number of messages of a message index; None if its lengths contradict each other."""
+    body = span.read(stream)
+    if len(body) < INDEX_HEAD.size:
+        return None
+    channel_id, size = INDEX_HEAD.unpack_from(body)
+    return (channel_id, size // INDEX_ENTRY) if size == len(body) - INDEX_HEAD.size else None
+
+
+def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks: bool) -> Span:
+    """The record at `place`, or all up to `limit`, if it is none.
+
+    Args:
+        stream: of the file.
+        place: byte in the file.
+        limit: where the next chunk begins, or the end of the file.
+        is_open: whether the limit is the end of the file, at which a record may be cut.
+        has_chunks: whether all chunks are known, so that there is none here.
+    """
+    stream.seek(place)
+    head = stream.read(HEAD.size)
+    lost = Span(place, limit - place, None)
+    if len(head) < HEAD.size:
+        return lost
+    opcode, length = HEAD.unpack(head)
+    if not (opcode in OPCODES or opcode >= OWN_OPCODES) or (has_chunks and opcode in (Opcode.CHUNK, Opcode.MESSAGE)):
+        return lost
+    following = place + HEAD.size + length
+    if following <= limit:
+        return Span(place, HEAD.size + length, opcode)
+    return Span(place, limit - place, opcode, whole=False) if is_open and not has_chunks else lost

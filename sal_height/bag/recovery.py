@@ -1,0 +1,69 @@
+"""What a recovery of a bag did: which messages are in the new bag, and which parts of the old one could not be read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sal_height.tables import aligned
+
+UNKNOWN = "(unknown)"
+"""Stands for the topic of messages whose channel nothing describes any more."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A part of a file that could not be read.
+
+    Attributes:
+        file: of the bag.
+        offset: of its first byte.
+        size: in bytes.
+        reason: why, in words.
+        lost: messages by topic that were there, as far as the index of the chunk says; empty if it does not.
+    """
+
+    file: Path
+    offset: int
+    size: int
+    reason: str
+    lost: Mapping[str, int] = field(default_factory=dict, compare=False)
+
+    def __str__(self) -> str:
+        text = f"{self.size} bytes at byte {self.offset} of {self.file} could not be read: {self.reason}"
+        counts = ", ".join(f"{count} messages on {topic}" for topic, count in sorted(self.lost.items()))
+        return f"{text}; they held {counts}." if counts else f"{text}."
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What became of a bag.
+
+    Attributes:
+        recovered: messages in the new bag, by topic, those without messages included.
+        lost: messages that are known to be lost, by topic.
+        gaps: parts of the files that could not be read.
+    """
+
+    recovered: Counter[str]
+    lost: Counter[str]
+    gaps: Sequence[Gap]
+
+    @property
+    def count(self) -> int:
+        """Messages in the new bag."""
+        return self.recovered.total()
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing is lost, so far as can be told."""
+        return not (self.gaps or self.lost)
+
+
+def recovery_table(recovery: Recovery) -> str:
+    """Messages recovered and lost, by topic, as lines of text."""
+    topics = sorted({*recovery.recovered, *recovery.lost})
+    rows = [[topic, str(recovery.recovered[topic]), str(recovery.lost[topic])] for topic in topics]
+    return aligned([["topic", "recovered", "known lost"], *rows])

@@ -92,6 +92,15 @@ def _positive(_type: type, pair: tuple[int, int] | None) -> None:
 
 Bag: TypeAlias = Annotated[Path, Parameter(name="BAG", help="Folder of the bag, or its .mcap file.")]
 
+Tolerance: TypeAlias = Annotated[
+    Path | None,
+    Parameter(
+        metavar="FILE",
+        show_default=False,
+        help="YAML file of tolerances by field, as docs/replay.md says. Default: that of other processors' rounding.",
+    ),
+]
+
 OutputFolder: TypeAlias = Annotated[Path | None, Parameter(name="--out", metavar="DIR")]
 
 Seed: TypeAlias = Annotated[

@@ -18,6 +18,7 @@ from sal_height.commands._options import (
     Bag,
     Flag,
     OutputFolder,
+    Tolerance,
     bag_name,
     command,
     complain,
@@ -33,6 +34,7 @@ EXAMPLES = """
   sal-height bag info out/small/bag     what it holds
   sal-height bag check out/small/bag    whether anything is wrong with it
   sal-height bag recover damaged/bag    what is whole of it, as a new bag
+  sal-height bag diff golden/bag out/small/bag
 """
 
 INFO_EXAMPLES = """
@@ -50,6 +52,12 @@ RECOVER_EXAMPLES = """
   sal-height bag recover damaged/bag --out out/recovered
 """
 
+DIFF_EXAMPLES = """
+  sal-height bag diff golden/bag out/small/bag
+  sal-height bag diff golden/bag out/small/bag --tolerance tolerances.yaml
+  sal-height bag diff golden/bag out/small/bag --topic slc --topic ml/height
+"""
+
 LOST = "parts of the bag could not be read, or messages are lost; all else is in the new bag"
 """What status 1 of a recovery means."""
 
@@ -60,7 +68,8 @@ app.help = "Look at a bag, check and repair it, cut a part out of it, and bring 
 info_app = command("info", PARTS, INFO_EXAMPLES)
 check_app = command("check", PARTS, CHECK_EXAMPLES, "there are findings")
 recover_app = command("recover", PARTS, RECOVER_EXAMPLES, LOST)
-for part in (info_app, check_app, recover_app):
+diff_app = command("diff", PARTS, DIFF_EXAMPLES, "messages are missing or extra, or differ by more than the tolerance")
+for part in (info_app, check_app, recover_app, diff_app):
     app.command(part)
 
 
@@ -156,3 +165,38 @@ def recover_bag(bag: Path, folder: Path) -> int:
     print(f"{recovery_table(recovery)}\n{recovery.count} messages recovered in {folder}")
     complain([*map(str, recovery.gaps)])
     return DONE if recovery.is_whole else FAILED
+
+
+@diff_app.default
+def diff(
+    golden: Annotated[Path, Parameter(name="GOLDEN", help="Bag that is right: its folder, or its .mcap file.")],
+    other: Annotated[Path, Parameter(name="OTHER", help="Bag that is judged.")],
+    /,
+    *,
+    topic: Annotated[tuple[str, ...], Parameter(metavar="TOPIC", consume_multiple=False, show_default=False)] = (),
+    tolerance: Tolerance = None,
+    out: OutputFolder = None,
+) -> int:
+    """Compare two bags, field by field: equal, within the tolerance, or changed.
+
+    Messages are matched by dwell and channel, others by their number. A table
+    counts values, and sentences name what changed most; diff.json has all of it.
+    comparison.png shows the worst dwell of the heights.
+
+    Args:
+        topic: Compare this topic; may be repeated. Default: all but those that say how a run went, such as diagnostics.
+        out: Output folder, new or empty. Default: out/diff_OTHER, or the next free of out/diff_OTHER_2, ….
+    """
+    from sal_height.bag.compare import CHANGED
+    from sal_height.bag.tolerance import ROUNDING, read_tolerances
+    from sal_height.io import new_folder, write_text
+    from sal_height.runs.judge import as_json, judge, topics_to_compare, verdict_of
+    from sal_height.runs.tables import comparison_table
+
+    tolerances = read_tolerances(tolerance) if tolerance else ROUNDING
+    topics = topics_to_compare(golden, other, topic)
+    folder = new_folder(output_folder(out, f"diff_{bag_name(other)}"))
+    compared = judge(golden, other, tolerances, topics, folder)
+    write_text(folder / "diff.json", json.dumps(as_json(golden, other, compared, tolerances), indent=2) + "\n")
+    print(f"{comparison_table(compared)}\n{verdict_of(compared)}; see {folder}")
+    return FAILED if verdict_of(compared) == CHANGED else DONE

@@ -18,6 +18,7 @@ from sal_height.commands._options import (
     GraphOptions,
     NodeParameters,
     OutputFolder,
+    Tolerance,
     bag_name,
     command,
     complain,
@@ -51,7 +52,7 @@ def replay(
     /,
     *,
     against: Annotated[Path | None, Parameter(metavar="GOLDEN", show_default=False)] = None,
-    tolerance: Annotated[Path | None, Parameter(metavar="FILE", show_default=False)] = None,
+    tolerance: Tolerance = None,
     graph: GraphOptions = GRAPH,
     out: OutputFolder = None,
     param: NodeParameters = (),
@@ -68,7 +69,6 @@ def replay(
 
     Args:
         against: Bag with the heights to compare with. Default: those of BAG.
-        tolerance: YAML file of tolerances by field, as docs/replay.md describes. Default: that of rounding.
         out: Output folder, new or empty. Default: out/replay_BAG, or the next free of out/replay_BAG_2, ….
     """
     from sal_height.bag.tolerance import ROUNDING, read_tolerances

@@ -12,9 +12,10 @@ from typing import Any
 from rclpy.serialization import serialize_message
 
 from sal_height import messages
+from sal_height.bag.stamps import stamp_ns_of
 from sal_height.nodes.endpoints import Outlet
 from sal_height.nodes.height import HEIGHT_NODES
-from sal_height.nodes.playlist import restamped, stamp_ns_of
+from sal_height.nodes.playlist import restamped
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.nodes.sar_compression import SarCompression

@@ -14,10 +14,9 @@ from sal_height.bag.definitions import installed_definition
 from sal_height.bag.files import ACCOUNT, PARAMETERS
 from sal_height.bag.findings import Finding, error, some, warning
 from sal_height.bag.index import FileIndex
+from sal_height.bag.parameter_events import PARAMETER_EVENTS
 from sal_height.bag.reader import BagReader, Topic
 from sal_height.errors import UserError
-
-PARAMETER_EVENTS = "/parameter_events"
 
 WITH_PROVENANCE = {f"sal_height_msgs/msg/{name}" for name in ("ComplexImage", "HeightImage", "ReliefMap")}
 """Types of messages that say with which parameters they were made."""

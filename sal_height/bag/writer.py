@@ -140,7 +140,7 @@ class BagWriter:
         topic = WrittenTopic(name, type_name, definition or installed_definition(type_name), list(qos))
         with self._breaking():
             self._file.add_topic(topic)
-        self._topics[name] = _Topic(topic, latched=deque(maxlen=_held_by_publishers(qos)))
+        self._topics[name] = _Topic(topic, latched=deque(maxlen=held_by_publishers(qos)))
 
     def write(self, topic: str, cdr: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Append one serialized message of a topic added before. Times in nanoseconds, not negative.
@@ -275,7 +275,7 @@ def _span(files: Sequence[Written]) -> dict[str, Any]:
     }
 
 
-def _held_by_publishers(profiles: Sequence[QoSProfile]) -> int:
+def held_by_publishers(profiles: Sequence[QoSProfile]) -> int:
     """Messages that publishers keep for subscribers that come later; 0 if any of them keeps none."""
     if any(profile.durability != DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles):
         return 0

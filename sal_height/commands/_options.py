@@ -130,6 +130,16 @@ PixelPosition: TypeAlias = Annotated[
     ),
 ]
 
+DwellRange: TypeAlias = Annotated[
+    tuple[int, int] | None,
+    Parameter(
+        metavar="FIRST:LAST",
+        n_tokens=1,
+        accepts_keys=False,
+        converter=_pair_of(int, ":", "FIRST:LAST with whole numbers, for example 10:19"),
+    ),
+]
+
 ElevationByAzimuth: TypeAlias = Annotated[
     tuple[float, float],
     Parameter(

@@ -6,16 +6,19 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Group, Parameter
+from cyclopts.validators import Number
 
 from sal_height.commands._options import (
     BAGS,
     DONE,
     FAILED,
     Bag,
+    DwellRange,
     Flag,
     OutputFolder,
     Tolerance,
@@ -35,6 +38,7 @@ EXAMPLES = """
   sal-height bag check out/small/bag    whether anything is wrong with it
   sal-height bag recover damaged/bag    what is whole of it, as a new bag
   sal-height bag diff golden/bag out/small/bag
+  sal-height bag cut out/small/bag --dwells 1:1    a part, which can be replayed
 """
 
 INFO_EXAMPLES = """
@@ -58,8 +62,20 @@ DIFF_EXAMPLES = """
   sal-height bag diff golden/bag out/small/bag --topic slc --topic ml/height
 """
 
+CUT_EXAMPLES = """
+  sal-height bag cut out/small/bag --dwells 1:1 --out out/second
+  sal-height bag cut flight --from 60 --to 90.5        seconds from its begin
+  sal-height bag cut flight --from 1795404227.7        a time since 1970
+"""
+
+UPGRADE_EXAMPLES = """
+  sal-height bag upgrade bags/version_1 --out out/today
+"""
+
 LOST = "parts of the bag could not be read, or messages are lost; all else is in the new bag"
 """What status 1 of a recovery means."""
+
+Seconds: TypeAlias = Annotated[Decimal | None, Parameter(metavar="S", validator=Number(gte=0))]
 
 Json: TypeAlias = Annotated[Flag, Parameter(name="--json")]
 
@@ -69,7 +85,9 @@ info_app = command("info", PARTS, INFO_EXAMPLES)
 check_app = command("check", PARTS, CHECK_EXAMPLES, "there are findings")
 recover_app = command("recover", PARTS, RECOVER_EXAMPLES, LOST)
 diff_app = command("diff", PARTS, DIFF_EXAMPLES, "messages are missing or extra, or differ by more than the tolerance")
-for part in (info_app, check_app, recover_app, diff_app):
+cut_app = command("cut", PARTS, CUT_EXAMPLES)
+upgrade_app = command("upgrade", PARTS, UPGRADE_EXAMPLES)
+for part in (info_app, check_app, recover_app, cut_app, upgrade_app, diff_app):
     app.command(part)
 
 
@@ -200,3 +218,63 @@ def diff(
     write_text(folder / "diff.json", json.dumps(as_json(golden, other, compared, tolerances), indent=2) + "\n")
     print(f"{comparison_table(compared)}\n{verdict_of(compared)}; see {folder}")
     return FAILED if verdict_of(compared) == CHANGED else DONE
+
+
+@cut_app.default
+def cut(
+    bag: Bag,
+    /,
+    *,
+    from_: Annotated[Seconds, Parameter(name="--from")] = None,
+    to: Seconds = None,
+    dwells: DwellRange = None,
+    out: OutputFolder = None,
+) -> int:
+    """Cut a range of time or of dwells out of a bag, as a bag that can be replayed by itself.
+
+    Dwells are kept whole or not at all, with odometry from a second before to a
+    second after. What was latched before (descriptions of sensors, calibrations,
+    static transforms) and the parameters of nodes are kept as they were last.
+    Times are those at which messages were received, in seconds from the begin of
+    the bag, or since 1970.
+
+    Args:
+        from_: Keep what was received from here on.
+        to: Keep what was received up to here.
+        dwells: Keep the dwells with these numbers.
+        out: Folder of the new bag, new or empty. Default: out/cut_BAG, or the next free of out/cut_BAG_2, ….
+    """
+    folder = output_folder(out, f"cut_{bag_name(bag)}")
+
+    from sal_height.bag.cut import Range, time_of
+    from sal_height.bag.cut import cut as cut_out
+    from sal_height.bag.reader import BagReader
+
+    reader = BagReader(bag)
+    begin_ns, end_ns = (None if time is None else time_of(reader, time) for time in (from_, to))
+    done = cut_out(bag, folder, Range(begin_ns, end_ns, dwells))
+    for topic, count in done.dwells.items():
+        print(f"{count} dwells of {topic}")
+    print(f"{done.counts.total()} messages in {folder}")
+    return DONE
+
+
+@upgrade_app.default
+def upgrade(bag: Bag, /, *, out: OutputFolder = None) -> int:
+    """Write a bag that was recorded with an older version of our messages anew, with those of today.
+
+    Programs that know only today's messages can read it then; `sal-height` itself
+    reads bags of all versions as they are.
+
+    Args:
+        out: Folder of the new bag, new or empty. Default: out/upgrade_BAG, or the next free of out/upgrade_BAG_2, ….
+    """
+    folder = output_folder(out, f"upgrade_{bag_name(bag)}")
+
+    from sal_height.bag.upgrade import upgrade as write_anew
+
+    made = write_anew(bag, folder)
+    for topic, count in made.items():
+        print(f"{count} messages of {topic} made anew")
+    print(f"see {folder}" if made else f"all messages are of today's version; {folder} is a copy")
+    return DONE

@@ -12,9 +12,11 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.task import Future
 
+from sal_height.bag import parameter_events
 from sal_height.nodes.guard import guarded
 
-PARAMETER_EVENTS, PARAMETER_EVENT_TYPE = "/parameter_events", "rcl_interfaces/msg/ParameterEvent"
+PARAMETER_EVENTS = parameter_events.PARAMETER_EVENTS
+PARAMETER_EVENT_TYPE = parameter_events.PARAMETER_EVENT_TYPE
 
 ASK_PERIOD_S = 0.5
 """Period at which it is looked for new nodes."""
@@ -63,7 +65,7 @@ class ParameterReader:
             event = deserialize_message(cdr, ParameterEvent)
         except RuntimeError:  # rclpy's own error class is private, and a subclass of it
             return None
-        known = after(self._known.get(event.node), event)
+        known = parameter_events.after(self._known.get(event.node), event)
         whole = serialize_message(known)
         if len(whole) > MOST_BYTES or (event.node not in self._known and len(self._known) == MOST_NODES):
             return None
@@ -106,12 +108,3 @@ class _Question:
         event.new_parameters = [ParameterMessage(name=name, value=value) for name, value in found]
         self._is_answered = True
         self._tell(serialize_message(event))
-
-
-def after(known: ParameterEvent | None, event: ParameterEvent) -> ParameterEvent:
-    """All parameters of a node after an event, as an event of new parameters; `known`: those before."""
-    values = {parameter.name: parameter for parameter in (known.new_parameters if known else ())}
-    values |= {parameter.name: parameter for parameter in (*event.new_parameters, *event.changed_parameters)}
-    for parameter in event.deleted_parameters:
-        values.pop(parameter.name, None)
-    return ParameterEvent(node=event.node, stamp=event.stamp, new_parameters=list(values.values()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple, Self
 
@@ -13,12 +12,8 @@ from sal_height_msgs.msg import ChannelFrame, SensorInfo
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
+from sal_height.bag.stamps import STAMP, STAMP_AT, stamp_ns_of
 from sal_height.errors import UserError
-
-STAMP = struct.Struct("<iI")
-STAMP_AT = 4
-"""Where a serialized message has its stamp, if a header is its first field: after the four bytes that name the
-encoding (CDR, OMG DDS-XTypes 1.3, section 7.4.3; little endian in all ROS middlewares in use)."""
 
 
 class Item(NamedTuple):
@@ -124,12 +119,6 @@ def restamped(cdr: bytes, shift_ns: int) -> bytes:
     stamp = STAMP.pack(*divmod(stamp_ns_of(cdr) + shift_ns, 1_000_000_000))
     whole = memoryview(cdr)
     return b"".join((whole[:STAMP_AT], stamp, whole[STAMP_AT + STAMP.size :]))
-
-
-def stamp_ns_of(cdr: bytes) -> int:
-    """The stamp of a serialized message whose first field is a header, ns."""
-    seconds, nanoseconds = STAMP.unpack_from(cdr, STAMP_AT)
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 def _last_pulse(frame: ChannelFrame) -> int:

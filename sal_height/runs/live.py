@@ -16,12 +16,13 @@ import numpy as np
 from rclpy.task import Future
 from sal_height_msgs.msg import HeightImage
 
+from sal_height.bag.stamps import stamp_ns_of
 from sal_height.errors import UserError
 from sal_height.io import new_folder
 from sal_height.nodes.account import CPU, Account
 from sal_height.nodes.domain import ros_domain
 from sal_height.nodes.middleware import provide_shared_memory
-from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist, stamp_ns_of
+from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist
 from sal_height.numeric import available_processors
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.catalogue import HEIGHTS, TRACKER, check_parameters, consumers

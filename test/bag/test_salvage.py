@@ -245,7 +245,7 @@ def test_the_bag_is_not_salvaged_into_itself(tmp_path: Path) -> None:
 
 
 def test_of_a_file_without_checksums_nothing_is_missed(tmp_path: Path) -> None:
-    """As rosbag2 writes by default."""
+    """As rosbag2 writes with noChunkCRC."""
     messages = greetings(30)
     file = tmp_path / "plain.mcap"
     data = write_mcap(file, messages, chunk_size=5000, compression=CompressionType.NONE, enable_crcs=False)

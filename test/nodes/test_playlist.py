@@ -11,8 +11,9 @@ from sal_height_msgs.msg import ChannelFrame
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
+from sal_height.bag.stamps import stamp_ns_of
 from sal_height.errors import UserError
-from sal_height.nodes.playlist import FRAMES, ODOMETRY, Playlist, restamped, stamp_ns_of
+from sal_height.nodes.playlist import FRAMES, ODOMETRY, Playlist, restamped
 
 BAG = Path(__file__).parents[2] / "bags" / "version_2"
 

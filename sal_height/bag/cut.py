@@ -1,0 +1,228 @@
+"""Cut a range of time or of dwells out of a bag, as a bag that can be replayed by itself."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+from rcl_interfaces.msg import ParameterEvent
+
+from sal_height.bag.codec import serialized
+from sal_height.bag.copies import kept_custom_data, kept_packing
+from sal_height.bag.dwells import Dwell, read_dwells
+from sal_height.bag.parameter_events import PARAMETER_EVENT_TYPE, after
+from sal_height.bag.reader import BagMessage, BagReader, Topic
+from sal_height.bag.sensor_topics import FRAME_TYPE, SENSOR_TYPE, SensorTopics, sensors_in
+from sal_height.bag.stamps import stamp_ns_of
+from sal_height.bag.writer import BagWriter, held_by_publishers
+from sal_height.errors import UserError
+
+STAMPS_FROM_S = 100_000_000
+"""Seconds from which on a number is a time since 1970, and not since the begin of the bag (three years)."""
+
+MARGIN_NS = 1_000_000_000
+"""Odometry is kept from so long before the first pulse to so long after the last."""
+
+OF_DWELLS = {FRAME_TYPE, "sal_height_msgs/msg/ComplexImage", "sal_height_msgs/msg/HeightImage"}
+"""Types of messages that belong to a dwell, and have its stamp."""
+
+LATCHED = {SENSOR_TYPE: 1, "sal_height_msgs/msg/Calibration": 1, "tf2_msgs/msg/TFMessage": 100}
+"""Messages that are held of types that are latched, where the bag does not say so; of transforms on tf_static only."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """What is kept of a bag.
+
+    Attributes:
+        begin_ns: messages received from here on, ns; None: from the begin.
+        end_ns: and up to here, ns; None: up to the end.
+        dwells: numbers of the first and the last dwell; None: all in that time.
+    """
+
+    begin_ns: int | None = None
+    end_ns: int | None = None
+    dwells: tuple[int, int] | None = None
+
+    def keeps(self, dwell: Dwell) -> bool:
+        """Whether all frames of a dwell are in the range."""
+        return (
+            (self.begin_ns is None or dwell.first_log_ns >= self.begin_ns)
+            and (self.end_ns is None or dwell.last_log_ns <= self.end_ns)
+            and (self.dwells is None or self.dwells[0] <= dwell.number <= self.dwells[1])
+        )
+
+
+@dataclass(frozen=True)
+class Cut:
+    """What is in the new bag: messages by topic, and dwells by topic of their frames."""
+
+    counts: Counter[str]
+    dwells: Mapping[str, int]
+
+
+def cut(path: Path, out_directory: Path, kept: Range) -> Cut:
+    """Write the part of a bag that is in a range to a new one.
+
+    Messages are byte for byte those of the bag, with their times, in one file. Of a dwell all messages are kept, or
+    none: it is kept if all its frames are in the range. Odometry is kept from a second before the kept dwells to a
+    second after. What was latched before is kept as it was last, at the begin of the new bag; so are the parameters of
+    nodes, those of a node in one event.
+
+    Args:
+        path: of the bag.
+        out_directory: of the new bag.
+        kept: what is kept.
+
+    Raises:
+        UserError: the bag is damaged or not complete, the folder is not empty, or no dwell is in the range.
+    """
+    reader = BagReader(path)
+    plans = [_plan_sensor(reader, sensor, kept) for sensor in sensors_in(reader.topics)]
+    if (plans or kept.dwells) and not any(plan.dwells for plan in plans):
+        raise UserError(f"Bag {path} has no dwell whose frames are all in the range; it has {_described(plans)}.")
+    window = _Window(reader, kept, plans)
+    counts = Counter[str]()
+    try:
+        with BagWriter(out_directory, kept_custom_data(reader), kept_packing(reader)) as bag:
+            for topic in reader.topics.values():
+                bag.add_topic(topic.name, topic.recorded_type, topic.offered_qos, topic.definition)
+            for message in window.messages():
+                bag.write(message.topic, message.cdr, message.log_time_ns, message.publish_time_ns)
+                counts[message.topic] += 1
+    except OSError as error:
+        raise UserError(f"Bag {out_directory} cannot be written: {error}.") from error
+    return Cut(counts, {plan.topics.frames: len(plan.dwells) for plan in plans})
+
+
+@dataclass(frozen=True)
+class _SensorPlan:
+    """What is kept of a sensor: its dwells, and odometry from one stamp to another, the first received at a time."""
+
+    topics: SensorTopics
+    all_dwells: Sequence[Dwell]
+    dwells: Sequence[Dwell]
+    odometry_ns: tuple[int, int]
+    odometry_log_ns: int | None
+
+    @property
+    def stamps(self) -> frozenset[int]:
+        """Stamps of the kept dwells."""
+        return frozenset(dwell.stamp_ns for dwell in self.dwells)
+
+
+def time_of(reader: BagReader, seconds: Decimal) -> int:
+    """A time in a bag, ns: seconds from its begin, or since 1970 if there are STAMPS_FROM_S or more."""
+    nanoseconds = int(seconds * 1_000_000_000)
+    begins = [one.statistics.message_start_time for one in reader.indexes if one.statistics.message_count]
+    return nanoseconds if seconds >= STAMPS_FROM_S else min(begins, default=0) + nanoseconds
+
+
+def _plan_sensor(reader: BagReader, topics: SensorTopics, kept: Range) -> _SensorPlan:
+    found = list(read_dwells(reader, topics))
+    dwells = [dwell for dwell in found if kept.keeps(dwell)]
+    if not dwells or topics.odometry not in reader.topics:
+        return _SensorPlan(topics, found, dwells, (0, -1), None)
+    poses = [(stamp_ns_of(m.cdr), m.log_time_ns) for m in reader.recorded_messages([topics.odometry])]
+    stamps = np.array(sorted(stamp for stamp, _ in poses), dtype=np.int64)
+    first_ns, last_ns = min(dwell.stamp_ns for dwell in dwells), max(dwell.last_pulse_ns for dwell in dwells)
+    before, behind = stamps[stamps <= first_ns], stamps[stamps >= last_ns]
+    begin_ns = min(first_ns - MARGIN_NS, int(before[-1]) if before.size else first_ns)
+    end_ns = max(last_ns + MARGIN_NS, int(behind[0]) if behind.size else last_ns)
+    logs = [log_ns for stamp, log_ns in poses if begin_ns <= stamp <= end_ns]
+    return _SensorPlan(topics, found, dwells, (begin_ns, end_ns), min(logs, default=None))
+
+
+def _described(plans: Sequence[_SensorPlan]) -> str:
+    """Which dwells there are, in words."""
+    numbers = [dwell.number for plan in plans for dwell in plan.all_dwells]
+    return f"{len(numbers)} dwells, with numbers from {min(numbers)} to {max(numbers)}" if numbers else "none at all"
+
+
+class _Window:
+    """The messages of a bag that are kept."""
+
+    def __init__(self, reader: BagReader, kept: Range, plans: Sequence[_SensorPlan]) -> None:
+        self._reader = reader
+        dwells = [dwell for plan in plans for dwell in plan.dwells]
+        by_number = kept.dwells is not None
+        first_ns = min((dwell.first_log_ns for dwell in dwells), default=0) if by_number else 0
+        last_ns = max((dwell.last_log_ns for dwell in dwells), default=2**63) if by_number else 2**63
+        self._begin_ns = max(first_ns, kept.begin_ns or 0)
+        self._end_ns = last_ns if kept.end_ns is None else min(last_ns, kept.end_ns)
+        logs = [plan.odometry_log_ns for plan in plans if plan.odometry_log_ns is not None]
+        self._first_ns = min([self._begin_ns, *logs])
+        """When the first of what is kept was received: what was latched then is moved here."""
+        self._odometry = {plan.topics.odometry: plan.odometry_ns for plan in plans}
+        self._stamps = {name: _stamps_for(name, plans) for name, t in reader.topics.items() if t.type_name in OF_DWELLS}
+        self._latched = {
+            name: deque[BagMessage](maxlen=held) for name, topic in reader.topics.items() if (held := _held(topic))
+        }
+        self._parameters: dict[str, tuple[ParameterEvent, BagMessage]] = {}
+
+    def messages(self) -> Iterator[BagMessage]:
+        """What is kept, in the order of its reception; first what was latched before."""
+        waiting: list[BagMessage] = []
+        is_begun = False
+        for message in self._reader.recorded_messages():
+            if not is_begun and message.log_time_ns >= self._begin_ns:
+                is_begun = True
+                yield from self._held_messages()
+                yield from waiting
+            if self._keeps(message):
+                if is_begun:
+                    yield message
+                else:
+                    waiting.append(message)  # odometry
+            elif not is_begun:
+                self._hold(message)
+        if not is_begun:
+            yield from self._held_messages()
+            yield from waiting
+
+    def _keeps(self, message: BagMessage) -> bool:
+        if message.topic in self._stamps:
+            return stamp_ns_of(message.cdr) in self._stamps[message.topic]
+        if message.topic in self._odometry:
+            begin_ns, end_ns = self._odometry[message.topic]
+            if begin_ns <= stamp_ns_of(message.cdr) <= end_ns:
+                return True
+        return self._begin_ns <= message.log_time_ns <= self._end_ns
+
+    def _hold(self, message: BagMessage) -> None:
+        """Keep a message from before the range, if it is latched or tells parameters."""
+        if message.topic in self._latched:
+            self._latched[message.topic].append(message)
+        elif message.type_name == PARAMETER_EVENT_TYPE:
+            event = self._reader.decode(message.type_name, message.cdr)
+            known = self._parameters.get(event.node)
+            merged = after(known[0], event) if known else event
+            cdr = serialized(merged) if known else message.cdr
+            self._parameters[event.node] = merged, message._replace(cdr=cdr)
+
+    def _held_messages(self) -> Iterator[BagMessage]:
+        """What was latched, and the parameters, as they were last before the range."""
+        latched = [message for queue in self._latched.values() for message in queue]
+        for message in (*latched, *(message for _, message in self._parameters.values())):
+            yield message._replace(log_time_ns=self._first_ns)
+
+
+def _stamps_for(topic: str, plans: Sequence[_SensorPlan]) -> frozenset[int]:
+    """Stamps of the kept dwells of the sensor in whose namespace a topic is, the innermost one."""
+    around = [plan for plan in plans if topic.startswith(plan.topics.namespace)]
+    innermost = max(around, key=lambda plan: len(plan.topics.namespace), default=None)
+    return innermost.stamps if innermost else frozenset()
+
+
+def _held(topic: Topic) -> int:
+    """Messages of a topic that reach those who come later; 0 if it is not latched."""
+    if topic.type_name in OF_DWELLS:
+        return 0
+    by_type = LATCHED.get(topic.type_name, 0)
+    if topic.type_name == "tf2_msgs/msg/TFMessage" and not topic.name.endswith("tf_static"):
+        by_type = 0
+    return max(by_type, held_by_publishers(topic.offered_qos) if topic.offered_qos else 0)

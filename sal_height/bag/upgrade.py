@@ -1,0 +1,55 @@
+"""Write a bag of an older version of sal_height_msgs anew, with the messages of today."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+from sal_height.bag.copies import kept_custom_data, kept_packing
+from sal_height.bag.definitions import Definition, installed_definition
+from sal_height.bag.files import ACCOUNT
+from sal_height.bag.reader import BagReader, Topic
+from sal_height.bag.versions import PACKAGE
+from sal_height.bag.writer import BagWriter
+from sal_height.errors import UserError
+
+
+def upgrade(path: Path, out_directory: Path) -> Counter[str]:
+    """Write a bag with the messages of today that say what those of the bag at `path` do, in one file.
+
+    Messages of other packages, and those of sal_height_msgs that have not changed, stay byte for byte, with their
+    times; custom data stay, and parameters from a file beside an older bag are among them then.
+
+    Returns:
+        Messages by topic that were made anew; without those that stayed as they were.
+
+    Raises:
+        UserError: the bag is damaged or not complete, or the folder is not empty.
+    """
+    reader = BagReader(path)
+    made: Counter[str] = Counter()
+    account = reader.indexes[-1].records.get(ACCOUNT)
+    try:
+        with BagWriter(out_directory, kept_custom_data(reader), kept_packing(reader)) as bag:
+            for topic in reader.topics.values():
+                bag.add_topic(topic.name, topic.type_name, topic.offered_qos, _definition_of(topic))
+            for message in reader.messages():
+                bag.write(message.topic, message.cdr, message.log_time_ns, message.publish_time_ns)
+                made[message.topic] += reader.topics[message.topic].is_old
+            bag.close({ACCOUNT: account} if account else {})
+    except OSError as error:
+        raise UserError(f"Bag {out_directory} cannot be written: {error}.") from error
+    return +made
+
+
+def _definition_of(topic: Topic) -> Definition:
+    """Today's definition of the messages of a topic; that in the bag if they are of another package."""
+    if topic.is_old:
+        return installed_definition(topic.type_name)
+    if not topic.type_name.startswith(PACKAGE):
+        return topic.definition
+    try:
+        installed = installed_definition(topic.type_name)
+    except UserError:  # a type that there is no more
+        return topic.definition
+    return installed if topic.definition.same_layout(installed) else topic.definition

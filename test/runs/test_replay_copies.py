@@ -1,0 +1,56 @@
+"""Bags made of bags, by a cut or an upgrade, give the heights that the originals give."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sal_height.bag.compare import compare_heights
+from sal_height.bag.cut import Range, cut
+from sal_height.bag.reader import BagReader
+from sal_height.bag.upgrade import upgrade
+from sal_height.runs.replay import replay
+
+BAGS = Path(__file__).parents[2] / "bags"
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_cut_bag_gives_the_heights_of_its_dwells(number: int, recorded: Path, tmp_path: Path) -> None:
+    """Value for value; those of the tracker depend on the dwells before."""
+    cut(recorded / "bag", tmp_path / "cut", Range(dwells=(number, number)))
+    result = replay(tmp_path / "cut", tmp_path / "replay", {})
+    assert not result.outcome.losses
+    for topic in ("/ml/height", "/monopulse/height"):
+        compared = result.compared[topic]
+        assert compared.equal
+        assert (compared.matched, compared.missing, compared.extra) == (1, 0, 0)
+        (height,) = BagReader(tmp_path / "cut").messages([topic])
+        (replayed,) = BagReader(tmp_path / "replay" / "bag").messages([topic])
+        assert height.cdr == [m.cdr for m in BagReader(recorded / "bag").messages([topic])][number]
+        assert BagReader(recorded / "bag").decode(replayed.type_name, replayed.cdr).dwell == number
+    if number == 0:
+        assert compare_heights(tmp_path / "cut", tmp_path / "replay" / "bag")["/tracked/height"].equal
+
+
+def test_a_cut_by_time_gives_the_heights_of_its_dwells(recorded: Path, tmp_path: Path) -> None:
+    """From the first frame of the second dwell on."""
+    frames = list(BagReader(recorded / "bag").messages(["/phase_history"]))
+    cut(recorded / "bag", tmp_path / "cut", Range(begin_ns=frames[8].log_time_ns))
+    compared = replay(tmp_path / "cut", tmp_path / "replay", {}).compared
+    for topic in ("/ml/height", "/monopulse/height"):
+        assert compared[topic].equal
+        assert compared[topic].matched == 1
+
+
+@pytest.mark.parametrize("version", [0, 1])
+def test_an_upgraded_bag_gives_the_heights_of_the_old_one(version: int, tmp_path: Path) -> None:
+    """With the parameters of the old one, which lie in a file beside that of version 0."""
+    old, new = BAGS / f"version_{version}", tmp_path / "new"
+    upgrade(old, new)
+    results = {bag: replay(bag, tmp_path / f"replay_{bag.name}", {}) for bag in (old, new)}
+    compared = compare_heights(tmp_path / f"replay_{old.name}" / "bag", tmp_path / "replay_new" / "bag")
+    assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
+    assert all(result.equal and result.matched == 2 for result in compared.values())
+    assert results[old].compared == results[new].compared
+    assert all(result.equal for result in compare_heights(old, new).values())

@@ -118,8 +118,7 @@ class _SensorPlan:
 def time_of(reader: BagReader, seconds: Decimal) -> int:
     """A time in a bag, ns: seconds from its begin, or since 1970 if there are STAMPS_FROM_S or more."""
     nanoseconds = int(seconds * 1_000_000_000)
-    begins = [one.statistics.message_start_time for one in reader.indexes if one.statistics.message_count]
-    return nanoseconds if seconds >= STAMPS_FROM_S else min(begins, default=0) + nanoseconds
+    return nanoseconds if seconds >= STAMPS_FROM_S else reader.begin_ns + nanoseconds
 
 
 def _plan_sensor(reader: BagReader, topics: SensorTopics, kept: Range) -> _SensorPlan:

@@ -127,18 +127,27 @@ def repeated_in(records: Mapping[str, Mapping[str, str]]) -> dict[str, int]:
     return {topic: int(count) for topic, count in records.get(REPEATED, {}).items() if count.isdecimal()}
 
 
-def _listed_files(metadata: Path) -> list[str]:
+def stored_as(metadata: Path) -> tuple[str, str, list[str]]:
+    """Storage, compression mode and names of files, as the file metadata.yaml of a bag says.
+
+    Raises:
+        UserError: it cannot be read.
+    """
     try:
         information = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-        storage = information["storage_identifier"]
+        storage = str(information["storage_identifier"])
         compression = str(information.get("compression_mode") or "none").lower()
-        names = [Path(name).name for name in information["relative_file_paths"]]
+        return storage, compression, [Path(name).name for name in information["relative_file_paths"]]
     except (OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
         raise UserError(f"File {metadata} cannot be read as the metadata of a bag: {error!r}.") from error
+
+
+def _listed_files(metadata: Path) -> list[str]:
+    storage, compression, names = stored_as(metadata)
     if storage != "mcap" or compression != "none":
         raise UserError(
-            f"Bag {metadata.parent} has storage {storage!r} and compression mode {compression!r}; only storage "
-            "'mcap' and mode 'none' (compression inside the MCAP file) can be read, to which "
-            f"'rosbags-convert --src {metadata.parent} --dst DIR --dst-storage mcap' converts it."
+            f"Bag {metadata.parent} has storage {storage!r} and compression mode {compression!r}, but storage 'mcap' "
+            f"and mode 'none' (compression inside the MCAP file) are needed here; 'sal-height bag upgrade "
+            f"{metadata.parent} --out DIR' makes such a bag of it."
         )
     return names

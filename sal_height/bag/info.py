@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sal_height.bag.files import bag_files
 from sal_height.bag.index import FileIndex, read_log_times
 from sal_height.bag.reader import BagReader, Topic
 from sal_height.bag.sensor_topics import sensors_in
@@ -116,6 +117,7 @@ def bag_info(path: Path) -> BagInfo:
     Raises:
         UserError: it is not a complete bag.
     """
+    bag_files(path)  # refuses a bag that is not stored as MCAP, and has no such index
     reader = BagReader(path)
     times = _log_times(reader)
     statistics = [index.statistics for index in reader.indexes if index.statistics.message_count]

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from mcap.reader import SeekingReader
-from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
-from sal_height.bag.definitions import Definition, installed_definition, message_class
+from sal_height.bag.definitions import installed_definition, message_class
 from sal_height.bag.files import (
     REPEATED_SEQUENCE,
     bag_files,
@@ -23,57 +22,40 @@ from sal_height.bag.files import (
     repeated_in,
 )
 from sal_height.bag.index import FileIndex, damaged, read_index
+from sal_height.bag.other_storage import OtherStorage, is_stored_otherwise
+from sal_height.bag.topics import BagMessage, Topic
 from sal_height.bag.versions import current_name, needs_upgrade, upgraded
 from sal_height.errors import UserError
 
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic of a bag.
-
-    count: number of messages. offered_qos: profile of every publisher at the time of recording, as far as known.
-    definition: text and hash of the type as recorded, which may be older than the installed one.
-    is_old: whether the type is of an older version of sal_height_msgs, which `type_name` and messages() make current.
-    recorded_type: name of the type as recorded.
-    """
-
-    name: str
-    type_name: str
-    count: int
-    offered_qos: tuple[QoSProfile, ...]
-    definition: Definition
-    is_old: bool = False
-    recorded_type: str = ""
-
-
-class BagMessage(NamedTuple):
-    """A serialized message and the times it was received and published, in nanoseconds."""
-
-    topic: str
-    type_name: str
-    cdr: bytes
-    log_time_ns: int
-    publish_time_ns: int
+__all__ = ["BagMessage", "BagReader", "Topic"]
 
 
 class BagReader:
-    """A bag: a folder, or one .mcap file. Nothing stays open between calls.
+    """A bag: a folder, or one file. Nothing stays open between calls.
 
-    topics: by name. custom_data: texts by name that the recording program stored in the bag. indexes: of its files,
-    oldest first. repeated: how many messages of each file are in the one before, too, by topic.
+    topics: by name. custom_data: texts by name that the recording program stored in the bag. begin_ns: when the first
+    message was received, ns; 0 without messages. indexes: of its files, oldest first; none if it is not stored as MCAP.
+    repeated: how many messages of each file are in the one before, too, by topic.
     """
 
     def __init__(self, path: Path) -> None:
         """Read the index of the bag at `path`; UserError with the remedy if it is not a complete bag."""
         self.path = path
-        self.indexes = [read_index(file) for file in bag_files(path)]
+        self._other = OtherStorage(path) if is_stored_otherwise(path) else None
+        self.indexes = [] if self._other else [read_index(file) for file in bag_files(path)]
         self.repeated = [{}, *(repeated_in(index.records) for index in self.indexes[1:])]
         self.topics: dict[str, Topic] = {}
         self.custom_data: dict[str, str] = {}
-        for index, repeated in zip(self.indexes, self.repeated, strict=True):
+        for index, repeated in zip(self.indexes, self.repeated, strict=False):
             self.custom_data |= _custom_data_of(index)
             for topic in _topics_of(index):
                 self._add(topic, repeated.get(topic.name, 0))
+        statistics = [index.statistics for index in self.indexes if index.statistics.message_count]
+        self.begin_ns = min((one.message_start_time for one in statistics), default=0)
+        if self._other:
+            self.custom_data, self.begin_ns = self._other.custom_data, self._other.begin_ns
+            for topic in self._other.topics:
+                self._add(topic, 0)
         self._checked_types: set[str] = set()
 
     @property
@@ -95,6 +77,8 @@ class BagReader:
 
         UserError if a checksum or a record is found to be wrong on the way.
         """
+        if self._other:
+            return self._other.messages(topics)
         files = zip(self.indexes, self.repeated, strict=True)
         streams = (_read_messages(index.path, topics, repeated) for index, repeated in files)
         return heapq.merge(*streams, key=lambda message: message.log_time_ns)

@@ -28,7 +28,7 @@ def upgrade(path: Path, out_directory: Path) -> Counter[str]:
     """
     reader = BagReader(path)
     made: Counter[str] = Counter()
-    account = reader.indexes[-1].records.get(ACCOUNT)
+    account = reader.indexes[-1].records.get(ACCOUNT) if reader.indexes else None
     try:
         with BagWriter(out_directory, kept_custom_data(reader), kept_packing(reader)) as bag:
             for topic in reader.topics.values():

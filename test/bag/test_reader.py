@@ -216,12 +216,12 @@ def test_metadata_that_names_a_missing_file_is_refused(bag: Path) -> None:
         ("storage_identifier: sqlite3", "cannot be read as the metadata of a bag"),
         ("[", "cannot be read as the metadata of a bag"),
         (
-            "rosbag2_bagfile_information: {storage_identifier: sqlite3, relative_file_paths: [run_0.db3]}",
-            "has storage 'sqlite3'",
+            "rosbag2_bagfile_information: {version: 9, storage_identifier: sqlite3, relative_file_paths: [run_0.db3]}",
+            "cannot be read .*run_0.db3",
         ),
         (
             "rosbag2_bagfile_information: {storage_identifier: mcap, compression_mode: FILE, relative_file_paths: [a]}",
-            "compression mode 'file'",
+            "cannot be read .*metadata key is missing",
         ),
     ],
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -54,3 +56,13 @@ def test_an_upgraded_bag_gives_the_heights_of_the_old_one(version: int, tmp_path
     assert all(result.equal and result.matched == 2 for result in compared.values())
     assert results[old].compared == results[new].compared
     assert all(result.equal for result in compare_heights(old, new).values())
+
+
+def test_a_bag_of_sqlite3_gives_the_heights_recorded_in_it(recorded: Path, tmp_path: Path) -> None:
+    """As rosbags writes it; the parameters are those in the provenance of its heights."""
+    convert = [str(Path(sys.executable).with_name("rosbags-convert")), "--src", str(recorded / "bag")]
+    converted = tmp_path / "converted"
+    subprocess.run([*convert, "--dst", str(converted), "--dst-storage", "sqlite3"], check=True, timeout=60)  # noqa: S603
+    compared = replay(converted, tmp_path / "replay", {}).compared
+    assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
+    assert all(result.equal and result.matched == 2 for result in compared.values())

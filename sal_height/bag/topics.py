@@ -1,0 +1,39 @@
+"""What a bag tells of its topics and messages, however it is stored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rclpy.qos import QoSProfile
+
+from sal_height.bag.definitions import Definition
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a bag.
+
+    count: number of messages. offered_qos: profile of every publisher at the time of recording, as far as known.
+    definition: text and hash of the type as recorded, which may be older than the installed one.
+    is_old: whether the type is of an older version of sal_height_msgs, which `type_name` and messages() make current.
+    recorded_type: name of the type as recorded.
+    """
+
+    name: str
+    type_name: str
+    count: int
+    offered_qos: tuple[QoSProfile, ...]
+    definition: Definition
+    is_old: bool = False
+    recorded_type: str = ""
+
+
+class BagMessage(NamedTuple):
+    """A serialized message and the times it was received and published, in nanoseconds."""
+
+    topic: str
+    type_name: str
+    cdr: bytes
+    log_time_ns: int
+    publish_time_ns: int

@@ -1,0 +1,113 @@
+"""Bags of rosbag2 in other storages, as rosbags writes them, hold the same messages."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from bags_at_hand import REFERENCE
+from helpers import assert_one_sentence
+
+from sal_height.bag.check import check_bag
+from sal_height.bag.cut import Range, cut
+from sal_height.bag.info import bag_info
+from sal_height.bag.reader import BagReader
+from sal_height.bag.upgrade import upgrade
+from sal_height.commands import main
+from sal_height.errors import UserError
+
+STORAGES = {
+    "sqlite3": ["--dst-storage", "sqlite3"],
+    "sqlite3 files": ["--dst-storage", "sqlite3", "--compress", "zstd", "--compress-mode", "file"],
+    "sqlite3 messages": ["--dst-storage", "sqlite3", "--compress", "zstd", "--compress-mode", "message"],
+    "mcap files": ["--dst-storage", "mcap", "--compress", "zstd", "--compress-mode", "file"],
+    "mcap messages": ["--dst-storage", "mcap", "--compress", "zstd", "--compress-mode", "message"],
+}
+
+
+def converted(folder: Path, storage: str, version: int = 2) -> Path:
+    convert = [str(Path(sys.executable).with_name("rosbags-convert")), *STORAGES[storage]]
+    paths = ["--src", str(REFERENCE.parent / f"version_{version}"), "--dst", str(folder)]
+    subprocess.run([*convert, *paths], check=True, timeout=60)  # noqa: S603 (our own bags)
+    return folder
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_messages_topics_and_profiles_are_the_same(storage: str, tmp_path: Path) -> None:
+    source, reader = BagReader(REFERENCE), BagReader(converted(tmp_path / "bag", storage))
+    assert [m._replace(publish_time_ns=0) for m in reader.messages()] == [
+        m._replace(publish_time_ns=0) for m in source.messages()
+    ]
+    assert reader.begin_ns == source.begin_ns == next(source.messages()).log_time_ns
+    assert reader.topics.keys() == source.topics.keys()
+    for name, topic in reader.topics.items():
+        known = source.topics[name]
+        assert (topic.type_name, topic.count, topic.offered_qos) == (known.type_name, known.count, known.offered_qos)
+        assert topic.definition.same_layout(known.definition)
+        assert topic.definition.type_hash == known.definition.type_hash
+    heights = list(reader.messages(["/ml/height"]))
+    assert [reader.decode(m.type_name, m.cdr).dwell for m in heights] == [0, 1]
+    assert list(reader.messages([])) == []
+
+
+@pytest.mark.parametrize("version", [0, 1])
+def test_messages_of_older_versions_are_read(version: int, tmp_path: Path) -> None:
+    reader = BagReader(converted(tmp_path / "bag", "sqlite3", version))
+    source = BagReader(REFERENCE.parent / f"version_{version}")
+    assert [m.cdr for m in reader.messages()] == [m.cdr for m in source.messages()]
+    assert {name for name, topic in reader.topics.items() if topic.is_old} == {
+        name for name, topic in source.topics.items() if topic.is_old
+    }
+
+
+def test_a_file_alone_is_read(tmp_path: Path) -> None:
+    bag = converted(tmp_path / "bag", "sqlite3")
+    (file,) = bag.glob("*.db3")
+    assert [m.cdr for m in BagReader(file).messages()] == [m.cdr for m in BagReader(REFERENCE).messages()]
+
+
+def test_custom_data_are_read(tmp_path: Path) -> None:
+    bag = converted(tmp_path / "bag", "sqlite3")
+    text = (bag / "metadata.yaml").read_text()
+    assert "custom_data: null" in text
+    (bag / "metadata.yaml").write_text(text.replace("custom_data: null", "custom_data: {flight: '7'}"))
+    assert BagReader(bag).custom_data == {"flight": "7"}
+
+
+def test_an_upgrade_or_a_cut_makes_mcap(tmp_path: Path) -> None:
+    bag = converted(tmp_path / "bag", "sqlite3 messages")
+    upgrade(bag, tmp_path / "mcap")
+    assert check_bag(tmp_path / "mcap", lambda *_: None) == []
+    assert [m.cdr for m in BagReader(tmp_path / "mcap").messages()] == [m.cdr for m in BagReader(bag).messages()]
+    assert cut(bag, tmp_path / "cut", Range(dwells=(0, 0))).counts["/phase_history"] == 8
+
+
+def test_what_needs_mcap_says_how_to_make_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = converted(tmp_path / "bag", "sqlite3")
+    with pytest.raises(UserError) as refusal:
+        bag_info(bag)
+    assert_one_sentence(str(refusal.value), "storage 'sqlite3'", f"'sal-height bag upgrade {bag} --out DIR'")
+    for command in ("check", "recover"):
+        words = ["--out", str(tmp_path / "out")] if command == "recover" else []
+        assert main(["bag", command, str(bag), *words]) == 2
+        assert "bag upgrade" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "sqlite3 files", "sqlite3 messages"])
+def test_damage_is_said_in_one_sentence(storage: str, tmp_path: Path) -> None:
+    """Wherever a file is cut: what is read of it is whole, or it is refused."""
+    bag = converted(tmp_path / "bag", storage)
+    whole = {m.cdr for m in BagReader(REFERENCE).messages()}
+    (file,) = (path for path in bag.iterdir() if path.name != "metadata.yaml")
+    data = file.read_bytes()
+    refused = 0
+    for size in range(0, len(data), len(data) // 20):
+        file.write_bytes(data[:size])
+        try:
+            assert {m.cdr for m in BagReader(bag).messages()} <= whole
+        except UserError as refusal:
+            refused += 1
+            assert_one_sentence(str(refusal), str(bag), "cannot be read")
+    assert refused >= 19

@@ -164,7 +164,9 @@ class _FileCopy:
         elif opcode == Opcode.METADATA:
             if record := _metadata(span.read(self._stream)):
                 self._repeated.update(repeated_in({record.name: record.metadata}))
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) or (opcode == Opcode.MESSAGE and not self._in_chunks):
+        elif opcode == Opcode.MESSAGE and self._in_chunks:
+            self._lose(span.offset, span.size, "a message outside of chunks, which is none")
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
             self._copy_record(opcode, span.read(self._stream), span)
 
     def _account(self) -> Recovery:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
@@ -341,3 +342,28 @@ def test_whatever_byte_is_damaged_no_message_is_changed_and_the_account_is_right
         assert lost == len(messages) - count
     assert refused <= 10
     assert 100 < lossless < 490
+
+
+def test_what_damage_makes_of_a_chunk_is_no_message(tmp_path: Path) -> None:
+    """Without the index: an opcode that says that a chunk is a message, and a chunk whose checksum says there is none.
+
+    The chunk begins with its first log time, 1: as a message it would be of channel 1.
+    """
+    messages = greetings(30)
+    file = tmp_path / "damaged.mcap"
+    data = write_mcap(file, messages, chunk_size=5000, compression=CompressionType.NONE)
+    first, second, *_ = (chunk.chunk_start_offset for chunk in read_index(file).summary.chunk_indexes)
+    start = struct.unpack_from("<Q", data, second + 9)[0]
+    disguised = bytearray(data)
+    disguised[second] = Opcode.MESSAGE
+    struct.pack_into("<H", disguised, second + 9, 1)
+    unchecked = bytearray(data.replace(f"number {start}.".encode(), f"number {start}?".encode()))
+    struct.pack_into("<I", unchecked, second + 9 + 24, 0)
+    for number, damaged in enumerate((disguised, unchecked)):
+        file.write_bytes(damaged[:-1])
+        recovery = recover(file, tmp_path / str(number))
+        found = [message.cdr for message in BagReader(tmp_path / str(number)).messages()]
+        assert set(found) < set(messages)
+        assert found[:start] == messages[:start]
+        assert [gap.offset for gap in recovery.gaps] == [second]
+    assert first < second

@@ -42,9 +42,11 @@ from sal_height.messages.images import check_slc, recorded_window, slc_from_mess
 from sal_height.messages.navigation import read_attitude, read_fix, read_pose, read_twist
 from sal_height.messages.provenance import derived, held_stages, stages_of, with_stage
 from sal_height.messages.received import (
+    HeightOrigin,
     Pose,
     ReceivedFrame,
     ReceivedImage,
+    height_origin,
     received_frame,
     received_height,
     received_image,
@@ -67,6 +69,7 @@ __all__ = [
     "POINT_FIELDS",
     "RELIEF_POINT_FIELDS",
     "Frames",
+    "HeightOrigin",
     "Pose",
     "ReceivedFrame",
     "ReceivedImage",
@@ -83,6 +86,7 @@ __all__ = [
     "float_view",
     "frame_near",
     "grid_from_message",
+    "height_origin",
     "height_picture",
     "height_points",
     "height_to_message",

@@ -264,6 +264,35 @@ def received_height(cdr: bytes) -> messages.HeightImage:
     return image
 
 
+class HeightOrigin(NamedTuple):
+    """What a height image was made of, and how.
+
+    Attributes:
+        dwell: number of the dwell.
+        stamp_ns: of its frames, ns.
+        provenance: to be left as it is, for others share it.
+    """
+
+    dwell: int
+    stamp_ns: int
+    provenance: messages.Provenance
+
+
+def height_origin(cdr: bytes) -> HeightOrigin:
+    """What the height image that these bytes are was made of; its pixels are passed over.
+
+    Raises:
+        RuntimeError: they are none.
+    """
+    try:
+        (seconds, nanoseconds), _, at = _header(cdr)
+        (dwell,) = UINT.unpack_from(cdr, at)
+        return HeightOrigin(dwell, seconds * 1_000_000_000 + nanoseconds, _provenance_at(cdr, end_of_heights(cdr)))
+    except (struct.error, ValueError):
+        image = deserialize_message(cdr, messages.HeightImage)
+        return HeightOrigin(image.dwell, to_ns(image.header.stamp), image.provenance)
+
+
 def end_of_heights(cdr: bytes) -> int:
     """Where the provenance of a serialized height image begins, its last field.
 

@@ -19,6 +19,7 @@ from sal_height.elevation import ESTIMATORS, ElevationEstimator, Validity
 from sal_height.errors import Rejected, UserError
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import ReceivedImage
+from sal_height.nodes.account import CALIBRATIONS
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage, WholeDwell
 from sal_height.nodes.held import HELD_CALIBRATIONS, Held
 from sal_height.nodes.placed_points import PlacedPoints
@@ -159,8 +160,9 @@ class HeightNode(DwellStage):
             calibration = messages.calibration_from_message(message)
         except UserError as error:
             self.ignore("calibration", error)
-            return
-        self._calibrations.put(calibration.id, calibration)
+        else:
+            self._calibrations.put(calibration.id, calibration)
+        self.tell(CALIBRATIONS)
 
 
 def height_node(estimator: ElevationEstimator) -> type[HeightNode]:

@@ -2,45 +2,62 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from nav_msgs.msg import Odometry
+from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ChannelFrame, SensorInfo
 
-from sal_height import messages
 from sal_height.bag.definitions import message_class
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
+from sal_height.nodes.account import CALIBRATIONS
+from sal_height.nodes.cues import DwellKey, cues_of_text
 from sal_height.nodes.managed import INACTIVE
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
 from sal_height.nodes.program import run_node
+from sal_height.nodes.reel import Group, Reel, key_of
+from sal_height.nodes.remote_parameters import RemoteParameters
 from sal_height.nodes.role import Topics
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, RESET, SENSOR_TOPICS, Stage, StageParameters
+from sal_height.nodes.stage import (
+    FRAMES_QOS,
+    LATCHED_QOS,
+    ODOMETRY_QOS,
+    RESET,
+    SENSOR_TOPICS,
+    Stage,
+    StageParameters,
+)
 from sal_height.settings import setting
 
 INPUTS = {SENSOR_INFO: LATCHED_QOS, ODOMETRY: ODOMETRY_QOS, FRAMES: FRAMES_QOS}
 """Topics that are played."""
 
-LONGEST_GROUP = 4
-"""A group of dwells ends after the frames of this many dwells, even if some dwells lack a frame."""
+CALIBRATION_TOPIC = "calibration"
 
 
 class Parameters(StageParameters):
     """Parameters of the node."""
 
     bag: str = setting("", "path of the bag: its folder or its .mcap file", read_only=True)
+    cues: str = setting(
+        "",
+        "what happened in flight, as a replay finds it: a list of dwell, parameters and calibrations in JSON",
+        read_only=True,
+    )
 
 
 class Player(Stage):
     """Publishes the recorded bytes of one group of dwells at each call of ~/step.
 
-    The first sensor info comes before that, so that the nodes can get ready for the sensor.
+    The first sensor info comes before that, so that the nodes can get ready for the sensor. A dwell before which
+    something happened in flight (`cues`) begins a group; a calibration is published at a step of its own.
     """
 
     parameters = Parameters
-    outputs = SENSOR_TOPICS
+    outputs: ClassVar[Topics] = {**SENSOR_TOPICS, CALIBRATION_TOPIC: "calibrations that the parameter cues names"}
     answers: ClassVar[Topics] = {**RESET, "~/step": "publish the next dwell"}
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -50,6 +67,20 @@ class Player(Stage):
             UserError: the bag cannot be used or lacks a topic.
         """
         super().__init__("player", **node_arguments)
+        self._others = RemoteParameters(self, ())
+        try:
+            self._open()
+        except UserError:
+            self.destroy_node()
+            raise
+        self.serve("~/step", self._step)
+
+    def _open(self) -> None:
+        """Open the bag, offer what is in it, and publish the first sensor info.
+
+        Raises:
+            UserError: the bag cannot be used or lacks a topic.
+        """
         path = self.current_parameters().bag
         if not path:
             raise UserError("Parameter bag is empty; it must be the path of a bag.")
@@ -63,18 +94,40 @@ class Player(Stage):
             recorded[name].name: self.offer(message_class(recorded[name].type_name), name, qos)
             for name, qos in INPUTS.items()
         }
-        self._messages = self._reader.messages(list(self._outlets))
-        self._next: BagMessage | None = next(self._messages, None)
+        self._cues = cues_of_text(self.current_parameters().cues)
+        self._others = RemoteParameters(self, {name for cue in self._cues.values() for name in cue.parameters})
+        self._calibrations = self._named_calibrations()
+        self._calibration = self.offer(CalibrationMessage, CALIBRATION_TOPIC, LATCHED_QOS)
+        self._reel = Reel(self._reader.messages(list(self._outlets)))
+        self._last_odometry_ns = 0
         self._detectors = 1
         self._announced = next(self._reader.messages([recorded[SENSOR_INFO].name]), None)
         if self._announced and self._decode(self._announced):
             self._publish(self._announced)
-        self.serve("~/step", self._step)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it has a bag, and nodes whose parameters it is to set can be reached."""
+        return self._others.are_ready and super().is_ready
+
+    def _named_calibrations(self) -> dict[str, bytes]:
+        """The serialized calibrations that the cues name, by identity.
+
+        Raises:
+            UserError: the bag does not hold one of them.
+        """
+        named = {name for cue in self._cues.values() for name in cue.calibrations}
+        if not named:
+            return {}
+        found = {name: cdr for name, cdr in calibrations_of(self._reader) if name in named}
+        if missing := sorted(named - found.keys()):
+            raise UserError(f"Bag {self._reader.path} has no calibration {missing[0]!r} on topic {CALIBRATION_TOPIC}.")
+        return found
 
     def _step(self) -> tuple[bool, str]:
         if not self.is_active:
             return False, INACTIVE
-        if self._next is None:
+        if self._reel.next is None:
             return False, "the bag has ended"
         self.tally.receive()
         self.submit(1, self._publish_group)
@@ -85,18 +138,47 @@ class Player(Stage):
 
         What cannot be decoded is counted and left out.
         """
-        group = _Group()
-        while self._next is not None:
-            recorded = self._next
+        group = Group(self._last_odometry_ns)
+        while (recorded := self._reel.next) is not None:
             if recorded == self._announced:
                 self._announced = None  # the next one like it is to be played
             elif message := self._decode(recorded):
-                if isinstance(message, ChannelFrame) and group.closed(self._detectors):
-                    break
+                if isinstance(message, ChannelFrame):
+                    if group.closed(self._detectors) or self._is_held_up(key_of(message), group):
+                        break
+                    if self._comes_later(key_of(message), group):
+                        group.set_aside.append(recorded)
+                        self._reel.advance()
+                        continue
                 group.add(message)
                 self._publish(recorded)
-            self._advance()
+            self._reel.advance()
+        self._last_odometry_ns = group.last_odometry_ns if group.set_aside else 0
+        self._reel.put_back(group.set_aside)
         return group.frames.total()
+
+    def _comes_later(self, dwell: DwellKey, group: Group) -> bool:
+        """Whether frames of a dwell are to wait until a group, which has begun before it, has been played."""
+        return dwell not in group.frames and bool(group.set_aside or (group.frames and dwell in self._cues))
+
+    def _is_held_up(self, dwell: DwellKey, group: Group) -> bool:
+        """Do what is to happen before a dwell, if it begins a group; whether the step ends with that.
+
+        Raises:
+            UserError: a node does not take its parameters.
+        """
+        if group.frames or dwell not in self._cues:
+            return False
+        cue = self._cues.pop(dwell)
+        if cue.calibrations:
+            first, *others = cue.calibrations
+            self._cues[dwell] = replace(cue, calibrations=tuple(others))
+            self._calibration.publish(self._calibrations[first])
+            self.tell(CALIBRATIONS)
+            return True
+        for name, values in cue.parameters.items():
+            self._others.set(name, values, lambda: self.is_ending)
+        return False
 
     def _decode(self, recorded: BagMessage) -> Any:
         """The message, whose number of detectors is kept if it is a sensor info; None if it is broken, and counted."""
@@ -112,42 +194,15 @@ class Player(Stage):
     def _publish(self, recorded: BagMessage) -> None:
         self._outlets[recorded.topic].publish(recorded.cdr)
 
-    def _advance(self) -> None:
-        """Read the next message.
 
-        Raises:
-            UserError: the bag is damaged; the message at hand was its last, so that none is played twice.
-        """
-        try:
-            self._next = next(self._messages, None)
-        except UserError:
-            self._next = None
-            raise
+def calibrations_of(reader: BagReader) -> Iterator[tuple[str, bytes]]:
+    """The calibrations in a bag: identity and serialized message.
 
-
-class _Group:
-    """Dwells that are played together: one, or several whose frames lie among each other in the bag."""
-
-    def __init__(self) -> None:
-        self.frames: Counter[tuple[int, int]] = Counter()
-        self._last_pulse_ns = 0
-        self._last_odometry_ns = 0
-
-    def add(self, message: Any) -> None:
-        """Take note of a message that is played."""
-        if isinstance(message, Odometry):
-            self._last_odometry_ns = messages.to_ns(message.header.stamp)
-        elif isinstance(message, ChannelFrame):
-            start_ns = messages.to_ns(message.header.stamp)
-            self.frames[message.dwell, start_ns] += 1
-            duration = max((t for t in message.pulse_time if 0 < t <= messages.LONGEST_DWELL), default=0.0)
-            self._last_pulse_ns = max(self._last_pulse_ns, start_ns + round(duration * 1e9))
-
-    def closed(self, detectors: int) -> bool:
-        """Whether all frames have come, and odometry past the last pulse; or too many frames for that to happen."""
-        complete = bool(self.frames) and min(self.frames.values()) >= detectors
-        covered = self._last_odometry_ns >= self._last_pulse_ns
-        return (complete and covered) or self.frames.total() >= LONGEST_GROUP * detectors
+    Raises:
+        UserError: the bag is damaged.
+    """
+    for recorded in reader.messages([name for name in reader.topics if name.lstrip("/") == CALIBRATION_TOPIC]):
+        yield reader.decode(recorded.type_name, recorded.cdr).id, recorded.cdr
 
 
 def main() -> int:

@@ -19,6 +19,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Motion, Mounting, PlatformState, Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.messages import Pose, ReceivedFrame
+from sal_height.nodes.account import CALIBRATIONS
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.held import HELD_CALIBRATIONS, Held
 from sal_height.nodes.odometry import Arrival, OdometryHistory
@@ -297,8 +298,9 @@ class SarCompression(DwellStage):
             calibration = messages.calibration_from_message(message)
         except UserError as error:
             self.ignore("calibration", error)
-            return
-        self._heard.put(calibration.config_hash, calibration)
+        else:
+            self._heard.put(calibration.config_hash, calibration)
+        self.tell(CALIBRATIONS)
 
     def _on_odometry(self, pose: Pose) -> None:
         try:

@@ -358,6 +358,11 @@ class Stage(Role, Managed):
         """Jobs that wait or run: above 0, the node is working."""
         return self._jobs.unfinished
 
+    @property
+    def is_ending(self) -> bool:
+        """Whether the worker is to come to an end."""
+        return self._jobs.closed
+
     def unexpected(self, error: Exception) -> Rejected:
         """Why messages are dropped after an error; one that no input should cause is logged in full."""
         if isinstance(error, Rejected):
@@ -387,6 +392,11 @@ class Stage(Role, Managed):
         self.tally.ignore(what)
         self.last_rejection = f"{what}: {error}"
         self.get_logger().warning(f"Ignored {what}: {error}", throttle_duration_sec=1.0)
+
+    def tell(self, event: str) -> None:
+        """Count something that costs no message, and publish the account at once: somebody may wait for it."""
+        self.tally.note(event)
+        self._publish_account()
 
     def _report_progress(self) -> None:
         """Publish the account for whoever waits for a dwell (on the worker thread)."""

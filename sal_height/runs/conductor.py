@@ -18,10 +18,19 @@ from std_srvs.srv import Trigger
 from tqdm import tqdm
 
 from sal_height.errors import UserError
-from sal_height.nodes.account import DIAGNOSTICS, PROGRESS, READY, RECEIVED, UNWRITTEN, WAITING, Account
+from sal_height.nodes.account import (
+    CALIBRATIONS,
+    DIAGNOSTICS,
+    PROGRESS,
+    READY,
+    RECEIVED,
+    UNWRITTEN,
+    WAITING,
+    Account,
+)
 from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.player import INPUTS
+from sal_height.nodes.player import CALIBRATION_TOPIC, INPUTS
 from sal_height.nodes.playlist import SENSOR_INFO
 from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.runs.catalogue import NODES, NodeParameters, stage_inputs
@@ -158,6 +167,7 @@ class Conductor(Node):
         self._source = plan.source
         self._recorded = plan.recorded
         self._inputs = {plan.source: "", **stage_inputs(plan.stages, plan.parameters)}
+        self._calibrated = [name for name in plan.stages if CALIBRATION_TOPIC in NODES[name].inputs]
         self._steps = 0
         self._step = self.create_client(Trigger, f"{plan.source}/{NODES[plan.source].begin_service}")
         self.create_subscription(DiagnosticArray, accounts_on, self._on_diagnostics, 100)
@@ -245,9 +255,24 @@ class Conductor(Node):
             if account.waiting or account.received != expected:
                 return False
         recorded = self.accounts[RECORDER].recorded
+        if not self._has_calibrations(recorded):
+            return False
         if SENSOR_INFO in self._recorded and not recorded.get(SENSOR_INFO):
             return False
         return all(recorded.get(topic) == published[topic] for topic in self._recorded if topic in published)
+
+    @property
+    def played(self) -> int:
+        """Steps that were asked for, without those in which a calibration was published between two dwells."""
+        return self._steps - self.accounts.get(self._source, Account()).count(CALIBRATIONS)
+
+    def _has_calibrations(self, recorded: Mapping[str, int]) -> bool:
+        """Whether the calibrations that the source has published are in the stages that take them, and in the bag."""
+        published = self.accounts[self._source].count(CALIBRATIONS)
+        taken = [self.accounts[name].count(CALIBRATIONS) for name in self._calibrated if published]
+        if CALIBRATION_TOPIC in self._recorded:
+            taken.append(recorded.get(CALIBRATION_TOPIC, 0))
+        return all(count >= published for count in taken)
 
     def drops(self) -> str:
         """What the nodes have dropped so far, in a few words."""
@@ -320,8 +345,8 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
                     wait(conductor.ready, "all nodes to be ready")
                     while conductor.step(wait):
                         wait(conductor.settled, f"dwell {played} to be processed")
-                        played += 1
-                        progress.update()
+                        progress.update(conductor.played - played)
+                        played = conductor.played
                         progress.set_postfix_str(conductor.drops())
                 except KeyboardInterrupt:
                     interrupted = True

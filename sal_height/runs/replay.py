@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json
-import logging
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import yaml
-from rclpy.parameter import Parameter
 
 from sal_height import messages
 from sal_height.bag.compare import CHANGED, Comparison
@@ -19,29 +15,18 @@ from sal_height.bag.tolerance import ROUNDING, Tolerances
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
-from sal_height.nodes.parameter_reader import PARAMETER_EVENTS
+from sal_height.nodes.cues import cues_to_text
+from sal_height.nodes.player import CALIBRATION_TOPIC
 from sal_height.response import measure_brightest
 from sal_height.runs.accuracy import read_accuracy
-from sal_height.runs.catalogue import (
-    HEIGHTS,
-    NODES,
-    SETTABLE,
-    TRACKER,
-    NodeParameters,
-    check_parameters,
-    consumers,
-    recorded_topics,
-    suited,
-)
+from sal_height.runs.catalogue import HEIGHTS, TRACKER, NodeParameters, consumers, recorded_topics, suited
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.judge import as_json, judge
 from sal_height.runs.recorded_images import recorded_slc
-from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
+from sal_height.runs.replay_parameters import processing_of
+from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, reporting
 from sal_height.sensor import Sensor
-from sal_height.settings import settings_of
 from sal_height.simulation import SimulatedFlight, flight_of, parse_preset
-
-_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -127,14 +112,16 @@ def replay(
     golden = BagReader(against.golden) if against.golden else reader
     recorded = [name for name in ESTIMATORS if f"/{name}/height" in reader.topics]
     height_nodes = suited(sensor, estimators or recorded)
-    own = merged(consumers(height_nodes), recorded_parameters(reader))
-    values = check_parameters(merged(own, parameters))
     stages = ["sar_compression", *((*height_nodes, TRACKER) if height_nodes else ())]
+    processing = processing_of(reader, stages, consumers(height_nodes), parameters)
+    values = processing.values
     folder = new_folder(out)
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
-        nodes = {**values, "player": {"bag": str(bag)}}
+        report.update(processing.report())
+        nodes = {**values, "player": {"bag": str(bag), "cues": cues_to_text(processing.cues)}}
         topics, custom_data = recorded_topics(stages, values), {**reader.custom_data, PARAMETERS: json.dumps(values)}
+        topics += [CALIBRATION_TOPIC] if processing.plays_calibrations else []
         outcome = perform(Plan("player", stages, topics, made, nodes, dwells, custom_data), execution)
         conclude(outcome, values, report)
         compared = {}
@@ -200,71 +187,3 @@ def recorded_flight(reader: BagReader) -> SimulatedFlight | None:
         return flight_of(preset, int(reader.custom_data[SEED]))
     except (UserError, ValueError, KeyError):
         return None
-
-
-def recorded_parameters(reader: BagReader) -> dict[str, dict[str, Any]]:
-    """Node parameters that a bag was made with; none, with a warning, if it does not say.
-
-    They are in the bag's custom data; older bags have a file parameters.yaml beside them instead. Other programs, such
-    as rosbags-convert, leave both behind, and a recorder that was started by itself has neither. What nodes said of
-    their parameters, and products in the bag of their provenance, is used then.
-
-    Raises:
-        UserError: they are not what this program writes.
-    """
-    path = (reader.path if reader.path.is_dir() else reader.path.parent) / "parameters.yaml"
-    try:
-        text = reader.custom_data.get(PARAMETERS) or (path.read_text(encoding="utf-8") if path.is_file() else "")
-        values = yaml.safe_load(text)  # JSON is a part of YAML
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise UserError(
-            f"The parameters of bag {reader.path} cannot be read: {' '.join(str(error).split())}."
-        ) from error
-    if not text:
-        values = merged(_parameters_of_events(reader), _parameters_of_products(reader))
-        if not values:
-            _LOG.warning(
-                "Bag %s does not hold the parameters it was made with; it is processed with the defaults of the nodes "
-                "and what --param sets.",
-                reader.path,
-            )
-    values = values or {}
-    if not (isinstance(values, dict) and all(isinstance(entry, dict) for entry in values.values())):
-        raise UserError(f"The parameters of bag {reader.path} must map node names to mappings of names to values.")
-    return values
-
-
-def _parameters_of_products(reader: BagReader) -> dict[str, dict[str, Any]]:
-    """Node parameters in the provenance of the first height image of each topic; none of nodes unknown today."""
-    values: dict[str, dict[str, Any]] = {}
-    for topic in (f"/{prefix}/height" for prefix in HEIGHTS.values()):
-        if topic in reader.topics and (first := next(reader.messages([topic]), None)):
-            image = reader.decode(first.type_name, first.cdr)
-            values |= messages.stages_of(image.provenance.parameters)
-    return _settable(values)
-
-
-def _parameters_of_events(reader: BagReader) -> dict[str, dict[str, Any]]:
-    """Node parameters in the events of a bag, as they were first; none of nodes unknown today."""
-    values: dict[str, dict[str, Any]] = {}
-    if PARAMETER_EVENTS in reader.topics:
-        for recorded in reader.messages([PARAMETER_EVENTS]):
-            event = reader.decode(recorded.type_name, recorded.cdr)
-            known = values.setdefault(event.node.rpartition("/")[2], {})
-            for parameter in (*event.new_parameters, *event.changed_parameters):
-                known.setdefault(parameter.name, _plain(Parameter.from_parameter_msg(parameter).value))
-    return _settable(values)
-
-
-def _plain(value: Any) -> Any:
-    """A value of a parameter as YAML has it: lists instead of arrays."""
-    return list(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else value
-
-
-def _settable(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Those of the parameters that a replay can set today."""
-    return {
-        node: {name: value for name, value in values[node].items() if name in settings_of(NODES[node].parameters)}
-        for node in SETTABLE
-        if node in values
-    }

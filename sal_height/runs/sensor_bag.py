@@ -23,7 +23,8 @@ from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.runs.catalogue import HEIGHTS, suited
 from sal_height.runs.processes import Forked, beside
-from sal_height.runs.replay import contents, recorded_parameters
+from sal_height.runs.replay import contents
+from sal_height.runs.replay_parameters import recorded_parameters
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.runs.simulate import processing_of
 from sal_height.sensor import Sensor

@@ -12,7 +12,8 @@ from rclpy.parameter import Parameter
 from sal_height.bag.reader import BagReader
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.recorder import Recorder
-from sal_height.runs.replay import recorded_parameters, replay
+from sal_height.runs.replay import replay
+from sal_height.runs.replay_parameters import recorded_parameters
 
 SENSOR_TOPICS = ["/sensor_info", "/platform/odometry", "/phase_history"]
 HEIGHTS = ["/ml/height", "/monopulse/height"]

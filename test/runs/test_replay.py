@@ -34,7 +34,8 @@ from sal_height.nodes.player import Player
 from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.runs.conductor import Execution
 from sal_height.runs.gotcha import import_gotcha
-from sal_height.runs.replay import recorded_parameters, replay
+from sal_height.runs.replay import replay
+from sal_height.runs.replay_parameters import recorded_parameters
 from sal_height.runs.reporting import PARAMETERS
 from sal_height.runs.tables import comparison_table
 

@@ -1,0 +1,105 @@
+"""What a bag says of the flight it was recorded in: its dwells, and what nodes and products say of their making."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+from rclpy.parameter import parameter_value_to_python
+
+from sal_height import messages
+from sal_height.bag.reader import BagMessage, BagReader
+from sal_height.errors import UserError
+from sal_height.nodes.cues import DwellKey
+from sal_height.nodes.parameter_reader import PARAMETER_EVENTS
+from sal_height.runs.catalogue import HEIGHTS
+
+
+class Said(NamedTuple):
+    """A node said that parameters have these values.
+
+    Attributes:
+        time_ns: when it was recorded.
+        node: name of the node, without its namespace.
+        values: by name.
+        is_change: whether they had other values before; if not, the node was asked for them, or has just started.
+    """
+
+    time_ns: int
+    node: str
+    values: dict[str, Any]
+    is_change: bool
+
+
+class Heard(NamedTuple):
+    """A calibration came, at a time (ns)."""
+
+    time_ns: int
+    calibration: str
+
+
+class FlightRecord:
+    """What was found in a bag.
+
+    Attributes:
+        last_frame_ns: when the last frame of each dwell was recorded, in the order of the first frames; empty if the
+            bag has nothing else that is looked for here.
+        stages: parameters in the provenance of each dwell's heights, by node.
+        applied: identity of the calibration in the provenance of each dwell's heights; empty: none but the sensor's.
+        sensors: the config_hash of the sensor of each calibration in the bag, by identity.
+        said: what nodes said of their parameters, in the order of the bag.
+        heard: calibrations, in the order of the bag.
+    """
+
+    def __init__(self, reader: BagReader) -> None:
+        """Read a bag up to its end, or up to where it is damaged; whoever plays it will tell that."""
+        self.last_frame_ns: dict[DwellKey, int] = {}
+        self.stages: dict[DwellKey, dict[str, Mapping[str, Any]]] = {}
+        self.applied: dict[DwellKey, str] = {}
+        self.sensors: dict[str, str] = {}
+        self.said: list[Said] = []
+        self.heard: list[Heard] = []
+        self._reader = reader
+        self._own: set[str] = set()
+        telling: dict[str, Callable[[BagMessage], None]] = {
+            "/calibration": self._take_calibration,
+            PARAMETER_EVENTS: self._take_event,
+            **{f"/{prefix}/height": self._take_heights for prefix in HEIGHTS.values()},
+        }
+        takers = {"/phase_history": self._take_frame, "/sensor_info": self._take_sensor, **telling}
+        if telling.keys() & reader.topics.keys():
+            self._read([topic for topic in takers if topic in reader.topics], takers)
+        self.applied = {dwell: "" if name in self._own else name for dwell, name in self.applied.items()}
+
+    def _read(self, topics: list[str], takers: Mapping[str, Callable[[BagMessage], None]]) -> None:
+        with suppress(UserError):
+            for recorded in self._reader.messages(topics):
+                with suppress(UserError, RuntimeError):  # a message that is none
+                    takers[recorded.topic](recorded)
+
+    def _take_frame(self, recorded: BagMessage) -> None:
+        frame = messages.received_frame(recorded.cdr)
+        self.last_frame_ns[DwellKey(frame.dwell, frame.stamp_ns)] = recorded.log_time_ns
+
+    def _take_heights(self, recorded: BagMessage) -> None:
+        origin = messages.height_origin(recorded.cdr)
+        dwell = DwellKey(origin.dwell, origin.stamp_ns)
+        self.stages.setdefault(dwell, {}).update(messages.held_stages(origin.provenance))
+        self.applied[dwell] = origin.provenance.calibration_id
+
+    def _take_sensor(self, recorded: BagMessage) -> None:
+        self._own.add(self._reader.decode(recorded.type_name, recorded.cdr).calibration_id)
+
+    def _take_calibration(self, recorded: BagMessage) -> None:
+        calibration = self._reader.decode(recorded.type_name, recorded.cdr)
+        self.sensors[calibration.id] = calibration.config_hash
+        self.heard.append(Heard(recorded.log_time_ns, calibration.id))
+
+    def _take_event(self, recorded: BagMessage) -> None:
+        event = self._reader.decode(recorded.type_name, recorded.cdr)
+        node = event.node.rpartition("/")[2]
+        for parameters, is_change in ((event.new_parameters, False), (event.changed_parameters, True)):
+            values = {one.name: parameter_value_to_python(one.value) for one in parameters}
+            if values:
+                self.said.append(Said(recorded.log_time_ns, node, values, is_change))

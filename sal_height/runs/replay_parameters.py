@@ -1,0 +1,234 @@
+"""The parameters of a replay: those that the nodes had in flight, dwell by dwell, and those that the user sets."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
+from sal_height.nodes.cues import Cue, DwellKey
+from sal_height.nodes.sar_compression import HEARD
+from sal_height.runs.catalogue import NODES, NodeParameters, check_parameters
+from sal_height.runs.reporting import PARAMETERS, merged
+from sal_height.runs.timeline import PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of
+from sal_height.settings import settings_of
+
+_LOG = logging.getLogger(__name__)
+
+COMMAND_LINE, CUSTOM_DATA, DEFAULT, CHOSEN = "command line", "custom data of the bag", "default", "chosen by the replay"
+"""Where the value of a parameter comes from, besides those of `timeline.Value`."""
+
+APPLIED = Parameter("sar_compression", "calibration")
+"""Says which calibration is applied."""
+
+
+@dataclass(frozen=True)
+class Processing:
+    """How a replay processes its dwells.
+
+    Attributes:
+        values: of the nodes' parameters at the start.
+        sources: where the values of all parameters of the nodes at work come from, by node and name.
+        cues: what happens before dwells.
+        changes: the same for the report, in the order of the dwells.
+        warnings: a sentence on each thing of the flight that cannot be done again.
+    """
+
+    values: dict[str, dict[str, Any]]
+    sources: dict[str, dict[str, str]]
+    cues: list[Cue]
+    changes: list[dict[str, Any]]
+    warnings: list[str]
+
+    @property
+    def plays_calibrations(self) -> bool:
+        """Whether calibrations of the bag are published."""
+        return any(cue.calibrations for cue in self.cues)
+
+    def report(self) -> dict[str, Any]:
+        """What the report says of it."""
+        return {"parameter_sources": self.sources, "changes_in_flight": self.changes, "warnings": self.warnings}
+
+
+def processing_of(
+    reader: BagReader, stages: Collection[str], chosen: NodeParameters, given: NodeParameters
+) -> Processing:
+    """Find out how the dwells of a bag were processed in flight, and what of that the user wants otherwise.
+
+    What cannot be done as it was in flight is warned of.
+
+    Args:
+        reader: of the bag.
+        stages: names of the nodes at work.
+        chosen: values where neither the bag nor the user says anything.
+        given: values of the user's, which hold for all dwells.
+
+    Raises:
+        UserError: the bag's parameters cannot be read, or a value is not allowed today.
+    """
+    timeline = timeline_of(reader)
+    own, sources = _at_start(reader, timeline, chosen, given)
+    values = check_parameters(merged(own, given))
+    wanted = [
+        one
+        for one in timeline.changes
+        if one.parameter.node in stages and one.parameter.name not in given.get(one.parameter.node, {})
+    ]
+    changes = [one for one in wanted if not _is_read_only(one.parameter)]
+    for one in changes:
+        check_parameters({one.parameter.node: {one.parameter.name: one.value}})
+    applies = values.get(APPLIED.node, {}).get(APPLIED.name) == HEARD
+    calibrations = timeline.calibrations if applies else []
+    warnings = [
+        *([] if _custom_data(reader) is not None else _forgotten(timeline)),
+        *(_restarted(one) for one in wanted if _is_read_only(one.parameter)),
+        *(_not_held(one) for one in timeline.missing if applies),
+    ]
+    for warning in warnings:
+        _LOG.warning("Bag %s: %s", reader.path, warning)
+    of_stages = {
+        node: {name: sources.get(Parameter(node, name), DEFAULT) for name in settings_of(NODES[node].parameters)}
+        for node in stages
+    }
+    listed = [
+        *((one.dwell, {"calibration": one.calibration, "source": one.source}) for one in calibrations),
+        *(
+            (one.dwell, {"parameter": ".".join(one.parameter), "value": one.value, "source": one.source})
+            for one in changes
+        ),
+    ]
+    return Processing(
+        values,
+        of_stages,
+        [cue for dwell in timeline.dwells if (cue := _cue(dwell, changes, calibrations))],
+        [{"dwell": dwell.number, **what} for dwell in timeline.dwells for key, what in listed if key == dwell],
+        warnings,
+    )
+
+
+def recorded_parameters(reader: BagReader) -> dict[str, dict[str, Any]]:
+    """Node parameters that a bag was made with, at its first dwell; none, with a warning, if it does not say.
+
+    They are in the bag's custom data; older bags have a file parameters.yaml beside them instead. Other programs, such
+    as rosbags-convert, leave both behind, and a recorder that was started by itself has neither. What nodes said of
+    their parameters, and heights in the bag of their provenance, is used then.
+
+    Raises:
+        UserError: they are not what this program writes.
+    """
+    values, _ = _recorded(reader, timeline_of(reader) if _custom_data(reader) is None else Timeline())
+    return values
+
+
+def _at_start(
+    reader: BagReader, timeline: Timeline, chosen: NodeParameters, given: NodeParameters
+) -> tuple[dict[str, dict[str, Any]], dict[Parameter, str]]:
+    """Values of parameters at the first dwell without those that are given, and where all of them come from."""
+    recorded, sources = _recorded(reader, timeline)
+    own = merged(chosen, recorded)
+    sources = dict.fromkeys(_parameters(chosen), CHOSEN) | sources
+    if timeline.calibrations and own.get(APPLIED.node, {}).get(APPLIED.name, HEARD) != HEARD:
+        own[APPLIED.node][APPLIED.name] = HEARD  # for the file may be gone, or another one today
+        sources[APPLIED] = CHOSEN
+    return own, sources | dict.fromkeys(_parameters(given), COMMAND_LINE)
+
+
+def _recorded(reader: BagReader, timeline: Timeline) -> tuple[dict[str, dict[str, Any]], dict[Parameter, str]]:
+    """Parameters that a bag was made with, and where they come from.
+
+    Custom data has what its maker set; heights in the bag say more of a value only if it was set anew before them. What
+    is in the provenance alone may be a default of that time, for which custom data has the default of today.
+
+    Raises:
+        UserError: they cannot be read.
+    """
+    known = dict(timeline.start)
+    custom = _custom_data(reader)
+    if custom is None:
+        if not known:
+            _LOG.warning(
+                "Bag %s does not hold the parameters it was made with; it is processed with the defaults of the nodes "
+                "and what --param sets.",
+                reader.path,
+            )
+        custom, sources = {}, {}
+    else:
+        sources = dict.fromkeys(_parameters(custom), CUSTOM_DATA)
+        known = {
+            one: value
+            for one, value in known.items()
+            if one in sources and value.source == PROVENANCE and value.value != custom[one.node][one.name]
+        }
+    values = {node: dict(of_node) for node, of_node in custom.items()}
+    for one, (value, source) in known.items():
+        values.setdefault(one.node, {})[one.name] = value
+        sources[one] = source
+    return values, sources
+
+
+def _custom_data(reader: BagReader) -> dict[str, dict[str, Any]] | None:
+    """Node parameters in the custom data of a bag, or in a file beside it; None if there are neither.
+
+    Raises:
+        UserError: they are not what this program writes.
+    """
+    path = (reader.path if reader.path.is_dir() else reader.path.parent) / "parameters.yaml"
+    try:
+        text = reader.custom_data.get(PARAMETERS) or (path.read_text(encoding="utf-8") if path.is_file() else "")
+        values = yaml.safe_load(text)  # JSON is a part of YAML
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise UserError(
+            f"The parameters of bag {reader.path} cannot be read: {' '.join(str(error).split())}."
+        ) from error
+    if not text:
+        return None
+    values = values or {}
+    if not (isinstance(values, dict) and all(isinstance(entry, dict) for entry in values.values())):
+        raise UserError(f"The parameters of bag {reader.path} must map node names to mappings of names to values.")
+    return values
+
+
+def _parameters(values: NodeParameters) -> list[Parameter]:
+    return [Parameter(node, name) for node, of_node in values.items() for name in of_node]
+
+
+def _is_read_only(parameter: Parameter) -> bool:
+    return settings_of(NODES[parameter.node].parameters)[parameter.name].read_only
+
+
+def _cue(dwell: DwellKey, changes: Sequence[Change], calibrations: Sequence[Applied]) -> Cue | None:
+    """What happens before a dwell, if anything does."""
+    values: dict[str, dict[str, Any]] = {}
+    for one in changes:
+        if one.dwell == dwell:
+            values.setdefault(one.parameter.node, {})[one.parameter.name] = one.value
+    applied = tuple(one.calibration for one in calibrations if one.dwell == dwell)
+    return Cue(dwell, values, applied) if values or applied else None
+
+
+def _forgotten(timeline: Timeline) -> list[str]:
+    """Sentences on parameters that do not exist any more."""
+    return [
+        f"Node {node} had a parameter {name} in flight ({source}), which does not exist today and is left out."
+        for (node, name), source in timeline.forgotten.items()
+    ]
+
+
+def _restarted(change: Change) -> str:
+    node, name = change.parameter
+    return (
+        f"Node {node} was started again with {name}={change.value!r} before dwell {change.dwell.number}; a replay "
+        "cannot change this parameter between dwells, and goes on with the value before."
+    )
+
+
+def _not_held(missing: Applied) -> str:
+    return (
+        f"Calibration {missing.calibration!r}, which was applied from dwell {missing.dwell.number} on, is not in the "
+        "bag and is left out; record topic /calibration."
+    )

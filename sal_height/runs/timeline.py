@@ -1,0 +1,196 @@
+"""What happened in a recorded flight between its dwells: parameters of nodes that changed, calibrations that came.
+
+The provenance of heights says with which parameters and calibration their dwell was processed. Of dwells without
+heights, the order of the bag decides: what came before the last frame of a dwell was in force for it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeVar
+
+from sal_height.bag.reader import BagReader
+from sal_height.nodes.cues import DwellKey
+from sal_height.nodes.height import LEFT_OUT
+from sal_height.runs.catalogue import NODES, SETTABLE
+from sal_height.runs.flight_record import FlightRecord, Heard, Said
+from sal_height.settings import settings_of
+
+PROVENANCE, EVENT, MESSAGE = "provenance", "parameter event", "order of the bag"
+"""How it is known what was in force for a dwell."""
+
+NO_SETTINGS = {"use_sim_time", "start_type_description_service", LEFT_OUT}
+"""Names beside the parameters of our nodes: those that rclpy gives to every node, and what provenance adds."""
+
+Recorded = TypeVar("Recorded", Said, Heard)
+
+
+class Parameter(NamedTuple):
+    """A parameter of a node."""
+
+    node: str
+    name: str
+
+
+class Value(NamedTuple):
+    """A value of a parameter, and how it is known."""
+
+    value: Any
+    source: str
+
+
+class Change(NamedTuple):
+    """A parameter has another value from a dwell on."""
+
+    dwell: DwellKey
+    parameter: Parameter
+    value: Any
+    source: str
+
+
+class Applied(NamedTuple):
+    """A calibration is applied from a dwell on."""
+
+    dwell: DwellKey
+    calibration: str
+    source: str
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """What happened in a flight, in the order of its dwells.
+
+    Attributes:
+        dwells: all dwells, in the order of their first frames.
+        start: values of parameters at the first dwell, as far as they are known.
+        changes: of parameters, later on.
+        calibrations: that the bag holds and that were applied.
+        missing: calibrations that were applied and that the bag does not hold.
+        forgotten: parameters of that time that the nodes do not have today, and how they are known.
+    """
+
+    dwells: list[DwellKey] = field(default_factory=list)
+    start: dict[Parameter, Value] = field(default_factory=dict)
+    changes: list[Change] = field(default_factory=list)
+    calibrations: list[Applied] = field(default_factory=list)
+    missing: list[Applied] = field(default_factory=list)
+    forgotten: dict[Parameter, str] = field(default_factory=dict)
+
+
+def timeline_of(reader: BagReader) -> Timeline:
+    """Find out what happened in the flight that a bag was recorded in; up to where the bag is damaged, if it is."""
+    record = FlightRecord(reader)
+    timeline = Timeline(list(record.last_frame_ns))
+    parameters, calibrations = _Parameters(timeline), _Calibrations(timeline, record.sensors)
+    said, heard = deque(record.said), deque(record.heard)
+    for dwell, last_frame_ns in record.last_frame_ns.items():
+        for one in _until(last_frame_ns, said):
+            parameters.hear(one)
+        parameters.enter(dwell, record.stages.get(dwell, {}))
+        for message in _until(last_frame_ns, heard):
+            calibrations.hear(message)
+        calibrations.enter(dwell, record.applied.get(dwell))
+    for one in said:  # of nodes that were asked only after the last dwell
+        parameters.hear(one)
+    parameters.enter_what_was_told_late()
+    return timeline
+
+
+def _until(time_ns: int, recorded: deque[Recorded]) -> Iterator[Recorded]:
+    """Take out what was recorded up to a time."""
+    while recorded and recorded[0].time_ns <= time_ns:
+        yield recorded.popleft()
+
+
+class _Parameters:
+    """Follows the parameters of all nodes from dwell to dwell."""
+
+    def __init__(self, timeline: Timeline) -> None:
+        self._timeline = timeline
+        self._now: dict[Parameter, Any] = {}
+        self._said: dict[Parameter, tuple[Any, bool]] = {}
+        """What nodes said and no product has shown yet: a value, and whether the parameter had another one before."""
+        self._stated: dict[str, Mapping[str, Any]] = {}
+
+    def hear(self, said: Said) -> None:
+        """Take note of what a node said."""
+        for parameter, value in self._known(said.node, said.values, EVENT):
+            self._said[parameter] = value, said.is_change
+
+    def enter(self, dwell: DwellKey, stages: Mapping[str, Mapping[str, Any]]) -> None:
+        """Go on to a dwell, with what the provenance of its products states, by node."""
+        waiting = {parameter.node for parameter in self._said}
+        for node, values in stages.items():
+            if node in waiting or self._stated.get(node) != values:
+                self._stated[node] = values
+                for parameter, value in self._known(node, values, PROVENANCE):
+                    said, is_change = self._said.get(parameter, (None, False))
+                    if said == value:
+                        del self._said[parameter]
+                    self._set(dwell, parameter, Value(value, PROVENANCE), is_change and said == value)
+        for parameter in [one for one in self._said if one.name not in stages.get(one.node, {})]:
+            value, is_change = self._said.pop(parameter)
+            self._set(dwell, parameter, Value(value, EVENT), is_change)
+            self._stated.pop(parameter.node, None)
+
+    def enter_what_was_told_late(self) -> None:
+        """Take values that nodes told after the last dwell for those that they had all the time."""
+        for parameter, (value, is_change) in self._said.items():
+            if not is_change:
+                self._timeline.start.setdefault(parameter, Value(value, EVENT))
+
+    def _set(self, dwell: DwellKey, parameter: Parameter, value: Value, is_change: bool) -> None:
+        """Take note of a value; one that is told late for the first time was in force from the start."""
+        if parameter not in self._now and (not is_change or dwell == self._timeline.dwells[0]):
+            self._timeline.start[parameter] = value
+        elif parameter not in self._now or self._now[parameter] != value.value:
+            self._timeline.changes.append(Change(dwell, parameter, *value))
+        self._now[parameter] = value.value
+
+    def _known(self, node: str, values: Mapping[str, Any], source: str) -> Iterator[tuple[Parameter, Any]]:
+        """The values of parameters that can be set today; the others are entered as forgotten."""
+        today = settings_of(NODES[node].parameters) if node in SETTABLE else {}
+        for name, value in values.items():
+            if name in today:
+                yield Parameter(node, name), _plain(value)
+            elif "." not in name and name not in NO_SETTINGS and (node in SETTABLE or source == PROVENANCE):
+                self._timeline.forgotten.setdefault(Parameter(node, name), source)
+
+
+class _Calibrations:
+    """Follows the calibrations that were applied, from dwell to dwell; every sensor has its own."""
+
+    def __init__(self, timeline: Timeline, sensors: Mapping[str, str]) -> None:
+        self._timeline, self._sensors = timeline, sensors
+        self._now: dict[str, str] = {}
+        self._heard: dict[str, str] = {}
+
+    def hear(self, message: Heard) -> None:
+        """Take note of a calibration that came."""
+        self._heard[self._sensors[message.calibration]] = message.calibration
+
+    def enter(self, dwell: DwellKey, applied: str | None) -> None:
+        """Go on to a dwell, with the calibration that its provenance names; None: it has no products."""
+        if applied is None:
+            heard, self._heard = self._heard, {}
+            for calibration in heard.values():
+                self._apply(Applied(dwell, calibration, MESSAGE))
+        elif applied in self._sensors:
+            if self._heard.get(self._sensors[applied]) == applied:
+                del self._heard[self._sensors[applied]]
+            self._apply(Applied(dwell, applied, PROVENANCE))
+        elif applied and applied not in {one.calibration for one in self._timeline.missing}:
+            self._timeline.missing.append(Applied(dwell, applied, PROVENANCE))
+
+    def _apply(self, applied: Applied) -> None:
+        sensor = self._sensors[applied.calibration]
+        if self._now.get(sensor) != applied.calibration:
+            self._now[sensor] = applied.calibration
+            self._timeline.calibrations.append(applied)
+
+
+def _plain(value: Any) -> Any:
+    """A value of a parameter as YAML has it: lists instead of arrays."""
+    return list(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else value

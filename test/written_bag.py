@@ -1,0 +1,73 @@
+"""Bags of messages without samples, in a given order: what a flight says of its making."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from sal_height_msgs.msg import Calibration, ChannelFrame, HeightImage, Provenance, SensorInfo
+
+from sal_height import messages
+from sal_height.bag.reader import BagReader
+from sal_height.bag.writer import BagWriter
+from sal_height.nodes.cues import DwellKey
+from sal_height.nodes.stage import FRAMES_QOS
+
+TOPICS = {
+    ChannelFrame: "/phase_history",
+    HeightImage: "/ml/height",
+    ParameterEvent: "/parameter_events",
+    Calibration: "/calibration",
+    SensorInfo: "/sensor_info",
+}
+
+
+def key(dwell: int) -> DwellKey:
+    return DwellKey(dwell, dwell * 1_000_000_000)
+
+
+def frame(dwell: int, channel: int = 0) -> ChannelFrame:
+    message = ChannelFrame(dwell=dwell, channel=channel)
+    message.header.stamp = messages.to_stamp(key(dwell).stamp_ns)
+    return message
+
+
+def heights(dwell: int, calibration: str = "", **stages: Mapping[str, Any]) -> HeightImage:
+    """A height image whose provenance states the parameters of these stages."""
+    provenance = Provenance(calibration_id=calibration)
+    for name, values in stages.items():
+        provenance.parameters = messages.with_stage(provenance.parameters, name, values)
+    message = HeightImage(dwell=dwell, estimator="ml", provenance=provenance)
+    message.header.stamp = messages.to_stamp(key(dwell).stamp_ns)
+    return message
+
+
+def told(node: str, **values: Any) -> ParameterEvent:
+    """What a node answers, or says at its start."""
+    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    return ParameterEvent(node=f"/{node}", new_parameters=parameters)
+
+
+def changed(node: str, **values: Any) -> ParameterEvent:
+    """What a node says when its parameters are set."""
+    return ParameterEvent(node=f"/{node}", changed_parameters=told(node, **values).new_parameters)
+
+
+def calibration(name: str, sensor: str = "sensor") -> Calibration:
+    return Calibration(id=name, config_hash=sensor)
+
+
+def written(folder: Path, recorded: Iterable[Any], custom_data: Mapping[str, str] | None = None) -> BagReader:
+    """A bag with these messages, one after the other."""
+    listed = list(recorded)
+    with BagWriter(folder, custom_data or {}) as writer:
+        for kind in {type(message) for message in listed}:
+            package, _, _ = kind.__module__.partition(".")
+            writer.add_topic(TOPICS[kind], f"{package}/msg/{kind.__name__}", [FRAMES_QOS])
+        for time_ns, message in enumerate(listed, 1):
+            writer.write(TOPICS[type(message)], serialize_message(message), time_ns, time_ns)
+    return BagReader(folder)

@@ -108,6 +108,24 @@ def test_a_dwell_is_settled_when_its_heights_are_in_the_map(graph: Graph) -> Non
         assert not watching.settled(), (name, changed)
 
 
+def test_a_calibration_is_settled_when_all_have_it_and_is_no_dwell(graph: Graph) -> None:
+    """Then comes the dwell that it is applied to."""
+    plan = Plan("player", ["sar_compression", "monopulse"], ["calibration"], Path("bag"), {}, 1)
+    watching = graph.add(Conductor(plan, context=graph.context))
+    watching._steps = 3
+    watching.accounts = before = {
+        "recorder": Account({"unwritten": 0, "recorded./calibration": 2}),
+        "player": Account({"in": 3, "waiting": 0, "published./phase_history": 8, "calibrations": 2}),
+        "sar_compression": Account({"in": 8, "waiting": 0, "published./slc": 8, "calibrations": 2}),
+        "monopulse": Account({"in": 8, "waiting": 0, "calibrations": 3}),  # and one of another node's
+    }
+    assert watching.settled()
+    assert watching.played == 1
+    for name, key in (("recorder", "recorded./calibration"), ("sar_compression", "calibrations")):
+        watching.accounts = {**before, name: Account({**before[name].numbers, key: 1})}
+        assert not watching.settled(), name
+
+
 def test_no_dwell_is_asked_for_before_all_nodes_know_the_sensor(
     two_dwells: Preset, tmp_path: Path, monkeypatch: Any
 ) -> None:

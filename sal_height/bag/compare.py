@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -114,7 +114,11 @@ class Comparison:
 
 
 def compare_bags(
-    golden: Path, other: Path, tolerances: Tolerances = EXACT, topics: Collection[str] | None = None
+    golden: Path,
+    other: Path,
+    tolerances: Tolerances = EXACT,
+    topics: Collection[str] | None = None,
+    counts: Callable[[Any], bool] | None = None,
 ) -> dict[str, Comparison]:
     """Match the messages of two bags by topic and dwell, and compare all their fields but their provenance.
 
@@ -123,6 +127,7 @@ def compare_bags(
         other: the bag that is judged.
         tolerances: how far values may be from the golden ones.
         topics: those to compare; None: all with height images.
+        counts: whether a golden message counts; None: all do.
 
     Returns:
         Comparisons by topic, of all that either bag has messages on.
@@ -131,14 +136,15 @@ def compare_bags(
         UserError: a bag cannot be read.
     """
     bags = BagReader(golden), BagReader(other)
-    counts = [_counts(bag, topics) for bag in bags]
-    found = {topic: Comparison() for topic in dict.fromkeys([*counts[0], *counts[1]])}
-    common = counts[0].keys() & counts[1].keys()
-    for topic in found.keys() - common:
-        found[topic].missing, found[topic].extra = (side.get(topic, 0) for side in counts)
+    numbers = [_numbers(bag, topics) for bag in bags]
+    found = {topic: Comparison() for topic in dict.fromkeys([*numbers[0], *numbers[1]])}
+    read = found.keys() if counts else numbers[0].keys() & numbers[1].keys()
+    for topic in found.keys() - read:
+        found[topic].missing, found[topic].extra = (side.get(topic, 0) for side in numbers)
     waiting: tuple[dict[Key, Any], dict[Key, Any]] = ({}, {})
     # Both sides advance together, so that only messages without a counterpart yet are held in memory.
-    for pair in itertools.zip_longest(*(_messages(bag, common) for bag in bags)):
+    sides = _messages(bags[0], read, counts), _messages(bags[1], read)
+    for pair in itertools.zip_longest(*sides):
         for side, entry in enumerate(pair):
             if entry is not None:
                 key, message = entry
@@ -155,7 +161,7 @@ def compare_bags(
     return found
 
 
-def _counts(bag: BagReader, topics: Collection[str] | None) -> dict[str, int]:
+def _numbers(bag: BagReader, topics: Collection[str] | None) -> dict[str, int]:
     """Number of messages of each topic to compare that has any."""
     return {
         topic.name: topic.count
@@ -164,10 +170,14 @@ def _counts(bag: BagReader, topics: Collection[str] | None) -> dict[str, int]:
     }
 
 
-def _messages(bag: BagReader, topics: Collection[str]) -> Iterator[tuple[Key, Any]]:
+def _messages(
+    bag: BagReader, topics: Collection[str], counts: Callable[[Any], bool] | None = None
+) -> Iterator[tuple[Key, Any]]:
     seen: Counter[Key] = Counter()
     for recorded in bag.messages(topics) if topics else ():
         message = bag.decode(recorded.type_name, recorded.cdr)
+        if counts and not counts(message):
+            continue
         numbered = hasattr(message, "dwell")
         key = Key(recorded.topic, message.dwell if numbered else 0, getattr(message, "channel", 0) if numbered else 0)
         seen[key] += 1

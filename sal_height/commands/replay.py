@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
+from cyclopts.validators import Number
 
 from sal_height.commands._options import (
     DONE,
@@ -32,6 +36,8 @@ EXAMPLES = """
   sal-height replay out/sal_spotlight/bag --estimators ml,capon
   sal-height replay out/sal_spotlight/bag --against golden/bag
   sal-height replay out/sal_spotlight/bag --tolerance tolerances.yaml
+  sal-height replay out/sal_spotlight/bag --dwells 10:19
+  sal-height replay out/sal_spotlight/bag --from heights
   sal-height replay out/sal_spotlight/bag --record slc --record ml/points
   sal-height replay out/sal_spotlight/bag \\
     --param sar_compression.calibration=out/calibrated/calibration.npz
@@ -46,6 +52,14 @@ app = command(
 )
 
 
+def _range(_type: type, tokens: Sequence[Token]) -> tuple[int, int]:
+    """The two numbers of FIRST:LAST."""
+    match = re.fullmatch(r"(\d{1,10}):(\d{1,10})", tokens[0].value)
+    if not match or not int(match[1]) <= int(match[2]) < 2**32:
+        raise ValueError(f"{tokens[0].value!r} is not of the form FIRST:LAST, for example 10:19")
+    return int(match[1]), int(match[2])
+
+
 @app.default
 def replay(
     bag: Bag,
@@ -57,6 +71,13 @@ def replay(
     out: OutputFolder = None,
     param: NodeParameters = (),
     estimators: Estimators = (),
+    dwells: Annotated[
+        tuple[int, int] | None,
+        Parameter(metavar="FIRST:LAST", n_tokens=1, accepts_keys=False, show_default=False, converter=_range),
+    ] = None,
+    start: Annotated[float, Parameter(metavar="S", validator=Number(gte=0))] = 0.0,
+    end: Annotated[float | None, Parameter(metavar="S", validator=Number(gte=0))] = None,
+    entry: Annotated[Literal["phase_history", "slc", "heights"], Parameter(name="--from")] = "phase_history",
 ) -> int:
     """Play a recorded bag through the same nodes and compare the heights with those recorded.
 
@@ -68,17 +89,25 @@ def replay(
     The default tolerance is what processors differ by in rounding.
 
     Args:
+        dwells: Play only dwells of these numbers, both included.
+        start: Play only dwells that begin so long after the first one of the bag, in seconds.
+        end: Play only dwells that begin until so long after the first one, in seconds. Default: all.
+        entry: Begin with the complex images (slc) or the heights in the bag. Heights go to tracker and mapper alone.
         against: Bag with the heights to compare with. Default: those of BAG.
         out: Output folder, new or empty. Default: out/replay_BAG, or the next free of out/replay_BAG_2, ….
     """
     from sal_height.bag.tolerance import ROUNDING, read_tolerances
+    from sal_height.nodes.played import MOST
+    from sal_height.runs.entry import Part
     from sal_height.runs.replay import Against
     from sal_height.runs.replay import replay as play_again
     from sal_height.runs.tables import comparison_table, images_table, results_table
 
+    first, last = dwells or (0, MOST)
+    part = Part(entry, first, last, start, math.inf if end is None else end)
     folder = output_folder(out, f"replay_{bag_name(bag)}")
     golden = Against(against, read_tolerances(tolerance) if tolerance else ROUNDING)
-    result = play_again(bag, folder, node_parameters(param), graph.execution(), golden, estimators)
+    result = play_again(bag, folder, node_parameters(param), graph.execution(), golden, estimators, part)
     print(images_table(result.images) if result.images else results_table(result.outcome, result.accuracy))
     if result.compared:
         print(f"\n{comparison_table(result.compared)}")

@@ -1,4 +1,4 @@
-"""Node player: publishes the sensor_info, platform/odometry and phase_history of a bag, dwell by dwell."""
+"""Node player: publishes what a bag holds of a sensor, or the images or heights made of it, dwell by dwell."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from sal_height_msgs.msg import Calibration as CalibrationMessage
-from sal_height_msgs.msg import ChannelFrame, SensorInfo
+from sal_height_msgs.msg import SensorInfo
 
 from sal_height.bag.definitions import message_class
 from sal_height.bag.reader import BagMessage, BagReader
@@ -16,24 +16,20 @@ from sal_height.errors import UserError
 from sal_height.nodes.account import CALIBRATIONS
 from sal_height.nodes.cues import DwellKey, cues_of_text
 from sal_height.nodes.managed import INACTIVE
-from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
+from sal_height.nodes.played import ALL, HEIGHTS, LATEST_NS, MOST, SENSOR, DwellRange, chosen, qos_of
+from sal_height.nodes.playlist import SENSOR_INFO
 from sal_height.nodes.program import run_node
-from sal_height.nodes.reel import Group, Reel, key_of
+from sal_height.nodes.reel import OF_DWELLS, Group, Reel, key_of
 from sal_height.nodes.remote_parameters import RemoteParameters
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import (
-    FRAMES_QOS,
     LATCHED_QOS,
-    ODOMETRY_QOS,
     RESET,
     SENSOR_TOPICS,
     Stage,
     StageParameters,
 )
 from sal_height.settings import setting
-
-INPUTS = {SENSOR_INFO: LATCHED_QOS, ODOMETRY: ODOMETRY_QOS, FRAMES: FRAMES_QOS}
-"""Topics that are played."""
 
 CALIBRATION_TOPIC = "calibration"
 
@@ -42,6 +38,15 @@ class Parameters(StageParameters):
     """Parameters of the node."""
 
     bag: str = setting("", "path of the bag: its folder or its .mcap file", read_only=True)
+    topics: tuple[str, ...] = setting(
+        SENSOR,
+        "topics that are played: those of the sensor, or sensor_info and slc, or heights such as ml/height",
+        read_only=True,
+    )
+    first_dwell: int = setting(0, "number of the first dwell that is played", minimum=0, maximum=MOST, read_only=True)
+    last_dwell: int = setting(MOST, "number of the last dwell that is played", minimum=0, maximum=MOST, read_only=True)
+    start_ns: int = setting(0, "earliest stamp of the dwells that are played", unit="ns", minimum=0, read_only=True)
+    end_ns: int = setting(LATEST_NS, "latest stamp of the dwells that are played", unit="ns", minimum=0, read_only=True)
     cues: str = setting(
         "",
         "what happened in flight, as a replay finds it: a list of dwell, parameters and calibrations in JSON",
@@ -68,6 +73,7 @@ class Player(Stage):
         """
         super().__init__("player", **node_arguments)
         self._others = RemoteParameters(self, ())
+        self._announced: BagMessage | None = None
         try:
             self._open()
         except UserError:
@@ -85,25 +91,29 @@ class Player(Stage):
         if not path:
             raise UserError("Parameter bag is empty; it must be the path of a bag.")
         self._reader = BagReader(Path(path))
+        parameters = self.current_parameters()
         recorded = {name.lstrip("/"): topic for name, topic in self._reader.topics.items()}
-        if missing := [name for name in INPUTS if name not in recorded]:
+        if missing := [name for name in parameters.topics if name not in recorded]:
             raise UserError(
-                f"Bag {self._reader.path} has no topic {', '.join(missing)}; needed are {', '.join(INPUTS)}."
+                f"Bag {self._reader.path} has no topic {', '.join(missing)}; needed are {', '.join(parameters.topics)}."
             )
         self._outlets = {
-            recorded[name].name: self.offer(message_class(recorded[name].type_name), name, qos)
-            for name, qos in INPUTS.items()
+            recorded[name].name: self.offer(message_class(recorded[name].type_name), name, qos_of(name))
+            for name in parameters.topics
         }
+        self._detectors = sum(recorded[name].type_name == HEIGHTS for name in parameters.topics)
         self._cues = cues_of_text(self.current_parameters().cues)
         self._others = RemoteParameters(self, {name for cue in self._cues.values() for name in cue.parameters})
         self._calibrations = self._named_calibrations()
         self._calibration = self.offer(CalibrationMessage, CALIBRATION_TOPIC, LATCHED_QOS)
-        self._reel = Reel(self._reader.messages(list(self._outlets)))
+        dwells = DwellRange(parameters.first_dwell, parameters.last_dwell, parameters.start_ns, parameters.end_ns)
+        played = self._reader.messages(list(self._outlets))
+        self._reel = Reel(played if dwells == ALL else chosen(played, dwells))
         self._last_odometry_ns = 0
-        self._detectors = 1
-        self._announced = next(self._reader.messages([recorded[SENSOR_INFO].name]), None)
-        if self._announced and self._decode(self._announced):
-            self._publish(self._announced)
+        if SENSOR_INFO in parameters.topics:
+            self._announced = next(self._reader.messages([recorded[SENSOR_INFO].name]), None)
+            if self._announced and self._decode(self._announced):
+                self._publish(self._announced)
 
     @property
     def is_ready(self) -> bool:
@@ -143,7 +153,7 @@ class Player(Stage):
             if recorded == self._announced:
                 self._announced = None  # the next one like it is to be played
             elif message := self._decode(recorded):
-                if isinstance(message, ChannelFrame):
+                if isinstance(message, OF_DWELLS):
                     if group.closed(self._detectors) or self._is_held_up(key_of(message), group):
                         break
                     if self._comes_later(key_of(message), group):

@@ -7,12 +7,15 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from nav_msgs.msg import Odometry
-from sal_height_msgs.msg import ChannelFrame
+from sal_height_msgs.msg import ChannelFrame, ComplexImage, HeightImage
 
 from sal_height import messages
 from sal_height.bag.reader import BagMessage
 from sal_height.errors import UserError
 from sal_height.nodes.cues import DwellKey
+
+OF_DWELLS = ChannelFrame, ComplexImage, HeightImage
+"""Messages that dwells are made of; a bag is played from one kind of them on."""
 
 LONGEST_GROUP = 4
 """A group of dwells ends after the frames of this many dwells, even if some dwells lack a frame."""
@@ -75,9 +78,10 @@ class Group:
         """Take note of a message that is played."""
         if isinstance(message, Odometry):
             self.last_odometry_ns = messages.to_ns(message.header.stamp)
-        elif isinstance(message, ChannelFrame):
+        elif isinstance(message, OF_DWELLS):
             key = key_of(message)
             self.frames[key] += 1
+        if isinstance(message, ChannelFrame):
             duration = max((t for t in message.pulse_time if 0 < t <= messages.LONGEST_DWELL), default=0.0)
             self._last_pulse_ns = max(self._last_pulse_ns, key.stamp_ns + round(duration * 1e9))
 

@@ -11,6 +11,7 @@ from sal_height.nodes.ground_mapper import GroundMapper
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.navigation import NavigationNode
 from sal_height.nodes.paced_player import PacedPlayer
+from sal_height.nodes.played import SENSOR
 from sal_height.nodes.player import Player
 from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.recorder import Recorder
@@ -105,7 +106,7 @@ def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:
     return {name: {"estimator": HEIGHTS[estimators[0]]} for name in (TRACKER, "relief_mapper", "ground_mapper")}
 
 
-def recorded_topics(stages: list[str], parameters: NodeParameters) -> list[str]:
+def recorded_topics(stages: list[str], parameters: NodeParameters, played: Sequence[str] = SENSOR) -> list[str]:
     """The topics that a run through `stages` records: its inputs, and its heights, or else its images.
 
     Images are left out beside heights, for they can be formed again from the phase history; so is the relief map, which
@@ -114,42 +115,44 @@ def recorded_topics(stages: list[str], parameters: NodeParameters) -> list[str]:
     heights = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
     applied = parameters.get("sar_compression", {}).get("calibration", "") not in {"", HEARD}
     calibration = ["calibration"] if applied else []
-    return ["sensor_info", "platform/odometry", "phase_history", "diagnostics", *calibration, *(heights or ["slc"])]
+    return [*played, "diagnostics", *calibration, *(heights or ["slc"])]
 
 
-def height_sources(stages: list[str], parameters: NodeParameters) -> dict[str, str]:
-    """Find, for each of the `stages` that uses heights, the node that produces them.
+def height_sources(stages: list[str], parameters: NodeParameters, played: Sequence[str] = SENSOR) -> dict[str, str]:
+    """Find, for each of the `stages` that uses heights, the topic on which they come.
 
     Args:
         stages: names of the processing nodes.
         parameters: values of the nodes' parameters; `estimator` says whose heights a node uses.
+        played: topics that the source of the dwells publishes.
 
     Raises:
-        UserError: none of the stages makes those heights.
+        UserError: none of the stages makes those heights, nor are they played.
     """
+    given = {topic.removesuffix("/height") for topic in played if topic.endswith("/height")}
     sources = {}
     for name in (stage for stage in stages if NODES[stage].takes_heights):
         prefix = parameters.get(name, {}).get("estimator", "ml")
-        makers = {HEIGHTS[node]: node for node in stages if node in HEIGHTS and node != name}
+        makers = given | {HEIGHTS[node] for node in stages if node in HEIGHTS and node != name}
         if prefix not in makers:
             raise UserError(
                 f"The heights of estimator {prefix!r}, which {name} takes, are not made here; allowed are "
-                f"{', '.join(makers)}."
+                f"{', '.join(sorted(makers))}."
             )
-        sources[name] = makers[prefix]
+        sources[name] = f"{prefix}/height"
     return sources
 
 
-def stage_inputs(stages: list[str], parameters: NodeParameters) -> dict[str, str]:
+def stage_inputs(stages: list[str], parameters: NodeParameters, played: Sequence[str] = SENSOR) -> dict[str, str]:
     """Find the topic whose messages each stage counts as received.
 
     Args:
         stages: names of the processing nodes.
         parameters: values of the nodes' parameters.
+        played: topics that the source of the dwells publishes.
 
     Raises:
         UserError: a stage takes heights that no other stage makes.
     """
     inputs = {name: "slc" if NODES[name].takes_images else "phase_history" for name in stages}
-    makers = height_sources(stages, parameters)
-    return inputs | {name: f"{HEIGHTS[maker]}/height" for name, maker in makers.items()}
+    return inputs | height_sources(stages, parameters, played)

@@ -30,8 +30,9 @@ from sal_height.nodes.account import (
 )
 from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.player import CALIBRATION_TOPIC, INPUTS
-from sal_height.nodes.playlist import SENSOR_INFO
+from sal_height.nodes.played import SENSOR
+from sal_height.nodes.player import CALIBRATION_TOPIC
+from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO
 from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.runs.catalogue import NODES, NodeParameters, stage_inputs
 from sal_height.runs.ensemble import Ensemble, Member
@@ -58,6 +59,7 @@ class Plan:
         parameters: values of the nodes' parameters.
         dwells: number of dwells to expect, for the progress bar.
         custom_data: texts by name to store in the bag.
+        played: topics of the source.
     """
 
     source: str
@@ -67,6 +69,7 @@ class Plan:
     parameters: NodeParameters
     dwells: int
     custom_data: Mapping[str, str] = field(default_factory=dict)
+    played: Sequence[str] = SENSOR
 
 
 @dataclass(frozen=True)
@@ -166,7 +169,8 @@ class Conductor(Node):
         self.last_progress = time.monotonic()
         self._source = plan.source
         self._recorded = plan.recorded
-        self._inputs = {plan.source: "", **stage_inputs(plan.stages, plan.parameters)}
+        self._inputs = {plan.source: "", **stage_inputs(plan.stages, plan.parameters, plan.played)}
+        self._played = plan.played
         self._calibrated = [name for name in plan.stages if CALIBRATION_TOPIC in NODES[name].inputs]
         self._steps = 0
         self._step = self.create_client(Trigger, f"{plan.source}/{NODES[plan.source].begin_service}")
@@ -185,8 +189,8 @@ class Conductor(Node):
         if unknown := sorted(recorded - offered.keys()):
             raise UserError(f"No node of this run publishes topic {unknown[0]}; it has {', '.join(sorted(offered))}.")
         needed = Counter(topic for topic in self._inputs.values() if topic)
-        needed.update(["platform/odometry", *recorded])
-        alone = all(self.count_publishers(topic) == 1 for topic in INPUTS)
+        needed.update([*({ODOMETRY} & {*self._played}), *recorded])
+        alone = all(self.count_publishers(topic) == 1 for topic in self._played)
         return alone and all(offered[topic] >= n for topic, n in needed.items()) and self._step.service_is_ready()
 
     def ready(self) -> bool:
@@ -223,7 +227,7 @@ class Conductor(Node):
         Raises:
             UserError: somebody does.
         """
-        for topic in INPUTS:
+        for topic in self._played:
             if self.count_publishers(topic) > own:
                 raise UserError(
                     f"Somebody else publishes on /{topic} in this ROS domain; stop them, or choose another domain."
@@ -313,7 +317,7 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
     plan = replace(plan, recorded=list(dict.fromkeys([*plan.recorded, *also])))
     played, interrupted = 0, False
     failure: UserError | None = None
-    stage_inputs(plan.stages, plan.parameters)  # refuses a plan before anything is started
+    stage_inputs(plan.stages, plan.parameters, plan.played)  # refuses a plan before anything is started
     with ros_domain(execution.domain):
         if execution.domain != "free":
             _refuse_company(plan)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -13,7 +13,19 @@ from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.parameter_reader import PARAMETER_EVENTS
+from sal_height.nodes.played import IMAGES, part_of
 from sal_height.runs.catalogue import HEIGHTS
+
+
+def products_of(reader: BagReader) -> list[str]:
+    """Topics of a bag whose messages have a provenance: heights, or else images."""
+    heights = [topic for prefix in HEIGHTS.values() if (topic := f"/{prefix}/height") in reader.topics]
+    return heights or [topic for topic in [f"/{IMAGES}"] if topic in reader.topics]
+
+
+def tells_of_its_making(reader: BagReader) -> bool:
+    """Whether a bag has anything that says how dwells were processed."""
+    return bool(products_of(reader) or {"/calibration", PARAMETER_EVENTS} & reader.topics.keys())
 
 
 class Said(NamedTuple):
@@ -43,17 +55,21 @@ class FlightRecord:
     """What was found in a bag.
 
     Attributes:
-        last_frame_ns: when the last frame of each dwell was recorded, in the order of the first frames; empty if the
-            bag has nothing else that is looked for here.
-        stages: parameters in the provenance of each dwell's heights, by node.
-        applied: identity of the calibration in the provenance of each dwell's heights; empty: none but the sensor's.
+        last_frame_ns: when the last frame of each dwell was recorded, in the order of the first frames.
+        stages: parameters in the provenance of each dwell's products, by node.
+        applied: identity of the calibration in the provenance of each dwell's products; empty: none but the sensor's.
         sensors: the config_hash of the sensor of each calibration in the bag, by identity.
         said: what nodes said of their parameters, in the order of the bag.
         heard: calibrations, in the order of the bag.
     """
 
-    def __init__(self, reader: BagReader) -> None:
-        """Read a bag up to its end, or up to where it is damaged; whoever plays it will tell that."""
+    def __init__(self, reader: BagReader, dwell_topics: Sequence[str] = ("/phase_history",)) -> None:
+        """Read a bag up to its end, or up to where it is damaged; whoever plays it will tell that.
+
+        Args:
+            reader: of the bag.
+            dwell_topics: topics with the frames that dwells are made of, or with their images or heights instead.
+        """
         self.last_frame_ns: dict[DwellKey, int] = {}
         self.stages: dict[DwellKey, dict[str, Mapping[str, Any]]] = {}
         self.applied: dict[DwellKey, str] = {}
@@ -62,14 +78,14 @@ class FlightRecord:
         self.heard: list[Heard] = []
         self._reader = reader
         self._own: set[str] = set()
-        telling: dict[str, Callable[[BagMessage], None]] = {
+        self._dwell_topics = dwell_topics
+        takers: dict[str, Callable[[BagMessage], None]] = {
+            **dict.fromkeys([*dwell_topics, *products_of(reader)], self._take_dwell),
+            "/sensor_info": self._take_sensor,
             "/calibration": self._take_calibration,
             PARAMETER_EVENTS: self._take_event,
-            **{f"/{prefix}/height": self._take_heights for prefix in HEIGHTS.values()},
         }
-        takers = {"/phase_history": self._take_frame, "/sensor_info": self._take_sensor, **telling}
-        if telling.keys() & reader.topics.keys():
-            self._read([topic for topic in takers if topic in reader.topics], takers)
+        self._read([topic for topic in takers if topic in reader.topics], takers)
         self.applied = {dwell: "" if name in self._own else name for dwell, name in self.applied.items()}
 
     def _read(self, topics: list[str], takers: Mapping[str, Callable[[BagMessage], None]]) -> None:
@@ -78,15 +94,15 @@ class FlightRecord:
                 with suppress(UserError, RuntimeError):  # a message that is none
                     takers[recorded.topic](recorded)
 
-    def _take_frame(self, recorded: BagMessage) -> None:
-        frame = messages.received_frame(recorded.cdr)
-        self.last_frame_ns[DwellKey(frame.dwell, frame.stamp_ns)] = recorded.log_time_ns
-
-    def _take_heights(self, recorded: BagMessage) -> None:
-        origin = messages.height_origin(recorded.cdr)
-        dwell = DwellKey(origin.dwell, origin.stamp_ns)
-        self.stages.setdefault(dwell, {}).update(messages.held_stages(origin.provenance))
-        self.applied[dwell] = origin.provenance.calibration_id
+    def _take_dwell(self, recorded: BagMessage) -> None:
+        part = part_of(recorded)
+        if part is None:
+            return
+        if recorded.topic in self._dwell_topics:
+            self.last_frame_ns[part.dwell] = recorded.log_time_ns
+        if part.provenance is not None:
+            self.stages.setdefault(part.dwell, {}).update(messages.held_stages(part.provenance))
+            self.applied[part.dwell] = part.provenance.calibration_id
 
     def _take_sensor(self, recorded: BagMessage) -> None:
         self._own.add(self._reader.decode(recorded.type_name, recorded.cdr).calibration_id)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,12 @@ PASSING = frozenset({DIAGNOSTICS_RECORDED, "/parameter_events", "/progress", "/r
 
 
 def judge(
-    golden: Path, made: Path, tolerances: Tolerances, topics: Collection[str] | None, folder: Path
+    golden: Path,
+    made: Path,
+    tolerances: Tolerances,
+    topics: Collection[str] | None,
+    folder: Path,
+    counts: Callable[[Any], bool] | None = None,
 ) -> dict[str, Comparison]:
     """Compare two bags, and draw the worst dwell in `folder`/comparison.png if the heights of any differ.
 
@@ -32,13 +37,14 @@ def judge(
         tolerances: how far values may be from the golden ones.
         topics: those to compare; None: all with height images.
         folder: where the picture belongs.
+        counts: whether a golden message counts; None: all do.
 
     Raises:
         UserError: a bag cannot be read, or the picture cannot be written.
     """
     from sal_height.runs.difference_picture import draw_difference, worst_height_image  # noqa: PLC0415 (Matplotlib)
 
-    compared = compare_bags(golden, made, tolerances, topics)
+    compared = compare_bags(golden, made, tolerances, topics, counts)
     if worst := worst_height_image(compared, golden):
         with writing(folder / PICTURE):
             draw_difference(golden, made, *worst, folder / PICTURE)

@@ -5,27 +5,26 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from sal_height import messages
 from sal_height.bag.compare import CHANGED, Comparison
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import ROUNDING, Tolerances
-from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
-from sal_height.nodes.cues import cues_to_text
 from sal_height.nodes.player import CALIBRATION_TOPIC
 from sal_height.response import measure_brightest
 from sal_height.runs.accuracy import read_accuracy
-from sal_height.runs.catalogue import HEIGHTS, TRACKER, NodeParameters, consumers, recorded_topics, suited
+from sal_height.runs.catalogue import HEIGHTS, NodeParameters, consumers, recorded_topics
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
+from sal_height.runs.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.judge import as_json, judge
 from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.replay_parameters import processing_of
-from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, reporting
-from sal_height.sensor import Sensor
+from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
+from sal_height.runs.simulate import RELIEF_MAP
 from sal_height.simulation import SimulatedFlight, flight_of, parse_preset
 
 
@@ -89,11 +88,12 @@ def replay(
     execution: Execution = DEFAULT,
     against: Against = RECORDED,
     estimators: Collection[str] = (),
+    part: Part = WHOLE,
 ) -> Replay:
     """Play the phase history of `bag` through the graph and record the products in `out`/bag.
 
     The images (topic slc) of a sensor with a single channel are recorded instead of heights. There is no relief map: it
-    follows from the heights, which are compared.
+    follows from the heights, which are compared. A replay from heights leaves relief_map.tif in `out`.
 
     Args:
         bag: folder of the recorded bag, or its .mcap file; it holds the parameters it was made with.
@@ -103,36 +103,39 @@ def replay(
         against: what the heights are compared with.
         estimators: names of those whose heights are made; none: those whose heights the bag holds, or else all that
             suit the sensor and need not be asked for.
+        part: what of the bag is played, if not all of its phase history.
 
     Raises:
         UserError: the bag cannot be used, a parameter is not allowed, or the replay failed.
     """
     reader = BagReader(bag)
-    sensor, dwells = contents(reader)
     golden = BagReader(against.golden) if against.golden else reader
-    recorded = [name for name in ESTIMATORS if f"/{name}/height" in reader.topics]
-    height_nodes = suited(sensor, estimators or recorded)
-    stages = ["sar_compression", *((*height_nodes, TRACKER) if height_nodes else ())]
-    processing = processing_of(reader, stages, consumers(height_nodes), parameters)
-    values = processing.values
+    chain = chain_of(reader, part.entry, estimators)
+    processing = processing_of(reader, chain, part, consumers(chain.makers), parameters)
+    stages, values = chain.stages, processing.values
+    played = chain.played(values)
     folder = new_folder(out)
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
         report.update(processing.report())
-        nodes = {**values, "player": {"bag": str(bag), "cues": cues_to_text(processing.cues)}}
-        topics, custom_data = recorded_topics(stages, values), {**reader.custom_data, PARAMETERS: json.dumps(values)}
+        nodes = merged(values, {"player": {"bag": str(bag), "topics": played, **processing.for_player}})
+        if MAPPER in stages and "file" not in parameters.get(MAPPER, {}):
+            nodes = merged(nodes, {MAPPER: {"file": str(folder / RELIEF_MAP) if find_spec("rasterio") else ""}})
+        topics = recorded_topics(stages, values, played)
         topics += [CALIBRATION_TOPIC] if processing.plays_calibrations else []
-        outcome = perform(Plan("player", stages, topics, made, nodes, dwells, custom_data), execution)
+        custom_data = {**reader.custom_data, PARAMETERS: json.dumps(values)}
+        outcome = perform(Plan("player", stages, topics, made, nodes, chain.dwells, custom_data, played), execution)
         conclude(outcome, values, report)
         compared = {}
-        prefixes = [prefix for name, prefix in HEIGHTS.items() if name in stages or not estimators]
-        topics = [topic for prefix in prefixes if (topic := f"/{prefix}/height") in golden.topics]
+        all_made = not estimators and part.entry != FROM_HEIGHTS
+        prefixes = [prefix for name, prefix in HEIGHTS.items() if name in stages or all_made]
+        topics = [topic for p in prefixes if (topic := f"/{p}/height") in golden.topics]
         if topics and not outcome.interrupted:
-            compared = judge(golden.path, made, against.tolerances, topics, folder)
+            compared = judge(golden.path, made, against.tolerances, topics, folder, processing.plays)
             report["comparison"] = as_json(golden.path, made, compared, against.tolerances)
         flight = recorded_flight(reader)
         accuracy = read_accuracy(made, flight, stages).statistics if flight else {}
-        images = [] if height_nodes else _measure_images(folder)
+        images = [] if chain.makers else _measure_images(folder)
         report["estimators"] = accuracy
         report["images"] = images
     return Replay(outcome, compared, accuracy, images)
@@ -158,21 +161,6 @@ def _measure_images(folder: Path) -> list[dict[str, Any]]:
             }
         )
     return measured
-
-
-def contents(reader: BagReader) -> tuple[Sensor, int]:
-    """The sensor of a bag, and the number of its dwells.
-
-    Raises:
-        UserError: there is no sensor info that is valid, or no phase history.
-    """
-    topics = reader.topics
-    for name in ("/sensor_info", "/phase_history"):
-        if name not in topics or not topics[name].count:
-            raise UserError(f"Bag {reader.path} has no messages on {name}; it cannot be replayed.")
-    first = next(reader.messages(["/sensor_info"]))
-    sensor = messages.sensor_from_message(reader.decode(first.type_name, first.cdr))
-    return sensor, -(-topics["/phase_history"].count // sensor.detector_count)
 
 
 def recorded_flight(reader: BagReader) -> SimulatedFlight | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,9 +11,14 @@ import yaml
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.nodes.cues import Cue, DwellKey
+from sal_height.messages import to_ns
+from sal_height.nodes.cues import Cue, DwellKey, cues_to_text
+from sal_height.nodes.played import IMAGES, DwellRange
+from sal_height.nodes.playlist import FRAMES
 from sal_height.nodes.sar_compression import HEARD
 from sal_height.runs.catalogue import NODES, NodeParameters, check_parameters
+from sal_height.runs.entry import Chain, Part, check_given
+from sal_height.runs.flight_record import FlightRecord
 from sal_height.runs.reporting import PARAMETERS, merged
 from sal_height.runs.timeline import PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of
 from sal_height.settings import settings_of
@@ -37,6 +42,7 @@ class Processing:
         cues: what happens before dwells.
         changes: the same for the report, in the order of the dwells.
         warnings: a sentence on each thing of the flight that cannot be done again.
+        dwells: those that are played.
     """
 
     values: dict[str, dict[str, Any]]
@@ -44,11 +50,23 @@ class Processing:
     cues: list[Cue]
     changes: list[dict[str, Any]]
     warnings: list[str]
+    dwells: DwellRange
 
     @property
     def plays_calibrations(self) -> bool:
         """Whether calibrations of the bag are published."""
         return any(cue.calibrations for cue in self.cues)
+
+    @property
+    def for_player(self) -> dict[str, Any]:
+        """Parameters of the player."""
+        dwells = self.dwells
+        bounds = {"first_dwell": dwells.first, "last_dwell": dwells.last}
+        return {**bounds, "start_ns": dwells.start_ns, "end_ns": dwells.end_ns, "cues": cues_to_text(self.cues)}
+
+    def plays(self, image: Any) -> bool:
+        """Whether the dwell of a height image is played."""
+        return DwellKey(image.dwell, to_ns(image.header.stamp)) in self.dwells
 
     def report(self) -> dict[str, Any]:
         """What the report says of it."""
@@ -56,7 +74,7 @@ class Processing:
 
 
 def processing_of(
-    reader: BagReader, stages: Collection[str], chosen: NodeParameters, given: NodeParameters
+    reader: BagReader, chain: Chain, part: Part, chosen: NodeParameters, given: NodeParameters
 ) -> Processing:
     """Find out how the dwells of a bag were processed in flight, and what of that the user wants otherwise.
 
@@ -64,14 +82,20 @@ def processing_of(
 
     Args:
         reader: of the bag.
-        stages: names of the nodes at work.
+        chain: the nodes at work.
+        part: what of the bag is replayed.
         chosen: values where neither the bag nor the user says anything.
         given: values of the user's, which hold for all dwells.
 
     Raises:
         UserError: the bag's parameters cannot be read, or a value is not allowed today.
     """
-    timeline = timeline_of(reader)
+    check_given(given, chain)
+    timeline, stages = timeline_of(reader, chain.dwell_topics), chain.stages
+    held = timeline.dwells
+    if part.is_limited and not held:
+        held = list(FlightRecord(reader, chain.dwell_topics).last_frame_ns)
+    dwells = part.dwells_of(held)
     own, sources = _at_start(reader, timeline, chosen, given)
     values = check_parameters(merged(own, given))
     wanted = [
@@ -82,7 +106,8 @@ def processing_of(
     changes = [one for one in wanted if not _is_read_only(one.parameter)]
     for one in changes:
         check_parameters({one.parameter.node: {one.parameter.name: one.value}})
-    applies = values.get(APPLIED.node, {}).get(APPLIED.name) == HEARD
+    applied = values.get(APPLIED.node, {}).get(APPLIED.name) == HEARD
+    applies = (chain.entry == FRAMES and applied) or chain.entry == IMAGES  # which were made with one of the bag
     calibrations = timeline.calibrations if applies else []
     warnings = [
         *([] if _custom_data(reader) is not None else _forgotten(timeline)),
@@ -102,12 +127,14 @@ def processing_of(
             for one in changes
         ),
     ]
+    order = {dwell: place for place, dwell in enumerate(timeline.dwells)}
     return Processing(
         values,
         of_stages,
-        [cue for dwell in timeline.dwells if (cue := _cue(dwell, changes, calibrations))],
-        [{"dwell": dwell.number, **what} for dwell in timeline.dwells for key, what in listed if key == dwell],
+        _cues(timeline.dwells, dwells, changes, calibrations),
+        [{"dwell": dwell.number, **what} for dwell, what in sorted(listed, key=lambda entry: order[entry[0]])],
         warnings,
+        dwells,
     )
 
 
@@ -201,14 +228,28 @@ def _is_read_only(parameter: Parameter) -> bool:
     return settings_of(NODES[parameter.node].parameters)[parameter.name].read_only
 
 
-def _cue(dwell: DwellKey, changes: Sequence[Change], calibrations: Sequence[Applied]) -> Cue | None:
-    """What happens before a dwell, if anything does."""
+def _cues(
+    held: Sequence[DwellKey], dwells: DwellRange, changes: Sequence[Change], calibrations: Sequence[Applied]
+) -> list[Cue]:
+    """What happens before each dwell that is played; what happened before others holds for the next one."""
+    cues: list[Cue] = []
+    happened: dict[DwellKey, list[Change | Applied]] = {}
+    for change in changes:
+        happened.setdefault(change.dwell, []).append(change)
+    for calibration in calibrations:
+        happened.setdefault(calibration.dwell, []).append(calibration)
     values: dict[str, dict[str, Any]] = {}
-    for one in changes:
-        if one.dwell == dwell:
-            values.setdefault(one.parameter.node, {})[one.parameter.name] = one.value
-    applied = tuple(one.calibration for one in calibrations if one.dwell == dwell)
-    return Cue(dwell, values, applied) if values or applied else None
+    applied: list[str] = []
+    for dwell in held:
+        for one in happened.get(dwell, ()):
+            if isinstance(one, Applied):
+                applied.append(one.calibration)
+            else:
+                values.setdefault(one.parameter.node, {})[one.parameter.name] = one.value
+        if dwell in dwells and (values or applied):
+            cues.append(Cue(dwell, values, tuple(applied)))
+            values, applied = {}, []
+    return cues
 
 
 def _forgotten(timeline: Timeline) -> list[str]:

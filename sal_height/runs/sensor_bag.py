@@ -22,8 +22,8 @@ from sal_height.errors import UserError
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.runs.catalogue import HEIGHTS, suited
+from sal_height.runs.entry import contents
 from sal_height.runs.processes import Forked, beside
-from sal_height.runs.replay import contents
 from sal_height.runs.replay_parameters import recorded_parameters
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.runs.simulate import processing_of

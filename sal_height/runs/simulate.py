@@ -14,7 +14,6 @@ import yaml
 from sal_height.io import new_folder, write_text, writing
 from sal_height.runs.accuracy import Accuracy, read_accuracy
 from sal_height.runs.catalogue import (
-    HEIGHTS,
     TRACKER,
     NodeParameters,
     check_parameters,
@@ -97,7 +96,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
         accuracy = read_accuracy(bag, flight, stages)
         report["estimators"] = accuracy.statistics
-    return Flown(flight, outcome, accuracy, HEIGHTS[height_sources(stages, values)[TRACKER]])
+    return Flown(flight, outcome, accuracy, height_sources(stages, values)[TRACKER].removesuffix("/height"))
 
 
 def processing_of(preset: Preset, estimators: list[str]) -> dict[str, dict[str, Any]]:

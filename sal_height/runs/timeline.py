@@ -1,13 +1,13 @@
 """What happened in a recorded flight between its dwells: parameters of nodes that changed, calibrations that came.
 
-The provenance of heights says with which parameters and calibration their dwell was processed. Of dwells without
-heights, the order of the bag decides: what came before the last frame of a dwell was in force for it.
+The provenance of heights, or of images, says with which parameters and calibration their dwell was processed. Of dwells
+without them, the order of the bag decides: what came before the last frame of a dwell was in force for it.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
@@ -15,7 +15,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.height import LEFT_OUT
 from sal_height.runs.catalogue import NODES, SETTABLE
-from sal_height.runs.flight_record import FlightRecord, Heard, Said
+from sal_height.runs.flight_record import FlightRecord, Heard, Said, tells_of_its_making
 from sal_height.settings import settings_of
 
 PROVENANCE, EVENT, MESSAGE = "provenance", "parameter event", "order of the bag"
@@ -79,9 +79,19 @@ class Timeline:
     forgotten: dict[Parameter, str] = field(default_factory=dict)
 
 
-def timeline_of(reader: BagReader) -> Timeline:
-    """Find out what happened in the flight that a bag was recorded in; up to where the bag is damaged, if it is."""
-    record = FlightRecord(reader)
+def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_history",)) -> Timeline:
+    """Find out what happened in the flight that a bag was recorded in; up to where the bag is damaged, if it is.
+
+    Args:
+        reader: of the bag.
+        dwell_topics: topics with the frames that dwells are made of, or with their images or heights instead.
+
+    Returns:
+        The timeline; an empty one if nothing in the bag says how dwells were processed.
+    """
+    if not tells_of_its_making(reader):
+        return Timeline()
+    record = FlightRecord(reader, dwell_topics)
     timeline = Timeline(list(record.last_frame_ns))
     parameters, calibrations = _Parameters(timeline), _Calibrations(timeline, record.sensors)
     said, heard = deque(record.said), deque(record.heard)

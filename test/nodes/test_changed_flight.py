@@ -22,6 +22,7 @@ from sal_height.nodes.recorder import Recorder
 from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.runs import replay_parameters
 from sal_height.runs.conductor import Execution
+from sal_height.runs.entry import Part
 from sal_height.runs.replay import replay
 from sal_height.runs.timeline import Timeline, timeline_of
 
@@ -92,7 +93,8 @@ def fly(graph: Graph, flight: Any, folder: Path, deeds: Sequence[Deed | None], t
         sent["/platform/odometry"] += len(chain.odometry(dwell))
         sent["/phase_history"] += len(chain.frames(dwell))
         chain.wait(lambda: all(recorder.recorded[topic] >= count for topic, count in sent.items()), "the recorder")
-    chain.wait(lambda: all(recorder.recorded[t] == len(deeds) for t in topics), "heights to be recorded")
+    each = {topic: 8 if topic == "/slc" else 1 for topic in topics}
+    chain.wait(lambda: all(recorder.recorded[t] == n * len(deeds) for t, n in each.items()), "products in the bag")
     graph.close()
     return folder
 
@@ -138,8 +140,24 @@ def test_what_flew_is_replayed_as_flown(
     assert report["changes_in_flight"] == [{"dwell": 2, "calibration": "number 0", "source": "provenance"}]
     assert report["parameter_sources"]["ml_height"]["range_looks"] == "command line"
 
-    monkeypatch.setattr(replay_parameters, "timeline_of", lambda _: Timeline(found.dwells, found.start))
+    monkeypatch.setattr(replay_parameters, "timeline_of", lambda *_: Timeline(found.dwells, found.start))
     assert result_of(bag, tmp_path / "ignored") == dict.fromkeys(HEIGHTS, (False, 3))
+
+
+def test_what_changed_before_a_part_of_the_bag_holds_in_it(graph: Graph, flight: Any, tmp_path: Path) -> None:
+    """The last dwell alone, from phase history and from images, which were made with a calibration."""
+    bag = fly(graph, flight, tmp_path / "flight", [calibrate, set_looks, None], [*HEIGHTS, "/slc"])
+    for entry in ("phase_history", "slc"):
+        part = Part(entry, first=2)
+        compared = replay(bag, tmp_path / entry, {}, estimators=["ml", "monopulse"], part=part).compared
+        assert {t: (one.equal, one.matched) for t, one in compared.items()} == dict.fromkeys(HEIGHTS, (True, 1))
+        report = json.loads((tmp_path / entry / "report.json").read_text())
+        assert (report["dwells"], report["losses"]) == (1, [])
+        changes = report["changes_in_flight"]
+        assert [(one["dwell"], one.get("calibration"), one.get("value")) for one in changes] == [
+            (0, "number 0", None),
+            (1, None, 2),
+        ]
 
 
 def test_without_heights_the_order_of_the_bag_says_what_flew(graph: Graph, flight: Any, tmp_path: Path) -> None:

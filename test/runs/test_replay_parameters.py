@@ -13,13 +13,15 @@ from written_bag import calibration, changed, frame, heights, key, told, written
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.nodes.cues import Cue
+from sal_height.runs.entry import WHOLE, Chain
 from sal_height.runs.replay_parameters import Processing, processing_of
 
 STAGES = ["sar_compression", "ml_height", "relief_tracker"]
+CHAIN = Chain("phase_history", ["ml_height"], STAGES, 1, ["/phase_history"])
 
 
 def processing(reader: BagReader, given: Any = None) -> Processing:
-    return processing_of(reader, STAGES, {"relief_tracker": {"estimator": "capon"}}, given or {})
+    return processing_of(reader, CHAIN, WHOLE, {"relief_tracker": {"estimator": "capon"}}, given or {})
 
 
 def test_every_value_has_a_source(tmp_path: Path) -> None:

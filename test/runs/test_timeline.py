@@ -145,5 +145,5 @@ def test_every_sensor_has_a_calibration_of_its_own(tmp_path: Path) -> None:
     assert applied(flight) == [(0, "one", "provenance"), (1, "other", "provenance")]
 
 
-def test_a_bag_of_a_sensor_alone_is_not_read(tmp_path: Path) -> None:
+def test_a_bag_of_a_sensor_alone_says_nothing(tmp_path: Path) -> None:
     assert found(tmp_path, frame(0), frame(1)) == Timeline()

@@ -1,0 +1,134 @@
+"""What of a bag is played: its topics, and the dwells that are chosen of it."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rclpy.qos import QoSProfile
+from sal_height_msgs.msg import Provenance
+
+from sal_height import messages
+from sal_height.bag.reader import BagMessage
+from sal_height.nodes.cues import DwellKey
+from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+
+IMAGES = "slc"
+
+SENSOR = (SENSOR_INFO, ODOMETRY, FRAMES)
+"""Topics of a sensor: those that are played unless others are named."""
+
+MARGIN_NS = 1_000_000_000
+"""Odometry is played from so long before the first pulse of a chosen dwell to so long after its last, besides the last
+sample before and the first one after."""
+
+MOST, LATEST_NS = 2**32 - 1, 2**63 - 1
+"""Greatest number of a dwell, and latest stamp, ns."""
+
+FRAME, IMAGE, HEIGHTS = (f"sal_height_msgs/msg/{name}" for name in ("ChannelFrame", "ComplexImage", "HeightImage"))
+
+
+def qos_of(topic: str) -> QoSProfile:
+    """The quality of service of a topic that is played."""
+    return {SENSOR_INFO: LATCHED_QOS, ODOMETRY: ODOMETRY_QOS}.get(topic, FRAMES_QOS)
+
+
+class DwellPart(NamedTuple):
+    """What a message is part of.
+
+    Attributes:
+        dwell: its dwell.
+        end_ns: stamp of the dwell's last pulse, as far as the message says, ns.
+        provenance: how it was made, to be left as it is; None: it is what the sensor delivered.
+    """
+
+    dwell: DwellKey
+    end_ns: int
+    provenance: Provenance | None = None
+
+
+def part_of(recorded: BagMessage) -> DwellPart | None:
+    """The dwell of a frame, image or height image; None: it is another message.
+
+    Raises:
+        RuntimeError: the message is broken.
+    """
+    if recorded.type_name == FRAME:
+        frame = messages.received_frame(recorded.cdr)
+        duration = max((t for t in frame.pulse_time.tolist() if 0 < t <= messages.LONGEST_DWELL), default=0.0)
+        return DwellPart(DwellKey(frame.dwell, frame.stamp_ns), frame.stamp_ns + round(duration * 1e9))
+    if recorded.type_name == IMAGE:
+        image = messages.received_image(recorded.cdr)
+        return DwellPart(DwellKey(image.dwell, image.stamp_ns), image.stamp_ns, image.provenance)
+    if recorded.type_name == HEIGHTS:
+        origin = messages.height_origin(recorded.cdr)
+        return DwellPart(DwellKey(origin.dwell, origin.stamp_ns), origin.stamp_ns, origin.provenance)
+    return None
+
+
+@dataclass(frozen=True)
+class DwellRange:
+    """The dwells that are chosen of a bag, by number and by time.
+
+    Attributes:
+        first: number of the first one.
+        last: number of the last one.
+        start_ns: earliest stamp, ns.
+        end_ns: latest stamp, ns.
+    """
+
+    first: int = 0
+    last: int = MOST
+    start_ns: int = 0
+    end_ns: int = LATEST_NS
+
+    def __contains__(self, dwell: DwellKey) -> bool:
+        """Whether a dwell is chosen."""
+        return self.first <= dwell.number <= self.last and self.start_ns <= dwell.stamp_ns <= self.end_ns
+
+
+ALL = DwellRange()
+
+
+def chosen(recorded: Iterator[BagMessage], dwells: DwellRange) -> Iterator[BagMessage]:
+    """The messages of chosen dwells, and the odometry around them; descriptions of the sensor are never left out.
+
+    Broken messages are left to whoever plays them.
+    """
+    odometry: deque[tuple[int, BagMessage]] = deque()
+    covered_ns, needed_ns, passed_ns = -math.inf, -math.inf, -math.inf
+    for one in recorded:
+        try:
+            part = part_of(one)
+            stamp_ns = messages.received_pose(one.cdr).stamp_ns if one.topic.lstrip("/") == ODOMETRY else None
+        except RuntimeError:
+            yield one
+            continue
+        if stamp_ns is not None:
+            if covered_ns < needed_ns or stamp_ns <= needed_ns + MARGIN_NS:
+                covered_ns = stamp_ns
+                yield one
+            else:
+                odometry.append((stamp_ns, one))
+                _forget(odometry, passed_ns)
+        elif part is None:
+            yield one
+        elif part.dwell in dwells:
+            needed_ns = max(needed_ns, part.end_ns)
+            _forget(odometry, part.dwell.stamp_ns)
+            while odometry:
+                covered_ns, sample = odometry.popleft()
+                yield sample
+            yield one
+        else:
+            passed_ns = part.dwell.stamp_ns
+
+
+def _forget(odometry: deque[tuple[int, BagMessage]], time_ns: float) -> None:
+    """Leave out what is longer than the margin before a time, but for the last sample before it."""
+    while len(odometry) > 1 and odometry[1][0] < time_ns - MARGIN_NS:
+        odometry.popleft()

@@ -1,0 +1,181 @@
+"""Where in the chain of nodes a replay begins: what is played of the bag, and which nodes work on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+from sal_height import messages
+from sal_height.bag.reader import BagReader
+from sal_height.elevation import ESTIMATORS
+from sal_height.errors import UserError
+from sal_height.nodes.cues import DwellKey
+from sal_height.nodes.played import ALL, IMAGES, LATEST_NS, MOST, SENSOR, DwellRange
+from sal_height.nodes.playlist import FRAMES, SENSOR_INFO
+from sal_height.runs.catalogue import HEIGHTS, NODES, TRACKER, NodeParameters, suited
+from sal_height.sensor import Sensor
+
+FROM_HEIGHTS = "heights"
+
+ENTRIES = FRAMES, IMAGES, FROM_HEIGHTS
+"""Where a replay may begin: with the phase history, the complex images, or the heights in the bag."""
+
+MAPPER = "relief_mapper"
+
+HOW = {
+    FRAMES: "record it with the node recorder or `sal-height record` beside the sensor",
+    IMAGES: "`sal-height run` and `sal-height replay` record the complex images with --record slc",
+    FROM_HEIGHTS: "`sal-height run`, `sal-height replay` and `sal-height record` record heights",
+}
+"""How to record what a replay begins with."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What of a bag is replayed.
+
+    Attributes:
+        entry: one of ENTRIES.
+        first: number of the first dwell.
+        last: number of the last dwell.
+        start_s: earliest begin of a dwell, s after that of the first one in the bag.
+        end_s: latest begin of a dwell, likewise.
+    """
+
+    entry: str = FRAMES
+    first: int = 0
+    last: int = MOST
+    start_s: float = 0.0
+    end_s: float = math.inf
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether some dwells may be left out."""
+        return replace(self, entry=FRAMES) != WHOLE
+
+    def dwells_of(self, held: Sequence[DwellKey]) -> DwellRange:
+        """The dwells that are played of those that a bag holds, in its order.
+
+        Raises:
+            UserError: there is none.
+        """
+        if not self.is_limited:
+            return ALL
+        origin_ns = held[0].stamp_ns if held else 0
+        end_ns = LATEST_NS if math.isinf(self.end_s) else min(LATEST_NS, origin_ns + round(self.end_s * 1e9))
+        chosen = DwellRange(self.first, self.last, origin_ns + round(self.start_s * 1e9), end_ns)
+        if not any(dwell in chosen for dwell in held):
+            numbers = [dwell.number for dwell in held] or [0]
+            length_s = max(((dwell.stamp_ns - origin_ns) * 1e-9 for dwell in held), default=0.0)
+            raise UserError(
+                f"No dwell of the bag is in this range; its {len(held)} dwells have the numbers {min(numbers)} to "
+                f"{max(numbers)} and begin from 0 to {length_s:.6g} s."
+            )
+        return chosen
+
+
+WHOLE = Part()
+"""All dwells, from the phase history on."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The nodes of a replay.
+
+    Attributes:
+        entry: one of ENTRIES.
+        makers: nodes whose heights there are, made here or in the bag.
+        stages: all that process, in their order.
+        dwells: how many dwells the bag has.
+        dwell_topics: topics of the bag that the dwells are on.
+    """
+
+    entry: str
+    makers: list[str]
+    stages: list[str]
+    dwells: int
+    dwell_topics: list[str]
+
+    def played(self, parameters: NodeParameters) -> list[str]:
+        """Topics that are played to nodes with these parameters.
+
+        Raises:
+            UserError: a node takes heights that are not among those in the bag.
+        """
+        if self.entry != FROM_HEIGHTS:
+            return list(SENSOR) if self.entry == FRAMES else [SENSOR_INFO, IMAGES]
+        prefixes = dict.fromkeys(parameters.get(name, {}).get("estimator", "ml") for name in self.stages)
+        topics = [f"{prefix}/height" for prefix in prefixes if prefix != HEIGHTS[TRACKER]]
+        if lost := [topic for topic in topics if f"/{topic}" not in self.dwell_topics]:
+            raise UserError(f"The bag has no heights on {lost[0]}; it has {', '.join(self.dwell_topics)}.")
+        return topics
+
+
+def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> Chain:
+    """The nodes that replay a bag from an entry on.
+
+    Args:
+        reader: of the bag.
+        entry: one of ENTRIES.
+        estimators: names of those whose heights are made; none: those whose heights the bag holds, or else all that
+            suit the sensor and need not be asked for.
+
+    Raises:
+        UserError: the bag lacks what is to be played, an estimator does not suit it, or there is nothing to make.
+    """
+    held = [name for name in ESTIMATORS if _count(reader, f"/{name}/height")]
+    if entry == FROM_HEIGHTS:
+        if not held:
+            raise _lacking(reader, "heights of an estimator, such as /ml/height", entry)
+        if estimators:
+            raise UserError("Option --estimators has no meaning with --from heights: no estimator works there.")
+        topics = [f"/{name}/height" for name in held]
+        makers = [ESTIMATORS[name].node for name in held]
+        return Chain(entry, makers, [TRACKER, MAPPER], max(_count(reader, topic) for topic in topics), topics)
+    sensor, dwells = contents(reader, entry)
+    height_nodes = suited(sensor, estimators or held)
+    if entry == IMAGES and not height_nodes:
+        raise UserError(f"Bag {reader.path} is of a sensor with one detector: of its images no heights can be made.")
+    first = ["sar_compression"] if entry == FRAMES else []
+    return Chain(
+        entry, height_nodes, [*first, *((*height_nodes, TRACKER) if height_nodes else ())], dwells, [f"/{entry}"]
+    )
+
+
+def contents(reader: BagReader, entry: str = FRAMES) -> tuple[Sensor, int]:
+    """The sensor of a bag, and the number of its dwells.
+
+    Args:
+        reader: of the bag.
+        entry: on which topic the dwells are, phase_history or slc.
+
+    Raises:
+        UserError: there is no sensor info that is valid, or nothing on that topic.
+    """
+    for name in (SENSOR_INFO, entry):
+        if not _count(reader, f"/{name}"):
+            raise _lacking(reader, f"messages on /{name}", entry)
+    first = next(reader.messages([f"/{SENSOR_INFO}"]))
+    sensor = messages.sensor_from_message(reader.decode(first.type_name, first.cdr))
+    return sensor, -(-reader.topics[f"/{entry}"].count // sensor.detector_count)
+
+
+def check_given(given: NodeParameters, chain: Chain) -> None:
+    """Refuse parameters of nodes that do not work in a replay that does not begin with the phase history.
+
+    Raises:
+        UserError: there are such.
+    """
+    if chain.entry != FRAMES and (idle := [name for name in given if name in NODES and name not in chain.stages]):
+        raise UserError(
+            f"Node {idle[0]} does not work in a replay from {chain.entry}; set parameters of {', '.join(chain.stages)}."
+        )
+
+
+def _count(reader: BagReader, topic: str) -> int:
+    return reader.topics[topic].count if topic in reader.topics else 0
+
+
+def _lacking(reader: BagReader, what: str, entry: str) -> UserError:
+    return UserError(f"Bag {reader.path} has no {what}; it cannot be replayed from {entry}: {HOW[entry]}.")

@@ -129,15 +129,15 @@ def height_sources(stages: list[str], parameters: NodeParameters, played: Sequen
     Raises:
         UserError: none of the stages makes those heights, nor are they played.
     """
-    given = {topic.removesuffix("/height") for topic in played if topic.endswith("/height")}
+    given = [topic.removesuffix("/height") for topic in played if topic.endswith("/height")]
     sources = {}
     for name in (stage for stage in stages if NODES[stage].takes_heights):
         prefix = parameters.get(name, {}).get("estimator", "ml")
-        makers = given | {HEIGHTS[node] for node in stages if node in HEIGHTS and node != name}
+        makers = [*given, *(HEIGHTS[node] for node in stages if node in HEIGHTS and node != name)]
         if prefix not in makers:
             raise UserError(
                 f"The heights of estimator {prefix!r}, which {name} takes, are not made here; allowed are "
-                f"{', '.join(sorted(makers))}."
+                f"{', '.join(makers)}."
             )
         sources[name] = f"{prefix}/height"
     return sources

@@ -17,7 +17,7 @@ from sal_height.io import new_folder, or_null, writing
 from sal_height.nodes.player import CALIBRATION_TOPIC
 from sal_height.response import measure_brightest
 from sal_height.runs.accuracy import read_accuracy
-from sal_height.runs.catalogue import HEIGHTS, NodeParameters, consumers, recorded_topics
+from sal_height.runs.catalogue import HEIGHTS, TRACKER, NodeParameters, consumers, recorded_topics
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.judge import as_json, judge
@@ -124,14 +124,15 @@ def replay(
         topics = recorded_topics(stages, values, played)
         topics += [CALIBRATION_TOPIC] if processing.plays_calibrations else []
         custom_data = {**reader.custom_data, PARAMETERS: json.dumps(values)}
-        outcome = perform(Plan("player", stages, topics, made, nodes, chain.dwells, custom_data, played), execution)
+        outcome = perform(Plan("player", stages, topics, made, nodes, processing.count, custom_data, played), execution)
         conclude(outcome, values, report)
         compared = {}
         all_made = not estimators and part.entry != FROM_HEIGHTS
         prefixes = [prefix for name, prefix in HEIGHTS.items() if name in stages or all_made]
-        topics = [topic for p in prefixes if (topic := f"/{p}/height") in golden.topics]
-        if topics and not outcome.interrupted:
-            compared = judge(golden.path, made, against.tolerances, topics, folder, processing.plays)
+        judged = [f"/{p}/height" for p in prefixes if p != HEIGHTS[TRACKER] or processing.begins_with_bag]
+        judged = [topic for topic in judged if topic in golden.topics]
+        if judged and not outcome.interrupted:
+            compared = judge(golden.path, made, against.tolerances, judged, folder, processing.plays)
             report["comparison"] = as_json(golden.path, made, compared, against.tolerances)
         flight = recorded_flight(reader)
         accuracy = read_accuracy(made, flight, stages).statistics if flight else {}

@@ -43,6 +43,8 @@ class Processing:
         changes: the same for the report, in the order of the dwells.
         warnings: a sentence on each thing of the flight that cannot be done again.
         dwells: those that are played.
+        count: how many these are.
+        begins_with_bag: whether the first dwell of the bag is among them: tracked heights follow from those before.
     """
 
     values: dict[str, dict[str, Any]]
@@ -51,6 +53,8 @@ class Processing:
     changes: list[dict[str, Any]]
     warnings: list[str]
     dwells: DwellRange
+    count: int
+    begins_with_bag: bool
 
     @property
     def plays_calibrations(self) -> bool:
@@ -135,6 +139,8 @@ def processing_of(
         [{"dwell": dwell.number, **what} for dwell, what in sorted(listed, key=lambda entry: order[entry[0]])],
         warnings,
         dwells,
+        sum(dwell in dwells for dwell in held) or chain.dwells,
+        not held or held[0] in dwells,
     )
 
 

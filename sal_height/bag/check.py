@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -16,7 +16,7 @@ from sal_height.bag.check_files import check_accounts, check_metadata, check_typ
 from sal_height.bag.check_sensor import RECORD_ALL, SensorCheck
 from sal_height.bag.files import REPEATED_SEQUENCE, bag_files, check_start
 from sal_height.bag.findings import Finding, error, of_refusal, recovery, warning
-from sal_height.bag.index import FileIndex, read_index
+from sal_height.bag.index import FileIndex, read_index, read_log_times
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.sensor_topics import FRAMES, SENSOR_INFO, sensors_in
 from sal_height.errors import UserError
@@ -62,6 +62,7 @@ def check_bag(path: Path, advance: Callable[[int, int], None]) -> list[Finding]:
         return [of_refusal(refusal, "Record the bag anew: it has no messages that ROS 2 programs understand.")]
     return [
         *check_metadata(path, indexes),
+        *_check_message_indexes(path, indexes),
         *check_types(reader),
         *check_accounts(reader),
         *_check_messages(reader, advance),
@@ -82,6 +83,15 @@ def _is_mcap(file: Path) -> bool:
     except UserError:
         return False
     return True
+
+
+def _check_message_indexes(path: Path, indexes: Sequence[FileIndex]) -> Iterator[Finding]:
+    """Whether each chunk is followed by the indexes of its messages, by which readers seek."""
+    for index in indexes:
+        try:
+            read_log_times(index)
+        except UserError as refusal:
+            yield of_refusal(refusal, recovery(path))
 
 
 def _check_messages(reader: BagReader, advance: Callable[[int, int], None]) -> Iterator[Finding]:

@@ -173,6 +173,16 @@ def test_a_damaged_chunk_is_found_and_the_rest_is_checked(tmp_path: Path) -> Non
     assert "lacks channel 0" in dwell.sentence
 
 
+def test_a_damaged_message_index_is_found(tmp_path: Path) -> None:
+    bag = write_like_reference(tmp_path / "bag", reference())
+    file = bag / "bag_0.mcap"
+    chunk = read_index(file).summary.chunk_indexes[3]
+    content = bytearray(file.read_bytes())
+    content[chunk.chunk_start_offset + chunk.chunk_length] ^= 1
+    file.write_bytes(content)
+    the_finding(bag, "error", str(file), "there is no message index at byte", "bag recover")
+
+
 @pytest.mark.parametrize("topic", [FRAMES, ODOMETRY])
 def test_a_topic_that_is_needed_and_absent_is_found(topic: str, tmp_path: Path) -> None:
     bag = write_like_reference(tmp_path / "bag", [m for m in reference() if m.topic != topic])

@@ -28,7 +28,7 @@ from sal_height.runs.timeline import Timeline, timeline_of
 
 SENSOR_TOPICS = ["/sensor_info", "/platform/odometry", "/phase_history"]
 HEIGHTS = ["/ml/height", "/monopulse/height"]
-EQUAL = dict.fromkeys(HEIGHTS, (True, 3))
+EQUAL = dict.fromkeys(HEIGHTS, ("equal", 3))
 LOOKS = {"range_looks": 1, "azimuth_looks": 3}
 """Not the defaults of the nodes."""
 
@@ -105,7 +105,7 @@ def key(flight: Any, dwell: int) -> DwellKey:
 
 def result_of(bag: Path, out: Path, **given: Any) -> dict[str, tuple[bool, int]]:
     compared = replay(bag, out, given, estimators=["ml", "monopulse"]).compared
-    return {topic: (one.equal, one.matched) for topic, one in compared.items()}
+    return {topic: (one.verdict, one.matched) for topic, one in compared.items()}
 
 
 def test_what_flew_is_replayed_as_flown(
@@ -130,18 +130,18 @@ def test_what_flew_is_replayed_as_flown(
 
     again = tmp_path / "replay" / "bag"  # which can be replayed in its turn
     compared = replay(again, tmp_path / "again", {}, Execution(processes=True)).compared
-    assert {t: one.equal for t, one in compared.items()} == dict.fromkeys([*HEIGHTS, "/tracked/height"], True)
+    assert {t: one.verdict for t, one in compared.items()} == dict.fromkeys([*HEIGHTS, "/tracked/height"], "equal")
     changes = json.loads((tmp_path / "again" / "report.json").read_text())["changes_in_flight"]
     assert changes == report["changes_in_flight"]
 
     given = result_of(bag, tmp_path / "given", ml_height={"range_looks": 2})
-    assert given == {**EQUAL, "/ml/height": (False, 3)}  # but for the first dwell, for which it was 1
+    assert given == {**EQUAL, "/ml/height": ("changed", 3)}  # but for the first dwell, for which it was 1
     report = json.loads((tmp_path / "given" / "report.json").read_text())
     assert report["changes_in_flight"] == [{"dwell": 2, "calibration": "number 0", "source": "provenance"}]
     assert report["parameter_sources"]["ml_height"]["range_looks"] == "command line"
 
     monkeypatch.setattr(replay_parameters, "timeline_of", lambda *_: Timeline(found.dwells, found.start))
-    assert result_of(bag, tmp_path / "ignored") == dict.fromkeys(HEIGHTS, (False, 3))
+    assert result_of(bag, tmp_path / "ignored") == dict.fromkeys(HEIGHTS, ("changed", 3))
 
 
 def test_what_changed_before_a_part_of_the_bag_holds_in_it(graph: Graph, flight: Any, tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_what_changed_before_a_part_of_the_bag_holds_in_it(graph: Graph, flight:
     for entry in ("phase_history", "slc"):
         part = Part(entry, first=2)
         compared = replay(bag, tmp_path / entry, {}, estimators=["ml", "monopulse"], part=part).compared
-        assert {t: (one.equal, one.matched) for t, one in compared.items()} == dict.fromkeys(HEIGHTS, (True, 1))
+        assert {t: (one.verdict, one.matched) for t, one in compared.items()} == dict.fromkeys(HEIGHTS, ("equal", 1))
         report = json.loads((tmp_path / entry / "report.json").read_text())
         assert (report["dwells"], report["losses"]) == (1, [])
         changes = report["changes_in_flight"]

@@ -9,6 +9,7 @@ import pytest
 from chain_fixture import TIMEOUT_S, Chain
 from rclpy.parameter import Parameter
 
+from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.recorder import Recorder
@@ -44,7 +45,7 @@ def fly(graph: Graph, flight: Any, folder: Path, topics: list[str]) -> Path:
 def test_the_heights_are_those_of_the_flight(graph: Graph, flight: Any, tmp_path: Path) -> None:
     bag = fly(graph, flight, tmp_path / "flight", [*SENSOR_TOPICS, *HEIGHTS])
     compared = replay(bag, tmp_path / "replay", {}, estimators=["ml", "monopulse"]).compared
-    assert {topic: (result.equal, result.matched) for topic, result in compared.items()} == dict.fromkeys(
+    assert {topic: (result.verdict == EQUAL, result.matched) for topic, result in compared.items()} == dict.fromkeys(
         HEIGHTS, (True, 2)
     )
 

@@ -12,6 +12,7 @@ import pytest
 import rasterio
 from helpers import assert_one_sentence
 
+from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
 from sal_height.commands import main
 from sal_height.errors import UserError
@@ -35,7 +36,7 @@ def flown(two_dwells: Preset, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def summary(result: Replay) -> dict[str, tuple[int, int, int, bool]]:
     compared = result.compared.items()
-    return {topic: (one.matched, one.missing, one.extra, one.equal) for topic, one in compared}
+    return {topic: (one.matched, one.missing, one.extra, one.verdict == EQUAL) for topic, one in compared}
 
 
 def counts(bag: Path) -> dict[str, int]:

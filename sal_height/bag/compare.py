@@ -7,7 +7,6 @@ import itertools
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -114,8 +113,8 @@ class Comparison:
 
 
 def compare_bags(
-    golden: Path,
-    other: Path,
+    golden: BagReader,
+    other: BagReader,
     tolerances: Tolerances = EXACT,
     topics: Collection[str] | None = None,
     counts: Callable[[Any], bool] | None = None,
@@ -135,7 +134,7 @@ def compare_bags(
     Raises:
         UserError: a bag cannot be read.
     """
-    bags = BagReader(golden), BagReader(other)
+    bags = golden, other
     numbers = [_numbers(bag, topics) for bag in bags]
     found = {topic: Comparison() for topic in dict.fromkeys([*numbers[0], *numbers[1]])}
     read = found.keys() if counts else numbers[0].keys() & numbers[1].keys()

@@ -78,6 +78,7 @@ def replay(
     start: Annotated[float, Parameter(metavar="S", validator=Number(gte=0))] = 0.0,
     end: Annotated[float | None, Parameter(metavar="S", validator=Number(gte=0))] = None,
     entry: Annotated[Literal["phase_history", "slc", "heights"], Parameter(name="--from")] = "phase_history",
+    namespace: Annotated[str | None, Parameter(metavar="NAME")] = None,
 ) -> int:
     """Play a recorded bag through the same nodes and compare the heights with those recorded.
 
@@ -93,6 +94,7 @@ def replay(
         start: Play only dwells that begin so long after the first one of the bag, in seconds.
         end: Play only dwells that begin until so long after the first one, in seconds. Default: all.
         entry: Begin with the complex images (slc) or the heights in the bag. Heights go to tracker and mapper alone.
+        namespace: Play the topics of this namespace. Needed only if several have what is played.
         against: Bag with the heights to compare with. Default: those of BAG.
         out: Output folder, new or empty. Default: out/replay_BAG, or the next free of out/replay_BAG_2, ….
     """
@@ -104,7 +106,7 @@ def replay(
     from sal_height.runs.tables import comparison_table, images_table, results_table
 
     first, last = dwells or (0, MOST)
-    part = Part(entry, first, last, start, math.inf if end is None else end)
+    part = Part(entry, first, last, start, math.inf if end is None else end, namespace)
     folder = output_folder(out, f"replay_{bag_name(bag)}")
     golden = Against(against, read_tolerances(tolerance) if tolerance else ROUNDING)
     result = play_again(bag, folder, node_parameters(param), graph.execution(), golden, estimators, part)

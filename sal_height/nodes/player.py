@@ -11,6 +11,7 @@ from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import SensorInfo
 
 from sal_height.bag.definitions import message_class
+from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
 from sal_height.nodes.account import CALIBRATIONS
@@ -42,6 +43,9 @@ class Parameters(StageParameters):
         SENSOR,
         "topics that are played: those of the sensor, or sensor_info and slc, or heights such as ml/height",
         read_only=True,
+    )
+    namespace: str = setting(
+        "", "namespace that the topics have in the bag, which they are played without; empty: none", read_only=True
     )
     first_dwell: int = setting(0, "number of the first dwell that is played", minimum=0, maximum=MOST, read_only=True)
     last_dwell: int = setting(MOST, "number of the last dwell that is played", minimum=0, maximum=MOST, read_only=True)
@@ -90,8 +94,8 @@ class Player(Stage):
         path = self.current_parameters().bag
         if not path:
             raise UserError("Parameter bag is empty; it must be the path of a bag.")
-        self._reader = BagReader(Path(path))
         parameters = self.current_parameters()
+        self._reader = NamespacedReader(Path(path), parameters.namespace)
         recorded = {name.lstrip("/"): topic for name, topic in self._reader.topics.items()}
         if missing := [name for name in parameters.topics if name not in recorded]:
             raise UserError(

@@ -21,12 +21,12 @@ ONE_SIDED = "magenta"
 """Colour of pixels that have a height on one side only."""
 
 
-def worst_height_image(compared: Mapping[str, Comparison], golden: Path) -> tuple[str, int] | None:
+def worst_height_image(compared: Mapping[str, Comparison], golden: BagReader) -> tuple[str, int] | None:
     """Topic and dwell of the height image with most values beyond the tolerance; of those that differ if none is.
 
     None: no height image differs, or none is on both sides.
     """
-    topics = {name: topic.type_name for name, topic in BagReader(golden).topics.items()}
+    topics = {name: topic.type_name for name, topic in golden.topics.items()}
     images = {name: one for name, one in compared.items() if topics.get(name) == HEIGHT_IMAGE and one.matched}
     beyond = {name: one.outside.most_common(1)[0] for name, one in images.items() if one.outside}
     if beyond:
@@ -39,7 +39,7 @@ def worst_height_image(compared: Mapping[str, Comparison], golden: Path) -> tupl
     return None
 
 
-def draw_difference(golden: Path, made: Path, topic: str, dwell: int, path: Path) -> None:
+def draw_difference(golden: BagReader, made: BagReader, topic: str, dwell: int, path: Path) -> None:
     """Write a PNG of the first surface of an image in two bags, and of the difference of their heights.
 
     Pixels that have a height on one side only are marked in the difference.
@@ -67,10 +67,9 @@ def draw_difference(golden: Path, made: Path, topic: str, dwell: int, path: Path
     figure.savefig(path, dpi=110)
 
 
-def _heights(bag: Path, topic: str, dwell: int) -> F64:
+def _heights(bag: BagReader, topic: str, dwell: int) -> F64:
     """Heights of the first surface of a dwell, (rows, cols); NaN where there is none."""
-    reader = BagReader(bag)
-    decoded = (reader.decode(one.type_name, one.cdr) for one in reader.messages([topic]))
+    decoded = (bag.decode(one.type_name, one.cdr) for one in bag.messages([topic]))
     message: Any = next(image for image in decoded if image.dwell == dwell)
     shape = message.grid.rows, message.grid.cols
     heights = np.asarray(message.surfaces[0].height, np.float64) if message.surfaces else np.zeros(0)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from sal_height import messages
+from sal_height.bag.namespace import NamespacedReader, open_bag
 from sal_height.bag.reader import BagReader
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
@@ -41,6 +43,7 @@ class Part:
         last: number of the last dwell.
         start_s: earliest begin of a dwell, s after that of the first one in the bag.
         end_s: latest begin of a dwell, likewise.
+        namespace: of the topics in the bag; None: the one that has what is played, or none.
     """
 
     entry: str = FRAMES
@@ -48,11 +51,21 @@ class Part:
     last: int = MOST
     start_s: float = 0.0
     end_s: float = math.inf
+    namespace: str | None = None
+
+    def open(self, bag: Path) -> NamespacedReader:
+        """Read a bag in its namespace.
+
+        Raises:
+            UserError: the bag cannot be used, or several namespaces have what is played, or that of the name has not.
+        """
+        heights = [f"{name}/height" for name in ESTIMATORS]
+        return open_bag(bag, self.namespace, heights if self.entry == FROM_HEIGHTS else [self.entry])
 
     @property
     def is_limited(self) -> bool:
         """Whether some dwells may be left out."""
-        return replace(self, entry=FRAMES) != WHOLE
+        return replace(self, entry=FRAMES, namespace=None) != WHOLE
 
     def dwells_of(self, held: Sequence[DwellKey]) -> DwellRange:
         """The dwells that are played of those that a bag holds, in its order.

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from rclpy.parameter import parameter_value_to_python
 
 from sal_height import messages
+from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
 from sal_height.nodes.cues import DwellKey
@@ -114,6 +115,8 @@ class FlightRecord:
 
     def _take_event(self, recorded: BagMessage) -> None:
         event = self._reader.decode(recorded.type_name, recorded.cdr)
+        if isinstance(self._reader, NamespacedReader) and not self._reader.holds(event.node):
+            return
         node = event.node.rpartition("/")[2]
         for parameters, is_change in ((event.new_parameters, False), (event.changed_parameters, True)):
             values = {one.name: parameter_value_to_python(one.value) for one in parameters}

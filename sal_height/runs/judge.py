@@ -22,8 +22,8 @@ PASSING = frozenset({DIAGNOSTICS_RECORDED, "/parameter_events", "/progress", "/r
 
 
 def judge(
-    golden: Path,
-    made: Path,
+    golden: BagReader,
+    made: BagReader,
     tolerances: Tolerances,
     topics: Collection[str] | None,
     folder: Path,
@@ -57,7 +57,9 @@ def verdict_of(compared: Mapping[str, Comparison]) -> str:
     return next(verdict for verdict in (CHANGED, WITHIN, EQUAL) if verdict in verdicts)
 
 
-def as_json(golden: Path, made: Path, compared: Mapping[str, Comparison], tolerances: Tolerances) -> dict[str, Any]:
+def as_json(
+    golden: BagReader, made: BagReader, compared: Mapping[str, Comparison], tolerances: Tolerances
+) -> dict[str, Any]:
     """What a report says of a comparison of two bags; latencies are those that the nodes told last.
 
     Raises:
@@ -66,7 +68,7 @@ def as_json(golden: Path, made: Path, compared: Mapping[str, Comparison], tolera
     latencies = _latencies(golden), _latencies(made)
     return {
         "verdict": verdict_of(compared),
-        "golden": golden.name,
+        "golden": golden.path.name,
         "tolerances": tolerances.as_json(),
         "topics": {topic: one.as_json() for topic, one in compared.items()},
         "latency_p50_ms": {
@@ -76,24 +78,24 @@ def as_json(golden: Path, made: Path, compared: Mapping[str, Comparison], tolera
     }
 
 
-def topics_to_compare(golden: Path, made: Path, named: Collection[str]) -> list[str]:
+def topics_to_compare(golden: BagReader, made: BagReader, named: Collection[str]) -> list[str]:
     """Topics of two bags whose content can be compared: those named, or all but those that say how a run went.
 
     Raises:
         UserError: a bag cannot be read, or a topic that is named is in neither.
     """
-    known = list(dict.fromkeys([*BagReader(golden).topics, *BagReader(made).topics]))
+    known = list(dict.fromkeys([*golden.topics, *made.topics]))
     wanted = [f"/{topic.removeprefix('/')}" for topic in named]
     if lost := [topic for topic in wanted if topic not in known]:
         raise UserError(f"Neither bag has topic {lost[0]}; they have {', '.join(known)}.")
     return wanted or [topic for topic in known if topic not in PASSING]
 
 
-def _latencies(bag: Path) -> dict[str, float]:
+def _latencies(bag: BagReader) -> dict[str, float]:
     """Median latency of each node, ms, as it told it last in a bag."""
-    reader, found = BagReader(bag), {}
-    for recorded in reader.messages([DIAGNOSTICS_RECORDED]) if DIAGNOSTICS_RECORDED in reader.topics else ():
-        for status in reader.decode(recorded.type_name, recorded.cdr).status:
+    found = {}
+    for recorded in bag.messages([DIAGNOSTICS_RECORDED]) if DIAGNOSTICS_RECORDED in bag.topics else ():
+        for status in bag.decode(recorded.type_name, recorded.cdr).status:
             latency = Account.of_status(status).numbers.get(LATENCY_P50)
             if latency is not None:
                 found[status.name] = latency

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sal_height.bag.compare import CHANGED, Comparison
+from sal_height.bag.namespace import open_bag
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import ROUNDING, Tolerances
 from sal_height.errors import UserError
@@ -42,6 +43,8 @@ class Against:
 
 
 RECORDED = Against()
+
+HEIGHT_TOPICS = [f"{prefix}/height" for prefix in HEIGHTS.values()]
 
 
 @dataclass(frozen=True)
@@ -108,8 +111,8 @@ def replay(
     Raises:
         UserError: the bag cannot be used, a parameter is not allowed, or the replay failed.
     """
-    reader = BagReader(bag)
-    golden = BagReader(against.golden) if against.golden else reader
+    reader = part.open(bag)
+    golden = open_bag(against.golden, None, HEIGHT_TOPICS) if against.golden else reader
     chain = chain_of(reader, part.entry, estimators)
     processing = processing_of(reader, chain, part, consumers(chain.makers), parameters)
     stages, values = chain.stages, processing.values
@@ -118,7 +121,10 @@ def replay(
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
         report.update(processing.report())
-        nodes = merged(values, {"player": {"bag": str(bag), "topics": played, **processing.for_player}})
+        nodes = merged(
+            values,
+            {"player": {"bag": str(bag), "namespace": reader.namespace, "topics": played, **processing.for_player}},
+        )
         if MAPPER in stages and "file" not in parameters.get(MAPPER, {}):
             nodes = merged(nodes, {MAPPER: {"file": str(folder / RELIEF_MAP) if find_spec("rasterio") else ""}})
         topics = recorded_topics(stages, values, played)
@@ -132,8 +138,8 @@ def replay(
         judged = [f"/{p}/height" for p in prefixes if p != HEIGHTS[TRACKER] or processing.begins_with_bag]
         judged = [topic for topic in judged if topic in golden.topics]
         if judged and not outcome.interrupted:
-            compared = judge(golden.path, made, against.tolerances, judged, folder, processing.plays)
-            report["comparison"] = as_json(golden.path, made, compared, against.tolerances)
+            compared = judge(golden, BagReader(made), against.tolerances, judged, folder, processing.plays)
+            report["comparison"] = as_json(golden, BagReader(made), compared, against.tolerances)
         flight = recorded_flight(reader)
         accuracy = read_accuracy(made, flight, stages).statistics if flight else {}
         images = [] if chain.makers else _measure_images(folder)

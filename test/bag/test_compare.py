@@ -15,6 +15,7 @@ from sal_height_msgs.msg import ChannelFrame, HeightImage, Surface
 
 from sal_height.bag.compare import CHANGED, EQUAL, HEIGHT_IMAGE, WITHIN, Comparison, compare_bags
 from sal_height.bag.fields import content_hash, fields_of
+from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import EXACT, Tolerance, Tolerances, read_tolerances
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
@@ -42,14 +43,14 @@ class Bags:
     def __init__(self, folder: Path) -> None:
         self.folder, self.written = folder, 0
 
-    def write(self, messages: dict[str, list[Any]], kind: str = HEIGHT_IMAGE) -> Path:
+    def write(self, messages: dict[str, list[Any]], kind: str = HEIGHT_IMAGE) -> BagReader:
         self.written += 1
         with BagWriter(self.folder / str(self.written)) as writer:
             for topic, sequence in messages.items():
                 writer.add_topic(topic, kind)
                 for time, message in enumerate(sequence):
                     writer.write(topic, serialize_message(message), time, time)
-        return self.folder / str(self.written)
+        return BagReader(self.folder / str(self.written))
 
     def compare(self, golden: list[Any], made: list[Any], tolerances: Tolerances = EXACT) -> Comparison:
         return compare_bags(self.write({"/h": golden}), self.write({"/h": made}), tolerances)["/h"]

@@ -12,6 +12,7 @@ from rclpy.serialization import serialize_message
 from sal_height_msgs.msg import HeightImage, Surface
 
 from sal_height.bag.compare import CHANGED, EQUAL, HEIGHT_IMAGE, WITHIN, Comparison
+from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import EXACT, Tolerance, Tolerances
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
@@ -20,7 +21,7 @@ from sal_height.runs.judge import PICTURE, as_json, judge, topics_to_compare, ve
 ROWS, COLS = 8, 6
 
 
-def write(folder: Path, heights: dict[int, np.ndarray], latency_ms: float = 5.0) -> Path:
+def write(folder: Path, heights: dict[int, np.ndarray], latency_ms: float = 5.0) -> BagReader:
     """A bag with an image of each dwell, and with what a node says before and after them."""
     with BagWriter(folder) as bag:
         bag.add_topic("/ml/height", HEIGHT_IMAGE)
@@ -33,7 +34,7 @@ def write(folder: Path, heights: dict[int, np.ndarray], latency_ms: float = 5.0)
         for time, latency in ((0, 1.0), (99, latency_ms)):
             status = DiagnosticStatus(name="ml_height", values=[KeyValue(key="latency_p50_ms", value=str(latency))])
             bag.write("/diagnostics", serialize_message(DiagnosticArray(status=[status])), time, time)
-    return folder
+    return BagReader(folder)
 
 
 def dwells(number: int) -> dict[int, np.ndarray]:

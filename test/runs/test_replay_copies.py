@@ -8,11 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from sal_height.bag.compare import EQUAL, compare_bags
+from sal_height.bag.compare import EQUAL, Comparison, compare_bags
 from sal_height.bag.cut import Range, cut
 from sal_height.bag.reader import BagReader
 from sal_height.bag.upgrade import upgrade
 from sal_height.runs.replay import replay
+
+
+def compare(golden: Path, made: Path) -> dict[str, Comparison]:
+    return compare_bags(BagReader(golden), BagReader(made))
+
 
 BAGS = Path(__file__).parents[2] / "bags"
 
@@ -32,7 +37,7 @@ def test_a_cut_bag_gives_the_heights_of_its_dwells(number: int, recorded: Path, 
         assert height.cdr == [m.cdr for m in BagReader(recorded / "bag").messages([topic])][number]
         assert BagReader(recorded / "bag").decode(replayed.type_name, replayed.cdr).dwell == number
     if number == 0:
-        assert compare_bags(tmp_path / "cut", tmp_path / "replay" / "bag")["/tracked/height"].verdict == EQUAL
+        assert compare(tmp_path / "cut", tmp_path / "replay" / "bag")["/tracked/height"].verdict == EQUAL
 
 
 def test_a_cut_by_time_gives_the_heights_of_its_dwells(recorded: Path, tmp_path: Path) -> None:
@@ -52,10 +57,10 @@ def test_an_upgraded_bag_gives_the_heights_of_the_old_one(version: int, tmp_path
     upgrade(old, new)
     for bag in (old, new):
         replay(bag, tmp_path / f"replay_{bag.name}", {})
-    compared = compare_bags(tmp_path / f"replay_{old.name}" / "bag", tmp_path / "replay_new" / "bag")
+    compared = compare(tmp_path / f"replay_{old.name}" / "bag", tmp_path / "replay_new" / "bag")
     assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
     assert all(result.verdict == EQUAL and result.matched == 2 for result in compared.values())
-    assert all(result.verdict == EQUAL for result in compare_bags(old, new).values())
+    assert all(result.verdict == EQUAL for result in compare(old, new).values())
 
 
 def test_a_bag_of_sqlite3_gives_the_heights_recorded_in_it(recorded: Path, tmp_path: Path) -> None:

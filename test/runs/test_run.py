@@ -152,7 +152,7 @@ def test_mcap_alone_finds_all_messages(recorded: Path) -> None:
 
 def test_another_seed_gives_other_heights(recorded: Path, two_dwells: Preset, tmp_path: Path) -> None:
     fly(two_dwells, SEED + 1, tmp_path / "run", {})
-    compared = compare_bags(recorded / "bag", tmp_path / "run" / "bag")
+    compared = compare_bags(BagReader(recorded / "bag"), BagReader(tmp_path / "run" / "bag"))
     assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
     assert {result.verdict for result in compared.values()} == {CHANGED}
 
@@ -160,7 +160,7 @@ def test_another_seed_gives_other_heights(recorded: Path, two_dwells: Preset, tm
 def test_the_same_seed_gives_the_same_heights_but_where_a_parameter_changes_them(recorded: Path, changed: Path) -> None:
     """They are stamped when they are made."""
     other_stamps = Tolerances({"header.stamp": Tolerance(absolute=1e18)})
-    compared = compare_bags(recorded / "bag", changed / "bag", other_stamps)
+    compared = compare_bags(BagReader(recorded / "bag"), BagReader(changed / "bag"), other_stamps)
     assert compared["/monopulse/height"].verdict == WITHIN
     assert compared["/ml/height"].verdict == CHANGED
 

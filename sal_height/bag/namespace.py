@@ -34,16 +34,15 @@ class NamespacedReader(BagReader):
         """Whether a topic or node is in the namespace, by its whole name."""
         return name.startswith(f"{self.namespace}/")
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
-        """Messages in order of log time, those of `topics` or all, with the names of the topics as they are here.
+    def recorded_messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
+        """Messages in order of log time, those of `topics` or all, as recorded but for the names of the topics.
 
         UserError if a checksum or a record is found to be wrong on the way.
         """
         wanted = self._recorded_names if topics is None else topics
-        return super().messages([self._recorded_names[name] for name in wanted if name in self._recorded_names])
-
-    def _upgraded(self, message: BagMessage) -> BagMessage:
-        return super()._upgraded(message._replace(topic=self._names[message.topic]))
+        names = [self._recorded_names[name] for name in wanted if name in self._recorded_names]
+        for message in super().recorded_messages(names):
+            yield message._replace(topic=self._names[message.topic])
 
 
 def open_bag(path: Path, namespace: str | None, needed: Collection[str]) -> NamespacedReader:

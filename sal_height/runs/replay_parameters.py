@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -95,7 +95,7 @@ def processing_of(
         UserError: the bag's parameters cannot be read, or a value is not allowed today.
     """
     check_given(given, chain)
-    timeline, stages = timeline_of(reader, chain.dwell_topics), chain.stages
+    timeline = timeline_of(reader, chain.dwell_topics)
     held = timeline.dwells
     if part.is_limited and not held:
         held = list(FlightRecord(reader, chain.dwell_topics).last_frame_ns)
@@ -105,38 +105,24 @@ def processing_of(
     wanted = [
         one
         for one in timeline.changes
-        if one.parameter.node in stages and one.parameter.name not in given.get(one.parameter.node, {})
+        if one.parameter.node in chain.stages and one.parameter.name not in given.get(one.parameter.node, {})
     ]
     changes = [one for one in wanted if not _is_read_only(one.parameter)]
     for one in changes:
         check_parameters({one.parameter.node: {one.parameter.name: one.value}})
-    applied = values.get(APPLIED.node, {}).get(APPLIED.name) == HEARD
-    applies = (chain.entry == FRAMES and applied) or chain.entry == IMAGES  # which were made with one of the bag
-    calibrations = timeline.calibrations if applies else []
+    calibrations = timeline.calibrations if _applies_calibrations(chain, values) else []
     warnings = [
         *([] if _custom_data(reader) is not None else _forgotten(timeline)),
         *(_restarted(one) for one in wanted if _is_read_only(one.parameter)),
-        *(_not_held(one) for one in timeline.missing if applies),
+        *(_not_held(one) for one in timeline.missing if _applies_calibrations(chain, values)),
     ]
     for warning in warnings:
         _LOG.warning("Bag %s: %s", reader.path, warning)
-    of_stages = {
-        node: {name: sources.get(Parameter(node, name), DEFAULT) for name in settings_of(NODES[node].parameters)}
-        for node in stages
-    }
-    listed = [
-        *((one.dwell, {"calibration": one.calibration, "source": one.source}) for one in calibrations),
-        *(
-            (one.dwell, {"parameter": ".".join(one.parameter), "value": one.value, "source": one.source})
-            for one in changes
-        ),
-    ]
-    order = {dwell: place for place, dwell in enumerate(timeline.dwells)}
     return Processing(
         values,
-        of_stages,
+        _of_stages(sources, chain.stages),
         _cues(timeline.dwells, dwells, changes, calibrations),
-        [{"dwell": dwell.number, **what} for dwell, what in sorted(listed, key=lambda entry: order[entry[0]])],
+        _listed(timeline.dwells, changes, calibrations),
         warnings,
         dwells,
         sum(dwell in dwells for dwell in held) or chain.dwells,
@@ -232,6 +218,36 @@ def _parameters(values: NodeParameters) -> list[Parameter]:
 
 def _is_read_only(parameter: Parameter) -> bool:
     return settings_of(NODES[parameter.node].parameters)[parameter.name].read_only
+
+
+def _applies_calibrations(chain: Chain, values: NodeParameters) -> bool:
+    """Whether calibrations of the bag are applied, or were to the images that are played."""
+    of_topic = values.get(APPLIED.node, {}).get(APPLIED.name) == HEARD
+    return chain.entry == IMAGES or (chain.entry == FRAMES and of_topic)
+
+
+def _of_stages(sources: Mapping[Parameter, str], stages: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Where the values of all parameters of some nodes come from, by node and name."""
+    names = {node: settings_of(NODES[node].parameters) for node in stages}
+    return {node: {name: sources.get(Parameter(node, name), DEFAULT) for name in names[node]} for node in stages}
+
+
+def _listed(
+    held: Sequence[DwellKey], changes: Sequence[Change], calibrations: Sequence[Applied]
+) -> list[dict[str, Any]]:
+    """What changed in flight, for the report, in the order of the dwells."""
+    order = {dwell: place for place, dwell in enumerate(held)}
+    happened: list[Change | Applied] = [*calibrations, *changes]
+    return [
+        {"dwell": one.dwell.number, **_described(one), "source": one.source}
+        for one in sorted(happened, key=lambda one: order[one.dwell])
+    ]
+
+
+def _described(one: Change | Applied) -> dict[str, Any]:
+    if isinstance(one, Applied):
+        return {"calibration": one.calibration}
+    return {"parameter": ".".join(one.parameter), "value": one.value}
 
 
 def _cues(

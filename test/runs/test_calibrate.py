@@ -91,6 +91,12 @@ def test_heights_are_better_with_it(impaired: Preset, flown: Path, calibrated: P
     topics = [f"/{prefix}/height" for prefix in HEIGHTS.values()]
     images = [reader.decode(one.type_name, one.cdr) for one in reader.messages(topics)]
     assert {image.provenance.calibration_id for image in images} == {found}
+    third = replay(tmp_path / "again" / "bag", tmp_path / "third", {})  # with the calibration in the bag, not the file
+    assert len(third.compared) == 3
+    assert all(result.equal for result in third.compared.values())
+    report = json.loads((tmp_path / "third" / "report.json").read_text())
+    assert report["parameters"]["sar_compression"]["calibration"] == "topic"
+    assert report["changes_in_flight"] == [{"dwell": 0, "calibration": found, "source": "provenance"}]
 
 
 def test_rosbags_reads_the_calibration_by_the_schema_in_the_bag(calibrated: Path) -> None:

@@ -102,12 +102,14 @@ class Outcome:
         dwells: number of dwells that were played.
         interrupted: whether the user stopped the run.
         failure: why the run ended early, unless the user stopped it.
+        elapsed_s: from the first step until the last dwell was settled, s.
     """
 
     stages: dict[str, Account]
     dwells: int
     interrupted: bool
     failure: UserError | None = None
+    elapsed_s: float = 0.0
 
     @property
     def losses(self) -> list[str]:
@@ -315,7 +317,7 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
     """
     also = [topic.removeprefix("/") for topic in execution.record]
     plan = replace(plan, recorded=list(dict.fromkeys([*plan.recorded, *also])))
-    played, interrupted = 0, False
+    played, interrupted, elapsed_s = 0, False, 0.0
     failure: UserError | None = None
     stage_inputs(plan.stages, plan.parameters, plan.played)  # refuses a plan before anything is started
     with ros_domain(execution.domain):
@@ -347,17 +349,18 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
             with tqdm(total=plan.dwells, unit="dwell", desc=plan.bag.parent.name) as progress:
                 try:
                     wait(conductor.ready, "all nodes to be ready")
+                    begun = time.monotonic()
                     while conductor.step(wait):
                         wait(conductor.settled, f"dwell {played} to be processed")
                         progress.update(conductor.played - played)
-                        played = conductor.played
+                        played, elapsed_s = conductor.played, time.monotonic() - begun
                         progress.set_postfix_str(conductor.drops())
                 except KeyboardInterrupt:
                     interrupted = True
                 except UserError as error:
                     failure = error
     stages = {name: conductor.accounts.get(name, Account()) for name in [plan.source, *plan.stages]}
-    return Outcome(stages, played, interrupted, failure)
+    return Outcome(stages, played, interrupted, failure, elapsed_s)
 
 
 def members_of(plan: Plan) -> list[Member]:

@@ -53,6 +53,7 @@ def conclude(outcome: Outcome, values: NodeParameters, report: dict[str, Any]) -
     """
     report["dwells"] = outcome.dwells
     report["interrupted"] = outcome.interrupted
+    report["elapsed_s"] = outcome.elapsed_s
     report["stages"] = {name: _stage(account) for name, account in outcome.stages.items()}
     report["losses"] = outcome.losses
     report["parameters"] = values

@@ -1,0 +1,190 @@
+"""Bags: writing and reading over the mcap package, recording at a rate, and replaying over the core alone.
+
+`python -m benchmarks.recording DOMAIN BYTES MB_PER_S SECONDS` publishes messages of a size at a rate, as a sensor does
+that does not wait, and prints how many it has published.
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import SeekingReader
+from mcap.writer import CompressionType, Writer
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from std_msgs.msg import UInt8MultiArray
+
+from benchmarks.row import Row, load, medians, sized
+from sal_height.bag.reader import BagReader
+from sal_height.bag.writer import BagWriter
+from sal_height.nodes.domain import free_domain
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.playlist import Playlist
+from sal_height.nodes.recorder import Recorder
+from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.runs.catalogue import TRACKER, consumers, suited
+from sal_height.runs.entry import contents
+from sal_height.runs.replay import replay
+from sal_height.runs.replay_parameters import recorded_parameters
+from sal_height.runs.reporting import merged
+from sal_height.runs.self_test import core_rate_hz
+from sal_height.runs.sensor_bag import record_sensor
+from sal_height.simulation import load_preset
+
+TOPIC, TYPE = "/frames", "std_msgs/msg/UInt8MultiArray"
+
+SIZES = sized((130_000, 4_000_000), (1000, 2000))
+"""Bytes of a message: a dwell of a small sensor, and of a large one."""
+
+WRITTEN_BYTES = sized(500_000_000, 10_000)
+
+RATE_MB_S, RECORDED_S, SETTLED_S = sized((200.0, 60.0, 10.0), (1.0, 1.0, 0.5))
+"""What is recorded, for how long, and after what time memory is first looked at."""
+
+DWELLS = sized(40, 3)
+"""Dwells that are replayed."""
+
+
+def over_mcap() -> Iterator[Row]:
+    """Writing and reading a bag over the same by the mcap package, the data in the page cache."""
+    for size in SIZES:
+        with tempfile.TemporaryDirectory() as folder:
+            yield from _over_mcap(size, Path(folder))
+
+
+def _over_mcap(size: int, folder: Path) -> Iterator[Row]:
+    count = max(2, WRITTEN_BYTES // size)
+    cdr = np.random.default_rng(0).bytes(size)
+    name, what = f"{size / 1e6:g} MB", f"{count} messages, {size * count / 1e6:g} MB without compression"
+    bare_s, our_s = medians(lambda: _write_bare(folder, cdr, count), lambda: _write(folder, cdr, count))
+    yield Row(f"bag written, {name}", bare_s / our_s, "1", ">= 0.9", f"mcap's Writer; {what}")
+    bare_s, our_s = medians(lambda: _read_bare(folder), lambda: _read(folder))
+    yield Row(f"bag read, {name}", bare_s / our_s, "1", ">= 0.9", f"mcap's SeekingReader, checksums, too; {what}")
+
+
+def recorded_at_a_rate() -> Iterator[Row]:
+    """Messages that a recorder loses of a fast sensor, and how much its memory grows."""
+    for size in SIZES:
+        done = _record(size)
+        what = f"{RATE_MB_S:g} MB/s of {size / 1e6:g} MB for {RECORDED_S:g} s, {done.published} messages; {load()}"
+        yield Row(f"recorder, {size / 1e6:g} MB: lost", done.published - done.written, "messages", "<= 0", what)
+        growth = done.memory_at_end / done.memory_settled - 1
+        yield Row(
+            f"recorder, {size / 1e6:g} MB: growth of memory",
+            100 * growth,
+            "%",
+            "<= 5",
+            f"after {SETTLED_S:g} s; {what}",
+        )
+
+
+def lockstep_over_core() -> Iterator[Row]:
+    """Time of a dwell in a replay, from its step until it is in the bag, over that of the core in one thread."""
+    for name in sized(("small", "sal_spotlight", "xband_relief"), ("small",)):
+        preset = replace(load_preset(name), dwells=DWELLS)
+        with tempfile.TemporaryDirectory() as folder:
+            bag = record_sensor(preset, 1, Path(folder) / "bag")
+            outcome = replay(bag, Path(folder) / "replay", {}).outcome
+            replay_s = outcome.elapsed_s / outcome.dwells
+            reader = BagReader(bag)
+            sensor, _ = contents(reader)
+            nodes = suited(sensor, ())
+            stages, values = ["sar_compression", *nodes, TRACKER], merged(consumers(nodes), recorded_parameters(reader))
+            core_s = 1 / core_rate_hz(Playlist.of_bag(reader, math.inf), sensor, stages, values, 1)
+        yield Row(
+            f"lockstep, {name}",
+            replay_s / core_s,
+            "1",
+            "<= 1.1",
+            f"core in one thread, {1e3 * core_s:.1f} ms a dwell; the replay takes {1e3 * replay_s:.1f} ms, in which it "
+            f"also reads, publishes and records; {DWELLS} dwells; {load()}",
+        )
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """What a recorder did: messages published and written, and its memory (bytes) once settled and at the end."""
+
+    published: int
+    written: int
+    memory_settled: int
+    memory_at_end: int
+
+
+def _record(size: int) -> _Recorded:
+    with tempfile.TemporaryDirectory() as name, free_domain() as domain, Graph(domain) as graph:
+        overrides = [Parameter("topics", value=[TOPIC]), Parameter("node_parameters", value=False)]
+        recorder = graph.add(Recorder(Path(name) / "bag", context=graph.context, parameter_overrides=overrides))
+        words = [sys.executable, "-m", __name__, *map(str, (domain, size, RATE_MB_S, RECORDED_S))]
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as sensor:  # noqa: S603 (this module)
+            graph.spin_until(lambda: recorder.recorded.get(TOPIC, 0) > 0, 30.0)
+            graph.spin_for(SETTLED_S)
+            settled = _own_memory()
+            graph.spin_until(lambda: sensor.poll() is not None, RECORDED_S + 60.0)
+            published = int(sensor.communicate()[0])
+        graph.spin_until(lambda: recorder.recorded.get(TOPIC, 0) >= published, 5.0)
+        return _Recorded(published, recorder.recorded.get(TOPIC, 0), settled, _own_memory())
+
+
+def _own_memory() -> int:
+    """Memory of this process alone, without files that it shares, bytes."""
+    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("RssAnon"))
+
+
+def _publish(domain: int, size: int, rate_mb_s: float, seconds: float) -> None:
+    cdr = serialize_message(UInt8MultiArray(data=np.random.default_rng(0).bytes(size - 16)))
+    with Graph(domain) as graph:
+        node = graph.add(Node("sensor", context=graph.context))
+        publisher = node.create_publisher(UInt8MultiArray, TOPIC, FRAMES_QOS)
+        graph.spin_until(lambda: publisher.get_subscription_count() > 0, 30.0)
+        began, count, interval_s = time.monotonic(), 0, size / (1e6 * rate_mb_s)
+        while (elapsed_s := time.monotonic() - began) < seconds:
+            if elapsed_s < count * interval_s:
+                time.sleep(count * interval_s - elapsed_s)
+            publisher.publish(cdr)
+            count += 1
+        sys.stdout.write(f"{count}\n")
+        sys.stdout.flush()
+        graph.spin_for(2.0)  # what is still on the way gets there
+
+
+def _write_bare(folder: Path, cdr: bytes, count: int) -> None:
+    with (folder / "bare.mcap").open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE)
+        writer.start("ros2")
+        channel = writer.register_channel(TOPIC, "cdr", writer.register_schema(TYPE, "ros2msg", b""))
+        for number in range(count):
+            writer.add_message(channel, number, cdr, number)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _write(folder: Path, cdr: bytes, count: int) -> None:
+    for file in (folder / "bag").glob("*"):
+        file.unlink()
+    with BagWriter(folder / "bag") as bag:
+        bag.add_topic(TOPIC, TYPE)
+        for number in range(count):
+            bag.write(TOPIC, cdr, number, number)
+
+
+def _read_bare(folder: Path) -> int:
+    with (folder / "bag" / "bag_0.mcap").open("rb") as stream:
+        return sum(len(one.data) for _, _, one in SeekingReader(stream, validate_crcs=True).iter_messages())
+
+
+def _read(folder: Path) -> int:
+    return sum(len(one.cdr) for one in BagReader(folder / "bag").messages())
+
+
+if __name__ == "__main__":
+    _publish(int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]), float(sys.argv[4]))

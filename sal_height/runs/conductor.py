@@ -44,6 +44,9 @@ COMPANY_TIMEOUT_S = 1.0
 """How long to look for other sensors before anything is started: discovery takes a few tenths of a second
 on an idle machine."""
 
+LOOK_PERIOD_S = 0.02
+"""Time after which it is looked at nodes and signals even if nothing has come."""
+
 RECORDER = "recorder"
 
 
@@ -175,6 +178,7 @@ class Conductor(Node):
         self._played = plan.played
         self._calibrated = [name for name in plan.stages if CALIBRATION_TOPIC in NODES[name].inputs]
         self._steps = 0
+        self._has_news = False
         self._step = self.create_client(Trigger, f"{plan.source}/{NODES[plan.source].begin_service}")
         self.create_subscription(DiagnosticArray, accounts_on, self._on_diagnostics, 100)
 
@@ -237,7 +241,17 @@ class Conductor(Node):
 
     def ask(self) -> Future:
         """Ask the source to begin, or for the next dwell; its answer is in the future."""
-        return self._step.call_async(Trigger.Request())
+        answer = self._step.call_async(Trigger.Request())
+        answer.add_done_callback(lambda _: self._note_news())
+        return answer
+
+    def take_news(self) -> bool:
+        """Whether an answer or an account has come since the last call: all else would be as it was then."""
+        news, self._has_news = self._has_news, False
+        return news
+
+    def _note_news(self) -> None:
+        self._has_news = True
 
     def step(self, wait: Callable[[Callable[[], bool], str], None]) -> bool:
         """Ask for the next dwell; False when there is none.
@@ -289,6 +303,7 @@ class Conductor(Node):
         )
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self._note_news()
         for status in message.status:
             account = Account.of_status(status)
             key = UNWRITTEN if status.name == RECORDER else WAITING
@@ -328,15 +343,20 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
             conductor = graph.add(Conductor(plan, PROGRESS, context=graph.context))
 
             def wait(condition: Callable[[], bool], what: str) -> None:
-                began = time.monotonic()
+                began, due = time.monotonic(), 0.0
 
                 def reached() -> bool:
+                    nonlocal due
+                    now = time.monotonic()
+                    if not conductor.take_news() and now < due:
+                        return False
+                    due = now + LOOK_PERIOD_S
                     interruption.check()
                     ensemble.check()
                     conductor.check()
                     if condition():
                         return True
-                    if time.monotonic() - max(began, conductor.last_progress) > execution.timeout_s:
+                    if now - max(began, conductor.last_progress) > execution.timeout_s:
                         raise UserError(
                             f"No node has made progress for {execution.timeout_s:g} s while waiting for {what}; the "
                             "log above may say why."

@@ -28,7 +28,7 @@ from sal_height.figures.curve import Curve
 FOLDER = Path(sal_height.commands.__file__).parent
 COMMANDS = sorted(path.stem.replace("_", "-") for path in FOLDER.glob("[a-z]*.py"))
 WITH_OUTPUT = [name for name in COMMANDS if "OutputFolder" in (FOLDER / f"{name.replace('-', '_')}.py").read_text()]
-BAG = ("info", "check", "recover", "cut", "upgrade")
+BAG = ("info", "check", "recover", "cut", "upgrade", "diff")
 PATHS = [
     [],
     *([name] for name in COMMANDS),

@@ -341,31 +341,7 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
         with Interruption() as interruption, Ensemble(members_of(plan), execution.processes) as ensemble:
             graph = ensemble.graph
             conductor = graph.add(Conductor(plan, PROGRESS, context=graph.context))
-
-            def wait(condition: Callable[[], bool], what: str) -> None:
-                began, due = time.monotonic(), 0.0
-
-                def reached() -> bool:
-                    nonlocal due
-                    now = time.monotonic()
-                    if not conductor.take_news() and now < due:
-                        return False
-                    due = now + LOOK_PERIOD_S
-                    interruption.check()
-                    ensemble.check()
-                    conductor.check()
-                    if condition():
-                        return True
-                    if now - max(began, conductor.last_progress) > execution.timeout_s:
-                        raise UserError(
-                            f"No node has made progress for {execution.timeout_s:g} s while waiting for {what}; the "
-                            "log above may say why."
-                        )
-                    return False
-
-                if not graph.spin_until(reached):
-                    raise UserError(f"ROS was shut down while waiting for {what}.")
-
+            wait = _waiter(ensemble, conductor, interruption, execution.timeout_s)
             with tqdm(total=plan.dwells, unit="dwell", desc=plan.bag.parent.name) as progress:
                 try:
                     wait(conductor.ready, "all nodes to be ready")
@@ -381,6 +357,41 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
                     failure = error
     stages = {name: conductor.accounts.get(name, Account()) for name in [plan.source, *plan.stages]}
     return Outcome(stages, played, interrupted, failure, elapsed_s)
+
+
+def _waiter(
+    ensemble: Ensemble, conductor: Conductor, interruption: Interruption, timeout_s: float
+) -> Callable[[Callable[[], bool], str], None]:
+    """Make a function that spins the graph until a condition holds, which it is told with words for it.
+
+    The function raises UserError if the run cannot go on, and KeyboardInterrupt if the user has interrupted.
+    """
+
+    def wait(condition: Callable[[], bool], what: str) -> None:
+        began, due = time.monotonic(), 0.0
+
+        def reached() -> bool:
+            nonlocal due
+            now = time.monotonic()
+            if not conductor.take_news() and now < due:
+                return False
+            due = now + LOOK_PERIOD_S
+            interruption.check()
+            ensemble.check()
+            conductor.check()
+            if condition():
+                return True
+            if now - max(began, conductor.last_progress) > timeout_s:
+                raise UserError(
+                    f"No node has made progress for {timeout_s:g} s while waiting for {what}; the log above may say "
+                    "why."
+                )
+            return False
+
+        if not ensemble.graph.spin_until(reached):
+            raise UserError(f"ROS was shut down while waiting for {what}.")
+
+    return wait
 
 
 def members_of(plan: Plan) -> list[Member]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -13,6 +15,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.task import Future
 
 from sal_height.bag import parameter_events
+from sal_height.nodes.endpoints import NAMELESS
 from sal_height.nodes.guard import guarded
 
 PARAMETER_EVENTS = parameter_events.PARAMETER_EVENTS
@@ -20,6 +23,9 @@ PARAMETER_EVENT_TYPE = parameter_events.PARAMETER_EVENT_TYPE
 
 ASK_PERIOD_S = 0.5
 """Period at which it is looked for new nodes."""
+
+ANSWER_S = 2.0
+"""Time after which a node that has not answered is asked again: an answer is lost to a client not known there yet."""
 
 MOST_NODES = 1000
 """Nodes whose parameters are asked for and held at most."""
@@ -50,6 +56,7 @@ class ParameterReader:
         nodes = {
             bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in self._node.get_publishers_info_by_topic(PARAMETER_EVENTS)
+            if not info.node_name.startswith(NAMELESS)  # its name comes later than its publisher
         }
         for identity in self._questions.keys() - nodes.keys():
             self._questions.pop(identity).end()
@@ -81,14 +88,16 @@ class _Question:
         self._names = node.create_client(ListParameters, f"{name}/list_parameters")
         self._values = node.create_client(GetParameters, f"{name}/get_parameters")
         self._clients: list[Client] = [self._names, self._values]
-        self._is_asked = self._is_answered = False
+        self._is_answered = False
+        self._asked_at = -math.inf
 
     def ask(self) -> None:
-        """Ask once the node can answer; end once it has."""
+        """Ask when the node can answer, and again if it does not; end once it has."""
+        now = time.monotonic()
         if self._is_answered:
             self.end()
-        elif not self._is_asked and all(client.service_is_ready() for client in self._clients):
-            self._is_asked = True
+        elif now - self._asked_at > ANSWER_S and all(client.service_is_ready() for client in self._clients):
+            self._asked_at = now
             self._names.call_async(ListParameters.Request()).add_done_callback(guarded(self._take_names, self._fail))
 
     def end(self) -> None:
@@ -103,6 +112,8 @@ class _Question:
         values.add_done_callback(guarded(lambda answer: self._take_values(names, answer), self._fail))
 
     def _take_values(self, names: list[str], answer: Future) -> None:
+        if self._is_answered:  # it was asked twice
+            return
         event = ParameterEvent(node=self._name, stamp=self._node.get_clock().now().to_msg())
         found = zip(names, answer.result().values, strict=False)  # a node may answer what it likes
         event.new_parameters = [ParameterMessage(name=name, value=value) for name, value in found]

@@ -34,7 +34,7 @@ def lasting(dwell: int, seconds: float) -> ChannelFrame:
 
 def played(dwells: DwellRange, *recorded: Any) -> list[float | str]:
     """What is played of messages: the times of odometry, and the numbers of dwells as a text."""
-    bag = [BagMessage(*NAMES[type(m)], serialize_message(m), n) for n, m in enumerate(recorded)]
+    bag = [BagMessage(*NAMES[type(m)], serialize_message(m), n, n) for n, m in enumerate(recorded)]
     found: list[float | str] = []
     for one in chosen(iter(bag), dwells):
         part = part_of(one)
@@ -49,7 +49,7 @@ def played(dwells: DwellRange, *recorded: Any) -> list[float | str]:
 
 def test_a_frame_says_its_dwell_and_its_last_pulse() -> None:
     message = lasting(7, 0.5)
-    part = part_of(BagMessage(*NAMES[ChannelFrame], serialize_message(message), 0))
+    part = part_of(BagMessage(*NAMES[ChannelFrame], serialize_message(message), 0, 0))
     assert part is not None
     assert part.dwell == key(7)
     assert part.end_ns == 7_500_000_000

@@ -528,6 +528,44 @@ def test_a_node_that_answers_nonsense_costs_nothing(graph: Graph, bag: Path) -> 
     graph.close()
 
 
+@pytest.mark.usefixtures("source")
+def test_a_node_whose_answer_is_lost_is_asked_again(graph: Graph, bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lost: list[Any] = []
+    take = parameter_reader._Question._take_names
+
+    def lose_the_first(question: Any, answer: Any) -> None:
+        take(question, answer) if question in lost else lost.append(question)
+
+    monkeypatch.setattr(parameter_reader._Question, "_take_names", lose_the_first)
+    monkeypatch.setattr(parameter_reader, "ANSWER_S", 0.5)
+    recorder = start(graph, bag, topics=["/note"], node_parameters=True)
+    assert graph.spin_until(lambda: "/source" in recorder._reader._known, TIMEOUT_S)
+    assert len(lost) == 1
+    graph.close()
+
+
+@pytest.mark.usefixtures("source")
+def test_a_node_is_asked_once_its_name_is_known(graph: Graph) -> None:
+    """The middleware tells of a publisher before it tells of its node."""
+    told: list[bytes] = []
+    asker = graph.add(Node("asker", context=graph.context))
+    found = asker.get_publishers_info_by_topic
+
+    def without_names(topic: str) -> list[Any]:
+        publishers = found(topic)
+        for publisher in publishers:
+            publisher.node_name, publisher.node_namespace = "_NODE_NAME_UNKNOWN_", "_NODE_NAMESPACE_UNKNOWN_"
+        return publishers
+
+    reader = ParameterReader(asker, told.append, print)
+    asker.get_publishers_info_by_topic = without_names
+    assert graph.spin_until(lambda: len(found("/parameter_events")) == 2, TIMEOUT_S)
+    reader.look()
+    asker.get_publishers_info_by_topic = found
+    assert graph.spin_until(lambda: reader.look() or bool(told), TIMEOUT_S)
+    assert deserialize_message(told[0], ParameterEvent).node == "/source"
+
+
 def test_no_more_is_held_of_parameters_than_a_node_has(monkeypatch: pytest.MonkeyPatch, graph: Graph) -> None:
     monkeypatch.setattr(parameter_reader, "MOST_BYTES", 1000)
     monkeypatch.setattr(parameter_reader, "MOST_NODES", 2)

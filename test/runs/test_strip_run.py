@@ -43,4 +43,4 @@ def test_strip_images_join_and_their_heights_are_right(tmp_path: Path) -> None:
     assert abs(errors["bias_m"]) < 3 * errors["sigma_m"] / np.sqrt(errors["cells"])
     assert errors["rms_m"] < 2 * errors["crb_m"]
     compared = replay(tmp_path / "run" / "bag", tmp_path / "again", {}).compared
-    assert [result.equal for result in compared.values()] == [True, True, True]
+    assert [result.verdict for result in compared.values()] == ["equal"] * 3

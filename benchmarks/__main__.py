@@ -39,6 +39,7 @@ GROUPS = {
     "ground": "ground:throughput",
     "relief-tracking": "relief_tracking:throughput",
     "bag-files": "recording:over_mcap",
+    "bag-info": "recording:info_of_a_large_bag",
     "recorder": "recording:recorded_at_a_rate",
     "lockstep": "recording:lockstep_over_core",
     "start-up": "start_up:first_height",

@@ -24,6 +24,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import UInt8MultiArray
 
 from benchmarks.row import Row, load, medians, sized
+from sal_height.bag.info import bag_info
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.nodes.domain import free_domain
@@ -47,6 +48,8 @@ SIZES = sized((130_000, 4_000_000), (1000, 2000))
 
 WRITTEN_BYTES = sized(500_000_000, 10_000)
 
+LARGE_BYTES = sized(10_000_000_000, 10_000)
+
 RATE_MB_S, RECORDED_S, SETTLED_S = sized((200.0, 60.0, 10.0), (1.0, 1.0, 0.5))
 """What is recorded, for how long, and after what time memory is first looked at."""
 
@@ -69,6 +72,17 @@ def _over_mcap(size: int, folder: Path) -> Iterator[Row]:
     yield Row(f"bag written, {name}", bare_s / our_s, "1", ">= 0.9", f"mcap's Writer; {what}")
     bare_s, our_s = medians(lambda: _read_bare(folder), lambda: _read(folder))
     yield Row(f"bag read, {name}", bare_s / our_s, "1", ">= 0.9", f"mcap's SeekingReader, checksums, too; {what}")
+
+
+def info_of_a_large_bag() -> Iterator[Row]:
+    """Time in which it is told what a bag holds, in a process that has imported all."""
+    with tempfile.TemporaryDirectory() as folder:
+        size = SIZES[-1]
+        _write(Path(folder), np.random.default_rng(0).bytes(size), LARGE_BYTES // size)
+        began = time.monotonic()
+        info = bag_info(Path(folder) / "bag")
+        taken_s = time.monotonic() - began
+    yield Row("bag info", taken_s, "s", "<= 1", f"a bag of {info.size / 1e9:.3g} GB, {info.count} messages")
 
 
 def recorded_at_a_rate() -> Iterator[Row]:

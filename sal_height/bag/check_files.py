@@ -11,14 +11,15 @@ import yaml
 
 from sal_height.bag.codec import typestore
 from sal_height.bag.definitions import installed_definition
-from sal_height.bag.files import ACCOUNT, PARAMETERS
+from sal_height.bag.files import ACCOUNT, PARAMETERS, parameters_file
 from sal_height.bag.findings import Finding, error, some, warning
 from sal_height.bag.index import FileIndex
 from sal_height.bag.parameter_events import PARAMETER_EVENTS
 from sal_height.bag.reader import BagReader, Topic
+from sal_height.bag.topics import HEIGHT_TYPE, IMAGE_TYPE, RELIEF_TYPE
 from sal_height.errors import UserError
 
-WITH_PROVENANCE = {f"sal_height_msgs/msg/{name}" for name in ("ComplexImage", "HeightImage", "ReliefMap")}
+WITH_PROVENANCE = {IMAGE_TYPE, HEIGHT_TYPE, RELIEF_TYPE}
 """Types of messages that say with which parameters they were made."""
 
 NO_METADATA = (
@@ -78,7 +79,8 @@ def check_accounts(reader: BagReader) -> Iterator[Finding]:
                 )
     told = any(topic.type_name in WITH_PROVENANCE and topic.count for topic in reader.topics.values())
     events = reader.topics.get(PARAMETER_EVENTS)
-    if not (told or (events and events.count) or PARAMETERS in reader.custom_data or _parameters_file(reader.path)):
+    stated = PARAMETERS in reader.custom_data or parameters_file(reader.path).is_file()
+    if not (told or stated or (events and events.count)):
         yield warning(
             f"Bag {reader.path} does not hold the parameters of nodes: neither custom data, nor {PARAMETER_EVENTS}, "
             "nor the provenance of products.",
@@ -128,11 +130,6 @@ def _left_out(text: str) -> dict[str, int]:
         return {str(reason): int(count) for reason, count in json.loads(text)["left_out"].items() if count}
     except (ValueError, KeyError, TypeError, AttributeError):
         return {}
-
-
-def _parameters_file(path: Path) -> bool:
-    """Whether parameters lie beside the bag, as those of older bags do."""
-    return ((path if path.is_dir() else path.parent) / "parameters.yaml").is_file()
 
 
 def _stated(information: Mapping[str, Any]) -> dict[str, Any]:

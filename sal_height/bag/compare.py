@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.field_difference import FieldDifference
 from sal_height.bag.fields import content_hash, fields_of
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import EXACT, Tolerances
+from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.elevation import Validity
-
-HEIGHT_IMAGE = "sal_height_msgs/msg/HeightImage"
 
 EQUAL, WITHIN, CHANGED = "equal", "within tolerance", "changed"
 """Verdicts, the best first."""
@@ -165,7 +165,7 @@ def _numbers(bag: BagReader, topics: Collection[str] | None) -> dict[str, int]:
     return {
         topic.name: topic.count
         for topic in bag.topics.values()
-        if topic.count and (topic.type_name == HEIGHT_IMAGE if topics is None else topic.name in topics)
+        if topic.count and (topic.type_name == HEIGHT_TYPE if topics is None else topic.name in topics)
     }
 
 
@@ -190,7 +190,7 @@ def _compare(golden: Any, made: Any, tolerances: Tolerances, dwell: int, result:
     for side, fields in zip(result.digests, (ours, theirs), strict=True):
         side.append(content_hash(fields))
     result.matched += 1
-    if type(golden).__name__ == "HeightImage":
+    if isinstance(golden, HeightImage):
         result.validity.update(_confusion(ours["validity"], theirs["validity"]))
     for name in dict.fromkeys([*ours, *theirs]):
         one, other = ours.get(name, NOTHING), theirs.get(name, NOTHING)

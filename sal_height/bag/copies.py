@@ -6,14 +6,14 @@ import json
 
 import yaml
 
-from sal_height.bag.files import PARAMETERS
+from sal_height.bag.files import PARAMETERS, parameters_file
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import Packing
 
 
 def kept_custom_data(reader: BagReader) -> dict[str, str]:
     """The custom data of a bag, with the parameters that lie beside an older one in a file of their own."""
-    file = (reader.path if reader.path.is_dir() else reader.path.parent) / "parameters.yaml"
+    file = parameters_file(reader.path)
     if PARAMETERS in reader.custom_data or not file.is_file():
         return dict(reader.custom_data)
     try:

@@ -16,8 +16,9 @@ from sal_height.bag.copies import kept_custom_data, kept_packing
 from sal_height.bag.dwells import Dwell, read_dwells
 from sal_height.bag.parameter_events import PARAMETER_EVENT_TYPE, after
 from sal_height.bag.reader import BagMessage, BagReader, Topic
-from sal_height.bag.sensor_topics import FRAME_TYPE, SENSOR_TYPE, SensorTopics, sensors_in
+from sal_height.bag.sensor_topics import SensorTopics, sensors_in
 from sal_height.bag.stamps import stamp_ns_of
+from sal_height.bag.topics import CALIBRATION_TYPE, FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter, held_by_publishers
 from sal_height.errors import UserError
 
@@ -27,10 +28,10 @@ STAMPS_FROM_S = 100_000_000
 MARGIN_NS = 1_000_000_000
 """Odometry is kept from so long before the first pulse to so long after the last."""
 
-OF_DWELLS = {FRAME_TYPE, "sal_height_msgs/msg/ComplexImage", "sal_height_msgs/msg/HeightImage"}
+OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE}
 """Types of messages that belong to a dwell, and have its stamp."""
 
-LATCHED = {SENSOR_TYPE: 1, "sal_height_msgs/msg/Calibration": 1, "tf2_msgs/msg/TFMessage": 100}
+LATCHED = {SENSOR_TYPE: 1, CALIBRATION_TYPE: 1, "tf2_msgs/msg/TFMessage": 100}
 """Messages that are held of types that are latched, where the bag does not say so; of transforms on tf_static only."""
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAME_TYPE, SensorTopics
+from sal_height.bag.sensor_topics import SensorTopics
+from sal_height.bag.topics import FRAME_TYPE
 from sal_height.errors import UserError
 
 

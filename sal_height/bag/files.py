@@ -57,6 +57,11 @@ def bag_files(path: Path) -> list[Path]:
     return files
 
 
+def parameters_file(path: Path) -> Path:
+    """The file with the parameters of nodes beside the bag at `path` (folder or file), as bags of version 0 have it."""
+    return (path if path.is_dir() else path.parent) / "parameters.yaml"
+
+
 def check_start(file: Path, start: bytes) -> None:
     """UserError unless `start` is how an MCAP file begins; part of it will do, for the file may be cut."""
     if not start:

@@ -88,9 +88,7 @@ class BagReader:
 
         UserError if the type is not installed, the bag has another definition of it, or `cdr` is damaged.
         """
-        if type_name not in self._checked_types:
-            self._check_definition(type_name)
-            self._checked_types.add(type_name)
+        self.check_type(type_name)
         # rclpy's own error class is private, and a subclass of RuntimeError.
         try:
             return deserialize_message(cdr, message_class(type_name))
@@ -107,7 +105,7 @@ class BagReader:
         except Exception as error:  # rosbags reports damage by whatever its deserializer stumbles over
             raise UserError(
                 f"A message on topic {topic.name} of bag {self.path}, recorded with an older definition of "
-                f"{message.type_name}, cannot be decoded: {error}."
+                f"{message.type_name}, cannot be decoded: {str(error).rstrip('.')}."
             ) from error
         return message._replace(type_name=topic.type_name, cdr=cdr)
 
@@ -124,7 +122,10 @@ class BagReader:
         count = known.count + topic.count - repeated
         self.topics[topic.name] = replace(known, count=count)
 
-    def _check_definition(self, type_name: str) -> None:
+    def check_type(self, type_name: str) -> None:
+        """UserError if a type is not installed, or the bag has another definition of it; looked at once."""
+        if type_name in self._checked_types:
+            return
         installed = installed_definition(type_name)
         for topic in self.topics.values():
             if topic.type_name == type_name and not (topic.is_old or topic.definition.same_layout(installed)):
@@ -133,6 +134,7 @@ class BagReader:
                     f"({topic.definition.type_hash or 'no hash'}) than the installed one ({installed.type_hash}); "
                     f"install the version of package {type_name.partition('/')[0]} it was recorded with."
                 )
+        self._checked_types.add(type_name)
 
 
 def _topics_of(index: FileIndex) -> list[Topic]:

@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sal_height.bag.reader import Topic
-
-FRAME_TYPE = "sal_height_msgs/msg/ChannelFrame"
-SENSOR_TYPE = "sal_height_msgs/msg/SensorInfo"
-ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
+from sal_height.bag.topics import FRAME_TYPE, SENSOR_TYPE, Topic
 
 FRAMES, SENSOR_INFO, ODOMETRY = "phase_history", "sensor_info", "platform/odometry"
 """Topics of a sensor, without its namespace."""

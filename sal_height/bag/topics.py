@@ -9,6 +9,12 @@ from rclpy.qos import QoSProfile
 
 from sal_height.bag.definitions import Definition
 
+FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, SENSOR_TYPE, CALIBRATION_TYPE, RELIEF_TYPE = (
+    f"sal_height_msgs/msg/{name}"
+    for name in ("ChannelFrame", "ComplexImage", "HeightImage", "SensorInfo", "Calibration", "ReliefMap")
+)
+ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
+
 
 @dataclass(frozen=True)
 class Topic:

@@ -205,18 +205,19 @@ def diff(
         topic: Compare this topic; may be repeated. Default: all but those that say how a run went, such as diagnostics.
         out: Output folder, new or empty. Default: out/diff_OTHER, or the next free of out/diff_OTHER_2, ….
     """
-    from sal_height.bag.compare import CHANGED
+    from sal_height.bag.compare import CHANGED, compare_bags
     from sal_height.bag.reader import BagReader
     from sal_height.bag.tolerance import ROUNDING, read_tolerances
     from sal_height.io import new_folder, write_text
-    from sal_height.runs.judge import as_json, judge, topics_to_compare, verdict_of
+    from sal_height.runs.judge import as_json, draw_worst_dwell, topics_to_compare, verdict_of
     from sal_height.runs.tables import comparison_table
 
     tolerances = read_tolerances(tolerance) if tolerance else ROUNDING
     bags = BagReader(golden), BagReader(other)
     topics = topics_to_compare(*bags, topic)
     folder = new_folder(output_folder(out, f"diff_{bag_name(other)}"))
-    compared = judge(*bags, tolerances, topics, folder)
+    compared = compare_bags(*bags, tolerances, topics)
+    draw_worst_dwell(*bags, compared, folder)
     write_text(folder / "diff.json", json.dumps(as_json(*bags, compared, tolerances), indent=2) + "\n")
     print(f"{comparison_table(compared)}\n{verdict_of(compared)}; see {folder}")
     return FAILED if verdict_of(compared) == CHANGED else DONE

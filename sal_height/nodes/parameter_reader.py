@@ -14,12 +14,9 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.task import Future
 
-from sal_height.bag import parameter_events
+from sal_height.bag.parameter_events import PARAMETER_EVENTS, after
 from sal_height.nodes.endpoints import NAMELESS
 from sal_height.nodes.guard import guarded
-
-PARAMETER_EVENTS = parameter_events.PARAMETER_EVENTS
-PARAMETER_EVENT_TYPE = parameter_events.PARAMETER_EVENT_TYPE
 
 ASK_PERIOD_S = 0.5
 """Period at which it is looked for new nodes."""
@@ -72,7 +69,7 @@ class ParameterReader:
             event = deserialize_message(cdr, ParameterEvent)
         except RuntimeError:  # rclpy's own error class is private, and a subclass of it
             return None
-        known = parameter_events.after(self._known.get(event.node), event)
+        known = after(self._known.get(event.node), event)
         whole = serialize_message(known)
         if len(whole) > MOST_BYTES or (event.node not in self._known and len(self._known) == MOST_NODES):
             return None

@@ -12,7 +12,7 @@ from rclpy.qos import QoSProfile
 from sal_height_msgs.msg import Provenance
 
 from sal_height import messages
-from sal_height.bag.reader import BagMessage
+from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, BagMessage
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
@@ -28,8 +28,6 @@ sample before and the first one after."""
 
 MOST, LATEST_NS = 2**32 - 1, 2**63 - 1
 """Greatest number of a dwell, and latest stamp, ns."""
-
-FRAME, IMAGE, HEIGHTS = (f"sal_height_msgs/msg/{name}" for name in ("ChannelFrame", "ComplexImage", "HeightImage"))
 
 
 def qos_of(topic: str) -> QoSProfile:
@@ -57,17 +55,40 @@ def part_of(recorded: BagMessage) -> DwellPart | None:
     Raises:
         RuntimeError: the message is broken.
     """
-    if recorded.type_name == FRAME:
+    if recorded.type_name == FRAME_TYPE:
         frame = messages.received_frame(recorded.cdr)
         duration = max((t for t in frame.pulse_time.tolist() if 0 < t <= messages.LONGEST_DWELL), default=0.0)
         return DwellPart(DwellKey(frame.dwell, frame.stamp_ns), frame.stamp_ns + round(duration * 1e9))
-    if recorded.type_name == IMAGE:
+    if recorded.type_name == IMAGE_TYPE:
         image = messages.received_image(recorded.cdr)
         return DwellPart(DwellKey(image.dwell, image.stamp_ns), image.stamp_ns, image.provenance)
-    if recorded.type_name == HEIGHTS:
+    if recorded.type_name == HEIGHT_TYPE:
         origin = messages.height_origin(recorded.cdr)
         return DwellPart(DwellKey(origin.dwell, origin.stamp_ns), origin.stamp_ns, origin.provenance)
     return None
+
+
+class Content(NamedTuple):
+    """What matters of a message to whoever plays it.
+
+    Attributes:
+        part: of a dwell; None: it is part of none.
+        odometry_ns: stamp of odometry, ns; None: it is none.
+    """
+
+    part: DwellPart | None = None
+    odometry_ns: int | None = None
+
+
+def content_of(recorded: BagMessage) -> Content:
+    """What matters of a message to whoever plays it, read at its place.
+
+    Raises:
+        RuntimeError: the message is broken.
+    """
+    if recorded.type_name == ODOMETRY_TYPE:
+        return Content(odometry_ns=messages.received_pose(recorded.cdr).stamp_ns)
+    return Content(part_of(recorded))
 
 
 @dataclass(frozen=True)
@@ -103,8 +124,7 @@ def chosen(recorded: Iterator[BagMessage], dwells: DwellRange) -> Iterator[BagMe
     covered_ns, needed_ns, passed_ns = -math.inf, -math.inf, -math.inf
     for one in recorded:
         try:
-            part = part_of(one)
-            stamp_ns = messages.received_pose(one.cdr).stamp_ns if one.topic.lstrip("/") == ODOMETRY else None
+            part, stamp_ns = content_of(one)
         except RuntimeError:
             yield one
             continue

@@ -8,19 +8,19 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from sal_height_msgs.msg import Calibration as CalibrationMessage
-from sal_height_msgs.msg import SensorInfo
 
 from sal_height.bag.definitions import message_class
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagMessage, BagReader
+from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE
 from sal_height.errors import UserError
 from sal_height.nodes.account import CALIBRATIONS
 from sal_height.nodes.cues import DwellKey, cues_of_text
 from sal_height.nodes.managed import INACTIVE
-from sal_height.nodes.played import ALL, HEIGHTS, LATEST_NS, MOST, SENSOR, DwellRange, chosen, qos_of
+from sal_height.nodes.played import ALL, LATEST_NS, MOST, SENSOR, Content, DwellRange, chosen, content_of, qos_of
 from sal_height.nodes.playlist import SENSOR_INFO
 from sal_height.nodes.program import run_node
-from sal_height.nodes.reel import OF_DWELLS, Group, Reel, key_of
+from sal_height.nodes.reel import Group, Reel
 from sal_height.nodes.remote_parameters import RemoteParameters
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import (
@@ -101,11 +101,13 @@ class Player(Stage):
             raise UserError(
                 f"Bag {self._reader.path} has no topic {', '.join(missing)}; needed are {', '.join(parameters.topics)}."
             )
+        for name in parameters.topics:  # their bytes go out as they are
+            self._reader.check_type(recorded[name].type_name)
         self._outlets = {
             recorded[name].name: self.offer(message_class(recorded[name].type_name), name, qos_of(name))
             for name in parameters.topics
         }
-        self._detectors = sum(recorded[name].type_name == HEIGHTS for name in parameters.topics)
+        self._detectors = sum(recorded[name].type_name == HEIGHT_TYPE for name in parameters.topics)
         self._cues = cues_of_text(self.current_parameters().cues)
         self._others = RemoteParameters(self, {name for cue in self._cues.values() for name in cue.parameters})
         self._calibrations = self._named_calibrations()
@@ -116,7 +118,7 @@ class Player(Stage):
         self._last_odometry_ns = 0
         if SENSOR_INFO in parameters.topics:
             self._announced = next(self._reader.messages([recorded[SENSOR_INFO].name]), None)
-            if self._announced and self._decode(self._announced):
+            if self._announced and self._content_of(self._announced):
                 self._publish(self._announced)
 
     @property
@@ -156,15 +158,15 @@ class Player(Stage):
         while (recorded := self._reel.next) is not None:
             if recorded == self._announced:
                 self._announced = None  # the next one like it is to be played
-            elif message := self._decode(recorded):
-                if isinstance(message, OF_DWELLS):
-                    if group.closed(self._detectors) or self._is_held_up(key_of(message), group):
+            elif content := self._content_of(recorded):
+                if content.part:
+                    if group.closed(self._detectors) or self._is_held_up(content.part.dwell, group):
                         break
-                    if self._comes_later(key_of(message), group):
+                    if self._comes_later(content.part.dwell, group):
                         group.set_aside.append(recorded)
                         self._reel.advance()
                         continue
-                group.add(message)
+                group.add(content)
                 self._publish(recorded)
             self._reel.advance()
         self._last_odometry_ns = group.last_odometry_ns if group.set_aside else 0
@@ -194,16 +196,17 @@ class Player(Stage):
             self._others.set(name, values, lambda: self.is_ending)
         return False
 
-    def _decode(self, recorded: BagMessage) -> Any:
-        """The message, whose number of detectors is kept if it is a sensor info; None if it is broken, and counted."""
+    def _content_of(self, recorded: BagMessage) -> Content | None:
+        """What matters of a message; takes note of detectors of a sensor info. None: it is broken, which is told."""
         try:
-            message = self._reader.decode(recorded.type_name, recorded.cdr)
+            if recorded.type_name != SENSOR_TYPE:
+                return content_of(recorded)
+            sensor = self._reader.decode(recorded.type_name, recorded.cdr)
         except Exception as error:  # noqa: BLE001 (whatever the deserializer makes of broken bytes)
             self.ignore(f"broken {recorded.topic}", UserError(f"A message cannot be decoded: {error}"))
             return None
-        if isinstance(message, SensorInfo):
-            self._detectors = max(1, len(message.beams.elevation_boresights))
-        return message
+        self._detectors = max(1, len(sensor.beams.elevation_boresights))
+        return Content()
 
     def _publish(self, recorded: BagMessage) -> None:
         self._outlets[recorded.topic].publish(recorded.cdr)

@@ -24,6 +24,7 @@ from rclpy.subscription import Subscription
 
 from sal_height.bag.definitions import message_class
 from sal_height.bag.files import ACCOUNT
+from sal_height.bag.parameter_events import PARAMETER_EVENT_TYPE, PARAMETER_EVENTS
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.io import free_folder
@@ -31,12 +32,7 @@ from sal_height.nodes.account import DIAGNOSTICS, DROPPED, IGNORED, PROGRESS, RE
 from sal_height.nodes.executors import with_times
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.ledger import NOT_WRITTEN, ON_THE_WAY, QUEUE_FULL, Ledger
-from sal_height.nodes.parameter_reader import (
-    ASK_PERIOD_S,
-    PARAMETER_EVENT_TYPE,
-    PARAMETER_EVENTS,
-    ParameterReader,
-)
+from sal_height.nodes.parameter_reader import ASK_PERIOD_S, ParameterReader
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.process_numbers import process_numbers
 from sal_height.nodes.program import run_node

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from sal_height.bag.file_writer import COMPRESSIONS
+from sal_height.bag.parameter_events import PARAMETER_EVENTS
 from sal_height.bag.writer import Packing
-from sal_height.nodes.parameter_reader import PARAMETER_EVENTS
 from sal_height.nodes.selection import NEVER_BY_DEFAULT
 from sal_height.settings import Settings, setting
 

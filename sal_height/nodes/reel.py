@@ -4,18 +4,11 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
-from typing import Any
 
-from nav_msgs.msg import Odometry
-from sal_height_msgs.msg import ChannelFrame, ComplexImage, HeightImage
-
-from sal_height import messages
 from sal_height.bag.reader import BagMessage
 from sal_height.errors import UserError
 from sal_height.nodes.cues import DwellKey
-
-OF_DWELLS = ChannelFrame, ComplexImage, HeightImage
-"""Messages that dwells are made of; a bag is played from one kind of them on."""
+from sal_height.nodes.played import Content
 
 LONGEST_GROUP = 4
 """A group of dwells ends after the frames of this many dwells, even if some dwells lack a frame."""
@@ -74,24 +67,17 @@ class Group:
         self.last_odometry_ns = last_odometry_ns
         self._last_pulse_ns = 0
 
-    def add(self, message: Any) -> None:
+    def add(self, content: Content) -> None:
         """Take note of a message that is played."""
-        if isinstance(message, Odometry):
-            self.last_odometry_ns = messages.to_ns(message.header.stamp)
-        elif isinstance(message, OF_DWELLS):
-            key = key_of(message)
-            self.frames[key] += 1
-        if isinstance(message, ChannelFrame):
-            duration = max((t for t in message.pulse_time if 0 < t <= messages.LONGEST_DWELL), default=0.0)
-            self._last_pulse_ns = max(self._last_pulse_ns, key.stamp_ns + round(duration * 1e9))
+        if content.odometry_ns is not None:
+            self.last_odometry_ns = content.odometry_ns
+        if content.part:
+            self.frames[content.part.dwell] += 1
+            if content.part.provenance is None:  # from the sensor, so that odometry is needed
+                self._last_pulse_ns = max(self._last_pulse_ns, content.part.end_ns)
 
     def closed(self, detectors: int) -> bool:
         """Whether all frames have come, and odometry past the last pulse; or too many frames for that to happen."""
         complete = bool(self.frames) and min(self.frames.values()) >= detectors
         covered = self.last_odometry_ns >= self._last_pulse_ns
         return (complete and covered) or self.frames.total() + len(self.set_aside) >= LONGEST_GROUP * detectors
-
-
-def key_of(message: Any) -> DwellKey:
-    """The dwell of a frame, an image or a height image."""
-    return DwellKey(message.dwell, messages.to_ns(message.header.stamp))

@@ -11,8 +11,9 @@ import numpy as np
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
-from sal_height.bag.compare import HEIGHT_IMAGE, Comparison
+from sal_height.bag.compare import Comparison
 from sal_height.bag.reader import BagReader
+from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.numeric import F64
 
 mpl.use("Agg")
@@ -27,7 +28,7 @@ def worst_height_image(compared: Mapping[str, Comparison], golden: BagReader) ->
     None: no height image differs, or none is on both sides.
     """
     topics = {name: topic.type_name for name, topic in golden.topics.items()}
-    images = {name: one for name, one in compared.items() if topics.get(name) == HEIGHT_IMAGE and one.matched}
+    images = {name: one for name, one in compared.items() if topics.get(name) == HEIGHT_TYPE and one.matched}
     beyond = {name: one.outside.most_common(1)[0] for name, one in images.items() if one.outside}
     if beyond:
         name = max(beyond, key=lambda topic: beyond[topic][1])

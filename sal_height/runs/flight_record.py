@@ -10,10 +10,10 @@ from rclpy.parameter import parameter_value_to_python
 
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader
+from sal_height.bag.parameter_events import PARAMETER_EVENTS
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
 from sal_height.nodes.cues import DwellKey
-from sal_height.nodes.parameter_reader import PARAMETER_EVENTS
 from sal_height.nodes.played import IMAGES, part_of
 from sal_height.runs.catalogue import HEIGHTS
 

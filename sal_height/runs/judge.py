@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, Comparison, compare_bags
+from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, Comparison
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import Tolerances
 from sal_height.errors import UserError
@@ -21,34 +21,17 @@ PASSING = frozenset({DIAGNOSTICS_RECORDED, "/parameter_events", "/progress", "/r
 """Topics that say how a run went, which is another time never the same."""
 
 
-def judge(
-    golden: BagReader,
-    made: BagReader,
-    tolerances: Tolerances,
-    topics: Collection[str] | None,
-    folder: Path,
-    counts: Callable[[Any], bool] | None = None,
-) -> dict[str, Comparison]:
-    """Compare two bags, and draw the worst dwell in `folder`/comparison.png if the heights of any differ.
-
-    Args:
-        golden: the bag that is right.
-        made: the bag that is judged.
-        tolerances: how far values may be from the golden ones.
-        topics: those to compare; None: all with height images.
-        folder: where the picture belongs.
-        counts: whether a golden message counts; None: all do.
+def draw_worst_dwell(golden: BagReader, made: BagReader, compared: Mapping[str, Comparison], folder: Path) -> None:
+    """Draw the worst dwell of a comparison in `folder`/comparison.png, if the heights of any differ.
 
     Raises:
         UserError: a bag cannot be read, or the picture cannot be written.
     """
     from sal_height.runs.difference_picture import draw_difference, worst_height_image  # noqa: PLC0415 (Matplotlib)
 
-    compared = compare_bags(golden, made, tolerances, topics, counts)
     if worst := worst_height_image(compared, golden):
         with writing(folder / PICTURE):
             draw_difference(golden, made, *worst, folder / PICTURE)
-    return compared
 
 
 def verdict_of(compared: Mapping[str, Comparison]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
+from sal_height.bag.topics import IMAGE_TYPE, SENSOR_TYPE
 from sal_height.errors import UserError
 from sal_height.geometry import Grid, without_range_phase
 from sal_height.imaging import azimuth_resolution
@@ -17,9 +18,6 @@ from sal_height.numeric import WINDOWS, Complex, window
 from sal_height.response import ShapedNoise
 from sal_height.runs.images import AXES, Image
 from sal_height.sensor import Sensor, processed_angle
-
-IMAGE_TYPE = "sal_height_msgs/msg/ComplexImage"
-SENSOR_TYPE = "sal_height_msgs/msg/SensorInfo"
 
 WINDOW_NODES = 1025
 """Weights of a window of which the shape of noise is computed."""

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from sal_height.bag.compare import CHANGED, Comparison
+from sal_height.bag.compare import CHANGED, Comparison, compare_bags
 from sal_height.bag.namespace import open_bag
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import ROUNDING, Tolerances
@@ -21,7 +21,7 @@ from sal_height.runs.accuracy import read_accuracy
 from sal_height.runs.catalogue import HEIGHTS, TRACKER, NodeParameters, consumers, recorded_topics
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
-from sal_height.runs.judge import as_json, judge
+from sal_height.runs.judge import as_json, draw_worst_dwell
 from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.replay_parameters import processing_of
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
@@ -138,8 +138,10 @@ def replay(
         judged = [f"/{p}/height" for p in prefixes if p != HEIGHTS[TRACKER] or processing.begins_with_bag]
         judged = [topic for topic in judged if topic in golden.topics]
         if judged and not outcome.interrupted:
-            compared = judge(golden, BagReader(made), against.tolerances, judged, folder, processing.plays)
-            report["comparison"] = as_json(golden, BagReader(made), compared, against.tolerances)
+            new = BagReader(made)
+            compared = compare_bags(golden, new, against.tolerances, judged, processing.plays)
+            draw_worst_dwell(golden, new, compared, folder)
+            report["comparison"] = as_json(golden, new, compared, against.tolerances)
         flight = recorded_flight(reader)
         accuracy = read_accuracy(made, flight, stages).statistics if flight else {}
         images = [] if chain.makers else _measure_images(folder)

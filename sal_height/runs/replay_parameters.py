@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from sal_height.bag.files import parameters_file
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.messages import to_ns
@@ -196,7 +197,7 @@ def _custom_data(reader: BagReader) -> dict[str, dict[str, Any]] | None:
     Raises:
         UserError: they are not what this program writes.
     """
-    path = (reader.path if reader.path.is_dir() else reader.path.parent) / "parameters.yaml"
+    path = parameters_file(reader.path)
     try:
         text = reader.custom_data.get(PARAMETERS) or (path.read_text(encoding="utf-8") if path.is_file() else "")
         values = yaml.safe_load(text)  # JSON is a part of YAML

@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
+from sal_height.bag.topics import FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist
@@ -105,9 +106,9 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
     start_ns = time.time_ns()
     stamp = messages.to_stamp(start_ns)
     topics: dict[str, tuple[str, QoSProfile]] = {
-        SENSOR_INFO: ("sal_height_msgs/msg/SensorInfo", LATCHED_QOS),
-        ODOMETRY: ("nav_msgs/msg/Odometry", ODOMETRY_QOS),
-        FRAMES: ("sal_height_msgs/msg/ChannelFrame", FRAMES_QOS),
+        SENSOR_INFO: (SENSOR_TYPE, LATCHED_QOS),
+        ODOMETRY: (ODOMETRY_TYPE, ODOMETRY_QOS),
+        FRAMES: (FRAME_TYPE, FRAMES_QOS),
     }
     with BagWriter(folder, _custom_data(preset, seed, flight.sensor)) as bag:
         for name, (kind, qos) in topics.items():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import signal
-from collections import Counter
 from dataclasses import dataclass
 
 from sal_height.errors import UserError
@@ -29,15 +28,10 @@ class _Fate:
 
 
 class Supervisor:
-    """Starts nodes again that have ended, each after a wait, and says so.
-
-    Attributes:
-        starts: how often each node was started again.
-    """
+    """Starts nodes again that have ended, each after a wait, and says so."""
 
     def __init__(self, ensemble: Ensemble, now: float) -> None:
         """Watch the processes of `ensemble` from the time `now`, s of the monotonic clock."""
-        self.starts: Counter[str] = Counter()
         self._ensemble = ensemble
         self._fates = {name: _Fate(now) for name in ensemble.members}
 
@@ -54,7 +48,6 @@ class Supervisor:
                 except UserError as error:
                     self._await(name, fate, now, f"could not be started ({error})")
                     continue
-                self.starts[name] += 1
                 fate.began, fate.due = now, None
                 started.append(name)
         return started

@@ -13,10 +13,11 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 from sal_height_msgs.msg import ChannelFrame, HeightImage, Surface
 
-from sal_height.bag.compare import CHANGED, EQUAL, HEIGHT_IMAGE, WITHIN, Comparison, compare_bags
+from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, Comparison, compare_bags
 from sal_height.bag.fields import content_hash, fields_of
 from sal_height.bag.reader import BagReader
-from sal_height.bag.tolerance import EXACT, Tolerance, Tolerances, read_tolerances
+from sal_height.bag.tolerance import EXACT, ROUNDING, Tolerance, Tolerances, read_tolerances
+from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 
@@ -43,7 +44,7 @@ class Bags:
     def __init__(self, folder: Path) -> None:
         self.folder, self.written = folder, 0
 
-    def write(self, messages: dict[str, list[Any]], kind: str = HEIGHT_IMAGE) -> BagReader:
+    def write(self, messages: dict[str, list[Any]], kind: str = HEIGHT_TYPE) -> BagReader:
         self.written += 1
         with BagWriter(self.folder / str(self.written)) as writer:
             for topic, sequence in messages.items():
@@ -101,6 +102,32 @@ def test_a_change_of_a_ten_thousandth_of_sigma_decides(sigmas: float, verdict: s
     result = bags.compare([image()], [other], TENTH_OF_SIGMA)
     assert result.verdict == verdict
     assert result.fields["surfaces[0].height"].greatest == pytest.approx(sigmas * 0.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("pattern", [name for name in ROUNDING.rules if name not in {"samples", "noise_power"}])
+@pytest.mark.parametrize(("share", "verdict"), [(0.99, WITHIN), (1.01, CHANGED)])
+def test_each_default_tolerance_ends_where_it_says(pattern: str, share: float, verdict: str, bags: Bags) -> None:
+    """In values of a size of which the digits of their type suffice for it."""
+    golden, made = image(), image()
+    for side in (golden, made):
+        for field in ("covariance", "common_covariance"):
+            setattr(side.surfaces[0], field, np.full(6 * ROWS * COLS, 0.25, np.float32))
+        side.surfaces[0].spread = np.full(ROWS * COLS, 0.25, np.float32)
+        side.order_probability = np.full(5 * ROWS * COLS, 0.2, np.float32)
+        side.grid.row_spacing = side.aperture.length = 2.0
+    name = {"grid.*": "grid.row_spacing", "aperture.*": "aperture.length"}.get(pattern, pattern)
+    full_name = name.replace("surfaces.", "surfaces[0].")
+    values, sigma = fields_of(golden)[full_name], fields_of(golden)["surfaces[0].sigma"]
+    value = values[0] + share * ROUNDING.rules[pattern].allowed(values, sigma)[0]
+    holder, _, field = name.rpartition(".")
+    owner = {"": made, "surfaces": made.surfaces[0]}.get(holder) or getattr(made, holder)
+    if values.size == 1:
+        setattr(owner, field, value)
+    else:
+        getattr(owner, field)[0] = value
+    found = bags.compare([golden], [made], ROUNDING)
+    assert [one for one, difference in found.fields.items() if difference.different] == [full_name]
+    assert found.verdict == verdict
 
 
 def later(message: HeightImage) -> None:

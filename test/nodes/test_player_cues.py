@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from sal_height_msgs.msg import Calibration, ChannelFrame, SensorInfo
 from written_bag import calibration, frame, key
 
 from sal_height import messages
+from sal_height.bag.definitions import Definition
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.nodes.account import CALIBRATIONS
@@ -35,14 +37,15 @@ def odometry(stamp_s: float) -> Odometry:
     return message
 
 
-def bag(folder: Path, recorded: Iterable[Any]) -> Path:
-    """A bag of a sensor with two detectors."""
+def bag(folder: Path, recorded: Iterable[Any], other: Mapping[type, Definition] = MappingProxyType({})) -> Path:
+    """A bag of a sensor with two detectors, with `other` definitions of types than those that are installed."""
     info = SensorInfo()
     info.beams.elevation_boresights = [0.0, 0.1]
     topics = {**TOPICS, Calibration: "/calibration"}
     with BagWriter(folder, {}) as writer:
         for kind, name in topics.items():
-            writer.add_topic(name, f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}", [FRAMES_QOS])
+            type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+            writer.add_topic(name, type_name, [FRAMES_QOS], definition=other.get(kind))
         for time_ns, message in enumerate([info, *recorded], 1):
             writer.write(topics[type(message)], serialize_message(message), time_ns, time_ns)
     return folder
@@ -107,6 +110,13 @@ def test_a_calibration_that_the_bag_lacks_is_refused(graph: Graph, tmp_path: Pat
     with pytest.raises(UserError) as error:
         player_of(graph, bag(tmp_path / "bag", [frame(0)]), Cue(key(0), calibrations=("lost",)))
     assert_one_sentence(str(error.value), "'lost'", str(tmp_path / "bag"))
+
+
+def test_a_bag_with_another_definition_of_what_is_played_is_refused(graph: Graph, tmp_path: Path) -> None:
+    """Of a type that is not ours: messages of our own older ones are made anew."""
+    path = bag(tmp_path / "bag", [frame(0)], {Odometry: Definition("uint8 other", "")})
+    with pytest.raises(UserError, match=r"^Topic /platform/odometry .* another definition of nav_msgs/.*\.$"):
+        player_of(graph, path)
 
 
 def test_cues_that_are_none_are_refused(graph: Graph, tmp_path: Path) -> None:

@@ -11,12 +11,13 @@ from PIL import Image
 from rclpy.serialization import serialize_message
 from sal_height_msgs.msg import HeightImage, Surface
 
-from sal_height.bag.compare import CHANGED, EQUAL, HEIGHT_IMAGE, WITHIN, Comparison
+from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, Comparison, compare_bags
 from sal_height.bag.reader import BagReader
-from sal_height.bag.tolerance import EXACT, Tolerance, Tolerances
+from sal_height.bag.tolerance import Tolerance, Tolerances
+from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
-from sal_height.runs.judge import PICTURE, as_json, judge, topics_to_compare, verdict_of
+from sal_height.runs.judge import PICTURE, as_json, draw_worst_dwell, topics_to_compare, verdict_of
 
 ROWS, COLS = 8, 6
 
@@ -24,7 +25,7 @@ ROWS, COLS = 8, 6
 def write(folder: Path, heights: dict[int, np.ndarray], latency_ms: float = 5.0) -> BagReader:
     """A bag with an image of each dwell, and with what a node says before and after them."""
     with BagWriter(folder) as bag:
-        bag.add_topic("/ml/height", HEIGHT_IMAGE)
+        bag.add_topic("/ml/height", HEIGHT_TYPE)
         bag.add_topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
         for dwell, values in heights.items():
             message = HeightImage(dwell=dwell, validity=np.zeros(values.size, np.uint8))
@@ -35,6 +36,12 @@ def write(folder: Path, heights: dict[int, np.ndarray], latency_ms: float = 5.0)
             status = DiagnosticStatus(name="ml_height", values=[KeyValue(key="latency_p50_ms", value=str(latency))])
             bag.write("/diagnostics", serialize_message(DiagnosticArray(status=[status])), time, time)
     return BagReader(folder)
+
+
+def judged(golden: BagReader, made: BagReader, folder: Path) -> dict[str, Comparison]:
+    compared = compare_bags(golden, made)
+    draw_worst_dwell(golden, made, compared, folder)
+    return compared
 
 
 def dwells(number: int) -> dict[int, np.ndarray]:
@@ -48,7 +55,7 @@ def test_the_worst_dwell_is_drawn(tmp_path: Path) -> None:
     changed[2][3, :3] += 1
     changed[2][3, 1] = np.nan
     golden, made = write(tmp_path / "golden", dwells(3)), write(tmp_path / "made", changed)
-    compared = judge(golden, made, EXACT, None, tmp_path)
+    compared = judged(golden, made, tmp_path)
     assert (verdict_of(compared), compared["/ml/height"].worst) == (CHANGED, 2)
     with Image.open(tmp_path / PICTURE) as picture:
         magenta = (np.asarray(picture.convert("RGB")) == (255, 0, 255)).all(axis=2)
@@ -57,13 +64,13 @@ def test_the_worst_dwell_is_drawn(tmp_path: Path) -> None:
 
 def test_images_of_another_shape_are_drawn_side_by_side(tmp_path: Path) -> None:
     golden, made = write(tmp_path / "golden", dwells(1)), write(tmp_path / "made", {0: np.zeros((ROWS - 1, COLS))})
-    assert verdict_of(judge(golden, made, EXACT, None, tmp_path)) == CHANGED
+    assert verdict_of(judged(golden, made, tmp_path)) == CHANGED
     assert (tmp_path / PICTURE).is_file()
 
 
 def test_equal_bags_need_no_picture(tmp_path: Path) -> None:
     golden, made = write(tmp_path / "golden", dwells(2)), write(tmp_path / "made", dwells(2), latency_ms=7.0)
-    compared = judge(golden, made, EXACT, None, tmp_path)
+    compared = judged(golden, made, tmp_path)
     assert not (tmp_path / PICTURE).exists()
     said = as_json(golden, made, compared, Tolerances({"*": Tolerance(sigma=2)}))
     assert (said["verdict"], said["golden"], said["tolerances"]) == (EQUAL, "golden", {"*": {"sigma": 2}})

@@ -100,7 +100,6 @@ def test_the_end_of_a_node_and_what_follows_are_told(caplog: pytest.LogCaptureFi
     ]
     processes.failure = ""
     assert supervisor.look(3.0) == ["ml_height", "near"]
-    assert supervisor.starts == {"ml_height": 1, "near": 1}
 
 
 NODES = ["sar_compression", "ml_height", "relief_tracker", "relief_mapper", "recorder", "paced_player"]

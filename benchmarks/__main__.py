@@ -44,6 +44,7 @@ GROUPS = {
     "lockstep": "recording:lockstep_over_core",
     "start-up": "start_up:first_height",
     "late-node": "late_node:late_node",
+    "restarted-node": "late_node:restarted_node",
     "real-time": "real_time:sustained",
     "endurance": "real_time:endurance",
     "figures": "figures:all_figures",

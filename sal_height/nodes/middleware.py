@@ -7,17 +7,15 @@ larger: its frames then wait for room or go over the network, and keep platform 
 from __future__ import annotations
 
 import atexit
-import fcntl
 import os
 import shutil
 import tempfile
-import time
-from contextlib import suppress
 from pathlib import Path
 
 from rclpy.logging import get_logger
 
 from sal_height.errors import UserError
+from sal_height.nodes.leftovers import SHARED_MEMORY, avoid_dead_ports, remove_orphans
 
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 """Environment variable that names the file with settings of Fast DDS; it is read when the first node starts."""
@@ -33,14 +31,6 @@ DWELLS = 2
 
 SHARE = 1 / 16
 """Of what is free in the shared memory of the machine, the part that one process may take: others want theirs."""
-
-SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 (where Linux has it)
-
-SEGMENT, LOCK = "fastrtps_", "_el"
-"""Begin of the names of segments of shared memory, and end of that of the file that goes with each."""
-
-YOUNG_S = 10.0
-"""A segment younger than this is never taken for one that was left."""
 
 TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
@@ -98,6 +88,7 @@ And they ask five times a second, every 3 s by default, what of their messages h
 
 The ports of one that stands still are taken for dead after 5 s, 1 s by default, when nobody sends to it any more.
 Whoever does makes the port anew with each message, and one that goes on meanwhile may never be reached again (`ports`).
+Those of a process that was killed are not known to be dead as long: none that starts takes one (`leftovers`).
 """
 
 
@@ -130,20 +121,6 @@ def free_bytes() -> int:
     return shutil.disk_usage(SHARED_MEMORY).free if SHARED_MEMORY.is_dir() else 0
 
 
-def remove_orphans() -> None:
-    """Remove the shared memory of processes that were killed: 16 MB of each would stay until the machine restarts.
-
-    Each segment has a file that its process holds locked, as long as it lives.
-    """
-    for lock in SHARED_MEMORY.glob(f"{SEGMENT}*{LOCK}"):
-        with suppress(OSError), lock.open("rb") as held:
-            if time.time() - lock.stat().st_mtime < YOUNG_S:
-                continue  # its process may not have locked it yet
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            lock.with_name(lock.name.removesuffix(LOCK)).unlink(missing_ok=True)
-            lock.unlink()
-
-
 def settings_for(dwell_bytes: int, *, local: bool = False, packet_bytes: int = 0) -> str:
     """Settings of Fast DDS, as XML, with which a process publishes dwells of that size.
 
@@ -170,10 +147,11 @@ def provide_shared_memory(dwell_bytes: int = 0) -> None:
     """Have the nodes of this process, and of those that it starts, use shared memory that holds dwells of that size.
 
     What processes that were killed have left of it is given back first. Where the variables of ROS keep nodes to this
-    machine, no other can reach them. It has an effect before the first node of a process only. Whoever uses another
+    machine, no other can reach them. This has an effect before the first node of a process only. Whoever uses another
     middleware, or has settings of Fast DDS in a file of their own, keeps them.
     """
     remove_orphans()
+    avoid_dead_ports()
     if (
         not os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
         or PROFILES in os.environ

@@ -12,7 +12,7 @@ import re
 from contextlib import suppress
 from pathlib import Path
 
-from sal_height.nodes.middleware import LOCK, SEGMENT, SHARED_MEMORY
+from sal_height.nodes.leftovers import LOCK, SEGMENT, SHARED_MEMORY, is_avoided
 
 LOOK_S = 1.0
 """Period at which a process looks after its ports."""
@@ -54,7 +54,7 @@ def ports_read(process: Path = OURS) -> set[str]:
         return names
     for descriptor in (process / "fd").iterdir():
         with suppress(OSError):  # it was closed meanwhile
-            if found := _PORT_LOCK.fullmatch(str(descriptor.readlink())):
+            if (found := _PORT_LOCK.fullmatch(str(descriptor.readlink()))) and not is_avoided(descriptor):
                 names.add(found[1])
     return names
 

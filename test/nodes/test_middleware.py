@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from sal_height.commands import main
-from sal_height.nodes import middleware
-from sal_height.nodes.middleware import ENOUGH, LEAST, PROFILES, SHARED_MEMORY, remove_orphans, segment_bytes
+from sal_height.nodes.middleware import ENOUGH, LEAST, PROFILES, segment_bytes
 
 PROGRAM = """
 import os
@@ -85,35 +84,3 @@ def test_the_shared_memory_holds_two_dwells_if_there_is_room(
 ) -> None:
     segment = segment_bytes(int(dwell_mb * 1e6), int(free_mb * 1e6))
     assert segment == (None if segment_mb is None else int(segment_mb * 1e6))
-
-
-def segments() -> set[str]:
-    return {file.name for file in SHARED_MEMORY.glob("fastrtps_*") if "port" not in file.name}
-
-
-def test_shared_memory_of_a_killed_process_is_given_back_and_that_of_others_stays(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    code = PROGRAM.replace("    print(max(sizes))", "    print(max(sizes), flush=True); input()")
-    programs = [
-        subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)  # noqa: S603
-        for _ in range(2)
-    ]
-    owned = []
-    for program in programs:
-        assert program.stdout is not None
-        assert int(program.stdout.readline()) >= ENOUGH
-        maps = Path(f"/proc/{program.pid}/maps").read_text()
-        owned.append({name for name in segments() if f"{SHARED_MEMORY}/{name}\n" in maps and not name.endswith("_el")})
-    first, second = owned[0] - owned[1], owned[1] - owned[0]
-    assert first
-    assert second
-    programs[0].kill()
-    programs[0].communicate(timeout=60)
-    remove_orphans()
-    assert first <= segments()  # young: its process might not have locked it yet
-    monkeypatch.setattr(middleware, "YOUNG_S", 0.0)
-    remove_orphans()
-    assert not first & segments()
-    assert second <= segments()
-    programs[1].communicate("\n", timeout=60)

@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.middleware import SHARED_MEMORY
+from sal_height.nodes.leftovers import SHARED_MEMORY
 from sal_height.nodes.ports import LOOK_S, LOOKS, Ports, ports_read
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.watch import Watcher

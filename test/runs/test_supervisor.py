@@ -128,6 +128,7 @@ class Program:
     graph: Graph
     folder: Path
     stamps: dict[str, list[int]]
+    book: AccountBook = field(default_factory=AccountBook)
 
     def wait_for(self, condition: Callable[[], bool]) -> None:
         ended = self.process.poll
@@ -138,6 +139,11 @@ class Program:
         """Wait until so many more messages have come."""
         wanted = len(self.stamps[topic]) + number
         self.wait_for(lambda: len(self.stamps[topic]) >= wanted)
+
+    @property
+    def recorded(self) -> int:
+        """Number of heights that all processes of the recorder have written."""
+        return self.book.entries["lidar/recorder"].account.count("recorded./lidar/ml/height")
 
     def node(self, name: str) -> int:
         """Number of the process of a node; 0: there is none."""
@@ -193,8 +199,9 @@ def program(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterato
         stamps: dict[str, list[int]] = {"ml/height": [], "tracked/height": []}
         node = graph.add(_listener(graph, stamps, "/lidar"))
         begin(graph, node)
-        started, book = Program(process, graph, folder, stamps), AccountBook()
+        book = AccountBook()
         graph.add(Watcher(book, context=graph.context))
+        started = Program(process, graph, folder, stamps, book)
         started.wait_for(lambda: len(book.entries) == len(NODES))  # from now on the program counts their processes
         started.await_new("tracked/height")
         yield started
@@ -239,6 +246,8 @@ def test_a_node_that_is_killed_works_again_beside_the_others(name: str, program:
     again = program.node(name)
     program.await_new("tracked/height", 2)
     program.await_new("ml/height", 2)
+    recorded = program.recorded
+    program.wait_for(lambda: program.recorded > recorded)
     assert program.node(name) == again
     others.pop(name, None)
     assert {other: program.node(other) for other in others} == others

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -96,11 +97,7 @@ class HeightNode(DwellStage):
                 f"Dwell {first.dwell}: {share:.3g} of a channel's samples are clipped; heights need {limit:g} or "
             )
             self.ignore("saturated", UserError(f"{sentence}less (max_saturated_share)."))
-        silent = sorted(set(range(len(images))) - set(live_channels(slc.images, sensor).tolist()))
-        used = {**dict(parameters), LEFT_OUT: silent} if silent else parameters
-        provenance = messages.derived(first.provenance, self.get_name(), used)
-        looks = (parameters.range_looks, parameters.azimuth_looks)
-        image = messages.height_to_message(field, slc.aperture, looks, self.estimator.name, first, provenance)
+        image = height_image(field, slc, images, sensor, self.estimator, parameters, self.get_name())
         self._image.publish_if_heard(lambda: messages.height_picture(image))
         self._points.publish(
             lambda name: messages.frame_near(field.grid.origin, image.header, name),
@@ -163,6 +160,33 @@ class HeightNode(DwellStage):
         else:
             self._calibrations.put(calibration.id, calibration)
         self.tell(CALIBRATIONS)
+
+
+def height_image(
+    field: HeightField,
+    slc: Slc,
+    images: Sequence[ReceivedImage],
+    sensor: Sensor,
+    estimator: ElevationEstimator,
+    parameters: Any,
+    node: str = "",
+) -> HeightImage:
+    """The message with the heights of a dwell.
+
+    Args:
+        field: the heights.
+        slc: images of all channels that they were made of.
+        images: the messages of these.
+        sensor: that took them.
+        estimator: that made them.
+        parameters: of its node.
+        node: name of that, for the provenance; empty: the usual one.
+    """
+    silent = sorted(set(range(len(images))) - set(live_channels(slc.images, sensor).tolist()))
+    used = {**dict(parameters), LEFT_OUT: silent} if silent else parameters
+    provenance = messages.derived(images[0].provenance, node or estimator.node, used)
+    looks = (parameters.range_looks, parameters.azimuth_looks)
+    return messages.height_to_message(field, slc.aperture, looks, estimator.name, images[0], provenance)
 
 
 def height_node(estimator: ElevationEstimator) -> type[HeightNode]:

@@ -23,7 +23,7 @@ from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import Stage, StageParameters, height_topics, payload_bytes
 from sal_height.rehearsal import made_up_heights
-from sal_height.relief import PriorEstimate, TrackingSettings, track
+from sal_height.relief import HeightField, PriorEstimate, TrackingSettings, track
 from sal_height.settings import setting
 
 PREFIX = "tracked"
@@ -92,20 +92,13 @@ class ReliefTracker(Stage):
     def process(self, message: HeightImage) -> int:
         """Smooth and publish the heights of a dwell (on the worker thread); returns the number of height images."""
         parameters = self.current_parameters()
-        field, aperture = (
-            messages.field_from_message(message, parameters.map_frame),
-            messages.aperture_from_message(message.aperture),
-        )
+        field = messages.field_from_message(message, parameters.map_frame)
         if bad := messages.bad_pixels(message, field):
             self.ignore("bad pixels", messages.bad_pixel_warning(message, bad))
-        series = (*_series_of(message), parameters)
+        series = series_of(message, parameters)
         before = self._priors.pop(series, PriorEstimate())  # to be the last that is forgotten
-        tracked, prior, after = track(field, aperture, before, parameters)
+        image, tracked, after = track_image(message, field, before, parameters, self.get_name())
         self._priors = dict([*self._priors.items(), (series, after)][-HELD_SERIES:])
-        used = {**dict(parameters), "prior": dataclasses.asdict(prior)}
-        provenance = messages.derived(message.provenance, self.get_name(), used)
-        looks = message.range_looks, message.azimuth_looks
-        image = messages.height_to_message(tracked, aperture, looks, PREFIX, message, provenance)
         self._image.publish_if_heard(lambda: messages.height_picture(image))
         self._points.publish(
             lambda name: messages.frame_near(tracked.grid.origin, image.header, name),
@@ -115,15 +108,42 @@ class ReliefTracker(Stage):
         return 1
 
 
-def _series_of(message: HeightImage) -> tuple[Hashable, ...]:
-    """What the heights of a series have in common: sensor, calibration, and how they were made of its dwells.
+def track_image(
+    message: HeightImage,
+    field: HeightField,
+    before: PriorEstimate,
+    parameters: Parameters,
+    node: str = "relief_tracker",
+) -> tuple[HeightImage, HeightField, PriorEstimate]:
+    """Smooth the heights of a dwell.
+
+    Args:
+        message: the heights.
+        field: the same as arrays.
+        before: what the dwells before of its series have left for the prior.
+        parameters: of the node.
+        node: its name, for the provenance.
+
+    Returns:
+        The message with the smoothed heights, the same as arrays, and what is left for the next dwell.
+    """
+    aperture = messages.aperture_from_message(message.aperture)
+    tracked, prior, after = track(field, aperture, before, parameters)
+    used = {**dict(parameters), "prior": dataclasses.asdict(prior)}
+    provenance = messages.derived(message.provenance, node, used)
+    looks = message.range_looks, message.azimuth_looks
+    return messages.height_to_message(tracked, aperture, looks, PREFIX, message, provenance), tracked, after
+
+
+def series_of(message: HeightImage, parameters: Parameters) -> tuple[Hashable, ...]:
+    """What the heights of a series have in common: sensor, calibration, and how they are made and tracked.
 
     Which channels had to be left out may change from dwell to dwell, and does not end a series.
     """
     provenance = message.provenance
     stages = messages.held_stages(provenance)
     made = repr({name: {**values, LEFT_OUT: None} for name, values in stages.items()})
-    return provenance.config_hash, provenance.calibration_id, message.estimator, made
+    return provenance.config_hash, provenance.calibration_id, message.estimator, made, parameters
 
 
 def main() -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -17,7 +18,7 @@ from sal_height import __version__, messages
 from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Motion, Mounting, PlatformState, Trajectory
-from sal_height.imaging import ImageSettings
+from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import Pose, ReceivedFrame
 from sal_height.nodes.account import CALIBRATIONS
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
@@ -211,28 +212,16 @@ class SarCompression(DwellStage):
 
     def process(self, frames: list[ReceivedFrame], sensor: Sensor, supplies: Supplies) -> int:
         """Compress a dwell, or the columns that a block completes of a strip, and publish the image of each channel."""
-        parameters = self.current_parameters()
-        if supplies.mounting != sensor.mounting:
-            sensor = replace(sensor, mounting=supplies.mounting)
-        history, calibration = messages.history_from_messages(frames), supplies.calibration
-        track = Trajectory(supplies.states, motion=parameters.motion)
-        slc = self._compressor.add(history, track, sensor, parameters, calibration)
-        if slc is None:
+        found = compress_dwell(frames, sensor, supplies, self._compressor, self.current_parameters(), self.get_name())
+        if found is None:
             if self._compressor.shortfall:
                 self.ignore("strip incomplete", UserError(f"Dwell {frames[0].dwell}: {self._compressor.shortfall}"))
             return 0
+        slc, images = found
         if slc.focus and not slc.focus.trusted:
             self.ignore("autofocus", UserError(f"Dwell {frames[0].dwell}: {NOT_TRUSTED}"))
         if slc.doubt:
             self.ignore("odometry", UserError(f"Dwell {frames[0].dwell}: {slc.doubt}"))
-        provenance = Provenance(
-            code_version=__version__,
-            config_hash=sensor.config_hash,
-            calibration_id=calibration.id if calibration else sensor.calibration_id,
-            parameters=messages.with_stage([], self.get_name(), parameters),
-            autofocus_phase=slc.autofocus_phase.tolist(),
-        )
-        images = messages.serialized_slc(slc, frames[0], provenance, parameters.map_frame)
         for image in images:
             self._slc.publish(image)
         return len(images)
@@ -318,6 +307,48 @@ class SarCompression(DwellStage):
         if state.stamp_ns >= self._awaited_ns or arrival is not Arrival.IN_ORDER:
             self._awaited_ns = math.inf  # dwells that go on waiting will say so
             self.advance()
+
+
+def compress_dwell(
+    frames: Sequence[ReceivedFrame],
+    sensor: Sensor,
+    supplies: Supplies,
+    compressor: Compressor,
+    parameters: Parameters,
+    node: str = "sar_compression",
+) -> tuple[Slc, list[bytes]] | None:
+    """The images of all channels of a dwell, or of the columns that a block completes of a strip.
+
+    Args:
+        frames: of all channels, in their order.
+        sensor: that took them.
+        supplies: what else there is for the dwell.
+        compressor: which has compressed the dwells before.
+        parameters: of the node.
+        node: its name, for the provenance.
+
+    Returns:
+        The images, and the message of each channel, serialized; None: of too few pulses as yet.
+
+    Raises:
+        UserError: the dwell cannot be compressed.
+    """
+    if supplies.mounting != sensor.mounting:
+        sensor = replace(sensor, mounting=supplies.mounting)
+    history, calibration = messages.history_from_messages(frames), supplies.calibration
+    slc = compressor.add(
+        history, Trajectory(supplies.states, motion=parameters.motion), sensor, parameters, calibration
+    )
+    if slc is None:
+        return None
+    provenance = Provenance(
+        code_version=__version__,
+        config_hash=sensor.config_hash,
+        calibration_id=calibration.id if calibration else sensor.calibration_id,
+        parameters=messages.with_stage([], node, parameters),
+        autofocus_phase=slc.autofocus_phase.tolist(),
+    )
+    return slc, messages.serialized_slc(slc, frames[0], provenance, parameters.map_frame)
 
 
 def _out_of_time(state: PlatformState, history: OdometryHistory) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -27,6 +28,16 @@ from sal_height.nodes.graph import Graph
 
 # A first start tells that it compiles; tests look at what else is told.
 logging.getLogger("sal_height.numeric.jit").setLevel(logging.ERROR)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def signals_end_programs() -> Iterator[None]:
+    """Programs leave signals ignored that are so: SIGHUP where the tests are run under nohup, SIGINT in background."""
+    handlers = {signal.SIGHUP: signal.SIG_DFL, signal.SIGINT: signal.default_int_handler}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def living_participants() -> int:

@@ -80,6 +80,8 @@ def _locked(file: Path) -> Iterator[int]:
     descriptor = os.open(file, os.O_RDWR)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not os.path.samestat(os.fstat(descriptor), file.stat()):
+            raise FileNotFoundError(file)  # it has been made anew meanwhile
         yield descriptor
     finally:
         os.close(descriptor)

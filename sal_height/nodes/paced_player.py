@@ -36,9 +36,9 @@ class PacedPlayer(Stage):
     """Publishes odometry and frames when the sensor would, from the call of ~/start until it ends.
 
     The bag is played from memory and begins anew after its end. Stamps go on: they begin with the time of the call,
-    which is answered by the first of them (ns), and all else in the messages is as recorded. While the node is
-    inactive, time goes on and nothing is published. Dwells that come late, for the machine is busy, come as fast as
-    they can.
+    which is answered by the first of them (ns), and all else in the messages is as recorded. Further calls are answered
+    alike, for an answer may be lost. While the node is inactive, time goes on and nothing is published. Dwells that
+    come late, for the machine is busy, come as fast as they can.
     """
 
     parameters = Parameters
@@ -63,7 +63,7 @@ class PacedPlayer(Stage):
             FRAMES: self.offer(ChannelFrame, FRAMES, FRAMES_QOS),
         }
         self.offer(SensorInfo, SENSOR_INFO, LATCHED_QOS).publish(self.playlist.sensor_info)
-        self._started = threading.Lock()
+        self._starting, self._first_stamp_ns = threading.Lock(), 0
         self.serve("~/start", self._start)
 
     def destroy_node(self) -> None:
@@ -74,11 +74,12 @@ class PacedPlayer(Stage):
     def _start(self) -> tuple[bool, str]:
         if not self.is_active:
             return False, INACTIVE
-        if not self._started.acquire(blocking=False):
-            return False, "the sensor delivers already"
-        stamp_ns, began = self.get_clock().now().nanoseconds + round(LEAD_S * 1e9), time.monotonic() + LEAD_S
-        self.submit(0, lambda: self._play(stamp_ns, began))
-        return True, f"{stamp_ns}"
+        with self._starting:
+            if not self._first_stamp_ns:
+                self._first_stamp_ns = self.get_clock().now().nanoseconds + round(LEAD_S * 1e9)
+                began = time.monotonic() + LEAD_S
+                self.submit(0, lambda: self._play(self._first_stamp_ns, began))
+        return True, f"{self._first_stamp_ns}"
 
     def _play(self, first_stamp_ns: int, began: float) -> int:
         """Publish until the node ends (on the worker thread).

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,14 +11,6 @@ from sal_height.runs.simulate import run
 from sal_height.simulation.preset import Preset, load_preset
 
 SEED = 3
-
-
-@pytest.fixture(scope="session", autouse=True)
-def hang_ups_end_programs() -> Iterator[None]:
-    """Programs leave SIGHUP ignored where it is, and it is where the tests themselves are run under nohup."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    yield
-    signal.signal(signal.SIGHUP, before)
 
 
 @pytest.fixture(scope="session")

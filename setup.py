@@ -45,6 +45,7 @@ setup(
         "tqdm",
     ],
     extras_require={
+        "batch": ["distributed", "pyarrow"],
         "dem": ["rasterio"],
         "view": ["rerun-sdk"],
         "test": ["cyclonedds; platform_machine == 'x86_64'", "h5py", "pytest", "pytest-xdist"],

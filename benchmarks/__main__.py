@@ -42,6 +42,8 @@ GROUPS = {
     "bag-info": "recording:info_of_a_large_bag",
     "recorder": "recording:recorded_at_a_rate",
     "lockstep": "recording:lockstep_over_core",
+    "batch": "campaign:scaling",
+    "batch-tasks": "campaign:scheduling",
     "start-up": "start_up:first_height",
     "late-node": "late_node:late_node",
     "restarted-node": "late_node:restarted_node",

@@ -99,3 +99,10 @@ def write_whole(path: Path, content: bytes | memoryview) -> None:
 def or_null(value: float) -> float | None:
     """The number, or None (JSON's null) where it is not finite, because JSON has neither NaN nor infinity."""
     return value if math.isfinite(value) else None
+
+
+def bag_name(bag: Path) -> str:
+    """Name for what is made from a bag: that of its folder, or of the folder around one that is called just "bag"."""
+    path = bag.resolve()
+    folder = path.parent if path.suffix == ".mcap" and not path.is_dir() else path
+    return folder.parent.name if folder.name == "bag" else folder.name

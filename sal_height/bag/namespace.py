@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from sal_height.bag.reader import BagMessage, BagReader
+from sal_height.bag.reader import ALWAYS, BagMessage, BagReader, LogTimes
 from sal_height.errors import UserError
 
 
@@ -34,14 +34,16 @@ class NamespacedReader(BagReader):
         """Whether a topic or node is in the namespace, by its whole name."""
         return name.startswith(f"{self.namespace}/")
 
-    def recorded_messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
+    def recorded_messages(
+        self, topics: Collection[str] | None = None, times: LogTimes = ALWAYS
+    ) -> Iterator[BagMessage]:
         """Messages in order of log time, those of `topics` or all, as recorded but for the names of the topics.
 
         UserError if a checksum or a record is found to be wrong on the way.
         """
         wanted = self._recorded_names if topics is None else topics
         names = [self._recorded_names[name] for name in wanted if name in self._recorded_names]
-        for message in super().recorded_messages(names):
+        for message in super().recorded_messages(names, times):
             yield message._replace(topic=self._names[message.topic])
 
 

@@ -6,7 +6,7 @@ import heapq
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mcap.reader import SeekingReader
 from rclpy.serialization import deserialize_message
@@ -28,6 +28,16 @@ from sal_height.bag.versions import current_name, needs_upgrade, upgraded
 from sal_height.errors import UserError
 
 __all__ = ["BagMessage", "BagReader", "Topic"]
+
+
+class LogTimes(NamedTuple):
+    """Times of reception, ns: from the first to the last, both included."""
+
+    first_ns: int = 0
+    last_ns: int = 2**63 - 1
+
+
+ALWAYS = LogTimes()
 
 
 class BagReader:
@@ -63,24 +73,27 @@ class BagReader:
         """Number of messages in all topics."""
         return sum(topic.count for topic in self.topics.values())
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
+    def messages(self, topics: Collection[str] | None = None, times: LogTimes = ALWAYS) -> Iterator[BagMessage]:
         """Messages in order of log time, those of `topics` or all; holds a few chunks of the bag in memory.
 
-        Messages of an older version of sal_height_msgs are made into those of today on the way.
+        Messages of an older version of sal_height_msgs are made into those of today on the way. Chunks outside of
+        `times` are not read.
 
         UserError if a checksum or a record is found to be wrong on the way.
         """
-        return map(self.as_today, self.recorded_messages(topics))
+        return map(self.as_today, self.recorded_messages(topics, times))
 
-    def recorded_messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
+    def recorded_messages(
+        self, topics: Collection[str] | None = None, times: LogTimes = ALWAYS
+    ) -> Iterator[BagMessage]:
         """Messages as `messages` gives them, but those of an older version as they were recorded.
 
         UserError if a checksum or a record is found to be wrong on the way.
         """
         if self._other:
-            return self._other.messages(topics)
+            return (one for one in self._other.messages(topics) if times.first_ns <= one.log_time_ns <= times.last_ns)
         files = zip(self.indexes, self.repeated, strict=True)
-        streams = (_read_messages(index.path, topics, repeated) for index, repeated in files)
+        streams = (_read_messages(index.path, topics, repeated, times) for index, repeated in files)
         return heapq.merge(*streams, key=lambda message: message.log_time_ns)
 
     def decode(self, type_name: str, cdr: bytes) -> Any:
@@ -165,11 +178,16 @@ def _custom_data_of(index: FileIndex) -> dict[str, str]:
     return next((texts for texts in custom_data if texts), {})
 
 
-def _read_messages(file: Path, topics: Collection[str] | None, repeated: Collection[str]) -> Iterator[BagMessage]:
+def _read_messages(
+    file: Path, topics: Collection[str] | None, repeated: Collection[str], times: LogTimes
+) -> Iterator[BagMessage]:
     """Messages of a file in order of log time; those in the file before, too, are left out of topics in `repeated`."""
     try:
         with file.open("rb") as stream:
-            for schema, channel, message in SeekingReader(stream, validate_crcs=True).iter_messages(topics):
+            reader = SeekingReader(stream, validate_crcs=True)
+            for schema, channel, message in reader.iter_messages(
+                topics, starting_at=times.first_ns, ending_at=times.last_ns
+            ):
                 if channel.topic in repeated and message.sequence == REPEATED_SEQUENCE:
                     continue
                 if schema is not None:  # always so: `check_encoding` refuses channels without

@@ -333,10 +333,3 @@ def _value(text: str) -> Any:
         return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError):
         return text
-
-
-def bag_name(bag: Path) -> str:
-    """Name for what is made from a bag: that of its folder, or of the folder around one that is called just "bag"."""
-    path = bag.resolve()
-    folder = path.parent if path.suffix == ".mcap" and not path.is_dir() else path
-    return folder.parent.name if folder.name == "bag" else folder.name

@@ -22,11 +22,11 @@ from sal_height.commands._options import (
     Flag,
     OutputFolder,
     Tolerance,
-    bag_name,
     command,
     complain,
     output_folder,
 )
+from sal_height.io import bag_name
 
 if TYPE_CHECKING:
     from sal_height.bag.dwells import DwellReport

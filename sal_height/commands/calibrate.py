@@ -11,12 +11,12 @@ from sal_height.commands._options import (
     GraphOptions,
     NodeParameters,
     OutputFolder,
-    bag_name,
     command,
     complain,
     node_parameters,
     output_folder,
 )
+from sal_height.io import bag_name
 
 EXAMPLES = """
   sal-height calibrate out/sal_spotlight/bag --out out/calibrated

@@ -18,7 +18,6 @@ from sal_height.commands._options import (
     GraphOptions,
     NodeParameters,
     OutputFolder,
-    bag_name,
     command,
     complain,
     importing,
@@ -26,6 +25,7 @@ from sal_height.commands._options import (
     output_folder,
 )
 from sal_height.errors import UserError
+from sal_height.io import bag_name
 
 if TYPE_CHECKING:
     from sal_height.runs.sensor_bag import Feed

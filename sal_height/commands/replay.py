@@ -23,12 +23,12 @@ from sal_height.commands._options import (
     NodeParameters,
     OutputFolder,
     Tolerance,
-    bag_name,
     command,
     complain,
     node_parameters,
     output_folder,
 )
+from sal_height.io import bag_name
 
 EXAMPLES = """
   sal-height replay out/sal_spotlight/bag

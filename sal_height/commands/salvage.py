@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from sal_height.commands._options import BAGS, Bag, OutputFolder, bag_name, command, output_folder
+from sal_height.commands._options import BAGS, Bag, OutputFolder, command, output_folder
 from sal_height.commands.bag import LOST, recover_bag
+from sal_height.io import bag_name
 
 EXAMPLES = """
   sal-height salvage damaged/bag --out out/recovered

@@ -13,10 +13,10 @@ from sal_height.commands._options import (
     Bag,
     OutputFolder,
     RangeByAzimuth,
-    bag_name,
     command,
     output_folder,
 )
+from sal_height.io import bag_name
 
 EXAMPLES = """
   sal-height run --preset woods --record slc --out out/woods

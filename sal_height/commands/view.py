@@ -12,7 +12,8 @@ from typing import Annotated
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from sal_height.commands._options import BAGS, DONE, FAILED, Flag, bag_name, command, complain, importing
+from sal_height.commands._options import BAGS, DONE, FAILED, Flag, command, complain, importing
+from sal_height.io import bag_name
 
 EXAMPLES = """
   sal-height view out/sal_spotlight/bag

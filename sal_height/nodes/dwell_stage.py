@@ -235,7 +235,7 @@ class DwellStage(Stage):
         Returns:
             What it still waits for, or None.
         """
-        blanks = {channel: _blank(dwell.messages[0], channel) for channel in dwell.absent}
+        blanks = {channel: blank_message(dwell.messages[0], channel) for channel in dwell.absent}
         items = {**dwell.items, **blanks}
         frames = [items[channel] for channel in sorted(items)]
         try:
@@ -400,7 +400,7 @@ class DwellStage(Stage):
         )
 
 
-def _blank(message: Any, channel: int) -> Any:
+def blank_message(message: Any, channel: int) -> Any:
     """A message of zeros in the place of one that has not come: estimators leave such a channel out as dead."""
     blank = copy.copy(message)
     blank.channel = channel

@@ -61,7 +61,7 @@ class ReliefTracker(Stage):
             UserError: a parameter has a value that is not allowed.
         """
         super().__init__("relief_tracker", **node_arguments)
-        self._priors: dict[Hashable, PriorEstimate] = {}
+        self._tracker = Tracker()
         self._height = self.offer(HeightImage, f"{PREFIX}/height")
         self._image = self.offer(Image, f"{PREFIX}/image")
         self._points = PlacedPoints(self, PREFIX)
@@ -86,19 +86,15 @@ class ReliefTracker(Stage):
 
     def forget_results(self) -> int:
         """Track the next dwell as the first one."""
-        self._priors = {}
+        self._tracker = Tracker()
         return 0
 
     def process(self, message: HeightImage) -> int:
         """Smooth and publish the heights of a dwell (on the worker thread); returns the number of height images."""
         parameters = self.current_parameters()
-        field = messages.field_from_message(message, parameters.map_frame)
-        if bad := messages.bad_pixels(message, field):
+        image, tracked, bad = self._tracker.track(message, parameters, self.get_name())
+        if bad:
             self.ignore("bad pixels", messages.bad_pixel_warning(message, bad))
-        series = series_of(message, parameters)
-        before = self._priors.pop(series, PriorEstimate())  # to be the last that is forgotten
-        image, tracked, after = track_image(message, field, before, parameters, self.get_name())
-        self._priors = dict([*self._priors.items(), (series, after)][-HELD_SERIES:])
         self._image.publish_if_heard(lambda: messages.height_picture(image))
         self._points.publish(
             lambda name: messages.frame_near(tracked.grid.origin, image.header, name),
@@ -108,34 +104,44 @@ class ReliefTracker(Stage):
         return 1
 
 
-def track_image(
-    message: HeightImage,
-    field: HeightField,
-    before: PriorEstimate,
-    parameters: Parameters,
-    node: str = "relief_tracker",
-) -> tuple[HeightImage, HeightField, PriorEstimate]:
-    """Smooth the heights of a dwell.
+class Tracker:
+    """Smooths the heights of one dwell after the other, and holds the priors of their series."""
 
-    Args:
-        message: the heights.
-        field: the same as arrays.
-        before: what the dwells before of its series have left for the prior.
-        parameters: of the node.
-        node: its name, for the provenance.
+    def __init__(self) -> None:
+        """Begin without any."""
+        self._priors: dict[Hashable, PriorEstimate] = {}
 
-    Returns:
-        The message with the smoothed heights, the same as arrays, and what is left for the next dwell.
-    """
-    aperture = messages.aperture_from_message(message.aperture)
-    tracked, prior, after = track(field, aperture, before, parameters)
-    used = {**dict(parameters), "prior": dataclasses.asdict(prior)}
-    provenance = messages.derived(message.provenance, node, used)
-    looks = message.range_looks, message.azimuth_looks
-    return messages.height_to_message(tracked, aperture, looks, PREFIX, message, provenance), tracked, after
+    def track(
+        self, message: HeightImage, parameters: Parameters, node: str = "relief_tracker"
+    ) -> tuple[HeightImage, HeightField, int]:
+        """Smooth the heights of a dwell.
+
+        Args:
+            message: the heights.
+            parameters: of the node.
+            node: its name, for the provenance.
+
+        Returns:
+            The message with the smoothed heights, the same as arrays, and the number of pixels with bad values.
+
+        Raises:
+            UserError: the message has no heights that can be smoothed.
+        """
+        field = messages.field_from_message(message, parameters.map_frame)
+        aperture = messages.aperture_from_message(message.aperture)
+        series = _series_of(message, parameters)
+        before = self._priors.pop(series, PriorEstimate())  # to be the last that is forgotten
+        tracked, prior, after = track(field, aperture, before, parameters)
+        self._priors = dict([*self._priors.items(), (series, after)][-HELD_SERIES:])
+        provenance = messages.derived(
+            message.provenance, node, {**dict(parameters), "prior": dataclasses.asdict(prior)}
+        )
+        looks = message.range_looks, message.azimuth_looks
+        image = messages.height_to_message(tracked, aperture, looks, PREFIX, message, provenance)
+        return image, tracked, messages.bad_pixels(message, field)
 
 
-def series_of(message: HeightImage, parameters: Parameters) -> tuple[Hashable, ...]:
+def _series_of(message: HeightImage, parameters: Parameters) -> tuple[Hashable, ...]:
     """What the heights of a series have in common: sensor, calibration, and how they are made and tracked.
 
     Which channels had to be left out may change from dwell to dwell, and does not end a series.

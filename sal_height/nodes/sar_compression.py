@@ -173,7 +173,7 @@ class SarCompression(DwellStage):
         start_ns = frame.stamp_ns
         end_ns = start_ns + round(frame.pulse_time[-1] * 1e9)
         states = self._odometry.around(start_ns, end_ns)
-        gap = max(((later.stamp_ns - earlier.stamp_ns) * 1e-9 for earlier, later in pairwise(states)), default=math.inf)
+        gap = longest_gap_s(states)
         limit = self.current_parameters().max_odometry_gap_s
         if gap <= limit:
             if gap > self.current_parameters().odometry_interval_s:
@@ -307,6 +307,11 @@ class SarCompression(DwellStage):
         if state.stamp_ns >= self._awaited_ns or arrival is not Arrival.IN_ORDER:
             self._awaited_ns = math.inf  # dwells that go on waiting will say so
             self.advance()
+
+
+def longest_gap_s(states: Sequence[PlatformState]) -> float:
+    """The longest time between two samples of odometry, s; infinity: there are none."""
+    return max(((later.stamp_ns - earlier.stamp_ns) * 1e-9 for earlier, later in pairwise(states)), default=math.inf)
 
 
 def compress_dwell(

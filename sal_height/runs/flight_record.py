@@ -56,6 +56,7 @@ class FlightRecord:
     """What was found in a bag.
 
     Attributes:
+        first_frame_ns: when the first frame of each dwell was recorded.
         last_frame_ns: when the last frame of each dwell was recorded, in the order of the first frames.
         stages: parameters in the provenance of each dwell's products, by node.
         applied: identity of the calibration in the provenance of each dwell's products; empty: none but the sensor's.
@@ -71,6 +72,7 @@ class FlightRecord:
             reader: of the bag.
             dwell_topics: topics with the frames that dwells are made of, or with their images or heights instead.
         """
+        self.first_frame_ns: dict[DwellKey, int] = {}
         self.last_frame_ns: dict[DwellKey, int] = {}
         self.stages: dict[DwellKey, dict[str, Mapping[str, Any]]] = {}
         self.applied: dict[DwellKey, str] = {}
@@ -100,6 +102,7 @@ class FlightRecord:
         if part is None:
             return
         if recorded.topic in self._dwell_topics:
+            self.first_frame_ns.setdefault(part.dwell, recorded.log_time_ns)
             self.last_frame_ns[part.dwell] = recorded.log_time_ns
         if part.provenance is not None:
             self.stages.setdefault(part.dwell, {}).update(messages.held_stages(part.provenance))

@@ -73,6 +73,20 @@ def _changes(compared: Mapping[str, Comparison]) -> Iterator[str]:
     return (f"{what} ({', '.join(topics)})." for what, topics in said.items())
 
 
+def campaign_table(rows: Sequence[Mapping[str, Any]], varied: Sequence[str]) -> str:
+    """What became of each bag and setting of a campaign; sigma and error are those of all estimators, in m."""
+    endings = ("median_sigma_m", "s68_m")
+    numbers = [name for name in dict.fromkeys(key for row in rows for key in row) if name.endswith(endings)]
+    heading = ["bag", *varied, "dwells", "dropped", "s", "against recorded", *numbers]
+    lines = []
+    for row in rows:
+        done = [str(row.get("dwells", ABSENT)), str(row.get("dropped", ABSENT)), _number(row.get("seconds"), ".3g")]
+        verdict = "failed" if row["failure"] else row["against_recorded"] or ABSENT
+        measured = [_number(row.get(name), ".3g") for name in numbers]
+        lines.append([row["bag"], *(str(row[name]) for name in varied), *done, verdict, *measured])
+    return aligned([heading, *lines])
+
+
 def images_table(images: Sequence[Mapping[str, Any]]) -> str:
     """The brightest target of each image of a single channel."""
     heading = ["dwell", "peak over median dB", "width of rows m", "width of columns m"]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import made_offline
 import pytest
 from chain_fixture import START_NS, Chain
 from rclpy.node import Node
@@ -139,6 +140,9 @@ def test_what_flew_is_replayed_as_flown(
     report = json.loads((tmp_path / "given" / "report.json").read_text())
     assert report["changes_in_flight"] == [{"dwell": 2, "calibration": "number 0", "source": "provenance"}]
     assert report["parameter_sources"]["ml_height"]["range_looks"] == "command line"
+
+    assert made_offline.compared(bag, tmp_path / "offline") == EQUAL
+    assert made_offline.compared(bag, tmp_path / "in_one", most_dwells=3) == EQUAL
 
     monkeypatch.setattr(replay_parameters, "timeline_of", lambda *_: Timeline(found.dwells, found.start))
     assert result_of(bag, tmp_path / "ignored") == dict.fromkeys(HEIGHTS, ("changed", 3))

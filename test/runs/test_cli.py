@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from sal_height.commands import main
-from sal_height.commands._options import bag_name, output_folder
+from sal_height.commands._options import output_folder
+from sal_height.io import bag_name
 from sal_height.runs.catalogue import check_parameters
 
 

@@ -1,0 +1,81 @@
+"""Campaigns: how much more two workers do than one, and what handing out the work takes."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from distributed import Client, LocalCluster
+
+from benchmarks.row import Row, load, sized
+from sal_height.bag.reader import BagReader
+from sal_height.bag.writer import BagWriter
+from sal_height.runs.batch import Campaign, Workers, attempt, run_campaign
+from sal_height.runs.processes import ONE_THREAD
+from sal_height.runs.sensor_bag import record_sensor
+from sal_height.simulation import load_preset
+
+PRESET, DWELLS, COPIES = sized(("sal_spotlight", 60, 16), ("small", 2, 2))
+"""A bag is processed so many times, under another name each time."""
+
+TASKS = sized(2000, 10)
+
+PART = sized(20, 1)
+"""Dwells of a part."""
+
+
+def scaling() -> Iterator[Row]:
+    """Time of a campaign by one worker over that by two, which run already and have processed a bag before."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        simulated = record_sensor(dataclasses.replace(load_preset(PRESET), dwells=DWELLS), 1, folder / "simulated")
+        bag = _without_truth(simulated, folder / "flight")
+        one_s, two_s = (_campaign_s(bag, folder, workers) for workers in (1, 2))
+    yield Row(
+        "batch on two workers over one",
+        one_s / two_s,
+        "1",
+        ">= 1.8",
+        f"{COPIES} bags of {DWELLS} dwells of {PRESET}: {one_s:.1f} s by one worker, {two_s:.1f} s by two; {load()}",
+    )
+
+
+def scheduling() -> Iterator[Row]:
+    """Time that Dask takes for a task of a campaign besides the work itself."""
+    address = "127.0.0.1:0"
+    with (
+        LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=address, env=ONE_THREAD) as cluster,
+        Client(cluster) as client,
+    ):
+        client.submit(attempt, len, "", pure=False).result()
+        began = time.monotonic()
+        client.gather([client.submit(attempt, len, "", pure=False) for _ in range(TASKS)])
+        task_s = (time.monotonic() - began) / TASKS
+    yield Row("scheduling of a task", 1e3 * task_s, "ms", "<= 5", f"{TASKS} tasks without work by one worker; {load()}")
+
+
+def _without_truth(simulated: Path, folder: Path) -> Path:
+    """A bag as a sensor records it: its heights are compared with no truth, which takes longer than all else."""
+    reader = BagReader(simulated)
+    with BagWriter(folder) as bag:
+        for topic in reader.topics.values():
+            bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
+        for one in reader.messages():
+            bag.write(one.topic, one.cdr, one.log_time_ns, one.publish_time_ns)
+    return folder
+
+
+def _campaign_s(bag: Path, folder: Path, workers: int) -> float:
+    """Time that so many workers take, s."""
+    address = "127.0.0.1:0"
+    with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=address, env=ONE_THREAD) as cluster:
+        hired = Workers(scheduler=cluster.scheduler_address)
+        run_campaign(Campaign([bag] * 2 * workers, most_dwells=1), folder / f"first_{workers}", hired)
+        began = time.monotonic()
+        rows = run_campaign(Campaign([bag] * COPIES, most_dwells=PART), folder / f"out_{workers}", hired)
+        taken_s = time.monotonic() - began
+    assert not any(row["failure"] or row["dropped"] for row in rows)  # noqa: S101 (it would be no measurement)
+    return taken_s

@@ -1,0 +1,107 @@
+"""`sal-height batch`: process many bags, with several settings if wanted, on all processors or a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
+from sal_height.commands._options import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    PROCESSING,
+    Estimators,
+    command,
+    complain,
+    node_parameters,
+)
+
+EXAMPLES = """
+  sal-height batch flights/*/bag --out out/campaign
+  sal-height batch flights/*/bag --out out/looks \\
+    --param ml_height.range_looks=1,2,4
+  sal-height batch flights/*/bag --out out/campaign \\
+    --scheduler tcp://cluster:8786
+"""
+
+app = command("batch", PROCESSING, EXAMPLES, "a bag could not be processed, or dwells were left out")
+
+
+@app.default
+def batch(
+    bags: Annotated[tuple[Path, ...], Parameter(name="BAG", show_default=False)],
+    /,
+    *,
+    out: Annotated[Path, Parameter(metavar="DIR")],
+    param: Annotated[
+        tuple[str, ...], Parameter(metavar="NODE.NAME=VALUE,…", consume_multiple=False, show_default=False)
+    ] = (),
+    estimators: Estimators = (),
+    workers: Annotated[int, Parameter(metavar="N", validator=Number(gte=0), show_default=False)] = 0,
+    scheduler: Annotated[str, Parameter(metavar="ADDRESS", show_default=False)] = "",
+    dwells: Annotated[int, Parameter(metavar="N", validator=Number(gte=1))] = 100,
+) -> int:
+    """Make the heights of many recorded bags again, side by side.
+
+    The same heights as those of `sal-height replay`, value for value, but without
+    nodes: each worker of Dask processes a part of a bag at a time. What a bag's
+    parts have made is tracked, compared with the heights in the bag, and with the
+    truth if the flight was simulated.
+
+    The output folder holds a bag with the heights of each BAG and a table,
+    summary.parquet: a row for each bag and setting. After an interruption, or when
+    more is to be done of a failed bag, the same command goes on where it was.
+
+    Args:
+        bags: Folders of bags, or .mcap files.
+        out: Output folder: new, empty, or that of the same campaign.
+        param: Set a parameter of a node; may be repeated. Several values with commas between them are
+            tried in turn, each with those of other parameters, and compared in comparison.png.
+        workers: Processes on this machine. Default: one for each processor.
+        scheduler: Address of a Dask cluster that does the work instead; it must see the same files.
+        dwells: Longest part of a bag, in dwells; of a strip, all dwells are one part.
+    """
+    from sal_height.runs.batch import SUMMARY, Campaign, Workers, run_campaign
+    from sal_height.runs.tables import campaign_table
+
+    given, varied = _settings(param)
+    campaign = Campaign(bags, given, varied, estimators, dwells)
+    try:
+        rows = run_campaign(campaign, out, Workers(workers, scheduler))
+    except KeyboardInterrupt:
+        print(f"interrupted; the same command goes on with {out}")
+        return INTERRUPTED
+    print(f"{campaign_table(rows, list(varied))}\nsee {out / SUMMARY}")
+    failed = [f"Bag {row['bag']}: {row['failure']}" for row in rows if row["failure"]]
+    lost = [
+        f"Bag {row['bag']}: {row['dropped']} dwells were left out: {row['drops']}."
+        for row in rows
+        if row.get("dropped")
+    ]
+    complain([*failed, *lost])
+    return FAILED if failed or lost else DONE
+
+
+def _settings(assignments: Sequence[str]) -> tuple[dict[str, dict[str, Any]], dict[str, list[Any]]]:
+    """Parameters with one value, by node and name, and those with several, by "node.name"."""
+    given: dict[str, dict[str, Any]] = {}
+    varied: dict[str, list[Any]] = {}
+    for text in assignments:
+        name, separator, values = text.partition("=")
+        each = [node_parameters([f"{name}{separator}{value}"]) for value in _split(values)]
+        for node, of_node in each[0].items():
+            for key in of_node:
+                if len(each) > 1:
+                    varied[f"{node}.{key}"] = [one[node][key] for one in each]
+                else:
+                    given.setdefault(node, {})[key] = of_node[key]
+    return given, varied
+
+
+def _split(text: str) -> list[str]:
+    """The values in a text with commas between them; those in brackets are parts of one."""
+    return [text] if text.startswith("[") else text.split(",")

@@ -1,0 +1,314 @@
+"""Campaigns: many bags, each with several settings if wanted, processed side by side on the workers of Dask."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import logging
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from sal_height import __version__
+from sal_height.errors import UserError
+from sal_height.io import bag_name, write_text, writing
+from sal_height.runs.campaign import Case, Scheme, conclude_bag, is_done, known, parts_of, plan, process_part
+from sal_height.runs.catalogue import NodeParameters, check_parameters
+from sal_height.runs.processes import ONE_THREAD
+from sal_height.runs.reporting import merged
+
+CAMPAIGN, SUMMARY, PICTURE = "campaign.json", "summary.parquet", "comparison.png"
+"""Files in the output folder: what was asked for, a row for each bag and setting, and the settings compared."""
+
+CONNECT_S = 10.0
+"""How long to look for a scheduler."""
+
+EXTRA = "A campaign needs the package {}, which is not installed; run: pip install 'sal_height[batch]'."
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What is processed.
+
+    Attributes:
+        bags: folders or files.
+        given: parameters of nodes that replace recorded ones.
+        varied: values that a parameter gets in turn, by "node.name"; each is combined with each of the others.
+        estimators: names of those whose heights are made; none: those whose heights a bag holds, or the standard ones.
+        most_dwells: of a part, which is what one worker processes at a time.
+    """
+
+    bags: Sequence[Path]
+    given: NodeParameters = field(default_factory=dict)
+    varied: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    estimators: tuple[str, ...] = ()
+    most_dwells: int = 100
+
+    def cases(self, out: Path) -> list[Case]:
+        """The bags with all settings; folders have the names of the bags, and of the settings if there are several."""
+        names = _unlike([bag_name(bag) for bag in self.bags])
+        cases = []
+        for bag, name in zip(self.bags, names, strict=True):
+            for number, chosen in enumerate(itertools.product(*self.varied.values())):
+                values = dict(zip(self.varied, chosen, strict=True))
+                folder = out / name / f"setting_{number}" if self.varied else out / name
+                cases.append(Case(bag, folder, values, merged(self.given, _nested(values)), self.estimators))
+        return cases
+
+    def as_json(self) -> dict[str, Any]:
+        """What is kept in the output folder, so that the same campaign can go on."""
+        return {
+            "version": __version__,
+            "bags": [str(bag.resolve()) for bag in self.bags],
+            "parameters": self.given,
+            "varied": self.varied,
+            "estimators": self.estimators,
+            "most_dwells": self.most_dwells,
+        }
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who does the work.
+
+    Attributes:
+        count: number of processes that are started on this machine; 0: one for each processor.
+        scheduler: address of a Dask cluster that does the work instead, and sees the same files; empty: none.
+    """
+
+    count: int = 0
+    scheduler: str = ""
+
+
+def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[str, Any]]:
+    """Process bags, or go on with what is done of them, and write the summary; returns its rows.
+
+    A bag that cannot be processed has a row with its failure, and does not stop the others.
+
+    Args:
+        campaign: what is processed.
+        out: folder that is new or empty, or holds the same campaign.
+        workers: who does the work.
+
+    Raises:
+        UserError: a parameter is not allowed, the folder holds something else, the cluster is not there, or a
+            package is not installed.
+        KeyboardInterrupt: the user has interrupted; what is done stays.
+    """
+    if find_spec("pyarrow") is None:
+        raise UserError(EXTRA.format("pyarrow"))
+    cases = campaign.cases(out)
+    for case in cases:
+        check_parameters(case.given)
+    _enter(campaign, out)
+    progress = _Progress(campaign, cases)
+    if progress.remaining:
+        with _client(workers) as client:
+            progress.go_on(client)
+    rows = progress.rows()
+    for case in cases:
+        if is_done(case.folder):
+            shutil.rmtree(parts_of(case), ignore_errors=True)
+    _write_summary(rows, out / SUMMARY)
+    if campaign.varied:
+        from sal_height.runs.campaign_picture import draw_settings  # noqa: PLC0415 (brings Matplotlib)
+
+        with writing(out / PICTURE):
+            draw_settings(rows, list(campaign.varied), out / PICTURE)
+    return rows
+
+
+class _Progress:
+    """What is done and what remains to be done of a campaign."""
+
+    def __init__(self, campaign: Campaign, cases: Sequence[Case]) -> None:
+        """Find out what is done already."""
+        self._most_dwells, self._cases = campaign.most_dwells, cases
+        self._client: Any = None
+        self._schemes: dict[int, Scheme] = {}
+        self._open: dict[int, int] = {}
+        """Number of parts of each case that are not done."""
+        self._rows = {number: known(case.folder) for number, case in enumerate(cases) if is_done(case.folder)}
+        self._next: dict[Any, Callable[[Any], list[Any]]] = {}
+
+    @property
+    def remaining(self) -> list[int]:
+        """Numbers of the cases that are not done."""
+        return [number for number in range(len(self._cases)) if number not in self._rows]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each case."""
+        return [self._rows[number] for number in range(len(self._cases))]
+
+    def go_on(self, client: Any) -> None:
+        """Have a cluster do what remains."""
+        from distributed import as_completed  # noqa: PLC0415 (an extra)
+
+        self._client = client
+        first = [self._submit(self._process, n, plan, self._cases[n], self._most_dwells) for n in self.remaining]
+        with tqdm(total=len(first), unit="part", desc="batch") as progress:
+            tasks = as_completed(first)
+            for future in tasks:
+                found = future.result() if future.status == "finished" else (None, _lost(future))
+                more = self._next.pop(future.key)(found)
+                progress.total += len(more)
+                progress.update()
+                tasks.update(more)
+
+    def _submit(
+        self, then: Callable[[Any, int], list[Any]], number: int, function: Callable[..., Any], *arguments: Any
+    ) -> Any:
+        """Have a function called by a worker, and then `then` here, which returns what is to be done next."""
+        future = self._client.submit(attempt, function, *arguments, pure=False)
+
+        def go_on(found: tuple[Any, str]) -> list[Any]:
+            result, failure = found
+            if failure:
+                self._fail(number, failure)
+                return []
+            return then(result, number)
+
+        self._next[future.key] = go_on
+        return future
+
+    def _process(self, scheme: Scheme, number: int) -> list[Any]:
+        self._schemes[number], self._open[number] = scheme, len(scheme.works)
+        parts = self._parts(number)
+        return [
+            self._submit(self._conclude, number, process_part, work, part)
+            for work, part in zip(scheme.works, parts, strict=True)
+        ]
+
+    def _conclude(self, _: None, number: int) -> list[Any]:
+        self._open[number] -= 1
+        if self._open[number] or number in self._rows:
+            return []
+        return [
+            self._submit(
+                self._enter, number, conclude_bag, self._cases[number], self._schemes[number], self._parts(number)
+            )
+        ]
+
+    def _enter(self, row: dict[str, Any], number: int) -> list[Any]:
+        self._rows[number] = row
+        return []
+
+    def _fail(self, number: int, failure: str) -> None:
+        case = self._cases[number]
+        self._rows[number] = {"bag": str(case.bag), **case.values, "failure": failure}
+
+    def _parts(self, number: int) -> list[Path]:
+        """Folders of the parts of a case."""
+        folder = parts_of(self._cases[number])
+        return [folder / str(part) for part in range(len(self._schemes[number].works))]
+
+
+def attempt(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
+    """Call a function, and return what it does and an empty text, or None and why it failed."""
+    try:
+        return function(*arguments), ""
+    except UserError as error:
+        return None, str(error)
+    except Exception as error:  # noqa: BLE001 (the other bags are to be processed)
+        return None, f"Unexpected failure, please report it: {type(error).__name__}: {error}"
+
+
+def _lost(future: Any) -> str:
+    """Why a task has no result."""
+    return f"A worker ended while it worked on it: {future.exception()}"
+
+
+@contextmanager
+def _client(workers: Workers) -> Iterator[Any]:
+    """A client of a cluster, which is ended with it if it was started for it.
+
+    Raises:
+        UserError: Dask is not installed, or there is no cluster at the address.
+    """
+    try:
+        from distributed import Client, LocalCluster  # noqa: PLC0415 (an extra)
+    except ImportError as error:
+        raise UserError(EXTRA.format("distributed")) from error
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of its cluster is in the results
+    if workers.scheduler:
+        try:
+            client = Client(workers.scheduler, timeout=CONNECT_S)
+        except (OSError, ValueError) as error:
+            raise UserError(f"There is no Dask scheduler at {workers.scheduler!r}: {error}.") from error
+        with client:
+            yield client
+        return
+    with (
+        LocalCluster(
+            n_workers=workers.count or os.cpu_count(),
+            threads_per_worker=1,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+            env=ONE_THREAD,
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+def _enter(campaign: Campaign, out: Path) -> None:
+    """Begin in a folder, or go on in one that holds the same campaign.
+
+    Raises:
+        UserError: it holds something else.
+    """
+    wanted = json.loads(json.dumps(campaign.as_json()))
+    file = out / CAMPAIGN
+    if file.is_file():
+        if json.loads(file.read_text(encoding="utf-8")) != wanted:
+            raise UserError(f"Folder {out} holds another campaign; choose another one by --out, or remove it.")
+        return
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UserError(f"Folder {out} is not empty and holds no campaign; choose another one by --out.")
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+    write_text(file, json.dumps(wanted, indent=2) + "\n")
+
+
+def _write_summary(rows: Sequence[Mapping[str, Any]], file: Path) -> None:
+    """Write rows as a Parquet file; columns that a row lacks are empty in it."""
+    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    from pyarrow.parquet import write_table  # noqa: PLC0415
+
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    columns = {name: _alike([row.get(name) for row in rows]) for name in names}
+    with writing(file):
+        write_table(pa.table(columns), file)
+
+
+def _alike(values: list[Any]) -> list[Any]:
+    """Values of a column, all of one type: numbers, truth values or texts."""
+    kinds = {type(value) for value in values if value is not None}
+    if kinds <= {int, float} or len(kinds) < 2:
+        return [float(value) if kinds == {int, float} and value is not None else value for value in values]
+    return [None if value is None else str(value) for value in values]
+
+
+def _nested(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Values by node and name of those by "node.name"."""
+    nested: dict[str, dict[str, Any]] = {}
+    for full, value in values.items():
+        node, _, name = full.partition(".")
+        nested.setdefault(node, {})[name] = value
+    return nested
+
+
+def _unlike(names: Sequence[str]) -> list[str]:
+    """Names, of which equal ones have got numbers."""
+    taken: list[str] = []
+    for name in names:
+        numbered = (name if number == 1 else f"{name}_{number}" for number in itertools.count(1))
+        taken.append(next(one for one in numbered if one not in taken))
+    return taken

@@ -1,0 +1,71 @@
+"""The settings of a campaign compared: share of heights, their sigma and error, and time, over a parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+mpl.use("Agg")
+
+PANELS = {
+    "with_height": "share of pixels with a height",
+    "median_sigma_m": "median sigma [m]",
+    "s68_m": "68 % of errors are below [m]",
+    "within_1_sigma": "share of errors within 1 sigma",
+}
+"""Columns of each estimator that are drawn, and what they are."""
+
+EXPECTED = {"within_1_sigma": 0.683}
+"""Where a line is drawn for comparison."""
+
+
+def draw_settings(rows: Sequence[Mapping[str, Any]], varied: Sequence[str], file: Path) -> None:
+    """Draw the summary of a campaign over the first parameter that is varied.
+
+    Args:
+        rows: of the summary; those that failed are left out.
+        varied: names of the parameters; each combination of the others, each bag and estimator has a line.
+        file: of the picture.
+    """
+    done = [row for row in rows if not row["failure"]]
+    values = list(dict.fromkeys(row[varied[0]] for row in done))
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    axes = figure.subplots(2, 2, sharex=True)
+    for panel, (column, title) in zip(axes.flat, PANELS.items(), strict=True):
+        for label, points in _lines(done, varied, column).items():
+            places = [values.index(value) for value in points]
+            panel.plot(places, list(points.values()), marker="o", label=label)
+        _finish(panel, title, values, EXPECTED.get(column))
+    for panel in axes[1]:
+        panel.set_xlabel(varied[0])
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small")
+    figure.savefig(file, dpi=110)
+
+
+def _lines(rows: Sequence[Mapping[str, Any]], varied: Sequence[str], column: str) -> dict[str, dict[Any, float]]:
+    """Numbers of a column by the value of the first parameter, for each line of the picture."""
+    lines: dict[str, dict[Any, float]] = {}
+    for row in rows:
+        others = ", ".join(f"{name}={row[name]}" for name in varied[1:])
+        for name, number in row.items():
+            prefix = name.removesuffix(f"_{column}")
+            if prefix != name and number is not None:
+                label = " ".join(filter(None, (prefix, Path(row["bag"]).parent.name, Path(row["bag"]).name, others)))
+                lines.setdefault(label, {})[row[varied[0]]] = number
+    return lines
+
+
+def _finish(panel: Axes, title: str, values: Sequence[Any], expected: float | None) -> None:
+    """Name the axes of a panel."""
+    panel.set_title(title)
+    panel.set_xticks(range(len(values)), [str(value) for value in values])
+    panel.grid(alpha=0.3)
+    if expected is not None:
+        panel.axhline(expected, color="black", linestyle=":")

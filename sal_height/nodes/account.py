@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -22,8 +22,10 @@ DIAGNOSTICS = "/diagnostics"
 PROGRESS = "/progress"
 """Topic of the accounts at regular times and after every piece of work, made only while somebody listens."""
 UNWRITTEN, RECORDED = "unwritten", "recorded."
-PUBLISHED_ON, SUBSCRIBERS = "published.", "subscribers."
+PUBLISHED_ON, SUBSCRIBERS, MISSED = "published.", "subscribers.", "missed."
 LAST_DROP = "last_drop"
+DWELLS = "dwells"
+"""Dwells that a source has published, the whole of them or a part."""
 CALIBRATIONS = "calibrations"
 """Calibrations that a node has taken in, or, if it plays a bag, that it has published."""
 OFFERED, ACHIEVED = "offered_hz", "achieved_hz"
@@ -34,9 +36,11 @@ LAST_MINUTE = "last_minute."
 LOST_WITH_PROCESS = "lost with its process"
 """Why messages that waited when the process of a node ended were dropped."""
 LATENCY_P50, LATENCY_P95 = "latency_p50_ms", "latency_p95_ms"
+ON_THE_WAY = "lost on the way"
+"""Why messages that were published have not come: the middleware has lost them."""
 
 STATES = {WAITING, JOBS, READY, OFFERED, ACHIEVED, MEMORY, PID, LATENCY_P50, LATENCY_P95}
-STATES_UNDER = (SUBSCRIBERS, LAST_MINUTE)
+STATES_UNDER = (SUBSCRIBERS, MISSED, LAST_MINUTE)
 """Numbers that tell how a node is now, by name and by the beginning of their names; all others count from its start."""
 
 
@@ -111,6 +115,19 @@ class Account:
     def published(self) -> dict[str, int]:
         """Messages published on each topic that keeps all of them (see `Stage.offer`)."""
         return self.under(PUBLISHED_ON)
+
+    @property
+    def missed(self) -> dict[str, int]:
+        """Messages of each topic that its publisher has published and that have not come, as their numbers tell."""
+        return self.under(MISSED)
+
+    def with_losses(self, count: int) -> Self:
+        """This account, with messages that never came as received and dropped."""
+        if not count:
+            return self
+        name = f"{DROPPED}{ON_THE_WAY}"
+        lost = {RECEIVED: self.received + count, name: self.count(name) + count}
+        return replace(self, numbers={**self.numbers, **lost})
 
     @property
     def subscribers(self) -> dict[str, int]:

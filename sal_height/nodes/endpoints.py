@@ -16,6 +16,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from sal_height.nodes.executors import with_times
 from sal_height.nodes.guard import guarded
 
 RECENT_S = 10.0
@@ -77,6 +78,7 @@ class Inlet:
         latched: whether one message is enough for all time.
         has_one_source: whether several publishers would contradict each other.
         heard_at: when the last message came, s of the monotonic clock.
+        missed: messages that the publisher has numbered up to the last one and that have not come; since its start.
         unsuited: how often a publisher was found whose quality of service does not suit the subscription.
         strangers: publishers that define the type of the messages otherwise, as of the last `look_for_strangers`.
         has_only_strangers: whether no other publisher is known.
@@ -109,22 +111,28 @@ class Inlet:
         self.has_one_source = has_one_source
         self.latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         self.heard_at = -math.inf
+        self.missed = 0
         self.unsuited = 0
         self.strangers: tuple[str, ...] = ()
         self.has_only_strangers = False
         self._node, self._name, self._type_name = node, topic, _type_name(message_type)
         self._profile = copy.copy(qos)
 
-        def take(cdr: bytes) -> None:
+        came = 0
+
+        def take(cdr: bytes, info: dict[str, Any]) -> None:
+            nonlocal came
             self.heard_at = time.monotonic()
+            came += 1
             receive(cdr)
+            self.missed = max(0, info.get("publication_sequence_number", 0) - came)
 
         def subscribe(overrides: QoSOverridingOptions | None) -> Subscription:
             events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._ask_for_less, fail), matched=matched)
             return node.create_subscription(
                 message_type,
                 topic,
-                guarded(take, fail),
+                guarded(with_times(take), fail),
                 self._profile,
                 event_callbacks=events,
                 qos_overriding_options=overrides,

@@ -7,8 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-QUEUE_FULL, NOT_WRITTEN, ON_THE_WAY = "queue full", "not written", "lost on the way"
-"""Why messages are not in the bag: too much waited for the disk; the disk refused them; they never came."""
+from sal_height.nodes.account import ON_THE_WAY
+
+QUEUE_FULL, NOT_WRITTEN = "queue full", "not written"
+"""Why messages that have come are not in the bag: too much waited for the disk; the disk refused them."""
 
 
 @dataclass
@@ -40,6 +42,11 @@ class Ledger:
         if missed > 0 and publishers() == 1:
             self.left_out[ON_THE_WAY] += missed
         self._number = number
+
+    @property
+    def missed(self) -> int:
+        """Messages that the publisher has numbered up to the last one, and that have not come; since its start."""
+        return max(0, self._number - self.received)
 
     def as_json(self) -> dict[str, Any]:
         """The counts as the bag says them."""

@@ -28,10 +28,20 @@ from sal_height.bag.parameter_events import PARAMETER_EVENT_TYPE, PARAMETER_EVEN
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.io import free_folder
-from sal_height.nodes.account import DIAGNOSTICS, DROPPED, IGNORED, PROGRESS, RECORDED, UNWRITTEN, Account
+from sal_height.nodes.account import (
+    DIAGNOSTICS,
+    DROPPED,
+    IGNORED,
+    MISSED,
+    ON_THE_WAY,
+    PROGRESS,
+    RECORDED,
+    UNWRITTEN,
+    Account,
+)
 from sal_height.nodes.executors import with_times
 from sal_height.nodes.guard import guarded
-from sal_height.nodes.ledger import NOT_WRITTEN, ON_THE_WAY, QUEUE_FULL, Ledger
+from sal_height.nodes.ledger import NOT_WRITTEN, QUEUE_FULL, Ledger
 from sal_height.nodes.parameter_reader import ASK_PERIOD_S, ParameterReader
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.process_numbers import process_numbers
@@ -349,6 +359,7 @@ class Recorder(Role, Node):
 
     def diagnostics(self) -> DiagnosticArray:
         """How many messages of each topic are in the bag (recorded.<topic>) and how many were lost."""
+        missed = {f"{MISSED}{topic}": ledger.missed for topic, ledger in self._ledgers.items() if ledger.missed}
         recorded = {f"{RECORDED}{topic}": count for topic, count in self.recorded.items()}
         left_out, missing = self._left_out, self._left_out.total()
         losses = {
@@ -357,7 +368,7 @@ class Recorder(Role, Node):
             FAILED: self._failures,
         }
         losses = {name: count for name, count in losses.items() if count}
-        numbers = {UNWRITTEN: left_out[NOT_WRITTEN]} | losses | recorded | process_numbers()
+        numbers = {UNWRITTEN: left_out[NOT_WRITTEN]} | losses | missed | recorded | process_numbers()
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if missing else DiagnosticStatus.OK,
             name=self.get_fully_qualified_name().lstrip("/"),

@@ -30,6 +30,7 @@ from sal_height.nodes.account import (
     DROPPED,
     IGNORED,
     JOBS,
+    MISSED,
     PROGRESS,
     PUBLISHED_ON,
     READY,
@@ -418,13 +419,16 @@ class Stage(Role, Managed):
 
     def diagnostics(self) -> DiagnosticArray:
         """The stage's account."""
-        summary = self.tally.summary()  # first: what is processed then has been published
+        inlets = (*self._inlets, *self._optional)
+        missed = {f"{MISSED}{inlet.topic}": inlet.missed for inlet in inlets if inlet.missed and not inlet.latched}
+        summary = self.tally.summary()  # before what is published, and after what has come
         lost = sum(int(count) for name, count in summary.items() if name.startswith((DROPPED, IGNORED)))
         account = Account(
             summary
             | {JOBS: self.jobs, READY: int(self.is_ready)}
             | process_numbers()
             | self._pace.rates()
+            | missed
             | {f"{PUBLISHED_ON}{outlet.topic}": outlet.published for outlet in self._offered if outlet.keeps_all}
             | {f"{SUBSCRIBERS}{outlet.topic}": outlet.subscribers for outlet in self._offered},
             self.last_drop,

@@ -7,6 +7,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
+from sal_height.nodes.account import Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, Stage
 
@@ -59,3 +60,24 @@ def test_a_publisher_that_offers_less_than_another_does_not_make_a_node_ask_for_
     reliable.publish(String(data="hello"))
     assert graph.spin_until(lambda: hearing.heard == ["hello"], TIMEOUT_S)
     assert hearing.asks_for.reliability == RELIABLE
+
+
+def test_messages_that_the_middleware_has_lost_are_told(graph: Graph) -> None:
+    """Those of before the first one that came, too; a latched topic is to deliver the last one only."""
+    source = graph.add(Node("source", context=graph.context))
+    publishers = {name: source.create_publisher(String, name, FRAMES_QOS) for name in ("words", "others")}
+    few = QoSProfile(depth=3, reliability=RELIABLE)
+    hearing = Hearing(graph, few)
+    hearing.listen(String, "others", lambda _: None, LATCHED_QOS)
+    assert graph.spin_until(lambda: all(p.get_subscription_count() == 1 for p in publishers.values()), TIMEOUT_S)
+    assert graph.spin_until(lambda: hearing.is_ready, TIMEOUT_S)
+    for number in range(10):
+        for publisher in publishers.values():
+            publisher.publish(String(data=str(number)))
+    assert graph.spin_until(lambda: hearing.heard[-1:] == ["9"], TIMEOUT_S)
+    account = Account.of_status(hearing.diagnostics().status[0])
+    assert account.missed == {"words": 10 - len(hearing.heard)}
+    assert account.missed["words"] >= 5
+    publishers["words"].publish(String(data="after"))
+    assert graph.spin_until(lambda: hearing.heard[-1] == "after", TIMEOUT_S)
+    assert Account.of_status(hearing.diagnostics().status[0]).missed == account.missed

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from sal_height.nodes.ledger import ON_THE_WAY, Ledger
+from sal_height.nodes.account import ON_THE_WAY
+from sal_height.nodes.ledger import Ledger
 
 
 def of(*numbers: int | None, publishers: int = 1) -> Ledger:
@@ -40,3 +41,8 @@ def test_the_bag_gets_all_counts() -> None:
     ledger = of(1, 2, 4)
     ledger.written = 3
     assert ledger.as_json() == {"received": 3, "written": 3, "left_out": {ON_THE_WAY: 1}}
+
+
+def test_all_that_did_not_come_is_missed_also_before_the_first_one() -> None:
+    assert of(7, 8, 10).missed == 7
+    assert of(1, 2, 1, 2).missed == 0  # of a publisher that was started again

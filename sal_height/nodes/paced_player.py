@@ -13,6 +13,7 @@ from sal_height_msgs.msg import ChannelFrame, SensorInfo
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.nodes.managed import INACTIVE
+from sal_height.nodes.pace import Pace
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist, restamped
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
@@ -88,12 +89,12 @@ class PacedPlayer(Stage):
             first_stamp_ns: the stamp of the first message.
             began: when it is published, s of the monotonic clock.
         """
-        rate, items = self.current_parameters().rate, self.playlist.items
-        begin_ns, played = items[0].due_ns, 0
-        shift_ns = first_stamp_ns - begin_ns
+        items, played = self.playlist.items, 0
+        pace = Pace(items[0].due_ns, began, self.current_parameters().rate)
+        shift_ns = first_stamp_ns - items[0].due_ns
         while True:
             for item in items:
-                wait_s = began + (played + item.due_ns - begin_ns) * 1e-9 / rate - time.monotonic()
+                wait_s = pace.wait_s(played + item.due_ns)
                 if self._stopping.wait(wait_s) if wait_s > 0 else self._stopping.is_set():
                     return 0
                 if self.is_active:

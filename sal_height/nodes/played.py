@@ -79,6 +79,11 @@ class Content(NamedTuple):
     part: DwellPart | None = None
     odometry_ns: int | None = None
 
+    @property
+    def delivered_ns(self) -> int | None:
+        """When the sensor delivered it, by its stamp, ns; None: it does not say."""
+        return self.part.end_ns if self.part else self.odometry_ns
+
 
 def content_of(recorded: BagMessage) -> Content:
     """What matters of a message to whoever plays it, read at its place.
@@ -120,6 +125,9 @@ def chosen(recorded: Iterator[BagMessage], dwells: DwellRange) -> Iterator[BagMe
 
     Broken messages are left to whoever plays them.
     """
+    if dwells == ALL:
+        yield from recorded
+        return
     odometry: deque[tuple[int, BagMessage]] = deque()
     covered_ns, needed_ns, passed_ns = -math.inf, -math.inf, -math.inf
     for one in recorded:

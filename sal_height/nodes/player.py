@@ -1,7 +1,11 @@
-"""Node player: publishes what a bag holds of a sensor, or the images or heights made of it, dwell by dwell."""
+"""Node player: publishes what a bag holds of a sensor, or the images or heights made of it.
+
+It does so dwell by dwell, at the pace of the sensor beside /clock, or as fast as it can.
+"""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,17 +16,19 @@ from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height.bag.definitions import message_class
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagMessage, BagReader
-from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE
+from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE, Topic
 from sal_height.errors import UserError
-from sal_height.nodes.account import CALIBRATIONS
+from sal_height.nodes.account import CALIBRATIONS, DWELLS
 from sal_height.nodes.cues import DwellKey, cues_of_text
+from sal_height.nodes.delivery import delivered
 from sal_height.nodes.managed import INACTIVE
-from sal_height.nodes.played import ALL, LATEST_NS, MOST, SENSOR, Content, DwellRange, chosen, content_of, qos_of
+from sal_height.nodes.played import LATEST_NS, MOST, SENSOR, Content, DwellRange, chosen, content_of, qos_of
 from sal_height.nodes.playlist import SENSOR_INFO
 from sal_height.nodes.program import run_node
 from sal_height.nodes.reel import Group, Reel
 from sal_height.nodes.remote_parameters import RemoteParameters
 from sal_height.nodes.role import Topics
+from sal_height.nodes.simulated_clock import CLOCK, SimulatedClock
 from sal_height.nodes.stage import (
     LATCHED_QOS,
     RESET,
@@ -33,6 +39,9 @@ from sal_height.nodes.stage import (
 from sal_height.settings import setting
 
 CALIBRATION_TOPIC = "calibration"
+
+LOCKSTEP, PACED, BURST = CLOCKS = "lockstep", "paced", "burst"
+"""When what a bag holds is played: dwell by dwell as it is asked for, at the times of its stamps, or at once."""
 
 
 class Parameters(StageParameters):
@@ -51,6 +60,23 @@ class Parameters(StageParameters):
     last_dwell: int = setting(MOST, "number of the last dwell that is played", minimum=0, maximum=MOST, read_only=True)
     start_ns: int = setting(0, "earliest stamp of the dwells that are played", unit="ns", minimum=0, read_only=True)
     end_ns: int = setting(LATEST_NS, "latest stamp of the dwells that are played", unit="ns", minimum=0, read_only=True)
+    clock: str = setting(
+        LOCKSTEP,
+        "when messages are played: lockstep, the next dwell at each call of ~/step; paced, all at the times of their "
+        "stamps, beside /clock; burst, all as fast as they can be published",
+        choices=CLOCKS,
+        read_only=True,
+    )
+    rate: float = setting(
+        1.0, "seconds of the sensor that are played in a second if paced", minimum=1e-6, maximum=1e6, read_only=True
+    )
+    loops: int = setting(
+        1,
+        "how often the bag is played if paced or burst; stamps go on, dwells keep their numbers",
+        minimum=1,
+        maximum=1_000_000_000,
+        read_only=True,
+    )
     cues: str = setting(
         "",
         "what happened in flight, as a replay finds it: a list of dwell, parameters and calibrations in JSON",
@@ -59,15 +85,20 @@ class Parameters(StageParameters):
 
 
 class Player(Stage):
-    """Publishes the recorded bytes of one group of dwells at each call of ~/step.
+    """Publishes the recorded bytes of one group of dwells at each call of ~/step, or of all dwells at one call.
 
     The first sensor info comes before that, so that the nodes can get ready for the sensor. A dwell before which
-    something happened in flight (`cues`) begins a group; a calibration is published at a step of its own.
+    something happened in flight (`cues`) begins a group; a calibration is published at a step of its own. So does a
+    step end there that plays all that follows: whoever asks for the next one can wait until the nodes are done before.
     """
 
     parameters = Parameters
-    outputs: ClassVar[Topics] = {**SENSOR_TOPICS, CALIBRATION_TOPIC: "calibrations that the parameter cues names"}
-    answers: ClassVar[Topics] = {**RESET, "~/step": "publish the next dwell"}
+    outputs: ClassVar[Topics] = {
+        **SENSOR_TOPICS,
+        CALIBRATION_TOPIC: "calibrations that the parameter cues names",
+        CLOCK: "time of the sensor, if the parameter clock is paced",
+    }
+    answers: ClassVar[Topics] = {**RESET, "~/step": "publish the next dwell; if paced or burst, all of them"}
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.
@@ -77,7 +108,8 @@ class Player(Stage):
         """
         super().__init__("player", **node_arguments)
         self._others = RemoteParameters(self, ())
-        self._announced: BagMessage | None = None
+        self._time: SimulatedClock | None = None
+        self._ending = threading.Event()
         try:
             self._open()
         except UserError:
@@ -85,17 +117,23 @@ class Player(Stage):
             raise
         self.serve("~/step", self._step)
 
+    def destroy_node(self) -> None:
+        """Stop playing, and end the node."""
+        self._ending.set()
+        if self._time:
+            self._time.end()
+        super().destroy_node()
+
     def _open(self) -> None:
         """Open the bag, offer what is in it, and publish the first sensor info.
 
         Raises:
             UserError: the bag cannot be used or lacks a topic.
         """
-        path = self.current_parameters().bag
-        if not path:
-            raise UserError("Parameter bag is empty; it must be the path of a bag.")
         parameters = self.current_parameters()
-        self._reader = NamespacedReader(Path(path), parameters.namespace)
+        if not parameters.bag:
+            raise UserError("Parameter bag is empty; it must be the path of a bag.")
+        self._reader = NamespacedReader(Path(parameters.bag), parameters.namespace)
         recorded = {name.lstrip("/"): topic for name, topic in self._reader.topics.items()}
         if missing := [name for name in parameters.topics if name not in recorded]:
             raise UserError(
@@ -108,18 +146,30 @@ class Player(Stage):
             for name in parameters.topics
         }
         self._detectors = sum(recorded[name].type_name == HEIGHT_TYPE for name in parameters.topics)
-        self._cues = cues_of_text(self.current_parameters().cues)
+        self._cues = cues_of_text(parameters.cues)
         self._others = RemoteParameters(self, {name for cue in self._cues.values() for name in cue.parameters})
         self._calibrations = self._named_calibrations()
         self._calibration = self.offer(CalibrationMessage, CALIBRATION_TOPIC, LATCHED_QOS)
-        dwells = DwellRange(parameters.first_dwell, parameters.last_dwell, parameters.start_ns, parameters.end_ns)
-        played = self._reader.messages(list(self._outlets))
-        self._reel = Reel(played if dwells == ALL else chosen(played, dwells))
+        self._reel = Reel(_without_first(recorded.get(SENSOR_INFO), self._played(parameters)))
         self._last_odometry_ns = 0
+        if parameters.clock == PACED and self._reel.next:
+            self._time = SimulatedClock(self, self._reel.next.log_time_ns, parameters.rate)
         if SENSOR_INFO in parameters.topics:
-            self._announced = next(self._reader.messages([recorded[SENSOR_INFO].name]), None)
-            if self._announced and self._content_of(self._announced):
-                self._publish(self._announced)
+            announced = next(self._reader.messages([recorded[SENSOR_INFO].name]), None)
+            if announced and self._content_of(announced):
+                self._publish(announced)
+
+    def _played(self, parameters: Parameters) -> Iterator[BagMessage]:
+        """The messages of the bag that are played, in their order; unless in lockstep with the times of their delivery.
+
+        Raises:
+            UserError: the bag is damaged.
+        """
+        topics = list(self._outlets)
+        dwells = DwellRange(parameters.first_dwell, parameters.last_dwell, parameters.start_ns, parameters.end_ns)
+        if parameters.clock != LOCKSTEP:
+            return delivered(self._reader, topics, dwells, parameters.loops)
+        return chosen(self._reader.messages(topics), dwells)
 
     @property
     def is_ready(self) -> bool:
@@ -146,8 +196,30 @@ class Player(Stage):
         if self._reel.next is None:
             return False, "the bag has ended"
         self.tally.receive()
-        self.submit(1, self._publish_group)
-        return True, "next dwell"
+        in_lockstep = self.current_parameters().clock == LOCKSTEP
+        self.submit(1, self._publish_group if in_lockstep else self._deliver)
+        return True, "next dwell" if in_lockstep else "all dwells up to the next change in flight"
+
+    def _deliver(self) -> int:
+        """Publish what is due when it is, up to a dwell that something is to happen before; the number of frames.
+
+        What cannot be decoded is counted and left out.
+        """
+        group = Group()
+        while (recorded := self._reel.next) is not None and self._is_due(recorded) and self.is_active:
+            if content := self._content_of(recorded):
+                dwell = content.part.dwell if content.part else None
+                if dwell in self._cues and (group.frames or self._is_held_up(dwell, group)):
+                    break
+                self._play(recorded, content, group)
+            self._reel.advance()
+        if self._time:
+            self._time.stand_still()
+        return group.frames.total()
+
+    def _is_due(self, recorded: BagMessage) -> bool:
+        """Wait until a message is due, if there is a clock; False if the node ends before."""
+        return self._time.wait_until(recorded.log_time_ns) if self._time else not self._ending.is_set()
 
     def _publish_group(self) -> int:
         """Publish up to the first frame that is not of this group; the number of frames.
@@ -156,9 +228,7 @@ class Player(Stage):
         """
         group = Group(self._last_odometry_ns)
         while (recorded := self._reel.next) is not None:
-            if recorded == self._announced:
-                self._announced = None  # the next one like it is to be played
-            elif content := self._content_of(recorded):
+            if content := self._content_of(recorded):
                 if content.part:
                     if group.closed(self._detectors) or self._is_held_up(content.part.dwell, group):
                         break
@@ -166,8 +236,7 @@ class Player(Stage):
                         group.set_aside.append(recorded)
                         self._reel.advance()
                         continue
-                group.add(content)
-                self._publish(recorded)
+                self._play(recorded, content, group)
             self._reel.advance()
         self._last_odometry_ns = group.last_odometry_ns if group.set_aside else 0
         self._reel.put_back(group.set_aside)
@@ -208,8 +277,25 @@ class Player(Stage):
         self._detectors = max(1, len(sensor.beams.elevation_boresights))
         return Content()
 
+    def _play(self, recorded: BagMessage, content: Content, group: Group) -> None:
+        """Publish a message of a group, and count the dwell that it may begin."""
+        if content.part and content.part.dwell not in group.frames:
+            self.tally.note(DWELLS)
+        group.add(content)
+        self._publish(recorded)
+
     def _publish(self, recorded: BagMessage) -> None:
         self._outlets[recorded.topic].publish(recorded.cdr)
+
+
+def _without_first(topic: Topic | None, played: Iterator[BagMessage]) -> Iterator[BagMessage]:
+    """What is played, without the first message of a topic, which has been published already."""
+    is_due = topic is not None
+    for recorded in played:
+        if is_due and topic and recorded.topic == topic.name:
+            is_due = False
+        else:
+            yield recorded
 
 
 def calibrations_of(reader: BagReader) -> Iterator[tuple[str, bytes]]:

@@ -8,6 +8,7 @@ from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import ChannelFrame, SensorInfo
 
 from sal_height import messages
+from sal_height.nodes.account import DWELLS
 from sal_height.nodes.managed import INACTIVE
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
@@ -87,6 +88,7 @@ class Simulator(Stage):
         frames = messages.history_to_messages(history, self.flight.sensor, dwell, stamp)
         for frame in frames:
             self._frames.publish(frame)
+        self.tally.note(DWELLS)
         return len(frames)
 
 

@@ -1,11 +1,14 @@
-"""Run the graph in lockstep: the next dwell starts when every message of the last one is accounted for."""
+"""Run the graph step by step: the next step starts when every message of the last one is accounted for.
+
+A step is a dwell, or in a replay by another clock than lockstep all that is played up to the next change in flight.
+"""
 
 from __future__ import annotations
 
 import signal
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -21,6 +24,7 @@ from sal_height.errors import UserError
 from sal_height.nodes.account import (
     CALIBRATIONS,
     DIAGNOSTICS,
+    DWELLS,
     PROGRESS,
     READY,
     RECEIVED,
@@ -63,6 +67,8 @@ class Plan:
         dwells: number of dwells to expect, for the progress bar.
         custom_data: texts by name to store in the bag.
         played: topics of the source.
+        remapped: other names of topics of all nodes, by their own; all without leading slash.
+        simulated_time: whether all nodes take the time from /clock, which the source publishes.
     """
 
     source: str
@@ -73,6 +79,12 @@ class Plan:
     dwells: int
     custom_data: Mapping[str, str] = field(default_factory=dict)
     played: Sequence[str] = SENSOR
+    remapped: Mapping[str, str] = field(default_factory=dict)
+    simulated_time: bool = False
+
+    def on_wire(self, topics: Iterable[str]) -> list[str]:
+        """The names under which topics of the nodes are published."""
+        return [self.remapped.get(topic, topic) for topic in topics]
 
 
 @dataclass(frozen=True)
@@ -101,7 +113,7 @@ class Outcome:
     """What a run did.
 
     Attributes:
-        stages: account of the source and of every stage, by node name.
+        stages: account of the source and of every stage, by node name; of the recorder, if it has missed messages.
         dwells: number of dwells that were played.
         interrupted: whether the user stopped the run.
         failure: why the run ended early, unless the user stopped it.
@@ -173,9 +185,10 @@ class Conductor(Node):
         self.accounts: dict[str, Account] = {}
         self.last_progress = time.monotonic()
         self._source = plan.source
-        self._recorded = plan.recorded
-        self._inputs = {plan.source: "", **stage_inputs(plan.stages, plan.parameters, plan.played)}
-        self._played = plan.played
+        inputs = stage_inputs(plan.stages, plan.parameters, plan.played)
+        self._inputs = {plan.source: "", **dict(zip(inputs, plan.on_wire(inputs.values()), strict=True))}
+        self._recorded, self._played = plan.on_wire(plan.recorded), plan.on_wire(plan.played)
+        self._sensor_info, self._odometry, self._calibration = plan.on_wire([SENSOR_INFO, ODOMETRY, CALIBRATION_TOPIC])
         self._calibrated = [name for name in plan.stages if CALIBRATION_TOPIC in NODES[name].inputs]
         self._steps = 0
         self._has_news = False
@@ -195,7 +208,7 @@ class Conductor(Node):
         if unknown := sorted(recorded - offered.keys()):
             raise UserError(f"No node of this run publishes topic {unknown[0]}; it has {', '.join(sorted(offered))}.")
         needed = Counter(topic for topic in self._inputs.values() if topic)
-        needed.update([*({ODOMETRY} & {*self._played}), *recorded])
+        needed.update([*({self._odometry} & {*self._played}), *recorded])
         alone = all(self.count_publishers(topic) == 1 for topic in self._played)
         return alone and all(offered[topic] >= n for topic, n in needed.items()) and self._step.service_is_ready()
 
@@ -254,7 +267,7 @@ class Conductor(Node):
         self._has_news = True
 
     def step(self, wait: Callable[[Callable[[], bool], str], None]) -> bool:
-        """Ask for the next dwell; False when there is none.
+        """Ask for the next step; False when there is none.
 
         Raises:
             UserError: the source does not answer.
@@ -272,26 +285,43 @@ class Conductor(Node):
         for name, topic in self._inputs.items():
             account = self.accounts[name]
             expected = published[topic] if topic else self._steps
-            if account.waiting or account.received != expected:
+            if account.waiting or account.received + account.missed.get(topic, 0) != expected:
                 return False
-        recorded = self.accounts[RECORDER].recorded
+        recorded, missed = self.accounts[RECORDER].recorded, self.accounts[RECORDER].missed
         if not self._has_calibrations(recorded):
             return False
-        if SENSOR_INFO in self._recorded and not recorded.get(SENSOR_INFO):
+        if self._sensor_info in self._recorded and not recorded.get(self._sensor_info):
             return False
-        return all(recorded.get(topic) == published[topic] for topic in self._recorded if topic in published)
+        return all(
+            topic in recorded and recorded[topic] + missed.get(topic, 0) == published[topic]
+            for topic in self._recorded
+            if topic in published
+        )
 
     @property
     def played(self) -> int:
-        """Steps that were asked for, without those in which a calibration was published between two dwells."""
-        return self._steps - self.accounts.get(self._source, Account()).count(CALIBRATIONS)
+        """Dwells that the source has published."""
+        return self.accounts.get(self._source, Account()).count(DWELLS)
+
+    def final_accounts(self) -> dict[str, Account]:
+        """The accounts of the source and of every stage; what never came is received and dropped in them.
+
+        So is what the recorder has missed, whose account is there only then.
+        """
+        accounts = {
+            name: (account := self.accounts.get(name, Account())).with_losses(account.missed.get(topic, 0))
+            for name, topic in self._inputs.items()
+        }
+        recorder = self.accounts.get(RECORDER, Account())
+        missed = sum(recorder.missed.get(topic, 0) for topic in self._recorded if topic not in UNCOUNTED)
+        return accounts | ({RECORDER: recorder.with_losses(missed)} if missed else {})
 
     def _has_calibrations(self, recorded: Mapping[str, int]) -> bool:
         """Whether the calibrations that the source has published are in the stages that take them, and in the bag."""
         published = self.accounts[self._source].count(CALIBRATIONS)
         taken = [self.accounts[name].count(CALIBRATIONS) for name in self._calibrated if published]
-        if CALIBRATION_TOPIC in self._recorded:
-            taken.append(recorded.get(CALIBRATION_TOPIC, 0))
+        if self._calibration in self._recorded:
+            taken.append(recorded.get(self._calibration, 0))
         return all(count >= published for count in taken)
 
     def drops(self) -> str:
@@ -318,11 +348,11 @@ def _counts(account: Account | None) -> object:
     if account is None:
         return None
     recorded = {topic: count for topic, count in account.recorded.items() if topic not in UNCOUNTED}
-    return account.count(RECEIVED), account.waiting, account.published, account.subscribers, recorded
+    return account.count(RECEIVED), account.waiting, account.missed, account.published, account.subscribers, recorded
 
 
 def perform(plan: Plan, execution: Execution) -> Outcome:
-    """Run the graph on all dwells of a source, in lockstep, and record it.
+    """Run the graph on all dwells of a source, step by step, and record it.
 
     What goes wrong once all nodes are started is in the outcome, together with the accounts up to then.
 
@@ -332,7 +362,7 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
     """
     also = [topic.removeprefix("/") for topic in execution.record]
     plan = replace(plan, recorded=list(dict.fromkeys([*plan.recorded, *also])))
-    played, interrupted, elapsed_s = 0, False, 0.0
+    interrupted, elapsed_s = False, 0.0
     failure: UserError | None = None
     stage_inputs(plan.stages, plan.parameters, plan.played)  # refuses a plan before anything is started
     with ros_domain(execution.domain):
@@ -343,20 +373,23 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
             conductor = graph.add(Conductor(plan, PROGRESS, context=graph.context))
             wait = _waiter(ensemble, conductor, interruption, execution.timeout_s)
             with tqdm(total=plan.dwells, unit="dwell", desc=plan.bag.parent.name) as progress:
+
+                def settled() -> bool:
+                    progress.update(conductor.played - progress.n)
+                    return conductor.settled()
+
                 try:
                     wait(conductor.ready, "all nodes to be ready")
                     begun = time.monotonic()
                     while conductor.step(wait):
-                        wait(conductor.settled, f"dwell {played} to be processed")
-                        progress.update(conductor.played - played)
-                        played, elapsed_s = conductor.played, time.monotonic() - begun
+                        wait(settled, f"what was played from dwell {progress.n} on to be processed")
+                        elapsed_s = time.monotonic() - begun
                         progress.set_postfix_str(conductor.drops())
                 except KeyboardInterrupt:
                     interrupted = True
                 except UserError as error:
                     failure = error
-    stages = {name: conductor.accounts.get(name, Account()) for name in [plan.source, *plan.stages]}
-    return Outcome(stages, played, interrupted, failure, elapsed_s)
+    return Outcome(conductor.final_accounts(), conductor.played, interrupted, failure, elapsed_s)
 
 
 def _waiter(
@@ -399,14 +432,18 @@ def members_of(plan: Plan) -> list[Member]:
 
     The recorder leaves parameters out unless the plan says otherwise: they are in its custom data.
     """
-    topics = [f"/{topic}" for topic in plan.recorded]
+    topics = [f"/{topic}" for topic in plan.on_wire(plan.recorded)]
+    time_source = {"use_sim_time": True} if plan.simulated_time else {}
     custom_data = [f"{name}={text}" for name, text in plan.custom_data.items()]
     recording: dict[str, Any] = {"directory": str(plan.bag), "topics": topics, "node_parameters": False}
     if custom_data:
         recording["custom_data"] = custom_data
     recording |= plan.parameters.get(RECORDER, {})
-    others = [*reversed(plan.stages), plan.source]
-    return [Member(RECORDER, parameters=recording), *(Member(n, parameters=plan.parameters.get(n, {})) for n in others)]
+    others = {name: plan.parameters.get(name, {}) for name in [*reversed(plan.stages), plan.source]}
+    return [
+        Member(RECORDER, parameters={**recording, **time_source}),  # which is told the names as they are published
+        *(Member(name, "", {**values, **time_source}, plan.remapped) for name, values in others.items()),
+    ]
 
 
 def _refuse_company(plan: Plan) -> None:

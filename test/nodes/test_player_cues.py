@@ -2,86 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import pytest
 from helpers import assert_one_sentence
 from nav_msgs.msg import Odometry
-from rclpy.node import Node
+from played_bag import Listener, bag, odometry, played, player_of
 from rclpy.parameter import Parameter
-from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import Calibration, ChannelFrame, SensorInfo
 from written_bag import calibration, frame, key
 
-from sal_height import messages
 from sal_height.bag.definitions import Definition
-from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.nodes.account import CALIBRATIONS
-from sal_height.nodes.cues import Cue, cues_to_text
+from sal_height.nodes.cues import Cue
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.player import Player
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
-
-TIMEOUT_S = 20.0
-TOPICS = {SensorInfo: "/sensor_info", Odometry: "/platform/odometry", ChannelFrame: "/phase_history"}
-
-
-def odometry(stamp_s: float) -> Odometry:
-    message = Odometry()
-    message.header.stamp = messages.to_stamp(round(stamp_s * 1e9))
-    return message
-
-
-def bag(folder: Path, recorded: Iterable[Any], other: Mapping[type, Definition] = MappingProxyType({})) -> Path:
-    """A bag of a sensor with two detectors, with `other` definitions of types than those that are installed."""
-    info = SensorInfo()
-    info.beams.elevation_boresights = [0.0, 0.1]
-    topics = {**TOPICS, Calibration: "/calibration"}
-    with BagWriter(folder, {}) as writer:
-        for kind, name in topics.items():
-            type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
-            writer.add_topic(name, type_name, [FRAMES_QOS], definition=other.get(kind))
-        for time_ns, message in enumerate([info, *recorded], 1):
-            writer.write(topics[type(message)], serialize_message(message), time_ns, time_ns)
-    return folder
-
-
-class Listener(Node):
-    """Hears what is played."""
-
-    def __init__(self, **node_arguments: Any) -> None:
-        super().__init__("listener", **node_arguments)
-        self.dwells: list[int] = []
-        self.calibrations: list[str] = []
-        self.create_subscription(ChannelFrame, "phase_history", lambda m: self.dwells.append(m.dwell), FRAMES_QOS)
-        self.create_subscription(Calibration, "calibration", lambda m: self.calibrations.append(m.id), LATCHED_QOS)
-
-
-def player_of(graph: Graph, path: Path, *cues: Cue) -> Player:
-    values = {"bag": str(path), "cues": cues_to_text(cues)}
-    overrides = [Parameter(name, value=value) for name, value in values.items()]
-    player = graph.add(Player(context=graph.context, parameter_overrides=overrides))
-    assert graph.spin_until(lambda: player.is_ready, TIMEOUT_S)
-    return player
-
-
-def played(graph: Graph, player: Player, listener: Listener) -> list[list[int]]:
-    """The dwells of the frames of each step, until the bag has ended."""
-    steps: list[list[int]] = []
-    outlet = player._outlets["/phase_history"]
-    assert graph.spin_until(lambda: outlet.subscribers == 1, TIMEOUT_S)
-    while player._step()[0]:
-        assert graph.spin_until(lambda: not player.jobs, TIMEOUT_S)
-        assert graph.spin_until(lambda: len(listener.dwells) == outlet.published, TIMEOUT_S)
-        sent = player.tally.summary().get(CALIBRATIONS, 0)  # a latched topic keeps only the last
-        assert graph.spin_until(lambda count=sent: len(listener.calibrations) == count, TIMEOUT_S)
-        steps.append(listener.dwells[sum(map(len, steps)) :])
-    return steps
 
 
 def test_a_dwell_with_a_cue_is_played_after_those_it_lies_among(graph: Graph, tmp_path: Path) -> None:

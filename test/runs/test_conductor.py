@@ -108,6 +108,28 @@ def test_a_dwell_is_settled_when_its_heights_are_in_the_map(graph: Graph) -> Non
         assert not watching.settled(), (name, changed)
 
 
+def test_what_got_lost_on_the_way_is_not_waited_for_and_is_dropped_in_the_end(graph: Graph) -> None:
+    """As the numbers tell that publishers give their messages."""
+    plan = plan_of(["sar_compression"], recorded=["slc", "diagnostics"])
+    watching = graph.add(Conductor(plan, context=graph.context))
+    watching.accounts = before = {
+        "recorder": Account({"unwritten": 0, "recorded./slc": 6, "missed./slc": 2, "missed./diagnostics": 5}),
+        "simulator": Account({"in": 0, "waiting": 0, "published./phase_history": 16}),
+        "sar_compression": Account({"in": 11, "waiting": 0, "missed./phase_history": 5, "published./slc": 8}),
+    }
+    assert watching.settled()
+    for name, missed in (("recorder", "missed./slc"), ("sar_compression", "missed./phase_history")):
+        watching.accounts = {**before, name: Account({**before[name].numbers, missed: 1})}
+        assert not watching.settled(), name
+    watching.accounts = before
+    final = watching.final_accounts()
+    assert {name: (one.received, one.dropped) for name, one in final.items()} == {
+        "simulator": (0, {}),
+        "sar_compression": (16, {"lost on the way": 5}),
+        "recorder": (2, {"lost on the way": 2}),
+    }
+
+
 def test_a_calibration_is_settled_when_all_have_it_and_is_no_dwell(graph: Graph) -> None:
     """Then comes the dwell that it is applied to."""
     plan = Plan("player", ["sar_compression", "monopulse"], ["calibration"], Path("bag"), {}, 1)
@@ -115,7 +137,7 @@ def test_a_calibration_is_settled_when_all_have_it_and_is_no_dwell(graph: Graph)
     watching._steps = 3
     watching.accounts = before = {
         "recorder": Account({"unwritten": 0, "recorded./calibration": 2}),
-        "player": Account({"in": 3, "waiting": 0, "published./phase_history": 8, "calibrations": 2}),
+        "player": Account({"in": 3, "waiting": 0, "published./phase_history": 8, "calibrations": 2, "dwells": 1}),
         "sar_compression": Account({"in": 8, "waiting": 0, "published./slc": 8, "calibrations": 2}),
         "monopulse": Account({"in": 8, "waiting": 0, "calibrations": 3}),  # and one of another node's
     }
@@ -159,7 +181,9 @@ def test_a_dwell_is_not_settled_before_its_sensor_is_recorded(graph: Graph) -> N
 
 def test_a_graph_in_which_nothing_moves_is_given_up(two_dwells: Preset, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr(Conductor, "settled", lambda _: False)
-    with pytest.raises(UserError, match=r"No node has made progress for 1 s while waiting for dwell 0 to be processed"):
+    with pytest.raises(
+        UserError, match=r"No node has made progress for 1 s while waiting for what was played from dwell 0 on"
+    ):
         run(two_dwells, SEED, tmp_path / "run", {}, Execution(timeout_s=1.0))
 
 

@@ -118,6 +118,7 @@ def compare_bags(
     tolerances: Tolerances = EXACT,
     topics: Collection[str] | None = None,
     counts: Callable[[Any], bool] | None = None,
+    counts_too: Callable[[Any], bool] | None = None,
 ) -> dict[str, Comparison]:
     """Match the messages of two bags by topic and dwell, and compare all their fields but their provenance.
 
@@ -127,6 +128,7 @@ def compare_bags(
         tolerances: how far values may be from the golden ones.
         topics: those to compare; None: all with height images.
         counts: whether a golden message counts; None: all do.
+        counts_too: whether a message of the other bag counts; None: all do.
 
     Returns:
         Comparisons by topic, of all that either bag has messages on.
@@ -137,12 +139,12 @@ def compare_bags(
     bags = golden, other
     numbers = [_numbers(bag, topics) for bag in bags]
     found = {topic: Comparison() for topic in dict.fromkeys([*numbers[0], *numbers[1]])}
-    read = found.keys() if counts else numbers[0].keys() & numbers[1].keys()
+    read = found.keys() if counts or counts_too else numbers[0].keys() & numbers[1].keys()
     for topic in found.keys() - read:
         found[topic].missing, found[topic].extra = (side.get(topic, 0) for side in numbers)
     waiting: tuple[dict[Key, Any], dict[Key, Any]] = ({}, {})
     # Both sides advance together, so that only messages without a counterpart yet are held in memory.
-    sides = _messages(bags[0], read, counts), _messages(bags[1], read)
+    sides = _messages(bags[0], read, counts), _messages(bags[1], read, counts_too)
     for pair in itertools.zip_longest(*sides):
         for side, entry in enumerate(pair):
             if entry is not None:

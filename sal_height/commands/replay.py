@@ -39,6 +39,8 @@ EXAMPLES = """
   sal-height replay out/sal_spotlight/bag --dwells 10:19
   sal-height replay out/sal_spotlight/bag --from heights
   sal-height replay out/sal_spotlight/bag --record slc --record ml/points
+  sal-height replay out/sal_spotlight/bag --clock paced --rate 4
+  sal-height replay out/sal_spotlight/bag --clock burst --loop 3
   sal-height replay out/sal_spotlight/bag \\
     --param sar_compression.calibration=out/calibrated/calibration.npz
 """
@@ -79,6 +81,9 @@ def replay(
     end: Annotated[float | None, Parameter(metavar="S", validator=Number(gte=0))] = None,
     entry: Annotated[Literal["phase_history", "slc", "heights"], Parameter(name="--from")] = "phase_history",
     namespace: Annotated[str | None, Parameter(metavar="NAME")] = None,
+    clock: Literal["lockstep", "paced", "burst"] = "lockstep",
+    rate: Annotated[float | None, Parameter(metavar="R", validator=Number(gte=1e-6, lte=1e6))] = None,
+    loop: Annotated[int, Parameter(metavar="N", validator=Number(gte=1, lte=1_000_000_000))] = 1,
 ) -> int:
     """Play a recorded bag through the same nodes and compare the heights with those recorded.
 
@@ -95,21 +100,29 @@ def replay(
         end: Play only dwells that begin until so long after the first one, in seconds. Default: all.
         entry: Begin with the complex images (slc) or the heights in the bag. Heights go to tracker and mapper alone.
         namespace: Play the topics of this namespace. Needed only if several have what is played.
+        clock: When messages are played. lockstep: a dwell when the one before is processed. paced: at the times of
+            their stamps, beside the topic /clock, with use_sim_time in all nodes. burst: as fast as they can be
+            published; what nodes cannot hold is dropped and counted.
+        rate: Play so many times as fast as the sensor was, with --clock paced. Default: 1.
+        loop: Play the bag N times, with --clock paced or burst; stamps go on, dwells keep their numbers. Only the
+            heights of the first time are compared.
         against: Bag with the heights to compare with. Default: those of BAG.
         out: Output folder, new or empty. Default: out/replay_BAG, or the next free of out/replay_BAG_2, ….
     """
     from sal_height.bag.tolerance import ROUNDING, read_tolerances
     from sal_height.nodes.played import MOST
     from sal_height.runs.entry import Part
+    from sal_height.runs.playing import Playing
     from sal_height.runs.replay import Against
     from sal_height.runs.replay import replay as play_again
     from sal_height.runs.tables import comparison_table, images_table, results_table
 
     first, last = dwells or (0, MOST)
     part = Part(entry, first, last, start, math.inf if end is None else end, namespace)
+    playing = Playing(clock, rate, loop)
     folder = output_folder(out, f"replay_{bag_name(bag)}")
     golden = Against(against, read_tolerances(tolerance) if tolerance else ROUNDING)
-    result = play_again(bag, folder, node_parameters(param), graph.execution(), golden, estimators, part)
+    result = play_again(bag, folder, node_parameters(param), graph.execution(), golden, estimators, part, playing)
     print(images_table(result.images) if result.images else results_table(result.outcome, result.accuracy))
     if result.compared:
         print(f"\n{comparison_table(result.compared)}")

@@ -22,6 +22,7 @@ from sal_height.runs.catalogue import HEIGHTS, TRACKER, NodeParameters, consumer
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.judge import as_json, draw_worst_dwell
+from sal_height.runs.playing import IN_LOCKSTEP, Playing
 from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.replay_parameters import processing_of
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
@@ -92,6 +93,7 @@ def replay(
     against: Against = RECORDED,
     estimators: Collection[str] = (),
     part: Part = WHOLE,
+    playing: Playing = IN_LOCKSTEP,
 ) -> Replay:
     """Play the phase history of `bag` through the graph and record the products in `out`/bag.
 
@@ -107,6 +109,7 @@ def replay(
         estimators: names of those whose heights are made; none: those whose heights the bag holds, or else all that
             suit the sensor and need not be asked for.
         part: what of the bag is played, if not all of its phase history.
+        playing: when it is played, how fast and how often. Of several passes the first one is compared.
 
     Raises:
         UserError: the bag cannot be used, a parameter is not allowed, or the replay failed.
@@ -114,23 +117,24 @@ def replay(
     reader = part.open(bag)
     golden = open_bag(against.golden, None, HEIGHT_TOPICS) if against.golden else reader
     chain = chain_of(reader, part.entry, estimators)
-    processing = processing_of(reader, chain, part, consumers(chain.makers), parameters)
+    processing = processing_of(reader, chain, part, consumers(chain.makers), parameters, names_dwells=playing.loops > 1)
+    playing.check(processing)
     stages, values = chain.stages, processing.values
     played = chain.played(values)
     folder = new_folder(out)
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
-        report.update(processing.report())
-        nodes = merged(
-            values,
-            {"player": {"bag": str(bag), "namespace": reader.namespace, "topics": played, **processing.for_player}},
-        )
+        report.update(playing.report() | processing.report())
+        player = {"bag": str(bag), "namespace": reader.namespace, "topics": played}
+        nodes = merged(values, {"player": {**player, **processing.for_player, **playing.for_player}})
         if MAPPER in stages and "file" not in parameters.get(MAPPER, {}):
             nodes = merged(nodes, {MAPPER: {"file": str(folder / RELIEF_MAP) if find_spec("rasterio") else ""}})
         topics = recorded_topics(stages, values, played)
         topics += [CALIBRATION_TOPIC] if processing.plays_calibrations else []
         custom_data = {**reader.custom_data, PARAMETERS: json.dumps(values)}
-        outcome = perform(Plan("player", stages, topics, made, nodes, processing.count, custom_data, played), execution)
+        dwells = processing.count * playing.loops
+        plan = Plan("player", stages, topics, made, nodes, dwells, custom_data, played, simulated_time=playing.is_paced)
+        outcome = perform(plan, execution)
         conclude(outcome, values, report)
         compared = {}
         all_made = not estimators and part.entry != FROM_HEIGHTS
@@ -139,9 +143,10 @@ def replay(
         judged = [topic for topic in judged if topic in golden.topics]
         if judged and not outcome.interrupted:
             new = BagReader(made)
-            compared = compare_bags(golden, new, against.tolerances, judged, processing.plays)
+            first_pass = processing.is_of_first_pass if playing.loops > 1 else None
+            compared = compare_bags(golden, new, against.tolerances, judged, processing.plays, first_pass)
             draw_worst_dwell(golden, new, compared, folder)
-            report["comparison"] = as_json(golden, new, compared, against.tolerances)
+            report["comparison"] = as_json(golden, new, compared, against.tolerances) | {"passes": 1}
         flight = recorded_flight(reader)
         accuracy = read_accuracy(made, flight, stages).statistics if flight else {}
         images = [] if chain.makers else _measure_images(folder)

@@ -46,6 +46,8 @@ class Processing:
         dwells: those that are played.
         count: how many these are.
         begins_with_bag: whether the first dwell of the bag is among them: tracked heights follow from those before.
+        first: the first of them; None: it was not looked for.
+        last_stamp_ns: latest stamp of them, ns, likewise.
     """
 
     values: dict[str, dict[str, Any]]
@@ -56,6 +58,8 @@ class Processing:
     dwells: DwellRange
     count: int
     begins_with_bag: bool
+    first: DwellKey | None = None
+    last_stamp_ns: int | None = None
 
     @property
     def plays_calibrations(self) -> bool:
@@ -73,13 +77,23 @@ class Processing:
         """Whether the dwell of a height image is played."""
         return DwellKey(image.dwell, to_ns(image.header.stamp)) in self.dwells
 
+    def is_of_first_pass(self, image: Any) -> bool:
+        """Whether a height image was made of a dwell with the stamp that is in the bag, not of a repetition."""
+        return self.last_stamp_ns is None or to_ns(image.header.stamp) <= self.last_stamp_ns
+
     def report(self) -> dict[str, Any]:
         """What the report says of it."""
         return {"parameter_sources": self.sources, "changes_in_flight": self.changes, "warnings": self.warnings}
 
 
 def processing_of(
-    reader: BagReader, chain: Chain, part: Part, chosen: NodeParameters, given: NodeParameters
+    reader: BagReader,
+    chain: Chain,
+    part: Part,
+    chosen: NodeParameters,
+    given: NodeParameters,
+    *,
+    names_dwells: bool = False,
 ) -> Processing:
     """Find out how the dwells of a bag were processed in flight, and what of that the user wants otherwise.
 
@@ -91,6 +105,7 @@ def processing_of(
         part: what of the bag is replayed.
         chosen: values where neither the bag nor the user says anything.
         given: values of the user's, which hold for all dwells.
+        names_dwells: whether the first dwell and the last stamp are looked for, which may take a reading of the bag.
 
     Raises:
         UserError: the bag's parameters cannot be read, or a value is not allowed today.
@@ -98,9 +113,10 @@ def processing_of(
     check_given(given, chain)
     timeline = timeline_of(reader, chain.dwell_topics)
     held = timeline.dwells
-    if part.is_limited and not held:
+    if (part.is_limited or names_dwells) and not held:
         held = list(FlightRecord(reader, chain.dwell_topics).last_frame_ns)
     dwells = part.dwells_of(held)
+    played = [dwell for dwell in held if dwell in dwells]
     own, sources = _at_start(reader, timeline, chosen, given)
     values = check_parameters(merged(own, given))
     wanted = [
@@ -126,8 +142,10 @@ def processing_of(
         _listed(timeline.dwells, changes, calibrations),
         warnings,
         dwells,
-        sum(dwell in dwells for dwell in held) or chain.dwells,
+        len(played) or chain.dwells,
         not held or held[0] in dwells,
+        played[0] if played else None,
+        max((dwell.stamp_ns for dwell in played), default=None),
     )
 
 

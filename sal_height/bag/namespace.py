@@ -1,10 +1,11 @@
-"""Bags of graphs in a namespace, read as if they had none."""
+"""Bags whose topics have other names than those by which nodes know them, read as if they had these."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 from sal_height.bag.reader import ALWAYS, BagMessage, BagReader, LogTimes
 from sal_height.errors import UserError
@@ -13,18 +14,27 @@ from sal_height.errors import UserError
 class NamespacedReader(BagReader):
     """A bag whose topics of a namespace have their names without it; those outside keep their names.
 
-    A topic outside that is called like one of the namespace is left out.
+    A topic outside that is called like one of the namespace is left out. So is one that is called like another that has
+    been given its name.
 
     Attributes:
         namespace: with a leading slash; empty: none.
     """
 
-    def __init__(self, path: Path, namespace: str) -> None:
-        """Read the index of the bag at `path`; UserError with the remedy if it is not a complete bag."""
+    def __init__(self, path: Path, namespace: str, renamed: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Read the index of the bag at `path`; UserError with the remedy if it is not a complete bag.
+
+        Args:
+            path: of the bag.
+            namespace: of topics that are read without it; empty: none.
+            renamed: other names of topics by those that are recorded, both with leading slash and namespace.
+        """
         super().__init__(path)
         self.namespace = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
-        within = {name.removeprefix(self.namespace): name for name in self.topics if self.holds(name)}
-        self._recorded_names = {name: name for name in self.topics if not self.holds(name)} | within
+        kept = {name: name for name in self.topics if name not in {*renamed, *renamed.values()}}
+        known = kept | {new: old for old, new in renamed.items() if old in self.topics}
+        within = {name.removeprefix(self.namespace): old for name, old in known.items() if self.holds(name)}
+        self._recorded_names = {name: old for name, old in known.items() if not self.holds(name)} | within
         self._names = {recorded: name for name, recorded in self._recorded_names.items()}
         self.topics = {
             name: replace(self.topics[recorded], name=name) for name, recorded in self._recorded_names.items()
@@ -47,7 +57,9 @@ class NamespacedReader(BagReader):
             yield message._replace(topic=self._names[message.topic])
 
 
-def open_bag(path: Path, namespace: str | None, needed: Collection[str]) -> NamespacedReader:
+def open_bag(
+    path: Path, namespace: str | None, needed: Collection[str], renamed: Mapping[str, str] = MappingProxyType({})
+) -> NamespacedReader:
     """Read a bag in the namespace in which it has one of the topics that are needed.
 
     Args:
@@ -55,16 +67,17 @@ def open_bag(path: Path, namespace: str | None, needed: Collection[str]) -> Name
         namespace: its name, with or without leading slash; None: none if there are such topics without one, or the only
             one that has them.
         needed: names of topics, of which one is enough, without leading slash.
+        renamed: other names of topics by those that are recorded, both with leading slash and namespace.
 
     Raises:
         UserError: the bag cannot be used, or there are several namespaces that have them, or none of that name has.
     """
     endings = tuple(f"/{name}" for name in needed)
-    topics = BagReader(path).topics
+    topics = NamespacedReader(path, "", renamed).topics
     having = {name[: -len(end)] for name in topics for end in endings if name.endswith(end)}
     listed = ", ".join(sorted(name or "/" for name in having)) or "none"
     if namespace is not None:
-        reader = NamespacedReader(path, namespace)
+        reader = NamespacedReader(path, namespace, renamed)
         if reader.namespace not in having:
             raise UserError(
                 f"Bag {path} has no topic {' or '.join(needed)} in namespace {namespace!r}; namespaces that have are "
@@ -75,4 +88,4 @@ def open_bag(path: Path, namespace: str | None, needed: Collection[str]) -> Name
         raise UserError(
             f"Bag {path} has {' or '.join(needed)} in several namespaces ({listed}); choose one by --namespace."
         )
-    return NamespacedReader(path, "" if "" in having or not having else having.pop())
+    return NamespacedReader(path, "" if "" in having or not having else having.pop(), renamed)

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter, Token
 from cyclopts.validators import Number
@@ -41,6 +41,7 @@ EXAMPLES = """
   sal-height replay out/sal_spotlight/bag --record slc --record ml/points
   sal-height replay out/sal_spotlight/bag --clock paced --rate 4
   sal-height replay out/sal_spotlight/bag --clock burst --loop 3
+  sal-height replay out/sal_spotlight/bag --remap ml/height:=/north/height
   sal-height replay out/sal_spotlight/bag \\
     --param sar_compression.calibration=out/calibrated/calibration.npz
 """
@@ -62,6 +63,37 @@ def _range(_type: type, tokens: Sequence[Token]) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
+Clock: TypeAlias = Annotated[
+    Literal["lockstep", "paced", "burst"],
+    Parameter(
+        help="When messages are played. lockstep: a dwell when the one before is processed. paced: at the times of "
+        "their stamps, beside the topic /clock, with use_sim_time in all nodes. burst: as fast as they can be "
+        "published; what nodes cannot hold is dropped and counted.",
+    ),
+]
+
+Loop: TypeAlias = Annotated[
+    int,
+    Parameter(
+        metavar="N",
+        validator=Number(gte=1, lte=1_000_000_000),
+        help="Play the bag N times, with --clock paced or burst; stamps go on, dwells keep their numbers. Only the "
+        "heights of the first time are compared.",
+    ),
+]
+
+Remap: TypeAlias = Annotated[
+    tuple[str, ...],
+    Parameter(
+        metavar="OLD:=NEW",
+        consume_multiple=False,
+        show_default=False,
+        help="Give topic OLD the name NEW, as in ROS: a topic of the bag that nodes know as NEW, or else a topic of "
+        "the nodes, which is published and recorded as NEW then. May be repeated.",
+    ),
+]
+
+
 @app.default
 def replay(
     bag: Bag,
@@ -81,9 +113,10 @@ def replay(
     end: Annotated[float | None, Parameter(metavar="S", validator=Number(gte=0))] = None,
     entry: Annotated[Literal["phase_history", "slc", "heights"], Parameter(name="--from")] = "phase_history",
     namespace: Annotated[str | None, Parameter(metavar="NAME")] = None,
-    clock: Literal["lockstep", "paced", "burst"] = "lockstep",
+    clock: Clock = "lockstep",
     rate: Annotated[float | None, Parameter(metavar="R", validator=Number(gte=1e-6, lte=1e6))] = None,
-    loop: Annotated[int, Parameter(metavar="N", validator=Number(gte=1, lte=1_000_000_000))] = 1,
+    loop: Loop = 1,
+    remap: Remap = (),
 ) -> int:
     """Play a recorded bag through the same nodes and compare the heights with those recorded.
 
@@ -100,12 +133,7 @@ def replay(
         end: Play only dwells that begin until so long after the first one, in seconds. Default: all.
         entry: Begin with the complex images (slc) or the heights in the bag. Heights go to tracker and mapper alone.
         namespace: Play the topics of this namespace. Needed only if several have what is played.
-        clock: When messages are played. lockstep: a dwell when the one before is processed. paced: at the times of
-            their stamps, beside the topic /clock, with use_sim_time in all nodes. burst: as fast as they can be
-            published; what nodes cannot hold is dropped and counted.
         rate: Play so many times as fast as the sensor was, with --clock paced. Default: 1.
-        loop: Play the bag N times, with --clock paced or burst; stamps go on, dwells keep their numbers. Only the
-            heights of the first time are compared.
         against: Bag with the heights to compare with. Default: those of BAG.
         out: Output folder, new or empty. Default: out/replay_BAG, or the next free of out/replay_BAG_2, ….
     """
@@ -122,7 +150,9 @@ def replay(
     playing = Playing(clock, rate, loop)
     folder = output_folder(out, f"replay_{bag_name(bag)}")
     golden = Against(against, read_tolerances(tolerance) if tolerance else ROUNDING)
-    result = play_again(bag, folder, node_parameters(param), graph.execution(), golden, estimators, part, playing)
+    result = play_again(
+        bag, folder, node_parameters(param), graph.execution(), golden, estimators, part, playing, remap
+    )
     print(images_table(result.images) if result.images else results_table(result.outcome, result.accuracy))
     if result.compared:
         print(f"\n{comparison_table(result.compared)}")

@@ -56,6 +56,11 @@ class Parameters(StageParameters):
     namespace: str = setting(
         "", "namespace that the topics have in the bag, which they are played without; empty: none", read_only=True
     )
+    renamed: tuple[str, ...] = setting(
+        (),
+        "topics of the bag that are read under other names, each as OLD:=NEW with leading slashes and namespaces",
+        read_only=True,
+    )
     first_dwell: int = setting(0, "number of the first dwell that is played", minimum=0, maximum=MOST, read_only=True)
     last_dwell: int = setting(MOST, "number of the last dwell that is played", minimum=0, maximum=MOST, read_only=True)
     start_ns: int = setting(0, "earliest stamp of the dwells that are played", unit="ns", minimum=0, read_only=True)
@@ -133,7 +138,8 @@ class Player(Stage):
         parameters = self.current_parameters()
         if not parameters.bag:
             raise UserError("Parameter bag is empty; it must be the path of a bag.")
-        self._reader = NamespacedReader(Path(parameters.bag), parameters.namespace)
+        renamed = dict(_names_of(rule) for rule in parameters.renamed)
+        self._reader = NamespacedReader(Path(parameters.bag), parameters.namespace, renamed)
         recorded = {name.lstrip("/"): topic for name, topic in self._reader.topics.items()}
         if missing := [name for name in parameters.topics if name not in recorded]:
             raise UserError(
@@ -286,6 +292,18 @@ class Player(Stage):
 
     def _publish(self, recorded: BagMessage) -> None:
         self._outlets[recorded.topic].publish(recorded.cdr)
+
+
+def _names_of(rule: str) -> tuple[str, str]:
+    """The two names of a topic of the bag.
+
+    Raises:
+        UserError: the rule has another form.
+    """
+    old, separator, new = rule.partition(":=")
+    if not separator:
+        raise UserError(f"Parameter renamed has {rule!r}; each of its texts must be OLD:=NEW.")
+    return old, new
 
 
 def _without_first(topic: Topic | None, played: Iterator[BagMessage]) -> Iterator[BagMessage]:

@@ -11,6 +11,7 @@ from typing import Any
 from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.reader import BagReader
+from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.errors import Rejected
 from sal_height.relief import GroundEstimate
 from sal_height.runs.catalogue import HEIGHTS, TRACKER
@@ -79,7 +80,8 @@ def read_images(bag: Path) -> dict[str, list[HeightImage]]:
     """The height images in a bag by the prefix of their estimator's topics; estimators without any are left out."""
     reader = BagReader(bag)
     images: dict[str, list[HeightImage]] = {}
-    for message in reader.messages([f"/{prefix}/height" for prefix in HEIGHTS.values()]):
+    topics = [topic.name for topic in reader.topics.values() if topic.type_name == HEIGHT_TYPE]
+    for message in reader.messages(topics) if topics else ():
         image = reader.decode(message.type_name, message.cdr)
         images.setdefault(image.estimator, []).append(image)
     return {prefix: images[prefix] for prefix in HEIGHTS.values() if prefix in images}

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader, open_bag
@@ -53,14 +54,14 @@ class Part:
     end_s: float = math.inf
     namespace: str | None = None
 
-    def open(self, bag: Path) -> NamespacedReader:
-        """Read a bag in its namespace.
+    def open(self, bag: Path, renamed: Mapping[str, str] = MappingProxyType({})) -> NamespacedReader:
+        """Read a bag in its namespace, with other names of topics by those that are recorded.
 
         Raises:
             UserError: the bag cannot be used, or several namespaces have what is played, or that of the name has not.
         """
         heights = [f"{name}/height" for name in ESTIMATORS]
-        return open_bag(bag, self.namespace, heights if self.entry == FROM_HEIGHTS else [self.entry])
+        return open_bag(bag, self.namespace, heights if self.entry == FROM_HEIGHTS else [self.entry], renamed)
 
     @property
     def is_limited(self) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sal_height.bag.compare import CHANGED, Comparison, compare_bags
-from sal_height.bag.namespace import open_bag
+from sal_height.bag.namespace import NamespacedReader, open_bag
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import ROUNDING, Tolerances
 from sal_height.errors import UserError
@@ -24,6 +24,7 @@ from sal_height.runs.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.judge import as_json, draw_worst_dwell
 from sal_height.runs.playing import IN_LOCKSTEP, Playing
 from sal_height.runs.recorded_images import recorded_slc
+from sal_height.runs.remapping import remapping_of
 from sal_height.runs.replay_parameters import processing_of
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
 from sal_height.runs.simulate import RELIEF_MAP
@@ -94,6 +95,7 @@ def replay(
     estimators: Collection[str] = (),
     part: Part = WHOLE,
     playing: Playing = IN_LOCKSTEP,
+    remap: Sequence[str] = (),
 ) -> Replay:
     """Play the phase history of `bag` through the graph and record the products in `out`/bag.
 
@@ -110,22 +112,26 @@ def replay(
             suit the sensor and need not be asked for.
         part: what of the bag is played, if not all of its phase history.
         playing: when it is played, how fast and how often. Of several passes the first one is compared.
+        remap: other names of topics of the bag and of nodes, each OLD:=NEW.
 
     Raises:
         UserError: the bag cannot be used, a parameter is not allowed, or the replay failed.
     """
-    reader = part.open(bag)
+    remapping = remapping_of(remap, bag, part.entry)
+    reader = part.open(bag, remapping.of_bag)
     golden = open_bag(against.golden, None, HEIGHT_TOPICS) if against.golden else reader
     chain = chain_of(reader, part.entry, estimators)
     processing = processing_of(reader, chain, part, consumers(chain.makers), parameters, names_dwells=playing.loops > 1)
     playing.check(processing)
     stages, values = chain.stages, processing.values
     played = chain.played(values)
+    remapping.check(played, stages)
     folder = new_folder(out)
     made = folder / "bag"
     with reporting(folder, {"bag": bag.name}) as report:
-        report.update(playing.report() | processing.report())
-        player = {"bag": str(bag), "namespace": reader.namespace, "topics": played}
+        report.update(playing.report() | remapping.report() | processing.report())
+        renamed = [f"{old}:={new}" for old, new in remapping.of_bag.items()]
+        player = {"bag": str(bag), "namespace": reader.namespace, "renamed": renamed, "topics": played}
         nodes = merged(values, {"player": {**player, **processing.for_player, **playing.for_player}})
         if MAPPER in stages and "file" not in parameters.get(MAPPER, {}):
             nodes = merged(nodes, {MAPPER: {"file": str(folder / RELIEF_MAP) if find_spec("rasterio") else ""}})
@@ -133,7 +139,9 @@ def replay(
         topics += [CALIBRATION_TOPIC] if processing.plays_calibrations else []
         custom_data = {**reader.custom_data, PARAMETERS: json.dumps(values)}
         dwells = processing.count * playing.loops
-        plan = Plan("player", stages, topics, made, nodes, dwells, custom_data, played, simulated_time=playing.is_paced)
+        plan = Plan(
+            "player", stages, topics, made, nodes, dwells, custom_data, played, remapping.of_nodes, playing.is_paced
+        )
         outcome = perform(plan, execution)
         conclude(outcome, values, report)
         compared = {}
@@ -142,7 +150,7 @@ def replay(
         judged = [f"/{p}/height" for p in prefixes if p != HEIGHTS[TRACKER] or processing.begins_with_bag]
         judged = [topic for topic in judged if topic in golden.topics]
         if judged and not outcome.interrupted:
-            new = BagReader(made)
+            new = NamespacedReader(made, "", remapping.in_new_bag)
             first_pass = processing.is_of_first_pass if playing.loops > 1 else None
             compared = compare_bags(golden, new, against.tolerances, judged, processing.plays, first_pass)
             draw_worst_dwell(golden, new, compared, folder)

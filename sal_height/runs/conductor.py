@@ -117,7 +117,7 @@ class Outcome:
         dwells: number of dwells that were played.
         interrupted: whether the user stopped the run.
         failure: why the run ended early, unless the user stopped it.
-        elapsed_s: from the first step until the last dwell was settled, s.
+        elapsed_s: from the first step until the last dwell was settled, or until the run ended, s.
     """
 
     stages: dict[str, Account]
@@ -279,9 +279,7 @@ class Conductor(Node):
 
     def settled(self) -> bool:
         """Whether all that was asked for has been published, accounted for in every stage, and recorded."""
-        published: Counter[str] = Counter()
-        for account in self.accounts.values():
-            published.update(account.published)
+        published = self._published()
         for name, topic in self._inputs.items():
             account = self.accounts[name]
             expected = published[topic] if topic else self._steps
@@ -312,9 +310,16 @@ class Conductor(Node):
             name: (account := self.accounts.get(name, Account())).with_losses(account.missed.get(topic, 0))
             for name, topic in self._inputs.items()
         }
-        recorder = self.accounts.get(RECORDER, Account())
-        missed = sum(recorder.missed.get(topic, 0) for topic in self._recorded if topic not in UNCOUNTED)
+        recorder, published = self.accounts.get(RECORDER, Account()), self._published()
+        missed = sum(recorder.missed.get(topic, 0) for topic in self._recorded if topic in published)
         return accounts | ({RECORDER: recorder.with_losses(missed)} if missed else {})
+
+    def _published(self) -> Counter[str]:
+        """Messages published by all nodes on each topic that keeps all of them."""
+        published: Counter[str] = Counter()
+        for account in self.accounts.values():
+            published.update(account.published)
+        return published
 
     def _has_calibrations(self, recorded: Mapping[str, int]) -> bool:
         """Whether the calibrations that the source has published are in the stages that take them, and in the bag."""
@@ -375,6 +380,8 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
             with tqdm(total=plan.dwells, unit="dwell", desc=plan.bag.parent.name) as progress:
 
                 def settled() -> bool:
+                    nonlocal elapsed_s
+                    elapsed_s = time.monotonic() - begun
                     progress.update(conductor.played - progress.n)
                     return conductor.settled()
 
@@ -383,7 +390,6 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
                     begun = time.monotonic()
                     while conductor.step(wait):
                         wait(settled, f"what was played from dwell {progress.n} on to be processed")
-                        elapsed_s = time.monotonic() - begun
                         progress.set_postfix_str(conductor.drops())
                 except KeyboardInterrupt:
                     interrupted = True

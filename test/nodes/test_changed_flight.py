@@ -17,6 +17,7 @@ from test_psf_calibration import calibration_of, faulty
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.recorder import Recorder
@@ -24,6 +25,7 @@ from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.runs import replay_parameters
 from sal_height.runs.conductor import Execution
 from sal_height.runs.entry import Part
+from sal_height.runs.playing import Playing
 from sal_height.runs.replay import replay
 from sal_height.runs.timeline import Timeline, timeline_of
 
@@ -128,6 +130,12 @@ def test_what_flew_is_replayed_as_flown(
     assert (report["dwells"], report["warnings"]) == (3, [])
     assert report["parameter_sources"]["ml_height"]["range_looks"] == "provenance"
     assert report["parameter_sources"]["relief_tracker"]["estimator"] == "default"
+
+    for clock in ("paced", "burst"):  # which wait for the dwells before a change, too
+        compared = replay(bag, tmp_path / clock, {}, estimators=["ml", "monopulse"], playing=Playing(clock)).compared
+        assert {topic: (one.verdict, one.matched) for topic, one in compared.items()} == EQUAL, clock
+    with pytest.raises(UserError, match=r"Option --loop .* before dwell 1;"):
+        replay(bag, tmp_path / "loop", {}, playing=Playing("burst", loops=2))
 
     again = tmp_path / "replay" / "bag"  # which can be replayed in its turn
     compared = replay(again, tmp_path / "again", {}, Execution(processes=True)).compared

@@ -28,7 +28,8 @@ class SimulatedClock:
     """Tells the time of a recorded sensor, and waits for what is due.
 
     The time stands still until something is waited for. It never passes what is waited for before that has been played,
-    so that no node reads a time at which it should have received more; after a delay it catches up.
+    so that no node reads a time at which it should have received more, and it lags behind that by its period at most;
+    after a delay it catches up.
     """
 
     def __init__(self, node: Node, first_ns: int, rate: float) -> None:
@@ -49,7 +50,11 @@ class SimulatedClock:
             self._pace = Pace(self._limit_ns, time.monotonic(), self._rate)
         self._limit_ns = max(self._limit_ns, due_ns)
         wait_s = self._pace.wait_s(due_ns)
-        return not (self._ending.wait(wait_s) if wait_s > 0 else self._ending.is_set())
+        if self._ending.wait(wait_s) if wait_s > 0 else self._ending.is_set():
+            return False
+        if due_ns - self._told_ns > PERIOD_S * self._rate * 1e9:  # the thread that tells the time lags behind
+            self._publish(due_ns)
+        return True
 
     def stand_still(self) -> None:
         """Stop the time at what was waited for last, and tell it at once."""

@@ -16,7 +16,7 @@ from sal_height.bag.reader import BagMessage
 from sal_height.nodes.cues import Cue
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.player import Player
-from sal_height.nodes.simulated_clock import SimulatedClock
+from sal_height.nodes.simulated_clock import PERIOD_S, SimulatedClock
 
 LEAST_CLOCK_HZ = 40.0
 """Messages on /clock in a second that docs/replay.md promises."""
@@ -87,6 +87,22 @@ def test_messages_come_at_their_times_beside_the_clock(
             assert all(later.time_s >= one.time_s for later in events[n:] if later.kind == "message")
     assert clock[-1].time_s == 14.0
     assert graph.spin_until(lambda: heard[-1:] == [14], TIMEOUT_S)
+
+
+@pytest.mark.parametrize("rate", [10.0, 1000.0])
+def test_the_clock_lags_by_its_period_at_most(
+    rate: float, graph: Graph, tmp_path: Path, events: list[Event], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even if the thread that tells it never comes to it."""
+    monkeypatch.setattr(SimulatedClock, "_run", lambda _: None)
+    player = player_of(graph, bag(tmp_path / "bag", flight(4)), clock="paced", rate=rate)
+    del events[1:]
+    play(graph, player)
+    told_s = 0.0
+    for one in events:
+        told_s = one.time_s if one.kind == "clock" else told_s
+        assert told_s - 1e-6 <= one.time_s <= told_s + PERIOD_S * rate + 1e-6
+    assert len(events) > 49
 
 
 def test_in_a_burst_nothing_waits_and_there_is_no_clock(graph: Graph, tmp_path: Path, events: list[Event]) -> None:

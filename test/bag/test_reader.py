@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import resource
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +21,12 @@ from sal_height.bag import qos
 from sal_height.bag.definitions import Definition, installed_definition, message_class
 from sal_height.bag.file_writer import CHUNK_SIZE
 from sal_height.bag.reader import BagReader
-from sal_height.bag.writer import BagWriter
+from sal_height.bag.writer import BagWriter, Packing
 from sal_height.errors import UserError
 
 STRING = "std_msgs/msg/String"
 HELLO = serialize_message(String(data="hello"))
+MAGIC_BYTES = 8
 
 
 @pytest.fixture
@@ -281,3 +284,39 @@ def test_qos_that_is_not_a_list_of_profiles_is_refused() -> None:
     for text in ("[", "just text", "- history: 1", "- {history: nonsense}"):
         with pytest.raises(UserError, match="offered_qos_profiles holds no list"):
             qos.from_yaml(text)
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
+def test_lengths_that_are_far_too_large_are_refused_or_make_no_difference(tmp_path: Path, compression: str) -> None:
+    """Of every record, and of every number in one: with 2 GB of memory more than is in use."""
+    with BagWriter(tmp_path / "bag", packing=Packing(compression=compression)) as writer:
+        writer.add_topic("/greeting", STRING)
+        for time_ns in range(50):
+            writer.write("/greeting", HELLO, time_ns, time_ns)
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    whole, expected = file.read_bytes(), list(BagReader(tmp_path / "bag").messages())
+    used = 1024 * int(re.findall(r"VmSize:\s+(\d+)", Path("/proc/self/status").read_text())[0])
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + 2 * 10**9, before[1]))
+    refused = []
+    try:
+        for begin, size in records_of(whole):
+            for place in (begin + 1, *range(begin + 9, begin + 9 + min(size - 8, 48))):
+                file.write_bytes(whole[:place] + (2**62).to_bytes(8, "little") + whole[place + 8 :])
+                try:
+                    assert list(BagReader(tmp_path / "bag").messages()) == expected
+                except UserError as error:
+                    refused.append(str(error))
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+    assert len(refused) > 100
+    assert all(str(file) in sentence for sentence in refused)
+
+
+def records_of(file: bytes) -> Iterator[tuple[int, int]]:
+    """Where each record of an MCAP file begins, and the size of what follows its code and length, bytes."""
+    begin = MAGIC_BYTES
+    while begin < len(file) - MAGIC_BYTES:
+        size = int.from_bytes(file[begin + 1 : begin + 9], "little")
+        yield begin, size
+        begin += 9 + size

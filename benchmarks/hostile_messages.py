@@ -38,7 +38,7 @@ def feed(node: Node, topic: str, cdr: bytes) -> bool:
     for subscription in node.subscriptions:
         if subscription.topic_name == topic:
             if subscription.raw:
-                subscription.callback(cdr)
+                subscription.callback(cdr, {})
                 continue
             try:
                 message = deserialize_message(cdr, subscription.msg_type)

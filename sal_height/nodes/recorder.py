@@ -255,9 +255,8 @@ class Recorder(Role, Node):
 
     def _tell_parameters(self, cdr: bytes) -> None:
         """Record the parameters of a node that was asked for them."""
-        now_ns = max(0, self.get_clock().now().nanoseconds)
         self._ledgers[PARAMETER_EVENTS].receive(None, lambda: 0)
-        self._put(_Item(PARAMETER_EVENTS, cdr, (now_ns, now_ns)))
+        self._put(_Item(PARAMETER_EVENTS, cdr, (self._now_ns, self._now_ns)))
 
     def _taker_of(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
         """A callback that takes the messages of a topic."""
@@ -312,14 +311,24 @@ class Recorder(Role, Node):
                 flush()
 
     def _write_waiting(self) -> set[str]:
-        """Write the messages that wait, and return their topics."""
-        write, topics = guarded(self._write, self._fail), set()
+        """Write the messages that wait, and return their topics.
+
+        What comes before a clock that is not that of the machine has begun waits for it: a bag must have times.
+        """
+        write, topics = guarded(self._write, self._fail), set[str]()
+        if not (self._now_ns or self._ending.is_set()):
+            return topics
         while self._waiting:
             item = self._waiting.popleft()
             self._taken_bytes += item.size
-            write(item.topic, item.cdr, item.times)
+            write(item.topic, item.cdr, item.times if item.times[0] else (self._now_ns, self._now_ns))
             topics.add(item.topic)
         return topics
+
+    @property
+    def _now_ns(self) -> int:
+        """The time of the node's clock, ns; 0: it has not begun, or is before 1970."""
+        return max(0, self.get_clock().now().nanoseconds)
 
     def _times(self, info: dict[str, Any]) -> tuple[int, int]:
         """When a message was received and when it was published, ns; a bag cannot hold times before 1970."""
@@ -327,7 +336,7 @@ class Recorder(Role, Node):
         other = isinstance(clock, ROSClock) and clock.ros_time_is_active  # than that of the middleware's times
         received_ns = 0 if other else info["received_timestamp"]
         if received_ns <= 0:
-            received_ns = max(0, clock.now().nanoseconds)
+            received_ns = self._now_ns
         if other:
             return received_ns, received_ns
         return received_ns, max(0, info["source_timestamp"]) or received_ns

@@ -422,7 +422,7 @@ def test_an_error_that_no_input_should_cause_costs_its_message_only(
 
 def test_bytes_that_are_no_message_are_counted_and_end_nothing(gate: Gate) -> None:
     (topic,) = (subscription for subscription in gate.subscriptions if subscription.topic_name == "/phase_history")
-    topic.callback(b"no message")
+    topic.callback(b"no message", {})
     assert gate.counts()["ignored.broken message"] == 1
     gate.describe(SENSOR)
     gate.hear(0, 0, 1, 2)

@@ -36,7 +36,7 @@ NODES: dict[type[Any], dict[str, Any]] = {
     ReliefTracker: {},
     ReliefMapper: {},
     Simulator: {"preset": "small", "period_s": 0.0},
-    Player: {"bag": BAG},
+    Player: {"bag": BAG, "clock": "paced"},
 }
 """Nodes and the parameters that they need or with which they have all their topics."""
 

@@ -117,7 +117,7 @@ def test_nodes_in_processes_give_the_same_heights_as_nodes_in_one(interrupted: E
     assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
     dwells = json.loads((interrupted.out / "report.json").read_text())["dwells"]
     for result in compared.values():
-        assert result.matched >= dwells
+        assert result.matched >= dwells - 1
         assert not any(one.different for one in result.fields.values())
 
 

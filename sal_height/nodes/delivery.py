@@ -10,10 +10,10 @@ import heapq
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
-from sal_height.bag.reader import BagMessage, BagReader
+from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import ODOMETRY_TYPE
 from sal_height.nodes.cues import DwellKey
-from sal_height.nodes.played import Content, DwellRange, chosen, content_of
+from sal_height.nodes.played import Content, DwellRange, Played, chosen, read_contents
 from sal_height.nodes.playlist import restamped
 
 
@@ -52,7 +52,7 @@ class _Pass:
         return max(spans.get("dwells", 0) + interval, 1 + max(spans.values(), default=0))
 
 
-def delivered(reader: BagReader, topics: Collection[str], dwells: DwellRange, passes: int) -> Iterator[BagMessage]:
+def delivered(reader: BagReader, topics: Collection[str], dwells: DwellRange, passes: int) -> Iterator[Played]:
     """The messages of chosen dwells, and the odometry around them, in the order of their delivery.
 
     The `log_time_ns` of each is when it was delivered. After a pass stamps go on by the period of what is played.
@@ -67,47 +67,39 @@ def delivered(reader: BagReader, topics: Collection[str], dwells: DwellRange, pa
         UserError: the bag is damaged.
     """
     first = _Pass()
-    for recorded in _once(reader, topics, dwells):
-        first.add(_content_or_none(recorded), recorded.log_time_ns)
-        yield recorded
+    for one in _once(reader, topics, dwells):
+        first.add(one.content, one.recorded.log_time_ns)
+        yield one
     for number in range(1, passes):
         shift_ns = number * first.period_ns
-        for recorded in _once(reader, topics, dwells):
-            is_stamped = _content_or_none(recorded).delivered_ns is not None
-            cdr = restamped(recorded.cdr, shift_ns) if is_stamped else recorded.cdr
-            yield recorded._replace(cdr=cdr, log_time_ns=recorded.log_time_ns + shift_ns)
+        for recorded, content in _once(reader, topics, dwells):
+            cdr = recorded.cdr if content.delivered_ns is None else restamped(recorded.cdr, shift_ns)
+            later = recorded._replace(cdr=cdr, log_time_ns=recorded.log_time_ns + shift_ns)
+            yield Played(later, content.later(shift_ns))
 
 
-def _once(reader: BagReader, topics: Collection[str], dwells: DwellRange) -> Iterator[BagMessage]:
+def _once(reader: BagReader, topics: Collection[str], dwells: DwellRange) -> Iterator[Played]:
     """One pass; what has no time of its own has that of a message that is played, too."""
     return _with_times(chosen(_merged(reader, topics), dwells))
 
 
-def _merged(reader: BagReader, topics: Collection[str]) -> Iterator[BagMessage]:
+def _merged(reader: BagReader, topics: Collection[str]) -> Iterator[Played]:
     """The messages of topics in the order of their delivery, as far as those of a topic are in it."""
     odometry = [name for name in topics if reader.topics[name].type_name == ODOMETRY_TYPE]
     others = [name for name in topics if name not in odometry]
-    streams = [_with_times(reader.messages(names)) for names in (odometry, others) if names]
-    return heapq.merge(*streams, key=lambda recorded: recorded.log_time_ns)
+    streams = [_with_times(read_contents(reader.messages(names))) for names in (odometry, others) if names]
+    return heapq.merge(*streams, key=lambda one: one.recorded.log_time_ns)
 
 
-def _with_times(played: Iterator[BagMessage]) -> Iterator[BagMessage]:
+def _with_times(items: Iterator[Played]) -> Iterator[Played]:
     """Messages with the times of their delivery, which never run back."""
     due_ns: int | None = None
-    early: list[BagMessage] = []  # for which there is no time yet
-    for recorded in played:
-        delivered_ns = _content_or_none(recorded).delivered_ns
+    early: list[Played] = []  # for which there is no time yet
+    for item in items:
+        delivered_ns = item.content.delivered_ns
         if delivered_ns is not None:
             due_ns = delivered_ns if due_ns is None else max(due_ns, delivered_ns)
-        early.append(recorded)
+        early.append(item)
         if due_ns is not None:
-            yield from (one._replace(log_time_ns=due_ns) for one in early)
+            yield from (Played(one.recorded._replace(log_time_ns=due_ns), one.content) for one in early)
             early.clear()
-
-
-def _content_or_none(recorded: BagMessage) -> Content:
-    """What matters of a message; nothing of one that is broken, which is left to whoever plays it."""
-    try:
-        return content_of(recorded)
-    except RuntimeError:
-        return Content()

@@ -235,9 +235,7 @@ class DwellStage(Stage):
         Returns:
             What it still waits for, or None.
         """
-        blanks = {channel: blank_message(dwell.messages[0], channel) for channel in dwell.absent}
-        items = {**dwell.items, **blanks}
-        frames = [items[channel] for channel in sorted(items)]
+        frames = with_blanks(dwell)
         try:
             supplies = self.supplies(frames, dwell.sensor)
         except Rejected as missing:
@@ -400,7 +398,14 @@ class DwellStage(Stage):
         )
 
 
-def blank_message(message: Any, channel: int) -> Any:
+def with_blanks(dwell: Dwell[Any]) -> list[Any]:
+    """The messages of all channels of a dwell, with blank ones in the place of those that have not come."""
+    blanks = {channel: _blank(dwell.messages[0], channel) for channel in dwell.absent}
+    items = {**dwell.items, **blanks}
+    return [items[channel] for channel in sorted(items)]
+
+
+def _blank(message: Any, channel: int) -> Any:
     """A message of zeros in the place of one that has not come: estimators leave such a channel out as dead."""
     blank = copy.copy(message)
     blank.channel = channel

@@ -140,11 +140,9 @@ class HeightNode(DwellStage):
         Raises:
             Rejected: it has not come.
         """
-        applied = image.provenance.calibration_id
-        if applied in {"", sensor.calibration_id}:
-            return None
-        calibration = self._calibrations.use(applied)
-        if calibration is None:
+        applied = applied_calibration(image, sensor)
+        calibration = self._calibrations.use(applied) if applied else None
+        if applied and calibration is None:
             raise Rejected(
                 "no calibration",
                 f"Dwell {image.dwell}: its images were made with calibration {applied!r}, which has not come on topic "
@@ -160,6 +158,12 @@ class HeightNode(DwellStage):
         else:
             self._calibrations.put(calibration.id, calibration)
         self.tell(CALIBRATIONS)
+
+
+def applied_calibration(image: ReceivedImage, sensor: Sensor) -> str:
+    """Identity of the calibration that an image was made with; empty: none but that in its sensor's description."""
+    applied = image.provenance.calibration_id
+    return "" if applied == sensor.calibration_id else applied
 
 
 def height_image(

@@ -48,6 +48,11 @@ class DwellPart(NamedTuple):
     end_ns: int
     provenance: Provenance | None = None
 
+    def later(self, shift_ns: int) -> DwellPart:
+        """The same of a message with a stamp that is later, ns."""
+        dwell = self.dwell._replace(stamp_ns=self.dwell.stamp_ns + shift_ns)
+        return self._replace(dwell=dwell, end_ns=self.end_ns + shift_ns)
+
 
 def part_of(recorded: BagMessage) -> DwellPart | None:
     """The dwell of a frame, image or height image; None: it is another message.
@@ -74,26 +79,46 @@ class Content(NamedTuple):
     Attributes:
         part: of a dwell; None: it is part of none.
         odometry_ns: stamp of odometry, ns; None: it is none.
+        fault: why nothing is known of it, for it is broken; empty: it is not.
     """
 
     part: DwellPart | None = None
     odometry_ns: int | None = None
+    fault: str = ""
 
     @property
     def delivered_ns(self) -> int | None:
         """When the sensor delivered it, by its stamp, ns; None: it does not say."""
         return self.part.end_ns if self.part else self.odometry_ns
 
+    def later(self, shift_ns: int) -> Content:
+        """What matters of the same message with a stamp that is later, ns."""
+        return Content(
+            self.part and self.part.later(shift_ns),
+            None if self.odometry_ns is None else self.odometry_ns + shift_ns,
+            self.fault,
+        )
 
-def content_of(recorded: BagMessage) -> Content:
-    """What matters of a message to whoever plays it, read at its place.
 
-    Raises:
-        RuntimeError: the message is broken.
-    """
-    if recorded.type_name == ODOMETRY_TYPE:
-        return Content(odometry_ns=messages.received_pose(recorded.cdr).stamp_ns)
-    return Content(part_of(recorded))
+class Played(NamedTuple):
+    """A message that is played, and what matters of it, which is read once."""
+
+    recorded: BagMessage
+    content: Content
+
+
+def read_contents(recorded: Iterator[BagMessage]) -> Iterator[Played]:
+    """Messages with what matters of them; broken ones are among them."""
+    return (Played(one, _content_of(one)) for one in recorded)
+
+
+def _content_of(recorded: BagMessage) -> Content:
+    try:
+        if recorded.type_name == ODOMETRY_TYPE:
+            return Content(odometry_ns=messages.received_pose(recorded.cdr).stamp_ns)
+        return Content(part_of(recorded))
+    except Exception as error:  # noqa: BLE001 (whatever broken bytes lead to)
+        return Content(fault=str(error))
 
 
 @dataclass(frozen=True)
@@ -120,22 +145,18 @@ class DwellRange:
 ALL = DwellRange()
 
 
-def chosen(recorded: Iterator[BagMessage], dwells: DwellRange) -> Iterator[BagMessage]:
+def chosen(items: Iterator[Played], dwells: DwellRange) -> Iterator[Played]:
     """The messages of chosen dwells, and the odometry around them; descriptions of the sensor are never left out.
 
     Broken messages are left to whoever plays them.
     """
     if dwells == ALL:
-        yield from recorded
+        yield from items
         return
-    odometry: deque[tuple[int, BagMessage]] = deque()
+    odometry: deque[tuple[int, Played]] = deque()
     covered_ns, needed_ns, passed_ns = -math.inf, -math.inf, -math.inf
-    for one in recorded:
-        try:
-            part, stamp_ns = content_of(one)
-        except RuntimeError:
-            yield one
-            continue
+    for one in items:
+        part, stamp_ns, _ = one.content
         if stamp_ns is not None:
             if covered_ns < needed_ns or stamp_ns <= needed_ns + MARGIN_NS:
                 covered_ns = stamp_ns
@@ -156,7 +177,7 @@ def chosen(recorded: Iterator[BagMessage], dwells: DwellRange) -> Iterator[BagMe
             passed_ns = part.dwell.stamp_ns
 
 
-def _forget(odometry: deque[tuple[int, BagMessage]], time_ns: float) -> None:
+def _forget(odometry: deque[tuple[int, Played]], time_ns: float) -> None:
     """Leave out what is longer than the margin before a time, but for the last sample before it."""
     while len(odometry) > 1 and odometry[1][0] < time_ns - MARGIN_NS:
         odometry.popleft()

@@ -22,7 +22,7 @@ from sal_height.nodes.account import CALIBRATIONS, DWELLS
 from sal_height.nodes.cues import DwellKey, cues_of_text
 from sal_height.nodes.delivery import delivered
 from sal_height.nodes.managed import INACTIVE
-from sal_height.nodes.played import LATEST_NS, MOST, SENSOR, Content, DwellRange, chosen, content_of, qos_of
+from sal_height.nodes.played import LATEST_NS, MOST, SENSOR, Content, DwellRange, Played, chosen, qos_of, read_contents
 from sal_height.nodes.playlist import SENSOR_INFO
 from sal_height.nodes.program import run_node
 from sal_height.nodes.reel import Group, Reel
@@ -159,13 +159,13 @@ class Player(Stage):
         self._reel = Reel(_without_first(recorded.get(SENSOR_INFO), self._played(parameters)))
         self._last_odometry_ns = 0
         if parameters.clock == PACED and self._reel.next:
-            self._time = SimulatedClock(self, self._reel.next.log_time_ns, parameters.rate)
+            self._time = SimulatedClock(self, self._reel.next.recorded.log_time_ns, parameters.rate)
         if SENSOR_INFO in parameters.topics:
             announced = next(self._reader.messages([recorded[SENSOR_INFO].name]), None)
-            if announced and self._content_of(announced):
+            if announced and self._is_usable(Played(announced, Content())):
                 self._publish(announced)
 
-    def _played(self, parameters: Parameters) -> Iterator[BagMessage]:
+    def _played(self, parameters: Parameters) -> Iterator[Played]:
         """The messages of the bag that are played, in their order; unless in lockstep with the times of their delivery.
 
         Raises:
@@ -175,7 +175,7 @@ class Player(Stage):
         dwells = DwellRange(parameters.first_dwell, parameters.last_dwell, parameters.start_ns, parameters.end_ns)
         if parameters.clock != LOCKSTEP:
             return delivered(self._reader, topics, dwells, parameters.loops)
-        return chosen(self._reader.messages(topics), dwells)
+        return chosen(read_contents(self._reader.messages(topics)), dwells)
 
     @property
     def is_ready(self) -> bool:
@@ -212,12 +212,12 @@ class Player(Stage):
         What cannot be decoded is counted and left out.
         """
         group = Group()
-        while (recorded := self._reel.next) is not None and self._is_due(recorded) and self.is_active:
-            if content := self._content_of(recorded):
-                dwell = content.part.dwell if content.part else None
+        while (item := self._reel.next) is not None and self._is_due(item.recorded) and self.is_active:
+            if self._is_usable(item):
+                dwell = item.content.part.dwell if item.content.part else None
                 if dwell in self._cues and (group.frames or self._is_held_up(dwell, group)):
                     break
-                self._play(recorded, content, group)
+                self._play(item, group)
             self._reel.advance()
         if self._time:
             self._time.stand_still()
@@ -233,16 +233,16 @@ class Player(Stage):
         What cannot be decoded is counted and left out.
         """
         group = Group(self._last_odometry_ns)
-        while (recorded := self._reel.next) is not None:
-            if content := self._content_of(recorded):
-                if content.part:
-                    if group.closed(self._detectors) or self._is_held_up(content.part.dwell, group):
+        while (item := self._reel.next) is not None:
+            if self._is_usable(item):
+                if part := item.content.part:
+                    if group.closed(self._detectors) or self._is_held_up(part.dwell, group):
                         break
-                    if self._comes_later(content.part.dwell, group):
-                        group.set_aside.append(recorded)
+                    if self._comes_later(part.dwell, group):
+                        group.set_aside.append(item)
                         self._reel.advance()
                         continue
-                self._play(recorded, content, group)
+                self._play(item, group)
             self._reel.advance()
         self._last_odometry_ns = group.last_odometry_ns if group.set_aside else 0
         self._reel.put_back(group.set_aside)
@@ -271,20 +271,22 @@ class Player(Stage):
             self._others.set(name, values, lambda: self.is_ending)
         return False
 
-    def _content_of(self, recorded: BagMessage) -> Content | None:
-        """What matters of a message; takes note of detectors of a sensor info. None: it is broken, which is told."""
-        try:
-            if recorded.type_name != SENSOR_TYPE:
-                return content_of(recorded)
-            sensor = self._reader.decode(recorded.type_name, recorded.cdr)
-        except Exception as error:  # noqa: BLE001 (whatever the deserializer makes of broken bytes)
-            self.ignore(f"broken {recorded.topic}", UserError(f"A message cannot be decoded: {error}"))
-            return None
-        self._detectors = max(1, len(sensor.beams.elevation_boresights))
-        return Content()
+    def _is_usable(self, item: Played) -> bool:
+        """Whether a message can be decoded, or else it is told; takes note of the detectors of a sensor info."""
+        recorded, fault = item.recorded, item.content.fault
+        if recorded.type_name == SENSOR_TYPE:
+            try:
+                sensor = self._reader.decode(recorded.type_name, recorded.cdr)
+                self._detectors = max(1, len(sensor.beams.elevation_boresights))
+            except Exception as error:  # noqa: BLE001 (whatever the deserializer makes of broken bytes)
+                fault = str(error)
+        if fault:
+            self.ignore(f"broken {recorded.topic}", UserError(f"A message cannot be decoded: {fault}"))
+        return not fault
 
-    def _play(self, recorded: BagMessage, content: Content, group: Group) -> None:
+    def _play(self, item: Played, group: Group) -> None:
         """Publish a message of a group, and count the dwell that it may begin."""
+        recorded, content = item
         if content.part and content.part.dwell not in group.frames:
             self.tally.note(DWELLS)
         group.add(content)
@@ -306,14 +308,14 @@ def _names_of(rule: str) -> tuple[str, str]:
     return old, new
 
 
-def _without_first(topic: Topic | None, played: Iterator[BagMessage]) -> Iterator[BagMessage]:
+def _without_first(topic: Topic | None, items: Iterator[Played]) -> Iterator[Played]:
     """What is played, without the first message of a topic, which has been published already."""
     is_due = topic is not None
-    for recorded in played:
-        if is_due and topic and recorded.topic == topic.name:
+    for item in items:
+        if is_due and topic and item.recorded.topic == topic.name:
             is_due = False
         else:
-            yield recorded
+            yield item
 
 
 def calibrations_of(reader: BagReader) -> Iterator[tuple[str, bytes]]:

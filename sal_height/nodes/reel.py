@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 
-from sal_height.bag.reader import BagMessage
 from sal_height.errors import UserError
 from sal_height.nodes.cues import DwellKey
-from sal_height.nodes.played import Content
+from sal_height.nodes.played import Content, Played
 
 LONGEST_GROUP = 4
 """A group of dwells ends after the frames of this many dwells, even if some dwells lack a frame."""
@@ -21,15 +20,15 @@ class Reel:
         next: the message that is the next one; None: there is no more.
     """
 
-    def __init__(self, recorded: Iterator[BagMessage]) -> None:
+    def __init__(self, recorded: Iterator[Played]) -> None:
         """Begin with the first message.
 
         Raises:
             UserError: the bag is damaged there.
         """
         self._recorded = recorded
-        self._put_back: deque[BagMessage] = deque()
-        self.next: BagMessage | None = next(recorded, None)
+        self._put_back: deque[Played] = deque()
+        self.next: Played | None = next(recorded, None)
 
     def advance(self) -> None:
         """Go on to the next message.
@@ -43,7 +42,7 @@ class Reel:
             self.next = None
             raise
 
-    def put_back(self, recorded: Iterable[BagMessage]) -> None:
+    def put_back(self, recorded: Iterable[Played]) -> None:
         """Let messages, in this order, be the next ones."""
         if self.next is not None:
             self._put_back.appendleft(self.next)
@@ -63,7 +62,7 @@ class Group:
     def __init__(self, last_odometry_ns: int = 0) -> None:
         """Begin without a dwell; odometry has been played up to a time (ns)."""
         self.frames: Counter[DwellKey] = Counter()
-        self.set_aside: list[BagMessage] = []
+        self.set_aside: list[Played] = []
         self.last_odometry_ns = last_odometry_ns
         self._last_pulse_ns = 0
 

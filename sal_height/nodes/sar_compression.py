@@ -159,8 +159,7 @@ class SarCompression(DwellStage):
     def check(self, message: ReceivedFrame, sensor: Sensor) -> None:
         """Check size, samples and pulse times of a frame."""
         messages.check_frame(message, sensor)
-        end_ns = message.stamp_ns + round(message.pulse_time[-1] * 1e9)
-        self._last_pulse_ns = max(self._last_pulse_ns, end_ns)
+        self._last_pulse_ns = max(self._last_pulse_ns, message.end_ns)
 
     def supplies(self, dwell: list[ReceivedFrame], sensor: Sensor) -> Supplies:
         """Odometry from before the first pulse to after the last without gaps, and the calibration in force.
@@ -170,17 +169,15 @@ class SarCompression(DwellStage):
             UserError: the sensor's frame is nowhere on a platform.
         """
         frame = dwell[0]
-        start_ns = frame.stamp_ns
-        end_ns = start_ns + round(frame.pulse_time[-1] * 1e9)
-        states = self._odometry.around(start_ns, end_ns)
+        states = self._odometry.around(frame.stamp_ns, frame.end_ns)
         gap = longest_gap_s(states)
         limit = self.current_parameters().max_odometry_gap_s
         if gap <= limit:
             if gap > self.current_parameters().odometry_interval_s:
                 self.tally.note("odometry.bridged")
             return Supplies(states, self._calibration_for(sensor), self._mounting_of(sensor))
-        self._awaited_ns = min(self._awaited_ns, end_ns)
-        found = f"there are {gap:g} s between two" if states else self._odometry_held(start_ns)
+        self._awaited_ns = min(self._awaited_ns, frame.end_ns)
+        found = f"there are {gap:g} s between two" if states else self._odometry_held(frame.stamp_ns)
         raise Rejected(
             "odometry gap",
             f"Dwell {frame.dwell}: platform/odometry must reach from its first pulse to its last with a sample "

@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import shutil
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -192,11 +193,11 @@ class _Progress:
             return []
         return [
             self._submit(
-                self._enter, number, conclude_bag, self._cases[number], self._schemes[number], self._parts(number)
+                self._take_row, number, conclude_bag, self._cases[number], self._schemes[number], self._parts(number)
             )
         ]
 
-    def _enter(self, row: dict[str, Any], number: int) -> list[Any]:
+    def _take_row(self, row: dict[str, Any], number: int) -> list[Any]:
         self._rows[number] = row
         return []
 
@@ -245,17 +246,26 @@ def _client(workers: Workers) -> Iterator[Any]:
         with client:
             yield client
         return
-    with (
-        LocalCluster(
+    with _deaf_to_interruption():
+        cluster = LocalCluster(
             n_workers=workers.count or os.cpu_count(),
             threads_per_worker=1,
             dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
             env=ONE_THREAD,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
+        )
+    with cluster, Client(cluster) as client:
         yield client
+
+
+@contextmanager
+def _deaf_to_interruption() -> Iterator[None]:
+    """Start processes that ignore SIGINT, which a terminal sends to all, so that their parent ends them in order."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _enter(campaign: Campaign, out: Path) -> None:

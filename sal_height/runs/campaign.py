@@ -27,10 +27,9 @@ from sal_height.nodes.cues import Cue
 from sal_height.nodes.playlist import FRAMES
 from sal_height.runs.accuracy import read_accuracy, read_images
 from sal_height.runs.catalogue import NodeParameters, consumers
-from sal_height.runs.entry import Part, chain_of, contents
-from sal_height.runs.flight_record import FlightRecord
+from sal_height.runs.entry import Part, chain_of, sensors_of
 from sal_height.runs.judge import verdict_of
-from sal_height.runs.offline import Account, InForce, Work, process, track
+from sal_height.runs.offline import InForce, Losses, Work, process, track
 from sal_height.runs.replay import recorded_flight
 from sal_height.runs.replay_parameters import processing_of
 from sal_height.runs.reporting import PARAMETERS
@@ -90,10 +89,14 @@ def plan(case: Case, most_dwells: int) -> Scheme:
     chain = chain_of(reader, FRAMES, case.estimators)
     if not chain.makers:
         raise UserError(f"Bag {case.bag} is of a sensor with one detector, of which no heights can be made.")
-    processing = processing_of(reader, chain, part, consumers(chain.makers), case.given)
-    record = FlightRecord(reader, chain.dwell_topics)
-    dwells = list(record.first_frame_ns)
-    size = len(dwells) if contents(reader)[0].mode == "stripmap" else most_dwells
+    processing = processing_of(reader, chain, part, consumers(chain.makers), case.given, names_dwells=True)
+    if not processing.frames:
+        raise UserError(
+            f"Bag {case.bag} has no readable frame on topic {FRAMES}; see `sal-height bag check {case.bag}`."
+        )
+    dwells = list(processing.frames)
+    sensors, _ = sensors_of(reader)
+    size = len(dwells) if any(sensor.mode == "stripmap" for sensor in sensors.values()) else most_dwells
     in_force, come = InForce(processing.values, processing.cues), list[str]()
     works = []
     for begin in range(0, len(dwells), size):
@@ -110,8 +113,8 @@ def plan(case: Case, most_dwells: int) -> Scheme:
                 tuple(come),
                 frozenset(chosen),
                 LogTimes(
-                    min(record.first_frame_ns[dwell] for dwell in chosen),
-                    max(record.last_frame_ns[dwell] for dwell in chosen),
+                    min(processing.frames[dwell].first_ns for dwell in chosen),
+                    max(processing.frames[dwell].last_ns for dwell in chosen),
                 ),
             )
         )
@@ -148,26 +151,24 @@ def conclude_bag(case: Case, scheme: Scheme, parts: Sequence[Path]) -> dict[str,
     """
 
     def make(new: Path) -> dict[str, Any]:
-        account, results = Account(), [known(part) for part in parts]
+        losses, results = Losses(), [known(part) for part in parts]
         for one in results:
-            counted = Account(one["dwells"], Counter(one["heights"]), Counter(one["dropped"]), one["sentences"])
-            account.add(counted)
+            losses.add(Losses(Counter(one["dropped"]), one["sentences"]))
         reader = Part(namespace=scheme.namespace).open(case.bag)
         custom_data = {**reader.custom_data, PARAMETERS: json.dumps(scheme.parameters)}
         begun = time.monotonic()
         with BagWriter(new / "bag", custom_data) as bag:
-            tracked = track([part / "bag" for part in parts], scheme.parameters, scheme.cues, bag)
-        account.dropped.update(tracked.dropped)
-        account.sentences |= tracked.sentences
+            images, lost_there = track([part / "bag" for part in parts], scheme.parameters, scheme.cues, bag)
+        losses.add(lost_there)
         row = {
             "bag": str(case.bag),
             **case.values,
             "failure": "",
-            "dwells": account.dwells,
-            "dropped": account.dropped.total(),
-            "drops": json.dumps(account.dropped),
-            "warnings": json.dumps([*scheme.warnings, *account.sentences.values()]),
-            "images": tracked.heights.total(),
+            "dwells": sum(len(work.dwells) for work in scheme.works),
+            "dropped": losses.dropped.total(),
+            "drops": json.dumps(losses.dropped),
+            "warnings": json.dumps([*scheme.warnings, *losses.sentences.values()]),
+            "images": images,
             "seconds": sum(one["seconds"] for one in results) + time.monotonic() - begun,
         }
         return row | _judged(reader, new / "bag", scheme)

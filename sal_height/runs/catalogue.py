@@ -67,13 +67,21 @@ def check_parameters(parameters: NodeParameters, settable: Sequence[str] = SETTA
         if unknown := [key for key in values if key not in settings_of(model)]:
             raise UserError(unknown_name(unknown[0], settings_of(model), f"Node {name}"))
         try:
-            accepted = model(
-                **{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
-            )
+            accepted = parameters_of(name, values)
             checked[name] = {key: getattr(accepted, key) for key in values}
         except UserError as error:
             raise UserError(f"Node {name}: {error}") from error
     return checked
+
+
+def parameters_of(node: str, values: Mapping[str, Any]) -> Any:
+    """The parameters of a node with these values, and default ones for the others; lists stand for tuples.
+
+    Raises:
+        UserError: a value is not allowed.
+    """
+    plain = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    return NODES[node].parameters(**plain)
 
 
 def suited(sensor: Sensor, asked: Collection[str] = ()) -> list[str]:

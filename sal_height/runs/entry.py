@@ -14,6 +14,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.nodes.cues import DwellKey
+from sal_height.nodes.dwell_stage import CONTRADICTION
 from sal_height.nodes.played import ALL, IMAGES, LATEST_NS, MOST, SENSOR, DwellRange
 from sal_height.nodes.playlist import FRAMES, SENSOR_INFO
 from sal_height.runs.catalogue import HEIGHTS, NODES, TRACKER, NodeParameters, suited
@@ -173,6 +174,21 @@ def contents(reader: BagReader, entry: str = FRAMES) -> tuple[Sensor, int]:
     first = next(reader.messages([f"/{SENSOR_INFO}"]))
     sensor = messages.sensor_from_message(reader.decode(first.type_name, first.cdr))
     return sensor, -(-reader.topics[f"/{entry}"].count // sensor.detector_count)
+
+
+def sensors_of(reader: BagReader) -> tuple[dict[str, Sensor], list[UserError]]:
+    """The sensors that a bag describes, by their config_hash, and why other descriptions are not used."""
+    sensors: dict[str, Sensor] = {}
+    refused = []
+    for recorded in reader.messages([f"/{SENSOR_INFO}"]):
+        try:
+            sensor = messages.sensor_from_message(reader.decode(recorded.type_name, recorded.cdr))
+        except UserError as error:
+            refused.append(error)
+            continue
+        if sensors.setdefault(sensor.config_hash, sensor).digest != sensor.digest:
+            refused.append(UserError(CONTRADICTION.format(sensor.config_hash)))
+    return sensors, refused
 
 
 def check_given(given: NodeParameters, chain: Chain) -> None:

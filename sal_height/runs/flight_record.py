@@ -11,7 +11,7 @@ from rclpy.parameter import parameter_value_to_python
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.parameter_events import PARAMETER_EVENTS
-from sal_height.bag.reader import BagMessage, BagReader
+from sal_height.bag.reader import BagMessage, BagReader, LogTimes
 from sal_height.errors import UserError
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.played import IMAGES, part_of
@@ -56,8 +56,7 @@ class FlightRecord:
     """What was found in a bag.
 
     Attributes:
-        first_frame_ns: when the first frame of each dwell was recorded.
-        last_frame_ns: when the last frame of each dwell was recorded, in the order of the first frames.
+        dwells: when the first frame and the last frame of each dwell were recorded, in the order of the first frames.
         stages: parameters in the provenance of each dwell's products, by node.
         applied: identity of the calibration in the provenance of each dwell's products; empty: none but the sensor's.
         sensors: the config_hash of the sensor of each calibration in the bag, by identity.
@@ -72,8 +71,7 @@ class FlightRecord:
             reader: of the bag.
             dwell_topics: topics with the frames that dwells are made of, or with their images or heights instead.
         """
-        self.first_frame_ns: dict[DwellKey, int] = {}
-        self.last_frame_ns: dict[DwellKey, int] = {}
+        self.dwells: dict[DwellKey, LogTimes] = {}
         self.stages: dict[DwellKey, dict[str, Mapping[str, Any]]] = {}
         self.applied: dict[DwellKey, str] = {}
         self.sensors: dict[str, str] = {}
@@ -102,8 +100,8 @@ class FlightRecord:
         if part is None:
             return
         if recorded.topic in self._dwell_topics:
-            self.first_frame_ns.setdefault(part.dwell, recorded.log_time_ns)
-            self.last_frame_ns[part.dwell] = recorded.log_time_ns
+            first_ns, _ = self.dwells.get(part.dwell, (recorded.log_time_ns, 0))
+            self.dwells[part.dwell] = LogTimes(first_ns, recorded.log_time_ns)
         if part.provenance is not None:
             self.stages.setdefault(part.dwell, {}).update(messages.held_stages(part.provenance))
             self.applied[part.dwell] = part.provenance.calibration_id

@@ -21,14 +21,16 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.cues import Cue, DwellKey
 from sal_height.nodes.dwell import Dwell, DwellAssembler, Key
-from sal_height.nodes.dwell_stage import blank_message
-from sal_height.nodes.height import height_image
+from sal_height.nodes.dwell_stage import with_blanks
+from sal_height.nodes.height import applied_calibration, height_image
 from sal_height.nodes.odometry import OdometryHistory
-from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
+from sal_height.nodes.player import CALIBRATION_TOPIC
+from sal_height.nodes.playlist import FRAMES, ODOMETRY
 from sal_height.nodes.relief_tracker import PREFIX, Tracker
 from sal_height.nodes.sar_compression import HEARD, Supplies, compress_dwell, longest_gap_s
 from sal_height.pipeline import Compressor, heights
-from sal_height.runs.catalogue import NODES, TRACKER, NodeParameters
+from sal_height.runs.catalogue import TRACKER, NodeParameters, parameters_of
+from sal_height.runs.entry import sensors_of
 from sal_height.sensor import Sensor
 
 COMPRESSION = "sar_compression"
@@ -38,9 +40,7 @@ GAP = "odometry gap"
 MARGIN_NS = 2_000_000_000
 """Odometry of a dwell is looked for so long before its first frame and after its last one; then in the whole bag."""
 
-FRAME_TOPIC, ODOMETRY_TOPIC, SENSOR_TOPIC, CALIBRATION_TOPIC = (
-    f"/{name}" for name in (FRAMES, ODOMETRY, SENSOR_INFO, "calibration")
-)
+FRAME_TOPIC, ODOMETRY_TOPIC, CALIBRATIONS = f"/{FRAMES}", f"/{ODOMETRY}", f"/{CALIBRATION_TOPIC}"
 
 MAKERS = {estimator.node: estimator for estimator in ESTIMATORS.values()}
 
@@ -71,18 +71,14 @@ class Work:
 
 
 @dataclass
-class Account:
-    """What became of the dwells of a work.
+class Losses:
+    """What was left out.
 
     Attributes:
-        dwells: how many were to be processed.
-        heights: number of height images by topic.
         dropped: number of dwells, or of frames that cannot be used, that a node left out, by node and reason.
-        sentences: on the first of each kind.
+        sentences: on the first of each kind, and of what was not used besides dwells and frames.
     """
 
-    dwells: int = 0
-    heights: Counter[str] = field(default_factory=Counter)
     dropped: Counter[str] = field(default_factory=Counter)
     sentences: dict[str, str] = field(default_factory=dict)
 
@@ -90,12 +86,14 @@ class Account:
         """Count a dwell, or a frame, that a node leaves out."""
         kind = f"{node}: {error.reason if isinstance(error, Rejected) else 'cannot be processed'}"
         self.dropped[kind] += 1
+        self.warn(kind, error)
+
+    def warn(self, kind: str, error: UserError) -> None:
+        """Keep the sentence if it is the first of its kind."""
         self.sentences.setdefault(kind, str(error))
 
-    def add(self, other: Account) -> None:
-        """Take in what became of other dwells."""
-        self.dwells += other.dwells
-        self.heights.update(other.heights)
+    def add(self, other: Losses) -> None:
+        """Take in what was left out elsewhere, later on."""
         self.dropped.update(other.dropped)
         self.sentences = {**other.sentences, **self.sentences}
 
@@ -126,27 +124,27 @@ class InForce:
     def of(self, node: str) -> Any:
         """The parameters of a node."""
         if node not in self._made:
-            values = self._values.get(node, {})
-            plain = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-            self._made[node] = NODES[node].parameters(**plain)
+            self._made[node] = parameters_of(node, self._values.get(node, {}))
         return self._made[node]
 
 
-def process(work: Work, folder: Path) -> Account:
+def process(work: Work, folder: Path) -> Losses:
     """Make the heights of the dwells of a work, into a new bag `folder`.
 
     Raises:
         UserError: the bag cannot be read or written, or it cannot be processed without a graph.
     """
     near = LogTimes(max(0, work.times.first_ns - MARGIN_NS), work.times.last_ns + MARGIN_NS)
-    account = _process(work, near, folder)
-    if account.dropped[f"{COMPRESSION}: {GAP}"]:  # odometry may be elsewhere
+    losses = _process(work, near, folder)
+    if losses.dropped[f"{COMPRESSION}: {GAP}"]:  # odometry may be elsewhere
         shutil.rmtree(folder)
-        account = _process(work, ALWAYS, folder)
-    return account
+        losses = _process(work, ALWAYS, folder)
+    return losses
 
 
-def track(heights_of: Sequence[Path], parameters: NodeParameters, cues: Sequence[Cue], out: BagWriter) -> Account:
+def track(
+    heights_of: Sequence[Path], parameters: NodeParameters, cues: Sequence[Cue], out: BagWriter
+) -> tuple[int, Losses]:
     """Copy the heights of all dwells to one bag, with those that the tracker makes of them.
 
     Args:
@@ -155,10 +153,13 @@ def track(heights_of: Sequence[Path], parameters: NodeParameters, cues: Sequence
         cues: what happens before later dwells.
         out: the bag to write to.
 
+    Returns:
+        The number of height images in the bag, and what the tracker left out.
+
     Raises:
         UserError: a bag cannot be read or written.
     """
-    account, in_force, tracker = Account(), InForce(parameters, cues), Tracker()
+    images, losses, in_force, tracker = 0, Losses(), InForce(parameters, cues), Tracker()
     tracked, source = f"/{PREFIX}/height", f"/{in_force.of(TRACKER).estimator}/height"
     out.add_topic(tracked, HEIGHT_TYPE)
     for bag in heights_of:
@@ -168,7 +169,7 @@ def track(heights_of: Sequence[Path], parameters: NodeParameters, cues: Sequence
                 out.add_topic(topic, HEIGHT_TYPE)
         for one in reader.messages():
             out.write(one.topic, one.cdr, one.log_time_ns, one.publish_time_ns)
-            account.heights[one.topic] += 1
+            images += 1
             if one.topic != source:
                 continue
             origin = messages.height_origin(one.cdr)
@@ -176,14 +177,14 @@ def track(heights_of: Sequence[Path], parameters: NodeParameters, cues: Sequence
             try:
                 image, _, _ = tracker.track(messages.received_height(one.cdr), in_force.of(TRACKER))
             except UserError as error:
-                account.drop(TRACKER, error)
+                losses.drop(TRACKER, error)
                 continue
             out.write(tracked, serialize_message(image), one.log_time_ns, one.publish_time_ns)
-            account.heights[tracked] += 1
-    return account
+            images += 1
+    return images, losses
 
 
-def _process(work: Work, times: LogTimes, folder: Path) -> Account:
+def _process(work: Work, times: LogTimes, folder: Path) -> Losses:
     """Make the heights of what was recorded at some times."""
     reader = NamespacedReader(work.bag, work.namespace)
     with BagWriter(folder) as bag:
@@ -191,7 +192,7 @@ def _process(work: Work, times: LogTimes, folder: Path) -> Account:
         for recorded in reader.messages([ODOMETRY_TOPIC, FRAME_TOPIC], times):
             making.take(recorded)
         making.end()
-    return making.account
+    return making.losses
 
 
 class _Making:
@@ -203,17 +204,17 @@ class _Making:
         Raises:
             UserError: it cannot be processed without a graph.
         """
-        self.account = Account(len(work.dwells))
+        self.losses = Losses()
         self._work, self._bag = work, bag
         self._in_force = InForce(work.parameters, work.cues)
         if self._compression.mounting_from_tf:
             raise UserError(
                 f"Bag {work.bag} was processed with mounting_from_tf, which needs a graph; use `sal-height replay`."
             )
-        self._sensors = {one.config_hash: one for one in map(messages.sensor_from_message, _all(reader, SENSOR_TOPIC))}
-        self._calibrations = {
-            one.id: one for one in map(messages.calibration_from_message, _all(reader, CALIBRATION_TOPIC))
-        }
+        self._sensors, refused = sensors_of(reader)
+        for error in refused:
+            self.losses.warn("sensor info", error)
+        self._calibrations = self._calibrations_of(reader)
         self._heard: dict[str, Calibration] = {}
         self._listen(work.calibrations)
         self._odometry = OdometryHistory(self._compression.odometry_held_s)
@@ -236,10 +237,10 @@ class _Making:
                 self._odometry.add(messages.state_of_pose(pose, self._compression.frames))
             else:
                 self._gather(messages.received_frame(recorded.cdr), recorded.log_time_ns)
-        except Rejected as error:
-            self.account.drop(COMPRESSION, error)
+        except UserError as error:
+            self.losses.drop(COMPRESSION, error)
         except RuntimeError as error:
-            self.account.drop(COMPRESSION, Rejected("broken", f"A message cannot be decoded: {error}."))
+            self.losses.drop(COMPRESSION, Rejected("broken", f"A message cannot be decoded: {error}."))
         unfinished = self._assembler.held()
         surplus = len(unfinished) - self._compression.max_unfinished_dwells
         for place, dwell in enumerate(unfinished):
@@ -271,7 +272,7 @@ class _Making:
     def _is_covered(self, dwell: Dwell[messages.ReceivedFrame]) -> bool:
         """Whether there is odometry after the last pulse of a dwell."""
         span = self._odometry.span_ns
-        return span is not None and span[1] >= _end_ns(dwell.messages[0])
+        return span is not None and span[1] >= dwell.messages[0].end_ns
 
     def _process(self, dwell: Dwell[messages.ReceivedFrame]) -> None:
         """Make the heights of a dwell, or count it as left out."""
@@ -284,7 +285,7 @@ class _Making:
                 frames, dwell.sensor, self._supplies(frames, dwell.sensor), self._compressor, self._compression
             )
         except UserError as error:
-            self.account.drop(COMPRESSION, error)
+            self.losses.drop(COMPRESSION, error)
             return
         if found is None:
             return
@@ -293,10 +294,9 @@ class _Making:
             try:
                 cdr = self._heights(node, images, dwell.sensor)
             except UserError as error:
-                self.account.drop(node, error)
+                self.losses.drop(node, error)
                 continue
             self._bag.write(_topic(node), cdr, time_ns, time_ns)
-            self.account.heights[_topic(node)] += 1
 
     def _heights(self, node: str, images: Sequence[messages.ReceivedImage], sensor: Sensor) -> bytes:
         """The message with the heights that a node makes of the images of a dwell, serialized.
@@ -307,8 +307,8 @@ class _Making:
         for image in images:
             messages.check_slc(image, sensor)
         parameters, slc = self._in_force.of(node), messages.slc_from_messages(images)
-        applied = images[0].provenance.calibration_id
-        calibration = None if applied in {"", sensor.calibration_id} else self._calibrations[applied]
+        applied = applied_calibration(images[0], sensor)
+        calibration = self._calibrations[applied] if applied else None
         estimated = heights(slc, sensor, MAKERS[node], parameters, calibration)
         return messages.serialized_height(height_image(estimated, slc, images, sensor, MAKERS[node], parameters))
 
@@ -323,9 +323,7 @@ class _Making:
             return dwell.messages
         if parameters.missing_channels != "proceed" or len(dwell.items) < parameters.min_channels:
             raise Rejected("incomplete dwell", f"Dwell {dwell.key.number}: channels {dwell.absent} are not in the bag.")
-        blanks = {channel: blank_message(dwell.messages[0], channel) for channel in dwell.absent}
-        items = {**dwell.items, **blanks}
-        return [items[channel] for channel in sorted(items)]
+        return with_blanks(dwell)
 
     def _supplies(self, frames: Sequence[messages.ReceivedFrame], sensor: Sensor) -> Supplies:
         """Odometry and calibration of a dwell.
@@ -333,7 +331,7 @@ class _Making:
         Raises:
             UserError: odometry has a gap, or the calibration cannot be read.
         """
-        states = self._odometry.around(frames[0].stamp_ns, _end_ns(frames[0]))
+        states = self._odometry.around(frames[0].stamp_ns, frames[0].end_ns)
         limit = self._compression.max_odometry_gap_s
         if longest_gap_s(states) > limit:
             raise Rejected(
@@ -357,24 +355,24 @@ class _Making:
             self._calibrations |= {source: loaded, loaded.id: loaded}
         return self._calibrations[source]
 
+    def _calibrations_of(self, reader: BagReader) -> dict[str, Calibration]:
+        """The calibrations of a bag that can be used, by their identity."""
+        calibrations = {}
+        for recorded in reader.messages([CALIBRATIONS]):
+            try:
+                one = messages.calibration_from_message(reader.decode(recorded.type_name, recorded.cdr))
+            except UserError as error:
+                self.losses.warn("calibration", error)
+            else:
+                calibrations[one.id] = one
+        return calibrations
+
     def _listen(self, calibrations: Iterable[str]) -> None:
-        """Have these calibrations come."""
-        for one in calibrations:
+        """Have these calibrations come; nodes do not use those that cannot be used either."""
+        for one in filter(self._calibrations.__contains__, calibrations):
             calibration = self._calibrations[one]
             self._heard[calibration.config_hash] = calibration
 
 
-def _all(reader: BagReader, topic: str) -> list[Any]:
-    """All messages of a topic."""
-    if topic not in reader.topics:
-        return []
-    return [reader.decode(one.type_name, one.cdr) for one in reader.messages([topic])]
-
-
 def _topic(node: str) -> str:
     return f"/{MAKERS[node].name}/height"
-
-
-def _end_ns(frame: messages.ReceivedFrame) -> int:
-    """Time of the last pulse."""
-    return frame.stamp_ns + round(frame.pulse_time[-1] * 1e9)

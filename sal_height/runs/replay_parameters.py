@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import yaml
 
 from sal_height.bag.files import parameters_file
-from sal_height.bag.reader import BagReader
+from sal_height.bag.reader import BagReader, LogTimes
 from sal_height.errors import UserError
 from sal_height.messages import to_ns
 from sal_height.nodes.cues import Cue, DwellKey, cues_to_text
@@ -46,8 +47,7 @@ class Processing:
         dwells: those that are played.
         count: how many these are.
         begins_with_bag: whether the first dwell of the bag is among them: tracked heights follow from those before.
-        first: the first of them; None: it was not looked for.
-        last_stamp_ns: latest stamp of them, ns, likewise.
+        frames: when the frames of each of them were recorded; none: it was not looked for.
     """
 
     values: dict[str, dict[str, Any]]
@@ -58,8 +58,12 @@ class Processing:
     dwells: DwellRange
     count: int
     begins_with_bag: bool
-    first: DwellKey | None = None
-    last_stamp_ns: int | None = None
+    frames: Mapping[DwellKey, LogTimes] = field(default_factory=dict)
+
+    @property
+    def first(self) -> DwellKey | None:
+        """The first of the dwells that are played, if it was looked for."""
+        return next(iter(self.frames), None)
 
     @property
     def plays_calibrations(self) -> bool:
@@ -79,7 +83,11 @@ class Processing:
 
     def is_of_first_pass(self, image: Any) -> bool:
         """Whether a height image was made of a dwell with the stamp that is in the bag, not of a repetition."""
-        return self.last_stamp_ns is None or to_ns(image.header.stamp) <= self.last_stamp_ns
+        return not self.frames or to_ns(image.header.stamp) <= self._last_stamp_ns
+
+    @cached_property
+    def _last_stamp_ns(self) -> int:
+        return max(dwell.stamp_ns for dwell in self.frames)
 
     def report(self) -> dict[str, Any]:
         """What the report says of it."""
@@ -105,7 +113,7 @@ def processing_of(
         part: what of the bag is replayed.
         chosen: values where neither the bag nor the user says anything.
         given: values of the user's, which hold for all dwells.
-        names_dwells: whether the first dwell and the last stamp are looked for, which may take a reading of the bag.
+        names_dwells: whether the dwells are looked for in any case, which may take a reading of the bag.
 
     Raises:
         UserError: the bag's parameters cannot be read, or a value is not allowed today.
@@ -114,9 +122,9 @@ def processing_of(
     timeline = timeline_of(reader, chain.dwell_topics)
     held = timeline.dwells
     if (part.is_limited or names_dwells) and not held:
-        held = list(FlightRecord(reader, chain.dwell_topics).last_frame_ns)
-    dwells = part.dwells_of(held)
-    played = [dwell for dwell in held if dwell in dwells]
+        held = FlightRecord(reader, chain.dwell_topics).dwells
+    dwells = part.dwells_of(list(held))
+    played = {dwell: frames for dwell, frames in held.items() if dwell in dwells}
     own, sources = _at_start(reader, timeline, chosen, given)
     values = check_parameters(merged(own, given))
     wanted = [
@@ -143,9 +151,8 @@ def processing_of(
         warnings,
         dwells,
         len(played) or chain.dwells,
-        not held or held[0] in dwells,
-        played[0] if played else None,
-        max((dwell.stamp_ns for dwell in played), default=None),
+        not held or next(iter(held)) in dwells,
+        played,
     )
 
 
@@ -252,7 +259,7 @@ def _of_stages(sources: Mapping[Parameter, str], stages: Sequence[str]) -> dict[
 
 
 def _listed(
-    held: Sequence[DwellKey], changes: Sequence[Change], calibrations: Sequence[Applied]
+    held: Iterable[DwellKey], changes: Sequence[Change], calibrations: Sequence[Applied]
 ) -> list[dict[str, Any]]:
     """What changed in flight, for the report, in the order of the dwells."""
     order = {dwell: place for place, dwell in enumerate(held)}
@@ -270,7 +277,7 @@ def _described(one: Change | Applied) -> dict[str, Any]:
 
 
 def _cues(
-    held: Sequence[DwellKey], dwells: DwellRange, changes: Sequence[Change], calibrations: Sequence[Applied]
+    held: Iterable[DwellKey], dwells: DwellRange, changes: Sequence[Change], calibrations: Sequence[Applied]
 ) -> list[Cue]:
     """What happens before each dwell that is played; what happened before others holds for the next one."""
     cues: list[Cue] = []

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
-from sal_height.bag.reader import BagReader
+from sal_height.bag.reader import BagReader, LogTimes
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.height import LEFT_OUT
 from sal_height.runs.catalogue import NODES, SETTABLE
@@ -63,7 +63,7 @@ class Timeline:
     """What happened in a flight, in the order of its dwells.
 
     Attributes:
-        dwells: all dwells, in the order of their first frames.
+        dwells: when the frames of each dwell were recorded, in the order of their first frames.
         start: values of parameters at the first dwell, as far as they are known.
         changes: of parameters, later on.
         calibrations: that the bag holds and that were applied.
@@ -71,7 +71,7 @@ class Timeline:
         forgotten: parameters of that time that the nodes do not have today, and how they are known.
     """
 
-    dwells: list[DwellKey] = field(default_factory=list)
+    dwells: Mapping[DwellKey, LogTimes] = field(default_factory=dict)
     start: dict[Parameter, Value] = field(default_factory=dict)
     changes: list[Change] = field(default_factory=list)
     calibrations: list[Applied] = field(default_factory=list)
@@ -92,14 +92,14 @@ def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_histor
     if not tells_of_its_making(reader):
         return Timeline()
     record = FlightRecord(reader, dwell_topics)
-    timeline = Timeline(list(record.last_frame_ns))
+    timeline = Timeline(record.dwells)
     parameters, calibrations = _Parameters(timeline), _Calibrations(timeline, record.sensors)
     said, heard = deque(record.said), deque(record.heard)
-    for dwell, last_frame_ns in record.last_frame_ns.items():
-        for one in _until(last_frame_ns, said):
+    for dwell, frames in record.dwells.items():
+        for one in _until(frames.last_ns, said):
             parameters.hear(one)
         parameters.enter(dwell, record.stages.get(dwell, {}))
-        for message in _until(last_frame_ns, heard):
+        for message in _until(frames.last_ns, heard):
             calibrations.hear(message)
         calibrations.enter(dwell, record.applied.get(dwell))
     for one in said:  # of nodes that were asked only after the last dwell
@@ -118,7 +118,7 @@ class _Parameters:
     """Follows the parameters of all nodes from dwell to dwell."""
 
     def __init__(self, timeline: Timeline) -> None:
-        self._timeline = timeline
+        self._timeline, self._first = timeline, next(iter(timeline.dwells), None)
         self._now: dict[Parameter, Any] = {}
         self._said: dict[Parameter, tuple[Any, bool]] = {}
         """What nodes said and no product has shown yet: a value, and whether the parameter had another one before."""
@@ -153,7 +153,7 @@ class _Parameters:
 
     def _set(self, dwell: DwellKey, parameter: Parameter, value: Value, is_change: bool) -> None:
         """Take note of a value; one that is told late for the first time was in force from the start."""
-        if parameter not in self._now and (not is_change or dwell == self._timeline.dwells[0]):
+        if parameter not in self._now and (not is_change or dwell == self._first):
             self._timeline.start[parameter] = value
         elif parameter not in self._now or self._now[parameter] != value.value:
             self._timeline.changes.append(Change(dwell, parameter, *value))

@@ -116,7 +116,7 @@ def test_what_flew_is_replayed_as_flown(
 ) -> None:
     bag = fly(graph, flight, tmp_path / "flight", [None, set_looks, calibrate])
     found = timeline_of(BagReader(bag))
-    assert found.dwells == [key(flight, dwell) for dwell in range(3)]
+    assert list(found.dwells) == [key(flight, dwell) for dwell in range(3)]
     assert [tuple(one) for one in found.changes] == [(key(flight, 1), ("ml_height", "range_looks"), 2, "provenance")]
     assert [tuple(one) for one in found.calibrations] == [(key(flight, 2), "number 0", "provenance")]
     assert (found.missing, found.forgotten) == ([], {})

@@ -35,7 +35,7 @@ def played(
     """Kind, time of delivery and stamp of each message, s."""
     reader = BagReader(bag(folder, recorded))
     found = []
-    for one in delivered(reader, list(NAMES), dwells or DwellRange(), passes):
+    for one, _ in delivered(reader, list(NAMES), dwells or DwellRange(), passes):
         stamp = reader.decode(one.type_name, one.cdr).header.stamp
         found.append((NAMES[one.topic], one.log_time_ns / 1e9, messages.to_ns(stamp) / 1e9))
     return found
@@ -104,5 +104,6 @@ def test_broken_messages_are_left_to_the_player(tmp_path: Path) -> None:
         for number, cdr in enumerate([serialize_message(odometry(1.0)), b"\0\1\0\0", serialize_message(Odometry())], 1):
             writer.write("/platform/odometry", cdr, number, number)
     found = list(delivered(BagReader(tmp_path / "bag"), ["/platform/odometry"], DwellRange(), 2))
-    assert [one.log_time_ns for one in found[:3]] == [1_000_000_000] * 3
-    assert [len(one.cdr) for one in found] == [len(found[0].cdr), 4, len(found[0].cdr)] * 2
+    assert [one.log_time_ns for one, _ in found[:3]] == [1_000_000_000] * 3
+    assert [bool(content.fault) for _, content in found] == [False, True, False] * 2
+    assert [len(one.cdr) for one, _ in found] == [len(found[0].recorded.cdr), 4, len(found[0].recorded.cdr)] * 2

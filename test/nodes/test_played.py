@@ -11,7 +11,7 @@ from written_bag import frame, key
 
 from sal_height import messages
 from sal_height.bag.reader import BagMessage
-from sal_height.nodes.played import DwellRange, chosen, part_of
+from sal_height.nodes.played import DwellRange, chosen, part_of, read_contents
 
 NAMES = {
     Odometry: ("/platform/odometry", "nav_msgs/msg/Odometry"),
@@ -36,10 +36,9 @@ def played(dwells: DwellRange, *recorded: Any) -> list[float | str]:
     """What is played of messages: the times of odometry, and the numbers of dwells as a text."""
     bag = [BagMessage(*NAMES[type(m)], serialize_message(m), n, n) for n, m in enumerate(recorded)]
     found: list[float | str] = []
-    for one in chosen(iter(bag), dwells):
-        part = part_of(one)
-        if part:
-            found.append(str(part.dwell.number))
+    for one, content in chosen(read_contents(iter(bag)), dwells):
+        if content.part:
+            found.append(str(content.part.dwell.number))
         elif one.topic == "/sensor_info":
             found.append("info")
         else:

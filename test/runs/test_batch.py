@@ -45,6 +45,15 @@ def damaged(bag: Path, folder: Path) -> Path:
     return folder
 
 
+def has_members(group: int) -> bool:
+    """Whether there are processes in a group."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
 def verdicts(golden: Path, made: Path) -> set[str]:
     return {one.verdict for one in compare_bags(BagReader(golden), BagReader(made), topics=HEIGHTS).values()}
 
@@ -108,6 +117,29 @@ def test_a_campaign_goes_on_where_it_was_killed(recorded: Path, tmp_path: Path) 
     left = {path.name for path in out.iterdir()}
     assert left == {"flight_0", "flight_1", "flight_2", CAMPAIGN, SUMMARY}
     assert main(words) == 0  # there is nothing left to do
+
+
+def test_an_interrupted_campaign_says_how_to_go_on(recorded: Path, tmp_path: Path) -> None:
+    """The workers are interrupted as well, as by a terminal."""
+    out = tmp_path / "out"
+    words = ["batch", *[str(recorded / "bag")] * 9, "--out", str(out), "--dwells", "1", "--workers", "2"]
+    program = subprocess.Popen(  # noqa: S603 (our own program)
+        [sys.executable, "-m", "sal_height", *words],
+        start_new_session=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + DEADLINE_S
+    while not list(out.glob(f"recorded*/{DONE}")) and time.monotonic() < deadline:
+        assert program.poll() is None
+    os.killpg(program.pid, signal.SIGINT)
+    said, log = program.communicate(timeout=DEADLINE_S)
+    assert (program.returncode, said) == (130, f"interrupted; the same command goes on with {out}\n")
+    assert "Traceback" not in log
+    while has_members(program.pid):
+        assert time.monotonic() < deadline
+    assert not (out / SUMMARY).exists()
 
 
 def test_what_is_in_the_way_is_refused(recorded: Path, tmp_path: Path) -> None:

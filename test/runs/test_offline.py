@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import made_offline
 import pytest
+from helpers import assert_one_sentence
+from rclpy.serialization import serialize_message
+from sal_height_msgs.msg import Calibration
 
 from sal_height.bag.compare import CHANGED, EQUAL
 from sal_height.bag.namespace import NamespacedReader
@@ -16,6 +22,7 @@ from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.runs import offline
 from sal_height.runs.campaign import Case, plan
+from sal_height.runs.flight_record import FlightRecord
 from sal_height.runs.replay import replay
 
 BAGS = Path(__file__).parents[2] / "bags"
@@ -127,4 +134,76 @@ def test_dwells_that_lack_a_frame_are_not_held_for_ever(recorded: Path, tmp_path
             making.take(message)
             held.append(len(making._assembler.held()))
     assert max(held) == 1
-    assert making.account.dropped == {"sar_compression: incomplete dwell": 1}  # the other one may still come
+    assert making.losses.dropped == {"sar_compression: incomplete dwell": 1}  # the other one may still come
+
+
+def of_topic(reader: BagReader, topic: str) -> tuple[BagMessage, Any]:
+    """The first message on a topic, and what is in it."""
+    recorded = next(reader.messages([topic]))
+    return recorded, reader.decode(recorded.type_name, recorded.cdr)
+
+
+def with_more(bag: Path, folder: Path, *more: BagMessage) -> Path:
+    """A bag with more messages, which come before those that are as late."""
+    reader = BagReader(bag)
+    with BagWriter(folder, reader.custom_data) as out:
+        types = {one.topic: one.type_name for one in more}
+        for name, type_name in {**types, **{topic.name: topic.type_name for topic in reader.topics.values()}}.items():
+            out.add_topic(name, type_name)
+        for one in sorted([*more, *reader.messages()], key=lambda message: message.log_time_ns):
+            out.write(one.topic, one.cdr, one.log_time_ns, one.publish_time_ns)
+    return folder
+
+
+def test_the_first_of_contradictory_descriptions_stays_in_force_and_those_that_are_none_are_told(
+    recorded: Path, tmp_path: Path
+) -> None:
+    message, info = of_topic(BagReader(recorded / "bag"), "/sensor_info")
+    info.waveform.wavelength *= 2
+    contradiction = message._replace(cdr=serialize_message(info), log_time_ns=message.log_time_ns + 1)
+    info.waveform.wavelength = math.nan
+    bag = with_more(
+        recorded / "bag",
+        tmp_path / "disputed",
+        contradiction,
+        message._replace(cdr=serialize_message(info), log_time_ns=message.log_time_ns + 2),
+    )
+    assert set(made_offline.compared(bag, tmp_path).values()) == {(EQUAL, 2)}
+    (warning,) = json.loads(made_offline.make(bag, tmp_path / "again", 1)["warnings"])
+    assert_one_sentence(warning, "contradicts the earlier one")
+
+
+def test_a_calibration_that_cannot_be_used_is_told(recorded: Path, tmp_path: Path) -> None:
+    first, bare = next(BagReader(recorded / "bag").messages()), Calibration(id="bare", config_hash="of nothing")
+    times = first.log_time_ns, first.publish_time_ns
+    one = BagMessage("/calibration", "sal_height_msgs/msg/Calibration", serialize_message(bare), *times)
+    bag = with_more(recorded / "bag", tmp_path / "uncalibrated", one)
+    row = made_offline.make(bag, tmp_path, 1, sar_compression={"calibration": "topic"})
+    assert (row["images"], row["dropped"]) == (6, 0)
+    assert_one_sentence(json.loads(row["warnings"])[-1], "width factor")
+
+
+def test_a_bag_without_a_frame_that_can_be_read_is_refused(recorded: Path, tmp_path: Path) -> None:
+    bag = rewritten(
+        recorded / "bag",
+        tmp_path / "mute",
+        lambda message, _: message._replace(cdr=b"\0\1\0\0") if message.topic == "/phase_history" else message,
+    )
+    with pytest.raises(UserError) as error:
+        made_offline.make(bag, tmp_path, 1)
+    assert_one_sentence(str(error.value), str(bag), "bag check")
+
+
+def test_a_bag_with_a_strip_among_its_sensors_is_one_part(recorded: Path, tmp_path: Path) -> None:
+    message, info = of_topic(BagReader(recorded / "bag"), "/sensor_info")
+    info.config_hash, info.mode = "strip", "stripmap"
+    bag = with_more(recorded / "bag", tmp_path / "both", message._replace(cdr=serialize_message(info)))
+    assert len(plan(Case(bag, tmp_path / "out", {}, {}), 1).works) == 1
+    assert len(plan(Case(recorded / "bag", tmp_path / "out", {}, {}), 1).works) == 2
+
+
+def test_a_bag_is_read_once_for_its_plan(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    readings, read = [], FlightRecord._read
+    monkeypatch.setattr(FlightRecord, "_read", lambda *given: (readings.append(given), read(*given)))
+    assert len(plan(Case(recorded / "bag", tmp_path / "out", {}, {}), 1).works) == 2
+    assert len(readings) == 1

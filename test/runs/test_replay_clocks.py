@@ -12,7 +12,7 @@ import pytest
 from helpers import assert_one_sentence
 
 from sal_height.bag.compare import CHANGED
-from sal_height.bag.reader import BagReader
+from sal_height.bag.reader import ALWAYS, BagReader
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.commands import main
 from sal_height.errors import UserError
@@ -146,7 +146,7 @@ def test_what_does_not_go_together_is_refused(recorded: Path, tmp_path: Path) ->
 def test_only_what_happened_before_the_first_dwell_can_be_repeated() -> None:
     def changed_before(dwell: int) -> Processing:
         cues = [Cue(DwellKey(dwell, dwell), {"ml_height": {"range_looks": 2}})]
-        return Processing({}, {}, cues, [], [], DwellRange(), 3, True, DwellKey(0, 0), 2)
+        return Processing({}, {}, cues, [], [], DwellRange(), 3, True, {DwellKey(0, 0): ALWAYS})
 
     Playing("burst", loops=2).check(changed_before(0))
     Playing("burst").check(changed_before(1))

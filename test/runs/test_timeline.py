@@ -36,7 +36,7 @@ def test_heights_say_from_which_dwell_on_a_parameter_is_another(tmp_path: Path) 
     flight = found(
         tmp_path, *(m for dwell, value in enumerate((4, 4, 2, 2, 4)) for m in (frame(dwell), looks(dwell, value)))
     )
-    assert flight.dwells == [key(dwell) for dwell in range(5)]
+    assert list(flight.dwells) == [key(dwell) for dwell in range(5)]
     assert flight.start == {LOOKS: (4, "provenance")}
     assert changes(flight) == [(2, 2, "provenance"), (4, 4, "provenance")]
 

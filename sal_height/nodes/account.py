@@ -1,11 +1,12 @@
-"""The account of a node: its message counts, as its status on /diagnostics and /progress carries them.
+"""The account of a node: its message counts, as its messages on /progress and its status on /diagnostics carry them.
 
-Nodes write their account with `to_values`, and whoever watches a graph reads it with `of_status`: no other module knows
-how the counts are called on /diagnostics.
+Nodes write their account with `to_message` and `to_values`, and whoever watches a graph reads it with `of_message` and
+`of_status`. The names of the numbers are those of NodeAccount.
 """
 
 from __future__ import annotations
 
+import array
 import math
 from collections import Counter
 from collections.abc import Mapping
@@ -13,29 +14,30 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from sal_height_msgs.msg import NodeAccount
+from std_msgs.msg import Header
 
-RECEIVED, PROCESSED, PUBLISHED, WAITING = "in", "processed", "out", "waiting"
-JOBS, READY = "jobs", "ready"
-DROPPED, IGNORED = "dropped.", "ignored."
 DIAGNOSTICS = "/diagnostics"
-"""Topic of the accounts, at regular times."""
+"""Topic of the accounts as the conventions have them, at regular times."""
 PROGRESS = "/progress"
 """Topic of the accounts at regular times and after every piece of work, made only while somebody listens."""
-UNWRITTEN, RECORDED = "unwritten", "recorded."
-PUBLISHED_ON, SUBSCRIBERS, MISSED = "published.", "subscribers.", "missed."
+
+RECEIVED, PROCESSED, PUBLISHED = NodeAccount.RECEIVED, NodeAccount.PROCESSED, NodeAccount.PUBLISHED
+WAITING, JOBS, READY = NodeAccount.WAITING, NodeAccount.JOBS, NodeAccount.READY
+DWELLS, CALIBRATIONS = NodeAccount.DWELLS, NodeAccount.CALIBRATIONS
+DROPPED, IGNORED, LAST_MINUTE = NodeAccount.DROPPED, NodeAccount.IGNORED, NodeAccount.LAST_MINUTE
+PUBLISHED_ON, SUBSCRIBERS, MISSED = NodeAccount.PUBLISHED_ON, NodeAccount.SUBSCRIBERS, NodeAccount.MISSED
+UNWRITTEN, RECORDED = NodeAccount.UNWRITTEN, NodeAccount.RECORDED
+OFFERED, ACHIEVED = NodeAccount.OFFERED, NodeAccount.ACHIEVED
+LATENCY_P50, LATENCY_P95 = NodeAccount.LATENCY_P50, NodeAccount.LATENCY_P95
+CPU, MEMORY, PID = NodeAccount.CPU, NodeAccount.MEMORY, NodeAccount.PID
+"""Names of numbers, or what they begin with; NodeAccount says of what."""
+
 LAST_DROP = "last_drop"
-DWELLS = "dwells"
-"""Dwells that a source has published, the whole of them or a part."""
-CALIBRATIONS = "calibrations"
-"""Calibrations that a node has taken in, or, if it plays a bag, that it has published."""
-OFFERED, ACHIEVED = "offered_hz", "achieved_hz"
-CPU, MEMORY, PID = "cpu_s", "memory_mb", "pid"
-"""Processor time, s, memory and number of the process: those of all its nodes."""
-LAST_MINUTE = "last_minute."
-"""Begins the names of the counts dropped.REASON and ignored.REASON of the last minute."""
+"""Name of the sentence of an account on /diagnostics."""
 LOST_WITH_PROCESS = "lost with its process"
 """Why messages that waited when the process of a node ended were dropped."""
-LATENCY_P50, LATENCY_P95 = "latency_p50_ms", "latency_p95_ms"
 ON_THE_WAY = "lost on the way"
 """Why messages that were published have not come: the middleware has lost them."""
 
@@ -51,7 +53,7 @@ class Account:
     At any time received = processed + dropped + waiting.
 
     Attributes:
-        numbers: every finite number of the status, by its name.
+        numbers: finite, by their names.
         last_drop: sentence that says why messages were last left out; empty if none were.
     """
 
@@ -69,6 +71,28 @@ class Account:
         """The account as values of a status."""
         texts = {**{key: str(number) for key, number in self.numbers.items()}, LAST_DROP: self.last_drop}
         return [KeyValue(key=key, value=text) for key, text in texts.items() if text]
+
+    @classmethod
+    def of_message(cls, message: NodeAccount, earlier: Account | None = None) -> Self:
+        """Read an account; what it lacks is as in an earlier one of the same node.
+
+        Numbers that are not finite, or have no name, are left out.
+        """
+        found = zip(message.names, message.numbers, strict=False)
+        numbers = {name: number for name, number in found if math.isfinite(number)}
+        known = {} if message.whole or earlier is None else earlier.numbers
+        return cls({**known, **numbers}, message.last_drop)
+
+    def to_message(self, node: Node, *, whole: bool) -> NodeAccount:
+        """The account of a node as a message; `whole`: it has all numbers."""
+        return NodeAccount(
+            header=Header(stamp=node.get_clock().now().to_msg()),
+            node=node.get_fully_qualified_name().lstrip("/"),
+            whole=whole,
+            names=list(self.numbers),
+            numbers=array.array("d", self.numbers.values()),
+            last_drop=self.last_drop,
+        )
 
     def after(self, earlier: Account) -> Account:
         """This account, with the counts of an earlier process of the same node added.

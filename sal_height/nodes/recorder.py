@@ -21,6 +21,7 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from sal_height_msgs.msg import NodeAccount
 
 from sal_height.bag.definitions import message_class
 from sal_height.bag.files import ACCOUNT
@@ -56,7 +57,7 @@ QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until t
 ITEM_BYTES = 1000  # memory of a message that waits, besides its own bytes
 DISCOVERY_PERIOD_S = 0.1
 DIAGNOSTICS_PERIOD_S = 0.5
-GATHER_S = 0.01  # from the first message that waits to its writing: the thread wakes once for all that come meanwhile
+GATHER_S = 0.003  # from the first message that waits to its writing: the thread wakes once for all that come meanwhile
 
 NEVER_CAME = (
     "Messages got lost on the way to the recorder, as the numbers of others tell (ignored.lost on the way): publish "
@@ -123,7 +124,7 @@ class Recorder(Role, Node):
         self._arrival, self._ending = threading.Event(), threading.Event()
         matched = PublisherEventCallbacks(matched=guarded(lambda _: self._publish_diagnostics(), self._fail))
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10, event_callbacks=matched)
-        self._progress = self.create_publisher(DiagnosticArray, PROGRESS, 10, event_callbacks=matched)
+        self._progress = self.create_publisher(NodeAccount, PROGRESS, 10, event_callbacks=matched)
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
         self.context.on_shutdown(self.close_bag)
@@ -356,33 +357,44 @@ class Recorder(Role, Node):
             self._ledgers[topic].written += 1
 
     def _publish_diagnostics(self) -> None:
-        message = self.diagnostics()
-        self._diagnostics.publish(message)
-        self._progress.publish(message)
+        account = self._account()
+        self._diagnostics.publish(self._as_diagnostics(account))
+        self._progress.publish(account.to_message(self, whole=True))
 
     def _report_progress(self) -> None:
         """Publish the account for whoever waits for messages to be in the bag."""
         with suppress(RCLError):  # the context may end meanwhile
             if self._progress.get_subscription_count():
-                self._progress.publish(self.diagnostics())
+                self._progress.publish(self._counts().to_message(self, whole=False))
 
-    def diagnostics(self) -> DiagnosticArray:
+    def _counts(self) -> Account:
         """How many messages of each topic are in the bag (recorded.<topic>) and how many were lost."""
         missed = {f"{MISSED}{topic}": ledger.missed for topic, ledger in self._ledgers.items() if ledger.missed}
         recorded = {f"{RECORDED}{topic}": count for topic, count in self.recorded.items()}
-        left_out, missing = self._left_out, self._left_out.total()
+        left_out = self._left_out
         losses = {
             f"{DROPPED}{QUEUE_FULL}": left_out[QUEUE_FULL],
             f"{IGNORED}{ON_THE_WAY}": left_out[ON_THE_WAY],
             FAILED: self._failures,
         }
         losses = {name: count for name, count in losses.items() if count}
-        numbers = {UNWRITTEN: left_out[NOT_WRITTEN]} | losses | missed | recorded | process_numbers()
+        return Account({UNWRITTEN: left_out[NOT_WRITTEN], **losses, **missed, **recorded}, self.failure)
+
+    def _account(self) -> Account:
+        """All numbers."""
+        return Account({**self._counts().numbers, **process_numbers()}, self.failure)
+
+    def diagnostics(self) -> DiagnosticArray:
+        """The account and state, as the conventions have them."""
+        return self._as_diagnostics(self._account())
+
+    def _as_diagnostics(self, account: Account) -> DiagnosticArray:
+        missing = self._left_out.total()
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if missing else DiagnosticStatus.OK,
             name=self.get_fully_qualified_name().lstrip("/"),
             message=f"{missing} messages are not in the bag" if missing else "recording",
-            values=Account(numbers, self.failure).to_values(),
+            values=account.to_values(),
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

@@ -22,13 +22,12 @@ from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
+from sal_height_msgs.msg import NodeAccount
 from std_srvs.srv import Trigger
 
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.account import (
     DIAGNOSTICS,
-    DROPPED,
-    IGNORED,
     JOBS,
     MISSED,
     PROGRESS,
@@ -163,7 +162,7 @@ class Stage(Role, Managed):
         """Whoever waits for a graph to be connected is told of a subscription or publisher when it comes or goes."""
         self._matched = PublisherEventCallbacks(matched=self._on_match)
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10, event_callbacks=self._matched)
-        self._progress = self.create_publisher(DiagnosticArray, PROGRESS, 10, event_callbacks=self._matched)
+        self._progress = self.create_publisher(NodeAccount, PROGRESS, 10, event_callbacks=self._matched)
         self.every(DIAGNOSTICS_PERIOD_S, self._measure_pace)
         self._worker = threading.Thread(target=self._work, name=name, daemon=True)
         self._worker.start()
@@ -403,7 +402,7 @@ class Stage(Role, Managed):
         """Publish the account for whoever waits for a dwell (on the worker thread)."""
         with suppress(RCLError):  # the context may end meanwhile
             if self._progress.get_subscription_count():
-                self._progress.publish(self.diagnostics())
+                self._progress.publish(self._counts().to_message(self, whole=False))
 
     def _measure_pace(self) -> None:
         for inlet in (*self._inlets, *self._optional):
@@ -413,27 +412,31 @@ class Stage(Role, Managed):
 
     def _publish_account(self) -> None:
         with suppress(RCLError):  # the context may end meanwhile
-            message = self.diagnostics()
-            self._diagnostics.publish(message)
-            self._progress.publish(message)
+            account = self._account()
+            self._diagnostics.publish(self._as_diagnostics(account))
+            self._progress.publish(account.to_message(self, whole=True))
 
-    def diagnostics(self) -> DiagnosticArray:
-        """The stage's account."""
+    def _counts(self) -> Account:
+        """What changes with every piece of work."""
         inlets = (*self._inlets, *self._optional)
         missed = {f"{MISSED}{inlet.topic}": inlet.missed for inlet in inlets if inlet.missed and not inlet.latched}
         summary = self.tally.summary()  # before what is published, and after what has come
-        lost = sum(int(count) for name, count in summary.items() if name.startswith((DROPPED, IGNORED)))
-        account = Account(
-            summary
-            | {JOBS: self.jobs, READY: int(self.is_ready)}
-            | process_numbers()
-            | self._pace.rates()
-            | missed
-            | {f"{PUBLISHED_ON}{outlet.topic}": outlet.published for outlet in self._offered if outlet.keeps_all}
-            | {f"{SUBSCRIBERS}{outlet.topic}": outlet.subscribers for outlet in self._offered},
-            self.last_drop,
-        )
-        level, message = self._state(lost)
+        published = {f"{PUBLISHED_ON}{outlet.topic}": outlet.published for outlet in self._offered if outlet.keeps_all}
+        return Account({**summary, JOBS: self.jobs, **missed, **published}, self.last_drop)
+
+    def _account(self) -> Account:
+        """The stage's account, all of it."""
+        subscribers = {f"{SUBSCRIBERS}{outlet.topic}": outlet.subscribers for outlet in self._offered}
+        state = {READY: int(self.is_ready), **process_numbers(), **self._pace.rates(), **subscribers}
+        counts = self._counts()
+        return Account({**counts.numbers, **state}, counts.last_drop)
+
+    def diagnostics(self) -> DiagnosticArray:
+        """The stage's account and state, as the conventions have them."""
+        return self._as_diagnostics(self._account())
+
+    def _as_diagnostics(self, account: Account) -> DiagnosticArray:
+        level, message = self._state(sum(account.dropped.values()) + sum(account.ignored.values()))
         status = DiagnosticStatus(
             level=level,
             name=self.get_fully_qualified_name().lstrip("/"),

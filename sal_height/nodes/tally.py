@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
+from bisect import bisect_left, insort
 from collections import Counter, deque
 from collections.abc import Callable
-
-import numpy as np
 
 from sal_height.nodes.account import (
     ACHIEVED,
@@ -44,7 +43,7 @@ class Tally:
         self._ignored: Counter[str] = Counter()
         self._noted: Counter[str] = Counter()
         self._lately = LastMinute()
-        self._latencies: deque[float] = deque(maxlen=1000)
+        self._latencies = Latest(1000)
         self.offered = 0
         """Dwells that were complete and handed over for processing."""
         self.finished = 0
@@ -87,7 +86,7 @@ class Tally:
             self._published += published
             if messages:
                 self.finished += 1
-                self._latencies.append(latency_s)
+                self._latencies.add(latency_s)
 
     def summary(self) -> dict[str, int | float]:
         """Counts and latencies by name.
@@ -105,13 +104,39 @@ class Tally:
                 PUBLISHED: self._published,
                 WAITING: self._received - self._processed - sum(dropped.values()),
             }
-            if self._latencies:
-                p50, p95 = np.percentile(self._latencies, [50, 95])
-                values |= {LATENCY_P50: round(float(p50) * 1e3, 3), LATENCY_P95: round(float(p95) * 1e3, 3)}
+            for name, share in ((LATENCY_P50, 0.5), (LATENCY_P95, 0.95)):
+                if self._latencies:
+                    values[name] = round(1e3 * self._latencies.quantile(share), 3)
         values |= {f"{DROPPED}{reason}": count for reason, count in sorted(dropped.items())}
         values |= {f"{IGNORED}{reason}": count for reason, count in sorted(ignored.items())}
         values |= {f"{LAST_MINUTE}{name}": count for name, count in sorted(lately.items())}
         return values | dict(sorted(noted.items()))
+
+
+class Latest:
+    """The latest of many numbers, in their order: their quantiles, which are asked for after each, take no time."""
+
+    def __init__(self, most: int) -> None:
+        """Keep so many."""
+        self._most = most
+        self._numbers: deque[float] = deque()
+        self._ascending: list[float] = []
+
+    def __len__(self) -> int:
+        return len(self._ascending)
+
+    def add(self, number: float) -> None:
+        """Keep a number, and forget the earliest if there are too many."""
+        self._numbers.append(number)
+        insort(self._ascending, number)
+        if len(self._numbers) > self._most:
+            del self._ascending[bisect_left(self._ascending, self._numbers.popleft())]
+
+    def quantile(self, share: float) -> float:
+        """The number that this share of them are below, linear between two of them."""
+        place = share * (len(self._ascending) - 1)
+        low, rest = self._ascending[int(place)], place % 1.0
+        return low + rest * (self._ascending[int(place) + 1] - low) if rest else low
 
 
 class LastMinute:

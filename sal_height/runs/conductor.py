@@ -17,6 +17,7 @@ from typing import Any, Self
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.task import Future
+from sal_height_msgs.msg import NodeAccount
 from std_srvs.srv import Trigger
 from tqdm import tqdm
 
@@ -170,12 +171,12 @@ class Interruption:
 class Conductor(Node):
     """Reads the accounts of all nodes, and asks the source for dwells."""
 
-    def __init__(self, plan: Plan, accounts_on: str = DIAGNOSTICS, **node_arguments: Any) -> None:
+    def __init__(self, plan: Plan, *, in_steps: bool = False, **node_arguments: Any) -> None:
         """Conduct the nodes of a plan.
 
         Args:
             plan: the plan.
-            accounts_on: topic on which the accounts are read, DIAGNOSTICS or PROGRESS.
+            in_steps: whether nodes are to tell their accounts after every piece of work, and not only at times.
             node_arguments: passed to rclpy's Node.
 
         Raises:
@@ -193,7 +194,10 @@ class Conductor(Node):
         self._steps = 0
         self._has_news = False
         self._step = self.create_client(Trigger, f"{plan.source}/{NODES[plan.source].begin_service}")
-        self.create_subscription(DiagnosticArray, accounts_on, self._on_diagnostics, 100)
+        if in_steps:
+            self.create_subscription(NodeAccount, PROGRESS, self._on_progress, 100)
+        else:
+            self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
 
     def connected(self) -> bool:
         """Whether every topic has its subscribers, as its publisher counts them: nothing will be lost.
@@ -337,15 +341,21 @@ class Conductor(Node):
             for reason, count in account.dropped.items()
         )
 
+    def _on_progress(self, message: NodeAccount) -> None:
+        self._enter(message.node, Account.of_message(message, self.accounts.get(message.node)))
+
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self._note_news()
         for status in message.status:
-            account = Account.of_status(status)
-            key = UNWRITTEN if status.name == RECORDER else WAITING
-            if status.name in {*self._inputs, RECORDER} and key in account.numbers:
-                if account.jobs or _counts(account) != _counts(self.accounts.get(status.name)):
-                    self.last_progress = time.monotonic()
-                self.accounts[status.name] = account
+            self._enter(status.name, Account.of_status(status))
+
+    def _enter(self, node: str, account: Account) -> None:
+        """Take note of an account, if it is one of a node of the plan."""
+        self._note_news()
+        key = UNWRITTEN if node == RECORDER else WAITING
+        if node in {*self._inputs, RECORDER} and key in account.numbers:
+            if account.jobs or _counts(account) != _counts(self.accounts.get(node)):
+                self.last_progress = time.monotonic()
+            self.accounts[node] = account
 
 
 def _counts(account: Account | None) -> object:
@@ -375,7 +385,7 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
             _refuse_company(plan)
         with Interruption() as interruption, Ensemble(members_of(plan), execution.processes) as ensemble:
             graph = ensemble.graph
-            conductor = graph.add(Conductor(plan, PROGRESS, context=graph.context))
+            conductor = graph.add(Conductor(plan, in_steps=True, context=graph.context))
             wait = _waiter(ensemble, conductor, interruption, execution.timeout_s)
             with tqdm(total=plan.dwells, unit="dwell", desc=plan.bag.parent.name) as progress:
 

@@ -30,7 +30,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
-from sal_height_msgs.msg import ChannelFrame
+from sal_height_msgs.msg import ChannelFrame, NodeAccount
 from std_msgs.msg import String
 
 from sal_height.bag.reader import BagReader
@@ -38,7 +38,7 @@ from sal_height.bag.salvage import salvage
 from sal_height.errors import UserError
 from sal_height.nodes import parameter_reader
 from sal_height.nodes import recorder as module
-from sal_height.nodes.account import PROGRESS
+from sal_height.nodes.account import PROGRESS, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.parameter_reader import ParameterReader
 from sal_height.nodes.recorder import Recorder
@@ -344,14 +344,14 @@ def test_what_is_in_the_bag_is_told_at_once_to_whoever_listens(
     monkeypatch.setattr(module, "DIAGNOSTICS_PERIOD_S", 1000.0)
     publisher = source.create_publisher(String, "/note", 1)
     recorder = start(graph, bag, topics=["/note", PROGRESS])
-    status: dict[str, str] = {}
-    source.create_subscription(DiagnosticArray, PROGRESS, lambda message: status.update(values(message)), 10)
+    told: list[Account] = []
+    source.create_subscription(NodeAccount, PROGRESS, lambda message: told.append(Account.of_message(message)), 10)
     assert graph.spin_until(lambda: recorder._progress.get_subscription_count() == 2, TIMEOUT_S)
-    for number in ("1", "2"):
+    for number in (1, 2):
         publish(graph, recorder, publisher, [String()])
-        assert graph.spin_until(lambda n=number: status.get("recorded./note") == n, TIMEOUT_S)
-    told = recorder.recorded[PROGRESS]
-    assert not graph.spin_until(lambda: recorder.recorded[PROGRESS] > told + 1, 0.2), "accounts of accounts"
+        assert graph.spin_until(lambda n=number: bool(told) and told[-1].recorded.get("note") == n, TIMEOUT_S)
+    so_far = recorder.recorded[PROGRESS]
+    assert not graph.spin_until(lambda: recorder.recorded[PROGRESS] > so_far + 1, 0.2), "accounts of accounts"
 
 
 def test_the_times_of_transport_come_from_every_executor(graph: Graph, source: Node, bag: Path) -> None:

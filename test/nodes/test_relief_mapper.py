@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 import rasterio
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TransformStamped
 from helpers import assert_one_sentence, file_size_limit, make_aperture
 from rasterio.warp import transform
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, ReliefMap
+from sal_height_msgs.msg import ComplexImage, HeightImage, NodeAccount, Provenance, ReliefMap
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
 
@@ -32,7 +32,7 @@ from sal_height.elevation.estimate import Validity
 from sal_height.errors import UserError
 from sal_height.geometry.earth import sphere_coordinates, sphere_point
 from sal_height.geometry.grid import Grid
-from sal_height.nodes.account import PROGRESS
+from sal_height.nodes.account import PROGRESS, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, StageParameters
@@ -75,24 +75,24 @@ class Mapped:
         self.images: list[Image] = []
         self.points: list[PointCloud2] = []
         self.frames: list[TransformStamped] = []
-        self.status: dict[str, str] = {}
+        self.account = Account()
         node = graph.add(Node("feeder", context=graph.context))
         self.publisher = node.create_publisher(HeightImage, "ml/height", FRAMES_QOS)
         node.create_subscription(ReliefMap, "map/relief", self.maps.append, LATCHED_QOS)
         node.create_subscription(Image, "map/image", self.images.append, LATCHED_QOS)
         node.create_subscription(PointCloud2, "map/points", self.points.append, LATCHED_QOS)
         node.create_subscription(TransformStamped, "map/frame", self.frames.append, LATCHED_QOS)
-        node.create_subscription(DiagnosticArray, PROGRESS, self._watch, 10)
+        node.create_subscription(NodeAccount, PROGRESS, self._watch, 10)
         self.wait(lambda: self.publisher.get_subscription_count() == 1, "the mapper")
         topics = ("map/relief", "map/image", "map/points")
         self.wait(lambda: all(node.count_publishers(topic) == 1 for topic in topics), "its products")
 
     def feed(self, *images: HeightImage) -> None:
         """Publish, and wait until the mapper has accounted for all."""
-        goal = int(self.status.get("in", 0)) + len(images)
+        goal = self.account.received + len(images)
         for image in images:
             self.publisher.publish(image)
-        self.wait(lambda: (self.status.get("in"), self.status.get("waiting")) == (str(goal), "0"), "the account")
+        self.wait(lambda: (self.account.received, self.account.waiting) == (goal, 0), "the account")
 
     def map_of(self, images: int) -> ReliefMap:
         """The map of so many height images."""
@@ -100,13 +100,11 @@ class Mapped:
         return self.maps[-1]
 
     def wait(self, condition: Callable[[], bool], what: str) -> None:
-        assert self.graph.spin_until(condition, TIMEOUT_S), f"waited in vain for {what}: {self.status}"
+        assert self.graph.spin_until(condition, TIMEOUT_S), f"waited in vain for {what}: {self.account}"
 
-    def _watch(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.name == "relief_mapper":
-                self.status = {"level": str(status.level), "message": status.message}
-                self.status |= {entry.key: entry.value for entry in status.values}
+    def _watch(self, message: NodeAccount) -> None:
+        if message.node == "relief_mapper":
+            self.account = Account.of_message(message, self.account)
 
 
 def start(graph: Graph, **parameters: Any) -> ReliefMapper:
@@ -160,7 +158,7 @@ def test_provenance_names_this_stage_after_those_before(mapped: Mapped) -> None:
 
 def test_any_viewer_sees_the_map(mapped: Mapped) -> None:
     """The image has north up; points lie where the cells do, on the sphere."""
-    mapped.wait(lambda: mapped.status.get("subscribers./map/points") == "1", "the points to be listened to")
+    mapped.wait(lambda: mapped.account.subscribers.get("map/points") == 1, "the points to be listened to")
     mapped.feed(height_image(0))
     height = layer(mapped.map_of(1), "height")
     mapped.wait(lambda: bool(mapped.images and mapped.points and mapped.frames), "image, points and their frame")
@@ -239,15 +237,15 @@ def test_what_cannot_be_used_is_counted_and_leaves_the_map_as_it_is(mapped: Mapp
     mapped.feed(height_image(0))
     before = mapped.map_of(1)
     for name, (field, value, reason, words) in REFUSED.items():
-        dropped = int(mapped.status.get(f"dropped.{reason}", 0))
+        dropped = mapped.account.dropped.get(reason, 0)
         mapped.feed(broken(field, value))
-        assert mapped.status[f"dropped.{reason}"] == str(dropped + 1), name
+        assert mapped.account.dropped[reason] == dropped + 1, name
         assert_one_sentence(mapped.mapper.last_rejection.removeprefix(f"{reason}: "), words)
-    assert mapped.status["level"] == str(DiagnosticStatus.WARN)
+    assert mapped.mapper.diagnostics().status[0].level == DiagnosticStatus.WARN
     mapped.feed(height_image(1))
     after = mapped.map_of(2)
     np.testing.assert_array_equal(after.height, before.height)
-    assert (mapped.status["in"], mapped.status["processed"]) == (str(len(REFUSED) + 2), "2")
+    assert (mapped.account.received, mapped.account.count("processed")) == (len(REFUSED) + 2, 2)
 
 
 def test_single_bad_pixels_do_not_enter_and_are_counted(mapped: Mapped) -> None:
@@ -255,7 +253,7 @@ def test_single_bad_pixels_do_not_enter_and_are_counted(mapped: Mapped) -> None:
     image.surfaces[0].sigma[0], image.surfaces[0].east[1] = float("inf"), float("nan")
     mapped.feed(image)
     np.testing.assert_array_equal(mapped.map_of(1).count[:4], [0, 0, 1, 1])
-    assert mapped.status["ignored.bad pixels"] == "1"
+    assert mapped.account.ignored["bad pixels"] == 1
 
 
 def test_a_first_image_that_is_refused_does_not_choose_the_cells(graph: Graph) -> None:
@@ -264,7 +262,7 @@ def test_a_first_image_that_is_refused_does_not_choose_the_cells(graph: Graph) -
     large.grid.row_spacing, large.surfaces[0].east[0] = 0.01, 1e5
     mapped.feed(large, height_image(1))
     assert mapped.map_of(1).cell_size == 1.0
-    assert mapped.status["dropped.map full"] == "1"
+    assert mapped.account.dropped["map full"] == 1
 
 
 def test_pixels_that_validity_rules_out_do_not_enter(mapped: Mapped) -> None:
@@ -368,7 +366,7 @@ def test_heights_after_the_end_are_counted(mapped: Mapped) -> None:
     mapped.feed(height_image(0))
     mapped.mapper.conclude()
     mapped.feed(height_image(1))
-    assert mapped.status["dropped.ended"] == "1"
+    assert mapped.account.dropped["ended"] == 1
 
 
 @pytest.mark.parametrize(

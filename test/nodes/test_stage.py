@@ -13,6 +13,7 @@ from helpers import make_sensor
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from sal_height_msgs.msg import NodeAccount
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -161,10 +162,13 @@ def told(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Accoun
     monkeypatch.setattr(stage, "DIAGNOSTICS_PERIOD_S", 1000.0)
     accounts: dict[str, list[Account]] = {DIAGNOSTICS: [], PROGRESS: []}
     watcher = graph.add(Node("watcher", context=graph.context))
-    for topic, those in accounts.items():
-        watcher.create_subscription(
-            DiagnosticArray, topic, lambda m, those=those: those.extend(map(Account.of_status, m.status)), 100
-        )
+    on_diagnostics, on_progress = accounts.values()
+    watcher.create_subscription(
+        DiagnosticArray, DIAGNOSTICS, lambda m: on_diagnostics.extend(map(Account.of_status, m.status)), 100
+    )
+    watcher.create_subscription(
+        NodeAccount, PROGRESS, lambda m: on_progress.append(Account.of_message(m, (on_progress or [None])[-1])), 100
+    )
     return accounts
 
 
@@ -176,6 +180,7 @@ def test_progress_is_told_at_once_to_whoever_listens(graph: Graph, told: dict[st
         listening.submit(1, lambda: 0)
         assert graph.spin_until(lambda n=number: told[PROGRESS][-1].count("processed") == n, TIMEOUT_S)
     assert told[DIAGNOSTICS][-1].count("processed") == 0
+    assert told[PROGRESS][-1].numbers.keys() > told[DIAGNOSTICS][-1].numbers.keys()  # of which it was told nothing new
 
 
 def test_subscribers_are_told_of_at_once(graph: Graph, told: dict[str, list[Account]]) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier, Event
 
+import numpy as np
 import pytest
 
-from sal_height.nodes.tally import LastMinute, Pace, Tally
+from sal_height.nodes.tally import LastMinute, Latest, Pace, Tally
 
 
 def test_counts_and_reasons() -> None:
@@ -71,6 +72,16 @@ def test_latencies_are_percentiles_of_the_last_thousand() -> None:
     summary = tally.summary()
     assert summary["latency_p50_ms"] == pytest.approx(499.5)
     assert summary["latency_p95_ms"] == pytest.approx(0.95 * 999)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 8, 23])
+def test_quantiles_are_those_of_the_latest_numbers(count: int) -> None:
+    numbers, latest = np.random.default_rng(count).integers(0, 9, count).tolist(), Latest(8)
+    for number in numbers:
+        latest.add(number)
+    assert len(latest) == min(count, 8)
+    for share in (0.0, 0.3, 0.5, 0.95, 1.0):
+        assert latest.quantile(share) == pytest.approx(np.quantile(numbers[-8:], share))
 
 
 def test_balance_holds_at_any_time_under_several_threads() -> None:

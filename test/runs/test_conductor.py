@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import array
 import dataclasses
 import errno
 import json
+import math
 import os
 import signal
 import threading
@@ -17,7 +19,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from sal_height_msgs.msg import ChannelFrame, SensorInfo
+from sal_height_msgs.msg import ChannelFrame, NodeAccount, SensorInfo
 
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
@@ -75,6 +77,27 @@ def test_diagnostics_of_others_are_ignored(graph: Graph) -> None:
         "recorder": {"unwritten": 0.0},
         "simulator": {"in": 1.0, "out": 8.0, "waiting": 0.0},
         "monopulse": {"in": 8.0, "out": 1.0, "waiting": 0.0},
+    }
+
+
+def test_what_a_node_does_not_tell_is_as_it_was_told_before(graph: Graph) -> None:
+    """After a piece of work it tells the counts alone; those of others are ignored."""
+    watching = graph.add(Conductor(plan_of(["monopulse"]), in_steps=True, context=graph.context))
+    publisher = graph.add(Node("stages", context=graph.context)).create_publisher(NodeAccount, "/progress", 10)
+    assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, 10)
+    for node, whole, numbers in (
+        ("monopulse", True, {"in": 0, "waiting": 0, "ready": 1, "cpu_s": 0.5}),
+        ("player", True, {"in": 1, "waiting": 0}),
+        ("monopulse", False, {"in": 8, "waiting": 0, "latency_p50_ms": math.nan}),
+        ("simulator", True, {"temperature": 40}),
+        ("recorder", True, {"unwritten": 0}),
+    ):
+        values = array.array("d", [*map(float, numbers.values()), 7.0])  # one more than there are names
+        publisher.publish(NodeAccount(node=node, whole=whole, names=list(numbers), numbers=values))
+    assert graph.spin_until(lambda: "recorder" in watching.accounts, 10)
+    assert {name: account.numbers for name, account in watching.accounts.items()} == {
+        "recorder": {"unwritten": 0.0},
+        "monopulse": {"in": 8.0, "waiting": 0.0, "ready": 1.0, "cpu_s": 0.5},
     }
 
 

@@ -14,20 +14,13 @@ from mcap.reader import SeekingReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
+from sal_height.bag.chunk_search import HEAD, find_chunks, is_known
 from sal_height.bag.files import check_summary_crc
-
-HEAD = struct.Struct("<BQ")
-"""Opcode and length of a record."""
 
 INDEX_HEAD = struct.Struct("<HI")
 """Channel of a message index, and bytes of its entries, of INDEX_ENTRY bytes each."""
 
 INDEX_ENTRY = 16
-
-OPCODES = frozenset(Opcode)
-
-OWN_OPCODES = 0x80
-"""Opcodes from here on are for private records, which may stand anywhere."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +59,10 @@ def spans(stream: BinaryIO, summary: Summary | None) -> Iterator[Span]:
     """What a file consists of, up to its index, its end or its cut.
 
     Records are found by the lengths of those before them. Where a length or an opcode is damaged, the next chunk is
-    found by the index, if there is a sound one; the rest of the file is lost otherwise.
+    found by the index, or, if there is no sound one, by its own lengths. A file without chunks is lost from there on.
     """
-    chunks = {chunk.chunk_start_offset: chunk.chunk_length for chunk in summary.chunk_indexes} if summary else {}
+    indexed = {chunk.chunk_start_offset: chunk.chunk_length for chunk in summary.chunk_indexes} if summary else {}
+    chunks = indexed or find_chunks(stream)
     starts = sorted(chunks)
     end = stream.seek(0, os.SEEK_END)
     place = len(MCAP0_MAGIC)
@@ -79,7 +73,7 @@ def spans(stream: BinaryIO, summary: Summary | None) -> Iterator[Span]:
             continue
         after = bisect.bisect_right(starts, place)
         limit = starts[after] if after < len(starts) else end
-        span = _span(stream, place, limit, is_open=limit == end, has_chunks=bool(chunks))
+        span = _span(stream, place, limit, is_open=limit == end, has_chunks=bool(indexed))
         yield span
         if span.opcode == Opcode.DATA_END and span.whole:
             return
@@ -103,7 +97,7 @@ def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks
         place: byte in the file.
         limit: where the next chunk begins, or the end of the file.
         is_open: whether the limit is the end of the file, at which a record may be cut.
-        has_chunks: whether all chunks are known, so that there is none here.
+        has_chunks: whether an index names all chunks, so that there is none here.
     """
     stream.seek(place)
     head = stream.read(HEAD.size)
@@ -111,7 +105,7 @@ def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks
     if len(head) < HEAD.size:
         return lost
     opcode, length = HEAD.unpack(head)
-    if not (opcode in OPCODES or opcode >= OWN_OPCODES) or (has_chunks and opcode in (Opcode.CHUNK, Opcode.MESSAGE)):
+    if not is_known(opcode) or (has_chunks and opcode in (Opcode.CHUNK, Opcode.MESSAGE)):
         return lost
     following = place + HEAD.size + length
     if following <= limit:

@@ -204,7 +204,7 @@ def test_custom_data_and_topics_without_messages_survive(
     assert reader.custom_data == {"parameters": "{}"}
 
 
-def test_a_damaged_length_ends_the_recovery(tmp_path: Path) -> None:
+def test_without_chunks_a_damaged_length_ends_the_recovery(tmp_path: Path) -> None:
     messages = greetings(30)
     file = tmp_path / "damaged.mcap"
     data = bytearray(write_mcap(file, messages, use_chunking=False))
@@ -342,6 +342,27 @@ def test_whatever_byte_is_damaged_no_message_is_changed_and_the_account_is_right
         assert lost == len(messages) - count
     assert refused <= 10
     assert 100 < lossless < 490
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+@pytest.mark.parametrize("shift", [-30, -1, 1, 1000, 10**6, 2**62])
+def test_behind_a_damaged_length_the_next_chunk_is_found_without_an_index(
+    tmp_path: Path, shift: int, compression: str
+) -> None:
+    """As of a recorder that was killed; at most the three messages are lost of the chunk whose length is damaged."""
+    data, messages = mixed_bag(tmp_path / "bag", compression)
+    chunks = read_index(tmp_path / "bag" / "bag_0.mcap").summary.chunk_indexes
+    killed = data[: chunks[-1].chunk_start_offset + chunks[-1].chunk_length - 1]
+    of_chunk, of_index = chunks[5].chunk_start_offset, chunks[5].chunk_start_offset + chunks[5].chunk_length
+    cut = 3 if compression != "none" else 1
+    for place, lost in ((of_chunk, cut + 3), (of_index, cut)):
+        damaged = bytearray(killed)
+        (length,) = struct.unpack_from("<Q", damaged, place + 1)
+        struct.pack_into("<Q", damaged, place + 1, max(0, length + shift))
+        status, found, count = saved_by_command(bytes(damaged), tmp_path)
+        assert status == 1
+        assert found <= messages
+        assert len(messages) - lost <= count <= len(messages) - cut
 
 
 def test_what_damage_makes_of_a_chunk_is_no_message(tmp_path: Path) -> None:

@@ -1,0 +1,81 @@
+"""The chunks of a file whose index is lost, found past damage by the lengths in them that must agree."""
+
+from __future__ import annotations
+
+import mmap
+import re
+import struct
+from typing import BinaryIO
+
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
+
+HEAD = struct.Struct("<BQ")
+"""Opcode and length of a record."""
+
+OPCODES = frozenset(Opcode)
+
+OWN_OPCODES = 0x80
+"""Opcodes from here on are for private records, which may stand anywhere."""
+
+COMPRESSION = HEAD.size + 28
+"""Where the name of the compression stands in a chunk: after times, size and checksum."""
+
+LENGTH = struct.Struct("<Q")
+
+CHUNK = re.compile(rb"(?=%c.{%d}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))" % (Opcode.CHUNK, COMPRESSION - 1), re.DOTALL)
+"""What a chunk begins with, at every place."""
+
+
+def is_known(opcode: int) -> bool:
+    """Whether there are records with this opcode."""
+    return opcode in OPCODES or opcode >= OWN_OPCODES
+
+
+def find_chunks(stream: BinaryIO) -> dict[int, int]:
+    """Where the chunks of a file begin, and their bytes.
+
+    Records follow from each other by their lengths. Where one does not lead to another, or is a chunk whose lengths
+    contradict each other, the next chunk is looked for whose lengths agree.
+    """
+    with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return _find_chunks(data)
+
+
+def _find_chunks(data: mmap.mmap) -> dict[int, int]:
+    chunks, place = {}, len(MCAP0_MAGIC)
+    while place < len(data):
+        following = _following(data, place)
+        leads_on = following == len(data) or _following(data, following) > 0
+        is_chunk = data[place] == Opcode.CHUNK
+        if (is_chunk and _is_sound_chunk(data, place)) or (is_chunk and following and leads_on):
+            chunks[place] = following - place
+        elif not (following and leads_on):
+            following = min(following or len(data), _next_chunk(data, place + 1))
+        place = following
+    return chunks
+
+
+def _following(data: mmap.mmap, place: int) -> int:
+    """Where a record ends that is said to begin at a place; 0: there is none that ends in the file."""
+    if not 0 < place <= len(data) - HEAD.size:
+        return 0
+    opcode, length = HEAD.unpack_from(data, place)
+    end = place + HEAD.size + length
+    return end if is_known(opcode) and end <= len(data) else 0
+
+
+def _is_sound_chunk(data: mmap.mmap, place: int) -> bool:
+    """Whether a whole chunk begins at a place: its length and those of its parts agree."""
+    end = _following(data, place)
+    if not end or end - place < COMPRESSION + 4 + LENGTH.size:
+        return False
+    (name,) = struct.unpack_from("<I", data, place + COMPRESSION)
+    records = place + COMPRESSION + 4 + name + LENGTH.size
+    return records <= end and records + LENGTH.unpack_from(data, records - LENGTH.size)[0] == end
+
+
+def _next_chunk(data: mmap.mmap, place: int) -> int:
+    """Where the next sound chunk begins; the end of the file, if there is none."""
+    found = (match.start() for match in CHUNK.finditer(data, place))
+    return next((start for start in found if _is_sound_chunk(data, start)), len(data))

@@ -81,8 +81,11 @@ class Feeder:
         return {image.dwell: image for image in self.heights}
 
     def _is_ready(self) -> bool:
-        ready = all(name in self.accounts and self.accounts[name].count(READY) for name in NODES)
-        return ready and self.accounts["ml_height"].subscribers[HEIGHTS.lstrip("/")] > 0
+        """Whether the nodes are ready, and every topic of theirs has its subscriber, as its publisher knows."""
+        if not all(name in self.accounts and self.accounts[name].count(READY) for name in NODES):
+            return False
+        heard = {topic: count for name in NODES for topic, count in self.accounts[name].subscribers.items()}
+        return heard["slc"] > 0 and heard[HEIGHTS.lstrip("/")] > 0
 
     def _keep(self, message: DiagnosticArray) -> None:
         self.accounts |= {status.name: Account.of_status(status) for status in message.status}

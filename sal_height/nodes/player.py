@@ -236,7 +236,7 @@ class Player(Stage):
         while (item := self._reel.next) is not None:
             if self._is_usable(item):
                 if part := item.content.part:
-                    if group.closed(self._detectors) or self._is_held_up(part.dwell, group):
+                    if group.closed(self._detectors, part.dwell) or self._is_held_up(part.dwell, group):
                         break
                     if self._comes_later(part.dwell, group):
                         group.set_aside.append(item)

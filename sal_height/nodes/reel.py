@@ -75,8 +75,12 @@ class Group:
             if content.part.provenance is None:  # from the sensor, so that odometry is needed
                 self._last_pulse_ns = max(self._last_pulse_ns, content.part.end_ns)
 
-    def closed(self, detectors: int) -> bool:
-        """Whether all frames have come, and odometry past the last pulse; or too many frames for that to happen."""
+    def closed(self, detectors: int, dwell: DwellKey) -> bool:
+        """Whether a frame of a dwell is not of this group.
+
+        All frames have come, and odometry past the last pulse; or too many for that to happen, and the dwell is another.
+        """
         complete = bool(self.frames) and min(self.frames.values()) >= detectors
         covered = self.last_odometry_ns >= self._last_pulse_ns
-        return (complete and covered) or self.frames.total() + len(self.set_aside) >= LONGEST_GROUP * detectors
+        crowded = self.frames.total() + len(self.set_aside) >= LONGEST_GROUP * detectors
+        return (complete and covered) or (crowded and dwell not in self.frames)

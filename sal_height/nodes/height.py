@@ -35,6 +35,10 @@ from sal_height.sensor import Sensor
 AT_ONCE, BYTES_AT_ONCE = 4, 8_000_000
 """Dwells that are processed at once, and bytes of their images, at most: more would save little, and be later."""
 
+CROWD = 3
+"""Dwells that wait before some are processed at once: fewer wait in a run step by step, whose results are the same, to
+the last bit, whatever else the machine does."""
+
 LEFT_OUT = "channels_left_out"
 """Name in the provenance, beside the node's parameters, of the channels without a signal; only if there are any."""
 
@@ -120,8 +124,10 @@ class HeightNode(DwellStage):
 
     def _alike(self, dwell: WholeDwell) -> list[WholeDwell]:
         """The dwells that wait and can be processed with this one."""
+        if len(waiting := self.waiting()) < CROWD:
+            return []
         size = sum(4 * len(image.samples) for image in dwell.messages)
-        alike = [one for one in self.waiting() if one.sensor is dwell.sensor and one.supplies is dwell.supplies]
+        alike = [one for one in waiting if one.sensor is dwell.sensor and one.supplies is dwell.supplies]
         return alike[: max(0, min(AT_ONCE, BYTES_AT_ONCE // max(1, size)) - 1)]
 
     def _made_at_once(self, slcs: dict[int, Slc], dwell: WholeDwell, parameters: Any) -> dict[int, Made]:

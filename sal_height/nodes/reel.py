@@ -78,7 +78,7 @@ class Group:
     def closed(self, detectors: int, dwell: DwellKey) -> bool:
         """Whether a frame of a dwell is not of this group.
 
-        All frames have come, and odometry past the last pulse; or too many for that to happen, and the dwell is another.
+        All frames have come, and odometry past the last pulse; or too many for that, and the dwell is another one.
         """
         complete = bool(self.frames) and min(self.frames.values()) >= detectors
         covered = self.last_odometry_ns >= self._last_pulse_ns

@@ -1,4 +1,4 @@
-"""Run the graph step by step: the next step starts when every message of the last one is accounted for.
+"""Run the graph step by step: the next step starts when the messages of those before, but a few, are accounted for.
 
 A step is a dwell, or in a replay by another clock than lockstep all that is played up to the next change in flight.
 """
@@ -35,12 +35,13 @@ from sal_height.nodes.account import (
 )
 from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.played import SENSOR
+from sal_height.nodes.played import IMAGES, SENSOR
 from sal_height.nodes.player import CALIBRATION_TOPIC
-from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO
+from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
 from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.runs.catalogue import NODES, NodeParameters, stage_inputs
 from sal_height.runs.ensemble import Ensemble, Member
+from sal_height.runs.lead import IN_STEP, Lead
 
 UNCOUNTED = ("diagnostics",)
 """Recorded topics of which the publishers count neither messages nor subscribers."""
@@ -70,6 +71,7 @@ class Plan:
         played: topics of the source.
         remapped: other names of topics of all nodes, by their own; all without leading slash.
         simulated_time: whether all nodes take the time from /clock, which the source publishes.
+        lead: how far the source may be ahead of nodes in processes of their own; those in one process gain nothing.
     """
 
     source: str
@@ -82,6 +84,7 @@ class Plan:
     played: Sequence[str] = SENSOR
     remapped: Mapping[str, str] = field(default_factory=dict)
     simulated_time: bool = False
+    lead: Lead = IN_STEP
 
     def on_wire(self, topics: Iterable[str]) -> list[str]:
         """The names under which topics of the nodes are published."""
@@ -191,6 +194,7 @@ class Conductor(Node):
         self._recorded, self._played = plan.on_wire(plan.recorded), plan.on_wire(plan.played)
         self._sensor_info, self._odometry, self._calibration = plan.on_wire([SENSOR_INFO, ODOMETRY, CALIBRATION_TOPIC])
         self._calibrated = [name for name in plan.stages if CALIBRATION_TOPIC in NODES[name].inputs]
+        self._frames, self._images = plan.on_wire([FRAMES, IMAGES])
         self._steps = 0
         self._has_news = False
         self._step = self.create_client(Trigger, f"{plan.source}/{NODES[plan.source].begin_service}")
@@ -281,24 +285,45 @@ class Conductor(Node):
         self._steps += answer.result().success
         return bool(answer.result().success)
 
+    def caught_up(self, lead: Lead) -> bool:
+        """Whether the next dwell may be asked for, as every node is done with all dwells but the last few.
+
+        That can be told while every dwell has all its frames. All is to be settled otherwise: a dwell that waits for
+        frames must not be overtaken.
+        """
+        source, frames = self.accounts[self._source], self._frames
+        as_asked = source.received == self._steps and not source.waiting
+        if not (lead.dwells and as_asked and self._published()[frames] == self._steps * lead.channels):
+            return self.settled()
+        done = self._steps - lead.dwells
+        least = {"": 0, frames: done * lead.channels, self._images: done * lead.channels}
+        finished = {name: self.accounts[name].received - self.accounts[name].waiting for name in self._inputs}
+        return self.settled() or (
+            all(finished[name] >= least.get(topic, done) for name, topic in self._inputs.items())
+            and self.accounts[RECORDER].recorded.get(frames, 0) >= least[frames]
+        )
+
     def settled(self) -> bool:
         """Whether all that was asked for has been published, accounted for in every stage, and recorded."""
-        published = self._published()
-        for name, topic in self._inputs.items():
-            account = self.accounts[name]
-            expected = published[topic] if topic else self._steps
-            if account.waiting or account.received + account.missed.get(topic, 0) != expected:
-                return False
-        recorded, missed = self.accounts[RECORDER].recorded, self.accounts[RECORDER].missed
+        published, recorded = self._published(), self.accounts[RECORDER].recorded
+        if any(self._open(name, topic, published) for name, topic in self._inputs.items()):
+            return False
         if not self._has_calibrations(recorded):
             return False
         if self._sensor_info in self._recorded and not recorded.get(self._sensor_info):
             return False
-        return all(
-            topic in recorded and recorded[topic] + missed.get(topic, 0) == published[topic]
-            for topic in self._recorded
-            if topic in published
-        )
+        topics = [topic for topic in self._recorded if topic in published]
+        return all(topic in recorded and not self._unrecorded(topic, published) for topic in topics)
+
+    def _open(self, name: str, topic: str, published: Mapping[str, int]) -> int:
+        """Messages of a topic, or steps of the source, that a node has not accounted for."""
+        account, expected = self.accounts[name], published[topic] if topic else self._steps
+        return account.waiting + abs(expected - account.received - account.missed.get(topic, 0))
+
+    def _unrecorded(self, topic: str, published: Mapping[str, int]) -> int:
+        """Messages of a topic that are not in the bag; negative: its publisher has not told of all."""
+        recorder = self.accounts[RECORDER]
+        return published[topic] - recorder.recorded.get(topic, 0) - recorder.missed.get(topic, 0)
 
     @property
     def played(self) -> int:
@@ -379,6 +404,7 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
     plan = replace(plan, recorded=list(dict.fromkeys([*plan.recorded, *also])))
     interrupted, elapsed_s = False, 0.0
     failure: UserError | None = None
+    lead = plan.lead if execution.processes else IN_STEP
     stage_inputs(plan.stages, plan.parameters, plan.played)  # refuses a plan before anything is started
     with ros_domain(execution.domain):
         if execution.domain != "free":
@@ -389,18 +415,19 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
             wait = _waiter(ensemble, conductor, interruption, execution.timeout_s)
             with tqdm(total=plan.dwells, unit="dwell", desc=plan.bag.parent.name) as progress:
 
-                def settled() -> bool:
+                def reached(lead: Lead) -> bool:
                     nonlocal elapsed_s
                     elapsed_s = time.monotonic() - begun
                     progress.update(conductor.played - progress.n)
-                    return conductor.settled()
+                    return conductor.caught_up(lead)
 
                 try:
                     wait(conductor.ready, "all nodes to be ready")
                     begun = time.monotonic()
                     while conductor.step(wait):
-                        wait(settled, f"what was played from dwell {progress.n} on to be processed")
+                        wait(lambda: reached(lead), f"what was played from dwell {progress.n} on to be processed")
                         progress.set_postfix_str(conductor.drops())
+                    wait(lambda: reached(IN_STEP), "the last dwells to be processed")
                 except KeyboardInterrupt:
                     interrupted = True
                 except UserError as error:

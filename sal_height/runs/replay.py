@@ -15,13 +15,15 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import ROUNDING, Tolerances
 from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
-from sal_height.nodes.player import CALIBRATION_TOPIC
+from sal_height.nodes.player import CALIBRATION_TOPIC, LOCKSTEP
+from sal_height.nodes.playlist import FRAMES
 from sal_height.response import measure_brightest
 from sal_height.runs.accuracy import read_accuracy
 from sal_height.runs.catalogue import HEIGHTS, TRACKER, NodeParameters, consumers, recorded_topics
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
-from sal_height.runs.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
+from sal_height.runs.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of, contents
 from sal_height.runs.judge import as_json, draw_worst_dwell
+from sal_height.runs.lead import IN_STEP, lead_of
 from sal_height.runs.playing import IN_LOCKSTEP, Playing
 from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.remapping import remapping_of
@@ -139,8 +141,20 @@ def replay(
         topics += [CALIBRATION_TOPIC] if processing.plays_calibrations else []
         custom_data = {**reader.custom_data, PARAMETERS: json.dumps(values)}
         dwells = processing.count * playing.loops
+        in_step = playing.clock != LOCKSTEP or part.entry != FRAMES or processing.cues
+        lead = IN_STEP if in_step else lead_of(contents(reader)[0], stages, nodes)
         plan = Plan(
-            "player", stages, topics, made, nodes, dwells, custom_data, played, remapping.of_nodes, playing.is_paced
+            "player",
+            stages,
+            topics,
+            made,
+            nodes,
+            dwells,
+            custom_data,
+            played,
+            remapping.of_nodes,
+            playing.is_paced,
+            lead,
         )
         outcome = perform(plan, execution)
         conclude(outcome, values, report)

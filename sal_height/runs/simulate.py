@@ -23,6 +23,7 @@ from sal_height.runs.catalogue import (
     suited,
 )
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
+from sal_height.runs.lead import lead_of
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
@@ -90,7 +91,8 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         write_text(settings, yaml.safe_dump(json.loads(flown), sort_keys=False))
         custom_data = {PARAMETERS: json.dumps(values), PRESET: flown, SEED: str(seed)}
         nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
-        plan = Plan("simulator", stages, recorded_topics(stages, values), bag, nodes, preset.dwells, custom_data)
+        topics, lead = recorded_topics(stages, values), lead_of(flight.sensor, stages, nodes)
+        plan = Plan("simulator", stages, topics, bag, nodes, preset.dwells, custom_data, lead=lead)
         outcome = perform(plan, execution)
         conclude(outcome, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import made_offline
 import pytest
 from helpers import assert_one_sentence
 from rclpy.serialization import serialize_message
+from rewritten_bag import rewritten
 from sal_height_msgs.msg import Calibration
 
 from sal_height.bag.compare import CHANGED, EQUAL
@@ -48,19 +48,6 @@ def test_parameters_that_are_given_hold(recorded: Path, tmp_path: Path) -> None:
     again = made_offline.make(recorded / "bag", tmp_path, 1, **given)
     assert (again["dwells"], again["images"], again["against_recorded"]) == (2, 6, CHANGED)
     assert set(made_offline.compared(tmp_path / "replay" / "bag", tmp_path / "again").values()) == {(EQUAL, 2)}
-
-
-def rewritten(bag: Path, folder: Path, change: Callable[[BagMessage, int], BagMessage | None]) -> Path:
-    """A bag whose messages of a topic, which are numbered, are changed or left out."""
-    reader, numbers = BagReader(bag), dict.fromkeys(BagReader(bag).topics, -1)
-    with BagWriter(folder, reader.custom_data) as out:
-        for topic in reader.topics.values():
-            out.add_topic(topic.name, topic.type_name, topic.offered_qos)
-        for message in reader.messages():
-            numbers[message.topic] += 1
-            if changed := change(message, numbers[message.topic]):
-                out.write(changed.topic, changed.cdr, changed.log_time_ns, changed.publish_time_ns)
-    return folder
 
 
 def test_a_dwell_without_a_frame_is_counted_and_those_after_it_are_made(recorded: Path, tmp_path: Path) -> None:

@@ -136,6 +136,8 @@ def processing_of(
     for one in changes:
         check_parameters({one.parameter.node: {one.parameter.name: one.value}})
     calibrations = timeline.calibrations if _applies_calibrations(chain, values) else []
+    if not calibrations and given.get(APPLIED.node, {}).get(APPLIED.name) == HEARD:
+        calibrations = timeline.come  # which nobody applied in flight
     warnings = [
         *([] if _custom_data(reader) is not None else _forgotten(timeline)),
         *(_restarted(one) for one in wanted if _is_read_only(one.parameter)),

@@ -68,6 +68,7 @@ class Timeline:
         changes: of parameters, later on.
         calibrations: that the bag holds and that were applied.
         missing: calibrations that were applied and that the bag does not hold.
+        come: all calibrations that the bag holds, from the dwell on before which each came.
         forgotten: parameters of that time that the nodes do not have today, and how they are known.
     """
 
@@ -76,6 +77,7 @@ class Timeline:
     changes: list[Change] = field(default_factory=list)
     calibrations: list[Applied] = field(default_factory=list)
     missing: list[Applied] = field(default_factory=list)
+    come: list[Applied] = field(default_factory=list)
     forgotten: dict[Parameter, str] = field(default_factory=dict)
 
 
@@ -176,13 +178,17 @@ class _Calibrations:
         self._timeline, self._sensors = timeline, sensors
         self._now: dict[str, str] = {}
         self._heard: dict[str, str] = {}
+        self._come: list[str] = []
 
     def hear(self, message: Heard) -> None:
         """Take note of a calibration that came."""
         self._heard[self._sensors[message.calibration]] = message.calibration
+        self._come.append(message.calibration)
 
     def enter(self, dwell: DwellKey, applied: str | None) -> None:
         """Go on to a dwell, with the calibration that its provenance names; None: it has no products."""
+        self._timeline.come.extend(Applied(dwell, calibration, MESSAGE) for calibration in self._come)
+        self._come.clear()
         if applied is None:
             heard, self._heard = self._heard, {}
             for calibration in heard.values():

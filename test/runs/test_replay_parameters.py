@@ -108,3 +108,12 @@ def test_the_calibration_of_the_bag_is_applied_unless_the_user_has_another(
     assert found.values["sar_compression"]["calibration"] == applied
     assert found.plays_calibrations is played
     assert found.cues == ([Cue(key(0), {}, ("first",))] if played else [])
+
+
+def test_calibrations_that_nobody_applied_in_flight_are_applied_if_the_user_wants_it(tmp_path: Path) -> None:
+    """Each from the dwell on before which it came; they are left out otherwise."""
+    said = [calibration("one"), frame(0), heights(0), calibration("two"), frame(1), heights(1), frame(2), heights(2)]
+    reader = written(tmp_path / "bag", said)
+    assert processing(reader).cues == []
+    wanted = processing(reader, {"sar_compression": {"calibration": "topic"}})
+    assert wanted.cues == [Cue(key(0), {}, ("one",)), Cue(key(1), {}, ("two",))]

@@ -8,7 +8,6 @@ import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -17,11 +16,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from sal_height_msgs.msg import NodeAccount
 
 from sal_height.bag.definitions import message_class
 from sal_height.bag.files import ACCOUNT
@@ -50,6 +47,7 @@ from sal_height.nodes.program import run_node
 from sal_height.nodes.recorder_parameters import RecorderParameters
 from sal_height.nodes.role import Role, Topics
 from sal_height.nodes.selection import Selection
+from sal_height.nodes.teller import State, Teller
 
 ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in turn, without end
 FAILED = f"{IGNORED}internal error"
@@ -122,16 +120,14 @@ class Recorder(Role, Node):
         self._waiting: deque[_Item] = deque()
         self._put_bytes, self._taken_bytes = 0, 0  # each counted by one thread; their difference waits
         self._arrival, self._ending = threading.Event(), threading.Event()
-        matched = PublisherEventCallbacks(matched=guarded(lambda _: self._publish_diagnostics(), self._fail))
-        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10, event_callbacks=matched)
-        self._progress = self.create_publisher(NodeAccount, PROGRESS, 10, event_callbacks=matched)
+        self._teller = Teller(self, guarded(lambda _: self._publish_account(), self._fail))
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
         self.context.on_shutdown(self.close_bag)
         self._every(DISCOVERY_PERIOD_S, self._discover)
         if self._reader:
             self._every(ASK_PERIOD_S, partial(self._look_for_parameters, self._reader))
-        self._every(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
+        self._every(DIAGNOSTICS_PERIOD_S, self._publish_account)
         self._discover()
 
     @property
@@ -356,16 +352,12 @@ class Recorder(Role, Node):
         else:
             self._ledgers[topic].written += 1
 
-    def _publish_diagnostics(self) -> None:
-        account = self._account()
-        self._diagnostics.publish(self._as_diagnostics(account))
-        self._progress.publish(account.to_message(self, whole=True))
+    def _publish_account(self) -> None:
+        self._teller.tell(self._told)
 
     def _report_progress(self) -> None:
-        """Publish the account for whoever waits for messages to be in the bag."""
-        with suppress(RCLError):  # the context may end meanwhile
-            if self._progress.get_subscription_count():
-                self._progress.publish(self._counts().to_message(self, whole=False))
+        """Publish the counts for whoever waits for messages to be in the bag."""
+        self._teller.tell_counts(self._counts)
 
     def _counts(self) -> Account:
         """How many messages of each topic are in the bag (recorded.<topic>) and how many were lost."""
@@ -380,25 +372,19 @@ class Recorder(Role, Node):
         losses = {name: count for name, count in losses.items() if count}
         return Account({UNWRITTEN: left_out[NOT_WRITTEN], **losses, **missed, **recorded}, self.failure)
 
-    def _account(self) -> Account:
-        """All numbers."""
-        return Account({**self._counts().numbers, **process_numbers()}, self.failure)
+    def _told(self) -> tuple[Account, State]:
+        """All numbers, and how the recorder is."""
+        account, missing = (
+            Account({**self._counts().numbers, **process_numbers()}, self.failure),
+            self._left_out.total(),
+        )
+        if missing:
+            return account, State(DiagnosticStatus.ERROR, f"{missing} messages are not in the bag")
+        return account, State(DiagnosticStatus.OK, "recording")
 
     def diagnostics(self) -> DiagnosticArray:
         """The account and state, as the conventions have them."""
-        return self._as_diagnostics(self._account())
-
-    def _as_diagnostics(self, account: Account) -> DiagnosticArray:
-        missing = self._left_out.total()
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if missing else DiagnosticStatus.OK,
-            name=self.get_fully_qualified_name().lstrip("/"),
-            message=f"{missing} messages are not in the bag" if missing else "recording",
-            values=account.to_values(),
-        )
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
-        return message
+        return self._teller.diagnostics(*self._told())
 
     def _flush(self) -> None:
         try:

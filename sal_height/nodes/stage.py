@@ -11,26 +11,21 @@ import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import suppress
 from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from sal_height_msgs.msg import NodeAccount
 from std_srvs.srv import Trigger
 
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.account import (
-    DIAGNOSTICS,
     JOBS,
     MISSED,
-    PROGRESS,
     PUBLISHED_ON,
     READY,
     SUBSCRIBERS,
@@ -45,6 +40,7 @@ from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.process_numbers import process_numbers
 from sal_height.nodes.role import Role, Topics
 from sal_height.nodes.tally import Pace, Tally
+from sal_height.nodes.teller import State, Teller
 from sal_height.settings import Settings, setting
 
 FRAMES_QOS = QoSProfile(depth=256, reliability=ReliabilityPolicy.RELIABLE)
@@ -161,8 +157,7 @@ class Stage(Role, Managed):
         self._on_match = guarded(lambda _: self._publish_account(), self._fail)
         """Whoever waits for a graph to be connected is told of a subscription or publisher when it comes or goes."""
         self._matched = PublisherEventCallbacks(matched=self._on_match)
-        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10, event_callbacks=self._matched)
-        self._progress = self.create_publisher(NodeAccount, PROGRESS, 10, event_callbacks=self._matched)
+        self._teller = Teller(self, self._on_match)
         self.every(DIAGNOSTICS_PERIOD_S, self._measure_pace)
         self._worker = threading.Thread(target=self._work, name=name, daemon=True)
         self._worker.start()
@@ -277,7 +272,7 @@ class Stage(Role, Managed):
             else:
                 self.tally.finish(messages, published, time.monotonic() - arrived)
             if messages:
-                self._report_progress()
+                self._teller.tell_counts(self._counts)
             else:
                 self._publish_account()  # the node may be ready now
 
@@ -398,12 +393,6 @@ class Stage(Role, Managed):
         self.tally.note(event)
         self._publish_account()
 
-    def _report_progress(self) -> None:
-        """Publish the account for whoever waits for a dwell (on the worker thread)."""
-        with suppress(RCLError):  # the context may end meanwhile
-            if self._progress.get_subscription_count():
-                self._progress.publish(self._counts().to_message(self, whole=False))
-
     def _measure_pace(self) -> None:
         for inlet in (*self._inlets, *self._optional):
             inlet.look_for_strangers()  # names of nodes come after their publishers
@@ -411,10 +400,7 @@ class Stage(Role, Managed):
         self._publish_account()
 
     def _publish_account(self) -> None:
-        with suppress(RCLError):  # the context may end meanwhile
-            account = self._account()
-            self._diagnostics.publish(self._as_diagnostics(account))
-            self._progress.publish(account.to_message(self, whole=True))
+        self._teller.tell(self._told)
 
     def _counts(self) -> Account:
         """What changes with every piece of work."""
@@ -424,29 +410,17 @@ class Stage(Role, Managed):
         published = {f"{PUBLISHED_ON}{outlet.topic}": outlet.published for outlet in self._offered if outlet.keeps_all}
         return Account({**summary, JOBS: self.jobs, **missed, **published}, self.last_drop)
 
-    def _account(self) -> Account:
-        """The stage's account, all of it."""
+    def _told(self) -> tuple[Account, State]:
+        """All numbers, and how the node is."""
         subscribers = {f"{SUBSCRIBERS}{outlet.topic}": outlet.subscribers for outlet in self._offered}
         state = {READY: int(self.is_ready), **process_numbers(), **self._pace.rates(), **subscribers}
-        counts = self._counts()
-        return Account({**counts.numbers, **state}, counts.last_drop)
+        account = Account({**self._counts().numbers, **state}, self.last_drop)
+        level, message = self._state(sum(account.dropped.values()) + sum(account.ignored.values()))
+        return account, State(level, message, self.hardware_id)
 
     def diagnostics(self) -> DiagnosticArray:
         """The stage's account and state, as the conventions have them."""
-        return self._as_diagnostics(self._account())
-
-    def _as_diagnostics(self, account: Account) -> DiagnosticArray:
-        level, message = self._state(sum(account.dropped.values()) + sum(account.ignored.values()))
-        status = DiagnosticStatus(
-            level=level,
-            name=self.get_fully_qualified_name().lstrip("/"),
-            message=message,
-            hardware_id=self.hardware_id,
-            values=account.to_values(),
-        )
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
-        return message
+        return self._teller.diagnostics(*self._told())
 
     @property
     def source_warning(self) -> str:

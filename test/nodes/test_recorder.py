@@ -312,7 +312,7 @@ def test_messages_that_wait_for_the_disk_are_bounded_by_memory(graph: Graph, sou
     [
         ("", "get_topic_names_and_types"),
         ("", "_times"),
-        ("_diagnostics", "publish"),
+        ("_teller", "tell"),
         ("_bag", "flush"),
         ("_bag", "write"),
     ],
@@ -346,7 +346,7 @@ def test_what_is_in_the_bag_is_told_at_once_to_whoever_listens(
     recorder = start(graph, bag, topics=["/note", PROGRESS])
     told: list[Account] = []
     source.create_subscription(NodeAccount, PROGRESS, lambda message: told.append(Account.of_message(message)), 10)
-    assert graph.spin_until(lambda: recorder._progress.get_subscription_count() == 2, TIMEOUT_S)
+    assert graph.spin_until(lambda: recorder._teller.followers == 2, TIMEOUT_S)
     for number in (1, 2):
         publish(graph, recorder, publisher, [String()])
         assert graph.spin_until(lambda n=number: bool(told) and told[-1].recorded.get("note") == n, TIMEOUT_S)

@@ -23,6 +23,7 @@ from sal_height.bag.compare import EQUAL, compare_bags
 from sal_height.bag.reader import BagReader
 from sal_height.commands import main
 from sal_height.errors import UserError
+from sal_height.runs import batch
 from sal_height.runs.batch import CAMPAIGN, PICTURE, SUMMARY, Campaign, Workers, run_campaign
 from sal_height.runs.campaign import DONE
 
@@ -142,7 +143,8 @@ def test_an_interrupted_campaign_says_how_to_go_on(recorded: Path, tmp_path: Pat
     assert not (out / SUMMARY).exists()
 
 
-def test_what_is_in_the_way_is_refused(recorded: Path, tmp_path: Path) -> None:
+def test_what_is_in_the_way_is_refused(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "CONNECT_S", 0.5)
     campaign, out = Campaign([recorded / "bag"]), tmp_path / "out"
     out.mkdir()
     (out / "file").write_text("")

@@ -25,12 +25,12 @@ PRESET, DWELLS = "sal_spotlight", sized(60, 3)
 MOVING = {f"/{FRAMES}", f"/{ODOMETRY}"}
 """Topics whose messages have a stamp that goes on."""
 
-SETTLED, PERIOD_S = 0.1, 0.5
+SETTLED, PERIOD_S = 0.25, 0.5
 """Share of the time after which memory is first looked at, and how often it is."""
 
 
 def replay_memory() -> Iterator[Row]:
-    """How much the memory of a replay grows, all nodes in one process, from a tenth of its time on."""
+    """How much the memory of a replay grows, all nodes in one process, from a quarter of its time on."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         bag, size = _repeated(record_sensor(replace(load_preset(PRESET), dwells=DWELLS), 1, folder / "once"), folder)
@@ -49,7 +49,7 @@ def replay_memory() -> Iterator[Row]:
         100 * (highest / settled - 1),
         "%",
         "<= 10",
-        f"{size / 1e9:.2f} GB of {PRESET} in {PERIOD_S * len(memory):.0f} s: {settled:.0f} MB after a tenth of it, "
+        f"{size / 1e9:.2f} GB of {PRESET} in {PERIOD_S * len(memory):.0f} s: {settled:.0f} MB after a quarter of it, "
         f"{highest:.0f} MB at most",
     )
 

@@ -14,8 +14,8 @@ from sal_height.sensor import Sensor
 MOST_AHEAD = CROWD - 1
 """Of more dwells height nodes may process some at once, which may change the last bit of a height."""
 
-IMAGE_BYTES = 2
-"""Bytes of the images of a dwell over those of its samples, at most."""
+SPACE = 2
+"""Memory that is reckoned with for a dwell over the bytes of its samples, for images may have more pixels."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def lead_of(sensor: Sensor, stages: Sequence[str], parameters: NodeParameters) -
     limits = [MOST_AHEAD, FRAMES_QOS.depth // channels - 1]
     for name in stages:
         now = parameters_of(name, parameters.get(name, {}))
-        limits += [now.max_queued_dwells, now.max_memory_bytes // (IMAGE_BYTES * sensor.dwell_bytes) - 1]
+        limits += [now.max_queued_dwells, now.max_memory_bytes // (SPACE * sensor.dwell_bytes) - 1]
         if isinstance(now, DwellParameters):
             limits.append(now.max_unfinished_dwells - 1)
         if now.latency_budget_s or name == CALIBRATOR:

@@ -141,7 +141,7 @@ def replay(
         topics += [CALIBRATION_TOPIC] if processing.plays_calibrations else []
         custom_data = {**reader.custom_data, PARAMETERS: json.dumps(values)}
         dwells = processing.count * playing.loops
-        in_step = playing.clock != LOCKSTEP or part.entry != FRAMES or processing.cues
+        in_step = playing.clock != LOCKSTEP or part.entry != FRAMES or bool(processing.cues)
         lead = IN_STEP if in_step else lead_of(contents(reader)[0], stages, nodes)
         plan = Plan(
             "player",

@@ -54,8 +54,6 @@ LARGE_BYTES = sized(10_000_000_000, 10_000)
 RATE_MB_S, RECORDED_S, SETTLED_S = sized((200.0, 60.0, 10.0), (1.0, 1.0, 0.5))
 """What is recorded, for how long, and after what time memory is first looked at."""
 
-SEPARATE, IN_ONE = "processes", "one process"
-
 DWELLS = sized(40, 3)
 """Dwells that are replayed."""
 
@@ -110,24 +108,22 @@ def lockstep_over_core() -> Iterator[Row]:
         preset = replace(load_preset(name), dwells=DWELLS)
         with tempfile.TemporaryDirectory() as folder:
             bag = record_sensor(preset, 1, Path(folder) / "bag")
-            taken_s = {}
-            for how in (SEPARATE, IN_ONE):
-                outcome = replay(bag, Path(folder) / how, {}, Execution(processes=how == SEPARATE)).outcome
-                taken_s[how] = outcome.elapsed_s / outcome.dwells
             reader = BagReader(bag)
             sensor, _ = contents(reader)
             nodes = suited(sensor, ())
             stages, values = ["sar_compression", *nodes, TRACKER], merged(consumers(nodes), recorded_parameters(reader))
             core_s = 1 / core_rate_hz(Playlist.of_bag(reader, math.inf), sensor, stages, values, 1)
-        for how, replay_s in taken_s.items():
-            yield Row(
-                f"lockstep, {name}, {how}",
-                replay_s / core_s,
-                "1",
-                "<= 1.1",
-                f"core in one thread, {1e3 * core_s:.1f} ms a dwell; the replay takes {1e3 * replay_s:.1f} ms, "
-                f"in which it also reads, publishes and records; {DWELLS} dwells; {load()}",
-            )
+            for how in ("processes", "one process"):
+                outcome = replay(bag, Path(folder) / how, {}, Execution(processes=how == "processes")).outcome
+                replay_s = outcome.elapsed_s / outcome.dwells
+                yield Row(
+                    f"lockstep, {name}, {how}",
+                    replay_s / core_s,
+                    "1",
+                    "<= 1.1",
+                    f"core in one thread, {1e3 * core_s:.1f} ms a dwell; the replay takes {1e3 * replay_s:.1f} ms, "
+                    f"in which it also reads, publishes and records; {DWELLS} dwells; {load()}",
+                )
 
 
 @dataclass(frozen=True)

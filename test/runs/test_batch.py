@@ -123,7 +123,7 @@ def test_a_campaign_goes_on_where_it_was_killed(recorded: Path, tmp_path: Path) 
 def test_an_interrupted_campaign_says_how_to_go_on(recorded: Path, tmp_path: Path) -> None:
     """The workers are interrupted as well, as by a terminal."""
     out = tmp_path / "out"
-    words = ["batch", *[str(recorded / "bag")] * 9, "--out", str(out), "--dwells", "1", "--workers", "2"]
+    words = ["batch", *[str(recorded / "bag")] * 9, "--out", str(out), "--dwells", "1", "--workers", "1"]
     program = subprocess.Popen(  # noqa: S603 (our own program)
         [sys.executable, "-m", "sal_height", *words],
         start_new_session=True,

@@ -36,6 +36,7 @@ setup(
         "numba",
         "numpy",
         "pydantic",
+        "pyproj",
         "pyyaml",
         "rich",
         "rosbags",
@@ -47,8 +48,9 @@ setup(
     extras_require={
         "batch": ["distributed", "pyarrow"],
         "dem": ["rasterio"],
+        "formats": ["h5netcdf", "laspy[lazrs]", "rasterio", "xarray", "zarr"],
         "view": ["rerun-sdk"],
-        "test": ["cyclonedds; platform_machine == 'x86_64'", "h5py", "pytest", "pytest-xdist"],
+        "test": ["cyclonedds; platform_machine == 'x86_64'", "h5py", "pytest", "pytest-xdist", "rio-cogeo"],
         "dev": ["colcon-common-extensions", "mypy", "pre-commit", "ruff", "types-PyYAML"],
     },
     entry_points={

@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from sal_height.errors import UserError
 
@@ -76,8 +77,9 @@ def write_text(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
 
 
-def write_whole(path: Path, content: bytes | memoryview) -> None:
-    """Write a file that appears under its name when it is complete; what was there stays until then.
+@contextmanager
+def writing_whole(path: Path) -> Iterator[BinaryIO]:
+    """A file to write to, which appears under its name when the block ends; what was there stays until then.
 
     Raises:
         UserError: it cannot be written.
@@ -85,8 +87,8 @@ def write_whole(path: Path, content: bytes | memoryview) -> None:
     unfinished = path.with_name(f".{path.name}.part")
     with writing(path):
         try:
-            with unfinished.open("wb") as file:
-                file.write(content)
+            with unfinished.open("w+b") as file:
+                yield file
                 file.flush()
                 os.fsync(file.fileno())
             unfinished.replace(path)
@@ -94,6 +96,16 @@ def write_whole(path: Path, content: bytes | memoryview) -> None:
             with suppress(OSError):
                 unfinished.unlink()
             raise
+
+
+def write_whole(path: Path, content: bytes | memoryview) -> None:
+    """Write a file that appears under its name when it is complete; what was there stays until then.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    with writing_whole(path) as file:
+        file.write(content)
 
 
 def or_null(value: float) -> float | None:

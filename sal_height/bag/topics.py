@@ -14,6 +14,7 @@ FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, SENSOR_TYPE, CALIBRATION_TYPE, RELIEF_TYPE 
     for name in ("ChannelFrame", "ComplexImage", "HeightImage", "SensorInfo", "Calibration", "ReliefMap")
 )
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
+FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 
 
 @dataclass(frozen=True)

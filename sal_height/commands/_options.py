@@ -85,6 +85,18 @@ def _pair_of(kind: type, separator: str, form: str) -> Any:
     return convert
 
 
+def _place(_type: type, tokens: Sequence[Token]) -> dict[str, float]:
+    """Converter of a text such as 48.1,11.3,560 to the keys of a preset's origin."""
+    text = tokens[0].value
+    try:
+        numbers = [float(number) for number in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in {2, 3}:
+        raise ValueError(f"{text!r} is not of the form LAT,LON or LAT,LON,H in degrees and m, such as 48.1,11.3,560")
+    return dict(zip(("latitude_deg", "longitude_deg", "height_m"), numbers, strict=False))
+
+
 def _positive(_type: type, pair: tuple[int, int] | None) -> None:
     if pair is not None and min(pair) < 1:
         raise ValueError("Both numbers must be 1 or more")
@@ -117,6 +129,13 @@ RangeByAzimuth: TypeAlias = Annotated[
         accepts_keys=False,
         converter=_pair_of(int, "x", "RxA with whole numbers, for example 2x2"),
         validator=_positive,
+    ),
+]
+
+Place: TypeAlias = Annotated[
+    dict[str, float] | None,
+    Parameter(
+        metavar="LAT,LON[,H]", n_tokens=1, accepts_keys=False, negative=(), allow_leading_hyphen=True, converter=_place
     ),
 ]
 

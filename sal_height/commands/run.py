@@ -20,6 +20,7 @@ from sal_height.commands._options import (
     GraphOptions,
     NodeParameters,
     OutputFolder,
+    Place,
     RangeByAzimuth,
     Seed,
     command,
@@ -52,6 +53,7 @@ def run(
     dwells: Annotated[int | None, Parameter(metavar="N")] = None,
     cnr_db: Annotated[float | None, Parameter(metavar="X")] = None,
     looks: RangeByAzimuth = None,
+    origin: Place = None,
     seed: Seed = 1,
     processes: Flag = False,
     graph: GraphOptions = GRAPH,
@@ -71,6 +73,8 @@ def run(
         dwells: Number of dwells. Default: the preset's.
         cnr_db: Single-look CNR in dB of a detector pointed at the ground. Default: the preset's.
         looks: Pixels averaged in range x azimuth, for example 2x2. Default: the preset's.
+        origin: Place of the map's origin on the earth: latitude and longitude in degrees, height above the WGS-84
+            ellipsoid in m. The map is in UTM there. Default: that of the scene, if its file has one, or the preset's.
         processes: Run each node in a process of its own.
         out: Output folder, new or empty. Default: out/PRESET, or the next free of out/PRESET_2, ….
     """
@@ -86,7 +90,14 @@ def run(
 
     changed = _changed(
         load_preset(preset),
-        {"scene": scene, "dwells": dwells, "cnr_db": cnr_db, "looks": looks, "estimators": estimators or None},
+        {
+            "scene": scene,
+            "dwells": dwells,
+            "cnr_db": cnr_db,
+            "looks": looks,
+            "origin": origin,
+            "estimators": estimators or None,
+        },
     )
     folder = output_folder(out, changed.name)
     result = simulate(changed, seed, folder, node_parameters(param), graph.execution(processes))

@@ -3,11 +3,13 @@
 Read `frames` first (body and map axes, the state of the sensor in mid-aperture, elevation and squint), then `earth`
 (heights above the sphere), `grid` (pixels of an image), `locate` (range and Doppler to a place on the ground),
 `mounting` (where the sensor is on the platform), `quaternion` (its attitude), `trajectory` (odometry to positions of
-the antenna at each pulse), `motion` (what gaps in it leave open), `geodesy` (the origin of a map on the ellipsoid) and
-`navigation` (positions, velocities and attitudes that come apart).
+the antenna at each pulse), `motion` (what gaps in it leave open), `geodesy` (the origin of a map on the ellipsoid),
+`projection` (a map in UTM or the like), `conventions` (axes of aviation) and `navigation` (positions, velocities and
+attitudes that come apart).
 Angles are in rad, lengths in m, times in s.
 """
 
+from sal_height.geometry.conventions import BODY_AXES, MAP_AXES, ROS_AXES, Axes
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
 from sal_height.geometry.frames import (
     ApertureState,
@@ -23,26 +25,35 @@ from sal_height.geometry.locate import locate_at_elevation, locate_at_height
 from sal_height.geometry.motion import Motion
 from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
 from sal_height.geometry.navigation import REORDERED_NS, Navigation, Sample
+from sal_height.geometry.projection import UTM, WGS_84, Projection, find_system
 from sal_height.geometry.quaternion import quaternion_of, rotation_matrix
 from sal_height.geometry.trajectory import PlatformState, Trajectory
 
 __all__ = [
     "AT_BASE_LINK",
+    "BODY_AXES",
     "EARTH_RADIUS",
+    "MAP_AXES",
     "REORDERED_NS",
+    "ROS_AXES",
+    "UTM",
+    "WGS_84",
     "ApertureState",
+    "Axes",
     "Grid",
     "Motion",
     "Mounting",
     "Navigation",
     "Origin",
     "PlatformState",
+    "Projection",
     "Sample",
     "Trajectory",
     "above_place",
     "angles_of",
     "antennas_of",
     "aperture_at",
+    "find_system",
     "height_of",
     "locate_at_elevation",
     "locate_at_height",

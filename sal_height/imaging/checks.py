@@ -66,7 +66,8 @@ def check_frames(sensor: Sensor, aperture: ApertureState, reference_range: float
         raise Rejected(
             "odometry frames",
             f"The z axis of the sensor frame points {np.arccos(np.clip(aperture.rotation[2, 2], -1, 1)):.3g} rad away "
-            "from up in map; base_link, turned by the mounting, must have x forward, y left, z up, map east-north-up.",
+            "from up in map; base_link, turned by the mounting, must have x forward, y left, z up, map east-north-up. "
+            "Parameters map_axes (ned) and body_axes (frd) accept the axes of aviation.",
         )
     height = float(aperture.position[2])
     drop = height - float(aim_point(sensor, aperture, reference_range)[2])
@@ -74,7 +75,8 @@ def check_frames(sensor: Sensor, aperture: ApertureState, reference_range: float
         raise Rejected(
             "odometry frames",
             f"The antenna is at z = {height:.4g} m in map and {drop:.4g} m above the point it looks at, as if z "
-            "pointed down; odometry must be east-north-up, with the map's origin near the ground.",
+            "pointed down; odometry must be east-north-up, with the map's origin near the ground, or parameter "
+            "map_axes be ned.",
         )
 
 

@@ -39,7 +39,14 @@ from sal_height.messages.heights import (
     height_to_message,
 )
 from sal_height.messages.images import check_slc, recorded_window, slc_from_messages, slc_to_messages
-from sal_height.messages.navigation import read_attitude, read_fix, read_pose, read_twist
+from sal_height.messages.navigation import (
+    origin_to_message,
+    read_attitude,
+    read_fix,
+    read_origin,
+    read_pose,
+    read_twist,
+)
 from sal_height.messages.provenance import derived, held_stages, stages_of, with_stage
 from sal_height.messages.received import (
     HeightOrigin,
@@ -93,8 +100,10 @@ __all__ = [
     "held_stages",
     "history_from_messages",
     "history_to_messages",
+    "origin_to_message",
     "read_attitude",
     "read_fix",
+    "read_origin",
     "read_pose",
     "read_twist",
     "received_frame",

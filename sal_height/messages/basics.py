@@ -14,7 +14,7 @@ from geometry_msgs.msg import Point, Quaternion, Vector3
 from sal_height_msgs import msg as messages
 
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import ApertureState, Grid, quaternion_of, rotation_matrix
+from sal_height.geometry import ROS_AXES, ApertureState, Axes, Grid, quaternion_of, rotation_matrix
 from sal_height.numeric import C64, C128, F32, F64, U8
 from sal_height.sensor import Sensor
 
@@ -26,10 +26,11 @@ BODY_FRAME = "base_link"
 
 
 class Frames(NamedTuple):
-    """Names of the frames of positions and of the platform in the headers of messages."""
+    """Names of the frames of positions and of the platform in the headers of messages, and how their axes point."""
 
     map: str = MAP_FRAME
     body: str = BODY_FRAME
+    axes: Axes = ROS_AXES
 
 
 USUAL = Frames()

@@ -66,18 +66,18 @@ def state_from_message(message: Odometry) -> PlatformState:
 
 
 def state_of_pose(pose: Pose, frames: Frames = USUAL) -> PlatformState:
-    """Return the platform state of the pose in an Odometry, with the velocity in the axes of map.
+    """Return the platform state of the pose in an Odometry, with the velocity in the axes of map, which are ROS's.
 
     Raises:
         Rejected: the frames are others than `frames`, a value is not finite, place or speed are not those of a
             platform, or the quaternion of the orientation has not the norm 1.
     """
-    if (pose.frame_id, pose.child_frame_id) != frames:
+    if (pose.frame_id, pose.child_frame_id) != (frames.map, frames.body):
         raise Rejected(
             "wrong frames",
             f"Odometry has child_frame_id {pose.child_frame_id!r} and frame_id {pose.frame_id!r}; it must be of "
-            f"{frames.body!r} (x forward, y left, z up) in {frames.map!r} (east, north, up). Parameters map_frame and "
-            "body_frame set these names.",
+            f"{frames.body!r} in {frames.map!r}. Parameters map_frame and body_frame set these names, map_axes and "
+            "body_axes how their axes point.",
         )
     orientation = pose.orientation
     check_finite((*pose.position, *pose.velocity), "Odometry")
@@ -89,13 +89,14 @@ def state_of_pose(pose: Pose, frames: Frames = USUAL) -> PlatformState:
             "allowed.",
         )
     check_rotation(orientation, "Odometry")
-    return PlatformState(
+    state = PlatformState(
         stamp_ns=pose.stamp_ns,
         position=np.array(pose.position),
         orientation=np.array(orientation),
         velocity=rotation_matrix(orientation) @ pose.velocity,
         covariance=pose.covariance.reshape(6, 6),
     )
+    return frames.axes.state(state)
 
 
 def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp: Time) -> list[messages.ChannelFrame]:

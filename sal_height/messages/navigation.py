@@ -10,34 +10,81 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, Quaternion, TwistStamped
 from sensor_msgs.msg import Imu, NavSatFix
+from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
 from sal_height.geometry import Origin, Sample
-from sal_height.messages.basics import check_finite, check_rotation, to_ns, vector_of
+from sal_height.messages.basics import Frames, check_finite, check_rotation, to_ns, vector_of
 from sal_height.numeric import F64
 
 FARTHEST_FROM_ORIGIN = 200_000.0
 """Greatest distance of a platform from the origin of its map, m."""
 
+LOWEST_ORIGIN, HIGHEST_ORIGIN = -1000.0, 10_000.0
+"""Heights above the ellipsoid that the origin of a map may have, m."""
+
 UNKNOWN = np.zeros((3, 3))
 
 
-def read_pose(message: PoseStamped, map_frame: str) -> tuple[Sample, Sample]:
-    """Position and attitude of the body in `map_frame`."""
-    _check_frame("Pose", message.header.frame_id, (map_frame,))
+def read_pose(message: PoseStamped, frames: Frames) -> tuple[Sample, Sample]:
+    """Position and attitude of the body in map, in the axes of ROS."""
+    _check_frame("Pose", message.header.frame_id, (frames.map,))
     stamp_ns, position = to_ns(message.header.stamp), vector_of(message.pose.position)
     check_finite(position, "Pose")
-    return Sample(stamp_ns, position, UNKNOWN), Sample(stamp_ns, _attitude("Pose", message.pose.orientation), UNKNOWN)
+    attitude = frames.axes.attitude(_attitude("Pose", message.pose.orientation))
+    return Sample(stamp_ns, frames.axes.vector(position), UNKNOWN), Sample(stamp_ns, attitude, UNKNOWN)
 
 
-def read_twist(message: TwistStamped, map_frame: str, body_frame: str) -> tuple[Sample, bool]:
-    """Velocity, and whether it is in the axes of the body."""
-    _check_frame("Twist", message.header.frame_id, (map_frame, body_frame))
+def read_twist(message: TwistStamped, frames: Frames) -> tuple[Sample, bool]:
+    """Velocity, and whether it is in the axes of the body, either as ROS has them."""
+    _check_frame("Twist", message.header.frame_id, (frames.map, frames.body))
     velocity = vector_of(message.twist.linear)
     check_finite(velocity, "Twist")
-    return Sample(to_ns(message.header.stamp), velocity, UNKNOWN), message.header.frame_id == body_frame
+    in_body = message.header.frame_id == frames.body
+    velocity = frames.axes.body_vector(velocity) if in_body else frames.axes.vector(velocity)
+    return Sample(to_ns(message.header.stamp), velocity, UNKNOWN), in_body
+
+
+def origin_to_message(origin: Origin, stamp: Time, map_frame: str) -> NavSatFix:
+    """The message that says where on the earth the origin of the map frame is."""
+    return NavSatFix(
+        header=Header(stamp=stamp, frame_id=map_frame),
+        latitude=math.degrees(origin.latitude),
+        longitude=math.degrees(origin.longitude),
+        altitude=origin.height,
+    )
+
+
+def read_origin(message: NavSatFix, map_frame: str) -> Origin:
+    """Origin of the map frame; its altitude is that above the ellipsoid.
+
+    Raises:
+        Rejected: also if there is no such place, or it is that of a message which nobody has filled.
+    """
+    _check_frame("The origin", message.header.frame_id, (map_frame,))
+    check_finite((message.latitude, message.longitude, message.altitude), "The origin")
+    if abs(message.latitude) > 90 or abs(message.longitude) > 360:
+        raise Rejected(
+            "wrong origin",
+            f"The origin of {map_frame} has latitude {message.latitude:g} and longitude {message.longitude:g}; they "
+            "must be from -90 to 90 and from -180 to 180 degrees.",
+        )
+    if not (message.latitude or message.longitude):
+        raise Rejected(
+            "wrong origin",
+            f"The origin of {map_frame} has latitude and longitude 0, a place at sea that stands for one nobody has "
+            "filled in; give the place of the scene.",
+        )
+    if not LOWEST_ORIGIN <= message.altitude <= HIGHEST_ORIGIN:
+        raise Rejected(
+            "wrong origin",
+            f"The origin of {map_frame} is {message.altitude:g} m above the ellipsoid; allowed are {LOWEST_ORIGIN:g} "
+            f"to {HIGHEST_ORIGIN:g} m, the heights of ground.",
+        )
+    return Origin(math.radians(message.latitude), math.radians(message.longitude), message.altitude)
 
 
 def read_fix(message: NavSatFix, origin: Origin) -> Sample:
@@ -63,13 +110,14 @@ def read_fix(message: NavSatFix, origin: Origin) -> Sample:
     return Sample(to_ns(message.header.stamp), position, covariance)
 
 
-def read_attitude(message: Imu, body_frame: str) -> Sample:
-    """Attitude of the body against east, north and up where it is (REP 145)."""
-    _check_frame("Imu", message.header.frame_id, (body_frame,))
+def read_attitude(message: Imu, frames: Frames) -> Sample:
+    """Attitude of the body against east, north and up where it is (REP 145), or against north, east and down there."""
+    _check_frame("Imu", message.header.frame_id, (frames.body,))
     if message.orientation_covariance[0] < 0:
         raise Rejected("no attitude", "Imu says that it has no orientation (orientation_covariance[0] < 0).")
     attitude, covariance = _attitude("Imu", message.orientation), _covariance("Imu", message.orientation_covariance)
-    return Sample(to_ns(message.header.stamp), attitude, covariance)
+    stamp_ns = to_ns(message.header.stamp)
+    return Sample(stamp_ns, frames.axes.attitude(attitude), frames.axes.covariance(covariance))
 
 
 def _attitude(what: str, orientation: Quaternion) -> F64:

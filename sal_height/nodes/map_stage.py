@@ -8,28 +8,34 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
+import numpy.typing as npt
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.duration import Duration
 from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, NavSatFix
 
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import ApertureState
-from sal_height.nodes.parameters import MapFrameParameters
+from sal_height.geometry import UTM, ApertureState, Origin, Projection, find_system, sphere_point
+from sal_height.nodes.parameters import MapFrameParameters, OriginParameters
 from sal_height.nodes.placed_points import PlacedPoints
 from sal_height.nodes.relief_tracker import PREFIX as TRACKED
 from sal_height.nodes.role import Topics
-from sal_height.nodes.stage import LATCHED_QOS, RESET, Stage, StageParameters, payload_bytes
-from sal_height.relief import HeightField, Relief, check_geotiff, write_geotiff
+from sal_height.nodes.stage import LATCHED_QOS, MAP_ORIGIN, ORIGIN, RESET, Stage, StageParameters, payload_bytes
+from sal_height.numeric import F64
+from sal_height.relief import HeightField, ProjectedAxes, Relief, check_geotiff, write_geotiff
 from sal_height.settings import setting
+
+LOCAL = "local"
+"""Name for the coordinates of a map that is not placed on the earth."""
 
 LAST_WORDS_S = 2.0
 """Longest wait at the end of the node for subscribers to receive the last map."""
 
 
-class MapParameters(MapFrameParameters, StageParameters):
+class MapParameters(OriginParameters, MapFrameParameters, StageParameters):
     """Parameters of every node that makes a map."""
 
     estimator: str = setting(
@@ -53,21 +59,10 @@ class MapParameters(MapFrameParameters, StageParameters):
         "path of the GeoTIFF that the map is written to when the node ends; an existing file is replaced; empty: none",
         read_only=True,
     )
-    origin_latitude_deg: float = setting(
-        0.0,
-        "latitude of the map's origin, for the GeoTIFF; if it and the longitude are 0, the origin is not known and the "
-        "file has local coordinates",
-        unit="deg",
-        minimum=-90.0,
-        maximum=90.0,
-        read_only=True,
-    )
-    origin_longitude_deg: float = setting(
-        0.0,
-        "longitude of the map's origin, for the GeoTIFF",
-        unit="deg",
-        minimum=-180.0,
-        maximum=180.0,
+    crs: str = setting(
+        UTM,
+        "coordinate reference system of the map where its origin is known: utm is the zone of the origin, others are "
+        f"named as PROJ does, such as EPSG:25832 or EPSG:32632+5773; {LOCAL} is arc distances from the origin",
         read_only=True,
     )
 
@@ -92,10 +87,11 @@ class GrowingMap(Protocol):
 class MapStage(Stage):
     """Enters height images into one map, publishes it, and writes it when the node or its context ends.
 
-    Map and image reach those who come late; points are made only while somebody listens.
+    Map and image reach those who come late; points are made only while somebody listens. Where the origin of the map
+    frame is known, by parameters or by topic map_origin, the map is one in a projection (parameter crs).
     """
 
-    inputs: ClassVar[Topics] = {"<estimator>/height": "heights of the estimator that the parameter names"}
+    inputs: ClassVar[Topics] = {"<estimator>/height": "heights of the estimator that the parameter names", **ORIGIN}
     takes_heights = True
     settable = True
     answers: ClassVar[Topics] = {**RESET, "~/save": "write the map as it stands to its file"}
@@ -110,15 +106,20 @@ class MapStage(Stage):
         """
         super().__init__(name, **node_arguments)
         self._settings = self.current_parameters()
+        self._origin = self._settings.origin
         try:
             if self._settings.file:
                 check_geotiff(Path(self._settings.file))
+            if self._settings.crs not in {LOCAL, UTM}:
+                find_system(self._settings.crs)
+            self._axes = self._axes_about(self._origin)
         except UserError:
             super().destroy_node()
             raise
         self.failure = ""
         """Why the file could not be written, as a sentence; empty if there was no failure."""
         self._map: GrowingMap | None = None
+        self._map_axes: ProjectedAxes | None = None
         self._images = 0
         self._last: HeightImage | None = None
         self._unpublished = False
@@ -129,6 +130,8 @@ class MapStage(Stage):
         self._points = PlacedPoints(self, prefix, LATCHED_QOS)
         topic = f"{self._settings.estimator}/height"
         self.listen(HeightImage, topic, self._on_height, read=messages.received_height)
+        if self._origin is None and self._settings.crs != LOCAL:
+            self.listen(NavSatFix, MAP_ORIGIN, self._on_origin, LATCHED_QOS, optional=True)
         self.every(self._settings.period_s, self._publish_when_changed)
         self.serve("~/save", self._save)
         self.context.on_shutdown(self.conclude)
@@ -163,6 +166,37 @@ class MapStage(Stage):
         self.conclude()
         super().destroy_node()
 
+    def _axes_about(self, origin: Origin | None) -> ProjectedAxes | None:
+        """The axes of a map whose frame has that origin; None: it is local.
+
+        Raises:
+            UserError: the system that parameter crs names does not suit the place.
+        """
+        if origin is None or self._settings.crs == LOCAL:
+            return None
+        return ProjectedAxes.around(Projection.of(self._settings.crs, origin))
+
+    def _on_origin(self, message: NavSatFix) -> None:
+        """Place the next map that begins."""
+        origin = messages.read_origin(message, self._settings.map_frame)
+        if origin == self._origin:
+            return
+        try:
+            axes = self._axes_about(origin)
+        except UserError as error:
+            self.ignore("origin", error)
+            return
+        if self._map is not None:
+            self.ignore(
+                "origin after the begin",
+                UserError(
+                    "The origin of the map frame came, or changed, after the map had begun, which stays where it is "
+                    "until service ~/reset begins a new one; publish the origin latched and before the first dwell, or "
+                    "set origin_latitude_deg and origin_longitude_deg."
+                ),
+            )
+        self._origin, self._axes = origin, axes
+
     def _on_height(self, image: HeightImage) -> None:
         if not self.takes():
             return
@@ -196,8 +230,11 @@ class MapStage(Stage):
         if bad := messages.bad_pixels(image, field):
             self.ignore("bad pixels", messages.bad_pixel_warning(image, bad))
         aperture = messages.aperture_from_message(image.aperture)
+        axes = self._axes if self._map is None else self._map_axes
+        if axes:
+            field, aperture = axes.field(field, aperture)
         grown = self.entered(field, aperture)
-        self._map, self._last = grown, image
+        self._map, self._map_axes, self._last = grown, axes, image
         self._images += 1
         self._unpublished = True
         return 0
@@ -209,18 +246,30 @@ class MapStage(Stage):
 
     def _publish(self) -> int:
         """Publish the current map; returns the number of maps published."""
-        relief, last = self._map.relief() if self._map else None, self._last
+        relief, last = self._placed_relief(), self._last
         if relief is None or last is None:
             return 0
-        message = messages.relief_to_message(relief, self._images, last, self._provenance(last))
+        system = self._map_axes.projection.name if self._map_axes else last.header.frame_id
+        message = messages.relief_to_message(relief, system, self._images, last, self._provenance(last))
         with suppress(RCLError):  # the context may have ended: nobody is left to publish to
             self._image.publish(messages.relief_picture(relief, last))
             self._points.publish(  # a second for millions
-                lambda name: messages.relief_frame(relief, last, name),
-                lambda frame: messages.relief_points(relief, frame),
+                lambda name: messages.relief_frame(relief, self._place, last, name),
+                lambda frame: messages.relief_points(relief, self._place, frame),
             )
             self._relief.publish(message)
         return 1
+
+    def _placed_relief(self) -> Relief | None:
+        """The map as it stands, in the coordinates of its projection if it has one; None: nothing was seen yet."""
+        relief = self._map.relief() if self._map else None
+        return self._map_axes.relief(relief) if relief and self._map_axes else relief
+
+    def _place(self, east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLike) -> F64:
+        """Positions (m) in the map frame of coordinates (m) of the map, shape (..., 3)."""
+        if self._map_axes is None:
+            return sphere_point(east, north, height)
+        return self._map_axes.projection.positions(np.stack(np.broadcast_arrays(east, north, height), axis=-1))
 
     def _provenance(self, last: HeightImage) -> Provenance:
         """Provenance of the last height image, with the parameters of this node added."""
@@ -228,7 +277,7 @@ class MapStage(Stage):
 
     def _write(self, path: Path) -> bool:
         """Write the map to a file; whether there was one to write, and it could be."""
-        relief = self._map.relief() if self._map else None
+        relief = self._placed_relief()
         if relief is None or self._last is None:
             self.get_logger().warning(f"No height was seen: there is no map to write to {path}.")
             return False
@@ -239,16 +288,17 @@ class MapStage(Stage):
             **{key: getattr(provenance, key) for key in ("code_version", "config_hash", "calibration_id")},
             "parameters": json.dumps(messages.stages_of(provenance.parameters), sort_keys=True),
         }
-        origin = self._settings.origin_latitude_deg, self._settings.origin_longitude_deg
+        projection = self._map_axes.projection if self._map_axes else None
+        stamp_ns = messages.to_ns(self._last.header.stamp)
         try:
-            write_geotiff(path, relief, origin if any(origin) else None, tags)
+            write_geotiff(path, relief, projection, stamp_ns, tags)
         except UserError as error:
             self.failure = str(error)
             self.get_logger().error(self.failure)
             return False
-        if not any(origin):
+        if projection is None and self._settings.crs != LOCAL:
             self.get_logger().warning(
-                f"{path} has local coordinates; set origin_latitude_deg and origin_longitude_deg to place it on the "
-                "earth."
+                f"{path} has local coordinates; set origin_latitude_deg and origin_longitude_deg, or publish topic "
+                f"{MAP_ORIGIN}, to place it on the earth."
             )
         return True

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from typing import Any, ClassVar
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
@@ -12,18 +11,19 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix
 
 from sal_height import messages
+from sal_height.errors import UserError
 from sal_height.geometry import Navigation, Origin
-from sal_height.nodes.parameters import FrameParameters
+from sal_height.nodes.parameters import FrameParameters, OriginParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
-from sal_height.nodes.stage import ODOMETRY_QOS, Stage, StageParameters
+from sal_height.nodes.stage import LATCHED_QOS, MAP_ORIGIN, ODOMETRY_QOS, ORIGIN, Stage, StageParameters
 from sal_height.settings import setting
 
 INSTRUMENT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Instruments: a best-effort subscription receives from any publisher."""
 
 
-class Parameters(FrameParameters, StageParameters):
+class Parameters(FrameParameters, OriginParameters, StageParameters):
     """Parameters of the node."""
 
     position: str = setting(
@@ -47,26 +47,13 @@ class Parameters(FrameParameters, StageParameters):
         maximum=60.0,
         read_only=True,
     )
-    origin_latitude_deg: float = setting(
-        0.0, "latitude of the map's origin, for fixes", unit="deg", minimum=-90.0, maximum=90.0, read_only=True
-    )
-    origin_longitude_deg: float = setting(
-        0.0, "longitude of the map's origin, for fixes", unit="deg", minimum=-180.0, maximum=180.0, read_only=True
-    )
-    origin_height_m: float = setting(
-        0.0,
-        "height of the map's origin above the WGS-84 ellipsoid, for fixes",
-        unit="m",
-        minimum=-1000.0,
-        maximum=10_000.0,
-        read_only=True,
-    )
 
 
 class NavigationNode(Stage):
     """Merges what instruments of the platform measure into its odometry, one sample for each attitude.
 
-    An attitude waits for the next position and velocity, so that odometry comes that much later.
+    An attitude waits for the next position and velocity, so that odometry comes that much later. Odometry is in the
+    axes of ROS, whatever those of the instruments are. Where the origin of map is known, it is published too.
     """
 
     parameters = Parameters
@@ -76,7 +63,7 @@ class NavigationNode(Stage):
         "platform/imu": "attitude against east, north and up, sensor_msgs/Imu (position: fix)",
         "platform/twist": "velocity in map or body axes, geometry_msgs/TwistStamped (velocity: twist)",
     }
-    outputs: ClassVar[Topics] = {"platform/odometry": "state of the platform, nav_msgs/Odometry"}
+    outputs: ClassVar[Topics] = {"platform/odometry": "state of the platform, nav_msgs/Odometry", **ORIGIN}
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.
@@ -87,19 +74,28 @@ class NavigationNode(Stage):
         super().__init__("navigation", **node_arguments)
         now: Parameters = self.current_parameters()
         self._frames = now.frames
-        latitude, longitude = math.radians(now.origin_latitude_deg), math.radians(now.origin_longitude_deg)
-        self._origin = Origin(latitude, longitude, now.origin_height_m)
         has_twist, has_fix = now.velocity == "twist", now.position == "fix"
+        if has_fix and now.origin is None:
+            super().destroy_node()
+            raise UserError(
+                "Node navigation must know where on the earth to lay the map that fixes are placed in (position is "
+                "fix); set origin_latitude_deg, origin_longitude_deg and origin_height_m to a place in the scene."
+            )
         self._merge = functools.partial(
             Navigation,
             now.longest_gap_s,
             velocity_is_measured=has_twist,
-            local_to=self._origin if has_fix else None,
+            local_to=now.origin if has_fix else None,
         )
         self._navigation = self._merge()
         self._odometry = self.offer(Odometry, "platform/odometry", ODOMETRY_QOS)
-        if has_fix:
-            self.listen(NavSatFix, "platform/fix", self._on_fix, INSTRUMENT_QOS)
+        map_origin = self.offer(NavSatFix, MAP_ORIGIN, LATCHED_QOS)
+        if now.origin is not None:
+            stamp = self.get_clock().now().to_msg()
+            map_origin.publish(messages.origin_to_message(now.origin, stamp, now.map_frame))
+        if has_fix and now.origin is not None:
+            on_fix = functools.partial(self._on_fix, origin=now.origin)
+            self.listen(NavSatFix, "platform/fix", on_fix, INSTRUMENT_QOS)
             self.listen(Imu, "platform/imu", self._on_imu, INSTRUMENT_QOS)
         else:
             self.listen(PoseStamped, "platform/pose", self._on_pose, INSTRUMENT_QOS)
@@ -107,21 +103,21 @@ class NavigationNode(Stage):
             self.listen(TwistStamped, "platform/twist", self._on_twist, INSTRUMENT_QOS)
 
     def _on_pose(self, message: PoseStamped) -> None:
-        position, attitude = messages.read_pose(message, self._frames.map)
+        position, attitude = messages.read_pose(message, self._frames)
         self._navigation.add_position(position)
         self._navigation.add_attitude(attitude)
         self._publish()
 
-    def _on_fix(self, message: NavSatFix) -> None:
-        self._navigation.add_position(messages.read_fix(message, self._origin))
+    def _on_fix(self, message: NavSatFix, origin: Origin) -> None:
+        self._navigation.add_position(messages.read_fix(message, origin))
         self._publish()
 
     def _on_imu(self, message: Imu) -> None:
-        self._navigation.add_attitude(messages.read_attitude(message, self._frames.body))
+        self._navigation.add_attitude(messages.read_attitude(message, self._frames))
         self._publish()
 
     def _on_twist(self, message: TwistStamped) -> None:
-        velocity, in_body = messages.read_twist(message, self._frames.map, self._frames.body)
+        velocity, in_body = messages.read_twist(message, self._frames)
         self._navigation.add_velocity(velocity, in_body=in_body)
         self._publish()
 

@@ -273,7 +273,8 @@ class SarCompression(DwellStage):
                 f"Nothing on {TF_STATIC} says where {name!r} (sensor_info, mounting.frame_id) is in {body!r}; publish "
                 "it, as static_transform_publisher does, or set mounting_from_tf to false.",
             )
-        return Mounting(name, tuple(place.translation.tolist()), tuple(place.rotation.as_quat().tolist()))
+        mounting = Mounting(name, tuple(place.translation.tolist()), tuple(place.rotation.as_quat().tolist()))
+        return parameters.frames.axes.mounting(mounting)
 
     def _calibration_for(self, sensor: Sensor) -> Calibration | None:
         """The calibration to apply to a sensor's frames: that of the file, or its own if it was heard on the topic."""

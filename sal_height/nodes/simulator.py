@@ -6,13 +6,23 @@ from typing import Any, ClassVar
 
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import ChannelFrame, SensorInfo
+from sensor_msgs.msg import NavSatFix
 
 from sal_height import messages
 from sal_height.nodes.account import DWELLS
 from sal_height.nodes.managed import INACTIVE
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
-from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, RESET, SENSOR_TOPICS, Stage, StageParameters
+from sal_height.nodes.stage import (
+    LATCHED_QOS,
+    MAP_ORIGIN,
+    ODOMETRY_QOS,
+    ORIGIN,
+    RESET,
+    SENSOR_TOPICS,
+    Stage,
+    StageParameters,
+)
 from sal_height.settings import setting
 from sal_height.simulation import flight_of, load_preset
 
@@ -39,7 +49,7 @@ class Simulator(Stage):
     """
 
     parameters = Parameters
-    outputs = SENSOR_TOPICS
+    outputs: ClassVar[Topics] = {**SENSOR_TOPICS, **ORIGIN}
     answers: ClassVar[Topics] = {**RESET, "~/step": "simulate and publish the next dwell"}
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -57,6 +67,9 @@ class Simulator(Stage):
         self._odometry = self.offer(Odometry, "platform/odometry", ODOMETRY_QOS)
         self._frames = self.offer(ChannelFrame, "phase_history")
         self._info.publish(messages.sensor_to_message(self.flight.sensor, self._stamp(0)))
+        map_origin = self.offer(NavSatFix, MAP_ORIGIN, LATCHED_QOS)
+        if origin := self.flight.scene.origin:
+            map_origin.publish(messages.origin_to_message(origin, self._stamp(0), messages.MAP_FRAME))
         self.serve("~/step", self._step)
         if parameters.period_s > 0:
             self.every(parameters.period_s, self._begin_dwell, self.get_clock())

@@ -69,6 +69,12 @@ IMAGES = {"slc": "complex image of one channel and dwell in each message"}
 CALIBRATION = {"calibration": "calibration of receivers and beams, latched"}
 """What a calibration is published on."""
 
+MAP_ORIGIN = "map_origin"
+"""Topic that says where on the earth the origin of the map frame is."""
+
+ORIGIN = {MAP_ORIGIN: "place of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched"}
+"""What is published and read there."""
+
 RESET = {"~/reset": "forget what was gathered of the dwells so far"}
 """The service that every stage offers."""
 

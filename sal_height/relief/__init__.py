@@ -5,7 +5,8 @@ place; error of height at a place), `slope` (of the ground, from neighbours) and
 `range_tracking` and `field_tracking` (Gauss-Markov smoothing along range, and along the track too, with the
 `settings`), `prior` (of that, estimated from many dwells), `tracked` (the smoothed heights, placed), `ground` (the
 ground from all surfaces of all dwells, with `layers`, `membrane` and `visibility`), `ground_map` (that estimate,
-brought up to date with each dwell), `map` (the average of all dwells in one grid) and `geotiff` (a map as a file).
+brought up to date with each dwell), `map` (the average of all dwells in one grid), `projected`
+(a map in UTM or the like) and `geotiff` (a map as a file).
 """
 
 from sal_height.relief.field_tracking import smoothed_field
@@ -14,7 +15,7 @@ from sal_height.relief.ground import GroundEstimate, GroundGrid, GroundKind, est
 from sal_height.relief.ground_map import GroundMap, fine_cell_size
 from sal_height.relief.heights import HeightField, Surface, height_field
 from sal_height.relief.layers import Layers, layers_of, merged
-from sal_height.relief.map import Relief, ReliefMap
+from sal_height.relief.map import Relief, ReliefMap, fitting_cell_size
 from sal_height.relief.position_error import (
     circle_covariance,
     covariances_from_sigma,
@@ -26,6 +27,7 @@ from sal_height.relief.position_error import (
     variance_at_place,
 )
 from sal_height.relief.prior import PriorEstimate
+from sal_height.relief.projected import ProjectedAxes
 from sal_height.relief.range_tracking import (
     MeasuredHeights,
     ReliefPrior,
@@ -49,6 +51,7 @@ __all__ = [
     "Layers",
     "MeasuredHeights",
     "PriorEstimate",
+    "ProjectedAxes",
     "Relief",
     "ReliefMap",
     "ReliefPrior",
@@ -61,6 +64,7 @@ __all__ = [
     "estimated_ground",
     "filtered",
     "fine_cell_size",
+    "fitting_cell_size",
     "folded",
     "ground_slope",
     "ground_spacings",

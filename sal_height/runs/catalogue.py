@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
+from sal_height.geometry import Origin
 from sal_height.nodes.ground_mapper import GroundMapper
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.navigation import NavigationNode
@@ -45,6 +47,9 @@ SETTABLE = tuple(name for name, node in NODES.items() if node.settable)
 
 TRACKER = "relief_tracker"
 """Node that tracks the heights of one estimator."""
+
+MAPPERS = ("relief_mapper", "ground_mapper")
+"""Nodes that make maps."""
 
 CALIBRATOR = "psf_calibration"
 """Node that calibrates the sensor on its images."""
@@ -111,7 +116,16 @@ def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:
     """
     if not estimators or ESTIMATORS["ml"].node in estimators:
         return {}
-    return {name: {"estimator": HEIGHTS[estimators[0]]} for name in (TRACKER, "relief_mapper", "ground_mapper")}
+    return {name: {"estimator": HEIGHTS[estimators[0]]} for name in (TRACKER, *MAPPERS)}
+
+
+def placed(origin: Origin | None) -> dict[str, dict[str, float]]:
+    """Parameters of mappers that say where on the earth the map's origin is; None: it is not known."""
+    if origin is None:
+        return {}
+    latitude, longitude = math.degrees(origin.latitude), math.degrees(origin.longitude)
+    values = {"origin_latitude_deg": latitude, "origin_longitude_deg": longitude, "origin_height_m": origin.height}
+    return {name: dict(values) for name in MAPPERS}
 
 
 def recorded_topics(stages: list[str], parameters: NodeParameters, played: Sequence[str] = SENSOR) -> list[str]:

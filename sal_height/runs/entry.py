@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,14 +12,19 @@ from types import MappingProxyType
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader, open_bag
 from sal_height.bag.reader import BagReader
+from sal_height.bag.topics import FIX_TYPE
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
+from sal_height.geometry import Origin
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.dwell_stage import CONTRADICTION
 from sal_height.nodes.played import ALL, IMAGES, LATEST_NS, MOST, SENSOR, DwellRange
 from sal_height.nodes.playlist import FRAMES, SENSOR_INFO
+from sal_height.nodes.stage import MAP_ORIGIN
 from sal_height.runs.catalogue import HEIGHTS, NODES, TRACKER, NodeParameters, suited
 from sal_height.sensor import Sensor
+
+_LOG = logging.getLogger(__name__)
 
 FROM_HEIGHTS = "heights"
 
@@ -156,6 +162,20 @@ def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> Chai
     return Chain(
         entry, height_nodes, [*first, *((*height_nodes, TRACKER) if height_nodes else ())], dwells, [f"/{entry}"]
     )
+
+
+def origin_of(reader: BagReader) -> Origin | None:
+    """Where on the earth the origin of a bag's map frame is, as topic map_origin says; None: it does not."""
+    topic = f"/{MAP_ORIGIN}"
+    if topic not in reader.topics or reader.topics[topic].type_name != FIX_TYPE:
+        return None
+    for recorded in reader.messages([topic]):
+        try:
+            message = reader.decode(recorded.type_name, recorded.cdr)
+            return messages.read_origin(message, message.header.frame_id)
+        except (UserError, RuntimeError) as error:
+            _LOG.warning("Bag %s: a message on %s is not used. %s", reader.path, topic, error)
+    return None
 
 
 def contents(reader: BagReader, entry: str = FRAMES) -> tuple[Sensor, int]:

@@ -18,8 +18,9 @@ from sal_height.nodes.cues import Cue, DwellKey, cues_to_text
 from sal_height.nodes.played import IMAGES, DwellRange
 from sal_height.nodes.playlist import FRAMES
 from sal_height.nodes.sar_compression import HEARD
-from sal_height.runs.catalogue import NODES, NodeParameters, check_parameters
-from sal_height.runs.entry import Chain, Part, check_given
+from sal_height.nodes.stage import MAP_ORIGIN
+from sal_height.runs.catalogue import NODES, NodeParameters, check_parameters, placed
+from sal_height.runs.entry import Chain, Part, check_given, origin_of
 from sal_height.runs.flight_record import FlightRecord
 from sal_height.runs.reporting import PARAMETERS, merged
 from sal_height.runs.timeline import PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of
@@ -28,6 +29,7 @@ from sal_height.settings import settings_of
 _LOG = logging.getLogger(__name__)
 
 COMMAND_LINE, CUSTOM_DATA, DEFAULT, CHOSEN = "command line", "custom data of the bag", "default", "chosen by the replay"
+TOPIC = f"topic {MAP_ORIGIN} of the bag"
 """Where the value of a parameter comes from, besides those of `timeline.Value`."""
 
 APPLIED = Parameter("sar_compression", "calibration")
@@ -211,7 +213,9 @@ def _recorded(reader: BagReader, timeline: Timeline) -> tuple[dict[str, dict[str
             for one, value in known.items()
             if one in sources and value.source == PROVENANCE and value.value != custom[one.node][one.name]
         }
-    values = {node: dict(of_node) for node, of_node in custom.items()}
+    on_earth = placed(origin_of(reader))
+    sources = dict.fromkeys(_parameters(on_earth), TOPIC) | sources
+    values = merged(on_earth, custom)
     for one, (value, source) in known.items():
         values.setdefault(one.node, {})[one.name] = value
         sources[one] = source

@@ -17,11 +17,11 @@ from tqdm import tqdm
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.bag.topics import FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
+from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, MAP_ORIGIN, ODOMETRY_QOS
 from sal_height.runs.catalogue import HEIGHTS, suited
 from sal_height.runs.entry import contents
 from sal_height.runs.processes import Forked, beside
@@ -29,7 +29,7 @@ from sal_height.runs.replay_parameters import recorded_parameters
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.runs.simulate import processing_of
 from sal_height.sensor import Sensor
-from sal_height.simulation import Preset, flight_of
+from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
 tqdm.monitor_interval = 0  # no thread that refreshes slow bars: it would be in the way of `runs.processes.Forked`
 
@@ -81,7 +81,7 @@ class Feed:
             return 0
 
         simulation = beside(simulate, "simulation")
-        custom_data = _custom_data(preset, seed, flight.sensor)
+        custom_data = _custom_data(flight)
         values = json.loads(custom_data[PARAMETERS])
         return cls(folder, flight.sensor, suited(flight.sensor), values, custom_data, simulation)
 
@@ -110,7 +110,9 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
         ODOMETRY: (ODOMETRY_TYPE, ODOMETRY_QOS),
         FRAMES: (FRAME_TYPE, FRAMES_QOS),
     }
-    with BagWriter(folder, _custom_data(preset, seed, flight.sensor)) as bag:
+    if flight.scene.origin:
+        topics[MAP_ORIGIN] = FIX_TYPE, LATCHED_QOS
+    with BagWriter(folder, _custom_data(flight)) as bag:
         for name, (kind, qos) in topics.items():
             bag.add_topic(f"/{name}", kind, [qos])
 
@@ -118,6 +120,8 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
             bag.write(f"/{topic}", serialize_message(message), stamp_ns, stamp_ns)
 
         write(SENSOR_INFO, messages.sensor_to_message(flight.sensor, stamp), start_ns)
+        if flight.scene.origin:
+            write(MAP_ORIGIN, messages.origin_to_message(flight.scene.origin, stamp, messages.MAP_FRAME), start_ns)
         for dwell in tqdm(range(preset.dwells), unit="dwell", desc="simulating"):
             for state in flight.platform_states(dwell):
                 at_ns = start_ns + state.stamp_ns
@@ -129,7 +133,8 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
     return folder
 
 
-def _custom_data(preset: Preset, seed: int, sensor: Sensor) -> dict[str, str]:
+def _custom_data(flight: SimulatedFlight) -> dict[str, str]:
     """What the bag of a simulated sensor says of its making."""
-    values = merged(processing_of(preset, suited(sensor, preset.estimators)), preset.processing)
-    return {PARAMETERS: json.dumps(values), PRESET: json.dumps(dataclasses.asdict(preset)), SEED: str(seed)}
+    preset = flight.preset
+    values = merged(processing_of(flight, suited(flight.sensor, preset.estimators)), preset.processing)
+    return {PARAMETERS: json.dumps(values), PRESET: json.dumps(dataclasses.asdict(preset)), SEED: str(flight.seed)}

@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from sal_height.io import new_folder, write_text, writing
+from sal_height.nodes.stage import MAP_ORIGIN
 from sal_height.runs.accuracy import Accuracy, read_accuracy
 from sal_height.runs.catalogue import (
     TRACKER,
@@ -19,6 +20,7 @@ from sal_height.runs.catalogue import (
     check_parameters,
     consumers,
     height_sources,
+    placed,
     recorded_topics,
     suited,
 )
@@ -80,7 +82,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     flight.surface(0)  # refuses a flight beside the scene before anything is started
     folder = new_folder(out)
     settings = folder / "preset.yaml"
-    values = merged(processing_of(preset, estimators), parameters)
+    values = merged(processing_of(flight, estimators), parameters)
     simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0}
     relief = {"file": str(folder / RELIEF_MAP)} if find_spec("rasterio") else {}
     stages = ["sar_compression", *estimators, TRACKER, "relief_mapper"]
@@ -92,6 +94,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         custom_data = {PARAMETERS: json.dumps(values), PRESET: flown, SEED: str(seed)}
         nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
         topics, lead = recorded_topics(stages, values), lead_of(flight.sensor, stages, nodes)
+        topics += [MAP_ORIGIN] if flight.scene.origin else []
         plan = Plan("simulator", stages, topics, bag, nodes, preset.dwells, custom_data, lead=lead)
         outcome = perform(plan, execution)
         conclude(outcome, values, report)
@@ -101,19 +104,20 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     return Flown(flight, outcome, accuracy, height_sources(stages, values)[TRACKER].removesuffix("/height"))
 
 
-def processing_of(preset: Preset, estimators: list[str]) -> dict[str, dict[str, Any]]:
-    """Parameters of the nodes that follow from the size of a preset's images and its looks.
+def processing_of(flight: SimulatedFlight, estimators: list[str]) -> dict[str, dict[str, Any]]:
+    """Parameters of the nodes that follow from the size of a preset's images, its looks and its place on the earth.
 
     Args:
-        preset: whose dwells are processed.
+        flight: whose dwells are processed.
         estimators: the height nodes.
     """
+    preset = flight.preset
     looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
-    return {
+    own = {
         "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols},
         **{name: dict(looks) for name in estimators},
-        **consumers(estimators),
     }
+    return merged(merged(own, consumers(estimators)), placed(flight.scene.origin))
 
 
 def _draw(flown: Flown, preset: Preset, folder: Path) -> None:

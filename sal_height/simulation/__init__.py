@@ -1,20 +1,22 @@
 """A simulated flight: scene, platform and sensor become phase histories with known truth.
 
 Read `preset` first (the YAML that describes a run), then `flight` (everything a run is made of), `scene`, `canopy`,
-`scenes` and `dem` (the ground and what grows on it), `gust` (how the platform moves), `spotlight` and `stripmap` (what
-lights which scatterers), `pulse_groups` and `echoes` (the sum of their echoes), `beam_lattice` (beams in many
-directions), `receivers` and `impairments` (what receivers do to echoes) and `truth` (what a height image should show).
+`scenes`, `dem` and `elevation_grid` (the ground and what grows on it; models that lie somewhere on the earth), `gust`
+(how the platform moves), `spotlight` and `stripmap` (what lights which scatterers), `pulse_groups` and `echoes` (the
+sum of their echoes), `beam_lattice` (beams in many directions), `receivers` and `impairments` (what receivers do to
+echoes) and `truth` (what a height image should show).
 """
 
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import Impairments, RangeSawtooth, RangeTaper
-from sal_height.simulation.preset import Preset, load_preset, parse_preset, preset_names
+from sal_height.simulation.preset import OriginSettings, Preset, load_preset, parse_preset, preset_names
 from sal_height.simulation.scene import Scene, VisibleSurface
 from sal_height.simulation.stripmap import simulate_block
 from sal_height.simulation.truth import Truth, truth_image
 
 __all__ = [
     "Impairments",
+    "OriginSettings",
     "Preset",
     "RangeSawtooth",
     "RangeTaper",

@@ -10,6 +10,7 @@ import numpy as np
 
 from sal_height.errors import UserError
 from sal_height.geometry import EARTH_RADIUS
+from sal_height.simulation.elevation_grid import ElevationGrid
 from sal_height.simulation.scene import Scene
 
 LOWEST, HIGHEST = -12000.0, 9000.0  # m, elevations that occur on Earth
@@ -19,8 +20,8 @@ NO_DATA = (-9999.0, -32768.0)  # elevations that stand for none where a file doe
 def read_elevation_model(path: Path) -> Scene:
     """Terrain of uniform brightness around the map origin, from a GeoTIFF or an .npz file.
 
-    Rows run from north to south. Where cells are given in degrees, the parallel in the middle keeps its length; over a
-    few tens of kilometres the others are off by less than a cell.
+    Rows run from north to south. A GeoTIFF says where on the earth it is (`ElevationGrid`). Of an
+    .npz only the size of cells is known; if they are given in degrees, the parallel in the middle keeps its length.
 
     Raises:
         UserError: another kind of file, or one that cannot be used.
@@ -28,28 +29,11 @@ def read_elevation_model(path: Path) -> Scene:
     readers = {".tif": _read_geotiff, ".tiff": _read_geotiff, ".npz": _read_npz}
     if (suffix := path.suffix.lower()) not in readers:
         raise UserError(f"Scene {path} has the suffix {path.suffix!r}; allowed are .tif, .tiff and .npz.")
-    elevation, dx, dy, latitude = readers[suffix](path)
-    if latitude is not None:
-        if not abs(latitude) < 90:
-            raise UserError(
-                f"Scene {path.stem} has its middle at latitude {latitude:.6g}; allowed is between -90 and 90."
-            )
-        metres = float(np.radians(1.0)) * EARTH_RADIUS
-        dx, dy = dx * metres * float(np.cos(np.radians(latitude))), dy * metres
-    for fault in _faults(elevation, dx, dy):
-        raise UserError(f"Scene {path.stem} has {fault}.")
-    rows, cols = elevation.shape
-    return Scene(
-        path.stem,
-        east=(np.arange(cols) - (cols - 1) / 2) * dx,
-        north=(np.arange(rows) - (rows - 1) / 2) * dy,
-        height=elevation[::-1],
-        brightness=np.ones(elevation.shape),
-    )
+    return readers[suffix](path)
 
 
-def _read_npz(path: Path) -> tuple[Any, float, float, float | None]:
-    """`elevation` (m) of an .npz and its cells `dx`, `dy`: in metres and None, or in degrees and the middle latitude.
+def _read_npz(path: Path) -> Scene:
+    """Terrain of `elevation` (m) of an .npz, whose cells `dx`, `dy` are in metres, or in degrees.
 
     They are in degrees if the latitudes `ymin` and `ymax` of the edges are given too.
     """
@@ -62,36 +46,73 @@ def _read_npz(path: Path) -> tuple[Any, float, float, float | None]:
         raise UserError(f"Scene {path} is not a readable .npz file: {_cause(error)}.") from error
     if missing:
         raise UserError(f"Scene {path} lacks {', '.join(missing)}; needed are elevation, dx and dy.")
-    in_degrees = {"ymin", "ymax"} <= numbers.keys()
-    return elevation, numbers["dx"], numbers["dy"], (numbers["ymin"] + numbers["ymax"]) / 2 if in_degrees else None
+    dx, dy = numbers["dx"], numbers["dy"]
+    if {"ymin", "ymax"} <= numbers.keys():
+        latitude = (numbers["ymin"] + numbers["ymax"]) / 2
+        _check_latitude(path, latitude)
+        metres = float(np.radians(1.0)) * EARTH_RADIUS
+        dx, dy = dx * metres * float(np.cos(np.radians(latitude))), dy * metres
+    _check_elevations(path, elevation, dx, dy)
+    rows, cols = elevation.shape
+    return Scene(
+        path.stem,
+        east=(np.arange(cols) - (cols - 1) / 2) * dx,
+        north=(np.arange(rows) - (rows - 1) / 2) * dy,
+        height=elevation[::-1],
+        brightness=np.ones(elevation.shape),
+    )
 
 
-def _read_geotiff(path: Path) -> tuple[Any, float, float, float | None]:
-    """The same of the first band of a GeoTIFF, north up, in degrees or in a projection."""
+def _read_geotiff(path: Path) -> Scene:
+    """Terrain of the first band of a GeoTIFF, north up, in angles or in a projection."""
     try:
         import rasterio  # noqa: PLC0415 (an extra)
     except ImportError as error:
         raise UserError(f"Reading {path} needs rasterio; install it with: pip install 'sal_height[dem]'.") from error
+    from pyproj import CRS  # noqa: PLC0415 (0.1 s)
+
     try:
         with rasterio.open(path) as dem:
             elevation = _as_float(dem.read(1, masked=True)).filled(np.nan)
-            transform, crs = dem.transform, dem.crs
-        geographic = crs is not None and crs.is_geographic
-        unit = crs.linear_units_factor[1] if crs is not None and crs.is_projected else None
+            transform, system = dem.transform, dem.crs and CRS(dem.crs.to_wkt())
     except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
         raise UserError(f"Scene {path} is not a readable GeoTIFF: {_cause(error)}.") from error
-    if crs is None or transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
+    if system is None or transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
         raise UserError(
             f"Scene {path} must be north up with a coordinate reference system; reproject it with gdalwarp."
         )
-    if geographic:
-        return elevation, transform.a, -transform.e, transform.f + transform.e * elevation.shape[0] / 2
-    if unit is None:
+    if not (system.is_geographic or system.is_projected):
         raise UserError(
             f"Scene {path} has a coordinate reference system that is neither geographic nor projected; "
             "reproject it with gdalwarp."
         )
-    return elevation, transform.a * unit, -transform.e * unit, None
+    if system.is_geographic:
+        _check_latitude(path, transform.f + transform.e * elevation.shape[0] / 2)
+    in_space = system if len(system.axis_info) > 2 else system.to_3d()
+    if system.is_compound:
+        elevation *= in_space.axis_info[2].unit_conversion_factor
+    _check_elevations(path, elevation, transform.a, -transform.e)
+    return ElevationGrid(path.stem, elevation, transform.c, transform.f, transform.a, -transform.e, in_space).scene()
+
+
+def _check_latitude(path: Path, latitude: float) -> None:
+    """Check that the middle of a model (degrees) lies between the poles.
+
+    Raises:
+        UserError: it does not.
+    """
+    if not abs(latitude) < 90:
+        raise UserError(f"Scene {path.stem} has its middle at latitude {latitude:.6g}; allowed is between -90 and 90.")
+
+
+def _check_elevations(path: Path, elevation: Any, dx: float, dy: float) -> None:
+    """Check that a terrain can be made of elevations (m) in cells of dx x dy.
+
+    Raises:
+        UserError: it cannot.
+    """
+    for fault in _faults(elevation, dx, dy):
+        raise UserError(f"Scene {path.stem} has {fault}.")
 
 
 def _cause(error: Exception) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
-from sal_height.geometry import ApertureState, PlatformState, Trajectory, look_direction, sphere_point
+from sal_height.geometry import ApertureState, Origin, PlatformState, Trajectory, look_direction, sphere_point
 from sal_height.numeric import F64, Complex
 from sal_height.sensor import (
     PhaseHistory,
@@ -258,8 +258,24 @@ def flight_of(preset: Preset, seed: int) -> SimulatedFlight:
         )
         for t in preset.targets
     )
-    scene = replace(scene, points=scene.points + targets)
+    scene = replace(scene, points=scene.points + targets, origin=_origin_of(preset, scene))
     return SimulatedFlight(preset, sensor, scene, preset.dwells, seed)
+
+
+def _origin_of(preset: Preset, scene: Scene) -> Origin | None:
+    """Where on the earth the map's origin is, as the scene or else the preset says; None: nowhere in particular.
+
+    Raises:
+        UserError: both say it.
+    """
+    if preset.origin is None:
+        return scene.origin
+    if scene.origin is not None:
+        raise UserError(
+            f"Preset {preset.name} has an origin, and scene {scene.name} has one of its own, in its coordinate "
+            "reference system; remove the key origin."
+        )
+    return preset.origin.place
 
 
 def _check_beams(preset: Preset, sensor: Sensor) -> None:

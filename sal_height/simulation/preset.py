@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from sal_height.beams import PATTERNS, read_beam_tables
 from sal_height.configuration import Float, Int, StrictKeys, read_yaml, validated
 from sal_height.errors import UserError
-from sal_height.geometry import Mounting
+from sal_height.geometry import Mounting, Origin
 from sal_height.sensor import MAX_DETECTORS, Sensor
 from sal_height.simulation.impairments import UNIMPAIRED, Impairments
 from sal_height.simulation.settings import Angle, Decibels
@@ -115,6 +115,24 @@ class Flight(StrictKeys):
 
 
 @dataclass(frozen=True)
+class OriginSettings(StrictKeys):
+    """Where on the earth the map's origin is, on WGS 84."""
+
+    latitude_deg: Annotated[Float, Ge(-90), Le(90)]
+    longitude_deg: Annotated[Float, Ge(-180), Le(180)]
+    height_m: Annotated[Float, Ge(-1000), Le(10_000)] = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.latitude_deg or self.longitude_deg):
+            raise PydanticCustomError("origin", "it must not be at latitude and longitude 0, a place at sea")
+
+    @property
+    def place(self) -> Origin:
+        """The same in rad."""
+        return Origin(np.radians(self.latitude_deg).item(), np.radians(self.longitude_deg).item(), self.height_m)
+
+
+@dataclass(frozen=True)
 class ImageSize(StrictKeys):
     """Pixels of the SLC, at the resolution in range (rows) and azimuth (cols)."""
 
@@ -152,6 +170,7 @@ class Preset(StrictKeys):
     estimators: tuple[str, ...] = ()
     processing: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     latency_budget_s: Annotated[Float, Gt(0), Le(86400)] | None = None
+    origin: OriginSettings | None = None
 
     @property
     def dwell_spacing_m(self) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
-from sal_height.geometry import ApertureState, angles_of, aperture_at, sphere_coordinates, sphere_point
+from sal_height.geometry import ApertureState, Origin, angles_of, aperture_at, sphere_coordinates, sphere_point
 from sal_height.numeric import F64, Bool, Index
 from sal_height.simulation._terrain_kernels import divide_cuts, interpolate, mark_lit, see
 from sal_height.simulation.canopy import CANOPY_LAYERS, Canopy
@@ -61,6 +61,7 @@ class Scene:
             vegetation or on rough ground; 0: on the terrain. Where the terrain is hidden, so are all scatterers above
             and below it, and only there.
         canopy: vegetation above the terrain, hidden where the terrain under it is; None: there is none.
+        origin: where on the earth the map origin is; None: nowhere in particular.
 
     Raises:
         UserError: fewer than 2 x 2 nodes, nodes that do not increase, values that are not finite, an extent below 0, or
@@ -75,6 +76,7 @@ class Scene:
     points: tuple[PointScatterer, ...] = ()
     extent: float = 0.0
     canopy: Canopy | None = None
+    origin: Origin | None = None
 
     def __post_init__(self) -> None:
         shape = (len(self.north), len(self.east))

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Twist, TwistStamped, Vector3
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 from std_msgs.msg import Header
 
 from sal_height import messages
-from sal_height.geometry import PlatformState, rotation_matrix
+from sal_height.geometry import PlatformState, quaternion_of, rotation_matrix
+
+
+def in_aviation_axes(state: PlatformState) -> PlatformState:
+    """The same state in north, east, down and forward, right, down, by the words."""
+    ned, frd = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1.0]]), np.diag([1.0, -1.0, -1.0])
+    attitude = np.array(quaternion_of(ned @ rotation_matrix(state.orientation) @ frd))
+    return replace(state, position=ned @ state.position, velocity=ned @ state.velocity, orientation=attitude)
 
 
 def pose_of(state: PlatformState, frame: str = "map") -> PoseStamped:

@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chain_fixture import DETECTORS, Chain
+from chain_fixture import DETECTORS, START_NS, Chain
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 from helpers import RAW_WAVEFORMS, with_waveform
+from instrument_messages import in_aviation_axes
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from sal_height_msgs.msg import HeightImage
 from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
@@ -63,6 +65,23 @@ def test_heights_from_raw_echoes_agree_with_the_terrain_too(
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
     assert_heights_agree(chain)
+
+
+def test_odometry_in_axes_of_aviation_gives_the_same_heights(
+    graph: Graph, flight: SimulatedFlight, reference: dict[tuple[str, int], HeightImage]
+) -> None:
+    """With parameters map_axes and body_axes; the attitude is rounded once more, by 1e-16, in a phase of 1e4 rad."""
+    image = {"rows": 46, "cols": 12, "map_axes": "ned", "body_axes": "frd"}
+    chain = Chain(graph, flight, 30.0, image=image)
+    states = [in_aviation_axes(state) for state in flight.platform_states(0)]
+    odometry = [messages.state_to_message(state, messages.to_stamp(START_NS + state.stamp_ns)) for state in states]
+    chain.publish(chain.sensor_info(), *odometry, *chain.frames(0))
+    chain.await_heights(0)
+    for key, ours in chain.heights.items():
+        assert ours.validity == reference[key].validity
+        for name in ("height", "sigma", "east", "north"):
+            mine, theirs = (np.array(getattr(one.surfaces[0], name)) for one in (ours, reference[key]))
+            np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-4)
 
 
 def test_stamp_dwell_and_frame_are_those_of_the_input(fed: Any) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -15,7 +17,9 @@ from std_msgs.msg import Header
 from sal_height import messages
 from sal_height.elevation.estimate import Validity
 from sal_height.geometry.earth import sphere_point
+from sal_height.geometry.geodesy import Origin
 from sal_height.geometry.grid import Grid
+from sal_height.geometry.projection import Projection
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ground_mapper import GroundMapper
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
@@ -38,8 +42,9 @@ def height_image() -> HeightImage:
     return messages.height_to_message(field, make_aperture(), (2, 2), "ml", slc, Provenance())
 
 
-def test_the_ground_is_published_with_its_kinds_and_written(graph: Graph, tmp_path: Path) -> None:
-    overrides = [Parameter("period_s", value=0.1), Parameter("file", value=str(tmp_path / "ground.tif"))]
+def first_map(graph: Graph, **parameters: Any) -> tuple[GroundMapper, ReliefMap]:
+    """A ground mapper, and what it makes of the image."""
+    overrides = [Parameter(name, value=value) for name, value in {"period_s": 0.1, **parameters}.items()]
     mapper = graph.add(GroundMapper(context=graph.context, parameter_overrides=overrides))
     maps: list[ReliefMap] = []
     node = graph.add(Node("feeder", context=graph.context))
@@ -48,7 +53,11 @@ def test_the_ground_is_published_with_its_kinds_and_written(graph: Graph, tmp_pa
     assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, TIMEOUT_S)
     publisher.publish(height_image())
     assert graph.spin_until(lambda: bool(maps), TIMEOUT_S)
-    found = maps[-1]
+    return mapper, maps[-1]
+
+
+def test_the_ground_is_published_with_its_kinds_and_written(graph: Graph, tmp_path: Path) -> None:
+    mapper, found = first_map(graph, file=str(tmp_path / "ground.tif"))
     height, kind = (np.asarray(values).reshape(found.rows, found.cols) for values in (found.height, found.kind))
     assert np.isclose(found.cell_size, 0.05)
     assert np.mean(kind == ReliefMap.MEASURED) > 0.85
@@ -59,3 +68,17 @@ def test_the_ground_is_published_with_its_kinds_and_written(graph: Graph, tmp_pa
         assert (file.height, file.width) == kind.shape
         assert np.isclose(np.nanmedian(file.read(1)), 2.0)
         assert np.array_equal(file.read(file.descriptions.index("kind") + 1)[::-1], kind)
+
+
+def test_the_ground_near_a_known_origin_is_in_utm(graph: Graph) -> None:
+    """Its kinds are the same, and heights are above the ellipsoid."""
+    place = {"origin_latitude_deg": 48.1, "origin_longitude_deg": 11.3, "origin_height_m": 560.0}
+    _, found = first_map(graph, **place)
+    height, kind = (np.asarray(values).reshape(found.rows, found.cols) for values in (found.height, found.kind))
+    assert found.header.frame_id == "EPSG:32632"
+    origin = Origin(math.radians(48.1), math.radians(11.3), 560.0)
+    hole = sphere_point(WEST + 10 * SPACING, SOUTH + 15 * SPACING, 2.0)
+    easting, northing, expected = Projection.of("utm", origin).coordinates(hole)
+    row, col = round((northing - found.origin_north) / 0.05), round((easting - found.origin_east) / 0.05)
+    assert kind[row, col] == ReliefMap.INTERPOLATED
+    assert np.nanmax(np.abs(height - expected)) < 1e-3

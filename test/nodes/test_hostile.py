@@ -19,6 +19,7 @@ from sal_height_msgs.msg import ComplexImage, HeightImage
 from benchmarks.hostile_messages import feed, hostile
 from sal_height import messages
 from sal_height.calibration import Calibration
+from sal_height.geometry import Origin
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ground_mapper import GroundMapper
@@ -163,6 +164,19 @@ def test_hostile_instruments_do_not_make_navigation_fail(source: str, graph: Gra
             feed(node, topic, cdr)
     assert_nothing_unexpected(node)
     assert set(node.tally.summary()) > {"in", "processed", "out"}
+
+
+def test_hostile_origins_do_not_make_mappers_fail(graph: Graph) -> None:
+    """Some are of other places of the earth, which the map is laid to, as UTM may be."""
+    origin = messages.origin_to_message(Origin(0.84, 0.2, 560.0), messages.to_stamp(5), "map")
+    mappers = [graph.add(node(context=graph.context)) for node in (ReliefMapper, GroundMapper)]
+    rng = np.random.default_rng(6)
+    for cdr in hostile(origin, 100 * TIMES, rng):
+        for mapper in mappers:
+            feed(mapper, "/map_origin", cdr)
+    for mapper in mappers:
+        assert_nothing_unexpected(mapper)
+        assert mapper.tally.summary()["ignored.wrong origin"] > 0
 
 
 def test_a_sensor_info_that_contradicts_the_one_of_the_same_hash_is_refused(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
-from instrument_messages import fix_at, imu_at, pose_of, twist_of
+from helpers import assert_one_sentence
+from instrument_messages import fix_at, imu_at, in_aviation_axes, pose_of, twist_of
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -17,10 +19,11 @@ from sensor_msgs.msg import Imu, NavSatFix
 from std_msgs.msg import Header
 
 from sal_height import messages
-from sal_height.geometry import Origin, PlatformState
+from sal_height.errors import UserError
+from sal_height.geometry import Origin, PlatformState, rotation_matrix
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.navigation import NavigationNode
-from sal_height.nodes.stage import ODOMETRY_QOS
+from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.simulation.flight import SimulatedFlight
 
 TIMEOUT_S = 20.0
@@ -100,6 +103,51 @@ def test_fixes_and_attitudes_become_odometry_in_a_map_on_the_earth(graph: Graph)
         np.testing.assert_allclose(state.velocity, [0.0, 11.12, 0.0], rtol=0, atol=0.01)
         assert state.covariance[2, 2] == 9.0
     assert set(instruments.node.tally.summary()) & {"ignored.no velocity"}  # at the first fix there is none
+
+
+@pytest.mark.parametrize("frame", ["map", "base_link"])
+def test_poses_and_twists_in_axes_of_aviation_become_odometry_in_those_of_ros(
+    frame: str, graph: Graph, flight: SimulatedFlight
+) -> None:
+    sent = [replace(state, stamp_ns=state.stamp_ns + 10**12) for state in flight.platform_states(0)]
+    instruments = Instruments(graph, map_axes="ned", body_axes="frd")
+    for state in sent:
+        down = in_aviation_axes(state)
+        instruments.send(twist_of(down, frame), pose_of(down))
+    for one, other in zip(instruments.await_odometry(len(sent)), sent, strict=True):
+        np.testing.assert_array_equal(one.position, other.position)
+        turn = rotation_matrix(one.orientation).T @ rotation_matrix(other.orientation)
+        np.testing.assert_allclose(turn, np.eye(3), rtol=0, atol=1e-14)
+        np.testing.assert_allclose(one.velocity, other.velocity, rtol=0, atol=1e-12)
+
+
+def test_an_attitude_against_north_east_and_down_is_that_against_east_north_and_up(graph: Graph) -> None:
+    """At rest in NED and FRD, the platform looks north, level: in ROS its yaw is a quarter turn to the left."""
+    instruments = Instruments(graph, position="fix", velocity="twist", map_axes="ned", body_axes="frd", **ORIGIN_DEG)
+    stamp = fix_at(1.0, 48.1).header.stamp
+    twist = TwistStamped(header=Header(stamp=stamp, frame_id="map"), twist=Twist(linear=Vector3(x=50.0, z=-2.0)))
+    instruments.send(twist, fix_at(1.0, 48.1), imu_at(1.0))
+    (state,) = instruments.await_odometry(1)
+    np.testing.assert_allclose(state.velocity, [0, 50.0, 2.0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(rotation_matrix(state.orientation) @ [1, 0, 0], [0, 1, 0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(rotation_matrix(state.orientation) @ [0, 0, 1], [0, 0, 1], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("parameters", [{"position": "fix", "velocity": "positions"}, {}], ids=["fix", "pose"])
+def test_the_origin_of_the_map_is_published_for_those_who_come_late(graph: Graph, parameters: dict[str, str]) -> None:
+    instruments = Instruments(graph, **parameters, **ORIGIN_DEG)
+    heard: list[NavSatFix] = []
+    instruments.create_subscription(NavSatFix, "map_origin", heard.append, LATCHED_QOS)
+    assert graph.spin_until(lambda: bool(heard), TIMEOUT_S)
+    found = messages.read_origin(heard[0], "map")
+    assert (found.latitude, found.longitude, found.height) == pytest.approx((ORIGIN.latitude, ORIGIN.longitude, 550.0))
+
+
+def test_fixes_without_an_origin_are_refused_at_the_start(graph: Graph) -> None:
+    """A map at latitude and longitude 0 is not what anybody wants."""
+    with pytest.raises(UserError) as refused:
+        NavigationNode(context=graph.context, parameter_overrides=[Parameter("position", value="fix")])
+    assert_one_sentence(str(refused.value), "must know where on the earth", "set origin_latitude_deg")
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import array
 import functools
 import json
+import math
 import os
 import signal
 import subprocess
@@ -20,18 +21,22 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TransformStamped
 from helpers import assert_one_sentence, file_size_limit, make_aperture
-from rasterio.warp import transform
+from pyproj import CRS
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from sal_height_msgs.msg import ComplexImage, HeightImage, NodeAccount, Provenance, ReliefMap
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import Image, NavSatFix, PointCloud2
 from std_msgs.msg import Header
 
 from sal_height import messages
 from sal_height.elevation.estimate import Validity
 from sal_height.errors import UserError
 from sal_height.geometry.earth import sphere_coordinates, sphere_point
+from sal_height.geometry.geodesy import Origin
 from sal_height.geometry.grid import Grid
+from sal_height.geometry.projection import Projection
+from sal_height.messages.basics import vector_of
 from sal_height.nodes.account import PROGRESS, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.relief_mapper import ReliefMapper
@@ -311,9 +316,14 @@ def test_the_file_is_placed_on_the_earth_where_the_origin_is_known(
     with rasterio.open(path) as file:
         assert file.crs.is_projected == is_placed
         if is_placed:
-            (east,), (north,) = transform(file.crs, "EPSG:4326", [0.0], [0.0])
-            expected = origin["origin_longitude_deg"], origin.get("origin_latitude_deg", 0.0)
-            assert (east, north) == pytest.approx(expected, abs=1e-9)
+            latitude = math.radians(origin.get("origin_latitude_deg", 0.0))
+            place = Origin(latitude, math.radians(origin["origin_longitude_deg"]), 0.0)
+            projection = Projection.of("utm", place)
+            cell = sphere_point(WEST + 4.5, SOUTH + 2.5, 2.05)  # in the middle of the image
+            easting, northing, height = projection.coordinates(cell)
+            assert CRS(file.crs.to_wkt()).to_2d() == projection.system.to_2d()
+            ((found,),) = file.sample([(easting, northing)], indexes=1)
+            assert found == pytest.approx(height, abs=0.1), "a metre of cell on ground that rises by 0.1"
 
 
 def test_shutting_the_context_down_writes_the_file(graph: Graph, mapped: Mapped, tmp_path: Path) -> None:
@@ -376,6 +386,9 @@ def test_heights_after_the_end_are_counted(mapped: Mapped) -> None:
         ({"max_cells": 0}, "max_cells is 0"),
         ({"period_s": 0.0}, "period_s is 0.0"),
         ({"origin_latitude_deg": 91.0}, "origin_latitude_deg is 91.0"),
+        ({"crs": "EPSG:1"}, "'EPSG:1' is not known to PROJ"),
+        ({"crs": "EPSG:4326"}, "has angles for coordinates"),
+        ({"crs": "EPSG:32756", "origin_latitude_deg": 48.1}, "EPSG:32756 does not suit"),
         ({"estimator": "no topic"}, "estimator is 'no topic'"),
         ({"file": "/tmp"}, "it is a folder"),  # noqa: S108 (nothing is written)
         ({"file": "/nowhere/at/all/map.tif"}, "folder /nowhere/at/all does not exist"),
@@ -436,3 +449,85 @@ def run_main(domain_id: int, *arguments: str) -> subprocess.Popen[str]:
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
     command = [sys.executable, "-c", RUN_MAIN, "--ros-args", *arguments]
     return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)  # noqa: S603
+
+
+def placed(graph: Graph, origin: NavSatFix, **parameters: Any) -> tuple[Mapped, Publisher]:
+    """A mapper that has heard of an origin, and who published it."""
+    mapped = Mapped(graph, start(graph, cell_size_m=1.0, **parameters))
+    node = graph.add(Node("origin", context=graph.context))
+    publisher = node.create_publisher(NavSatFix, "map_origin", LATCHED_QOS)
+    publisher.publish(origin)
+    return mapped, publisher
+
+
+MUNICH = NavSatFix(header=Header(frame_id="map"), latitude=48.1, longitude=11.3, altitude=560.0)
+
+
+def test_a_map_with_a_published_origin_is_in_utm(graph: Graph) -> None:
+    """Coordinates are eastings and northings, and the points are in the map frame where the pixels were."""
+    mapped, _ = placed(graph, MUNICH)
+    mapped.wait(lambda: mapped.mapper._axes is not None, "the origin")
+    mapped.feed(*(height_image(dwell) for dwell in range(2)))
+    message = mapped.map_of(2)
+    assert message.header.frame_id == "EPSG:32632"
+    origin = Origin(math.radians(48.1), math.radians(11.3), 560.0)
+    cell = np.array([message.origin_east + 4.0, message.origin_north + 2.0, layer(message, "height")[2, 4]])
+    east, north, height = sphere_coordinates(Projection.of("utm", origin).positions(cell))
+    assert abs(east - WEST - COLS / 2) < COLS / 2
+    assert abs(north - SOUTH - ROWS / 2) < ROWS / 2
+    assert height == pytest.approx(2.0 + 0.1 * east, abs=0.06)
+    mapped.wait(lambda: bool(mapped.points), "points")
+    frame, cloud = mapped.frames[-1], mapped.points[-1]
+    points = np.frombuffer(cloud.data, np.float32).reshape(-1, 5)
+    corner = vector_of(frame.transform.translation)
+    places = np.stack(sphere_coordinates(points[:, :3] + corner), axis=-1)
+    np.testing.assert_allclose(places[:, 2], 2.0 + 0.1 * places[:, 0], rtol=0, atol=0.06)
+    assert frame.header.frame_id == "map"
+
+
+def test_an_origin_that_comes_after_the_map_has_begun_places_the_next_one(graph: Graph) -> None:
+    mapped = Mapped(graph, start(graph, cell_size_m=1.0))
+    mapped.feed(height_image(0))
+    node = graph.add(Node("origin", context=graph.context))
+    node.create_publisher(NavSatFix, "map_origin", LATCHED_QOS).publish(MUNICH)
+    mapped.wait(lambda: "ignored.origin after the begin" in mapped.mapper.tally.summary(), "a word")
+    assert "until service ~/reset begins a new one" in mapped.mapper.last_rejection
+    mapped.feed(height_image(1))
+    assert mapped.map_of(2).header.frame_id == "map"
+    mapped.mapper.forget()
+    mapped.feed(height_image(2))
+    mapped.wait(lambda: mapped.maps[-1].header.frame_id == "EPSG:32632", "a map in UTM")
+    assert mapped.maps[-1].images == 1
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason", "words"),
+    [
+        (
+            {"latitude": 0.0, "longitude": 0.0},
+            "wrong origin",
+            "a place at sea that stands for one nobody has filled in",
+        ),
+        ({"latitude": 91.0}, "wrong origin", "has latitude 91"),
+        ({"altitude": -4000.0}, "wrong origin", "is -4000 m above the ellipsoid"),
+        ({"longitude": math.nan}, "not finite", "The origin has NaN"),
+        ({"header": Header(frame_id="odom")}, "wrong frames", "The origin has frame_id 'odom'"),
+    ],
+)
+def test_an_origin_that_is_no_place_is_told_and_the_next_one_is_used(
+    graph: Graph, changed: dict[str, Any], reason: str, words: str
+) -> None:
+    values = {name: getattr(MUNICH, name) for name in ("header", "latitude", "longitude", "altitude")}
+    mapped, publisher = placed(graph, NavSatFix(**values | changed))
+    mapped.wait(lambda: f"ignored.{reason}" in mapped.mapper.tally.summary(), "a refusal")
+    assert words in mapped.mapper.last_rejection
+    publisher.publish(MUNICH)
+    mapped.wait(lambda: mapped.mapper._axes is not None, "the origin")
+
+
+def test_a_system_that_does_not_suit_the_published_origin_is_told(graph: Graph) -> None:
+    mapped, _ = placed(graph, MUNICH, crs="EPSG:32756")
+    mapped.wait(lambda: "ignored.origin" in mapped.mapper.tally.summary(), "a refusal")
+    assert "EPSG:32756 does not suit a map at latitude 48.1000" in mapped.mapper.last_rejection
+    mapped.feed(height_image(0))
+    assert mapped.map_of(1).header.frame_id == "map"

@@ -1,65 +1,130 @@
-"""The GeoTIFF of a map lies where the map lies on the WGS-84 ellipsoid, or says that it does not know where."""
+"""The GeoTIFF of a map: a valid COG that says where it lies and above what its heights are, or that it knows not."""
 
 from __future__ import annotations
 
+import math
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import rasterio
+from helpers import assert_one_sentence
+from pyproj import CRS
 from rasterio.warp import transform
+from rio_cogeo.cogeo import cog_validate
 
-from sal_height.geometry import sphere_coordinates
-from sal_height.relief.geotiff import write_geotiff
+from sal_height.errors import UserError
+from sal_height.geometry import Origin, Projection
+from sal_height.relief.geotiff import check_geotiff, write_geotiff
 from sal_height.relief.map import Relief
 
-GEOCENTRIC, GEOGRAPHIC = "EPSG:4978", "EPSG:4326"
 CELL_M = 2.0
+STAMP_NS = 1_000_000_000 * round(datetime(2026, 10, 3, 14, 45, 9, tzinfo=UTC).timestamp())
+LATITUDE, LONGITUDE = 48.1, 11.3
+ORIGIN = Origin(math.radians(LATITUDE), math.radians(LONGITUDE), 560.0)
+ZONE_32 = Projection.of("utm", ORIGIN)
+VERTICAL_KEY = 4096
 
 
-def relief_at(east: float, north: float) -> Relief:
-    """A map of 3 by 2 cells whose cell (0, 0) has its centre at these arc distances from the origin."""
-    layer = np.arange(6, dtype=np.float32).reshape(3, 2)
+def relief_at(east: float, north: float, rows: int = 3, cols: int = 2) -> Relief:
+    """A map whose cells, of which (0, 0) has its centre there, count up from 0 in the order of rows."""
+    layer = np.arange(rows * cols, dtype=np.float32).reshape(rows, cols)
     return Relief(east, north, CELL_M, layer, layer, layer, layer.astype(np.uint32))
 
 
-def geographic_of(enu: npt.NDArray[np.float64], latitude: float, longitude: float) -> tuple[float, float]:
-    """Latitude and longitude (deg) of a point in local ENU axes on the ellipsoid, as a GNSS/INS states it."""
-    origin = np.array(transform(GEOGRAPHIC, GEOCENTRIC, [longitude], [latitude], [0.0]))[:, 0]
-    lat, lon = np.radians([latitude, longitude])
-    east = np.array([-np.sin(lon), np.cos(lon), 0])
-    up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-    point = origin + enu @ np.stack([east, np.cross(up, east), up])
-    (lon_there,), (lat_there,), _ = transform(GEOCENTRIC, GEOGRAPHIC, *point[:, None].tolist())
-    return lat_there, lon_there
-
-
-@pytest.mark.parametrize("latitude", [0.0, 36.5, -47.5, 70.0])
-@pytest.mark.parametrize("place", [(10_000.0, 0.0), (0.0, 10_000.0), (-7_000.0, 7_000.0), (1_000.0, -20.0)], ids=str)
-def test_a_cell_lies_within_a_centimetre_of_its_place_on_the_ellipsoid(
-    tmp_path: Path, latitude: float, place: tuple[float, float]
-) -> None:
-    """Ten kilometres from the origin, 100 m above it; on a sphere it was off by 23 to 56 m."""
-    enu = np.array([*place, 100.0])
-    east, north, _ = (float(value) for value in sphere_coordinates(enu))
+def written(tmp_path: Path, relief: Relief, projection: Projection | None) -> Path:
     path = tmp_path / "map.tif"
-    write_geotiff(path, relief_at(east, north), (latitude, -8.25), {})
+    write_geotiff(path, relief, projection, STAMP_NS, {"estimator": "ml"})
+    return path
+
+
+@pytest.mark.parametrize("projection", [ZONE_32, None], ids=["utm", "local"])
+def test_a_large_map_is_a_valid_cog_whose_first_level_is_the_map(tmp_path: Path, projection: Projection | None) -> None:
+    relief = relief_at(650_001.0, 5_300_001.0, 1500, 1100)
+    relief.height[100:200, 50:90] = np.nan
+    path = written(tmp_path, relief, projection)
+    is_valid, errors, warnings = cog_validate(path, strict=True)
+    assert (is_valid, errors, warnings) == (True, [], [])
     with rasterio.open(path) as file:
-        easting, northing = file.xy(file.height - 1, 0)  # cell (0, 0) is the southernmost, the last row of the file
-        (longitude,), (there,) = transform(file.crs, GEOGRAPHIC, [easting], [northing])
+        assert file.profile["tiled"]
+        assert file.overviews(1) == [2, 4]
+        np.testing.assert_array_equal(file.read(1)[::-1], relief.height)
+        np.testing.assert_array_equal(file.read(4)[::-1], relief.count)
+
+
+def test_a_cell_is_where_it_is_on_the_earth(tmp_path: Path) -> None:
+    """Cell (0, 0) is put on the map's origin; a reader of its own finds the origin's latitude and longitude there."""
+    east, north, _ = ZONE_32.coordinates(np.zeros(3))
+    path = written(tmp_path, relief_at(east, north), ZONE_32)
+    with rasterio.open(path) as file:
+        easting, northing = file.xy(file.height - 1, 0)  # it is the southernmost, in the last row of the file
         assert file.read(1)[-1, 0] == 0.0
-    expected_latitude, expected_longitude = geographic_of(enu, latitude, -8.25)
-    metres = np.radians([there - expected_latitude, longitude - expected_longitude]) * 6.4e6
-    assert np.hypot(metres[0], metres[1] * np.cos(np.radians(latitude))) < 0.01
+        assert CRS(file.crs.to_wkt()).to_2d().to_epsg() == 32632
+        (longitude,), (latitude,) = transform("EPSG:32632", "EPSG:4326", [easting], [northing])
+    assert (latitude, longitude) == pytest.approx((LATITUDE, LONGITUDE), abs=1e-9)
+
+
+def test_heights_are_said_to_be_above_the_ellipsoid(tmp_path: Path) -> None:
+    """By the code 4979 in the file's own keys, by its description of three axes, and in words."""
+    with rasterio.open(written(tmp_path, relief_at(650_001.0, 5_300_001.0), ZONE_32)) as file:
+        assert len(CRS(file.crs.to_wkt()).axis_info) == 3
+        assert "ellipsoid" in file.tags()["VERTICAL_DATUM"]
+        assert "EPSG:4979" in file.tags()["VERTICAL_DATUM"]
+    keys = geo_keys(tmp_path / "map.tif")
+    assert keys[VERTICAL_KEY] == 4979
+
+
+def test_heights_above_a_geoid_are_said_to_be_so(tmp_path: Path) -> None:
+    geoid = Projection(ORIGIN, CRS("EPSG:32632+5773"), "EPSG:32632+5773")
+    with rasterio.open(written(tmp_path, relief_at(650_001.0, 5_300_001.0), geoid)) as file:
+        assert CRS(file.crs.to_wkt()).sub_crs_list[1].to_epsg() == 5773
+        assert "EGM96" in file.tags()["VERTICAL_DATUM"]
+    assert geo_keys(tmp_path / "map.tif")[VERTICAL_KEY] == 5773
+
+
+def test_another_ellipsoid_is_named_in_words(tmp_path: Path) -> None:
+    etrs = Projection.of("EPSG:25832", ORIGIN)
+    with rasterio.open(written(tmp_path, relief_at(650_001.0, 5_300_001.0), etrs)) as file:
+        assert file.crs.to_epsg() == 25832
+        assert "GRS 1980" in file.tags()["VERTICAL_DATUM"]
+
+
+def test_bands_have_names_units_and_descriptions_and_the_file_a_date(tmp_path: Path) -> None:
+    with rasterio.open(written(tmp_path, relief_at(5.0, 3.0), ZONE_32)) as file:
+        assert file.descriptions == ("height", "sigma", "disagreement", "count")
+        assert file.units[:2] == ("m", "m")
+        assert "ellipsoid" in file.tags(1)["description"]
+        assert math.isnan(file.nodata)
+        assert file.tags()["TIFFTAG_DATETIME"] == "2026:10:03 14:45:09"
+        assert file.tags()["estimator"] == "ml"
 
 
 def test_without_an_origin_the_file_claims_no_place_on_the_earth(tmp_path: Path) -> None:
-    path = tmp_path / "map.tif"
-    write_geotiff(path, relief_at(5.0, 3.0), None, {"estimator": "ml"})
-    with rasterio.open(path) as file:
+    with rasterio.open(written(tmp_path, relief_at(5.0, 3.0), None)) as file:
         assert not file.crs.is_geographic
         assert not file.crs.is_projected
         assert "origin unknown" in file.crs.to_wkt()
+        assert "sphere" in file.tags()["VERTICAL_DATUM"]
         assert file.xy(2, 0) == (5.0, 3.0)
-        assert file.tags()["estimator"] == "ml"
+
+
+def test_a_file_that_cannot_be_written_is_told_before_the_flight(tmp_path: Path) -> None:
+    for path, words in ((tmp_path, "it is a folder"), (tmp_path / "no" / "map.tif", "does not exist")):
+        with pytest.raises(UserError) as refused:
+            check_geotiff(path)
+        assert_one_sentence(str(refused.value), f"File {path} cannot be written", words)
+
+
+def geo_keys(path: Path) -> dict[int, int]:
+    """The keys of the GeoKeyDirectory (tag 34735) of the first image that have their value with them."""
+    content = path.read_bytes()
+    assert content[:4] == b"II*\0"
+    directory = int.from_bytes(content[4:8], "little")
+    for entry in range(int.from_bytes(content[directory : directory + 2], "little")):
+        tag = np.frombuffer(content, "<u2", 2, directory + 2 + 12 * entry)
+        if tag[0] == 34735:
+            count, offset = np.frombuffer(content, "<u4", 2, directory + 6 + 12 * entry)
+            numbers = np.frombuffer(content, "<u2", count, offset).reshape(-1, 4)[1:]
+            return {int(key): int(value) for key, location, _, value in numbers if location == 0}
+    raise AssertionError("The file has no GeoKeyDirectory.")

@@ -9,10 +9,11 @@ import pytest
 import rasterio
 from helpers import assert_one_sentence
 from matplotlib.cbook import get_sample_data
+from pyproj import CRS, Transformer
 from rasterio.transform import Affine
 
 from sal_height.errors import UserError
-from sal_height.geometry.earth import EARTH_RADIUS
+from sal_height.geometry.earth import EARTH_RADIUS, sphere_coordinates
 from sal_height.simulation.scene import Scene
 from sal_height.simulation.scenes import load_scene
 
@@ -42,23 +43,81 @@ def assert_heights(scene: Scene, dx: float, dy: float) -> None:
     assert np.all(scene.brightness == 1)
 
 
-def test_geotiff_in_utm(tmp_path: Path) -> None:
+SLOPES = np.array([0.2, -0.1])
+"""Of a plane in eastings and northings, or their degrees as if a degree were 100 km."""
+
+
+def plane_of(transform: Affine, rows: int, cols: int, per_unit: float) -> np.ndarray:
+    """Elevations that bilinear interpolation has exactly."""
+    x, y = transform @ np.stack(np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5)).reshape(2, -1)
+    middle = transform @ (cols / 2, rows / 2)
+    return (500.0 + per_unit * (SLOPES @ [x - middle[0], y - middle[1]])).reshape(rows, cols)
+
+
+@pytest.mark.parametrize(
+    ("crs", "transform", "per_unit"),
+    [
+        ("EPSG:32617", Affine(30.0, 0, 5.6e5, 0, -20.0, 4.04e6), 1.0),
+        ("EPSG:32617", Affine(300.0, 0, 6.6e5, 0, -400.0, 4.04e6), 1.0),
+        ("EPSG:4326", Affine(0.001, 0, -84.4, 0, -0.002, 36.5), 1e5),
+        ("EPSG:4258", Affine(0.001, 0, 11.4, 0, -0.0005, 60.5), 1e5),
+        ("EPSG:2154", Affine(10.0, 0, 9e5, 0, -10.0, 6.4e6), 1.0),
+    ],
+    ids=["utm", "wide utm", "degrees", "other degrees", "lambert"],
+)
+def test_terrain_of_a_geotiff_is_where_proj_has_it(
+    tmp_path: Path, crs: str, transform: Affine, per_unit: float
+) -> None:
+    """Place and height of any point on the plane, to 2 mm: by PROJ's own chain from the system to the map's axes.
+
+    A degree of latitude is up to 0.5 % longer or shorter than on the sphere, and north of UTM is up to 2 degrees beside
+    that of the map: 35 m in 1 km.
+    """
+    rows, cols = 90, 70
+    path = write_geotiff(tmp_path / "plane.tif", crs, transform, plane_of(transform, rows, cols, per_unit))
+    scene = load_scene(path)
+    assert scene.name == "plane"
+    assert scene.origin is not None
+    assert scene.height.size > 0.7 * rows * cols
+    rng = np.random.default_rng(1)
+    share = rng.uniform(0.25, 0.75, (2, 500))
+    x, y = transform @ (share * [[cols], [rows]])
+    middle = np.array(transform @ (cols / 2, rows / 2))
+    elevation = 500.0 + per_unit * (SLOPES @ [x - middle[0], y - middle[1]])
+    to_earth = Transformer.from_crs(CRS(crs).to_3d(), "EPSG:4979", always_xy=True)
+    longitude, latitude, height = to_earth.transform(x, y, elevation)
+    at_origin = [float(value) for value in to_earth.transform(*middle, 0.0)]
+    assert np.degrees([scene.origin.longitude, scene.origin.latitude]) == pytest.approx(at_origin[:2], abs=1e-9)
+    chain = Transformer.from_pipeline(
+        "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84 +step "
+        f"+proj=topocentric +ellps=WGS84 +lat_0={at_origin[1]!r} +lon_0={at_origin[0]!r} +h_0=0"
+    )
+    east, north, up = sphere_coordinates(np.transpose(chain.transform(longitude, latitude, height)))
+    np.testing.assert_allclose(scene.heights(east, north), up, rtol=0, atol=2e-3)
+
+
+def test_geotiff_in_feet_is_as_large_as_it_is(tmp_path: Path) -> None:
+    """Cells of 100 and 50 US survey feet; elevations are in m where nothing says otherwise."""
+    path = write_geotiff(tmp_path / "feet.tif", "EPSG:2263", Affine(100, 0, 1e6, 0, -50, 2e5))
+    scene = load_scene(path)
+    assert np.diff(scene.east) == pytest.approx(100 * 1200 / 3937, rel=1e-4)  # the scale of the projection
+    assert np.diff(scene.north) == pytest.approx(50 * 1200 / 3937, rel=1e-4)
+    assert scene.heights(0.0, 0.0) == pytest.approx(ELEVATION[ROWS // 2, COLS // 2], abs=0.1)
+
+
+def test_the_first_row_of_a_geotiff_is_the_northernmost(tmp_path: Path) -> None:
     path = write_geotiff(tmp_path / "utm.tif", "EPSG:32617", Affine(30.0, 0, 5e5, 0, -20.0, 4e6))
     scene = load_scene(path)
-    assert scene.name == "utm"
-    assert_heights(scene, 30.0, 20.0)
+    assert scene.height.shape == ELEVATION.shape
+    np.testing.assert_allclose(scene.height[::-1], ELEVATION, rtol=0, atol=2.0)
+    assert np.all(scene.brightness == 1)
 
 
-def test_geotiff_in_degrees(tmp_path: Path) -> None:
-    north_edge, step = 36.5, 0.002
-    path = write_geotiff(tmp_path / "degrees.tiff", "EPSG:4326", Affine(0.001, 0, -84.4, 0, -step, north_edge))
-    latitude = np.radians(north_edge - ROWS / 2 * step)
-    assert_heights(load_scene(path), 0.001 * METRES_PER_DEGREE * np.cos(latitude), step * METRES_PER_DEGREE)
-
-
-def test_geotiff_in_feet(tmp_path: Path) -> None:
-    path = write_geotiff(tmp_path / "feet.tif", "EPSG:2263", Affine(100, 0, 1e6, 0, -50, 2e5))
-    assert_heights(load_scene(path), 100 * 1200 / 3937, 50 * 1200 / 3937)  # US survey feet
+def test_geotiff_with_heights_above_a_geoid_whose_grid_is_not_installed_is_refused(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "dem.tif", "EPSG:32617+5773", UTM_GRID)
+    with pytest.raises(UserError) as refusal:
+        load_scene(path)
+    assert_one_sentence(str(refusal.value), "needs a grid that is not installed", "egm96")
 
 
 def test_npz_in_metres(tmp_path: Path) -> None:

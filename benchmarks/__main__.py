@@ -37,6 +37,7 @@ GROUPS = {
     "superposition-power": "superposition:power",
     "relief-map": "relief_map:throughput",
     "ground": "ground:throughput",
+    "exports": "exporting:exports",
     "relief-tracking": "relief_tracking:throughput",
     "bag-files": "recording:over_mcap",
     "bag-info": "recording:info_of_a_large_bag",

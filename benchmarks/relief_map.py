@@ -25,7 +25,7 @@ DWELLS, WARM_UP = sized((1000, 50), (3, 1))
 
 def throughput() -> Iterator[Row]:
     """A dwell from its message to the map, cells as large as pixels; and the map's memory over many such dwells."""
-    image = _height_image()
+    image = height_image()
     relief_map = ReliefMap(_cell_size(image), 10**7)
     first = image.surfaces[0]
     inputs = [np.asarray(values) for values in (first.height, first.sigma, first.east, first.north)]
@@ -60,7 +60,7 @@ def _enter(relief_map: ReliefMap, image: HeightImage) -> None:
     relief_map.add(messages.field_from_message(image))
 
 
-def _height_image() -> HeightImage:
+def height_image() -> HeightImage:
     """Level ground at 0.1 m, seen by a lidar with errors of 0.1 m whose pose is known to 0.1 m."""
     grid = replace(spotlight(1, 512, 64, SIDE, SIDE).grid, row_spacing=0.12, col_spacing=0.17)
     ground = replace(grid, row_direction=np.array([0.0, np.sign(grid.row_direction[1]), 0.0]))
@@ -88,7 +88,7 @@ def _cell_size(image: HeightImage) -> float:
 
 def _measure() -> None:
     """Print the bytes that are resident after the first dwells and after all."""
-    image = _height_image()
+    image = height_image()
     relief_map = ReliefMap(_cell_size(image), 10**7)
     for _ in range(WARM_UP):
         _enter(relief_map, image)

@@ -1,0 +1,76 @@
+"""`sal-height export`: write the heights of a bag in formats that other programs read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
+from sal_height.commands._options import DONE, PROCESSING, Bag, Place, command
+from sal_height.errors import UserError
+
+EXAMPLES = """
+  sal-height export out/sal_spotlight/bag --las street.laz
+  sal-height export out/xband_relief/bag --cog map.tif --netcdf heights.nc
+  sal-height export flight --zarr heights.zarr --origin 48.1,11.3,560
+"""
+
+app = command("export", PROCESSING, EXAMPLES)
+
+File = Annotated[Path | None, Parameter(metavar="FILE")]
+
+
+@app.default
+def export(
+    bag: Bag,
+    /,
+    *,
+    las: File = None,
+    cog: File = None,
+    netcdf: File = None,
+    zarr: Annotated[Path | None, Parameter(metavar="DIR")] = None,
+    topic: Annotated[str, Parameter(metavar="NAME", show_default=False)] = "",
+    origin: Place = None,
+    crs: Annotated[str, Parameter(metavar="NAME")] = "utm",
+    cell_size: Annotated[float, Parameter(metavar="M", validator=Number(gte=0), show_default=False)] = 0.0,
+) -> int:
+    """Write the heights of a bag as a point cloud, a map or arrays.
+
+    Coordinates are easting, northing and height above the ellipsoid where the origin
+    of the map is known, by topic map_origin, the recorded parameters or --origin; else
+    those of the map frame.
+
+    Args:
+        las: Point cloud, .las or .laz: every surface of every pixel is a return, with its sigma, CNR, probability and
+            dwell, and GPS time.
+        cog: Map of all dwells as a Cloud-Optimized GeoTIFF, each cell the mean weighted by inverse variance.
+        netcdf: Arrays of all dwells as netCDF 4, by the CF conventions.
+        zarr: The same arrays as Zarr, in a new folder.
+        topic: Of the heights. Default: /ml/height, or the first that the bag has.
+        origin: Place of the map's origin on the earth: latitude and longitude in degrees, height above the WGS-84
+            ellipsoid in m. Default: as the bag says.
+        crs: Coordinate reference system: utm, a code such as EPSG:25832, or local.
+        cell_size: Side of a cell of the map, m. Default: as the pixels are.
+    """
+    if not (las or cog or netcdf or zarr):
+        raise UserError("Say what to write: --las FILE, --cog FILE, --netcdf FILE or --zarr DIR.")
+
+    from sal_height.configuration import validated
+    from sal_height.exports import RecordedHeights, write_las, write_map, write_netcdf, write_zarr
+    from sal_height.simulation import OriginSettings
+
+    place = validated(OriginSettings, origin, "--origin").place if origin else None
+    heights = RecordedHeights.of_bag(bag, topic, place, crs)
+    system = heights.projection.name if heights.projection else "coordinates of the map frame"
+    if las:
+        print(f"{write_las(heights, las)} points of {heights.topic} in {system}; see {las}")
+    if cog:
+        rows, cols = write_map(heights, cog, cell_size)
+        print(f"map of {rows} x {cols} cells in {system}; see {cog}")
+    if netcdf:
+        print(f"{write_netcdf(heights, netcdf)} dwells of {heights.topic} in {system}; see {netcdf}")
+    if zarr:
+        print(f"{write_zarr(heights, zarr)} dwells of {heights.topic} in {system}; see {zarr}")
+    return DONE

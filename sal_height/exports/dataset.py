@@ -1,0 +1,229 @@
+"""Heights as labelled arrays (xarray), with names and units of the CF conventions, in netCDF and Zarr."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import sal_height
+from sal_height.elevation import Validity
+from sal_height.errors import UserError
+from sal_height.exports.heights import DwellHeights, RecordedHeights
+from sal_height.geometry import Origin, Projection
+from sal_height.io import check_new_folder, writing
+
+CONVENTIONS = "CF-1.11"
+
+BATCH = 64
+"""Dwells that are held at a time while files are written."""
+
+LAYERS = {
+    "height": ("m", "height of the surface"),
+    "sigma": ("m", "standard deviation of height"),
+    "cnr_db": ("dB", "carrier-to-noise ratio of one look"),
+    "spread": ("m", "standard deviation of the surface's heights within the pixel"),
+}
+"""Fields of a surface that become variables: unit and description."""
+
+
+def open_heights(bag: Path | str, topic: str = "", *, origin: Origin | None = None, crs: str = "utm") -> Any:
+    """The heights of a bag as an xarray.Dataset, all in memory.
+
+    Variables have the dimensions dwell, surface (strongest first), row and col; a surface that a pixel lacks is NaN.
+    Coordinates x and y are easting and northing of each surface where the origin of the map is known, else distances
+    along the sphere of the map; time is that of a dwell's first pulse.
+
+    Args:
+        bag: folder or file.
+        topic: of the heights, such as /ml/height; empty: that, or the first that there is.
+        origin: of the map frame on the earth; None: as the bag says, if it does.
+        crs: name of the coordinate reference system; "local": none.
+
+    Raises:
+        UserError: the package xarray is not installed, the bag has no such heights, or their grids differ in size.
+    """
+    heights = RecordedHeights.of_bag(Path(bag), topic, origin, crs)
+    return _joined(heights, "reading")
+
+
+def write_netcdf(heights: RecordedHeights, path: Path) -> int:
+    """Write the heights of a bag as netCDF 4; returns the number of dwells.
+
+    Raises:
+        UserError: a package is not installed, grids differ in size, or the file cannot be written.
+    """
+    dataset = _joined(heights, "netcdf")
+    unfinished = path.with_name(f".{path.name}.part")
+    with writing(path):
+        try:
+            dataset.to_netcdf(unfinished, engine="h5netcdf", encoding=_compressed(dataset), unlimited_dims=["dwell"])
+            unfinished.replace(path)
+        except BaseException:
+            with suppress(OSError):
+                unfinished.unlink()
+            raise
+    return int(dataset.sizes["dwell"])
+
+
+def write_zarr(heights: RecordedHeights, path: Path) -> int:
+    """Write the heights of a bag to a new folder as Zarr, some dwells at a time; returns the number of dwells.
+
+    Raises:
+        UserError: a package is not installed, grids differ in size, or the folder exists or cannot be written.
+    """
+    _xarray(heights)
+    check_new_folder(path)
+    unfinished, count = path.with_name(f".{path.name}.part"), 0
+    with writing(path):
+        try:
+            for batch in _batches(heights, "zarr"):
+                if count:
+                    batch.to_zarr(unfinished, append_dim="dwell", consolidated=False)
+                else:
+                    batch.to_zarr(unfinished, mode="w", consolidated=False)
+                count += batch.sizes["dwell"]
+            if path.is_dir():
+                path.rmdir()
+            unfinished.replace(path)
+        finally:
+            shutil.rmtree(unfinished, ignore_errors=True)
+    return count
+
+
+def _joined(heights: RecordedHeights, task: str) -> Any:
+    """The dataset of all dwells.
+
+    Raises:
+        UserError: as `_batches`, or a package is not installed.
+    """
+    xarray = _xarray(heights)
+    batches = list(_batches(heights, task))
+    return xarray.concat(batches, "dwell", data_vars="minimal", coords="minimal", compat="override", join="exact")
+
+
+def _compressed(dataset: Any) -> dict[str, dict[str, Any]]:
+    return {name: {"zlib": True, "complevel": 1} for name, variable in dataset.variables.items() if variable.ndim > 1}
+
+
+def _batches(heights: RecordedHeights, task: str) -> Iterator[Any]:
+    """Datasets of some dwells each.
+
+    Raises:
+        UserError: there is no dwell, or their grids differ in size.
+    """
+    held: list[DwellHeights] = []
+    shape: tuple[int, ...] = ()
+    surfaces = 0
+    for dwell in heights.dwells(task):
+        shape = shape or dwell.field.validity.shape
+        surfaces = surfaces or len(dwell.field.surfaces)
+        if dwell.field.validity.shape != shape or len(dwell.field.surfaces) != surfaces:
+            raise UserError(
+                f"Topic {heights.topic} of bag {heights.reader.path} has images of {len(dwell.field.surfaces)} "
+                f"surfaces of {dwell.field.validity.shape} pixels at dwell {dwell.dwell}, and of {surfaces} of {shape} "
+                "before; "
+                "arrays need one size; cut the bag with sal-height bag cut --dwells."
+            )
+        held.append(dwell)
+        if len(held) == BATCH:
+            yield _dataset_of(heights, held)
+            held = []
+    if held:
+        yield _dataset_of(heights, held)
+    elif not shape:
+        raise UserError(f"Topic {heights.topic} of bag {heights.reader.path} has no readable image.")
+
+
+def _dataset_of(heights: RecordedHeights, dwells: list[DwellHeights]) -> Any:
+    """The dataset of some dwells."""
+    xarray = _xarray(heights)
+    pixel, scatterer = ("dwell", "row", "col"), ("dwell", "surface", "row", "col")
+    positions = np.stack([[surface.positions for surface in one.field.surfaces] for one in dwells])
+    coordinates = np.full(positions.shape, np.nan)
+    there = np.isfinite(positions).all(axis=-1)
+    coordinates[there] = heights.coordinates(positions[there])
+    layers: dict[str, Any] = {
+        name: (
+            scatterer,
+            np.stack([[getattr(surface, name) for surface in one.field.surfaces] for one in dwells]).astype(np.float32),
+            {"units": unit, "long_name": text},
+        )
+        for name, (unit, text) in LAYERS.items()
+    }
+    # Single precision has 60 um of 1000 m.
+    layers["height"] = (scatterer, coordinates[..., 2].astype(np.float32), _height_attributes(heights.projection))
+    layers["validity"] = (pixel, np.stack([one.field.validity for one in dwells]), _flags())
+    if dwells[0].field.order_probability is not None:
+        known = [np.asarray(one.field.order_probability, dtype=np.float32) for one in dwells]
+        text = "probability of 0, 1, 2 and 3 scatterers, and of one extended surface"
+        layers["order_probability"] = ((*pixel, "order"), np.stack(known), {"units": "1", "long_name": text})
+    if heights.projection is not None:
+        layers["crs"] = ((), np.int32(0), heights.projection.system.to_cf())
+        for name in LAYERS:
+            layers[name][2]["grid_mapping"] = "crs"
+    names = ("easting", "northing") if heights.projection is not None else ("distance east", "distance north")
+    standard = ("projection_x_coordinate", "projection_y_coordinate")
+    places = {
+        axis: (scatterer, coordinates[..., number], _place_attributes(names[number], standard[number], heights))
+        for number, axis in enumerate(("x", "y"))
+    }
+    stamps = np.array([one.stamp_ns for one in dwells], dtype="datetime64[ns]")
+    axes = {
+        "dwell": ("dwell", np.array([one.dwell for one in dwells], np.uint32), {"long_name": "number of the dwell"}),
+        "surface": ("surface", np.arange(1, positions.shape[1] + 1), {"long_name": "surface, strongest first"}),
+        "time": ("dwell", stamps, {"standard_name": "time", "long_name": "first pulse of the dwell"}),
+    }
+    attributes = {
+        "Conventions": CONVENTIONS,
+        "title": "Heights of the surfaces in each pixel",
+        "source": f"sal_height {sal_height.__version__}",
+        **heights.facts,
+    }
+    return xarray.Dataset(layers, {**axes, **places}, attributes)
+
+
+def _height_attributes(projection: Projection | None) -> dict[str, Any]:
+    attributes: dict[str, Any] = {"units": "m", "long_name": LAYERS["height"][1]}
+    if projection is None:
+        attributes["comment"] = "above the sphere of 6371008.8 m that touches the origin of the map"
+    elif projection.has_geoid:
+        attributes["standard_name"] = "height_above_geopotential_datum"
+    else:
+        attributes["standard_name"] = "height_above_reference_ellipsoid"
+    return attributes
+
+
+def _place_attributes(name: str, standard_name: str, heights: RecordedHeights) -> dict[str, str]:
+    attributes = {"units": "m", "long_name": name}
+    return attributes | ({"standard_name": standard_name} if heights.projection is not None else {})
+
+
+def _flags() -> dict[str, Any]:
+    return {
+        "long_name": "whether a pixel has heights, or why not",
+        "flag_values": np.array([one.value for one in Validity], np.uint8),
+        "flag_meanings": " ".join(one.name.lower() for one in Validity),
+    }
+
+
+def _xarray(heights: RecordedHeights) -> Any:
+    """Return the package, which is an extra.
+
+    Raises:
+        UserError: it or what it needs for files is not installed.
+    """
+    try:
+        import h5netcdf  # noqa: F401, PLC0415 (extras)
+        import xarray  # noqa: PLC0415
+        import zarr  # noqa: F401, PLC0415
+    except ImportError as error:
+        raise UserError(
+            f"Arrays of bag {heights.reader.path} need {error.name}; install it with: pip install "
+            "'sal_height[formats]'."
+        ) from error
+    return xarray

@@ -1,0 +1,155 @@
+"""The height images of a bag, and where on the earth they are."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from tqdm import tqdm
+
+from sal_height import messages
+from sal_height.bag.namespace import open_bag
+from sal_height.bag.reader import BagReader
+from sal_height.bag.topics import HEIGHT_TYPE
+from sal_height.elevation import ORDERS, Validity, scatterer_count
+from sal_height.errors import UserError
+from sal_height.geometry import UTM, ApertureState, Origin, Projection, sphere_coordinates
+from sal_height.numeric import F64, U8
+from sal_height.relief import HeightField
+from sal_height.runs.catalogue import MAPPERS
+from sal_height.runs.entry import origin_of
+from sal_height.runs.replay_parameters import recorded_parameters
+
+_LOG = logging.getLogger(__name__)
+
+PREFERRED = "/ml/height"
+"""Topic of the heights that are taken if the bag has several and none is named."""
+
+LOCAL = "local"
+"""Name for the coordinates of the map frame, which has no place on the earth."""
+
+
+@dataclass(frozen=True, eq=False)
+class DwellHeights:
+    """The heights of a dwell.
+
+    Attributes:
+        dwell: its number.
+        stamp_ns: of its first pulse, ns since 1970.
+        field: heights, sigmas and reasons of all pixels.
+        aperture: state of the platform in the middle of the dwell.
+    """
+
+    dwell: int
+    stamp_ns: int
+    field: HeightField
+    aperture: ApertureState
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedHeights:
+    """The height images on one topic of a bag.
+
+    Attributes:
+        reader: of the bag.
+        topic: of the images.
+        projection: coordinates of what is exported; None: those of the map frame.
+    """
+
+    reader: BagReader
+    topic: str
+    projection: Projection | None
+
+    @classmethod
+    def of_bag(cls, bag: Path, topic: str = "", origin: Origin | None = None, crs: str = UTM) -> Self:
+        """The heights on a topic of a bag.
+
+        Args:
+            bag: folder or file.
+            topic: of the images, such as /ml/height; empty: that, or the first that there is.
+            origin: of the map frame on the earth; None: as the bag says, if it does.
+            crs: name of the coordinate reference system of what is exported; LOCAL: the map frame.
+
+        Raises:
+            UserError: the bag cannot be read, it has no such heights, or the system does not suit the place.
+        """
+        reader = open_bag(bag, None, [topic] if topic else [PREFERRED])
+        held = sorted(name for name, one in reader.topics.items() if one.type_name == HEIGHT_TYPE and one.count)
+        if not held:
+            raise UserError(f"Bag {bag} has no height images; make some: sal-height replay {bag}.")
+        if topic and topic not in held:
+            raise UserError(f"Bag {bag} has no heights on topic {topic!r}; there are {', '.join(held)}.")
+        chosen = topic or (PREFERRED if PREFERRED in held else held[0])
+        place = None if crs == LOCAL else origin or _origin_in(reader)
+        return cls(reader, chosen, None if place is None else Projection.of(crs, place))
+
+    @cached_property
+    def count(self) -> int:
+        """Number of the images."""
+        return self.reader.topics[self.topic].count
+
+    def dwells(self, task: str) -> Iterator[DwellHeights]:
+        """The images one after the other, with a progress bar; those that cannot be used are left out and told.
+
+        Args:
+            task: what is done with them, for the bar.
+        """
+        left_out, why = 0, ""
+        for recorded in tqdm(self.reader.messages([self.topic]), total=self.count, desc=task, unit="dwell", delay=1):
+            try:
+                image = self.reader.decode(recorded.type_name, recorded.cdr)
+                field = messages.field_from_message(image, image.header.frame_id)
+                aperture = messages.aperture_from_message(image.aperture)
+            except UserError as error:
+                left_out, why = left_out + 1, str(error)
+                continue
+            yield DwellHeights(image.dwell, messages.to_ns(image.header.stamp), field, aperture)
+        if left_out:
+            _LOG.warning("Bag %s: %d images on %s were left out. %s", self.reader.path, left_out, self.topic, why)
+
+    def coordinates(self, positions: F64) -> F64:
+        """Coordinates (m) of positions in map (m), both of shape (..., 3).
+
+        They are easting, northing and height in the projection; without one, distances east and north along the sphere
+        and the height above it, as in a local map.
+        """
+        if self.projection is None:
+            return np.stack(sphere_coordinates(positions), axis=-1)
+        return self.projection.coordinates(positions)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What is known of their making, as texts by name."""
+        system = self.projection.name if self.projection else LOCAL
+        return {"bag": self.reader.path.name, "topic": self.topic, "crs": system}
+
+
+def _origin_in(reader: BagReader) -> Origin | None:
+    """Where a bag says that the origin of its map is: on topic map_origin, or in the parameters of a mapper."""
+    if found := origin_of(reader):
+        return found
+    recorded = recorded_parameters(reader)
+    for name in MAPPERS:
+        of_node = recorded.get(name, {})
+        latitude, longitude = (of_node.get(f"origin_{axis}_deg", 0.0) for axis in ("latitude", "longitude"))
+        if latitude or longitude:
+            return Origin(math.radians(latitude), math.radians(longitude), of_node.get("origin_height_m", 0.0))
+    return None
+
+
+def found_order(field: HeightField) -> U8:
+    """What was found in each pixel, as an index of `order_probability`: 0 to 3 scatterers, 4 an extended surface."""
+    return np.where(field.validity == Validity.EXTENDED, ORDERS - 1, scatterer_count(field.validity)).astype(np.uint8)
+
+
+def probability_of_order(field: HeightField) -> F64:
+    """The probability that a pixel holds as many scatterers as were found in it, shape (rows, cols); NaN: not known."""
+    if field.order_probability is None:
+        return np.full(field.validity.shape, np.nan)
+    return np.take_along_axis(field.order_probability, found_order(field)[..., None], axis=-1)[..., 0]

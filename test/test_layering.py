@@ -27,7 +27,7 @@ LAYERS = (
     ("bag",),
     ("nodes",),
     ("runs",),
-    ("view", "exports", "pytest_plugin"),
+    ("view", "exports", "imports", "pytest_plugin"),
     ("commands",),
     ("__main__",),
 )
@@ -38,7 +38,7 @@ Packages of one layer do not know each other.
 
 LAYER = {name: number for number, names in enumerate(LAYERS) for name in names}
 
-SHELL = {"messages", "bag", "nodes", "runs", "view", "exports", "pytest_plugin", "commands", "__main__"}
+SHELL = {"messages", "bag", "nodes", "runs", "view", "exports", "imports", "pytest_plugin", "commands", "__main__"}
 """Those that may know ROS and MCAP."""
 
 

@@ -9,13 +9,21 @@ echoes) and `truth` (what a height image should show).
 
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import Impairments, RangeSawtooth, RangeTaper
-from sal_height.simulation.preset import OriginSettings, Preset, load_preset, parse_preset, preset_names
+from sal_height.simulation.preset import (
+    MountingSettings,
+    OriginSettings,
+    Preset,
+    load_preset,
+    parse_preset,
+    preset_names,
+)
 from sal_height.simulation.scene import Scene, VisibleSurface
 from sal_height.simulation.stripmap import simulate_block
 from sal_height.simulation.truth import Truth, truth_image
 
 __all__ = [
     "Impairments",
+    "MountingSettings",
     "OriginSettings",
     "Preset",
     "RangeSawtooth",

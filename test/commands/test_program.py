@@ -26,8 +26,9 @@ from sal_height.figures import catalogue
 from sal_height.figures.curve import Curve
 
 FOLDER = Path(sal_height.commands.__file__).parent
-COMMANDS = sorted(path.stem.replace("_", "-") for path in FOLDER.glob("[a-z]*.py"))
-WITH_OUTPUT = [name for name in COMMANDS if "OutputFolder" in (FOLDER / f"{name.replace('-', '_')}.py").read_text()]
+MODULES = {path.stem.rstrip("_").replace("_", "-"): path for path in sorted(FOLDER.glob("[a-z]*.py"))}
+COMMANDS = list(MODULES)
+WITH_OUTPUT = [name for name, path in MODULES.items() if "OutputFolder" in path.read_text()]
 BAG = ("info", "check", "recover", "cut", "upgrade", "diff")
 PATHS = [
     [],
@@ -35,6 +36,8 @@ PATHS = [
     ["montecarlo", "pair"],
     ["montecarlo", "array"],
     *(["bag", name] for name in BAG),
+    ["import", "arrays"],
+    ["import", "gotcha"],
 ]
 
 SLOW_TO_IMPORT = ("numba", "scipy", "numpy", "rclpy", "matplotlib", "pydantic", "sal_height_msgs")
@@ -85,7 +88,7 @@ def test_every_module_is_a_command() -> None:
         "psf",
         "figures",
         "montecarlo",
-        "import-gotcha",
+        "import",
         "record",
         "salvage",
     } <= listed
@@ -177,7 +180,7 @@ def test_status_1_is_explained_where_it_can_occur(
         (["replay"], "BAG"),
         (["replay", "a", "b"], "more arguments than the command takes: 'b'"),
         (["irf", "a.npy", "--azimuth-axis", "2"], "--azimuth-axis"),
-        (["import-gotcha"], "FILE"),
+        (["import", "gotcha"], "FILE"),
         (["fly"], 'Unknown command "fly"'),
     ],
 )
@@ -190,7 +193,8 @@ def test_wrong_use_ends_with_status_2_and_names_the_help(
     (line,) = printed.err.splitlines()
     assert line.startswith("sal-height: ")
     assert said in line
-    assert line.endswith(f"{'' if words[0] == 'fly' else words[0] + ' '}--help.")
+    command = {"fly": "", "import": "import gotcha "}.get(words[0], f"{words[0]} ")
+    assert line.endswith(f"{command}--help.")
 
 
 @pytest.mark.parametrize("words", [[], ["montecarlo"], ["bag"]], ids=["nothing", "montecarlo", "bag"])
@@ -231,6 +235,7 @@ def test_no_command_begins_with_an_output_folder_in_use(
         "figures": ["fig3"],
         "live": ["--bag", "missing"],
         "bag": ["recover", "missing"],
+        "import": ["gotcha", "missing.mat"],
     }.get(command, ["missing.npy"])
     assert main([command, *words, "--out", str(tmp_path)]) == 2
     assert "not empty" in capsys.readouterr().err
@@ -253,14 +258,16 @@ def test_arrays_are_measured_without_ros(tmp_path: Path) -> None:
     ("missing", "how"), [("sal_height_msgs", "pip install ./msg_defs"), ("rclpy", "ros-jazzy-rclpy[fastrtps]")]
 )
 def test_commands_that_need_ros_say_what_to_install(missing: str, how: str, tmp_path: Path) -> None:
-    commands = ["run", "replay", "calibrate", "irf", "psf", "import-gotcha"]
+    commands = ["run", "replay", "calibrate", "irf", "psf", "import gotcha"]
     commands += ["salvage"] if missing == "rclpy" else []  # it copies messages of any type
     inputs = {"run": ["--preset", "small"]}
-    words = [[name, *inputs.get(name, [str(tmp_path)]), "--out", str(tmp_path / "out")] for name in commands]
+    words = [[*name.split(), *inputs.get(name, [str(tmp_path)]), "--out", str(tmp_path / "out")] for name in commands]
     results, _ = run_fresh(words, [missing])
     for name, (status, _, complaint) in zip(commands, results, strict=True):
         assert status == 2
-        assert_one_sentence(complaint.strip().removeprefix("sal-height: "), f"Command {name} needs", missing, how)
+        assert_one_sentence(
+            complaint.strip().removeprefix("sal-height: "), f"Command {name.split()[0]} needs", missing, how
+        )
 
 
 def test_view_says_how_to_install_the_viewer(tmp_path: Path) -> None:

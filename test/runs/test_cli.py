@@ -40,7 +40,7 @@ from sal_height.runs.catalogue import check_parameters
         (["run", "--preset", "xband_relief", "--dwells", "500"], "terrain"),
         (["replay", "no_such_bag"], "no_such_bag"),
         (["salvage", "no_such_bag"], "no_such_bag"),
-        (["import-gotcha", "no_such.mat"], "no_such.mat"),
+        (["import", "gotcha", "no_such.mat"], "no_such.mat"),
     ],
 )
 def test_what_cannot_be_used_is_named_in_one_sentence(

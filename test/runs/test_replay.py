@@ -29,11 +29,11 @@ from sal_height.bag.tolerance import Tolerance, Tolerances
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
+from sal_height.imports.gotcha import import_gotcha
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.player import Player
 from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.runs.conductor import Execution
-from sal_height.runs.gotcha import import_gotcha
 from sal_height.runs.replay import replay
 from sal_height.runs.replay_parameters import recorded_parameters
 from sal_height.runs.reporting import PARAMETERS

@@ -1,27 +1,21 @@
-"""`sal-height import-gotcha`: AFRL Gotcha phase history (MATLAB files) becomes a bag of one dwell."""
+"""AFRL Gotcha phase history (MATLAB files) becomes a bag of one dwell."""
 
 from __future__ import annotations
 
-import json
 import re
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.qos import QoSProfile
 from scipy.constants import speed_of_light
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
-from sal_height import messages
-from sal_height.bag.codec import serialized
-from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.geometry import PlatformState
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.imports.collection import Collection, write_collection
 from sal_height.numeric import F64, I64
-from sal_height.runs.reporting import PARAMETERS
 from sal_height.sensor import PhaseHistory, Sensor
 
 FIELDS = ("fp", "freq", "x", "y", "z", "r0")
@@ -87,7 +81,7 @@ def import_gotcha(files: list[Path], out: Path) -> int:
     sensor = _sensor(frequency, antenna, velocity, times, polarisation)
     history = PhaseHistory(0, times, reference, samples)
     states = _states(times_ns, antenna, velocity, sensor.look_side)
-    _write(out, sensor, history, states, focusing(sensor, antenna))
+    write_collection(Collection(sensor, [history], states, parameters=focusing(sensor, antenna)), out)
     return len(times)
 
 
@@ -241,32 +235,3 @@ def _states(times_ns: I64, antenna: F64, velocity: F64, look_side: int) -> list[
         PlatformState(int(ns), position, attitude, speed, np.zeros((6, 6)))
         for ns, position, attitude, speed in zip(times_ns, antenna, orientation, velocity, strict=True)
     ]
-
-
-def _write(
-    out: Path,
-    sensor: Sensor,
-    history: PhaseHistory,
-    states: list[PlatformState],
-    parameters: dict[str, dict[str, Any]],
-) -> None:
-    """Write the bag: each message logged at the time it would have been received."""
-    topics: dict[str, tuple[str, QoSProfile]] = {
-        "/sensor_info": ("sal_height_msgs/msg/SensorInfo", LATCHED_QOS),
-        "/platform/odometry": ("nav_msgs/msg/Odometry", ODOMETRY_QOS),
-        "/phase_history": ("sal_height_msgs/msg/ChannelFrame", FRAMES_QOS),
-    }
-    end_ns = states[-1].stamp_ns
-    recorded: list[tuple[str, Any, int]] = [
-        ("/sensor_info", messages.sensor_to_message(sensor, messages.to_stamp(0)), 0)
-    ]
-    recorded += [
-        ("/platform/odometry", messages.state_to_message(s, messages.to_stamp(s.stamp_ns)), s.stamp_ns) for s in states
-    ]
-    frames = messages.history_to_messages(history, sensor, 0, messages.to_stamp(history.stamp_ns))
-    recorded += [("/phase_history", frame, end_ns + 1) for frame in frames]
-    with BagWriter(out, {PARAMETERS: json.dumps(parameters)}) as bag:
-        for topic, (type_name, qos) in topics.items():
-            bag.add_topic(topic, type_name, [qos])
-        for topic, message, time_ns in recorded:
-            bag.write(topic, serialized(message), time_ns, time_ns)

@@ -13,7 +13,7 @@ from scipy.io import savemat
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.runs.gotcha import focusing, import_gotcha
+from sal_height.imports.gotcha import focusing, import_gotcha
 
 PULSES, FREQUENCIES = 5, 16
 STEP = 1.5e6

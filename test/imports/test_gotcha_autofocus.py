@@ -12,7 +12,7 @@ from phase_errors import residual_phase
 from scipy.io import loadmat, savemat
 
 from sal_height.bag.reader import BagReader
-from sal_height.runs.gotcha import FIELDS, import_gotcha
+from sal_height.imports.gotcha import FIELDS, import_gotcha
 from sal_height.runs.replay import replay
 
 CYCLES = 3.0

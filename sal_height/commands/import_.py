@@ -1,0 +1,84 @@
+"""`sal-height import`: make a bag of what other programs and sensors have recorded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Group, Parameter
+
+from sal_height.commands._options import BAGS, DONE, OutputFolder, command, output_folder
+
+KINDS = Group("What is imported", sort_key=3)
+
+EXAMPLES = """
+  sal-height import arrays radar.yaml flight.npz --track track.csv
+  sal-height import gotcha data_3dsar_pass1_az00*_HH.mat
+"""
+
+ARRAYS_EXAMPLES = """
+  sal-height import arrays radar.yaml flight.npz
+  sal-height import arrays radar.yaml flight.mat --track navigation.sbet
+  sal-height import arrays radar.yaml flight.h5 --track track.csv --out out/mine
+"""
+
+GOTCHA_EXAMPLES = """
+  sal-height import gotcha pass1/HH/data_3dsar_pass1_az00*_HH.mat \\
+    --out out/gotcha
+  sal-height replay out/gotcha
+"""
+
+app = command("import", BAGS, EXAMPLES)
+app.help = "Make a bag, which sal-height replay processes, of what other programs and sensors have recorded."
+arrays_app = command("arrays", KINDS, ARRAYS_EXAMPLES)
+gotcha_app = command("gotcha", KINDS, GOTCHA_EXAMPLES)
+for kind in (arrays_app, gotcha_app):
+    app.command(kind)
+
+
+@arrays_app.default
+def arrays(
+    sensor: Annotated[Path, Parameter(name="SENSOR")],
+    data: Annotated[Path, Parameter(name="DATA")],
+    /,
+    *,
+    track: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    out: OutputFolder = None,
+) -> int:
+    """Make a bag of arrays of phase history and the description of their sensor.
+
+    DATA holds the arrays samples, complex, of dwells, channels, pulses and samples
+    (dwells and channels may be left out), pulse_times (s) and reference_range (m);
+    and times, positions and maybe velocities and attitudes of the platform, unless
+    --track has them. docs/import.md describes them, and SENSOR key by key.
+
+    Args:
+        sensor: YAML file of the sensor.
+        data: File of arrays: .npz, .mat or .h5.
+        track: Track of the platform: CSV with a line of names, or SBET (.sbet, .out).
+        out: Folder of the new bag, new or empty. Default: out/DATA, or the next free of out/DATA_2, ….
+    """
+    from sal_height.imports import import_arrays
+
+    folder = output_folder(out, data.stem)
+    dwells = import_arrays(sensor, data, folder, track)
+    print(f"{dwells} dwells in {folder}; process them with: sal-height replay {folder}")
+    return DONE
+
+
+@gotcha_app.default
+def gotcha(
+    files: Annotated[tuple[Path, ...], Parameter(name="FILE", required=True)] = (), /, *, out: OutputFolder = None
+) -> int:
+    """Convert AFRL Gotcha phase history to a bag, which sal-height replay focuses.
+
+    Args:
+        files: Consecutive files data_3dsar_*.mat of one pass and polarisation.
+        out: Folder of the new bag, new or empty. Default: out/gotcha, or the next free of out/gotcha_2, ….
+    """
+    from sal_height.imports import import_gotcha
+
+    folder = output_folder(out, "gotcha")
+    pulses = import_gotcha(list(files), folder)
+    print(f"{pulses} pulses in {folder}; focus them with: sal-height replay {folder}")
+    return DONE

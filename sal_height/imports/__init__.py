@@ -1,0 +1,23 @@
+"""What other programs and sensors have recorded becomes a bag that `sal-height replay` processes.
+
+Read `collection` first (a sensor, its track and its phase histories, and how they are written), then `description` (the
+sensor in YAML), `arrays` (files of arrays), `track` (positions from CSV and SBET) and `gotcha` (AFRL Gotcha).
+"""
+
+from sal_height.imports.arrays import import_arrays
+from sal_height.imports.collection import Collection, level_states, write_collection
+from sal_height.imports.description import Description, read_description
+from sal_height.imports.gotcha import import_gotcha
+from sal_height.imports.track import Track, read_track
+
+__all__ = [
+    "Collection",
+    "Description",
+    "Track",
+    "import_arrays",
+    "import_gotcha",
+    "level_states",
+    "read_description",
+    "read_track",
+    "write_collection",
+]

@@ -1,0 +1,151 @@
+"""Arrays of anybody's sensor, with its description in YAML, become a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sal_height.errors import UserError
+from sal_height.imports.collection import Collection, write_collection
+from sal_height.imports.description import Description, read_description
+from sal_height.imports.track import Track, read_track
+from sal_height.sensor import PhaseHistory
+
+NEEDED = ("samples", "pulse_times", "reference_range")
+OF_TRACK = ("times", "positions", "velocities", "attitudes")
+
+
+def import_arrays(description: Path, data: Path, out: Path, track: Path | None = None) -> int:
+    """Write a bag from a file of arrays and the description of the sensor; returns the number of dwells.
+
+    Args:
+        description: YAML file of the sensor.
+        data: .npz, .mat or .h5 file of arrays; names and shapes are in `collection_of`.
+        out: folder of the bag, new or empty.
+        track: CSV or SBET file of the platform's track; None: it is among the arrays.
+
+    Raises:
+        UserError: a file cannot be read, parts are missing or do not fit each other, or the bag cannot be written.
+    """
+    described, arrays = read_description(description), read_arrays(data)
+    flown = read_track(track, described.place) if track else None
+    collection = collection_of(described, arrays, flown)
+    write_collection(collection, out)
+    return len(collection.histories)
+
+
+def read_arrays(path: Path) -> dict[str, Any]:
+    """The arrays of a .npz, .mat or HDF5 file by name.
+
+    Raises:
+        UserError: it is another kind of file, or cannot be read.
+    """
+    try:
+        if path.suffix.lower() == ".npz":
+            with np.load(path) as file:
+                return dict(file)
+        if path.suffix.lower() == ".mat":
+            return _read_mat(path)
+        if path.suffix.lower() in {".h5", ".hdf5"}:
+            return _read_hdf5(path)
+    except UserError:
+        raise
+    except Exception as error:  # each library has its own for a damaged file
+        raise UserError(f"File {path} is not a readable file of arrays: {' '.join(str(error).split())}.") from error
+    raise UserError(f"File {path} has the suffix {path.suffix!r}; arrays are read from .npz, .mat and .h5.")
+
+
+def collection_of(description: Description, arrays: Mapping[str, Any], track: Track | None = None) -> Collection:
+    """The collection of arrays.
+
+    Args:
+        description: of the sensor.
+        arrays: samples, complex, of the shape (dwells, channels, pulses, samples), where dwells, or dwells and
+            channels, may be left out if there is one; pulse_times, s, (dwells, pulses) or (pulses,); reference_range,
+            m, of the same shape, or one number; and if there is no track: times, s, (n,), positions, m, (n, 3), and
+            maybe velocities, m/s, (n, 3), and attitudes (x, y, z, w), (n, 4), as in `Track`. All times count from the
+            same begin; start_ns, if it is there, says when that was, ns since 1970.
+        track: of the platform.
+
+    Raises:
+        UserError: arrays are missing, or do not fit each other or the description.
+    """
+    if missing := [name for name in NEEDED if name not in arrays]:
+        raise UserError(f"The arrays lack {', '.join(missing)}; there are {', '.join(sorted(arrays))}.")
+    samples = np.asarray(arrays["samples"])
+    if not np.iscomplexobj(samples) or not 2 <= samples.ndim <= 4:
+        raise UserError(
+            f"Array samples has the type {samples.dtype} and the shape {samples.shape}; it must be complex, of dwells, "
+            "channels, pulses and samples."
+        )
+    four = samples.reshape((1,) * (4 - samples.ndim) + samples.shape)
+    samples = np.ascontiguousarray(four, dtype=np.complex64)
+    shape = samples.shape[0], samples.shape[2]
+    times, ranges = (_per_pulse(name, arrays[name], shape) for name in NEEDED[1:])
+    start_ns = int(np.ravel(arrays["start_ns"])[0]) if "start_ns" in arrays else 0
+    intervals = np.diff(times, axis=1)
+    if shape[1] < 2 or not np.all(np.isfinite(times)) or not intervals.mean() > 0:
+        raise UserError(
+            "Array pulse_times must have two or more pulses in each dwell, with finite times that increase."
+        )
+    sensor = description.sensor(shape[1], samples.shape[3], float(1 / intervals.mean()))
+    histories = [
+        PhaseHistory(start_ns + round(float(first) * 1e9), here - first, reference, of_dwell)
+        for first, here, reference, of_dwell in zip(times[:, 0], times, ranges, samples, strict=True)
+    ]
+    if track is None:
+        if missing := [name for name in OF_TRACK[:2] if name not in arrays]:
+            raise UserError(
+                f"The arrays lack {', '.join(missing)} of the track; add them, or give a file of the track."
+            )
+        seconds, positions, velocities, attitudes = (
+            np.asarray(arrays[name], dtype=np.float64) if name in arrays else None for name in OF_TRACK
+        )
+        track = Track(np.ravel(seconds), positions, velocities, attitudes)  # type: ignore[arg-type]  # looked for above
+    return Collection(sensor, histories, track.states(start_ns), description.place, description.processing)
+
+
+def _per_pulse(name: str, values: Any, shape: tuple[int, int]) -> Any:
+    """Values of each pulse of each dwell.
+
+    Raises:
+        UserError: there are not as many.
+    """
+    numbers = np.asarray(values, dtype=np.float64)
+    if numbers.size == 1:
+        numbers = numbers.ravel()[0]
+    elif numbers.size == shape[1]:
+        numbers = numbers.ravel()
+    try:
+        return np.broadcast_to(numbers, shape)
+    except ValueError as error:
+        raise UserError(
+            f"Array {name} has the shape {numbers.shape}; it must be {shape} (dwells and pulses), or {shape[1:]}."
+        ) from error
+
+
+def _read_mat(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat  # noqa: PLC0415 (0.1 s)
+
+    try:
+        return {name: value for name, value in loadmat(path).items() if not name.startswith("__")}
+    except NotImplementedError:  # version 7.3 is HDF5, with axes in the order of Fortran
+        return {name: value.T for name, value in _read_hdf5(path).items()}
+
+
+def _read_hdf5(path: Path) -> dict[str, Any]:
+    try:
+        import h5py  # noqa: PLC0415 (an extra)
+    except ImportError as error:
+        raise UserError(f"Reading {path} needs h5py; install it with: pip install 'sal_height[formats]'.") from error
+    with h5py.File(path) as file:
+        return {name: _complex(entry[()]) for name, entry in file.items() if isinstance(entry, h5py.Dataset)}
+
+
+def _complex(values: Any) -> Any:
+    """Complex numbers of a compound of real and imag, as MATLAB writes them; others as they are."""
+    names = getattr(values.dtype, "names", None)
+    return values["real"] + 1j * values["imag"] if names == ("real", "imag") else values

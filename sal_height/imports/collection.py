@@ -1,0 +1,153 @@
+"""What a sensor has collected on a flight, and its bag."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rclpy.qos import QoSProfile
+from scipy.spatial.transform import Rotation
+
+from sal_height import messages
+from sal_height.bag.codec import serialized
+from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
+from sal_height.bag.writer import BagWriter
+from sal_height.errors import UserError
+from sal_height.geometry import Origin, PlatformState
+from sal_height.nodes.played import SENSOR
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, MAP_ORIGIN, ODOMETRY_QOS
+from sal_height.numeric import F64, I64
+from sal_height.runs.reporting import PARAMETERS
+from sal_height.sensor import PhaseHistory, Sensor
+
+SENSOR_INFO, ODOMETRY, FRAMES = (f"/{name}" for name in SENSOR)
+
+
+@dataclass(frozen=True, eq=False)
+class Collection:
+    """A sensor, the dwells that it has taken, and the track of the platform meanwhile.
+
+    Attributes:
+        sensor: that took all dwells.
+        histories: of the dwells, in the order of time.
+        states: of base_link, in the order of time, from before the first pulse to after the last one.
+        origin: of the map frame on the earth; None: not known.
+        parameters: of nodes, by node and name, with which the dwells are to be processed.
+    """
+
+    sensor: Sensor
+    histories: Sequence[PhaseHistory]
+    states: Sequence[PlatformState]
+    origin: Origin | None = None
+    parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def check(self) -> None:
+        """Check that all parts fit each other.
+
+        Raises:
+            UserError: sizes that are not those of the sensor, samples or times that are not finite, times that go back,
+                or a track that does not reach from the first pulse to the last one.
+        """
+        if not self.histories:
+            raise UserError("The collection has no dwell; at least one is needed.")
+        for number, history in enumerate(self.histories):
+            if fault := _fault_of(history, self.sensor):
+                raise UserError(f"Dwell {number} of the collection has {fault}.")
+        if len(self.states) < 2:
+            raise UserError(f"The track has {len(self.states)} states; two or more are needed.")
+        first, last = self.histories[0].stamp_ns, self.histories[-1].stamp_of_last_pulse_ns
+        begin, end = self.states[0].stamp_ns, self.states[-1].stamp_ns
+        if begin < 0:
+            raise UserError(
+                f"The track begins {-begin * 1e-9:.6g} s before 1970; state a begin of all times after that (start_ns)."
+            )
+        if begin > first or end < last:
+            raise UserError(
+                f"The track reaches from {(begin - first) * 1e-9:.6g} s to {(end - first) * 1e-9:.6g} s after the "
+                f"first pulse; pulses come from 0 to {(last - first) * 1e-9:.6g} s."
+            )
+
+
+def _fault_of(history: PhaseHistory, sensor: Sensor) -> str:
+    """What makes a dwell of a sensor useless, as the end of a sentence; empty: nothing does."""
+    expected = sensor.detector_count, sensor.pulse_count, sensor.sample_count
+    if history.samples.shape != expected:
+        return f"samples of shape {history.samples.shape}; the sensor has {expected} channels, pulses and samples"
+    for name in ("pulse_times", "reference_range"):
+        values = np.asarray(getattr(history, name))
+        if values.shape != expected[1:2] or not np.all(np.isfinite(values)):
+            return f"{name} of shape {values.shape}; it must be {expected[1]} finite numbers, one per pulse"
+    if np.any(np.diff(history.pulse_times) < 0):
+        return "pulse times that go back; they must not decrease"
+    if not np.all(np.isfinite(history.samples)):
+        return "samples that are NaN or infinite; all must be finite"
+    return ""
+
+
+def write_collection(collection: Collection, out: Path | str) -> None:
+    """Write a bag, each message logged at the time at which it would have been received.
+
+    Args:
+        collection: what goes into the bag.
+        out: folder of the bag, new or empty.
+
+    Raises:
+        UserError: parts do not fit each other, or the bag cannot be written.
+    """
+    collection.check()
+    sensor, begin_ns = collection.sensor, collection.states[0].stamp_ns
+    start = messages.to_stamp(begin_ns)
+    topics: dict[str, tuple[str, QoSProfile]] = {
+        SENSOR_INFO: (SENSOR_TYPE, LATCHED_QOS),
+        ODOMETRY: (ODOMETRY_TYPE, ODOMETRY_QOS),
+        FRAMES: (FRAME_TYPE, FRAMES_QOS),
+    }
+    recorded: list[tuple[str, Any, int]] = [(SENSOR_INFO, messages.sensor_to_message(sensor, start), begin_ns)]
+    if collection.origin:
+        topics[f"/{MAP_ORIGIN}"] = FIX_TYPE, LATCHED_QOS
+        origin = messages.origin_to_message(collection.origin, start, messages.MAP_FRAME)
+        recorded.append((f"/{MAP_ORIGIN}", origin, begin_ns))
+    recorded += [
+        (ODOMETRY, messages.state_to_message(state, messages.to_stamp(state.stamp_ns)), state.stamp_ns)
+        for state in collection.states
+    ]
+    recorded.sort(key=lambda entry: entry[2])
+    waiting = iter(recorded)
+    entry = next(waiting, None)
+    with BagWriter(Path(out), {PARAMETERS: json.dumps(collection.parameters)}) as bag:
+        for topic, (type_name, qos) in topics.items():
+            bag.add_topic(topic, type_name, [qos])
+        for dwell, history in enumerate(collection.histories):
+            # A dwell is complete when the odometry has come that is around its last pulse.
+            end_ns = history.stamp_of_last_pulse_ns + 1
+            after_ns = next((s.stamp_ns for s in collection.states if s.stamp_ns >= end_ns), end_ns)
+            while entry and entry[2] <= after_ns:
+                bag.write(entry[0], serialized(entry[1]), entry[2], entry[2])
+                entry = next(waiting, None)
+            for frame in messages.history_to_messages(history, sensor, dwell, messages.to_stamp(history.stamp_ns)):
+                bag.write(FRAMES, serialized(frame), after_ns, after_ns)
+        while entry:
+            bag.write(entry[0], serialized(entry[1]), entry[2], entry[2])
+            entry = next(waiting, None)
+
+
+def level_states(stamps_ns: I64, positions: F64, velocities: F64 | None = None) -> list[PlatformState]:
+    """States of a level platform whose x axis points along its track.
+
+    Args:
+        stamps_ns: increasing times, ns since 1970, shape (n,).
+        positions: in map, m, shape (n, 3).
+        velocities: in map, m/s, shape (n, 3); None: the slope of the positions.
+    """
+    if velocities is None:
+        velocities = np.asarray(np.gradient(positions, (stamps_ns - stamps_ns[0]) * 1e-9, axis=0), dtype=np.float64)
+    heading = np.arctan2(velocities[:, 1], velocities[:, 0])
+    attitudes = Rotation.from_euler("z", heading[:, None]).as_quat()
+    return [
+        PlatformState(int(stamp), position, attitude, velocity, np.zeros((6, 6)))
+        for stamp, position, attitude, velocity in zip(stamps_ns, positions, attitudes, velocities, strict=True)
+    ]

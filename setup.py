@@ -48,7 +48,7 @@ setup(
     extras_require={
         "batch": ["distributed", "pyarrow"],
         "dem": ["rasterio"],
-        "formats": ["h5netcdf", "h5py", "laspy[lazrs]", "rasterio", "xarray", "zarr"],
+        "formats": ["h5netcdf", "h5py", "laspy[lazrs]", "rasterio", "sarkit", "xarray", "zarr"],
         "view": ["rerun-sdk"],
         "test": ["cyclonedds; platform_machine == 'x86_64'", "h5py", "pytest", "pytest-xdist", "rio-cogeo"],
         "dev": ["colcon-common-extensions", "mypy", "pre-commit", "ruff", "types-PyYAML"],

@@ -13,6 +13,7 @@ KINDS = Group("What is imported", sort_key=3)
 
 EXAMPLES = """
   sal-height import arrays radar.yaml flight.npz --track track.csv
+  sal-height import cphd spotlight.cphd
   sal-height import gotcha data_3dsar_pass1_az00*_HH.mat
 """
 
@@ -20,6 +21,12 @@ ARRAYS_EXAMPLES = """
   sal-height import arrays radar.yaml flight.npz
   sal-height import arrays radar.yaml flight.mat --track navigation.sbet
   sal-height import arrays radar.yaml flight.h5 --track track.csv --out out/mine
+"""
+
+CPHD_EXAMPLES = """
+  sal-height import cphd spotlight.cphd --out out/spotlight
+  sal-height import cphd polarimetric.cphd --channel VV
+  sal-height replay out/spotlight
 """
 
 GOTCHA_EXAMPLES = """
@@ -31,8 +38,9 @@ GOTCHA_EXAMPLES = """
 app = command("import", BAGS, EXAMPLES)
 app.help = "Make a bag, which sal-height replay processes, of what other programs and sensors have recorded."
 arrays_app = command("arrays", KINDS, ARRAYS_EXAMPLES)
+cphd_app = command("cphd", KINDS, CPHD_EXAMPLES)
 gotcha_app = command("gotcha", KINDS, GOTCHA_EXAMPLES)
-for kind in (arrays_app, gotcha_app):
+for kind in (arrays_app, cphd_app, gotcha_app):
     app.command(kind)
 
 
@@ -63,6 +71,33 @@ def arrays(
     folder = output_folder(out, data.stem)
     dwells = import_arrays(sensor, data, folder, track)
     print(f"{dwells} dwells in {folder}; process them with: sal-height replay {folder}")
+    return DONE
+
+
+@cphd_app.default
+def cphd(
+    file: Annotated[Path, Parameter(name="FILE")],
+    /,
+    *,
+    channel: Annotated[str, Parameter(metavar="ID", show_default=False)] = "",
+    out: OutputFolder = None,
+) -> int:
+    """Convert a channel of compensated phase history data to a bag, which sal-height replay focuses.
+
+    Read are files of CPHD 1.0 and 1.1 in the domain FX, of one platform, whatever their
+    sign, number format and frequencies from pulse to pulse. The map's origin is the
+    image area reference point.
+
+    Args:
+        file: The file.
+        channel: Identifier of the channel. Default: the reference channel.
+        out: Folder of the new bag, new or empty. Default: out/FILE, or the next free of out/FILE_2, ….
+    """
+    from sal_height.imports import import_cphd
+
+    folder = output_folder(out, file.stem)
+    pulses = import_cphd(file, folder, channel)
+    print(f"{pulses} pulses in {folder}; focus them with: sal-height replay {folder}")
     return DONE
 
 

@@ -65,6 +65,23 @@ class Origin:
         places = np.broadcast_arrays(longitude, latitude, height)
         return np.stack(self._topocentric.transform(*places, radians=True), axis=-1)
 
+    @property
+    def axes(self) -> F64:
+        """East, north and up of the map as rows of earth-centred, earth-fixed coordinates, shape (3, 3)."""
+        return local_axes(self.latitude, self.longitude)
+
+    def from_space(self, positions: F64) -> F64:
+        """Map coordinates (m) of earth-centred, earth-fixed ones (m), both of shape (..., 3)."""
+        return (positions - self._in_space) @ self.axes.T
+
+    @cached_property
+    def _in_space(self) -> F64:
+        """Earth-centred, earth-fixed coordinates of the origin, m."""
+        from pyproj import Transformer  # noqa: PLC0415
+
+        to_space = Transformer.from_pipeline("+proj=cart +ellps=WGS84")
+        return np.array(to_space.transform(self.longitude, self.latitude, self.height, radians=True))
+
     def to_geodetic(self, positions: F64) -> tuple[F64, F64, F64]:
         """Latitude, longitude (rad) and height (m) of map positions (m), shape (..., 3): undo `to_map`."""
         east, north, up = np.moveaxis(np.asarray(positions, dtype=np.float64), -1, 0)
@@ -78,4 +95,4 @@ class Origin:
             position: the place in map, m, shape (3,).
         """
         latitude, longitude, _ = self.to_geodetic(position)
-        return local_axes(self.latitude, self.longitude) @ local_axes(float(latitude), float(longitude)).T
+        return self.axes @ local_axes(float(latitude), float(longitude)).T

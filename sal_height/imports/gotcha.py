@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from scipy.constants import speed_of_light
 from scipy.io import loadmat
-from scipy.spatial.transform import Rotation
 
 from sal_height.errors import UserError
-from sal_height.geometry import PlatformState
 from sal_height.imports.collection import Collection, write_collection
-from sal_height.numeric import F64, I64
+from sal_height.imports.receiver import boresight_to, focusing, side_of, states_towards
+from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor
 
 FIELDS = ("fp", "freq", "x", "y", "z", "r0")
@@ -31,9 +30,6 @@ SCENE = 100.0
 
 WIDEST_SPACING = 0.2
 """Greatest pixel spacing of the image, m: of range cells of 0.34 m on the ground; 6 files or less resolve no more."""
-
-MOST_PIXELS = 4095
-"""Greatest number of rows and columns of the image: with so many it is smaller than SCENE rather than undersampled."""
 
 PLAUSIBLE = {"freq": (1e9, 1e11), "r0": (1e3, 1e6)}
 """Values of an airborne radar in Hz and m; others are of other units."""
@@ -80,22 +76,10 @@ def import_gotcha(files: list[Path], out: Path) -> int:
     reference = np.concatenate([part["r0"].ravel() for part in ordered])
     sensor = _sensor(frequency, antenna, velocity, times, polarisation)
     history = PhaseHistory(0, times, reference, samples)
-    states = _states(times_ns, antenna, velocity, sensor.look_side)
-    write_collection(Collection(sensor, [history], states, parameters=focusing(sensor, antenna)), out)
+    states = states_towards(times_ns, antenna, velocity, np.zeros(3), sensor.look_side)
+    image = focusing(sensor, antenna, float(np.linalg.norm(antenna[len(antenna) // 2])), SCENE, WIDEST_SPACING)
+    write_collection(Collection(sensor, [history], states, parameters=image), out)
     return len(times)
-
-
-def focusing(sensor: Sensor, antenna: F64) -> dict[str, dict[str, Any]]:
-    """Parameters that focus the scene on pixels no farther apart than the aperture resolves.
-
-    The resolution along the flight is wavelength * range / (2 * aperture length).
-    """
-    length = float(np.linalg.norm(np.diff(antenna, axis=0), axis=-1).sum())
-    resolution = sensor.wavelength * float(np.linalg.norm(antenna[len(antenna) // 2])) / (2 * length)
-    spacing = min(WIDEST_SPACING, resolution)
-    pixels = min(2 * round(SCENE / 2 / spacing) + 1, MOST_PIXELS)
-    image = {"image_plane": "ground", "rows": pixels, "cols": pixels, "ground_spacing_m": spacing}
-    return {"sar_compression": image | {"range_window": "rectangular", "azimuth_window": "rectangular"}}
 
 
 def _common_polarisation(files: list[Path]) -> str:
@@ -208,12 +192,10 @@ def _check_units(path: Path, part: dict[str, Any]) -> None:
 def _sensor(frequency: F64, antenna: F64, velocity: F64, times: F64, polarisation: str) -> Sensor:
     """One receiver with its boresight on the map's origin, seen from the middle of the track."""
     middle = len(antenna) // 2
-    level = float(np.hypot(*antenna[middle, :2]))
-    turn = np.cross(velocity[middle], -antenna[middle])[2]
     wavelength = speed_of_light / float(np.mean(frequency))
     return Sensor(
         name=f"afrl_gotcha_{polarisation}".rstrip("_"),
-        look_side=-1 if turn > 0 else 1,
+        look_side=side_of(antenna[middle], velocity[middle], np.zeros(3)),
         wavelength=wavelength,
         bandwidth=float(frequency[-1] - frequency[0]) * len(frequency) / (len(frequency) - 1),
         sample_count=len(frequency),
@@ -222,16 +204,6 @@ def _sensor(frequency: F64, antenna: F64, velocity: F64, times: F64, polarisatio
         elevation_diameter=wavelength / BEAM,
         azimuth_diameter=wavelength / BEAM,
         pattern="sinc",
-        elevation_boresights=(float(np.arctan2(level, antenna[middle, 2])),),
+        elevation_boresights=(boresight_to(antenna[middle], np.zeros(3)),),
         noise_power=(0.0,),
     )
-
-
-def _states(times_ns: I64, antenna: F64, velocity: F64, look_side: int) -> list[PlatformState]:
-    """One level state per pulse, its side turned to the map's origin."""
-    towards = np.arctan2(-antenna[:, 1], -antenna[:, 0])
-    orientation = Rotation.from_euler("z", (towards + look_side * np.pi / 2)[:, None]).as_quat()
-    return [
-        PlatformState(int(ns), position, attitude, speed, np.zeros((6, 6)))
-        for ns, position, attitude, speed in zip(times_ns, antenna, orientation, velocity, strict=True)
-    ]

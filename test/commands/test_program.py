@@ -37,6 +37,7 @@ PATHS = [
     ["montecarlo", "array"],
     *(["bag", name] for name in BAG),
     ["import", "arrays"],
+    ["import", "cphd"],
     ["import", "gotcha"],
 ]
 

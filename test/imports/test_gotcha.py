@@ -13,7 +13,8 @@ from scipy.io import savemat
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.imports.gotcha import focusing, import_gotcha
+from sal_height.imports.gotcha import import_gotcha
+from sal_height.imports.receiver import focusing
 
 PULSES, FREQUENCIES = 5, 16
 STEP = 1.5e6
@@ -146,7 +147,9 @@ def test_pixels_are_as_close_as_the_aperture_resolves(tmp_path: Path) -> None:
         angle = np.radians(np.linspace(0, degrees, 1000))
         antenna = 7000 * np.stack([np.cos(angle), np.sin(angle), np.ones(1000)], axis=-1)
         resolution = sensor.wavelength * 7000 * np.sqrt(2) / (2 * 7000 * np.radians(degrees))
-        image = focusing(sensor, antenna)["sar_compression"]
+        image = focusing(sensor, antenna, float(np.linalg.norm(antenna[len(antenna) // 2])), 100.0, 0.2)[
+            "sar_compression"
+        ]
         assert image["ground_spacing_m"] == pytest.approx(spacing or resolution, rel=1e-4)
         assert image["rows"] == image["cols"] == 2 * round(50 / image["ground_spacing_m"]) + 1
         assert image["ground_spacing_m"] < 1.0001 * resolution

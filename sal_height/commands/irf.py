@@ -51,6 +51,8 @@ def irf(
 
     An image is one of
       .npy, .npz   the complex array in it: (rows, cols) or (channels, rows, cols)
+      .mat, .h5    the same; of NISAR (RSLC) all polarisations, as channels
+      .tif, .nitf  the complex bands of a GeoTIFF, as channels, or a SICD
       bag          folder or .mcap file: every ComplexImage in it (topic slc),
                    with its sensor_info, which is needed to remove the phase of
                    range first; adds positions and widths in m

@@ -59,6 +59,8 @@ def psf(
     be sampled critically or finer. An image is one of
       .npy, .npz   the complex array in it: (range, azimuth) or (channels, range,
                    azimuth)
+      .mat, .h5    the same; of NISAR (RSLC) all polarisations, as channels
+      .tif, .nitf  the complex bands of a GeoTIFF, as channels, or a SICD
       bag          folder or .mcap file: every ComplexImage in it (topic slc),
                    with its sensor_info; adds m to pixels
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sal_height.array_files import named_arrays
 from sal_height.errors import UserError
 from sal_height.imports.collection import Collection, write_collection
 from sal_height.imports.description import Description, read_description
@@ -30,32 +31,11 @@ def import_arrays(description: Path, data: Path, out: Path, track: Path | None =
     Raises:
         UserError: a file cannot be read, parts are missing or do not fit each other, or the bag cannot be written.
     """
-    described, arrays = read_description(description), read_arrays(data)
+    described, arrays = read_description(description), named_arrays(data)
     flown = read_track(track, described.place) if track else None
     collection = collection_of(described, arrays, flown)
     write_collection(collection, out)
     return len(collection.histories)
-
-
-def read_arrays(path: Path) -> dict[str, Any]:
-    """The arrays of a .npz, .mat or HDF5 file by name.
-
-    Raises:
-        UserError: it is another kind of file, or cannot be read.
-    """
-    try:
-        if path.suffix.lower() == ".npz":
-            with np.load(path) as file:
-                return dict(file)
-        if path.suffix.lower() == ".mat":
-            return _read_mat(path)
-        if path.suffix.lower() in {".h5", ".hdf5"}:
-            return _read_hdf5(path)
-    except UserError:
-        raise
-    except Exception as error:  # each library has its own for a damaged file
-        raise UserError(f"File {path} is not a readable file of arrays: {' '.join(str(error).split())}.") from error
-    raise UserError(f"File {path} has the suffix {path.suffix!r}; arrays are read from .npz, .mat and .h5.")
 
 
 def collection_of(description: Description, arrays: Mapping[str, Any], track: Track | None = None) -> Collection:
@@ -125,27 +105,3 @@ def _per_pulse(name: str, values: Any, shape: tuple[int, int]) -> Any:
         raise UserError(
             f"Array {name} has the shape {numbers.shape}; it must be {shape} (dwells and pulses), or {shape[1:]}."
         ) from error
-
-
-def _read_mat(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat  # noqa: PLC0415 (0.1 s)
-
-    try:
-        return {name: value for name, value in loadmat(path).items() if not name.startswith("__")}
-    except NotImplementedError:  # version 7.3 is HDF5, with axes in the order of Fortran
-        return {name: value.T for name, value in _read_hdf5(path).items()}
-
-
-def _read_hdf5(path: Path) -> dict[str, Any]:
-    try:
-        import h5py  # noqa: PLC0415 (an extra)
-    except ImportError as error:
-        raise UserError(f"Reading {path} needs h5py; install it with: pip install 'sal_height[formats]'.") from error
-    with h5py.File(path) as file:
-        return {name: _complex(entry[()]) for name, entry in file.items() if isinstance(entry, h5py.Dataset)}
-
-
-def _complex(values: Any) -> Any:
-    """Complex numbers of a compound of real and imag, as MATLAB writes them; others as they are."""
-    names = getattr(values.dtype, "names", None)
-    return values["real"] + 1j * values["imag"] if names == ("real", "imag") else values

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from sal_height.array_files import IMAGES, complex_images
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
 from sal_height.numeric import Complex
@@ -15,6 +16,9 @@ from sal_height.response import ShapedNoise
 
 AXES = ("range", "azimuth")
 """Directions of rows and columns."""
+
+NISAR = "/RSLC/"
+"""Part of the names of NISAR's single-look images, whose rows are pulses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +63,10 @@ def images_of(path: Path, dwell: int | None, channel: int | None, azimuth_axis: 
     """Read the images of a file or bag, optionally only those of one dwell or one channel.
 
     Args:
-        path: .npy or .npz file, folder of a bag, or its .mcap file.
+        path: file of arrays (`array_files`), folder of a bag, or its .mcap file.
         dwell: number of the dwell; None for all.
         channel: number of the channel; None for all.
-        azimuth_axis: along-track axis (0 or 1) of arrays in .npy and .npz files.
+        azimuth_axis: along-track axis (0 or 1) of arrays in files.
 
     Raises:
         UserError: the file cannot be read, or holds no such image.
@@ -85,12 +89,10 @@ def images_of(path: Path, dwell: int | None, channel: int | None, azimuth_axis: 
 
 
 def _all_images(path: Path, azimuth_axis: int) -> Iterator[Image]:
-    if path.suffix in {".npy", ".npz"}:
+    if path.suffix.lower() in IMAGES:
         return _array_images(path, azimuth_axis)
     if path.is_file() and path.suffix != ".mcap":
-        raise UserError(
-            f"File {path} is not an image; allowed are .npy and .npz files and bags (a folder or its .mcap)."
-        )
+        complex_images(path)  # says what it may be
     from sal_height.runs.recorded_images import bag_images  # noqa: PLC0415 (array files can be measured without ROS)
 
     return bag_images(path)
@@ -104,31 +106,32 @@ def _span(what: str, numbers: set[int | None]) -> str:
 
 
 def _array_images(path: Path, azimuth_axis: int) -> Iterator[Image]:
-    """The image of a .npy or .npz file, or one per channel.
+    """The images of a file of arrays: one, or one per channel; those of NISAR have columns in range.
 
     Raises:
-        UserError: the file cannot be read, or does not hold a single complex array of a fitting shape.
+        UserError: the file cannot be read, or does not hold complex arrays of one shape, which fits.
     """
-    try:
-        with path.open("rb") as stream:
-            loaded = np.load(stream, allow_pickle=False)
-            arrays = dict(loaded) if isinstance(loaded, np.lib.npyio.NpzFile) else {"": loaded}
-    except OSError as error:
-        raise UserError(f"File {path} cannot be read: {error.strerror or error}.") from error
-    except Exception as error:  # numpy, zipfile and zlib each have their own for a damaged file
-        raise UserError(f"File {path} is not a whole .npy or .npz file: {' '.join(str(error).split())}.") from error
-    usable = [array for array in arrays.values() if np.iscomplexobj(array)]
-    if len(usable) != 1:
-        there = ", ".join(f"{name} of {a.dtype}".strip() for name, a in arrays.items()) or "nothing"
-        raise UserError(f"File {path} has {len(usable)} complex arrays; it must have one (it holds: {there}).")
-    (array,) = usable
+    arrays = complex_images(path)
+    if path.suffix.lower() == ".npz" and len(arrays) != 1:
+        raise UserError(f"File {path} has {len(arrays)} complex arrays; it must have one (it holds: {_named(arrays)}).")
+    if len({array.shape for array in arrays.values()}) != 1:
+        raise UserError(
+            f"File {path} has complex arrays of several shapes (it holds: {_named(arrays)}); channels must have one."
+        )
+    first = next(iter(arrays.values()))
+    array = first if len(arrays) == 1 else np.stack(list(arrays.values()))
     if array.ndim not in {2, 3} or not array.size:
         raise UserError(
             f"File {path} has an array of shape {array.shape}; it must be (rows, cols) or (channels, rows, cols), and "
             "not empty."
         )
-    axes = AXES if azimuth_axis == 1 else AXES[::-1]
+    is_range_along_rows = azimuth_axis == 0 or any(NISAR in name for name in arrays)
+    axes = AXES[::-1] if is_range_along_rows else AXES
     if array.ndim == 2:
         yield Image(array, path, axes)
     else:
         yield from (Image(pixels, path, axes, channel=channel) for channel, pixels in enumerate(array))
+
+
+def _named(arrays: Mapping[str, Complex]) -> str:
+    return ", ".join(f"{name} of {array.dtype} {array.shape}".strip() for name, array in arrays.items())

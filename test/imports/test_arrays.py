@@ -214,7 +214,7 @@ def test_descriptions_that_are_none_are_refused(
 
 def test_files_of_other_kinds_and_damaged_ones_are_refused(flight: SimulatedFlight, tmp_path: Path) -> None:
     description = write_description(tmp_path / "mine.yaml", description_of(flight))
-    for name, words in (("data.txt", "read from .npz, .mat and .h5"), ("data.mat", "not a readable file of arrays")):
+    for name, words in (("data.txt", "read from .npz, .mat, .h5 and .hdf5"), ("data.mat", "not a whole .mat file")):
         (tmp_path / name).write_bytes(b"nothing")
         with pytest.raises(UserError) as refused:
             import_arrays(description, tmp_path / name, tmp_path / "bag")

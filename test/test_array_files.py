@@ -57,8 +57,12 @@ def write_sicd(path: Path, kind: str = "RE32F_IM32F") -> None:
         '<SICD xmlns="urn:SICD:1.4.0"><CollectionInfo><CollectorName>a</CollectorName><CoreName>b</CoreName>'
         "<Classification>UNCLASSIFIED</Classification></CollectionInfo><ImageCreation><DateTime>2026-03-01T10:00:00Z"
         f"</DateTime></ImageCreation><ImageData><PixelType>{kind}</PixelType><NumRows>{ROWS}</NumRows>"
-        f"<NumCols>{COLS}</NumCols></ImageData><GeoData><SCP><LLH><Lat>48</Lat><Lon>11</Lon><HAE>0</HAE></LLH></SCP>"
-        f"<ImageCorners>{corners}</ImageCorners></GeoData><Timeline><CollectStart>2026-03-01T10:00:00Z</CollectStart>"
+        f"<NumCols>{COLS}</NumCols><FirstRow>0</FirstRow><FirstCol>0</FirstCol><SCPPixel><Row>20</Row><Col>15</Col>"
+        "</SCPPixel></ImageData><GeoData><SCP><ECF><X>6378137</X><Y>0</Y><Z>0</Z></ECF><LLH><Lat>0</Lat><Lon>0</Lon>"
+        f"<HAE>0</HAE></LLH></SCP><ImageCorners>{corners}</ImageCorners></GeoData><Grid><Row><UVectECF><X>0</X><Y>1</Y>"
+        "<Z>0</Z></UVectECF><SS>1</SS></Row><Col><UVectECF><X>0</X><Y>0</Y><Z>1</Z></UVectECF><SS>1</SS></Col></Grid>"
+        "<SCPCOA><ARPPos><X>7378137</X><Y>-1000000</Y><Z>0</Z></ARPPos><ARPVel><X>0</X><Y>0</Y><Z>7000</Z></ARPVel>"
+        "<SideOfTrack>R</SideOfTrack></SCPCOA><Timeline><CollectStart>2026-03-01T10:00:00Z</CollectStart>"
         "</Timeline></SICD>"
     ).getroottree()
     security = sarkit.sicd.NitfSecurityFields(clas="U")

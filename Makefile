@@ -46,7 +46,7 @@ $(packages): $(venv) constraints.txt setup.py pyproject.toml msg_defs/pyproject.
 	@requires=$$(.venv/bin/python -c 'import tomllib; \
 		print(*tomllib.load(open("msg_defs/pyproject.toml", "rb"))["build-system"]["requires"])') && \
 		PIP_BUILD_CONSTRAINT=constraints.txt $(pip) install --use-pep517 setuptools $$requires
-	@$(pip) install --no-build-isolation -e '.[batch,dem,formats,test,dev]'
+	@$(pip) install --no-build-isolation -e '.[batch,dem,formats,ros,test,dev]'
 	@touch $@
 
 # The compiler finds Python.h there if python3-dev is not installed.

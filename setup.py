@@ -25,8 +25,8 @@ setup(
         # Where `ros2 launch` and $(find-pkg-share sal_height) look.
         *((f"share/sal_height/{name}", sorted(map(str, Path("sal_height", name).iterdir()))) for name in SHARED),
     ],
-    # sal_height_msgs is needed too, but is not on PyPI: pip install ./msg_defs. colcon takes it, rclpy and the standard
-    # messages from package.xml.
+    # What the core needs, and commands that work without ROS. Nodes and bags need the extra ros, and sal_height_msgs,
+    # which is not on PyPI: pip install ./msg_defs. colcon takes both from package.xml.
     install_requires=[
         "annotated-types",
         "cyclopts",
@@ -40,8 +40,6 @@ setup(
         "pyyaml",
         "rich",
         "rosbags",
-        "ros-jazzy-common-interfaces",
-        "ros-jazzy-rclpy[fastrtps]",
         "scipy>=1.16",
         "tqdm",
     ],
@@ -49,6 +47,7 @@ setup(
         "batch": ["distributed", "pyarrow"],
         "dem": ["rasterio"],
         "formats": ["h5netcdf", "h5py", "laspy[lazrs]", "rasterio", "sarkit", "xarray", "zarr"],
+        "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         "view": ["rerun-sdk"],
         "test": ["cyclonedds; platform_machine == 'x86_64'", "h5py", "pytest", "pytest-xdist", "rio-cogeo"],
         "dev": ["colcon-common-extensions", "mypy", "pre-commit", "ruff", "types-PyYAML"],

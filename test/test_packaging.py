@@ -36,7 +36,7 @@ BY_PIP = {"annotated-types", "cyclopts", "finufft", "mcap", "numba", "pydantic",
 
 NAMED_OTHERWISE = {"pyyaml": "python3-yaml"}
 
-ROS_WHEELS = {"ros-jazzy-common-interfaces", "ros-jazzy-rclpy"}
+ROS_WHEELS = {"ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"}
 """Wheels whose ROS packages package.xml lists one by one."""
 
 
@@ -46,11 +46,17 @@ def test_package_xml_has_the_requirements_of_setup_py() -> None:
     pythonic = {name for name in listed if name and name.startswith("python3-")}
     text = (ROOT / "setup.py").read_text()
     block = text[text.index("install_requires") : text.index("extras_require")]
-    required = {re.split(r"[\[<>=]", name)[0] for name in re.findall(r'"([^"]+)"', block)} - ROS_WHEELS
+    required = {re.split(r"[\[<>=]", name)[0] for name in re.findall(r'"([^"]+)"', block)}
     assert required >= BY_PIP
     assert pythonic == {NAMED_OTHERWISE.get(name, f"python3-{name}") for name in required - BY_PIP}
     (comment,) = (part for part in re.findall(r"<!--(.*?)-->", manifest.read_text(), re.DOTALL) if "pip" in part)
     assert set(re.findall(r"[a-z][a-z-]+", comment)) >= BY_PIP
+
+
+def test_ros_is_an_extra() -> None:
+    """Arrays are measured and figures drawn without it."""
+    (line,) = (line for line in (ROOT / "setup.py").read_text().splitlines() if '"ros": [' in line)
+    assert set(re.findall(r'"([^"]+)"', line)) == {"ros", *ROS_WHEELS}
 
 
 def test_every_program_can_be_started() -> None:

@@ -85,7 +85,7 @@ def run(
 
     from sal_height.runs.simulate import RELIEF_MAP
     from sal_height.runs.simulate import run as simulate
-    from sal_height.runs.tables import results_table
+    from sal_height.runs.tables import achieved, results_table
     from sal_height.simulation import load_preset
 
     changed = _changed(
@@ -103,13 +103,15 @@ def run(
     result = simulate(changed, seed, folder, node_parameters(param), graph.execution(processes))
     outcome = result.outcome
     print(results_table(outcome, result.accuracy.statistics))
-    files = [
-        str(folder / name)
-        for name in ("height.png", "scene3d.png", RELIEF_MAP, "report.json")
-        if (folder / name).is_file()
-    ]
+    if sentence := achieved(result.accuracy.statistics):
+        print(sentence)
     interrupted = " (interrupted)" if outcome.interrupted else ""
-    print(f"{outcome.dwells} dwells{interrupted}; see {', '.join(files)} and {folder}/bag")
+    first, *others = [
+        str(folder / name)
+        for name in ("scene3d.png", "height.png", "ground.png", "profile.png", RELIEF_MAP, "report.json", "bag")
+        if (folder / name).exists()
+    ]
+    print(f"{outcome.dwells} dwells{interrupted}; look first at {first}, then at {', '.join(others)}")
     if outcome.interrupted:
         return INTERRUPTED
     complain(outcome.losses)

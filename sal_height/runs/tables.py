@@ -46,6 +46,26 @@ def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -
     return aligned([heading, *rows])
 
 
+def achieved(accuracy: Mapping[str, Mapping[str, Any]]) -> str:
+    """A sentence on the estimator with the smallest errors, and its bound; empty if there is none.
+
+    Args:
+        accuracy: statistics of each estimator (`report.statistics`) by prefix of its topics.
+    """
+    known = {name: errors for name, errors in accuracy.items() if errors.get("s68_m") and errors.get("crb_m")}
+    bounded = [name for node, name in HEIGHTS.items() if name in known and not NODES[node].takes_heights]
+    if not bounded:
+        return ""
+    best = min(bounded, key=lambda name: float(known[name]["s68_m"]))
+    error, bound = (_length(float(known[best][key])) for key in ("s68_m", "crb_m"))
+    return f"Heights of {best} are right to {error} (s68); the Cramér-Rao bound of their looks is {bound}."
+
+
+def _length(metres: float) -> str:
+    """A length as people write it."""
+    return f"{1000 * metres:.1f} mm" if metres < 0.1 else f"{metres:.2f} m"
+
+
 def comparison_table(compared: Mapping[str, Comparison]) -> str:
     """How topics compare with the golden ones, and a sentence on each field that is beyond its tolerance."""
     heading = ["topic", "verdict", "compared", "missing", "extra", "values", "different", "beyond tolerance"]

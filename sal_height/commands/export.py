@@ -14,6 +14,7 @@ from sal_height.errors import UserError
 EXAMPLES = """
   sal-height export out/sal_spotlight/bag --las street.laz
   sal-height export out/xband_relief/bag --cog map.tif --netcdf heights.nc
+  sal-height export out/sal_stripmap/bag --film street.gif
   sal-height export flight --zarr heights.zarr --origin 48.1,11.3,560
 """
 
@@ -31,6 +32,7 @@ def export(
     cog: File = None,
     netcdf: File = None,
     zarr: Annotated[Path | None, Parameter(metavar="DIR")] = None,
+    film: File = None,
     topic: Annotated[str, Parameter(metavar="NAME", show_default=False)] = "",
     origin: Place = None,
     crs: Annotated[str, Parameter(metavar="NAME")] = "utm",
@@ -48,17 +50,18 @@ def export(
         cog: Map of all dwells as a Cloud-Optimized GeoTIFF, each cell the mean weighted by inverse variance.
         netcdf: Arrays of all dwells as netCDF 4, by the CF conventions.
         zarr: The same arrays as Zarr, in a new folder.
+        film: Height and sigma dwell by dwell, .gif or .mp4.
         topic: Of the heights. Default: /ml/height, or the first that the bag has.
         origin: Place of the map's origin on the earth: latitude and longitude in degrees, height above the WGS-84
             ellipsoid in m. Default: as the bag says.
         crs: Coordinate reference system: utm, a code such as EPSG:25832, or local.
         cell_size: Side of a cell of the map, m. Default: as the pixels are.
     """
-    if not (las or cog or netcdf or zarr):
-        raise UserError("Say what to write: --las FILE, --cog FILE, --netcdf FILE or --zarr DIR.")
+    if not (las or cog or netcdf or zarr or film):
+        raise UserError("Say what to write: --las FILE, --cog FILE, --netcdf FILE, --zarr DIR or --film FILE.")
 
     from sal_height.configuration import validated
-    from sal_height.exports import RecordedHeights, write_las, write_map, write_netcdf, write_zarr
+    from sal_height.exports import RecordedHeights, write_film, write_las, write_map, write_netcdf, write_zarr
     from sal_height.simulation import OriginSettings
 
     place = validated(OriginSettings, origin, "--origin").place if origin else None
@@ -73,4 +76,6 @@ def export(
         print(f"{write_netcdf(heights, netcdf)} dwells of {heights.topic} in {system}; see {netcdf}")
     if zarr:
         print(f"{write_zarr(heights, zarr)} dwells of {heights.topic} in {system}; see {zarr}")
+    if film:
+        print(f"{write_film(heights, film)} frames of {heights.topic}; see {film}")
     return DONE

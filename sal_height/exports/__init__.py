@@ -1,11 +1,12 @@
 """What others read: the heights of a bag as point clouds, maps and labelled arrays.
 
 Read `heights` first (the height images of a bag, and their place on the earth), then `las` (points), `dataset` (arrays
-with names and units, as netCDF and Zarr), `cog` (a map).
+with names and units, as netCDF and Zarr), `cog` (a map) and `film` (dwell by dwell).
 """
 
 from sal_height.exports.cog import write_map
 from sal_height.exports.dataset import open_heights, write_netcdf, write_zarr
+from sal_height.exports.film import write_film
 from sal_height.exports.heights import DwellHeights, RecordedHeights
 from sal_height.exports.las import write_las
 
@@ -13,6 +14,7 @@ __all__ = [
     "DwellHeights",
     "RecordedHeights",
     "open_heights",
+    "write_film",
     "write_las",
     "write_map",
     "write_netcdf",

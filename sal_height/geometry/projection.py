@@ -114,9 +114,11 @@ class Projection:
         )
 
     def coordinates(self, positions: F64) -> F64:
-        """Easting, northing and height (m) of map positions (m), both of shape (..., 3)."""
+        """Easting, northing and height (m) of map positions (m), both of shape (..., 3); NaN where there are none."""
         latitude, longitude, height = self.origin.to_geodetic(positions)
-        return np.stack(self._transformer.transform(longitude, latitude, height, radians=True), axis=-1)
+        coordinates = np.stack(self._transformer.transform(longitude, latitude, height, radians=True), axis=-1)
+        coordinates[~np.isfinite(coordinates)] = np.nan  # PROJ has infinity there
+        return coordinates
 
     def geodetic(self, coordinates: F64) -> tuple[F64, F64, F64]:
         """Latitude, longitude (rad) and height (m) on WGS 84 of easting, northing and height (m), shape (..., 3)."""

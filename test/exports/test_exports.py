@@ -6,6 +6,7 @@ import math
 import struct
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import rasterio
 import xarray
 import zarr
 from helpers import assert_one_sentence, make_aperture
+from PIL import Image
 from pyproj import CRS
 from rclpy.serialization import serialize_message
 from rio_cogeo.cogeo import cog_validate
@@ -28,7 +30,8 @@ from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import Validity
 from sal_height.errors import UserError
-from sal_height.exports import RecordedHeights, dataset, write_las, write_map, write_netcdf, write_zarr
+from sal_height.exports import RecordedHeights, dataset, write_film, write_las, write_map, write_netcdf, write_zarr
+from sal_height.exports import film as film_module
 from sal_height.exports.las import gps_time
 from sal_height.geometry import Grid, Origin, sphere_coordinates, sphere_point
 from sal_height.nodes.stage import LATCHED_QOS
@@ -231,6 +234,29 @@ def test_a_map_is_a_valid_cog(heights: RecordedHeights, tmp_path: Path) -> None:
         assert file.transform.a == 0.5
         low, high = np.nanpercentile(file.read(1), [1, 99])
     assert 560 < low < high < 572, "surfaces of 2 to 9 m, 1 m above the sphere 3.5 km away"
+
+
+def test_a_film_has_a_frame_for_each_dwell(
+    heights: RecordedHeights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Read by Pillow; frames differ, and of many dwells some are shown."""
+    assert write_film(heights, tmp_path / "film.gif") == DWELLS
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.n_frames == DWELLS
+        frames = []
+        for number in range(DWELLS):
+            film.seek(number)
+            frames.append(np.asarray(film.convert("RGB")))
+    assert all(np.any(one != other) for one, other in pairwise(frames))
+    assert [one.name for one in tmp_path.iterdir()] == ["film.gif"]
+    monkeypatch.setattr(film_module, "MOST_FRAMES", 4)
+    assert write_film(heights, tmp_path / "short.gif") == 4
+
+
+def test_films_of_another_kind_are_refused(heights: RecordedHeights, tmp_path: Path) -> None:
+    with pytest.raises(UserError) as refused:
+        write_film(heights, tmp_path / "film.avi")
+    assert_one_sentence(str(refused.value), "a film is written as .gif or .mp4")
 
 
 def test_what_is_no_place_or_not_there_is_refused(bag: Path, tmp_path: Path) -> None:

@@ -48,6 +48,7 @@ def test_coordinates_are_those_of_projs_topocentric_chain(name: str, back_m: flo
     found = projection.coordinates(positions)
     np.testing.assert_allclose(found, np.transpose(expected), rtol=0, atol=1e-6)
     np.testing.assert_allclose(projection.positions(found), positions, rtol=0, atol=back_m)
+    assert np.isnan(projection.coordinates(np.full((2, 3), np.nan))).all()
 
 
 @pytest.mark.parametrize(("name", "grid"), [("EPSG:32632+5773", "egm96"), ("EPSG:31468", "BETA2007")])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,8 @@ class Collection:
             raise UserError(f"The track has {len(self.states)} states; two or more are needed.")
         first, last = self.histories[0].stamp_ns, self.histories[-1].stamp_of_last_pulse_ns
         begin, end = self.states[0].stamp_ns, self.states[-1].stamp_ns
+        if any(later.stamp_ns <= earlier.stamp_ns for earlier, later in pairwise(self.states)):
+            raise UserError("The track has times that do not increase from state to state.")
         if begin < 0:
             raise UserError(
                 f"The track begins {-begin * 1e-9:.6g} s before 1970; state a begin of all times after that (start_ns)."

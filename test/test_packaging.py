@@ -28,6 +28,7 @@ def test_one_version() -> None:
     manifests = [ET.parse(ROOT / folder / "package.xml").getroot() for folder in (".", "msg_defs")]  # noqa: S314
     project = tomllib.loads((ROOT / "msg_defs" / "pyproject.toml").read_text())["project"]
     versions = {m.findtext("version") for m in manifests} | {project["version"], sal_height.__version__}
+    versions |= set(re.findall(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE))
     assert len(versions) == 1
 
 
@@ -51,6 +52,17 @@ def test_package_xml_has_the_requirements_of_setup_py() -> None:
     assert pythonic == {NAMED_OTHERWISE.get(name, f"python3-{name}") for name in required - BY_PIP}
     (comment,) = (part for part in re.findall(r"<!--(.*?)-->", manifest.read_text(), re.DOTALL) if "pip" in part)
     assert set(re.findall(r"[a-z][a-z-]+", comment)) >= BY_PIP
+
+
+def test_everywhere_the_same_versions_of_python() -> None:
+    """Those that setup.py allows, names and tests."""
+    setup = (ROOT / "setup.py").read_text()
+    lowest, beyond = map(int, re.findall(r'python_requires=">=3\.(\d+),<3\.(\d+)"', setup)[0])
+    named = re.findall(r"for minor in \(([\d, ]+)\)", setup)[0]
+    assert [int(minor) for minor in named.split(",")] == list(range(lowest, beyond))
+    workflow = (ROOT / ".github" / "workflows" / "test.yml").read_text()
+    assert re.findall(r'"3\.(\d+)"', workflow) == [str(minor) for minor in range(lowest, beyond)]
+    assert all(f"- run: make {goal}" in workflow for goal in ("demo", "test"))
 
 
 def test_ros_is_an_extra() -> None:
@@ -82,7 +94,7 @@ def test_every_program_can_be_started() -> None:
 
 def test_a_wheel_holds_all_that_programs_and_ros_read(tmp_path: Path) -> None:
     """In the package for those who use pip, and in share/ for ROS; presets are read by our programs only."""
-    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml"):
+    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "README.md"):
         shutil.copy(ROOT / name, tmp_path)
     for name in ("resource", "sal_height"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))

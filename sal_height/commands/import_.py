@@ -20,7 +20,7 @@ EXAMPLES = """
 ARRAYS_EXAMPLES = """
   sal-height import arrays radar.yaml flight.npz
   sal-height import arrays radar.yaml flight.mat --track navigation.sbet
-  sal-height import arrays radar.yaml flight.h5 --track track.csv --out out/mine
+  sal-height import arrays radar.yaml flight.h5 --track flown --out mine
 """
 
 CPHD_EXAMPLES = """
@@ -63,7 +63,8 @@ def arrays(
     Args:
         sensor: YAML file of the sensor.
         data: File of arrays: .npz, .mat or .h5.
-        track: Track of the platform: CSV with a line of names, or SBET (.sbet, .out).
+        track: Track of the platform: CSV with a line of names, SBET (.sbet, .out), or a bag with odometry or
+            satellite fixes.
         out: Folder of the new bag, new or empty. Default: out/DATA, or the next free of out/DATA_2, ….
     """
     from sal_height.imports import import_arrays

@@ -10,12 +10,15 @@ import numpy as np
 
 from sal_height.array_files import named_arrays
 from sal_height.errors import UserError
+from sal_height.geometry import Origin
 from sal_height.imports.collection import Collection, write_collection
 from sal_height.imports.description import Description, read_description
+from sal_height.imports.recorded_track import read_recorded_track
 from sal_height.imports.track import Track, read_track
 from sal_height.sensor import PhaseHistory
 
 NEEDED = ("samples", "pulse_times", "reference_range")
+BAGS = (".mcap", ".db3")
 OF_TRACK = ("times", "positions", "velocities", "attitudes")
 
 
@@ -26,16 +29,26 @@ def import_arrays(description: Path, data: Path, out: Path, track: Path | None =
         description: YAML file of the sensor.
         data: .npz, .mat or .h5 file of arrays; names and shapes are in `collection_of`.
         out: folder of the bag, new or empty.
-        track: CSV or SBET file of the platform's track; None: it is among the arrays.
+        track: of the platform: a CSV or SBET file, or a bag; None: it is among the arrays.
 
     Raises:
         UserError: a file cannot be read, parts are missing or do not fit each other, or the bag cannot be written.
     """
     described, arrays = read_description(description), named_arrays(data)
-    flown = read_track(track, described.place) if track else None
+    flown = _read_track(track, described.place) if track else None
     collection = collection_of(described, arrays, flown)
     write_collection(collection, out)
     return len(collection.histories)
+
+
+def _read_track(path: Path, origin: Origin | None) -> Track:
+    """The track in a bag or in another file.
+
+    Raises:
+        UserError: it cannot be read, or has no track.
+    """
+    is_bag = path.is_dir() or path.suffix.lower() in BAGS
+    return read_recorded_track(path, origin) if is_bag else read_track(path, origin)
 
 
 def collection_of(description: Description, arrays: Mapping[str, Any], track: Track | None = None) -> Collection:

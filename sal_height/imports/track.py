@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,20 +40,24 @@ class Track:
         velocities: in map, m/s, shape (n, 3); None: the slope of the positions.
         attitudes: quaternions (x, y, z, w) that turn body (forward, left, up) into map axes, shape (n, 4); None: level,
             along the track.
+        covariances: of position (m^2) and attitude (rad^2) in map axes, shape (n, 6, 6); None: not known.
+        start_ns: time from which the seconds count, ns since 1970; None: that from which those of the pulses count.
     """
 
     seconds: F64
     positions: F64
     velocities: F64 | None = None
     attitudes: F64 | None = None
+    covariances: F64 | None = None
+    start_ns: int | None = None
 
     def states(self, start_ns: int) -> list[PlatformState]:
-        """The states, with stamps that count from a time, ns since 1970.
+        """The states; where the track does not say from when its seconds count, it is `start_ns`, ns since 1970.
 
         Raises:
             UserError: sizes that do not fit, values that are not finite, or times that do not increase.
         """
-        sizes = {"seconds": (), "positions": (3,), "velocities": (3,), "attitudes": (4,)}
+        sizes = {"seconds": (), "positions": (3,), "velocities": (3,), "attitudes": (4,), "covariances": (6, 6)}
         for name, tail in sizes.items():
             values = getattr(self, name)
             if values is None:
@@ -63,16 +67,15 @@ class Track:
                     f"The track has {name} of shape {np.shape(values)}; they must be finite numbers of shape "
                     f"{(len(self.seconds), *tail)}."
                 )
-        stamps: I64 = start_ns + np.rint(np.asarray(self.seconds) * 1e9).astype(np.int64)
+        begin_ns = start_ns if self.start_ns is None else self.start_ns
+        stamps: I64 = begin_ns + np.rint(np.asarray(self.seconds) * 1e9).astype(np.int64)
         if len(stamps) < 2 or np.any(np.diff(stamps) <= 0):
             raise UserError("The track must have two or more samples whose times increase.")
-        level = level_states(stamps, np.asarray(self.positions), self.velocities)
-        if self.attitudes is None:
-            return level
-        return [
-            PlatformState(state.stamp_ns, state.position, np.asarray(attitude), state.velocity, state.covariance)
-            for state, attitude in zip(level, self.attitudes, strict=True)
-        ]
+        states = level_states(stamps, np.asarray(self.positions), self.velocities)
+        for field, values in (("orientation", self.attitudes), ("covariance", self.covariances)):
+            if values is not None:
+                states = [replace(state, **{field: value}) for state, value in zip(states, values, strict=True)]
+        return states
 
 
 def read_track(path: Path, origin: Origin | None) -> Track:
@@ -113,7 +116,7 @@ def read_track(path: Path, origin: Origin | None) -> Track:
     positions, attitudes, angles = stacked(MAP), stacked(QUATERNION), stacked(ANGLES)
     if positions is None:
         latitude, longitude, height = (columns[name] for name in EARTH)
-        positions = _on_earth(path, origin).to_map(np.radians(latitude), np.radians(longitude), height)
+        positions = on_earth(path, origin).to_map(np.radians(latitude), np.radians(longitude), height)
     if attitudes is None and angles is not None:
         attitudes = _attitudes(np.radians(angles), positions, origin)
     return Track(columns["time"], positions, stacked(VELOCITY), attitudes)
@@ -130,13 +133,18 @@ def _read_sbet(path: Path, origin: Origin | None) -> Track:
     place = [records[name] for name in EARTH]
     if not np.all(np.isfinite(place)) or np.abs(records["latitude"]).max() > np.pi / 2:
         raise UserError(f"Track {path} has latitudes that are none; it is no SBET file.")
-    positions = _on_earth(path, origin).to_map(*place)
+    positions = on_earth(path, origin).to_map(*place)
     roll, pitch, heading = (records[name] for name in ANGLES)
     angles = np.stack([roll, pitch, heading - records["wander"]], axis=-1)
     return Track(records["time"].copy(), positions, None, _attitudes(angles, positions, origin))
 
 
-def _on_earth(path: Path, origin: Origin | None) -> Origin:
+def on_earth(path: Path, origin: Origin | None) -> Origin:
+    """The origin of the map, which a track of places on the earth needs.
+
+    Raises:
+        UserError: it is not known.
+    """
     if origin is None:
         raise UserError(f"Track {path} has places on the earth; state the origin of the map (key origin).")
     return origin

@@ -19,8 +19,9 @@ from scipy.io import savemat
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.geometry import Origin, rotation_matrix
+from sal_height.geometry import Origin, PlatformState, rotation_matrix
 from sal_height.imports import Collection, import_arrays, level_states, read_track, write_collection
+from sal_height.imports.arrays import OF_TRACK
 from sal_height.imports.track import SBET
 from sal_height.runs.replay import replay
 from sal_height.runs.sensor_bag import record_sensor
@@ -159,6 +160,28 @@ def test_a_collection_is_written_by_ten_lines_of_python(flight: SimulatedFlight,
         "/platform/odometry": len(states),
         "/phase_history": len(samples),
     }
+
+
+def odometry_of(bag: Path) -> list[PlatformState]:
+    reader = BagReader(bag)
+    recorded = reader.messages(["/platform/odometry"])
+    return [messages.state_from_message(reader.decode(one.type_name, one.cdr)) for one in recorded]
+
+
+def test_a_bag_may_be_the_track(flight: SimulatedFlight, tmp_path: Path) -> None:
+    """The odometry of the flight's own bag, beside arrays without a track."""
+    record_sensor(flight.preset, SEED, tmp_path / "flown")
+    wanted = odometry_of(tmp_path / "flown")
+    begin_ns = wanted[0].stamp_ns - flight.platform_states(0)[0].stamp_ns
+    arrays = {name: values for name, values in arrays_of(flight).items() if name not in OF_TRACK}
+    np.savez(tmp_path / "data.npz", **arrays | {"start_ns": np.array(begin_ns)})
+    description = write_description(tmp_path / "mine.yaml", description_of(flight))
+    assert import_arrays(description, tmp_path / "data.npz", tmp_path / "bag", tmp_path / "flown") == DWELLS
+    made = odometry_of(tmp_path / "bag")
+    assert [state.stamp_ns for state in made] == [state.stamp_ns for state in wanted]
+    for field in ("position", "orientation", "velocity", "covariance"):
+        mine, true = (np.array([getattr(state, field) for state in states]) for states in (made, wanted))
+        np.testing.assert_allclose(mine, true, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -22,13 +22,14 @@ class Progress(event.Listener):
     """Tells while functions are compiled, which takes a minute for all of them at the first start on a machine.
 
     Attributes:
-        functions: number of functions that are compiled on their first call.
-        done: number of those that this process has compiled; all others are not needed, or come from the cache.
+        functions: those that are compiled on their first call.
+        done: those of them that this process has compiled, for whatever types; all others are not needed, or come from
+            the cache.
     """
 
     def __init__(self) -> None:
-        self.functions = 0
-        self.done = 0
+        self.functions: set[Callable[..., Any]] = set()
+        self.done: set[Callable[..., Any]] = set()
         self._told_at = -math.inf
 
     def on_start(self, _: event.Event) -> None:
@@ -36,12 +37,14 @@ class Progress(event.Listener):
         if time.monotonic() - self._told_at > TOLD_PERIOD_S:
             self._told_at = time.monotonic()
             _LOG.warning(
-                "Compiling for this processor, once: %d functions done, %d at most.", self.done, self.functions
+                "Compiling for this processor, once: %d functions done, %d at most.",
+                len(self.done),
+                len(self.functions),
             )
 
-    def on_end(self, _: event.Event) -> None:
-        """Count one more."""
-        self.done += 1
+    def on_end(self, ended: event.Event) -> None:
+        """Count the function if it is one of ours; numba compiles its own ones in the same way."""
+        self.done |= self.functions & {ended.data["dispatcher"].py_func}
 
 
 PROGRESS = Progress()
@@ -54,7 +57,7 @@ def compiled(function: Function) -> Function:
     The compiled function releases the GIL. It may reorder sums and assumes that all numbers are finite. One simple loop
     per function is compiled best.
     """
-    PROGRESS.functions += 1
+    PROGRESS.functions.add(function)
     return cast("Function", njit(nogil=True, fastmath=True, error_model="numpy", cache=True)(function))
 
 
@@ -64,7 +67,7 @@ def compiled_with_nan(function: Function) -> Function:
     Powers and np.hypot are forbidden in it (`squared` instead): numba makes one loop of these for all functions of a
     process, and if a `compiled` function was the first to need it, it takes all numbers for finite.
     """
-    PROGRESS.functions += 1
+    PROGRESS.functions.add(function)
     return cast("Function", njit(nogil=True, error_model="numpy", cache=True)(function))
 
 

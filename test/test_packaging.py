@@ -63,6 +63,10 @@ def test_everywhere_the_same_versions_of_python() -> None:
     workflow = (ROOT / ".github" / "workflows" / "test.yml").read_text()
     assert re.findall(r'"3\.(\d+)"', workflow) == [str(minor) for minor in range(lowest, beyond)]
     assert all(f"- run: make {goal}" in workflow for goal in ("demo", "test"))
+    recipe = tomllib.loads((ROOT / "msg_defs" / "pyproject.toml").read_text())
+    assert recipe["project"]["requires-python"] == f">=3.{lowest},<3.{beyond}"
+    wheels = [f"cp3{minor}-manylinux_x86_64" for minor in range(lowest, beyond)]
+    assert recipe["tool"]["cibuildwheel"]["build"] == wheels
 
 
 def test_ros_is_an_extra() -> None:
